@@ -1,0 +1,1 @@
+"""Export of trained FS-MVSNet to ONNX, and the proof that ONNX and PyTorch agree."""

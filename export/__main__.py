@@ -1,0 +1,60 @@
+"""Command line: ``python -m export CHECKPOINT --out models --parity SCENE``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+from dataclasses import asdict
+from pathlib import Path
+
+import cv2
+
+from export.onnx_export import export_model, load_checkpoint
+from export.parity import whole_parity
+from fsinfer.depth_model import DepthModel
+from fsinfer.errors import FsinferError
+from fsinfer.scene import read_scene
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Export a checkpoint, or with ``--parity`` compare it with what was exported; exit code 1 beyond tolerance."""
+    parser = argparse.ArgumentParser(prog="python -m export", description="Export FS-MVSNet to ONNX and prove parity.")
+    parser.add_argument("checkpoint", type=Path, help="checkpoint.pt of training.train")
+    parser.add_argument("--out", type=Path, default=Path("models"), help="folder of the ONNX files and the manifest")
+    parser.add_argument("--confidence-threshold", type=float, default=0.3, help="written into the manifest")
+    parser.add_argument("--parity", type=Path, metavar="SCENE", help="compare whole depth maps on this scene")
+    parser.add_argument("--views", type=int, default=3, help="reference views of the comparison")
+    parser.add_argument("--only-parity", action="store_true", help="compare with the files already in --out")
+    args = parser.parse_args(arguments)
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+    try:
+        model, state = load_checkpoint(args.checkpoint)
+        manifest = args.out / f"{model.config.name}.json"
+        if not args.only_parity:
+            provenance = {
+                **state.get("training", {}),
+                "preset": model.config.name,
+                "steps": state["step"],
+                "seconds": round(state["spent_s"]),
+            }
+            manifest = export_model(
+                model, args.out, provenance=provenance, confidence_threshold=args.confidence_threshold
+            )
+            graphs = json.loads(manifest.read_text(encoding="utf-8"))["graphs"]
+            for role, graph in graphs.items():
+                print(f"{graph['file']}: {role}, difference to PyTorch {graph['max_abs_difference']:.1e}")
+        if args.parity is None:
+            return 0
+        deployed = DepthModel.load(manifest)
+        cv2.setNumThreads(1)
+        parity = whole_parity(model, deployed, read_scene(args.parity), views=args.views)
+    except FsinferError as error:
+        print(f"Error: {error}")
+        return 2
+    print(json.dumps(asdict(parity), indent=1))
+    return 0 if parity.depth_rel_p999 <= 1e-3 and parity.mask_agreement >= 0.999 else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,134 @@
+"""The ``fsinfer`` command: it parses, calls one function of the library, and prints what came out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fsinfer import __version__
+from fsinfer.cli_console import Debug, Quiet, explain, reports_errors, say, show_library_warnings, stage_progress
+from fsinfer.cli_options import (
+    ArucoDictionary,
+    ArucoLength,
+    BhRule,
+    BreastHeight,
+    BreastHeightRule,
+    Endpoints,
+    EndpointsLength,
+    MaxSize,
+    Model,
+    Out,
+    ScaleFactor,
+    Threads,
+    Views,
+    depth_settings,
+    scale_request,
+    tree_settings,
+)
+from fsinfer.cli_stages import register_stages
+from fsinfer.cli_tables import demo_rows
+
+app = typer.Typer(
+    name="fsinfer",
+    help="Forest plots from photographs: point cloud, stem map and DBH with intervals. Offline, on a laptop.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"fsinfer {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _main_options(
+    _version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+@reports_errors
+def demo(out: Out, threads: Threads = 0, quiet: Quiet = False, debug: Debug = False) -> None:
+    """Measure a small plot that comes with fsinfer, and compare the result with the truth."""
+    from fsinfer.demo import run_demo
+
+    with stage_progress(quiet=quiet) as progress:
+        result = run_demo(out, threads=threads, progress=progress)
+    for row in demo_rows(result):
+        typer.echo(row)
+    for warning in result.run.plot["warnings"]:
+        say(f"Warning: {warning}")
+    typer.echo(f"Report: {out / 'report.html'}")
+
+
+@app.command()
+@reports_errors
+def run(
+    source: Annotated[Path, typer.Argument(help="Folder of photos, or a video.", show_default=False)],
+    out: Out,
+    scale: ScaleFactor = None,
+    aruco_length_m: ArucoLength = None,
+    aruco_dictionary: ArucoDictionary = "4X4_50",
+    endpoints: Endpoints = None,
+    length_m: EndpointsLength = None,
+    model: Model = "field",
+    views: Views = 5,
+    max_size: MaxSize = 1280,
+    bh: BreastHeight = 1.3,
+    bh_rule: BreastHeightRule = BhRule.midpoint,
+    threads: Threads = 0,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Do everything: photos to point cloud, stem map, DBH and report. Run again to go on after a stop.
+
+    Without a scale option the cloud is in model units and no DBH is measured; adding one later takes seconds.
+    """
+    request = scale_request(scale, aruco_length_m, aruco_dictionary, endpoints, length_m)
+    from fsinfer.pipeline import RunSettings
+    from fsinfer.pipeline import run as run_pipeline
+
+    settings = RunSettings(
+        depth=depth_settings(model=model, views=views, max_size=max_size, threads=threads),
+        trees=tree_settings(bh_m=bh, bh_rule=bh_rule),
+        scale=request,
+    )
+    with stage_progress(quiet=quiet) as progress:
+        result = run_pipeline(source, out, settings=settings, progress=progress)
+    plot = result.plot
+    for warning in plot["warnings"]:
+        say(f"Warning: {warning}")
+    if not any(record.ran for record in result.stages):
+        typer.echo("Nothing to do: everything was finished before.")
+    typer.echo(f"Photos: {plot['registered']} of {plot['photos']} placed")
+    typer.echo(f"Cloud: {plot['points']} points in {plot['units']}, {out / 'cloud.ply'}")
+    typer.echo(f"Trees: {plot['trees']}, with DBH {plot['trees_with_dbh']}, {out / 'trees.csv'}")
+    typer.echo(f"Report: {out / 'report.html'}")
+
+
+register_stages(app)
+
+
+def main() -> None:
+    """Entry point of the ``fsinfer`` command."""
+    show_library_warnings()
+    try:
+        app()
+    except Exception as error:
+        # Only what happens outside a command: a fault in parsing or in printing.
+        message, code = explain(error)
+        say(message)
+        raise SystemExit(code) from error
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,199 @@
+"""One command a stage, for those who want to look at, repeat or replace a single step."""
+
+from __future__ import annotations
+
+import json
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fsinfer.cli_console import Debug, Quiet, reports_errors, say, stage_progress
+from fsinfer.cli_options import (
+    ArucoDictionary,
+    ArucoLength,
+    BhRule,
+    BreastHeight,
+    BreastHeightRule,
+    Endpoints,
+    EndpointsLength,
+    MaxSize,
+    Model,
+    Out,
+    ScaleFactor,
+    Threads,
+    Views,
+    depth_settings,
+    scale_request,
+    tree_settings,
+)
+from fsinfer.cli_tables import evaluation_rows
+
+SceneFolder = Annotated[
+    Path, typer.Argument(help="Scene in MVSNet format: images/, cams/, pair.txt.", show_default=False)
+]
+
+
+class Align(StrEnum):
+    """Whether the extracted positions may be moved and turned onto the measured ones."""
+
+    auto = "auto"
+    never = "never"
+    always = "always"
+
+
+def register_stages(app: typer.Typer) -> None:
+    """Add the commands of this module to ``app``."""
+    for command in (frames, poses, depth, fuse, trees, evaluate, report):
+        app.command()(command)
+
+
+@reports_errors
+def frames(
+    source: Annotated[Path, typer.Argument(help="Folder of photos, or a video.", show_default=False)],
+    out: Out,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Choose sharp, well exposed photos or video frames and even out their brightness."""
+    from fsinfer.frames import select_frames
+
+    with stage_progress(quiet=quiet) as progress:
+        result = select_frames(source, out, progress=progress("frames"))
+    typer.echo(f"{len(result.images)} of {len(result.rows)} frames chosen; reasons in {out / 'frames.csv'}")
+
+
+@reports_errors
+def poses(
+    images: Annotated[Path, typer.Argument(help="Folder of photos.", show_default=False)],
+    out: Out,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Find where each photo was taken; writes a scene in MVSNet format and the COLMAP model."""
+    from fsinfer.poses import estimate_poses
+
+    with stage_progress(quiet=quiet) as progress:
+        result = estimate_poses(images, out, progress=progress("poses"))
+    for warning in result.warnings:
+        say(f"Warning: {warning}")
+    typer.echo(f"{result.registered} of {result.photos} photos placed; scene in {result.scene}")
+
+
+@reports_errors
+def depth(
+    scene: SceneFolder,
+    out: Out,
+    model: Model = "field",
+    views: Views = 5,
+    max_size: MaxSize = 1280,
+    threads: Threads = 0,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Estimate depth and confidence for every view of a scene. Run again to go on after a stop."""
+    settings = depth_settings(model=model, views=views, max_size=max_size, threads=threads)
+    from fsinfer.depth import estimate_depth
+    from fsinfer.scene import read_scene
+
+    with stage_progress(quiet=quiet) as progress:
+        result = estimate_depth(read_scene(scene), out, settings=settings, progress=progress("depth"))
+    typer.echo(f"{result.views} depth maps in {out / 'depth'}, {result.seconds:.0f} s")
+
+
+@reports_errors
+def fuse(
+    scene: SceneFolder,
+    out: Annotated[Path, typer.Argument(help="Folder that holds depth/ and confidence/.", show_default=False)],
+    level: Annotated[
+        bool | None,
+        typer.Option(
+            "--level/--no-level",
+            help="Turn the cloud so that z points up. Default: only for scenes made by fsinfer poses.",
+            show_default=False,
+        ),
+    ] = None,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Fuse the depth maps of a scene into one cloud: cloud.ply and cloud.laz."""
+    from fsinfer.stage_commands import fuse_scene
+
+    with stage_progress(quiet=quiet) as progress:
+        points = fuse_scene(scene, out, level=level, progress=progress("fuse"))
+    typer.echo(f"{points} points in {out / 'cloud.ply'} and {out / 'cloud.laz'}")
+
+
+@reports_errors
+def trees(
+    cloud: Annotated[Path, typer.Argument(help="Point cloud with z up: PLY, LAS or LAZ.", show_default=False)],
+    out: Out,
+    scale: ScaleFactor = None,
+    aruco_length_m: ArucoLength = None,
+    aruco_dictionary: ArucoDictionary = "4X4_50",
+    endpoints: Endpoints = None,
+    length_m: EndpointsLength = None,
+    bh: BreastHeight = 1.3,
+    bh_rule: BreastHeightRule = BhRule.midpoint,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Find the trees of a cloud and measure their DBH: trees.csv and a figure for each tree.
+
+    A cloud is taken to be in metres unless fsinfer made it without a scale.
+    """
+    request = scale_request(scale, aruco_length_m, aruco_dictionary, endpoints, length_m)
+    from fsinfer.stage_commands import measure_cloud_file
+
+    with stage_progress(quiet=quiet) as progress:
+        result = measure_cloud_file(
+            cloud, out, request=request, settings=tree_settings(bh_m=bh, bh_rule=bh_rule), progress=progress("trees")
+        )
+    for warning in result["warnings"]:
+        say(f"Warning: {warning}")
+    typer.echo(f"{result['trees']} trees, {result['trees_with_dbh']} with DBH, in {out / 'trees.csv'}")
+
+
+@reports_errors
+def evaluate(
+    measured: Annotated[Path, typer.Argument(help="CSV: tree_id, x_m, y_m, dbh_cm.", show_default=False)],
+    extracted: Annotated[Path, typer.Argument(help="trees.csv of fsinfer.", show_default=False)],
+    max_distance_m: Annotated[
+        float, typer.Option("--max-distance-m", min=0.0, help="Farthest that two positions of one tree may lie apart.")
+    ] = 0.5,
+    by_id: Annotated[bool, typer.Option("--by-id", help="Match by tree_id instead of by position.")] = False,
+    align: Annotated[
+        Align, typer.Option("--align", help="Move and turn the positions onto the measured ones first.")
+    ] = Align.auto,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    figure: Annotated[Path | None, typer.Option("--figure", help="Draw measured against extracted DBH (PNG).")] = None,
+    debug: Debug = False,
+) -> None:
+    """Compare extracted trees with measured ones: trees found, RMSE, bias, accuracy."""
+    from fsinfer.evaluation import evaluate as compare
+    from fsinfer.evaluation import plot_evaluation, read_measured
+
+    result = compare(
+        read_measured(measured, need_position=not by_id),
+        # Not only a trees.csv of ours: any table with these four columns, DBH empty where it was not measured.
+        read_measured(extracted, need_dbh=False, need_position=not by_id),
+        max_distance_m=max_distance_m,
+        by_id=by_id,
+        align=align.value,
+    )
+    if figure is not None:
+        plot_evaluation(result, figure)
+    if as_json:
+        typer.echo(json.dumps(result.to_dict(), indent=2))
+    else:
+        for row in evaluation_rows(result):
+            typer.echo(row)
+
+
+@reports_errors
+def report(out: Out, debug: Debug = False) -> None:
+    """Write report.html from what the output folder holds."""
+    from fsinfer.report import make_report
+
+    typer.echo(str(make_report(out)))

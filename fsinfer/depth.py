@@ -1,0 +1,251 @@
+"""Stage ``depth``: a depth and a confidence map for every view of a scene folder."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import OrderedDict
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.depth_model import DepthModel, ViewFeatures
+from fsinfer.errors import SceneError
+from fsinfer.files import make_folder, write_text
+from fsinfer.images import read_image
+from fsinfer.manifest import DEFAULT_MODEL
+from fsinfer.pfm import read_pfm, write_pfm
+from fsinfer.progress import Progress, silent
+from fsinfer.scene import Scene, View
+
+CACHED_VIEWS = 24  # feature maps of neighbours are asked for again within a few views; 1280x720 takes 11 MB each
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthSettings:
+    """Settings of the stage.
+
+    Attributes
+    ----------
+    model: name of a shipped model or path of a manifest.
+    source_views: sources for each reference view, best first; the paper's N is this plus one.
+    max_size_px: longer side of the image given to the network; larger photographs are reduced to it.
+    threads: 0 uses every core.
+    """
+
+    model: str = DEFAULT_MODEL
+    source_views: int = 4
+    max_size_px: int = 1280
+    threads: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthResult:
+    """What the stage wrote: ``depth_folder/depth/*.pfm`` and ``depth_folder/confidence/*.pfm``."""
+
+    depth_folder: Path
+    views: int
+    model: str
+    model_sha256: str
+    seconds: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthGrid:
+    """Where the pixels of a depth map lie in its scene image: ``image_px = step * u + offset`` on each axis.
+
+    Pixel centres lie at integer coordinates on both sides.
+    """
+
+    step_x: float
+    step_y: float
+    offset_x_px: float
+    offset_y_px: float
+
+    def intrinsic(self, image_intrinsic: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(3, 3) intrinsics of the depth map from those of the image."""
+        to_depth = np.array(
+            [
+                [1 / self.step_x, 0, -self.offset_x_px / self.step_x],
+                [0, 1 / self.step_y, -self.offset_y_px / self.step_y],
+                [0, 0, 1],
+            ]
+        )
+        return np.asarray(to_depth @ image_intrinsic)
+
+
+def read_depth_index(depth_folder: Path) -> dict[str, Any]:
+    """``depth/depth.json`` of a folder that the stage wrote; :class:`SceneError` where there is none."""
+    path = depth_folder / "depth" / "depth.json"
+    try:
+        index = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(index["views"], dict):
+            raise TypeError
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        msg = f"{depth_folder} holds no finished depth maps ({path} is missing or damaged); run: fsinfer depth"
+        raise SceneError(msg) from error
+    return dict(index)
+
+
+def read_depth_grid(depth_folder: Path, name: str) -> DepthGrid:
+    """Grid of view ``name`` from ``depth/depth.json``."""
+    views = read_depth_index(depth_folder)["views"]
+    if name not in views:
+        msg = f"{depth_folder / 'depth'} has no depth map of {name}; run: fsinfer depth"
+        raise SceneError(msg)
+    entry = views[name]
+    return DepthGrid(
+        step_x=entry["pixel_step_x"],
+        step_y=entry["pixel_step_y"],
+        offset_x_px=entry["offset_x_px"],
+        offset_y_px=entry["offset_y_px"],
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Loaded:
+    features: ViewFeatures
+    intrinsic: NDArray[np.float64]
+    scale_x: float
+    scale_y: float
+
+
+def estimate_depth(
+    scene: Scene, out: Path, *, settings: DepthSettings | None = None, progress: Progress = silent
+) -> DepthResult:
+    """Write ``out/depth/NAME.pfm``, ``out/confidence/NAME.pfm`` and ``out/depth/depth.json``.
+
+    Views whose maps are there already, made with the same settings, model and cameras, are kept: a stage that was
+    killed goes on where it stopped.
+
+    Raises
+    ------
+    SceneError
+        A view has no source view. ModelError, ImageError, OutputError as their names say.
+    """
+    settings = settings or DepthSettings()
+    started = time.monotonic()
+    model = DepthModel.load(settings.model, threads=settings.threads)
+    usable = [view for view in scene.views if view.sources]
+    if not usable:
+        msg = f"{scene.folder / 'pair.txt'} gives no view a source view; the photos do not overlap"
+        raise SceneError(msg)
+    make_folder(out / "depth")
+    make_folder(out / "confidence")
+    index = _resume(out, settings, model.manifest.sha256)
+    threads_before = cv2.getNumThreads()
+    cv2.setNumThreads(1)  # the volume is shared out over blocks of rows already
+    cache: OrderedDict[str, _Loaded] = OrderedDict()
+    try:
+        for done, view in enumerate(usable):
+            progress(done, len(usable), f"depth of {view.name}")
+            sources = [scene.views[i] for i in view.sources[: settings.source_views]]
+            key = _fingerprint(view, sources)
+            if index["views"].get(view.name, {}).get("key") == key and _complete(out, view.name):
+                continue
+            loaded = [_load(model, v, settings.max_size_px, cache) for v in (view, *sources)]
+            estimate = model.predict_from_features(
+                [item.features for item in loaded],
+                np.stack([item.intrinsic for item in loaded]),
+                np.stack([v.camera.cam_from_world for v in (view, *sources)]),
+                (view.camera.depth_min, view.camera.depth_max),
+            )
+            write_pfm(out / "depth" / f"{view.name}.pfm", estimate.depth)
+            write_pfm(out / "confidence" / f"{view.name}.pfm", estimate.confidence)
+            scale_x, scale_y = loaded[0].scale_x, loaded[0].scale_y
+            index["views"][view.name] = {
+                "key": key,
+                "width": estimate.depth.shape[1],
+                "height": estimate.depth.shape[0],
+                "pixel_step_x": estimate.stride / scale_x,
+                "pixel_step_y": estimate.stride / scale_y,
+                "offset_x_px": 0.5 / scale_x - 0.5,
+                "offset_y_px": 0.5 / scale_y - 0.5,
+            }
+            if done == 0:
+                # The same for all views of one camera; a quick look should not have to search for it.
+                first = index["views"][view.name]
+                index.update({k: first[k] for k in ("width", "height", "pixel_step_x", "pixel_step_y")})
+            _write_index(out, index)
+    finally:
+        cv2.setNumThreads(threads_before)
+    _write_index(out, index)
+    progress(len(usable), len(usable), "depth")
+    return DepthResult(
+        depth_folder=out,
+        views=len(usable),
+        model=model.manifest.name,
+        model_sha256=model.manifest.sha256,
+        seconds=time.monotonic() - started,
+    )
+
+
+def _load(model: DepthModel, view: View, max_size_px: int, cache: OrderedDict[str, _Loaded]) -> _Loaded:
+    if view.name in cache:
+        cache.move_to_end(view.name)
+        return cache[view.name]
+    image = read_image(view.image_path)
+    height, width = image.shape[:2]
+    factor = min(1.0, max_size_px / max(height, width))
+    intrinsic = view.camera.intrinsic.copy()
+    scale_x = scale_y = 1.0
+    if factor < 1:
+        size = (round(width * factor), round(height * factor))
+        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.uint8)
+        scale_x, scale_y = size[0] / width, size[1] / height
+        # cv2.resize maps the centre of pixel x to (x + 0.5) * scale - 0.5.
+        intrinsic[0] *= scale_x
+        intrinsic[1] *= scale_y
+        intrinsic[0, 2] += 0.5 * scale_x - 0.5
+        intrinsic[1, 2] += 0.5 * scale_y - 0.5
+    loaded = _Loaded(features=model.features(image), intrinsic=intrinsic, scale_x=scale_x, scale_y=scale_y)
+    cache[view.name] = loaded
+    while len(cache) > CACHED_VIEWS:
+        cache.popitem(last=False)
+    return loaded
+
+
+def _resume(out: Path, settings: DepthSettings, model_sha256: str) -> dict[str, Any]:
+    # The model's hash stands for its name too: two manifests of the same graphs give the same maps.
+    wanted: dict[str, Any] = {
+        "model": settings.model,
+        "model_sha256": model_sha256,
+        "source_views": settings.source_views,
+        "max_size_px": settings.max_size_px,
+    }
+    try:
+        index = read_depth_index(out)
+    except SceneError:
+        index = {}
+    if {key: index.get(key) for key in wanted} != wanted:
+        index = {**wanted, "views": {}}
+    return index
+
+
+def _write_index(out: Path, index: dict[str, Any]) -> None:
+    write_text(out / "depth" / "depth.json", json.dumps(index, indent=1))
+
+
+def _fingerprint(view: View, sources: list[View]) -> str:
+    import hashlib
+
+    digest = hashlib.sha256()
+    for item in (view, *sources):
+        camera = item.camera
+        digest.update(f"{item.name} {item.image_path.stat().st_size} ".encode())
+        digest.update(camera.intrinsic.tobytes() + camera.cam_from_world.tobytes())
+        digest.update(np.array([camera.depth_min, camera.depth_max]).tobytes())
+    return digest.hexdigest()[:16]
+
+
+def _complete(out: Path, name: str) -> bool:
+    try:
+        read_pfm(out / "depth" / f"{name}.pfm")
+        read_pfm(out / "confidence" / f"{name}.pfm")
+    except SceneError:
+        return False
+    return True

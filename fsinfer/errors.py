@@ -1,0 +1,44 @@
+"""The exception tree: everything that goes wrong by the user's input is a :class:`FsinferError`.
+
+Each message says *what* is wrong, *where* (file, folder, row) and *what to do* about it. The command line
+prints it on one line and exits with code 2; anything that is not a ``FsinferError`` is a fault of ours
+(exit code 1).
+"""
+
+from __future__ import annotations
+
+
+class FsinferError(Exception):
+    """Base class of every error that a user can put right."""
+
+
+class InputError(FsinferError):
+    """A file, a folder or an option given by the user cannot be used."""
+
+
+class ImageError(InputError):
+    """A photograph or a video cannot be read or does not fit the others."""
+
+
+class PosesError(FsinferError):
+    """Structure from motion found no usable camera poses."""
+
+
+class SceneError(InputError):
+    """A scene folder in MVSNet format is incomplete or inconsistent."""
+
+
+class ModelError(FsinferError):
+    """A depth model is missing, damaged, or does not match its manifest."""
+
+
+class CloudError(InputError):
+    """A point cloud cannot be read, or holds nothing that can be used."""
+
+
+class ScaleError(FsinferError):
+    """No trustworthy metric scale could be found."""
+
+
+class OutputError(FsinferError):
+    """A result cannot be written (folder not writable, disk full)."""

@@ -1,0 +1,339 @@
+"""From depth maps to one cloud: what several views agree on, once per place.
+
+For each view: take the pixels that are sure enough and no flying pixels, ask the neighbouring views
+(:mod:`fsinfer.consistency`), keep those that enough views agree with, average their depth over these views, and
+merge the points of all views in voxels (:mod:`fsinfer.voxels`).
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.cloud import PointCloud
+from fsinfer.consistency import LEVELS, Tolerances, check_pair
+from fsinfer.depth_maps import DepthMap, DepthMaps
+from fsinfer.errors import CloudError
+from fsinfer.progress import Progress, silent
+from fsinfer.scene import Scene
+from fsinfer.voxels import MAX_EXTENT_VOXELS, Samples, VoxelMerger, neighbours_within, select
+
+_log = logging.getLogger(__name__)
+
+# Neighbours for normals: a square ring at distance 1 and one at distance 2 around the pixel.
+_RING = tuple((du, dv) for r in (1, 2) for du in (-r, 0, r) for dv in (-r, 0, r) if (du, dv) != (0, 0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FusionSettings:
+    """Constants of the fusion.
+
+    Attributes
+    ----------
+    min_confidence: pixels below are left out; None takes the 30th percentile of the scene's confidences (the surer
+        70 % of pixels held 94-99 % within 1 % in DESIGN section 4), but not more than ``confidence_cap``.
+    confidence_cap: see above; a scene in which everything is sure loses nothing.
+    source_confidence_part: other views may witness with so much of that confidence.
+    max_sources: views asked for each view, those of pair.txt first, then those that list it.
+    extra_views: level i needs i + extra_views agreeing views (D2HC-RMVSNet starts at two views); fewer only where the
+        view has fewer neighbours.
+    average_level: views agreeing within this level (or the level at which the pixel passed) enter the mean depth.
+        Wider than the level that passes, because views chosen for being near the reference's value average its noise
+        less.
+    min_smooth_neighbours: of the 8 neighbours, so many must lie on the same surface; 3 of 8 are missing at a straight
+        silhouette, so 5 keeps edges and drops the mixed pixels between foreground and background.
+    max_slope: depth change from pixel to pixel, in pixel footprints (z / f), still taken for one surface: the tangent
+        of the angle between ray and normal, 80 degrees.
+    min_seen_through: points that so many views look through, and more than agree with them, are removed.
+    voxel: side in scene units; None takes the 25th percentile of the pixel footprints.
+    max_points: the voxel grows until no more points are left.
+    min_cell_pixels: points with fewer depth pixels in the 12-voxel neighbourhood are lone specks and removed.
+    cache_maps: depth maps kept in memory.
+    """
+
+    min_confidence: float | None = None
+    confidence_cap: float = 0.5
+    source_confidence_part: float = 0.5
+    tolerances: Tolerances = field(default_factory=Tolerances)
+    max_sources: int = 12
+    extra_views: int = 1
+    average_level: int = 4
+    min_smooth_neighbours: int = 5
+    max_slope: float = 5.7
+    min_seen_through: int = 2
+    voxel: float | None = None
+    max_points: int = 4_000_000
+    min_cell_pixels: int = 8
+    cache_maps: int = 40
+
+
+def fuse(
+    scene: Scene, depth_folder: Path, *, settings: FusionSettings | None = None, progress: Progress = silent
+) -> PointCloud:
+    """Fuse the depth maps of a scene.
+
+    Parameters
+    ----------
+    depth_folder: the folder with ``depth/`` and ``confidence/`` that the depth stage wrote.
+
+    Returns
+    -------
+    Cloud in scene units with rgb, normals (towards the cameras), and in ``extra``: ``views`` (int32, views that agree
+    on the point, with its own) and ``confidence`` (float32).
+
+    Raises
+    ------
+    SceneError
+        There are no depth maps, or one cannot be read.
+    CloudError
+        No point passed.
+    """
+    settings = settings or FusionSettings()
+    maps = DepthMaps(scene, depth_folder, cache_maps=settings.cache_maps)
+    min_confidence, voxel = _adapt(maps, settings)
+    neighbours = find_neighbours(scene, maps.available, settings.max_sources)
+    middle = np.mean([scene.views[i].camera.center for i in maps.available], axis=0)
+    merger = VoxelMerger(voxel, max_points=settings.max_points)
+    for done, index in enumerate(maps.available):
+        progress(done, len(maps.available), scene.views[index].name)
+        samples = fuse_view(scene, maps, index, neighbours[index], min_confidence=min_confidence, settings=settings)
+        # The sides of a cube around the cameras: what lies beyond it is no forest, and its voxel keys would wrap.
+        near = np.abs(samples.xyz - middle).max(axis=1, initial=0) < voxel * MAX_EXTENT_VOXELS / 2
+        merger.add(samples if near.all() else select(samples, near))
+    progress(len(maps.available), len(maps.available), "merging")
+    merged = merger.result()
+    if merged is not None:
+        merged = _drop_specks(merged, merger.voxel, settings.min_cell_pixels)
+    if merged is None or not len(merged):
+        msg = (
+            f"no point of {depth_folder / 'depth'} is seen alike by two views; take photographs closer to each other, "
+            "with more overlap, or check that the depth maps belong to this scene"
+        )
+        raise CloudError(msg)
+    _log.info("fused %d points, voxel %.4g, confidence >= %.2f", len(merged), merger.voxel, min_confidence)
+    return PointCloud(
+        xyz=merged.xyz,
+        rgb=np.clip(np.rint(merged.rgb), 0, 255).astype(np.uint8),
+        normals=merged.normals,
+        extra={"views": merged.views.astype(np.int32), "confidence": merged.confidence},
+    )
+
+
+def find_neighbours(scene: Scene, available: tuple[int, ...], limit: int) -> dict[int, tuple[int, ...]]:
+    """For each view with a depth map, the views to ask: its sources, then the views whose source it is."""
+    has_map = set(available)
+    listed_by: dict[int, list[int]] = {index: [] for index in available}
+    for index in available:
+        for source in scene.views[index].sources:
+            if source in has_map:
+                listed_by[source].append(index)
+    return {
+        index: tuple(dict.fromkeys([s for s in scene.views[index].sources if s in has_map] + listed_by[index]))[:limit]
+        for index in available
+    }
+
+
+def fuse_view(
+    scene: Scene,
+    maps: DepthMaps,
+    index: int,
+    neighbours: tuple[int, ...],
+    *,
+    min_confidence: float,
+    settings: FusionSettings,
+) -> Samples:
+    """Return the points of one view that its neighbours confirm, one for each pixel, in world coordinates."""
+    reference = maps.get(index)
+    keep = (reference.inverse_depth > 0) & (reference.confidence >= min_confidence)
+    keep &= smooth_pixels(reference, settings)
+    rows, columns = np.nonzero(keep)
+    if not neighbours:
+        rows, columns = rows[:0], columns[:0]
+    u, v = columns.astype(np.float32), rows.astype(np.float32)
+    depth = np.asarray(1 / reference.inverse_depth[rows, columns], dtype=np.float32)
+    evidence = [
+        check_pair(
+            reference,
+            maps.get(source),
+            u,
+            v,
+            depth,
+            tolerances=settings.tolerances,
+            min_confidence=min_confidence * settings.source_confidence_part,
+        )
+        for source in neighbours
+        if len(rows)
+    ]
+    if not evidence:
+        return _samples(scene, reference, index, rows, columns, depth, np.ones(len(rows), np.int32), settings)
+    levels = np.stack([e.level for e in evidence])
+    passed = passing_level(levels, extra_views=settings.extra_views)
+    averaged = levels <= np.maximum(np.where(passed > LEVELS, 0, passed), settings.average_level)
+    weights = averaged * np.maximum(np.stack([e.confidence for e in evidence]), 0.05)
+    own = np.maximum(reference.confidence[rows, columns], 0.05)
+    mean_depth = (own * depth + (weights * np.stack([e.depth for e in evidence])).sum(axis=0)) / (
+        own + weights.sum(axis=0)
+    )
+    agreeing = (levels <= np.maximum(passed, settings.average_level)).sum(axis=0)
+    through = np.stack([e.seen_through for e in evidence]).sum(axis=0)
+    good = (passed <= LEVELS) & ~((through >= settings.min_seen_through) & (through > agreeing))
+    views = (agreeing[good] + 1).astype(np.int32)
+    return _samples(scene, reference, index, rows[good], columns[good], mean_depth[good], views, settings)
+
+
+def passing_level(levels: NDArray[np.uint8], *, extra_views: int) -> NDArray[np.uint8]:
+    """Lowest level i at which at least ``i + extra_views`` of the S views agree within level i; 255 where none.
+
+    Parameters
+    ----------
+    levels: (S, N) uint8, the level of each view. With fewer than ``i + extra_views`` views only levels 1 and 2 are
+        tried, and all S views must agree, so that a stereo pair (S = 1) still gives a cloud.
+
+    Returns
+    -------
+    (N,) uint8.
+    """
+    sources = len(levels)
+    passed = np.full(levels.shape[1], 255, dtype=np.uint8)
+    for level in range(min(LEVELS, max(2, sources - extra_views)), 0, -1):
+        needed = min(level + extra_views, sources)
+        passed[(levels <= level).sum(axis=0) >= needed] = level
+    return passed
+
+
+def smooth_pixels(reference: DepthMap, settings: FusionSettings) -> NDArray[np.bool_]:
+    """(h, w) bool: enough of the 8 neighbours lie on the same surface as the pixel (others are flying pixels).
+
+    A neighbour does when its depth differs by no more than a surface at 80 degrees to the ray would, plus the depth
+    tolerance of one level for noise.
+    """
+    inverse = reference.inverse_depth
+    height, width = inverse.shape
+    padded = np.pad(inverse, 1)
+    slope = settings.max_slope / reference.intrinsic[0, 0]
+    count = np.zeros((height, width), dtype=np.uint8)
+    for du in (-1, 0, 1):
+        for dv in (-1, 0, 1):
+            if du == 0 and dv == 0:
+                continue
+            other = padded[1 + dv : 1 + dv + height, 1 + du : 1 + du + width]
+            # |z' - z| <= limit * z with q = 1/z becomes |q - q'| <= limit * q': no division, and q' = 0 never passes.
+            limit = np.float32(slope * np.hypot(du, dv) + settings.tolerances.relative_depth_step)
+            count += (np.abs(inverse - other) <= limit * np.minimum(other, inverse)) & (other > 0)
+    # Outside the image there is nothing to compare with: the border needs as large a part of what it has.
+    present = (
+        cv2.filter2D(np.ones((height, width), np.uint8), -1, np.ones((3, 3)), borderType=cv2.BORDER_CONSTANT).astype(
+            np.int16
+        )
+        - 1
+    )
+    return np.asarray(8 * count.astype(np.int16) >= settings.min_smooth_neighbours * present)
+
+
+def pixel_normals(
+    reference: DepthMap, rows: NDArray[np.intp], columns: NDArray[np.intp], settings: FusionSettings
+) -> NDArray[np.float32]:
+    """(N, 3) unit normals in camera coordinates, towards the camera, from the depths around N pixels.
+
+    On a plane n.X = h, 1/z = (n/h)^T K^-1 (u, v, 1) is affine in the pixel; with its coefficients (a, b, c) from a
+    least-squares fit to the neighbours on the same surface, n is parallel to K^T (a, b, c).
+    """
+    inverse = reference.inverse_depth
+    height, width = inverse.shape
+    here = inverse[rows, columns].astype(np.float64)
+    slope = settings.max_slope / reference.intrinsic[0, 0]
+    sums = np.zeros((5, len(rows)))
+    for du, dv in _RING:
+        other_row, other_column = np.clip(rows + dv, 0, height - 1), np.clip(columns + du, 0, width - 1)
+        there = inverse[other_row, other_column]
+        limit = slope * np.hypot(du, dv) + settings.tolerances.relative_depth_step
+        same = (there > 0) & (np.abs(there - here) <= limit * np.minimum(there, here))
+        difference = (there - here) * same
+        x, y = (other_column - columns) * same, (other_row - rows) * same
+        sums += (x * x, x * y, y * y, x * difference, y * difference)
+    xx, xy, yy, xq, yq = sums
+    determinant = xx * yy - xy * xy
+    solvable = determinant > 1e-9
+    determinant = np.where(solvable, determinant, 1)
+    a = np.where(solvable, (yy * xq - xy * yq) / determinant, 0)
+    b = np.where(solvable, (xx * yq - xy * xq) / determinant, 0)
+    c = here - a * columns - b * rows
+    # n points along +z (away) with h > 0, so the normal towards the camera is its opposite.
+    normals = -np.stack([a, b, c], axis=1) @ reference.intrinsic
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.asarray(normals / np.maximum(lengths, 1e-30), dtype=np.float32)
+
+
+def _samples(
+    scene: Scene,
+    reference: DepthMap,
+    index: int,
+    rows: NDArray[np.intp],
+    columns: NDArray[np.intp],
+    depth: NDArray[np.floating],
+    views: NDArray[np.int32],
+    settings: FusionSettings,
+) -> Samples:
+    rotation = reference.cam_from_world[:3, :3]
+    pixels = np.stack([columns, rows, np.ones(len(rows))], axis=1)
+    in_camera = (pixels @ np.linalg.inv(reference.intrinsic).T) * depth[:, None].astype(np.float64)
+    confidence = reference.confidence[rows, columns]
+    return Samples(
+        # x_world = R^T (x_cam - t); as rows this is (x_cam - t) R.
+        xyz=(in_camera - reference.cam_from_world[:3, 3]) @ rotation,
+        rgb=_colours(scene, index, reference, rows, columns),
+        normals=pixel_normals(reference, rows, columns, settings) @ rotation.astype(np.float32),
+        # Variance of a depth grows with the fourth power of the distance and falls with the number of views.
+        weight=(np.maximum(confidence, 0.05) * views / np.maximum(depth, 1e-6) ** 4).astype(np.float32),
+        confidence=confidence,
+        views=views,
+        count=np.ones(len(rows), dtype=np.int32),
+    )
+
+
+def _colours(
+    scene: Scene, index: int, reference: DepthMap, rows: NDArray[np.intp], columns: NDArray[np.intp]
+) -> NDArray[np.float32]:
+    if not len(rows):
+        return np.empty((0, 3), dtype=np.float32)
+    from fsinfer.images import read_image
+
+    image = read_image(scene.views[index].image_path)
+    grid = reference.grid
+    # Averaging over what a depth pixel covers keeps the colours from flickering; odd widths leave the centre in place.
+    width, height = (max(1, 2 * int(step / 2) + 1) for step in (grid.step_x, grid.step_y))
+    image = cv2.blur(image, (width, height))
+    x = np.clip(np.rint(columns * grid.step_x + grid.offset_x_px), 0, image.shape[1] - 1).astype(np.intp)
+    y = np.clip(np.rint(rows * grid.step_y + grid.offset_y_px), 0, image.shape[0] - 1).astype(np.intp)
+    return np.asarray(image[y, x], dtype=np.float32)
+
+
+def _adapt(maps: DepthMaps, settings: FusionSettings) -> tuple[float, float]:
+    """Confidence threshold and voxel side from up to 16 views spread over the scene."""
+    confidences, footprints = [], []
+    for index in maps.available[:: -(-len(maps.available) // 16)]:
+        found = maps.get(index)
+        valid = found.inverse_depth > 0
+        confidences.append(found.confidence[valid][::7])
+        footprints.append((1 / (found.inverse_depth[valid] * found.intrinsic[0, 0]))[::7])
+    confidence, footprint = np.concatenate(confidences), np.concatenate(footprints)
+    if not len(confidence):
+        msg = f"the depth maps in {maps.folder / 'depth'} are empty; run again: fsinfer depth"
+        raise CloudError(msg)
+    threshold = settings.min_confidence
+    if threshold is None:
+        threshold = min(settings.confidence_cap, float(np.percentile(confidence, 30)))
+    sure = footprint[confidence >= threshold]
+    voxel = settings.voxel or float(np.percentile(sure if len(sure) else footprint, 25))
+    return threshold, voxel
+
+
+def _drop_specks(samples: Samples, voxel: float, min_pixels: int) -> Samples:
+    if min_pixels <= 1:
+        return samples
+    return select(samples, neighbours_within(samples.xyz, 4 * voxel, samples.count) >= min_pixels)

@@ -1,0 +1,112 @@
+"""LAS and LAZ by laspy with lazrs: columns in, columns out."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.errors import CloudError
+from fsinfer.files import atomic_path
+
+# Names under which CloudCompare stores and finds normals in LAS extra dimensions.
+NORMAL_NAMES = ("NormalX", "NormalY", "NormalZ")
+# Standard dimensions worth keeping when they say anything (are not all zero).
+_KEPT_DIMENSIONS = ("intensity", "classification")
+# LAS stores 32-bit integers; the finest step is 0.1 mm for a plot (30 m), coarser only for extents of 100 m and more.
+_STEPS_PER_EXTENT = 1e5
+_STEP_RANGE = (1e-7, 1e-3)
+
+
+def read_las(path: Path) -> dict[str, NDArray[Any]]:
+    """Read a LAS or LAZ file.
+
+    Returns
+    -------
+    Columns ``x, y, z`` (float64), ``red, green, blue`` (uint8, where the file has colour), extra dimensions and the
+    non-zero ones among intensity and classification.
+
+    Raises
+    ------
+    CloudError
+        The file is missing, is no LAS/LAZ, or is cut short.
+    """
+    import laspy
+
+    try:
+        with laspy.open(path) as reader:
+            expected = int(reader.header.point_count)
+            # Each chunk of LAZ has at least one byte a point or so; a header that promises far more is damaged, and
+            # believing it would ask for all the memory there is.
+            if expected > 1000 * path.stat().st_size:
+                raise _damaged(path, "its header promises more points than the file can hold")
+            cloud = reader.read()
+    except CloudError:
+        raise
+    except OSError as error:
+        msg = f"cannot read {path}: {error.strerror or error}; check the path"
+        raise CloudError(msg) from error
+    except Exception as error:  # laspy, lazrs and struct each raise their own kinds on a damaged file
+        raise _damaged(path, str(error)) from error
+    if len(cloud.points) < expected:
+        raise _damaged(path, f"{len(cloud.points)} of {expected} points are there")
+    columns: dict[str, NDArray[Any]] = {axis: np.asarray(cloud[axis], dtype=np.float64) for axis in ("x", "y", "z")}
+    names = set(cloud.point_format.dimension_names)
+    if "red" in names:
+        colours = {name: np.asarray(cloud[name]) for name in ("red", "green", "blue")}
+        peak = max((int(c.max()) for c in colours.values() if c.size), default=0)
+        # The standard says 16 bit; many programs write 8-bit values all the same.
+        if peak > 0:
+            columns |= {name: (c >> 8 if peak > 255 else c).astype(np.uint8) for name, c in colours.items()}
+    for name in _KEPT_DIMENSIONS:
+        values = np.asarray(cloud[name]) if name in names else np.empty(0)
+        if values.any():
+            columns[name] = values
+    for name in cloud.point_format.extra_dimension_names:
+        columns[name] = np.asarray(cloud[name])
+    return columns
+
+
+def write_las(path: Path, xyz: NDArray[np.float64], rgb: NDArray[np.uint8] | None, extra: dict[str, Any]) -> None:
+    """Write LAS 1.4 (compressed when the suffix is .laz), atomically.
+
+    The step of the stored integers is a power of ten between 1e-7 and 0.001 that follows from the extent (0.1 mm for
+    a plot of 10 to 99 m); coordinates are stored from an offset, so georeferenced ones keep that precision.
+
+    Parameters
+    ----------
+    xyz: (N, 3) float64.
+    rgb: (N, 3) uint8 or None; stored as 16 bit (x257).
+    extra: name -> (N,) values in a LAS scalar type; names up to 32 bytes. ``intensity`` and ``classification`` go to
+        the standard dimensions.
+    """
+    import laspy
+
+    extent = float(np.ptp(xyz, axis=0).max())
+    step = 10.0 ** math.floor(math.log10(extent / _STEPS_PER_EXTENT)) if extent > 0 else 1e-4
+    step = min(max(step, _STEP_RANGE[0]), _STEP_RANGE[1])
+    # Beyond 2^31 steps the integers overflow; no forest is 2,000 km wide, but broken poses can be.
+    step = max(step, extent / 2e9)
+    header = laspy.LasHeader(point_format=6 if rgb is None else 7, version="1.4")
+    header.scales = np.full(3, step)
+    header.offsets = np.floor(xyz.min(axis=0))
+    own = {name: values for name, values in extra.items() if name not in _KEPT_DIMENSIONS}
+    header.add_extra_dims([laspy.ExtraBytesParams(name=name[:32], type=values.dtype) for name, values in own.items()])
+    cloud = laspy.LasData(header)
+    cloud.x, cloud.y, cloud.z = xyz.T
+    if rgb is not None:
+        cloud.red, cloud.green, cloud.blue = rgb.T.astype(np.uint16) * 257
+    for name, values in own.items():
+        cloud[name[:32]] = values
+    for name in _KEPT_DIMENSIONS:
+        if name in extra:
+            cloud[name] = extra[name]
+    with atomic_path(path) as temporary:
+        cloud.write(str(temporary))
+
+
+def _damaged(path: Path, why: str) -> CloudError:
+    return CloudError(f"{path} is no LAS/LAZ file, or is cut short or damaged ({why}); export or copy it again")

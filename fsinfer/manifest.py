@@ -1,0 +1,116 @@
+"""The manifest beside the ONNX files: what they are, how they fit together, and the hash that proves it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fsinfer.errors import ModelError
+
+DEFAULT_MODEL = "field"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelManifest:
+    """A depth model made of ONNX graphs.
+
+    Attributes
+    ----------
+    name: of the preset. folder: where the files lie.
+    features, regularizer: ONNX file names; refiner: the same, or ``None``.
+    volume: ``correlation`` or ``variance``; packed: the regularizer takes slabs of planes.
+    planes: number of planes of the volume (192); inverse_depth: uniform in 1/depth.
+    refine_planes, refine_span: the narrow volume at half resolution; span in plane intervals on each side.
+    sha256: over the graphs' bytes, in the order features, regularizer, refiner.
+    confidence_threshold: share of probability from which a pixel counts as sure, chosen on validation scenes.
+    """
+
+    name: str
+    folder: Path
+    features: str
+    regularizer: str
+    refiner: str | None
+    volume: str
+    packed: bool
+    packed_planes: int
+    planes: int
+    inverse_depth: bool
+    refine_planes: int
+    refine_span: float
+    sha256: str
+    confidence_threshold: float
+    details: dict[str, Any]
+
+    @property
+    def files(self) -> list[Path]:
+        """Paths of the graphs, in the order of the hash."""
+        return [self.folder / name for name in (self.features, self.regularizer, self.refiner) if name is not None]
+
+
+def hash_files(paths: list[Path]) -> str:
+    """SHA-256 over the bytes of the files, one after the other."""
+    digest = hashlib.sha256()
+    for path in paths:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def models_folder() -> Path:
+    """The folder of the shipped models: inside the installed package, or ``models/`` of a source checkout."""
+    package = Path(__file__).parent
+    inside = package / "models"
+    return inside if inside.is_dir() else package.parent / "models"
+
+
+def read_manifest(name_or_path: str | Path) -> ModelManifest:
+    """Find and check a model by its name (``field``) or the path of its manifest (``.json``).
+
+    Raises
+    ------
+    ModelError
+        No such model, a graph is missing or cut short, or the hash differs from the manifest's.
+    """
+    path = Path(name_or_path)
+    if path.suffix != ".json":
+        path = path / "manifest.json" if path.is_dir() else models_folder() / f"{name_or_path}.json"
+    if not path.is_file():
+        known = sorted(p.stem for p in models_folder().glob("*.json"))
+        msg = f"no depth model {name_or_path!s}: {path} does not exist; models that came with fsinfer: {known}"
+        raise ModelError(msg)
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+        manifest = ModelManifest(
+            name=data["name"],
+            folder=path.parent,
+            features=data["graphs"]["features"]["file"],
+            regularizer=data["graphs"]["regularizer"]["file"],
+            refiner=data["graphs"]["refiner"]["file"] if "refiner" in data["graphs"] else None,
+            volume=data["volume"]["kind"],
+            packed=data["volume"]["packed_planes"] > 0,
+            packed_planes=data["volume"]["packed_planes"],
+            planes=data["volume"]["planes"],
+            inverse_depth=data["volume"]["inverse_depth"],
+            refine_planes=data["refine"]["planes"],
+            refine_span=data["refine"]["span"],
+            sha256=data["sha256"],
+            confidence_threshold=data["confidence_threshold"],
+            details=data,
+        )
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        msg = f"{path} is not a model manifest ({type(error).__name__}: {error}); install fsinfer again or re-export"
+        raise ModelError(msg) from error
+    missing = [file.name for file in manifest.files if not file.is_file()]
+    if missing:
+        msg = f"model {manifest.name}: {missing} missing in {path.parent}; install fsinfer again or re-export the model"
+        raise ModelError(msg)
+    found = hash_files(manifest.files)
+    if found != manifest.sha256:
+        msg = (
+            f"model {manifest.name} in {path.parent} is damaged or was changed: SHA-256 {found[:12]}…, the manifest says "
+            f"{manifest.sha256[:12]}…; install fsinfer again or re-export the model"
+        )
+        raise ModelError(msg)
+    return manifest

@@ -1,0 +1,300 @@
+"""The whole job: photos → frames → poses → depth → cloud → trees → report, each stage done once.
+
+A second run with the same output folder goes on where the first one ended. Changing an option repeats the stages
+that depend on it and no others: another scale or other tree options never repeat frames, poses, depth or fusion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from fsinfer.cloud import read_cloud, write_cloud
+from fsinfer.depth import DepthSettings, estimate_depth
+from fsinfer.errors import CloudError, InputError
+from fsinfer.files import make_folder
+from fsinfer.frames import FrameSettings, select_frames
+from fsinfer.fusion import FusionSettings, fuse
+from fsinfer.images import list_images
+from fsinfer.manifest import read_manifest
+from fsinfer.placement import density_per_m2, place_cloud
+from fsinfer.plot_summary import package_versions, summarize, write_plot
+from fsinfer.poses import PoseSettings, estimate_poses
+from fsinfer.progress import Progress, silent
+from fsinfer.scale_request import ScaleRequest, find_scale
+from fsinfer.scene import Scene, read_scene
+from fsinfer.sparse import depth_vs_sfm, read_sparse
+from fsinfer.stages import StageBook, StageRecord, as_json, file_digest
+from fsinfer.tree_outputs import write_no_trees, write_tree_outputs
+from fsinfer.trees import TreeSettings
+
+#: Gives the progress callback of a stage by its name.
+StageProgress = Callable[[str], Progress]
+
+# How the work is spread over the machine does not change what comes out.
+_SPEED_OPTIONS = frozenset({"threads", "jobs", "workers"})
+_STAGE_FOLDERS = ("frames", "scene", "depth", "confidence", "fused", "figures")
+
+
+def silent_stages(_stage: str) -> Progress:
+    """Report nothing for any stage."""
+    return silent
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSettings:
+    """The settings of every stage; the defaults suit a plot photographed with a phone."""
+
+    frames: FrameSettings = field(default_factory=FrameSettings)
+    poses: PoseSettings = field(default_factory=PoseSettings)
+    depth: DepthSettings = field(default_factory=DepthSettings)
+    fusion: FusionSettings = field(default_factory=FusionSettings)
+    trees: TreeSettings = field(default_factory=TreeSettings)
+    scale: ScaleRequest = field(default_factory=ScaleRequest)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunResult:
+    """What a run left in its output folder.
+
+    Attributes
+    ----------
+    out: the folder.
+    plot: the content of ``plot.json``.
+    stages: the record of every stage, in order; ``ran`` says which were done now.
+    """
+
+    out: Path
+    plot: dict[str, Any]
+    stages: tuple[StageRecord, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Job:
+    source: Path
+    out: Path
+    settings: RunSettings
+    model_sha256: str
+    book: StageBook
+    progress: StageProgress
+
+    def scene(self) -> Scene:
+        return read_scene(self.out / "scene")
+
+
+def run(
+    source: Path,
+    out: Path,
+    *,
+    settings: RunSettings | None = None,
+    progress: StageProgress = silent_stages,
+) -> RunResult:
+    """Do the whole job, going on from what an earlier run into ``out`` finished.
+
+    Parameters
+    ----------
+    source: a folder of photographs, or a video.
+    out: output folder, made if missing. Its layout is in docs/quickstart.md.
+    settings: of all stages.
+    progress: gives the progress callback for a stage's name.
+
+    Raises
+    ------
+    FsinferError
+        Any stage's error. What was finished before stays, and the same call goes on from there.
+    """
+    source, out = Path(source), Path(out)
+    settings = settings or RunSettings()
+    _check_source(source, out)
+    # A wrong model name must not show after an hour of structure from motion.
+    model_sha256 = read_manifest(settings.depth.model).sha256
+    make_folder(out)
+    job = _Job(
+        source=source, out=out, settings=settings, model_sha256=model_sha256, book=StageBook(out), progress=progress
+    )
+    for stage in (_frames, _poses, _depth, _check, _fuse, _scale, _cloud, _trees):
+        stage(job)
+    _report(job)
+    records = job.book.records
+    plot = summarize(records, settings=_settings_json(job.settings), source=source.name)
+    write_plot(out, plot)
+    return RunResult(out=out, plot=plot, stages=tuple(records.values()))
+
+
+def _check_source(source: Path, out: Path) -> None:
+    if not source.exists():
+        msg = f"{source} does not exist; give a folder of photos or a video file"
+        raise InputError(msg)
+    inside = [name for name in _STAGE_FOLDERS if source.resolve().is_relative_to((out / name).resolve())]
+    if inside:
+        msg = f"{source} lies in {out / inside[0]}, which the run empties and fills; choose another output folder"
+        raise InputError(msg)
+
+
+def _frames(job: _Job) -> None:
+    def work() -> Mapping[str, Any]:
+        result = select_frames(
+            job.source, job.out / "frames", settings=job.settings.frames, progress=job.progress("frames")
+        )
+        return {"images": len(result.images), "given": len(result.rows)}
+
+    files = list_images(job.source) if job.source.is_dir() else [job.source]
+    digests = [file_digest(path) for path in files]
+    job.book.run(
+        "frames", work, inputs={"source": digests, "settings": _speedless(job.settings.frames)}, outputs=["frames"]
+    )
+
+
+def _poses(job: _Job) -> None:
+    def work() -> Mapping[str, Any]:
+        result = estimate_poses(
+            job.out / "frames" / "images",
+            job.out / "scene",
+            settings=job.settings.poses,
+            progress=job.progress("poses"),
+        )
+        names = {path.stem for path in list_images(job.out / "frames" / "images")}
+        left_out = sorted(names - {view.name for view in job.scene().views})
+        return {
+            "photos": result.photos,
+            "registered": result.registered,
+            "left_out": left_out,
+            "warnings": result.warnings,
+        }
+
+    job.book.run(
+        "poses", work, inputs={"settings": _speedless(job.settings.poses)}, after=["frames"], outputs=["scene"]
+    )
+
+
+def _depth(job: _Job) -> None:
+    def work() -> Mapping[str, Any]:
+        result = estimate_depth(job.scene(), job.out, settings=job.settings.depth, progress=job.progress("depth"))
+        return {"views": result.views, "model": result.model, "model_sha256": result.model_sha256}
+
+    job.book.run(
+        "depth",
+        work,
+        inputs={"settings": _speedless(job.settings.depth), "model_sha256": job.model_sha256},
+        after=["poses"],
+        outputs=["depth", "confidence"],
+        keeps_partial=True,
+    )
+
+
+def _check(job: _Job) -> None:
+    def work() -> Mapping[str, Any]:
+        scene = job.scene()
+        return {"depth_vs_sfm_median_rel": depth_vs_sfm(scene, read_sparse(scene.folder / "sparse"), job.out)}
+
+    job.book.run("check", work, inputs={}, after=["poses", "depth"])
+
+
+def _fuse(job: _Job) -> None:
+    def work() -> Mapping[str, Any]:
+        cloud = fuse(job.scene(), job.out, settings=job.settings.fusion, progress=job.progress("fuse"))
+        write_cloud(job.out / "fused" / "cloud.ply", cloud)
+        return {"points": len(cloud.xyz)}
+
+    job.book.run(
+        "fuse",
+        work,
+        inputs={"settings": _speedless(job.settings.fusion)},
+        after=["poses", "depth"],
+        outputs=["fused"],
+    )
+
+
+def _scale(job: _Job) -> None:
+    def work() -> Mapping[str, Any]:
+        scale, warnings = find_scale(job.settings.scale, scene=job.scene(), progress=job.progress("scale"))
+        return {**as_json(scale), "warnings": warnings}
+
+    job.book.run("scale", work, inputs={"request": job.settings.scale}, after=["poses"])
+
+
+def _cloud(job: _Job) -> None:
+    m_per_unit = job.book.records["scale"].result["m_per_unit"]
+
+    def work() -> Mapping[str, Any]:
+        report = job.progress("cloud")
+        report(0, 3, "levelling")
+        placed = place_cloud(read_cloud(job.out / "fused" / "cloud.ply"), job.scene(), m_per_unit=m_per_unit)
+        for done, name in enumerate(("cloud.ply", "cloud.laz"), start=1):
+            report(done, 3, f"writing {name}")
+            write_cloud(job.out / name, placed.cloud)
+        report(3, 3, "cloud")
+        density = None if m_per_unit is None else density_per_m2(placed.cloud.xyz)
+        return {
+            "points": len(placed.cloud.xyz),
+            "density_per_m2": density,
+            "cloud_from_scene": placed.cloud_from_scene,
+            "camera_height": placed.camera_height,
+        }
+
+    job.book.run(
+        "cloud",
+        work,
+        inputs={"m_per_unit": m_per_unit, "versions": package_versions()["fsinfer"]},
+        after=["poses", "fuse"],
+        outputs=["cloud.ply", "cloud.laz"],
+    )
+
+
+def _trees(job: _Job) -> None:
+    scale = job.book.records["scale"].result
+
+    def work() -> Mapping[str, Any]:
+        try:
+            return write_tree_outputs(
+                read_cloud(job.out / "cloud.ply"),
+                job.out,
+                settings=job.settings.trees,
+                scale_rel_std=scale["rel_std"],
+                metric=scale["m_per_unit"] is not None,
+                camera_height=job.book.records["cloud"].result["camera_height"],
+                progress=job.progress("trees"),
+            )
+        except CloudError as error:
+            # A cloud without ground or stems is a result of the photographs: the report has to say so.
+            return write_no_trees(job.out, reason=f"no trees measured: {error}")
+
+    job.book.run(
+        "trees",
+        work,
+        inputs={
+            "settings": _speedless(job.settings.trees),
+            "rel_std": scale["rel_std"],
+            "versions": package_versions()["fsinfer"],
+        },
+        after=["cloud"],
+        outputs=["trees.csv", "figures"],
+    )
+
+
+def _report(job: _Job) -> None:
+    # Without the times: they change when a stage that came out the same is repeated, and the report's own is unknown.
+    plot = summarize(job.book.records, settings=_settings_json(job.settings), source=job.source.name)
+
+    def work() -> Mapping[str, Any]:
+        from fsinfer.report import make_report
+
+        report = job.progress("report")
+        report(0, 1, "report")
+        write_plot(job.out, plot)
+        make_report(job.out)
+        report(1, 1, "report")
+        return {}
+
+    timeless = {key: value for key, value in plot.items() if key not in ("seconds", "peak_rss_mb")}
+    job.book.run("report", work, inputs={"plot": timeless}, after=["trees"], outputs=["report.html"])
+
+
+def _speedless(settings: Any) -> dict[str, Any]:
+    return {key: value for key, value in as_json(settings).items() if key not in _SPEED_OPTIONS}
+
+
+def _settings_json(settings: RunSettings) -> dict[str, Any]:
+    return dict(as_json(settings))

@@ -1,0 +1,125 @@
+"""``plot.json``: one file that says what a run found, how, with what, and how long it took."""
+
+from __future__ import annotations
+
+import json
+import math
+import platform
+from collections.abc import Mapping
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from fsinfer.errors import InputError
+from fsinfer.files import write_text
+from fsinfer.stages import StageRecord, as_json
+
+PLOT_FILE = "plot.json"
+_PACKAGES = ("fsinfer", "numpy", "scipy", "onnxruntime", "opencv-python-headless", "pycolmap", "laspy")
+
+
+def summarize(records: Mapping[str, StageRecord], *, settings: Mapping[str, Any], source: str) -> dict[str, Any]:
+    """Put the results of the stages together.
+
+    Parameters
+    ----------
+    records: by stage name, in the order they ran; stages that are missing leave their keys ``None``.
+    settings: of all stages, JSON values.
+    source: name of the photo folder or video, without its path.
+
+    Returns
+    -------
+    The content of ``plot.json``: ``units`` is "m", or "model units" while no scale is known. ``density_per_m2`` is
+    points over the plan area of the occupied 0.25 m cells. ``cloud_from_scene`` is the 4x4 similarity from the
+    scene's coordinates to those of cloud.ply; ``camera_height`` is in units of the cloud.
+    ``depth_vs_sfm_median_rel`` is the median of |depth - SfM depth| / SfM depth over well-observed SfM points.
+    """
+    results: dict[str, dict[str, Any]] = {name: record.result for name, record in records.items()}
+
+    def value(stage: str, key: str) -> Any:
+        return results.get(stage, {}).get(key)
+
+    seconds = {name: record.seconds for name, record in records.items()}
+    peaks = [record.peak_rss_mb for record in records.values() if record.peak_rss_mb is not None]
+    plot = {
+        "source": source,
+        "photos_given": value("frames", "given"),
+        "photos": value("poses", "photos"),
+        "registered": value("poses", "registered"),
+        "left_out": value("poses", "left_out"),
+        "units": "model units" if value("scale", "m_per_unit") is None else "m",
+        "scale_m_per_unit": value("scale", "m_per_unit"),
+        "scale_source": value("scale", "source") or "none",
+        "scale_rel_std": value("scale", "rel_std"),
+        "scale_details": value("scale", "details"),
+        "cloud_from_scene": value("cloud", "cloud_from_scene"),
+        "camera_height": value("cloud", "camera_height"),
+        "points": value("cloud", "points"),
+        "density_per_m2": value("cloud", "density_per_m2"),
+        "depth_vs_sfm_median_rel": value("check", "depth_vs_sfm_median_rel"),
+        "ground_method": value("trees", "ground_method"),
+        "trees": value("trees", "trees"),
+        "trees_with_dbh": value("trees", "trees_with_dbh"),
+        "diagnosis": value("trees", "diagnosis"),
+        "seconds": seconds | {"total": round(sum(seconds.values()), 3)},
+        "peak_rss_mb": max(peaks, default=None),
+        "versions": package_versions(),
+        "model": value("depth", "model"),
+        "model_sha256": value("depth", "model_sha256"),
+        "warnings": [text for result in results.values() for text in result.get("warnings") or ()],
+        "settings": dict(settings),
+    }
+    return dict(_finite(as_json(plot)))
+
+
+def write_plot(out: Path, plot: Mapping[str, Any]) -> Path:
+    """Write ``plot.json`` into ``out`` unless it holds the same already."""
+    path = out / PLOT_FILE
+    text = json.dumps(_finite(as_json(plot)), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    if not path.is_file() or path.read_bytes() != text.encode():
+        write_text(path, text)
+    return path
+
+
+def read_plot(out: Path) -> dict[str, Any]:
+    """Read ``plot.json`` of ``out``; an empty dict when there is none.
+
+    Raises :class:`InputError` when it is damaged.
+    """
+    path = out / PLOT_FILE
+    try:
+        plot = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError) as error:
+        msg = f"{path} cannot be read ({error}); delete it and run the command that wrote it again"
+        raise InputError(msg) from error
+    if not isinstance(plot, dict):
+        msg = f"{path} is no plot summary; delete it and run the command that wrote it again"
+        raise InputError(msg)
+    return plot
+
+
+@cache
+def package_versions() -> dict[str, str | None]:
+    """Versions of Python and of the packages that decide the result; None for one that is not installed."""
+    versions: dict[str, str | None] = {"python": platform.python_version()}
+    for package in _PACKAGES:
+        try:
+            versions[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            versions[package] = None
+    from fsinfer import __version__
+
+    # In a source tree that is not installed there are no metadata of fsinfer itself.
+    return versions | {"fsinfer": __version__}
+
+
+def _finite(value: Any) -> Any:
+    """Replace NaN and infinities, which JSON does not have, by None."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

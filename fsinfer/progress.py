@@ -1,0 +1,12 @@
+"""How a stage tells its caller how far it is: a callback, so that only the command line prints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+#: ``progress(done, total, what)``: ``done`` of ``total`` units of work are finished; ``what`` says which.
+Progress = Callable[[int, int, str], None]
+
+
+def silent(done: int, total: int, what: str) -> None:
+    """Report nothing; the default of every stage."""

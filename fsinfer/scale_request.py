@@ -1,0 +1,140 @@
+"""Where the user says the metric scale comes from: a factor, a known length between two points, or ArUco markers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from fsinfer.errors import InputError, ScaleError
+from fsinfer.progress import Progress, silent
+
+if TYPE_CHECKING:
+    from fsinfer.scale import Scale
+    from fsinfer.scene import Scene
+
+Point = tuple[float, float, float]
+
+NO_SCALE = (
+    "no scale was given: the cloud is in model units and no DBH is measured; photograph ArUco markers and give "
+    "--aruco-length-m, or give --endpoints with --length-m (two points read off cloud.ply), or --scale"
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScaleRequest:
+    """At most one source of scale; none of them leaves the result in model units.
+
+    Attributes
+    ----------
+    factor: metres per unit of the cloud or scene.
+    aruco_length_m: side of the black square of every ArUco marker in the photographs, metres.
+    aruco_dictionary: name of the marker dictionary, as printed on the markers.
+    endpoints: two points, in the units of the cloud without a scale; only their distance matters.
+    length_m: the true distance of the two points, metres.
+
+    Raises
+    ------
+    InputError
+        More than one source, half a source, or a length that is not positive.
+    """
+
+    factor: float | None = None
+    aruco_length_m: float | None = None
+    aruco_dictionary: str = "4X4_50"
+    endpoints: tuple[Point, Point] | None = None
+    length_m: float | None = None
+
+    def __post_init__(self) -> None:
+        given = [
+            option
+            for option, value in (
+                ("--scale", self.factor),
+                ("--aruco-length-m", self.aruco_length_m),
+                ("--endpoints", self.endpoints),
+            )
+            if value is not None
+        ]
+        if len(given) > 1:
+            msg = f"{' and '.join(given)} were given together; give one source of scale"
+            raise InputError(msg)
+        if (self.endpoints is None) != (self.length_m is None):
+            there, missing = ("--endpoints", "--length-m") if self.length_m is None else ("--length-m", "--endpoints")
+            msg = f"{there} was given without {missing}; give the two points and the distance between them in metres"
+            raise InputError(msg)
+        for option, length in (
+            ("--scale", self.factor),
+            ("--aruco-length-m", self.aruco_length_m),
+            ("--length-m", self.length_m),
+        ):
+            if length is not None and not (math.isfinite(length) and length > 0):
+                msg = f"{option} is {length}; it must be a number above 0"
+                raise InputError(msg)
+        if self.aruco_length_m is not None:
+            _check_dictionary(self.aruco_dictionary)
+        if self.endpoints is not None:
+            distance = math.dist(*self.endpoints)
+            if not math.isfinite(distance) or distance == 0:
+                msg = f"--endpoints {self.endpoints[0]} and {self.endpoints[1]} need finite, different points"
+                raise InputError(msg)
+
+    @property
+    def given(self) -> bool:
+        """Whether the user named a source at all."""
+        return self.factor is not None or self.aruco_length_m is not None or self.endpoints is not None
+
+
+def parse_point(text: str) -> Point:
+    """Read ``"X,Y,Z"``; raise :class:`InputError` for anything else."""
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) != 3:
+        msg = f"--endpoints: {text!r} is not a point; write three numbers with commas and no spaces, like 1.2,-0.5,0.8"
+        raise InputError(msg)
+    return values[0], values[1], values[2]
+
+
+def _check_dictionary(name: str) -> None:
+    import cv2
+
+    if not hasattr(cv2.aruco, f"DICT_{name}"):
+        known = sorted(key.removeprefix("DICT_") for key in dir(cv2.aruco) if key.startswith("DICT_"))
+        msg = f"--aruco-dictionary {name} is unknown; it is one of {', '.join(known)}"
+        raise InputError(msg)
+
+
+def find_scale(
+    request: ScaleRequest, *, scene: Scene | None, progress: Progress = silent
+) -> tuple[Scale, tuple[str, ...]]:
+    """Turn the request into a :class:`fsinfer.scale.Scale`, with warnings.
+
+    Markers that were asked for and not found are a warning, not an error: everything computed so far stays useful in
+    model units, and the next run with another source of scale takes seconds.
+
+    Raises
+    ------
+    ScaleError
+        ArUco markers were asked for where there are no photographs to look for them in.
+    """
+    from fsinfer.scale import Scale, scale_from_aruco, scale_from_endpoints, scale_from_factor
+
+    nothing = Scale(m_per_unit=None, source="none", rel_std=None, details={})
+    if request.factor is not None:
+        return scale_from_factor(request.factor), ()
+    if request.endpoints is not None and request.length_m is not None:
+        return scale_from_endpoints(*request.endpoints, request.length_m), ()
+    if request.aruco_length_m is None:
+        return nothing, (NO_SCALE,)
+    if scene is None:
+        msg = (
+            "--aruco-length-m looks for the markers in the photographs, and there is no scene here; use it with "
+            "fsinfer run, or give --scale or --endpoints with --length-m"
+        )
+        raise ScaleError(msg)
+    try:
+        scale = scale_from_aruco(scene, request.aruco_length_m, dictionary=request.aruco_dictionary, progress=progress)
+    except ScaleError as error:
+        return nothing, (f"no scale from ArUco markers, the result is in model units and no DBH is measured: {error}",)
+    return scale, ()

@@ -1,0 +1,152 @@
+"""The scene folder in MVSNet format: ``images/NAME.jpg``, ``cams/NAME_cam.txt``, ``pair.txt``.
+
+Frames: world to camera is ``x_cam = R x_world + t`` with x right, y down, z forward; pixel centres lie at
+integer coordinates, so the centre of the top left pixel is (0, 0).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.errors import SceneError
+from fsinfer.files import write_text
+
+DEPTH_PLANES = 192
+IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".JPG", ".JPEG", ".PNG")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Camera:
+    """A pinhole camera with its pose and the depth range that its view needs.
+
+    Attributes
+    ----------
+    intrinsic: (3, 3) float64, pixels.
+    cam_from_world: (4, 4) float64, scene units.
+    depth_min, depth_max: z depth, scene units, ``0 < depth_min < depth_max``.
+    """
+
+    intrinsic: NDArray[np.float64]
+    cam_from_world: NDArray[np.float64]
+    depth_min: float
+    depth_max: float
+
+    @property
+    def center(self) -> NDArray[np.float64]:
+        """(3,) camera centre in world coordinates."""
+        return np.asarray(-self.cam_from_world[:3, :3].T @ self.cam_from_world[:3, 3])
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """One photograph of a scene. ``sources`` are indices into ``Scene.views``, best first."""
+
+    name: str
+    image_path: Path
+    camera: Camera
+    sources: tuple[int, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """All views of a scene folder; ``views[i]`` is the view that ``pair.txt`` calls ``i``."""
+
+    folder: Path
+    views: tuple[View, ...]
+
+
+def read_camera(path: Path | str) -> Camera:
+    """Read ``NAME_cam.txt``: extrinsic 4x4, intrinsic 3x3, ``depth_min interval [planes [depth_max]]``.
+
+    Without ``depth_max`` it is ``depth_min + interval * (planes - 1)``, with 192 planes where that number is
+    missing too (the convention of the MVSNet releases).
+    """
+    path = Path(path)
+    try:
+        tokens = path.read_text(encoding="utf-8").split()
+        start, middle = tokens.index("extrinsic") + 1, tokens.index("intrinsic") + 1
+        cam_from_world = np.array([float(t) for t in tokens[start : start + 16]]).reshape(4, 4)
+        intrinsic = np.array([float(t) for t in tokens[middle : middle + 9]]).reshape(3, 3)
+        depths = [float(t) for t in tokens[middle + 9 : middle + 13]]
+        depth_min, interval = depths[:2]
+    except (OSError, ValueError, UnicodeDecodeError) as error:
+        msg = f"{path} is not a camera file in MVSNet format ({error}); write the scene again"
+        raise SceneError(msg) from error
+    planes = depths[2] if len(depths) > 2 else DEPTH_PLANES
+    depth_max = depths[3] if len(depths) > 3 else depth_min + interval * (planes - 1)
+    if not (0 < depth_min < depth_max and np.isfinite(cam_from_world).all() and intrinsic[0, 0] > 0):
+        msg = f"{path}: needs 0 < depth_min < depth_max and finite numbers, has {depth_min=}, {depth_max=}"
+        raise SceneError(msg)
+    return Camera(intrinsic=intrinsic, cam_from_world=cam_from_world, depth_min=depth_min, depth_max=depth_max)
+
+
+def write_camera(path: Path | str, camera: Camera) -> None:
+    """Write ``NAME_cam.txt`` with the four-number depth line."""
+    rows = ["extrinsic", *(" ".join(f"{v:.12g}" for v in row) for row in camera.cam_from_world), "", "intrinsic"]
+    rows += [" ".join(f"{v:.12g}" for v in row) for row in camera.intrinsic]
+    interval = (camera.depth_max - camera.depth_min) / (DEPTH_PLANES - 1)
+    rows += ["", f"{camera.depth_min:.9g} {interval:.9g} {DEPTH_PLANES} {camera.depth_max:.9g}", ""]
+    write_text(Path(path), "\n".join(rows))
+
+
+def read_pairs(path: Path | str) -> dict[int, list[int]]:
+    """Read ``pair.txt`` into ``{view: [source, ...]}``, best source first."""
+    path = Path(path)
+    try:
+        tokens = path.read_text(encoding="utf-8").split()
+        count, position, pairs = int(tokens[0]), 1, {}
+        for _ in range(count):
+            view, sources = int(tokens[position]), int(tokens[position + 1])
+            pairs[view] = [int(t) for t in tokens[position + 2 : position + 2 + 2 * sources : 2]]
+            if len(pairs[view]) != sources:
+                raise IndexError
+            position += 2 + 2 * sources
+    except (OSError, ValueError, IndexError, UnicodeDecodeError) as error:
+        msg = f"{path} is not a pair list in MVSNet format ({error}); write the scene again"
+        raise SceneError(msg) from error
+    return pairs
+
+
+def write_pairs(path: Path | str, pairs: dict[int, list[tuple[int, float]]]) -> None:
+    """Write ``pair.txt`` from ``{view: [(source, score), ...]}``."""
+    rows = [str(len(pairs))]
+    for view, scored in sorted(pairs.items()):
+        rows += [str(view), " ".join([str(len(scored)), *(f"{i} {score:.3f}" for i, score in scored)])]
+    write_text(Path(path), "\n".join(rows) + "\n")
+
+
+def read_scene(folder: Path | str) -> Scene:
+    """Read a scene folder; views are the sorted names in ``cams`` (their rank is the number in ``pair.txt``).
+
+    Raises
+    ------
+    SceneError
+        A part is missing, an image has no camera or a pair list names a view that is not there.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        msg = f"{folder} is not a folder; give a scene with images/, cams/ and pair.txt (see: fsinfer poses)"
+        raise SceneError(msg)
+    names = sorted(p.name.removesuffix("_cam.txt") for p in (folder / "cams").glob("*_cam.txt"))
+    if not names:
+        msg = f"{folder / 'cams'} holds no NAME_cam.txt; make a scene of your photos with: fsinfer poses"
+        raise SceneError(msg)
+    pairs = read_pairs(folder / "pair.txt")
+    views = []
+    for index, name in enumerate(names):
+        candidates = [folder / "images" / f"{name}{suffix}" for suffix in IMAGE_SUFFIXES]
+        image_path = next((p for p in candidates if p.is_file()), None)
+        if image_path is None:
+            msg = f"{folder / 'images'} has no image for {name}_cam.txt; add it or delete the camera"
+            raise SceneError(msg)
+        sources = tuple(pairs.get(index, ()))
+        if any(not 0 <= s < len(names) or s == index for s in sources):
+            msg = f"{folder / 'pair.txt'}: view {index} names sources {sources}, but there are {len(names)} views"
+            raise SceneError(msg)
+        camera = read_camera(folder / "cams" / f"{name}_cam.txt")
+        views.append(View(name=name, image_path=image_path, camera=camera, sources=sources))
+    return Scene(folder=folder, views=tuple(views))

@@ -1,0 +1,142 @@
+"""The work behind ``fsinfer fuse`` and ``fsinfer trees``: single stages on folders and files of any origin."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fsinfer.cloud import read_cloud, write_cloud
+from fsinfer.errors import ScaleError
+from fsinfer.files import make_folder
+from fsinfer.placement import PlacedCloud, density_per_m2, place_cloud, transform_cloud
+from fsinfer.plot_summary import package_versions, read_plot, write_plot
+from fsinfer.progress import Progress, silent
+from fsinfer.scale_request import NO_SCALE, ScaleRequest, find_scale
+from fsinfer.scene import read_scene
+from fsinfer.stages import as_json
+from fsinfer.tree_outputs import write_tree_outputs
+
+if TYPE_CHECKING:
+    from fsinfer.scale import Scale
+    from fsinfer.trees import TreeSettings
+
+MODEL_UNITS = "model units"
+SCENE_UNITS = "scene units"
+
+
+def fuse_scene(scene_folder: Path, out: Path, *, level: bool | None = None, progress: Progress = silent) -> int:
+    """Fuse the depth maps in ``out`` and write ``cloud.ply``, ``cloud.laz`` and what is known to ``plot.json``.
+
+    Parameters
+    ----------
+    scene_folder: scene in MVSNet format.
+    out: holds ``depth/`` and ``confidence/``.
+    level: turn the cloud z up. None does so for a scene made by ``fsinfer poses``, whose axes mean nothing, and keeps
+        the coordinates of any other scene, whose axes may.
+
+    Returns
+    -------
+    The number of points.
+    """
+    from fsinfer.fusion import fuse
+
+    scene = read_scene(scene_folder)
+    ours = (scene_folder / "poses.json").is_file()
+    cloud = fuse(scene, out, progress=progress)
+    placed = PlacedCloud(cloud=cloud, cloud_from_scene=np.eye(4))
+    levelled = ours if level is None else level
+    if levelled:
+        placed = place_cloud(cloud, scene)
+    write_cloud(out / "cloud.ply", placed.cloud)
+    write_cloud(out / "cloud.laz", placed.cloud)
+    summary = {
+        # The scenes of others may well be in metres; those of our own structure from motion never are.
+        "units": MODEL_UNITS if ours else SCENE_UNITS,
+        "scale_m_per_unit": None,
+        "scale_source": "none",
+        "points": len(cloud.xyz),
+        "density_per_m2": None,
+        "cloud_from_scene": as_json(placed.cloud_from_scene),
+        "camera_height": placed.camera_height,
+        "versions": package_versions(),
+    }
+    write_plot(out, read_plot(out) | summary)
+    return len(cloud.xyz)
+
+
+def measure_cloud_file(
+    cloud_path: Path,
+    out: Path,
+    *,
+    request: ScaleRequest,
+    settings: TreeSettings,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Measure the trees of a cloud file (z up) into ``out``.
+
+    The cloud is taken to be in metres, unless ``plot.json`` beside it says that it has no scale and none is given
+    here: then trees get positions in model units and no DBH, and the warnings say why.
+
+    Raises
+    ------
+    CloudError
+        The file is no cloud.
+    ScaleError
+        ArUco markers were asked for, and ``out`` has no scene that the cloud came from.
+    """
+    cloud = read_cloud(cloud_path)
+    origin = read_plot(cloud_path.parent)
+    scale, warnings = _cloud_scale(request, cloud_path, out, origin)
+    make_folder(out)
+    # Nothing said and nothing known to the contrary: other people's clouds are in metres.
+    metric = scale.m_per_unit is not None or origin.get("units") != MODEL_UNITS
+    factor = scale.m_per_unit or 1.0
+    if factor != 1.0:
+        cloud = transform_cloud(cloud, np.diag([factor, factor, factor, 1.0]))
+    result = write_tree_outputs(
+        cloud,
+        out,
+        settings=settings,
+        scale_rel_std=scale.rel_std if scale.rel_std is not None else origin.get("scale_rel_std"),
+        metric=metric,
+        camera_height=origin.get("camera_height"),
+        progress=progress,
+    )
+    result["warnings"] = [*warnings, *result["warnings"]]
+    plot = read_plot(out) | {key: result[key] for key in ("trees", "trees_with_dbh", "ground_method", "diagnosis")}
+    own_cloud = cloud_path.resolve().parent == out.resolve()
+    if not own_cloud or "units" not in plot:
+        plot |= {"units": "m" if metric else MODEL_UNITS, "points": len(cloud.xyz), "versions": package_versions()}
+        plot |= {"density_per_m2": density_per_m2(cloud.xyz) if metric else None, "warnings": result["warnings"]}
+    plot["trees_scale"] = {"m_per_unit": scale.m_per_unit, "source": scale.source, "rel_std": scale.rel_std}
+    write_plot(out, plot)
+    return result
+
+
+def _cloud_scale(
+    request: ScaleRequest, cloud_path: Path, out: Path, origin: dict[str, Any]
+) -> tuple[Scale, tuple[str, ...]]:
+    """Metres per unit of the cloud file, with warnings; ``m_per_unit`` is None where nothing was asked for."""
+    from fsinfer.scale import Scale
+
+    if not request.given:
+        nothing = Scale(m_per_unit=None, source="none", rel_std=None, details={})
+        return nothing, (NO_SCALE,) if origin.get("units") == MODEL_UNITS else ()
+    if request.aruco_length_m is None:
+        return find_scale(request, scene=None)
+    cloud_from_scene = origin.get("cloud_from_scene")
+    if cloud_from_scene is None or not (out / "scene").is_dir() or cloud_path.resolve().parent != out.resolve():
+        msg = (
+            f"--aruco-length-m looks for markers in the photos, and {out} has no scene that {cloud_path} came from; "
+            "use it with fsinfer run, or give --scale or --endpoints with --length-m"
+        )
+        raise ScaleError(msg)
+    scale, warnings = find_scale(request, scene=read_scene(out / "scene"))
+    if scale.m_per_unit is None:
+        return scale, warnings
+    # The markers give metres per unit of the scene; the cloud may have been scaled since.
+    cloud_per_scene = float(np.cbrt(np.linalg.det(np.asarray(cloud_from_scene)[:3, :3])))
+    return replace(scale, m_per_unit=scale.m_per_unit / cloud_per_scene), warnings

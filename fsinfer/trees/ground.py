@@ -1,0 +1,255 @@
+"""The ground under a plot: a RANSAC plane, and a smooth terrain raster on top where the plane does not hold.
+
+FS-MVSNet (Forests 2025, 16, 927) takes the ground as a RANSAC plane with points within 2-5 cm of it. Real plots slope
+and undulate, so the plane is only the start: the evidence is the share of the plot whose lowest dense layer lies within
+the tolerance of the plane. Below 90 % a raster is added, fitted by penalised least squares with asymmetric weights
+(P. Eilers' asymmetric smoothing in two dimensions): what stands above the surface hardly pulls.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.ndimage import grey_erosion, map_coordinates
+from scipy.sparse.linalg import spsolve
+
+from fsinfer.errors import CloudError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroundSettings:
+    """Constants of :func:`find_ground`."""
+
+    tolerance_m: tuple[float, float] = (0.02, 0.05)  # the paper: points within 2-5 cm are ground; adapted to the noise
+    cell_m: float = 0.4  # below the 0.5-1 m of usual terrain rasters, so that root collars and bumps follow
+    layer_m: float = 0.05  # height bins in which the lowest dense layer of a cell is looked for
+    search_m: float = 1.0  # the lowest dense layer lies at most this far above the lowest point of its cell
+    filter_radius_m: float = 3.0  # within this distance of a stem foot the ground cannot hide in a crown
+    filter_slack_m: float = 0.3  # stones, roots and noise may stand above what the slope allows
+    max_slope_deg: float = 40.0  # levelled clouds; steeper is a wall or a cloud that is not z up
+    trials: int = 400  # a plane with 30 % inliers is found with probability > 1 - 1e-4
+    plane_share: float = 0.9  # the plane alone is believed when 90 % of the cells lie within the tolerance
+    smoothness: float = 2.0  # weight of squared second differences against one cell's height
+    min_ground_share: float = 0.3  # fewer of the lowest cells than this on one surface: no ground was seen
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ground:
+    """Terrain height as a function of x, y (metres).
+
+    ``plane`` (3,) holds a, b, c of z = a x + b y + c. ``raster_m`` (H, W) adds to the plane at the cell centres
+    ``origin + cell_m * (column, row)``; it is None where the plane alone holds. ``noise_m`` is the robust standard
+    deviation of the ground points about the surface, ``share`` the share of the plot's cells that show ground.
+    """
+
+    method: str
+    plane: Floats
+    raster_m: Floats | None
+    origin: Floats
+    cell_m: float
+    noise_m: float
+    tolerance_m: float
+    share: float
+    plane_share: float
+    points: int
+
+    def height_at(self, xy: Floats) -> Floats:
+        """Terrain height (N,) at positions (N, 2); outside the raster its border continues."""
+        z = self.plane[0] * xy[:, 0] + self.plane[1] * xy[:, 1] + self.plane[2]
+        if self.raster_m is None:
+            return np.asarray(z)
+        position = ((xy - self.origin) / self.cell_m)[:, ::-1].T
+        return np.asarray(z + map_coordinates(self.raster_m, position, order=1, mode="nearest"))
+
+    @property
+    def slope_deg(self) -> float:
+        """Slope of the plane."""
+        return float(np.degrees(np.arctan(np.hypot(self.plane[0], self.plane[1]))))
+
+
+def find_ground(points: Floats, *, settings: GroundSettings | None = None, seed: int = 0) -> Ground:
+    """Find the terrain below points (N, 3) in metres, z up.
+
+    Raises :class:`~fsinfer.errors.CloudError` when no surface holds together (no ground in the cloud, not z up).
+    """
+    settings = settings or GroundSettings()
+    origin = points[:, :2].min(axis=0)
+    cells = np.floor((points[:, :2] - origin) / settings.cell_m).astype(np.int64)
+    shape = (int(cells[:, 1].max()) + 1, int(cells[:, 0].max()) + 1)
+    index = cells[:, 1] * shape[1] + cells[:, 0]
+    cell, low = _lowest_layers(index, points[:, 2], settings)
+    reachable = _slope_filter(cell, low, shape, settings)
+    cell, low = cell[reachable], low[reachable]
+    center = origin + settings.cell_m * (np.column_stack([cell % shape[1], cell // shape[1]]) + 0.5)
+    plane = _ransac_plane(center, low, settings, np.random.default_rng(seed))
+    relative = low - (center @ plane[:2] + plane[2])
+    noise = _core_noise(relative)
+    tolerance = float(np.clip(2.0 * noise, *settings.tolerance_m))
+    plane_share = float(np.mean(np.abs(relative) <= max(tolerance, 0.05)))
+    surface = np.zeros(shape)
+    if plane_share < settings.plane_share:
+        surface = _smooth_surface(cell, relative, shape, settings)
+    share = float(np.mean(np.abs(relative - surface.ravel()[cell]) <= 0.15))
+    if share < settings.min_ground_share or len(cell) < 3:
+        msg = (
+            f"no ground in the cloud: only {100 * share:.0f} % of the plot agrees on one surface; "
+            "the cloud must be in metres with z up and show the ground around the stems"
+        )
+        raise CloudError(msg)
+    # Second pass: the lowest layer sits below the middle of a noisy ground; medians of the ground points do not.
+    above = points[:, 2] - (points[:, :2] @ plane[:2] + plane[2]) - surface.ravel()[index]
+    band = np.abs(above) <= max(3.0 * noise, 0.08)
+    used, median = _cell_medians(index[band], (above + surface.ravel()[index])[band])
+    use_raster = plane_share < settings.plane_share
+    if use_raster:
+        surface = _smooth_surface(used, median, shape, settings, symmetric=True)
+    elif len(used) >= 3:
+        where = origin + settings.cell_m * (np.column_stack([used % shape[1], used // shape[1]]) + 0.5)
+        good = np.abs(median - np.median(median)) <= tolerance
+        plane = plane + _least_squares_plane(where[good], median[good])
+    result = Ground(
+        method="plane + raster" if use_raster else "plane",
+        plane=plane,
+        raster_m=surface if use_raster else None,
+        origin=origin + 0.5 * settings.cell_m,
+        cell_m=settings.cell_m,
+        noise_m=noise,
+        tolerance_m=tolerance,
+        share=share,
+        plane_share=plane_share,
+        points=0,
+    )
+    final = points[band, 2] - result.height_at(points[band, :2])
+    noise = float(1.4826 * np.median(np.abs(final))) if len(final) else noise
+    tolerance = float(np.clip(2.0 * noise, *settings.tolerance_m))
+    count = int(np.count_nonzero(np.abs(final) <= tolerance))
+    return Ground(**{**vars(result), "noise_m": noise, "tolerance_m": tolerance, "points": count})
+
+
+def _slope_filter(cell: Ints, low: Floats, shape: tuple[int, int], settings: GroundSettings) -> NDArray[np.bool_]:
+    """Which cells can be ground: none nearby lies lower than the steepest slope allows (Vosselman's slope filter)."""
+    surface = np.full(shape, np.inf)
+    surface.ravel()[cell] = low
+    reach = int(np.ceil(settings.filter_radius_m / settings.cell_m))
+    steps = np.arange(-reach, reach + 1) * settings.cell_m
+    cone = np.tan(np.radians(settings.max_slope_deg)) * np.hypot(*np.meshgrid(steps, steps)) + settings.filter_slack_m
+    lowest = grey_erosion(surface, structure=-cone, mode="constant", cval=np.inf)
+    return np.asarray(low <= lowest.ravel()[cell])
+
+
+def _lowest_layers(index: Ints, z: Floats, settings: GroundSettings) -> tuple[Ints, Floats]:
+    """Cells (C,) and height of their lowest dense layer (C,): strays below the ground are not dense."""
+    layer = np.floor((z - z.min()) / settings.layer_m).astype(np.int64)
+    layers = int(layer.max()) + 1
+    key, count = np.unique(index * layers + layer, return_counts=True)
+    cell, level = key // layers, key % layers
+    starts = np.flatnonzero(np.r_[True, cell[1:] != cell[:-1]])
+    lowest = np.repeat(level[starts], np.diff(np.r_[starts, len(cell)]))
+    near = level - lowest <= settings.search_m / settings.layer_m
+    # Two adjacent bins together, because a thin ground layer may straddle a boundary.
+    joined = count.astype(np.float64)
+    adjacent = np.r_[(cell[1:] == cell[:-1]) & (level[1:] == level[:-1] + 1), False]
+    joined[adjacent] += np.r_[count[1:], 0][adjacent]
+    most = np.maximum.reduceat(np.where(near, joined, 0.0), starts)
+    most_each = np.repeat(most, np.diff(np.r_[starts, len(cell)]))
+    dense = near & (joined >= np.maximum(0.15 * most_each, 2.0))
+    first = np.full(len(starts), -1)
+    group = np.repeat(np.arange(len(starts)), np.diff(np.r_[starts, len(cell)]))
+    rows = np.flatnonzero(dense)
+    first[group[rows[::-1]]] = rows[::-1]
+    found = first[first >= 0]
+    next_count = np.where(adjacent[found], np.r_[count[1:], 0][found], 0)
+    center = (level[found] + 0.5 + next_count / np.maximum(joined[found], 1)) * settings.layer_m + z.min()
+    return cell[found], center
+
+
+def _ransac_plane(xy: Floats, z: Floats, settings: GroundSettings, rng: np.random.Generator) -> Floats:
+    if len(z) < 3:
+        msg = "no ground in the cloud: it covers less than three cells of 0.4 m; is it in metres?"
+        raise CloudError(msg)
+    middle = xy.mean(axis=0)
+    index = rng.integers(0, len(z), size=(settings.trials, 3))
+    matrix = np.concatenate([xy[index] - middle, np.ones((settings.trials, 3, 1))], axis=2)
+    usable = np.abs(np.linalg.det(matrix)) > 1e-6
+    best, best_score = np.array([0.0, 0.0, float(np.percentile(z, 10))]), -1.0
+    if usable.any():
+        planes = np.linalg.solve(matrix[usable], z[index][usable][..., None])[..., 0]
+        planes = planes[np.hypot(planes[:, 0], planes[:, 1]) <= np.tan(np.radians(settings.max_slope_deg))]
+        limit = 2.0 * settings.tolerance_m[1]
+        for plane in planes:
+            residual = z - ((xy - middle) @ plane[:2] + plane[2])
+            # Truncated squares reward closeness; what lies well below the plane speaks against it being the ground.
+            score = np.maximum(1.0 - (residual / limit) ** 2, 0.0).sum() - 0.5 * np.count_nonzero(residual < -2 * limit)
+            if score > best_score:
+                best, best_score = plane, float(score)
+    for _ in range(5):
+        residual = z - ((xy - middle) @ best[:2] + best[2])
+        near = np.abs(residual) <= 2.0 * settings.tolerance_m[1]
+        if near.sum() < 6:
+            break
+        best = best + _least_squares_plane(xy[near] - middle, residual[near])
+    return np.array([best[0], best[1], best[2] - best[:2] @ middle])
+
+
+def _least_squares_plane(xy: Floats, z: Floats) -> Floats:
+    if len(z) < 3:
+        return np.zeros(3)
+    middle = xy.mean(axis=0)
+    design = np.column_stack([xy - middle, np.ones(len(z))])
+    a, b, c = np.linalg.lstsq(design, z, rcond=None)[0]
+    return np.array([a, b, c - a * middle[0] - b * middle[1]])
+
+
+def _core_noise(relative: Floats) -> float:
+    near = relative[np.abs(relative) <= 0.15]
+    return float(1.4826 * np.median(np.abs(near - np.median(near)))) if len(near) >= 3 else 0.05
+
+
+def _cell_medians(index: Ints, z: Floats) -> tuple[Ints, Floats]:
+    order = np.lexsort((z, index))
+    index, z = index[order], z[order]
+    if len(index) == 0:
+        return index, z
+    starts = np.flatnonzero(np.r_[True, index[1:] != index[:-1]])
+    count = np.diff(np.r_[starts, len(index)])
+    enough = count >= 3
+    return index[starts][enough], z[(starts + count // 2)][enough]
+
+
+def _smooth_surface(
+    cell: Ints, height: Floats, shape: tuple[int, int], settings: GroundSettings, *, symmetric: bool = False
+) -> Floats:
+    """Penalised least squares surface (H, W) through cell heights; asymmetric weights unless ``symmetric``."""
+    size = shape[0] * shape[1]
+    rows, columns = (_second_difference(n) for n in shape)
+    penalty = sparse.kron(rows.T @ rows, sparse.eye(shape[1])) + sparse.kron(sparse.eye(shape[0]), columns.T @ columns)
+    penalty = settings.smoothness * penalty + 1e-4 * sparse.eye(size)
+    # Coarse to fine: a stiff first surface cannot climb onto shrubs, later ones follow the terrain.
+    surface = np.zeros(size)
+    stiffness = (100.0, 30.0, 10.0, 3.0, 1.0, 1.0)
+    for step, stiff in enumerate(stiffness if not symmetric else (1.0, 1.0, 1.0)):
+        residual = height - surface[cell]
+        if symmetric:
+            weight = 1.0 / (1.0 + (residual / 0.05) ** 2) if step else np.ones(len(cell))
+        else:
+            limit_above, limit_below = max(0.6 * 0.6**step, 0.06), max(1.2 * 0.7**step, 0.15)
+            weight = np.where(residual > 0, np.exp(-((residual / limit_above) ** 2)), 1.0)
+            weight = np.where(residual < -limit_below, (limit_below / np.maximum(-residual, 1e-9)) ** 2, weight)
+        diagonal = np.zeros(size)
+        diagonal[cell] = weight
+        target = np.zeros(size)
+        target[cell] = weight * height
+        surface = np.asarray(spsolve((sparse.diags(diagonal) + stiff * penalty).tocsc(), target))
+    return surface.reshape(shape)
+
+
+def _second_difference(n: int) -> sparse.spmatrix:
+    if n < 3:
+        return sparse.csr_matrix((1, n))
+    return sparse.diags([np.ones(n - 2), -2.0 * np.ones(n - 2), np.ones(n - 2)], [0, 1, 2], shape=(n - 2, n)).tocsr()

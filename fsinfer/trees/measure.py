@@ -1,0 +1,339 @@
+"""From a cloud to the stand table: ground, stems, diameters, heights, and why there is none where there is none."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from fsinfer.errors import CloudError
+from fsinfer.progress import Progress, silent
+from fsinfer.trees.dbh import DbhSettings, Section, measure_stem
+from fsinfer.trees.ground import Ground, GroundSettings, find_ground
+from fsinfer.trees.stems import Stem, StemSearch, StemSettings, find_stems
+from fsinfer.trees.top import TopSettings, tree_height
+
+Floats = NDArray[np.float64]
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TreeSettings:
+    """Settings of :func:`analyse_plot` and :func:`measure_trees`.
+
+    ``bh_rule``: breast height counts from the ground at the stem's middle ("midpoint") or from the highest ground at
+    its foot ("uphill", as on forest inventories in many countries).
+    """
+
+    bh_m: float = 1.3
+    bh_rule: str = "midpoint"
+    min_dbh_cm: float = 4.0  # below lies undergrowth; forest inventories start at 4 to 7 cm
+    seed: int = 0
+    ground: GroundSettings = field(default_factory=GroundSettings)
+    stems: StemSettings = field(default_factory=StemSettings)
+    dbh: DbhSettings = field(default_factory=DbhSettings)
+    top: TopSettings = field(default_factory=TopSettings)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tree:
+    """One row of ``trees.csv``.
+
+    ``x_m, y_m`` is the stem's centre at ``bh_m`` above the ground, in the frame of the cloud; ``z_ground_m`` the
+    ground there. ``dbh_cm`` and its 95 % interval come from the circle; ``dbh_perimeter_cm`` is what a diameter tape
+    reads (girth / pi) and ``dbh_min_cm``, ``dbh_max_cm`` what callipers read, where the stem was seen nearly all round.
+    ``arc_coverage`` in [0, 1]; ``points`` are those the circle used; ``residual_cm`` is the noise of the bark about
+    the model. None means "not measured", and ``reason`` says why. ``status`` is ok, doubtful or unmeasured.
+    """
+
+    tree_id: int
+    x_m: float
+    y_m: float
+    z_ground_m: float
+    dbh_cm: float | None
+    dbh_lo95_cm: float | None
+    dbh_hi95_cm: float | None
+    dbh_perimeter_cm: float | None
+    dbh_min_cm: float | None
+    dbh_max_cm: float | None
+    bh_m: float
+    arc_coverage: float
+    points: int
+    residual_cm: float | None
+    lean_deg: float
+    height_m: float | None
+    status: str
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlotResult:
+    """Trees with their sections (same order), the ground, and what the forester should know.
+
+    ``diagnosis`` is one sentence on what was found, or why nothing was. ``extent_m`` is x_min, y_min, x_max, y_max.
+    """
+
+    trees: tuple[Tree, ...]
+    sections: tuple[Section, ...]
+    ground: Ground | None
+    diagnosis: str
+    warnings: tuple[str, ...]
+    extent_m: tuple[float, float, float, float]
+    spacing_m: float
+
+
+def measure_trees(
+    points: ArrayLike,
+    *,
+    settings: TreeSettings | None = None,
+    scale_rel_std: float = 0.0,
+    metric: bool = True,
+    units_per_m_hint: float | None = None,
+    progress: Progress = silent,
+) -> list[Tree]:
+    """Measure the trees in points (N, 3), metres, z up; see :func:`analyse_plot`."""
+    result = analyse_plot(
+        points,
+        settings=settings,
+        scale_rel_std=scale_rel_std,
+        metric=metric,
+        units_per_m_hint=units_per_m_hint,
+        progress=progress,
+    )
+    return list(result.trees)
+
+
+def analyse_plot(
+    points: ArrayLike,
+    *,
+    settings: TreeSettings | None = None,
+    scale_rel_std: float = 0.0,
+    metric: bool = True,
+    units_per_m_hint: float | None = None,
+    progress: Progress = silent,
+) -> PlotResult:
+    """Find the ground and the stems in points (N, 3), metres, z up, and measure each stem.
+
+    ``scale_rel_std`` is the relative standard deviation of the cloud's scale; it widens the intervals. With
+    ``metric=False`` the unit is unknown: stems are looked for with ``units_per_m_hint`` units to the metre (a rough
+    guess by the caller, for instance from the height at which the camera was held; 1 without one), positions stay in
+    model units and no DBH is given. No trees is a valid result: ``diagnosis`` says why.
+
+    Raises :class:`~fsinfer.errors.CloudError` for clouds that hold no plot (too few points, no ground, wrong unit).
+    """
+    settings = settings or TreeSettings()
+    if settings.bh_rule not in {"midpoint", "uphill"}:
+        msg = f"bh_rule must be 'midpoint' or 'uphill', got {settings.bh_rule!r}"
+        raise CloudError(msg)
+    if not metric:
+        return _without_scale(points, settings, units_per_m_hint, progress)
+    xyz, warnings = _clean(points)
+    # Work about a local origin: map coordinates of 10^6 m would cost precision in the fits.
+    origin = np.r_[np.floor(np.median(xyz[:, :2], axis=0)), 0.0]
+    local = xyz - origin
+    extent = np.percentile(local[:, :2], [0.5, 99.5], axis=0) + origin[:2]
+    _check_unit(extent)
+    progress(0, 3, "finding the ground")
+    ground = find_ground(local, settings=settings.ground, seed=settings.seed)
+    if ground.share < 0.6:
+        warnings.append(f"ground seen in only {100 * ground.share:.0f} % of the lowest parts of the plot")
+    heights = local[:, 2] - ground.height_at(local[:, :2])
+    stand = np.column_stack([local[:, :2], heights])
+    progress(1, 3, "looking for stems")
+    search = find_stems(stand, settings=settings.stems, progress=progress, seed=settings.seed)
+    progress(2, 3, "measuring stems")
+    pairs = _measure(stand, search, ground, settings, scale_rel_std, origin)
+    return PlotResult(
+        trees=tuple(replace(tree, tree_id=number) for number, (tree, _) in enumerate(pairs, start=1)),
+        sections=tuple(section for _, section in pairs),
+        ground=replace(
+            ground,
+            origin=ground.origin + origin[:2],
+            plane=ground.plane - np.array([0.0, 0.0, float(ground.plane[:2] @ origin[:2])]),
+        ),
+        diagnosis=_diagnosis([tree for tree, _ in pairs], search, stand, settings),
+        warnings=tuple(warnings),
+        extent_m=(float(extent[0, 0]), float(extent[0, 1]), float(extent[1, 0]), float(extent[1, 1])),
+        spacing_m=search.spacing_m,
+    )
+
+
+def _measure(
+    stand: Floats,
+    search: StemSearch,
+    ground: Ground,
+    settings: TreeSettings,
+    scale_rel_std: float,
+    origin: Floats,
+) -> list[tuple[Tree, Section]]:
+    low, high = settings.stems.heights_m
+    slab = stand[(stand[:, 2] >= low - 0.5) & (stand[:, 2] <= high + 0.5)]
+    index = cKDTree(slab[:, :2])
+    centers = np.array([stem.axis.center_at(settings.bh_m) for stem in search.stems]).reshape(-1, 2)
+    pairs = []
+    for number, stem in enumerate(search.stems):
+        near = slab[index.query_ball_point(centers[number], stem.axis.radius_m + 0.35)]
+        near, stem = _on_own_ground(near, stem, ground, settings)
+        section = measure_stem(
+            _without_neighbours(near, stem, search.stems),
+            stem,
+            bh_m=settings.bh_m,
+            ground_noise_m=ground.noise_m / 3.0,
+            scale_rel_std=scale_rel_std,
+            settings=settings.dbh,
+            seed=settings.seed,
+        )
+        if section.dbh_m is not None and 100.0 * section.dbh_m < settings.min_dbh_cm:
+            continue
+        height = tree_height(stand, stem, centers, number, section.dbh_m, settings=settings.top)
+        z_ground = float(ground.height_at(section.center[None])[0])
+        pairs.append((_tree(section, z_ground, height, origin), section))
+    return pairs
+
+
+def _on_own_ground(near: Floats, stem: Stem, ground: Ground, settings: TreeSettings) -> tuple[Floats, Stem]:
+    """Heights above the one ground level that counts for this stem, so that its axis stays straight on a slope."""
+    foot = stem.axis.center_at(0.0)
+    level = float(ground.height_at(foot[None])[0])
+    reference = level
+    if settings.bh_rule == "uphill":
+        angle = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
+        ring = foot + stem.axis.radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
+        reference = float(ground.height_at(ring).max())
+    z = near[:, 2] + ground.height_at(near[:, :2]) - reference
+    shift = reference - level
+    axis = replace(stem.axis, height_m=stem.axis.height_m - shift)
+    moved = replace(stem, axis=axis, bottom_m=stem.bottom_m - shift, top_m=stem.top_m - shift)
+    return np.column_stack([near[:, :2], z]), moved
+
+
+def _without_neighbours(near: Floats, stem: Stem, stems: tuple[Stem, ...]) -> Floats:
+    """Drop points that lie closer to the surface of another stem."""
+    keep = np.ones(len(near), dtype=bool)
+    own = np.abs(_surface_distance(near, stem))
+    for other in stems:
+        gap = np.linalg.norm(other.axis.center_at(1.3) - stem.axis.center_at(1.3))
+        if 0.05 < gap < other.axis.radius_m + stem.axis.radius_m + 0.25:
+            keep &= own <= np.abs(_surface_distance(near, other))
+    return near[keep]
+
+
+def _surface_distance(points: Floats, stem: Stem) -> Floats:
+    p = stem.axis.parameters
+    center = p[:2] + p[2:4] * (points[:, 2:3] - stem.axis.height_m)
+    return np.asarray(np.hypot(points[:, 0] - center[:, 0], points[:, 1] - center[:, 1]) - p[4])
+
+
+def _tree(section: Section, z_ground: float, height: float | None, origin: Floats) -> Tree:
+    dbh = None if section.dbh_m is None else 100.0 * section.dbh_m
+    half = 1.96 * 100.0 * section.sd_m
+    outline = section.outline if dbh is not None else None
+    return Tree(
+        tree_id=0,
+        x_m=float(section.center[0] + origin[0]),
+        y_m=float(section.center[1] + origin[1]),
+        z_ground_m=z_ground,
+        dbh_cm=dbh,
+        dbh_lo95_cm=None if dbh is None else max(dbh - half, 0.0),
+        dbh_hi95_cm=None if dbh is None else dbh + half,
+        dbh_perimeter_cm=None if outline is None else 100.0 * outline.girth_diameter_m,
+        dbh_min_cm=None if outline is None else 100.0 * outline.min_diameter_m,
+        dbh_max_cm=None if outline is None else 100.0 * outline.max_diameter_m,
+        bh_m=section.bh_m,
+        arc_coverage=section.coverage,
+        points=section.points,
+        residual_cm=100.0 * section.residual_m if np.isfinite(section.residual_m) else None,
+        lean_deg=section.lean_deg,
+        height_m=height,
+        status=section.status,
+        reason=section.reason,
+    )
+
+
+def _clean(points: ArrayLike) -> tuple[Floats, list[str]]:
+    xyz = np.asarray(points, dtype=np.float64)
+    if xyz.ndim != 2 or xyz.shape[1] != 3:
+        msg = f"the cloud must be an array of shape (N, 3), got {xyz.shape=}"
+        raise CloudError(msg)
+    finite = np.isfinite(xyz).all(axis=1)
+    warnings = []
+    if not finite.all():
+        warnings.append(f"{int((~finite).sum())} points with NaN or infinite coordinates were left out")
+        _log.warning(warnings[-1])
+        xyz = xyz[finite]
+    if len(xyz) < 100:
+        msg = f"the cloud holds only {len(xyz)} usable points; a plot needs thousands: check the file and the fusion"
+        raise CloudError(msg)
+    return xyz, warnings
+
+
+def _check_unit(extent: Floats) -> None:
+    size = float(np.max(extent[1] - extent[0]))
+    if size < 0.3:
+        msg = f"the cloud is only {100 * size:.1f} cm wide: it is not in metres; give the scale (--scale, --endpoints)"
+        raise CloudError(msg)
+    if size > 700.0:
+        msg = (
+            f"the cloud is {size:.0f} m wide: is it in centimetres or millimetres? Give the scale "
+            "(--scale 0.01 or 0.001), or cut the cloud into plots below 700 m"
+        )
+        raise CloudError(msg)
+
+
+def _diagnosis(trees: list[Tree], search: StemSearch, stand: Floats, settings: TreeSettings) -> str:
+    if trees:
+        measured = sum(tree.dbh_cm is not None for tree in trees)
+        return f"{len(trees)} trees found, {measured} with a DBH"
+    low, high = settings.stems.heights_m
+    slab = int(np.count_nonzero((stand[:, 2] >= low) & (stand[:, 2] <= high)))
+    if slab < 20:
+        top = float(np.percentile(stand[:, 2], 99.9))
+        return (
+            f"no trees found: hardly a point lies {low}-{high} m above the ground (the cloud reaches {top:.2f} m); "
+            "check the scale, or photograph the stems as well as the ground"
+        )
+    reasons = ", ".join(f"{count} {why}" for why, count in sorted(search.rejected.items(), key=lambda item: -item[1]))
+    if reasons:
+        return f"no trees found: {search.candidates} candidates, none holds as a stem ({reasons})"
+    return f"no trees found: {slab} points at stem height, but no round vertical surface among them; check the scale"
+
+
+def _without_scale(
+    points: ArrayLike, settings: TreeSettings, units_per_m_hint: float | None, progress: Progress
+) -> PlotResult:
+    xyz = np.asarray(points, dtype=np.float64)
+    units = 1.0 if units_per_m_hint is None else units_per_m_hint
+    if not (np.isfinite(units) and units > 0):
+        msg = f"units_per_m_hint must be a positive number, got {units_per_m_hint}"
+        raise CloudError(msg)
+    result = analyse_plot(xyz / units, settings=settings, progress=progress)
+    trees = []
+    for tree in result.trees:
+        trees.append(
+            replace(
+                tree,
+                **{name: None for name in _DIAMETERS},
+                x_m=tree.x_m * units,
+                y_m=tree.y_m * units,
+                z_ground_m=tree.z_ground_m * units,
+                status="unmeasured",
+                reason="no scale",
+            )
+        )
+    warning = "no scale: positions are in model units and no diameter is given"
+    return replace(result, trees=tuple(trees), warnings=(*result.warnings, warning))
+
+
+_DIAMETERS = (
+    "dbh_cm",
+    "dbh_lo95_cm",
+    "dbh_hi95_cm",
+    "dbh_perimeter_cm",
+    "dbh_min_cm",
+    "dbh_max_cm",
+    "residual_cm",
+    "height_m",
+)

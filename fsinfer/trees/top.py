@@ -1,0 +1,73 @@
+"""Tree height, where the top was plausibly seen: most photographs and many scans end below it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.trees.stems import Stem
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TopSettings:
+    """Constants of :func:`tree_height`."""
+
+    crown_radius_m: float = 0.8  # about the continued axis; wider takes in the neighbours' crowns
+    layer_m: float = 0.5
+    max_gap_m: float = 1.5  # a longer empty stretch separates a tree from what hangs above it
+    min_height_m: float = 3.0
+    min_slenderness: float = 35.0  # height over diameter; forest trees have 50-120, open-grown ones 30-50
+    crown_spread: float = 2.0  # the upper third must spread wider than this times the stem's radius
+    thinning: float = 0.6  # points per layer at the top against the crown's densest layer: a crown tapers, a cut does not
+
+
+def tree_height(
+    stand: Floats,
+    stem: Stem,
+    centers: Floats,
+    number: int,
+    dbh_m: float | None,
+    *,
+    settings: TopSettings | None = None,
+) -> float | None:
+    """Height above ground of the stem's top from points (N, 3) of x, y, height; None where it was not seen.
+
+    Points nearer to another stem's position in ``centers`` (T, 2) are left to that one.
+    """
+    s = settings or TopSettings()
+    start = stem.axis.center_at(1.3)
+    # Heavy leans measured over two metres must not be continued over twenty.
+    slope = stem.axis.parameters[2:4] * 0.5
+    high = stand[(stand[:, 2] > 1.0) & (np.abs(stand[:, 0] - start[0]) < 4.0) & (np.abs(stand[:, 1] - start[1]) < 4.0)]
+    offset = high[:, :2] - (start + slope * (high[:, 2:3] - 1.3))
+    near = high[np.hypot(offset[:, 0], offset[:, 1]) <= s.crown_radius_m]
+    if len(near) < 20:
+        return None
+    if len(centers) > 1:
+        squared = ((near[:, None, :2] - centers[None]) ** 2).sum(axis=2)
+        near = near[np.argmin(squared, axis=1) == number]
+    layer = np.floor((near[:, 2] - 1.0) / s.layer_m).astype(np.int64)
+    if len(layer) == 0:
+        return None
+    count = np.bincount(layer)
+    empty = 0
+    top = 0
+    for level, here in enumerate(count):
+        empty = 0 if here >= 3 else empty + 1
+        if empty * s.layer_m > s.max_gap_m:
+            break
+        top = level if here >= 3 else top
+    height = float(near[layer <= top, 2].max())
+    diameter = dbh_m if dbh_m is not None else 2.0 * stem.axis.radius_m
+    if height < s.min_height_m or height < s.min_slenderness * diameter:
+        return None
+    upper = near[(near[:, 2] > 1.0 + (height - 1.0) * 2.0 / 3.0) & (near[:, 2] <= height)]
+    axis = np.median(upper[:, :2], axis=0)
+    spread = float(np.percentile(np.hypot(*(upper[:, :2] - axis).T), 80)) if len(upper) else 0.0
+    crown = count[max(top // 3, 0) : top + 1]
+    tapers = count[top] <= s.thinning * crown.max()
+    return height if spread > s.crown_spread * 0.5 * diameter and tapers else None

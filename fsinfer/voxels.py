@@ -1,0 +1,145 @@
+"""Merging points into one per voxel, batch by batch, so that memory follows the surface and not the photographs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+# 21 bits for each axis fit into one signed 64-bit key.
+_AXIS_BITS = 21
+_AXIS_CELLS = 1 << _AXIS_BITS
+MAX_EXTENT_VOXELS = _AXIS_CELLS - 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Samples:
+    """N points with what is averaged over a voxel.
+
+    Attributes
+    ----------
+    xyz: (N, 3) float64.
+    rgb: (N, 3) float32, 0..255.
+    normals: (N, 3) float32.
+    weight: (N,) float32 > 0, inverse variance of the position up to a factor.
+    confidence: (N,) float32.
+    views: (N,) int32; a merged point keeps the largest.
+    count: (N,) int32, number of depth pixels behind each.
+    """
+
+    xyz: NDArray[np.float64]
+    rgb: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    weight: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    views: NDArray[np.int32]
+    count: NDArray[np.int32]
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+
+def voxel_keys(xyz: NDArray[np.float64], voxel: float) -> NDArray[np.int64]:
+    """(N,) int64 key of the cell of each point; the grid is anchored at the world's origin.
+
+    Keys wrap round every two million voxels, so the points must lie within ``MAX_EXTENT_VOXELS`` of each other.
+    """
+    cells = np.floor(xyz / voxel).astype(np.int64) % _AXIS_CELLS
+    return np.asarray((cells[:, 0] << (2 * _AXIS_BITS)) | (cells[:, 1] << _AXIS_BITS) | cells[:, 2])
+
+
+def merge_voxels(samples: Samples, voxel: float) -> Samples:
+    """Merge the points of each voxel into their weighted mean.
+
+    The mean of a patch of a curved surface lies inside it by at most voxel^2 / (8 R): 0.03 mm for voxels of 5 mm
+    on a stem of 10 cm radius, so voxels do not bias diameters.
+    """
+    if not len(samples):
+        return samples
+    keys = voxel_keys(samples.xyz, voxel)
+    order = np.argsort(keys, kind="stable")
+    keys = keys[order]
+    starts = np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
+    weight = samples.weight[order].astype(np.float64)
+    total = np.add.reduceat(weight, starts)
+
+    def mean(values: NDArray[np.floating]) -> NDArray[np.float64]:
+        return np.stack(
+            [np.add.reduceat(values[order, i] * weight, starts) / total for i in range(values.shape[1])], axis=1
+        )
+
+    normals = mean(samples.normals)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    count = samples.count[order]
+    counts = np.add.reduceat(count, starts)
+    return Samples(
+        xyz=mean(samples.xyz),
+        rgb=mean(samples.rgb).astype(np.float32),
+        normals=normals.astype(np.float32),
+        weight=total.astype(np.float32),
+        confidence=(np.add.reduceat(samples.confidence[order] * count, starts) / counts).astype(np.float32),
+        views=np.maximum.reduceat(samples.views[order], starts),
+        count=counts.astype(np.int32),
+    )
+
+
+def join(parts: list[Samples]) -> Samples:
+    """Concatenate; ``parts`` must not be empty."""
+    return Samples(**{name: np.concatenate([getattr(p, name) for p in parts]) for name in Samples.__dataclass_fields__})
+
+
+def select(samples: Samples, chosen: NDArray[np.bool_]) -> Samples:
+    """Keep the points of a mask."""
+    return Samples(**{name: getattr(samples, name)[chosen] for name in Samples.__dataclass_fields__})
+
+
+def neighbours_within(xyz: NDArray[np.float64], cell: float, count: NDArray[np.int32]) -> NDArray[np.int64]:
+    """(N,) sum of ``count`` in the 3x3x3 cells around each point's own: a cheap density that finds lone specks."""
+    keys, own = np.unique(voxel_keys(xyz, cell), return_inverse=True)
+    counts = np.bincount(own, weights=count, minlength=len(keys)).astype(np.int64)
+    cells = np.stack([keys >> (2 * _AXIS_BITS), (keys >> _AXIS_BITS) % _AXIS_CELLS, keys % _AXIS_CELLS], axis=1)
+    total = np.zeros(len(keys), dtype=np.int64)
+    for dx in (-1, 0, 1):
+        for dy in (-1, 0, 1):
+            for dz in (-1, 0, 1):
+                near = (cells + np.array([dx, dy, dz])) % _AXIS_CELLS
+                wanted = (near[:, 0] << (2 * _AXIS_BITS)) | (near[:, 1] << _AXIS_BITS) | near[:, 2]
+                place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+                total += np.where(keys[place] == wanted, counts[place], 0)
+    return np.asarray(total[own])
+
+
+class VoxelMerger:
+    """Collects batches and merges them whenever ``batch_points`` new ones have come."""
+
+    def __init__(self, voxel: float, *, max_points: int, batch_points: int = 1_500_000) -> None:
+        self.voxel = voxel
+        self._max_points = max_points
+        self._batch_points = batch_points
+        self._merged: list[Samples] = []
+        self._waiting: list[Samples] = []
+
+    def add(self, samples: Samples) -> None:
+        """Take one batch."""
+        if len(samples):
+            self._waiting.append(samples)
+        if sum(map(len, self._waiting)) > self._batch_points:
+            self._merge()
+
+    def result(self) -> Samples | None:
+        """Return everything merged, in voxels as large as ``max_points`` asks for; None when nothing came."""
+        self._merge()
+        return self._merged[0] if self._merged else None
+
+    def _merge(self) -> None:
+        if not self._waiting:
+            return
+        joined = join(self._merged + self._waiting)
+        self._waiting = []
+        merged = merge_voxels(joined, self.voxel)
+        while len(merged) > self._max_points:
+            # Points on surfaces fall with the square of the voxel; the 5 % keep one step from being not quite enough.
+            self.voxel *= 1.05 * (len(merged) / self._max_points) ** 0.5
+            merged = merge_voxels(merged, self.voxel)
+        self._merged = [merged]

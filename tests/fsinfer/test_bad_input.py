@@ -1,0 +1,206 @@
+"""Each bad input on the command line: exit code 2, one message, no traceback, and nothing computed is lost."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fsinfer.cli import main
+from fsinfer.cloud import PointCloud, write_cloud
+from fsinfer.images import write_image
+from fsinfer.scene import read_scene
+from tests.fsinfer.synthetic_plot import write_depth_folder, write_scene_folder
+
+Call = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def call(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Call:
+    """Run the command line as a shell would; returns exit code, stdout, stderr."""
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["fsinfer", *(str(a) for a in arguments)])
+        with pytest.raises(SystemExit) as stopped:
+            main()
+        captured = capfd.readouterr()
+        return int(stopped.value.code or 0), captured.out, captured.err
+
+    return run
+
+
+def errors_of(result: tuple[int, str, str]) -> list[str]:
+    """The error lines, after checking what holds for every error of the user."""
+    code, out, err = result
+    assert code == 2, (out, err)
+    assert "Traceback" not in out + err
+    lines = [line for line in err.splitlines() if line.startswith("Error: ")]
+    assert len(lines) == 1, err
+    return lines
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    folder = tmp_path / "scene"
+    write_scene_folder(folder)
+    return folder
+
+
+def test_missing_source(call: Call, tmp_path: Path) -> None:
+    for command in ("run", "frames", "poses"):
+        message = errors_of(call(command, tmp_path / "nowhere", tmp_path / "out"))[0]
+        assert "nowhere" in message
+
+
+def test_empty_photo_folder(call: Call, tmp_path: Path) -> None:
+    (tmp_path / "photos").mkdir()
+    for command in ("run", "frames", "poses"):
+        assert "photos" in errors_of(call(command, tmp_path / "photos", tmp_path / "out"))[0]
+
+
+def test_photo_that_is_none(call: Call, tmp_path: Path) -> None:
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    for name in ("a.jpg", "b.jpg"):
+        (photos / name).write_bytes(b"this is no photograph")
+    assert ".jpg" in errors_of(call("poses", photos, tmp_path / "out"))[0]
+
+
+def test_photos_that_do_not_overlap(call: Call, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    for name in ("a", "b", "c"):
+        noise = rng.integers(0, 255, (120, 160, 3), dtype=np.uint8)
+        write_image(tmp_path / "photos" / f"{name}.jpg", noise)
+    assert errors_of(call("poses", tmp_path / "photos", tmp_path / "out"))
+
+
+def test_video_that_is_none(call: Call, tmp_path: Path) -> None:
+    video = tmp_path / "walk.mp4"
+    video.write_bytes(b"this is no video")
+    assert "walk.mp4" in errors_of(call("frames", video, tmp_path / "out"))[0]
+
+
+def test_scene_that_is_none(call: Call, tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    for command in ("depth", "fuse"):
+        assert "fsinfer poses" in errors_of(call(command, tmp_path / "empty", tmp_path / "out"))[0]
+        assert errors_of(call(command, tmp_path / "nowhere", tmp_path / "out"))
+
+
+def test_damaged_camera(call: Call, scene: Path, tmp_path: Path) -> None:
+    (scene / "cams" / "view_03_cam.txt").write_text("extrinsic\n1 2 3\n", encoding="utf-8")
+    assert "view_03_cam.txt" in errors_of(call("depth", scene, tmp_path / "out"))[0]
+
+
+def test_unknown_model(call: Call, scene: Path, tmp_path: Path) -> None:
+    assert "no-such-model" in errors_of(call("depth", scene, tmp_path / "out", "--model", "no-such-model"))[0]
+
+
+def test_unknown_model_stops_a_run_before_any_work(call: Call, scene: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert "no-such-model" in errors_of(call("run", scene / "images", out, "--model", "no-such-model"))[0]
+    assert not (out / "frames").exists()
+
+
+def test_fuse_without_depth(call: Call, scene: Path, tmp_path: Path) -> None:
+    assert "fsinfer depth" in errors_of(call("fuse", scene, tmp_path / "out"))[0]
+
+
+def test_fuse_with_a_cut_depth_map(call: Call, scene: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    write_depth_folder(read_scene(scene), out)
+    path = out / "depth" / "view_05.pfm"
+    path.write_bytes(path.read_bytes()[:100])
+    assert "view_05.pfm" in errors_of(call("fuse", scene, out))[0]
+    assert (out / "depth" / "view_04.pfm").is_file()
+
+
+def test_cloud_that_is_none(call: Call, tmp_path: Path) -> None:
+    for name, content in (("a.ply", b"ply\nformat ascii"), ("a.laz", b"LASF"), ("a.docx", b"x"), ("b.las", b"")):
+        path = tmp_path / name
+        path.write_bytes(content)
+        assert name in errors_of(call("trees", path, tmp_path / "out"))[0]
+    assert "gone.ply" in errors_of(call("trees", tmp_path / "gone.ply", tmp_path / "out"))[0]
+
+
+@pytest.fixture
+def cloud(tmp_path: Path) -> Path:
+    rng = np.random.default_rng(1)
+    path = tmp_path / "cloud.ply"
+    write_cloud(path, PointCloud(xyz=rng.uniform(0, [4, 4, 0.02], (2000, 3))))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        (["--scale", "-1"], "--scale"),
+        (["--scale", "nan"], "--scale"),
+        (["--scale", "0"], "--scale"),
+        (["--aruco-length-m", "0"], "--aruco-length-m"),
+        (["--scale", "1", "--aruco-length-m", "0.25"], "--aruco-length-m"),
+        (["--endpoints", "0,0,0", "1,0,0"], "--length-m"),
+        (["--length-m", "1"], "--endpoints"),
+        (["--endpoints", "0,0,0", "0,0,0", "--length-m", "1"], "different"),
+        (["--endpoints", "0,0", "1,0,0", "--length-m", "1"], "'0,0'"),
+        (["--endpoints", "a,b,c", "1,0,0", "--length-m", "1"], "'a,b,c'"),
+        (["--endpoints", "inf,0,0", "1,0,0", "--length-m", "1"], "finite"),
+        (["--aruco-length-m", "0.25"], "--aruco-length-m"),
+        (["--aruco-length-m", "0.25", "--aruco-dictionary", "9X9_99"], "9X9_99"),
+    ],
+)
+def test_scale_options(call: Call, cloud: Path, tmp_path: Path, options: list[str], named: str) -> None:
+    out = tmp_path / "out"
+    assert named in errors_of(call("trees", cloud, out, *options))[0]
+    assert not (out / "trees.csv").exists()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["measure"],
+        ["run"],
+        ["run", "photos"],
+        ["run", "photos", "out", "--scale", "big"],
+        ["run", "photos", "out", "--views", "1"],
+        ["run", "photos", "out", "--endpoints", "0,0,0"],
+        ["evaluate", "a.csv", "b.csv", "--align", "perhaps"],
+        ["trees", "a.ply", "out", "--no-such-option"],
+    ],
+)
+def test_usage(call: Call, arguments: list[str]) -> None:
+    code, out, err = call(*arguments)
+    assert code == 2
+    assert "Traceback" not in out + err
+    assert err.strip()
+
+
+def test_evaluate_with_tables_that_are_none(call: Call, tmp_path: Path) -> None:
+    good, bad = tmp_path / "good.csv", tmp_path / "bad.csv"
+    good.write_text("tree_id,x_m,y_m,dbh_cm\n1,0,0,30\n", encoding="utf-8")
+    for content in ("", "a,b\n1,2\n", "tree_id,x_m,y_m,dbh_cm\n1,zero,0,30\n", "tree_id,x_m,y_m,dbh_cm\n1,0,0,-3\n"):
+        bad.write_text(content, encoding="utf-8")
+        assert "bad.csv" in errors_of(call("evaluate", bad, good))[0]
+    assert "gone.csv" in errors_of(call("evaluate", tmp_path / "gone.csv", good))[0]
+    assert "gone.csv" in errors_of(call("evaluate", good, tmp_path / "gone.csv"))[0]
+
+
+def test_report_of_nothing(call: Call, tmp_path: Path) -> None:
+    assert errors_of(call("report", tmp_path / "nowhere"))
+    (tmp_path / "empty").mkdir()
+    assert errors_of(call("report", tmp_path / "empty"))
+
+
+def test_output_that_is_a_file(call: Call, cloud: Path, tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("in the way", encoding="utf-8")
+    assert "out" in errors_of(call("trees", cloud, tmp_path / "out"))[0]
+    assert (tmp_path / "out").read_text(encoding="utf-8") == "in the way"
+
+
+def test_source_inside_the_output(call: Call, scene: Path, tmp_path: Path) -> None:
+    message = errors_of(call("run", scene / "images", tmp_path))[0]
+    assert "choose another output folder" in message
+    assert (scene / "images" / "view_00.jpg").is_file()

@@ -1,0 +1,72 @@
+"""The demo: the whole job on the plot in the package, with the real stages."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+
+import pytest
+
+from fsinfer.cli_tables import demo_rows
+from fsinfer.demo import DemoResult, run_demo
+from fsinfer.evaluation import evaluate, read_measured
+from fsinfer.manifest import models_folder
+
+HAS_DEMO = (resources.files("fsinfer") / "demo_data" / "truth.csv").is_file()
+HAS_MODEL = (models_folder() / "field.json").is_file()
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> DemoResult:
+    if not (HAS_DEMO and HAS_MODEL):
+        pytest.skip("the demo plot or the depth model is not in this source tree")
+    return run_demo(tmp_path_factory.mktemp("demo") / "out")
+
+
+def test_demo_finds_the_trees(demo: DemoResult) -> None:
+    assert demo.run.plot["scale_source"] == "aruco"
+    assert demo.evaluation.r >= 0.75
+    assert demo.evaluation.false <= 1
+    assert demo.evaluation.rmse_cm is not None
+    assert demo.evaluation.rmse_cm < 2.0
+
+
+def test_demo_writes_everything(demo: DemoResult) -> None:
+    for name in ("cloud.ply", "cloud.laz", "trees.csv", "plot.json", "report.html", "truth.csv"):
+        assert (demo.run.out / name).stat().st_size > 0
+
+
+def test_second_demo_does_nothing(demo: DemoResult) -> None:
+    again = run_demo(demo.run.out)
+    assert not any(record.ran for record in again.run.stages)
+    assert again.evaluation == demo.evaluation
+
+
+def test_demo_plot_is_small() -> None:
+    if not HAS_DEMO:
+        pytest.skip("the demo plot is not in this source tree")
+    folder = Path(str(resources.files("fsinfer") / "demo_data"))
+    assert sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) < 4_000_000
+
+
+def test_table_names_every_tree_of_the_truth(tmp_path: Path) -> None:
+    from fsinfer.trees import Tree
+
+    truth = tmp_path / "truth.csv"
+    truth.write_text("tree_id,x_m,y_m,dbh_cm\n1,0,0,30\n2,5,0,40\n3,0,5,20\n", encoding="utf-8")
+    rest = {"z_ground_m": 0.0, "dbh_perimeter_cm": None, "dbh_min_cm": None, "dbh_max_cm": None, "bh_m": 1.3}
+    rest |= {"arc_coverage": 1.0, "points": 9, "residual_cm": 0.5, "lean_deg": 1.0, "height_m": None, "status": "ok"}
+    found = Tree(tree_id=7, x_m=0, y_m=0, dbh_cm=31.2, dbh_lo95_cm=30.1, dbh_hi95_cm=32.3, reason="", **rest)
+    bare = Tree(tree_id=8, x_m=5, y_m=0, dbh_cm=None, dbh_lo95_cm=None, dbh_hi95_cm=None, reason="too narrow", **rest)
+    measured = tuple(read_measured(truth))
+    result = DemoResult(
+        run=None,  # type: ignore[arg-type]
+        trees=(found, bare),
+        truth=measured,
+        evaluation=evaluate(measured, (found, bare), align="never"),
+    )
+    rows = demo_rows(result)
+    assert rows[1].split() == ["1", "30.0", "cm", "31.2", "cm", "[30.1", "-", "32.3]", "+1.2", "cm"]
+    assert "too narrow" in rows[2]
+    assert "not found" in rows[3]
+    assert any(row.startswith("RMSE") and "1.20 cm" in row for row in rows)

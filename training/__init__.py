@@ -1,0 +1,1 @@
+"""Training of FS-MVSNet: model, synthetic forest, data sets, training and evaluation (needs PyTorch)."""

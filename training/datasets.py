@@ -1,0 +1,153 @@
+"""Training samples from any folder of scenes in MVSNet format that has exact ``depths/*.pfm``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.utils.data import IterableDataset
+
+from fsinfer.errors import SceneError
+from fsinfer.pfm import read_pfm
+from fsinfer.scene import Scene, read_scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sample:
+    """One reference view with its sources, and its true depth.
+
+    Attributes
+    ----------
+    images: (N, 3, H, W) float32 RGB 0 … 255, view 0 is the reference.
+    intrinsics: (N, 3, 3); cam_from_world: (N, 4, 4).
+    depth: (H, W) float32, z depth, 0 where unknown.
+    depth_range: near, far.
+    name: scene and view, for messages.
+    """
+
+    images: Tensor
+    intrinsics: Tensor
+    cam_from_world: Tensor
+    depth: Tensor
+    depth_range: tuple[float, float]
+    name: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class SamplingSettings:
+    """How samples vary from one visit of a view to the next."""
+
+    min_sources: int = 2
+    max_sources: int = 4
+    colour_jitter: float = 0.2
+    range_jitter: float = 0.35  # near bound down to 1/(1+j), far bound up to 1+2j of the camera file's
+
+
+def find_scenes(roots: Sequence[Path]) -> list[Path]:
+    """Every folder below ``roots`` that holds ``pair.txt`` and ``depths``, sorted."""
+    found = {p.parent for root in roots for p in root.rglob("pair.txt") if (p.parent / "depths").is_dir()}
+    return sorted(found)
+
+
+def load_sample(scene: Scene, index: int, sources: Sequence[int]) -> Sample:
+    """Read view ``index`` with the given source views; a smaller depth map is spread by its integer factor."""
+    views = [scene.views[i] for i in (index, *sources)]
+    images = []
+    for view in views:
+        image = cv2.imread(str(view.image_path), cv2.IMREAD_COLOR)
+        if image is None:
+            msg = f"{view.image_path} cannot be read as an image; write the scene again"
+            raise SceneError(msg)
+        images.append(image[..., ::-1].transpose(2, 0, 1).astype(np.float32))
+    if len({image.shape for image in images}) > 1:
+        msg = f"{scene.folder}: training needs views of one size, found {sorted({i.shape for i in images})}"
+        raise SceneError(msg)
+    depth = read_pfm(scene.folder / "depths" / f"{views[0].name}.pfm")
+    height, width = images[0].shape[1:]
+    if depth.shape != (height, width):
+        factor = height // depth.shape[0]
+        depth = depth.repeat(factor, axis=0).repeat(factor, axis=1)[:height, :width]
+        if depth.shape != (height, width):
+            msg = f"{scene.folder}: depth map {depth.shape} does not fit the image {(height, width)}"
+            raise SceneError(msg)
+    cameras = [view.camera for view in views]
+    return Sample(
+        images=torch.from_numpy(np.stack(images)),
+        intrinsics=torch.from_numpy(np.stack([c.intrinsic for c in cameras])),
+        cam_from_world=torch.from_numpy(np.stack([c.cam_from_world for c in cameras])),
+        depth=torch.from_numpy(depth),
+        depth_range=(cameras[0].depth_min, cameras[0].depth_max),
+        name=f"{scene.folder.name}/{views[0].name}",
+    )
+
+
+def jitter_colour(images: Tensor, strength: float, rng: np.random.Generator) -> Tensor:
+    """Gain, offset, gamma and white balance of each view by itself, as automatic phone exposure does."""
+    count = len(images)
+    unit = (images / 255).clamp(0, 1)
+
+    def draw(*shape: int) -> Tensor:
+        return torch.from_numpy(rng.normal(0, strength, shape)).float()
+
+    unit = unit ** torch.exp(draw(count, 1, 1, 1))
+    unit = unit * torch.exp(draw(count, 1, 1, 1) + 0.3 * draw(count, 3, 1, 1)) + 0.1 * draw(count, 1, 1, 1)
+    return unit.clamp(0, 1) * 255
+
+
+class SceneSamples(IterableDataset[Sample]):
+    """An endless random stream of samples; folders are listed anew now and then, so that a growing set is used."""
+
+    def __init__(
+        self, roots: Sequence[Path], *, seed: int, settings: SamplingSettings | None = None, relist_every: int = 200
+    ) -> None:
+        super().__init__()
+        self.roots = list(roots)
+        self.seed = seed
+        self.settings = settings or SamplingSettings()
+        self.relist_every = relist_every
+
+    def __iter__(self) -> Iterator[Sample]:
+        """Yield samples for ever."""
+        worker = torch.utils.data.get_worker_info()
+        rng = np.random.default_rng([self.seed, worker.id if worker else 0])
+        while True:
+            folders = find_scenes(self.roots)
+            if not folders:
+                msg = f"no scene with pair.txt and depths/ below {self.roots}; make some: python -m training.synthesize"
+                raise SceneError(msg)
+            for _ in range(self.relist_every):
+                scene = read_scene(folders[rng.integers(len(folders))])
+                sample = self._draw(scene, rng)
+                if sample is not None:
+                    yield sample
+
+    def _draw(self, scene: Scene, rng: np.random.Generator) -> Sample | None:
+        settings = self.settings
+        index = int(rng.integers(len(scene.views)))
+        candidates: NDArray[np.int64] = np.array(scene.views[index].sources)
+        if len(candidates) == 0:
+            return None
+        count = min(int(rng.integers(settings.min_sources, settings.max_sources + 1)), len(candidates))
+        sources = rng.choice(candidates, size=count, replace=False)
+        sample = load_sample(scene, index, [int(s) for s in sources])
+        if (sample.depth > 0).float().mean() < 0.1:
+            return None
+        near, far = sample.depth_range
+        jitter = settings.range_jitter
+        images = sample.images
+        if settings.colour_jitter:
+            images = jitter_colour(images, settings.colour_jitter, rng)
+        return Sample(
+            images=images,
+            intrinsics=sample.intrinsics,
+            cam_from_world=sample.cam_from_world,
+            depth=sample.depth,
+            depth_range=(near / (1 + jitter * rng.random()), far * (1 + 2 * jitter * rng.random())),
+            name=sample.name,
+        )

@@ -1,0 +1,164 @@
+"""Depth errors of a model on scene folders with true depth (``depths/*.pfm``).
+
+python -m training.evaluate SCENES --model field            the ONNX model, through fsinfer, as it is deployed
+python -m training.evaluate SCENES --checkpoint RUN/checkpoint.pt   a checkpoint in PyTorch
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from fsinfer.depth_model import DepthModel
+from fsinfer.errors import FsinferError, SceneError
+from fsinfer.images import read_image
+from fsinfer.pfm import read_pfm
+from fsinfer.scene import Scene, read_scene
+from training.datasets import find_scenes
+from training.metrics import DepthErrors, depth_errors, mean_errors
+
+Float32 = NDArray[np.float32]
+#: (images, intrinsics, cam_from_world, depth_range) → depth, confidence, stride
+Predict = Callable[
+    [list[NDArray[np.uint8]], NDArray[np.float64], NDArray[np.float64], tuple[float, float]],
+    tuple[Float32, Float32, int],
+]
+
+
+def onnx_predictor(model: str | Path, threads: int = 0) -> Predict:
+    """Predict with the deployed path."""
+    loaded = DepthModel.load(model, threads=threads)
+    cv2.setNumThreads(1)
+
+    def predict(
+        images: list[NDArray[np.uint8]],
+        intrinsics: NDArray[np.float64],
+        cam_from_world: NDArray[np.float64],
+        depth_range: tuple[float, float],
+    ) -> tuple[Float32, Float32, int]:
+        estimate = loaded.predict(images, intrinsics, cam_from_world, depth_range)
+        return estimate.depth, estimate.confidence, estimate.stride
+
+    return predict
+
+
+def torch_predictor(checkpoint: Path) -> Predict:
+    """Predict with PyTorch from a checkpoint."""
+    from export.onnx_export import load_checkpoint
+
+    model, _ = load_checkpoint(checkpoint)
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    model.to(device)
+
+    @torch.no_grad()
+    def predict(
+        images: list[NDArray[np.uint8]],
+        intrinsics: NDArray[np.float64],
+        cam_from_world: NDArray[np.float64],
+        depth_range: tuple[float, float],
+    ) -> tuple[Float32, Float32, int]:
+        nchw = torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2).float().to(device)
+        output = model(nchw, torch.from_numpy(intrinsics), torch.from_numpy(cam_from_world), depth_range)
+        return output.depth.cpu().numpy(), output.confidence.cpu().numpy(), output.stride
+
+    return predict
+
+
+def on_truth_grid(values: Float32, stride: int, truth_shape: tuple[int, int], image_shape: tuple[int, int]) -> Float32:
+    """Nearest estimate at each pixel of a truth map that is the image reduced by some factor (1, 2, 4, …)."""
+    indices = []
+    for size, full, limit in zip(truth_shape, image_shape, values.shape, strict=True):
+        factor = full / size
+        pixel = (np.arange(size) + 0.5) * factor - 0.5
+        indices.append(np.clip(np.rint(pixel / stride), 0, limit - 1).astype(np.intp))
+    return values[np.ix_(*indices)]
+
+
+def evaluate_scene(
+    predict: Predict, scene: Scene, *, source_views: int = 4, every: int = 1, max_depth: float = np.inf
+) -> dict[str, DepthErrors]:
+    """Errors of every ``every``-th view of a scene, by view name."""
+    rows = {}
+    for view in scene.views[::every]:
+        truth_path = scene.folder / "depths" / f"{view.name}.pfm"
+        sources = [scene.views[i] for i in view.sources[:source_views]]
+        if not truth_path.is_file() or not sources:
+            continue
+        images = [read_image(v.image_path) for v in (view, *sources)]
+        depth, confidence, stride = predict(
+            images,
+            np.stack([v.camera.intrinsic for v in (view, *sources)]),
+            np.stack([v.camera.cam_from_world for v in (view, *sources)]),
+            (view.camera.depth_min, view.camera.depth_max),
+        )
+        truth = read_pfm(truth_path)
+        height, width = images[0].shape[:2]
+        shape = (truth.shape[0], truth.shape[1])
+        errors = depth_errors(
+            on_truth_grid(depth, stride, shape, (height, width)),
+            on_truth_grid(confidence, stride, shape, (height, width)),
+            truth,
+            max_depth=max_depth,
+        )
+        if errors is not None:
+            rows[f"{scene.folder.name}/{view.name}"] = errors
+    if not rows:
+        msg = f"{scene.folder} has no view with depths/NAME.pfm and a source; nothing to evaluate"
+        raise SceneError(msg)
+    return rows
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(prog="python -m training.evaluate", description=__doc__)
+    parser.add_argument("scenes", type=Path, nargs="+", help="folders that are scenes or hold scenes")
+    parser.add_argument("--model", default="field", help="name of a shipped model or path of a manifest")
+    parser.add_argument("--checkpoint", type=Path, help="evaluate this checkpoint in PyTorch instead")
+    parser.add_argument("--source-views", type=int, default=4)
+    parser.add_argument("--every", type=int, default=1, help="every so-manieth view of a scene")
+    parser.add_argument("--max-depth", type=float, default=float("inf"), help="ignore truth beyond, scene units")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    args = parser.parse_args(arguments)
+    try:
+        predict = torch_predictor(args.checkpoint) if args.checkpoint else onnx_predictor(args.model)
+        folders = find_scenes(args.scenes)
+        if not folders:
+            msg = f"no scene with pair.txt and depths/ in {[str(p) for p in args.scenes]}"
+            raise SceneError(msg)
+        rows: dict[str, DepthErrors] = {}
+        for folder in folders:
+            found = evaluate_scene(
+                predict, read_scene(folder), source_views=args.source_views, every=args.every, max_depth=args.max_depth
+            )
+            rows.update(found)
+            if not args.json:
+                for name, errors in found.items():
+                    print(_line(name, errors.to_dict()), flush=True)
+    except FsinferError as error:
+        print(f"Error: {error}")
+        return 2
+    mean = mean_errors(list(rows.values()))
+    if args.json:
+        print(json.dumps({"mean": mean, "views": {name: e.to_dict() for name, e in rows.items()}}, indent=1))
+    else:
+        print(_line(f"mean of {len(rows)} views", mean))
+    return 0
+
+
+def _line(name: str, e: dict[str, float]) -> str:
+    return (
+        f"{name:28s} median {100 * e['median_rel']:6.3f} %  within 1 %: {100 * e['within_1pct']:5.1f} %  "
+        f"surer 70 %: {100 * e['within_1pct_sure']:5.1f} %  abs {e['median_abs']:.4f}  sure {e['median_abs_sure']:.4f}  "
+        f"sure within 0.03: {100 * e['within_3cm_sure']:5.1f} %"
+    )
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,109 @@
+"""Losses: the paper's hybrid loss, smooth L1 alone (MVSNet), and cross-entropy over planes (``field``).
+
+All are computed in units of plane intervals, so that a scene's scale and depth range do not weigh.
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F  # noqa: N812
+from torch import Tensor
+
+from training.model.config import ModelConfig
+from training.model.fsmvsnet import DepthOutput, ScaleOutput
+
+SUBPLANE_LIMIT = 3.0  # planes; beyond it L1 is the business of the cross-entropy
+
+
+def at_stride(depth_hw: Tensor, stride: int) -> Tensor:
+    """Depth map of the full image at every ``stride``-th pixel (pixel i of the level is pixel ``stride * i``)."""
+    return depth_hw[::stride, ::stride]
+
+
+def target_index(truth_hw: Tensor, inverse_depth_dhw: Tensor) -> tuple[Tensor, Tensor]:
+    """Fractional plane index of the true depth and the mask of pixels whose truth lies between the planes."""
+    inverse = 1 / truth_hw.clamp_min(1e-6)
+    planes = inverse_depth_dhw.shape[0]
+    first, last = inverse_depth_dhw[0], inverse_depth_dhw[-1]
+    ratio = (inverse_depth_dhw[1] - first) / (last - first)
+    uniform_in_inverse = torch.isclose(ratio.mean(), torch.tensor(1 / (planes - 1), device=ratio.device), rtol=1e-2)
+    if uniform_in_inverse:
+        index = (inverse - first) / (last - first) * (planes - 1)
+    else:
+        index = (truth_hw - 1 / first) / (1 / last - 1 / first) * (planes - 1)
+    mask = (truth_hw > 0) & (index >= 0) & (index <= planes - 1)
+    return index, mask
+
+
+def cross_entropy_two_bins(scores_dhw: Tensor, index_hw: Tensor, mask: Tensor) -> Tensor:
+    """Cross-entropy against a label split linearly between the two planes that enclose the truth."""
+    planes = scores_dhw.shape[0]
+    log_probability = torch.log_softmax(scores_dhw, dim=0)
+    index = index_hw.clamp(0, planes - 1)
+    low = index.floor().clamp(max=planes - 2).long()
+    share = index - low
+    picked = log_probability.gather(0, torch.stack([low, low + 1]))
+    loss = -(picked[0] * (1 - share) + picked[1] * share)
+    return (loss * mask).sum() / mask.sum().clamp_min(1)
+
+
+def plane_loss(output: DepthOutput, truths: dict[int, Tensor]) -> tuple[Tensor, dict[str, float]]:
+    """Cross-entropy plus L1 below the plane, at the 192-plane volume and at the refinement."""
+    total = torch.zeros((), device=output.depth.device)
+    parts = {}
+    for scale in output.scales:
+        truth = truths[scale.stride]
+        index, mask = target_index(truth, scale.inverse_depth_dhw)
+        entropy = cross_entropy_two_bins(scale.scores_dhw, index, mask)
+        error = (scale.index_hw - index).abs()
+        near = mask & (error.detach() < SUBPLANE_LIMIT)
+        below = (error * near).sum() / near.sum().clamp_min(1)
+        total = total + entropy + below
+        parts[f"ce{scale.stride}"], parts[f"sub{scale.stride}"] = float(entropy.detach()), float(below.detach())
+    return total, parts
+
+
+def _smooth_l1(scale: ScaleOutput, truth: Tensor, weight: Tensor | None = None) -> Tensor:
+    index, mask = target_index(truth, scale.inverse_depth_dhw)
+    loss = F.smooth_l1_loss(scale.index_hw, index, reduction="none")
+    if weight is not None:
+        loss = loss * weight
+    return (loss * mask).sum() / mask.sum().clamp_min(1)
+
+
+def edge_attention(truth_hw: Tensor) -> Tensor:
+    """A_p of the paper from the magnitude of the depth gradient: 1 on surfaces, up to 2 at edges."""
+    padded = F.pad(truth_hw[None, None], (0, 1, 0, 1), mode="replicate")[0, 0]
+    gradient = (padded[:-1, 1:] - truth_hw).abs() + (padded[1:, :-1] - truth_hw).abs()
+    relative = gradient / truth_hw.clamp_min(1e-6)
+    return 1 + (relative / 0.05).clamp(0, 1)
+
+
+def hybrid_loss(output: DepthOutput, truths: dict[int, Tensor], config: ModelConfig) -> tuple[Tensor, dict[str, float]]:
+    """L = 1 L_smooth + 0.5 L_multiscale + 0.2 L_attention with w_s = 1 / 2^(s-1) (paper, section 2.5)."""
+    finest = output.scales[-1]
+    smooth = _smooth_l1(finest, truths[finest.stride])
+    if config.loss == "smooth":
+        return smooth, {"smooth": float(smooth.detach())}
+    multiscale = torch.zeros_like(smooth)
+    for rank, scale in enumerate(reversed(output.scales), start=1):
+        multiscale = multiscale + _smooth_l1(scale, truths[scale.stride]) / 2 ** (rank - 1)
+    attention = _smooth_l1(finest, truths[finest.stride], edge_attention(truths[finest.stride]))
+    total = (
+        config.lambda_smooth * smooth + config.lambda_multiscale * multiscale + config.lambda_attention * attention
+    )
+    parts = {"smooth": smooth, "multiscale": multiscale, "attention": attention}
+    return total, {name: float(value.detach()) for name, value in parts.items()}
+
+
+def compute_loss(output: DepthOutput, truth: Tensor, window: tuple[int, int, int, int] | None, config: ModelConfig) -> tuple[Tensor, dict[str, float]]:
+    """Loss of one view. ``truth`` is the full-size depth map; ``window`` (x, y, width, height) at a quarter of it."""
+    truths = {}
+    for scale in output.scales:
+        level = at_stride(truth, scale.stride)
+        height, width = scale.index_hw.shape
+        x, y = (0, 0) if window is None else (4 * window[0] // scale.stride, 4 * window[1] // scale.stride)
+        truths[scale.stride] = level[y : y + height, x : x + width]
+    if config.loss == "plane":
+        return plane_loss(output, truths)
+    return hybrid_loss(output, truths, config)

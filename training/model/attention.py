@@ -1,0 +1,24 @@
+"""Squeeze-and-excitation (Hu et al. 2018) over a cost volume, reduction r = 16 as in the paper."""
+
+from __future__ import annotations
+
+from torch import Tensor, nn
+
+
+class SqueezeExcitation(nn.Module):
+    """Mean over depth, height and width → FC (C/r) → ReLU → FC → sigmoid → scale the channels."""
+
+    def __init__(self, channels: int, reduction: int = 16) -> None:
+        super().__init__()
+        hidden = max(channels // reduction, 2)
+        self.fc = nn.Sequential(nn.Linear(channels, hidden), nn.ReLU(), nn.Linear(hidden, channels), nn.Sigmoid())
+
+    def forward(self, volume: Tensor) -> Tensor:
+        """(B, C, ...) volume, or (S, C, H, W) slabs of one volume when ``over_slabs`` is used by the caller."""
+        weights = self.fc(volume.flatten(2).mean(dim=2))
+        return volume * weights.reshape(*weights.shape, *([1] * (volume.dim() - 2)))
+
+    def over_slabs(self, slabs_schw: Tensor) -> Tensor:
+        """Scale slabs of ONE volume by weights from the mean over all of them: (S, C, H, W)."""
+        weights = self.fc(slabs_schw.mean(dim=(0, 2, 3))[None])
+        return slabs_schw * weights[..., None, None]

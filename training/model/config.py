@@ -1,0 +1,68 @@
+"""What can be chosen about the network; every ablation of the paper is one field away from a preset."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+DEPTH_PLANES = 192
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelConfig:
+    """The architecture and its loss.
+
+    Attributes
+    ----------
+    backbone: ``conv`` is the plain feature network of MVSNet, ``bfpn`` the bidirectional pyramid of FS-MVSNet.
+    se: squeeze-and-excitation (r = 16) inside the cost-volume regularization.
+    loss: ``smooth`` is smooth L1 on the depth alone (MVSNet), ``hybrid`` the paper's three terms,
+        ``plane`` cross-entropy on the planes with L1 below the plane.
+    volume: ``variance`` over the views (paper), or ``correlation`` in ``groups`` weighted by view.
+    regularizer: ``conv3d`` U-Net (paper), or ``packed`` 2D convolutions over slabs of ``packed_planes`` planes.
+    feature_channels: F, at quarter resolution.
+    width: channels of the regularizer's first level.
+    refine_planes: hypotheses of the half-resolution refinement volume; 0 = no refinement.
+    refine_span: half width of that volume, in intervals of the 192-plane volume.
+    inverse_depth: planes uniform in 1/depth instead of depth.
+    """
+
+    name: str
+    backbone: Literal["conv", "bfpn"] = "bfpn"
+    se: bool = True
+    loss: Literal["smooth", "hybrid", "plane"] = "hybrid"
+    volume: Literal["variance", "correlation"] = "variance"
+    regularizer: Literal["conv3d", "packed"] = "conv3d"
+    feature_channels: int = 32
+    base_channels: int = 8
+    groups: int = 4
+    packed_planes: int = 8
+    width: int = 8
+    refine_planes: int = 0
+    refine_span: float = 1.5
+    refine_channels: int = 8
+    inverse_depth: bool = False
+    lambda_smooth: float = 1.0
+    lambda_multiscale: float = 0.5  # the text of the paper; its Table 4 says 0.8
+    lambda_attention: float = 0.2
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields as plain values, for checkpoints and manifests."""
+        return asdict(self)
+
+
+PRESETS: dict[str, ModelConfig] = {
+    "mvsnet": ModelConfig(name="mvsnet", backbone="conv", se=False, loss="smooth"),
+    "paper": ModelConfig(name="paper"),
+    "field": ModelConfig(
+        name="field",
+        loss="plane",
+        volume="correlation",
+        regularizer="packed",
+        feature_channels=16,
+        base_channels=16,
+        width=32,
+        refine_planes=16,
+        inverse_depth=True,
+    ),
+}

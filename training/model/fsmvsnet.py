@@ -1,0 +1,247 @@
+"""FS-MVSNet: features, warping, 192-plane volume, regularization, depth; with every switch of the ablation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from training.model.backbone import BFPN, PlainBackbone, upsample_like
+from training.model.config import DEPTH_PLANES, ModelConfig
+from training.model.packed import PackedRegularizer, Refiner, pack
+from training.model.regression import peak_window, soft_argmin
+from training.model.regularizer3d import Regularizer3D
+from training.model.volume import correlation_volume, plane_inverse_depths, variance_volume
+from training.model.warping import relative_projection
+
+WINDOW_RADIUS = 3  # planes on each side of the best one in the local soft-argmin of the 192-plane volume
+REFINE_WINDOW_RADIUS = 3
+REFINE_GROUPS = 2
+CONFIDENCE_RADIUS = 1  # MVSNet sums four planes round the estimate; a symmetric window of three is its odd sister
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScaleOutput:
+    """Plane scores at one scale and what was read off them.
+
+    Attributes
+    ----------
+    stride: image pixels per output pixel.
+    scores_dhw: (D, h, w) logits of the planes.
+    index_hw: (h, w) sub-plane index into those planes.
+    inverse_depth_dhw: (D, 1, 1) or (D, h, w) 1/depth of the planes.
+    """
+
+    stride: int
+    scores_dhw: Tensor
+    index_hw: Tensor
+    inverse_depth_dhw: Tensor
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthOutput:
+    """Depth of the reference view (h, w), confidence in [0, 1], output stride, and the scales, finest last."""
+
+    depth: Tensor
+    confidence: Tensor
+    stride: int
+    scales: tuple[ScaleOutput, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Window:
+    """Part of the reference view, in quarter-resolution pixels; training works on crops of the volume."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+
+class FeatureNetwork(nn.Module):
+    """Normalization and backbone: (N, 3, H, W) RGB in 0 … 255 → quarter (and half) resolution features.
+
+    Each channel of each image is standardized by itself, so that exposure and white balance of single frames
+    cancel before the first layer; it is part of the exported graph.
+    """
+
+    def __init__(self, config: ModelConfig) -> None:
+        super().__init__()
+        if config.backbone == "bfpn":
+            refine = config.refine_channels if config.refine_planes else 0
+            self.backbone: nn.Module = BFPN(
+                base=config.base_channels, channels=config.feature_channels, refine_channels=refine
+            )
+        else:
+            self.backbone = PlainBackbone(base=config.base_channels, channels=config.feature_channels)
+
+    def forward(self, images_nchw: Tensor) -> tuple[Tensor, Tensor | None]:
+        """Return (N, F, H/4, W/4) and (N, R, H/2, W/2) or ``None``."""
+        mean = images_nchw.mean(dim=(2, 3), keepdim=True)
+        centred = images_nchw - mean
+        deviation = centred.square().mean(dim=(2, 3), keepdim=True).sqrt()
+        quarter, half = self.backbone(centred / (deviation + 1.0))
+        return quarter, half
+
+
+class PlaneHead(nn.Module):
+    """The regularizer with what is read off its scores, as exported: volume → (index (h, w), confidence (h, w))."""
+
+    def __init__(self, config: ModelConfig) -> None:
+        super().__init__()
+        self.config = config
+        if config.regularizer == "packed":
+            self.regularizer: nn.Module = PackedRegularizer(
+                groups=config.groups, packed_planes=config.packed_planes, width=config.width, se=config.se
+            )
+        else:
+            channels = config.feature_channels if config.volume == "variance" else config.groups
+            self.regularizer = Regularizer3D(channels, config.width, se=config.se)
+
+    def scores(self, volume: Tensor) -> list[Tensor]:
+        """(D, h, w) scores, finest first, then the coarser heads where the regularizer has them."""
+        if self.config.regularizer == "packed":
+            return [self.regularizer(volume)]
+        return [s[0] for s in self.regularizer(volume)]
+
+    def read(self, scores_dhw: Tensor) -> tuple[Tensor, Tensor]:
+        """Sub-plane index and confidence: soft-argmin over all planes (paper), or local to the peak (field)."""
+        probability = torch.softmax(scores_dhw, dim=0)
+        local_index, _ = peak_window(probability, WINDOW_RADIUS)
+        _, mass = peak_window(probability, CONFIDENCE_RADIUS)
+        if self.config.loss == "plane":
+            return local_index, mass
+        planes = torch.arange(probability.shape[0], device=probability.device, dtype=probability.dtype)
+        return soft_argmin(probability, planes), mass
+
+    def forward(self, volume: Tensor) -> tuple[Tensor, Tensor]:
+        """Packed slabs (S, k*G, h, w), or a (1, C, D, h, w) volume."""
+        return self.read(self.scores(volume)[0])
+
+
+class RefineHead(nn.Module):
+    """The refiner as exported: (D*G, h, w) volume and (R, h, w) features → (index (h, w), confidence (h, w))."""
+
+    def __init__(self, config: ModelConfig) -> None:
+        super().__init__()
+        self.refiner = Refiner(planes=config.refine_planes, groups=REFINE_GROUPS, features=config.refine_channels)
+
+    def scores(self, volume_chw: Tensor, features_chw: Tensor) -> Tensor:
+        """(D, h, w) scores of the narrow volume."""
+        return torch.as_tensor(self.refiner(volume_chw, features_chw))
+
+    @staticmethod
+    def read(scores_dhw: Tensor) -> tuple[Tensor, Tensor]:
+        """Sub-plane index and the mass near it."""
+        return peak_window(torch.softmax(scores_dhw, dim=0), REFINE_WINDOW_RADIUS)
+
+    def forward(self, volume_chw: Tensor, features_chw: Tensor) -> tuple[Tensor, Tensor]:
+        """Return index and confidence."""
+        return self.read(self.scores(volume_chw, features_chw))
+
+
+def upsample_index(index_hw: Tensor, height: int, width: int) -> Tensor:
+    """Quarter-resolution index to half resolution: bilinear, but a neighbour's value across a step.
+
+    Between two surfaces the bilinear value lies on neither; wherever it differs from the nearest value by more than
+    one plane the nearest one is kept, so that the narrow volume is centred on a real surface.
+    """
+    bilinear = upsample_like(index_hw[None, None], torch.empty(height, width, device=index_hw.device))[0, 0]
+    nearest = index_hw.repeat_interleave(2, dim=0).repeat_interleave(2, dim=1)[:height, :width]
+    return torch.where((bilinear - nearest).abs() > 1, nearest, bilinear)
+
+
+class FSMVSNet(nn.Module):
+    """The whole network for one reference view and its sources."""
+
+    def __init__(self, config: ModelConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.features = FeatureNetwork(config)
+        self.plane_head = PlaneHead(config)
+        self.refine_head = RefineHead(config) if config.refine_planes else None
+
+    def forward(
+        self,
+        images: Tensor,  # (N, 3, H, W) RGB 0..255, view 0 is the reference
+        intrinsics: Tensor,  # (N, 3, 3) pixels
+        cam_from_world: Tensor,  # (N, 4, 4)
+        depth_range: tuple[float, float],
+        window: Window | None = None,
+    ) -> DepthOutput:
+        """Depth of view 0 inside ``window`` (default: all of it)."""
+        config = self.config
+        quarter, half = self.features(images)
+        if window is None:
+            window = Window(x=0, y=0, width=quarter.shape[-1], height=quarter.shape[-2])
+        rows, columns = slice(window.y, window.y + window.height), slice(window.x, window.x + window.width)
+        near, far = (torch.tensor(d, device=images.device, dtype=torch.float32) for d in depth_range)
+        inverse = plane_inverse_depths(near, far, DEPTH_PLANES, inverse=config.inverse_depth)[:, None, None]
+        hypotheses = inverse.expand(-1, window.height, window.width)
+        a, b = relative_projection(intrinsics, cam_from_world, 4)
+        origin = (window.x, window.y)
+        reference, sources = quarter[0, :, rows, columns], list(quarter[1:])
+        weights: Tensor | None = None
+        if config.volume == "variance":
+            volume = variance_volume(reference, sources, a, b, hypotheses, origin)[None]
+        else:
+            correlations, weights = correlation_volume(reference, sources, a, b, hypotheses, origin, config.groups)
+            volume = correlations.transpose(0, 1)[None]
+            if config.regularizer == "packed":
+                volume = pack(correlations, config.packed_planes)
+        all_scores = self.plane_head.scores(volume)
+        index, confidence = self.plane_head.read(all_scores[0])
+        scales = []
+        for level in range(len(all_scores) - 1, 0, -1):
+            step = 2**level
+            coarse_index, _ = self.plane_head.read(all_scores[level])
+            scales.append(
+                ScaleOutput(
+                    stride=4 * step,
+                    scores_dhw=all_scores[level],
+                    index_hw=coarse_index,
+                    inverse_depth_dhw=inverse[::step],
+                )
+            )
+        scales.append(ScaleOutput(stride=4, scores_dhw=all_scores[0], index_hw=index, inverse_depth_dhw=inverse))
+        if self.refine_head is None or half is None or weights is None:
+            depth = self._depth(index, near, far)
+            return DepthOutput(depth=depth, confidence=confidence, stride=4, scales=tuple(scales))
+
+        height, width = min(2 * window.height, half.shape[-2] - 2 * window.y), min(
+            2 * window.width, half.shape[-1] - 2 * window.x
+        )
+        centre = upsample_index(index.detach(), height, width)
+        offsets = torch.linspace(-config.refine_span, config.refine_span, config.refine_planes, device=images.device)
+        interval = (1 / near - 1 / far) / (DEPTH_PLANES - 1)
+        narrow = 1 / far + (centre[None] + offsets[:, None, None]) * interval
+        narrow = narrow.clamp_min(1e-6)
+        a, b = relative_projection(intrinsics, cam_from_world, 2)
+        fine_rows = slice(2 * window.y, 2 * window.y + height)
+        fine_columns = slice(2 * window.x, 2 * window.x + width)
+        fine_reference = half[0, :, fine_rows, fine_columns]
+        fine_weights = upsample_like(weights.detach()[None], centre)[0]
+        fine_volume, _ = correlation_volume(
+            fine_reference, list(half[1:]), a, b, narrow, (2 * window.x, 2 * window.y), REFINE_GROUPS, fine_weights
+        )
+        scores = self.refine_head.scores(fine_volume.flatten(0, 1), fine_reference)
+        fine_index, fine_confidence = self.refine_head.read(scores)
+        scales.append(
+            ScaleOutput(stride=2, scores_dhw=scores, index_hw=fine_index, inverse_depth_dhw=narrow.detach())
+        )
+        step = 2 * config.refine_span / (config.refine_planes - 1)
+        final = centre + offsets[0] + fine_index * step
+        coarse_confidence = upsample_like(confidence[None, None], centre)[0, 0]
+        return DepthOutput(
+            depth=self._depth(final, near, far),
+            confidence=coarse_confidence * fine_confidence,
+            stride=2,
+            scales=tuple(scales),
+        )
+
+    def _depth(self, index_hw: Tensor, near: Tensor, far: Tensor) -> Tensor:
+        fraction = index_hw / (DEPTH_PLANES - 1)
+        if self.config.inverse_depth:
+            return 1 / (1 / far + fraction * (1 / near - 1 / far)).clamp_min(1e-6)
+        return near + fraction * (far - near)

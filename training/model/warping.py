@@ -1,0 +1,78 @@
+"""Differentiable homography warping of source features to the reference frame.
+
+For a plane at depth d, fronto-parallel in the reference frame, a reference pixel p projects into the source view as
+``K_s (R K_r^-1 p d + t)``; divided by d this is affine in 1/d: ``a(p) + b / d`` (MVSNet, eq. 1, written for a
+point instead of a plane).
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F  # noqa: N812
+from torch import Tensor
+
+
+def relative_projection(
+    intrinsics: Tensor, cam_from_world: Tensor, stride: int | float
+) -> tuple[Tensor, Tensor]:
+    """Return A (S, 3, 3) and b (S, 3) of every source view against view 0, at a feature stride.
+
+    ``intrinsics`` (N, 3, 3) in pixels of the full image, ``cam_from_world`` (N, 4, 4). A source pixel at the
+    feature level is ``A [u, v, 1]^T + b / d``, before the perspective division.
+    """
+    scale = torch.diag(torch.tensor([1 / stride, 1 / stride, 1.0], dtype=torch.float64))
+    k = scale @ intrinsics.double().cpu()
+    pose = cam_from_world.double().cpu()
+    relative = pose[1:] @ torch.linalg.inv(pose[0])
+    a = k[1:] @ relative[:, :3, :3] @ torch.linalg.inv(k[0])
+    b = (k[1:] @ relative[:, :3, 3:])[..., 0]
+    return a.float().to(intrinsics.device), b.float().to(intrinsics.device)
+
+
+def warp(features_chw: Tensor, a: Tensor, b: Tensor, inverse_depth_dhw: Tensor, origin_xy: tuple[int, int]) -> Tensor:
+    """Sample one source's features on the hypotheses of the reference pixels.
+
+    Parameters
+    ----------
+    features_chw: (C, Hs, Ws) source features.
+    a, b: (3, 3) and (3,) of this source, from :func:`relative_projection`.
+    inverse_depth_dhw: (D, h, w) or (D, 1, 1), 1/depth of each hypothesis.
+    origin_xy: feature pixel of the reference view at which the (h, w) window starts.
+
+    Returns
+    -------
+    (C, D, h, w); zero where the hypothesis falls outside the source view or behind it.
+    """
+    channels, height, width = features_chw.shape
+    planes, h, w = inverse_depth_dhw.shape
+    return sample(features_chw, *project(a, b, inverse_depth_dhw, origin_xy)).reshape(channels, planes, h, w)
+
+
+def project(a: Tensor, b: Tensor, inverse_depth_dhw: Tensor, origin_xy: tuple[int, int]) -> tuple[Tensor, Tensor]:
+    """Source pixel coordinates x, y (D, h, w) of every hypothesis; -1e4 where it lies behind the source view."""
+    _, h, w = inverse_depth_dhw.shape
+    device = inverse_depth_dhw.device
+    v, u = torch.meshgrid(
+        torch.arange(h, device=device, dtype=torch.float32) + origin_xy[1],
+        torch.arange(w, device=device, dtype=torch.float32) + origin_xy[0],
+        indexing="ij",
+    )
+    far = a[:, 0, None, None] * u + a[:, 1, None, None] * v + a[:, 2, None, None]
+    x, y, z = (far[i] + b[i] * inverse_depth_dhw for i in range(3))
+    behind = z < 1e-6
+    z = torch.where(behind, torch.ones_like(z), z)
+    outside = torch.full_like(z, -1e4)
+    return torch.where(behind, outside, x / z), torch.where(behind, outside, y / z)
+
+
+def sample(features_chw: Tensor, x_dhw: Tensor, y_dhw: Tensor) -> Tensor:
+    """Bilinear sampling (C, D, h*w) with zeros outside; integer coordinates are pixel centres."""
+    channels, height, width = features_chw.shape
+    planes, h, w = x_dhw.shape
+    grid = torch.stack([x_dhw * (2 / (width - 1)) - 1, y_dhw * (2 / (height - 1)) - 1], dim=-1)
+    # PyTorch shares out grid_sample over the batch only, so the planes are cut into as many samples as threads.
+    parts = next(n for n in (torch.get_num_threads(), 2, 1) if planes % n == 0)
+    grid = grid.reshape(parts, planes // parts, h * w, 2)
+    batch = features_chw[None].expand(parts, -1, -1, -1)
+    sampled = F.grid_sample(batch, grid, mode="bilinear", padding_mode="zeros", align_corners=True)
+    return sampled.transpose(0, 1).reshape(channels, planes, h * w)

@@ -1,0 +1,198 @@
+"""Ray casting with Embree: exact depth of pixel centres, and supersampled linear-light pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from numpy.typing import NDArray
+
+from fsinfer.scene import Camera
+from training.synthesize.light import SUN_RADIUS_RAD, Light
+from training.synthesize.material import Material, sample
+from training.synthesize.mesh import Mesh
+
+#: Transparent card texels a ray may pass before it is stopped by the next card as if that were solid.
+CARD_LAYERS = 6
+FAR_M = 1e4
+
+
+@dataclass(kw_only=True)
+class Hits:
+    """First hits of n rays: distance ``t`` along the unnormalised direction (inf = none), corner data."""
+
+    t: NDArray[np.float32]
+    face: NDArray[np.int32]
+    u: NDArray[np.float32]
+    v: NDArray[np.float32]
+    card: NDArray[np.bool_]
+
+
+class Caster:
+    """The scene's geometry in two Embree trees (opaque surfaces; alpha-tested cards) with its materials and light."""
+
+    def __init__(self, opaque: Mesh, cards: Mesh | None, materials: list[Material], light: Light) -> None:
+        """Build both trees."""
+        self.opaque, self.cards, self.materials, self.light = opaque, cards, materials, light
+        self._opaque_tree = EmbreeScene(robust=True)
+        self._keep = [TriangleMesh(self._opaque_tree, opaque.vertices, opaque.faces)]
+        self._card_tree = None
+        if cards is not None:
+            self._card_tree = EmbreeScene(robust=True)
+            self._keep.append(TriangleMesh(self._card_tree, cards.vertices, cards.faces))
+
+    def cast(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> Hits:
+        """First solid hit of each ray (n, 3)."""
+        found = self._opaque_tree.run(origins, directions, query="INTERSECT", output=True)
+        missed = found["primID"] < 0
+        t = np.where(missed, np.float32(np.inf), found["tfar"])
+        hits = Hits(t=t, face=found["primID"], u=found["u"], v=found["v"], card=np.zeros(len(t), bool))
+        if self._card_tree is None or self.cards is None:
+            return hits
+        active = np.arange(len(t))
+        start = np.zeros(len(t), np.float32)
+        for layer in range(CARD_LAYERS):
+            rays = directions[active]
+            found = self._card_tree.run(origins[active] + rays * start[:, None], rays, query="INTERSECT", output=True)
+            at = np.where(found["primID"] < 0, np.float32(np.inf), found["tfar"] + start)
+            near = at < hits.t[active]
+            active, at = active[near], at[near]
+            if len(active) == 0:
+                break
+            face, u, v = found["primID"][near], found["u"][near], found["v"][near]
+            solid = self._alpha(face, u, v) >= 0.5 if layer < CARD_LAYERS - 1 else np.ones(len(active), bool)
+            index = active[solid]
+            hits.t[index], hits.face[index], hits.u[index], hits.v[index] = at[solid], face[solid], u[solid], v[solid]
+            hits.card[index] = True
+            active = active[~solid]
+            start = at[~solid] * np.float32(1 + 1e-5) + np.float32(1e-4)
+        return hits
+
+    def _alpha(self, face: NDArray[np.int32], u: NDArray[np.float32], v: NDArray[np.float32]) -> NDArray[np.float32]:
+        if self.cards is None:
+            return np.ones(len(face), np.float32)
+        uv = interpolate(self.cards.uv[face], u, v)
+        # The finest level whatever the distance, so that all views see the same outline.
+        return sample(self.materials, self.cards.material[face], uv, np.zeros(len(face), np.float32))[:, 3]
+
+    def lit_by_sun(self, points: NDArray[np.float32], direction: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Whether the sun in ``direction`` (3,) is seen from ``points`` (n, 3)."""
+        rays = np.broadcast_to(direction, points.shape).astype(np.float32)
+        far = np.full(len(points), FAR_M, np.float32)
+        free = self._opaque_tree.run(points, rays, dists=far, query="OCCLUDED") != 0
+        if self._card_tree is None:
+            return free
+        active = np.flatnonzero(free)
+        start = points[active]
+        for _ in range(4):
+            if len(active) == 0:
+                break
+            found = self._card_tree.run(start, rays[active], query="INTERSECT", output=True)
+            hit = found["primID"] >= 0
+            active, start, t = active[hit], start[hit], found["tfar"][hit]
+            solid = self._alpha(found["primID"][hit], found["u"][hit], found["v"][hit]) >= 0.5
+            free[active[solid]] = False
+            start = (start + rays[active] * (t[:, None] + np.float32(1e-3)))[~solid]
+            active = active[~solid]
+        return free
+
+    def depth(self, camera: Camera, width: int, height: int) -> NDArray[np.float32]:
+        """Exact z depth (height, width) of the pixel centres, 0 where nothing is hit."""
+        origins, directions = pixel_rays(camera, width, height, (0.0, 0.0))
+        hits = self.cast(origins, directions)
+        return np.where(np.isfinite(hits.t), hits.t, 0).astype(np.float32).reshape(height, width)
+
+    def picture(self, camera: Camera, width: int, height: int, supersample: int = 2) -> NDArray[np.float32]:
+        """Linear RGB (height, width, 3): the mean of ``supersample``^2 rays set symmetrically in each pixel.
+
+        The mean is taken of gamma-encoded values, as in a phone's photograph that was made smaller; a mean of
+        light would move the edges between black and white by a third of a pixel towards the black.
+        """
+        offsets = (np.arange(supersample) + 0.5) / supersample - 0.5
+        total = np.zeros((height * width, 3), np.float32)
+        number = 0
+        for dy in offsets:
+            for dx in offsets:
+                origins, directions = pixel_rays(camera, width, height, (float(dx), float(dy)))
+                angle = 2 * np.pi * number / supersample**2 + 0.4
+                light = self._shade(origins, directions, float(camera.intrinsic[0, 0]) * supersample, angle)
+                total += np.sqrt(light)
+                number += 1
+        return ((total / number) ** 2).reshape(height, width, 3)
+
+    def _shade(
+        self, origins: NDArray[np.float32], directions: NDArray[np.float32], focal_px: float, sun_angle: float
+    ) -> NDArray[np.float32]:
+        hits = self.cast(origins, directions)
+        colour = np.empty_like(directions)
+        sky = ~np.isfinite(hits.t)
+        if sky.any():
+            colour[sky] = self.light.sky_colour(directions[sky])
+        for mesh, chosen in ((self.opaque, ~sky & ~hits.card), (self.cards, ~sky & hits.card)):
+            index = np.flatnonzero(chosen)
+            if mesh is None or len(index) == 0:
+                continue
+            t, face, u, v = hits.t[index], hits.face[index], hits.u[index], hits.v[index]
+            rays = directions[index]
+            points = origins[index] + rays * t[:, None]
+            corners = mesh.faces[face]
+            normals = interpolate(mesh.normals[corners], u, v)
+            is_card = mesh is self.cards
+            facing = (normals * rays).sum(1)
+            if is_card:
+                normals = np.where(facing[:, None] > 0, -normals, normals)
+            materials = mesh.material[face]
+            slant = np.clip(np.abs(facing) / np.linalg.norm(rays, axis=1), 0.15, 1.0)
+            texel = sample(self.materials, materials, interpolate(mesh.uv[face], u, v), t / focal_px / np.sqrt(slant))
+            albedo = texel[:, :3] * interpolate(mesh.tint[corners], u, v)
+            colour[index] = albedo * self._irradiance(points, normals, rays, is_card, sun_angle)
+        return colour
+
+    def _irradiance(
+        self,
+        points: NDArray[np.float32],
+        normals: NDArray[np.float32],
+        rays: NDArray[np.float32],
+        is_card: bool,
+        sun_angle: float,
+    ) -> NDArray[np.float32]:
+        light = self.light
+        upward = (0.5 + 0.5 * normals[:, 2:]).astype(np.float32)
+        total = light.sky * upward + light.bounce * (1 - upward)
+        if light.sun.any():
+            side = np.cross(light.sun_direction, [0.0, 0.0, 1.0])
+            side /= np.linalg.norm(side)
+            rise = np.cross(side, light.sun_direction)
+            shift = SUN_RADIUS_RAD * (np.cos(sun_angle) * side + np.sin(sun_angle) * rise)
+            direction = (light.sun_direction + shift).astype(np.float32)
+            incidence = normals @ light.sun_direction
+            incidence = 0.35 + 0.45 * np.abs(incidence) if is_card else np.maximum(incidence, 0)
+            index = np.flatnonzero(incidence > 0)
+            lift = normals[index] * np.float32(0.003) if not is_card else np.float32(0.003) * direction
+            lit = self.lit_by_sun((points[index] + lift).astype(np.float32), direction)
+            index = index[lit]
+            total[index] += incidence[index, None] * light.sun
+        return total
+
+
+def interpolate(corners: NDArray[np.float32], u: NDArray[np.float32], v: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Barycentric mean of (n, 3, k) corner values; Embree's u and v weigh the second and third corner."""
+    return corners[:, 0] + u[:, None] * (corners[:, 1] - corners[:, 0]) + v[:, None] * (corners[:, 2] - corners[:, 0])
+
+
+def pixel_rays(
+    camera: Camera, width: int, height: int, offset: tuple[float, float]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Rays through (u + dx, v + dy) of every pixel, row by row; directions have z = 1 in the camera frame.
+
+    So the distance along a ray is the z depth. Pixel centres lie at integers: ray = K^-1 (u, v, 1).
+    """
+    columns = camera.cam_from_world[:3, :3].T @ np.linalg.inv(camera.intrinsic)
+    across = (np.arange(width) + offset[0])[:, None] * columns[:, 0]
+    along = (np.arange(height) + offset[1])[:, None] * columns[:, 1] + columns[:, 2]
+    directions = (across[None] + along[:, None]).astype(np.float32).reshape(-1, 3)
+    origins = np.empty_like(directions)
+    origins[:] = camera.center
+    return origins, directions

@@ -1,0 +1,283 @@
+"""Train a preset of FS-MVSNet on any mix of scene folders; stops by time or steps and resumes.
+
+python -m training.train --data SCENES --out RUN --preset field --minutes 60
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+from torch.utils.data import DataLoader
+
+from fsinfer.errors import FsinferError
+from fsinfer.scene import read_scene
+from training.datasets import Sample, SamplingSettings, SceneSamples, find_scenes, load_sample
+from training.losses import at_stride, compute_loss
+from training.metrics import depth_errors, mean_errors
+from training.model import PRESETS, FSMVSNet, ModelConfig
+from training.model.fsmvsnet import Window
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainSettings:
+    """One training run. The paper: Adam, lr 1e-3, weight decay 1e-5."""
+
+    data: tuple[Path, ...]
+    out: Path
+    preset: str = "field"
+    validation: tuple[Path, ...] = ()
+    minutes: float = 60.0
+    steps: int = 10**9
+    learning_rate: float = 1e-3
+    weight_decay: float = 1e-5
+    crop: tuple[int, int] = (64, 48)  # width, height of the window at quarter resolution
+    accumulate: int = 1
+    min_sources: int = 2
+    max_sources: int = 4
+    ema_decay: float = 0.998
+    freeze_norm_from: float = 0.75  # share of the run after which batch-norm statistics stay fixed
+    checkpoint_every: int = 200
+    validate_every: int = 500
+    seed: int = 1
+    threads: int = 0
+    device: str = "auto"
+    init: Path | None = None
+
+
+def freeze_batch_norm(model: nn.Module) -> None:
+    """Use the running statistics: the crops of one sample are too few for what a whole image will show."""
+    for module in model.modules():
+        if isinstance(module, nn.BatchNorm2d | nn.BatchNorm3d):
+            module.eval()
+
+
+def pick_window(sample: Sample, crop: tuple[int, int], rng: np.random.Generator) -> Window:
+    """Choose a random window with truth in at least a third of it (the best of a few draws otherwise)."""
+    height, width = (math.ceil(s / 4) for s in sample.depth.shape)
+    w, h = min(crop[0], width), min(crop[1], height)
+    known = at_stride(sample.depth, 4) > 0
+    best, best_share = Window(x=0, y=0, width=w, height=h), -1.0
+    for _ in range(6):
+        # even offsets, as the half-resolution window starts at exactly twice the offset
+        x, y = (int(rng.integers(0, (limit - size) // 2 + 1)) * 2 for limit, size in ((width, w), (height, h)))
+        share = float(known[y : y + h, x : x + w].float().mean())
+        if share > best_share:
+            best, best_share = Window(x=x, y=y, width=w, height=h), share
+        if share > 1 / 3:
+            break
+    return best
+
+
+class Trainer:
+    """State of a run: model, moving average, optimizer, step and time spent."""
+
+    def __init__(self, settings: TrainSettings) -> None:
+        self.settings = settings
+        self.device = torch.device(
+            ("cuda" if torch.cuda.is_available() else "cpu") if settings.device == "auto" else settings.device
+        )
+        if settings.threads:
+            torch.set_num_threads(settings.threads)
+        torch.manual_seed(settings.seed)
+        self.config: ModelConfig = PRESETS[settings.preset]
+        self.model = FSMVSNet(self.config).to(self.device)
+        self.average = AveragedModel(
+            self.model, multi_avg_fn=get_ema_multi_avg_fn(settings.ema_decay), use_buffers=True
+        )
+        self.optimizer = torch.optim.AdamW(
+            self.model.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay
+        )
+        self.step = 0
+        self.spent_s = 0.0
+        settings.out.mkdir(parents=True, exist_ok=True)
+        self.checkpoint = settings.out / "checkpoint.pt"
+        if self.checkpoint.is_file():
+            self._load(torch.load(self.checkpoint, map_location=self.device, weights_only=True))
+        elif settings.init is not None:
+            state = torch.load(settings.init, map_location=self.device, weights_only=True)
+            self.model.load_state_dict(state["average"])
+            self.average.module.load_state_dict(state["average"])
+
+    def _load(self, state: dict[str, Any]) -> None:
+        self.model.load_state_dict(state["model"])
+        self.average.module.load_state_dict(state["average"])
+        self.average.n_averaged.fill_(state["averaged"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.step, self.spent_s = state["step"], state["spent_s"]
+
+    def save(self) -> None:
+        """Write the checkpoint, atomically."""
+        temporary = self.checkpoint.with_suffix(".part")
+        torch.save(
+            {
+                "config": self.config.to_dict(),
+                "model": self.model.state_dict(),
+                "average": self.average.module.state_dict(),
+                "averaged": int(self.average.n_averaged),
+                "optimizer": self.optimizer.state_dict(),
+                "step": self.step,
+                "spent_s": self.spent_s,
+                "training": {
+                    "data": [path.name for path in self.settings.data],
+                    "seed": self.settings.seed,
+                    "learning_rate": self.settings.learning_rate,
+                },
+            },
+            temporary,
+        )
+        temporary.replace(self.checkpoint)
+
+    def fraction(self) -> float:
+        """Share of the run that is done, by time or by steps, whichever is further."""
+        return min(1.0, max(self.spent_s / (60 * self.settings.minutes), self.step / self.settings.steps))
+
+    def train_step(self, samples: list[Sample], rng: np.random.Generator) -> dict[str, float]:
+        """One optimizer step over ``samples``; returns the parts of the loss."""
+        fraction = self.fraction()
+        warm = min(1.0, (self.step + 1) / 100)
+        rate = self.settings.learning_rate * warm * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * fraction)))
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
+        self.model.train()
+        if fraction > self.settings.freeze_norm_from:
+            freeze_batch_norm(self.model)
+        self.optimizer.zero_grad(set_to_none=True)
+        logged: dict[str, float] = {}
+        for sample in samples:
+            window = pick_window(sample, self.settings.crop, rng)
+            with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=self.device.type == "cuda"):
+                output = self.model(
+                    sample.images.to(self.device), sample.intrinsics, sample.cam_from_world, sample.depth_range, window
+                )
+            truth = sample.depth.to(self.device)
+            loss, parts = compute_loss(output, truth, (window.x, window.y, window.width, window.height), self.config)
+            if not torch.isfinite(loss):
+                continue
+            (loss / len(samples)).backward()
+            for name, value in parts.items():
+                logged[name] = logged.get(name, 0.0) + value / len(samples)
+        norm = nn.utils.clip_grad_norm_(self.model.parameters(), 5.0)
+        if torch.isfinite(norm):
+            self.optimizer.step()
+            self.average.update_parameters(self.model)
+        self.step += 1
+        return {**logged, "grad": float(norm), "lr": rate}
+
+    @torch.no_grad()
+    def validate(self, limit: int = 6) -> dict[str, float]:
+        """Errors of the moving average on whole validation views."""
+        self.average.eval()
+        rows = []
+        folders = find_scenes(self.settings.validation)
+        for folder in folders[:: max(1, len(folders) // limit)][:limit]:
+            scene = read_scene(folder)
+            sample = load_sample(scene, 0, scene.views[0].sources[:4])
+            output = self.average(
+                sample.images.to(self.device), sample.intrinsics, sample.cam_from_world, sample.depth_range
+            )
+            truth = at_stride(sample.depth, output.stride).numpy()
+            errors = depth_errors(output.depth.cpu().numpy(), output.confidence.cpu().numpy(), truth)
+            if errors is not None:
+                rows.append(errors)
+        return mean_errors(rows)
+
+
+def train(settings: TrainSettings) -> Path:
+    """Run until the time or the steps are used up; returns the checkpoint."""
+    trainer = Trainer(settings)
+    sampling = SamplingSettings(min_sources=settings.min_sources, max_sources=settings.max_sources)
+    data = SceneSamples(settings.data, seed=settings.seed + 1000 * trainer.step, settings=sampling)
+    loader = iter(DataLoader(data, batch_size=None, num_workers=1, prefetch_factor=8))
+    rng = np.random.default_rng([settings.seed, trainer.step])
+    board = _tensorboard(settings.out)
+    running: dict[str, float] = {}
+    with (settings.out / "log.jsonl").open("a", encoding="utf-8") as log:
+        while trainer.fraction() < 1:
+            start = time.monotonic()
+            parts = trainer.train_step([next(loader) for _ in range(settings.accumulate)], rng)
+            trainer.spent_s += time.monotonic() - start
+            for name, value in parts.items():
+                running[name] = 0.98 * running.get(name, value) + 0.02 * value
+            if trainer.step % 50 == 0:
+                row: dict[str, float] = {"step": trainer.step, "spent_s": round(trainer.spent_s, 1), **running}
+                _log(row, log, board, trainer.step)
+            if settings.validation and trainer.step % settings.validate_every == 0:
+                _log({"step": trainer.step, **{f"val_{k}": v for k, v in trainer.validate().items()}}, log, board,
+                     trainer.step)
+            if trainer.step % settings.checkpoint_every == 0:
+                trainer.save()
+    trainer.save()
+    return trainer.checkpoint
+
+
+def _tensorboard(folder: Path) -> Any:
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:
+        return None
+    return SummaryWriter(str(folder / "tensorboard"))  # type: ignore[no-untyped-call]
+
+
+def _log(row: dict[str, float], log: Any, board: Any, step: int) -> None:
+    line = json.dumps({k: round(v, 5) if isinstance(v, float) else v for k, v in row.items()})
+    log.write(line + "\n")
+    log.flush()
+    print(line, flush=True)
+    if board is not None:
+        for name, value in row.items():
+            board.add_scalar(name, value, step)
+
+
+def parse_arguments(arguments: list[str] | None = None) -> TrainSettings:
+    """Read the command line."""
+    default = TrainSettings(data=(), out=Path("run"))
+    parser = argparse.ArgumentParser(prog="python -m training.train", description=__doc__)
+    parser.add_argument("--data", type=Path, nargs="+", required=True, help="folders with training scenes")
+    parser.add_argument("--validation", type=Path, nargs="*", default=[], help="folders with validation scenes")
+    parser.add_argument("--out", type=Path, required=True, help="folder of the run; resumes from its checkpoint")
+    parser.add_argument("--preset", choices=sorted(PRESETS), default=default.preset)
+    parser.add_argument("--minutes", type=float, default=default.minutes, help="training time in all, resumes counted")
+    parser.add_argument("--steps", type=int, default=default.steps)
+    parser.add_argument("--learning-rate", type=float, default=default.learning_rate)
+    parser.add_argument("--weight-decay", type=float, default=default.weight_decay)
+    parser.add_argument("--crop", type=int, nargs=2, default=list(default.crop), metavar=("W", "H"))
+    parser.add_argument("--accumulate", type=int, default=default.accumulate, help="samples per optimizer step")
+    parser.add_argument("--min-sources", type=int, default=default.min_sources)
+    parser.add_argument("--max-sources", type=int, default=default.max_sources)
+    parser.add_argument("--checkpoint-every", type=int, default=default.checkpoint_every, metavar="STEPS")
+    parser.add_argument("--validate-every", type=int, default=default.validate_every, metavar="STEPS")
+    parser.add_argument("--freeze-norm-from", type=float, default=default.freeze_norm_from)
+    parser.add_argument("--seed", type=int, default=default.seed)
+    parser.add_argument("--threads", type=int, default=default.threads)
+    parser.add_argument("--device", default=default.device, help="auto, cpu or cuda")
+    parser.add_argument("--init", type=Path, help="start from the weights of this checkpoint")
+    values = vars(parser.parse_args(arguments))
+    for name in ("data", "validation", "crop"):
+        values[name] = tuple(values[name])
+    return TrainSettings(**values)
+
+
+def main() -> int:
+    """Command line; a user's error is one message and exit code 2."""
+    settings = parse_arguments()
+    try:
+        checkpoint = train(settings)
+    except FsinferError as error:
+        print(f"Error: {error}")
+        return 2
+    print(f"checkpoint: {checkpoint}")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
