@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from fsinfer import __version__
-from fsinfer.cli_console import Debug, Quiet, explain, reports_errors, say, show_library_warnings, stage_progress
+from fsinfer.cli_console import Debug, Quiet, explain, reports_errors, say, show_library_warnings, stage_progress, warn
 from fsinfer.cli_options import (
     ArucoDictionary,
     ArucoLength,
@@ -17,6 +17,9 @@ from fsinfer.cli_options import (
     BreastHeightRule,
     Endpoints,
     EndpointsLength,
+    Equalize,
+    EqualizeHow,
+    IntervalS,
     MaxSize,
     Model,
     Out,
@@ -24,6 +27,7 @@ from fsinfer.cli_options import (
     Threads,
     Views,
     depth_settings,
+    frame_settings,
     scale_request,
     tree_settings,
 )
@@ -65,8 +69,7 @@ def demo(out: Out, threads: Threads = 0, quiet: Quiet = False, debug: Debug = Fa
         result = run_demo(out, threads=threads, progress=progress)
     for row in demo_rows(result):
         typer.echo(row)
-    for warning in result.run.plot["warnings"]:
-        say(f"Warning: {warning}")
+    warn(result.run.plot["warnings"])
     typer.echo(f"Report: {out / 'report.html'}")
 
 
@@ -80,6 +83,8 @@ def run(
     aruco_dictionary: ArucoDictionary = "4X4_50",
     endpoints: Endpoints = None,
     length_m: EndpointsLength = None,
+    interval_s: IntervalS = 2.0,
+    equalize: EqualizeHow = Equalize.none,
     model: Model = "field",
     views: Views = 5,
     max_size: MaxSize = 1280,
@@ -98,6 +103,7 @@ def run(
     from fsinfer.pipeline import run as run_pipeline
 
     settings = RunSettings(
+        frames=frame_settings(interval_s=interval_s, equalize=equalize),
         depth=depth_settings(model=model, views=views, max_size=max_size, threads=threads),
         trees=tree_settings(bh_m=bh, bh_rule=bh_rule),
         scale=request,
@@ -105,8 +111,7 @@ def run(
     with stage_progress(quiet=quiet) as progress:
         result = run_pipeline(source, out, settings=settings, progress=progress)
     plot = result.plot
-    for warning in plot["warnings"]:
-        say(f"Warning: {warning}")
+    warn(plot["warnings"])
     if not any(record.ran for record in result.stages):
         typer.echo("Nothing to do: everything was finished before.")
     typer.echo(f"Photos: {plot['registered']} of {plot['photos']} placed")

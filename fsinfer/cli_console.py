@@ -8,7 +8,7 @@ import logging
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Annotated, ParamSpec
 
@@ -73,13 +73,25 @@ def say(message: str) -> None:
     typer.echo(message, err=True)
 
 
+_warned: set[str] = set()
+
+
+def warn(messages: Iterable[str]) -> None:
+    """Show warnings, each once: some are logged while a stage runs and are part of its result as well."""
+    for message in messages:
+        if message not in _warned:
+            _warned.add(message)
+            say(f"Warning: {message}")
+
+
 class _WarningLines(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
-        say(f"Warning: {record.getMessage()}")
+        warn([record.getMessage()])
 
 
 def show_library_warnings() -> None:
     """Show the warnings that the library logs as lines for people."""
+    _warned.clear()
     logger = logging.getLogger("fsinfer")
     if not any(isinstance(handler, _WarningLines) for handler in logger.handlers):
         logger.addHandler(_WarningLines(level=logging.WARNING))

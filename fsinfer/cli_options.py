@@ -12,6 +12,7 @@ from fsinfer.scale_request import ScaleRequest, parse_point
 
 if TYPE_CHECKING:
     from fsinfer.depth import DepthSettings
+    from fsinfer.frames import FrameSettings
     from fsinfer.trees import TreeSettings
 
 _SCALE = "Scale (one of)"
@@ -46,6 +47,22 @@ Endpoints = Annotated[
 EndpointsLength = Annotated[
     float | None,
     typer.Option("--length-m", help="Distance between the two --endpoints, in metres.", rich_help_panel=_SCALE),
+]
+
+
+class Equalize(StrEnum):
+    """How the brightness of the frames is evened out."""
+
+    none = "none"
+    clahe = "clahe"
+    hist = "hist"
+
+
+IntervalS = Annotated[
+    float, typer.Option("--interval-s", min=0.05, help="Seconds of video from one frame to the next.")
+]
+EqualizeHow = Annotated[
+    Equalize, typer.Option("--equalize", help="Even out brightness: not at all, locally (clahe), or the histogram.")
 ]
 
 Model = Annotated[str, typer.Option("--model", help="Depth model: a name that comes with fsinfer, or a manifest file.")]
@@ -89,6 +106,13 @@ def scale_request(
         endpoints=points,
         length_m=length_m,
     )
+
+
+def frame_settings(*, interval_s: float, equalize: Equalize) -> FrameSettings:
+    """Settings of the choice of frames."""
+    from fsinfer.frames import FrameSettings
+
+    return FrameSettings(interval_s=interval_s, equalize=equalize.value)
 
 
 def depth_settings(*, model: str, views: int, max_size: int, threads: int) -> DepthSettings:

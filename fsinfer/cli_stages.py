@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from fsinfer.cli_console import Debug, Quiet, reports_errors, say, stage_progress
+from fsinfer.cli_console import Debug, Quiet, reports_errors, stage_progress, warn
 from fsinfer.cli_options import (
     ArucoDictionary,
     ArucoLength,
@@ -18,6 +18,9 @@ from fsinfer.cli_options import (
     BreastHeightRule,
     Endpoints,
     EndpointsLength,
+    Equalize,
+    EqualizeHow,
+    IntervalS,
     MaxSize,
     Model,
     Out,
@@ -25,6 +28,7 @@ from fsinfer.cli_options import (
     Threads,
     Views,
     depth_settings,
+    frame_settings,
     scale_request,
     tree_settings,
 )
@@ -53,14 +57,18 @@ def register_stages(app: typer.Typer) -> None:
 def frames(
     source: Annotated[Path, typer.Argument(help="Folder of photos, or a video.", show_default=False)],
     out: Out,
+    interval_s: IntervalS = 2.0,
+    equalize: EqualizeHow = Equalize.none,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
     """Choose sharp, well exposed photos or video frames and even out their brightness."""
+    settings = frame_settings(interval_s=interval_s, equalize=equalize)
     from fsinfer.frames import select_frames
 
     with stage_progress(quiet=quiet) as progress:
-        result = select_frames(source, out, progress=progress("frames"))
+        result = select_frames(source, out, settings=settings, progress=progress("frames"))
+    warn(result.warnings)
     typer.echo(f"{len(result.images)} of {len(result.rows)} frames chosen; reasons in {out / 'frames.csv'}")
 
 
@@ -76,8 +84,7 @@ def poses(
 
     with stage_progress(quiet=quiet) as progress:
         result = estimate_poses(images, out, progress=progress("poses"))
-    for warning in result.warnings:
-        say(f"Warning: {warning}")
+    warn(result.warnings)
     typer.echo(f"{result.registered} of {result.photos} photos placed; scene in {result.scene}")
 
 
@@ -150,8 +157,7 @@ def trees(
         result = measure_cloud_file(
             cloud, out, request=request, settings=tree_settings(bh_m=bh, bh_rule=bh_rule), progress=progress("trees")
         )
-    for warning in result["warnings"]:
-        say(f"Warning: {warning}")
+    warn(result["warnings"])
     typer.echo(f"{result['trees']} trees, {result['trees_with_dbh']} with DBH, in {out / 'trees.csv'}")
 
 

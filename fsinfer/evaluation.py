@@ -10,7 +10,7 @@ Accuracy without completeness misleads, so both are always given. With ``n_measu
   rRMSE = RMSE / mean measured DBH of the matched, AE = 1 - rRMSE (FS-MVSNet, Forests 2025, 16, 927).
 
 Where the two lists have different local frames, a rigid motion of the plane (rotation and shift, never a scale) is
-found from pairs of trees at equal distances, and used only when it explains clearly more trees than the frames as given.
+found from pairs of trees at equal distances, and used only when it explains clearly more trees.
 """
 
 from __future__ import annotations
@@ -311,11 +311,11 @@ def _assign(truth: Floats, found: Floats, limit: float) -> list[tuple[int, int]]
 
 def _apply(motion: Floats, xy: Floats) -> Floats:
     cosine, sine = np.cos(motion[0]), np.sin(motion[0])
-    return xy @ np.array([[cosine, sine], [-sine, cosine]]) + motion[1:]
+    return np.asarray(xy @ np.array([[cosine, sine], [-sine, cosine]]) + motion[1:])
 
 
 def _register(truth: Floats, found: Floats, truth_cm: Floats, found_cm: Floats, limit: float) -> Floats | None:
-    """Rigid motion (angle, x, y) that puts ``found`` onto ``truth``: pairs at equal distances vote, the best refines."""
+    """Rigid motion (angle, x, y) that puts ``found`` onto ``truth``: from pairs at equal distances, refined."""
     if len(truth) < 2 or len(found) < 2:
         return None
     tolerance = min(0.3, limit)

@@ -8,7 +8,7 @@ merge the points of all views in voxels (:mod:`fsinfer.voxels`).
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import cv2
@@ -19,14 +19,12 @@ from fsinfer.cloud import PointCloud
 from fsinfer.consistency import LEVELS, Tolerances, check_pair
 from fsinfer.depth_maps import DepthMap, DepthMaps
 from fsinfer.errors import CloudError
+from fsinfer.pixel_surfaces import MAX_SLOPE, pixel_normals, smooth_pixels
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene
 from fsinfer.voxels import MAX_EXTENT_VOXELS, Samples, VoxelMerger, neighbours_within, select
 
 _log = logging.getLogger(__name__)
-
-# Neighbours for normals: a square ring at distance 1 and one at distance 2 around the pixel.
-_RING = tuple((du, dv) for r in (1, 2) for du in (-r, 0, r) for dv in (-r, 0, r) if (du, dv) != (0, 0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,6 +37,10 @@ class FusionSettings:
         70 % of pixels held 94-99 % within 1 % in DESIGN section 4), but not more than ``confidence_cap``.
     confidence_cap: see above; a scene in which everything is sure loses nothing.
     source_confidence_part: other views may witness with so much of that confidence.
+    tolerances: of the comparison of two views.
+    noise_part: the step of the depth tolerance is at least so much of the median difference between neighbouring maps,
+        up to ``noise_step_max``; 0 = off. On rendered maps with 0.5 % noise a step of 0.002 kept twice the surface of
+        0.001 with the same error: a tolerance below the noise only makes holes.
     max_sources: views asked for each view, those of pair.txt first, then those that list it.
     extra_views: level i needs i + extra_views agreeing views (D2HC-RMVSNet starts at two views); fewer only where the
         view has fewer neighbours.
@@ -47,8 +49,7 @@ class FusionSettings:
         less.
     min_smooth_neighbours: of the 8 neighbours, so many must lie on the same surface; 3 of 8 are missing at a straight
         silhouette, so 5 keeps edges and drops the mixed pixels between foreground and background.
-    max_slope: depth change from pixel to pixel, in pixel footprints (z / f), still taken for one surface: the tangent
-        of the angle between ray and normal, 80 degrees.
+    max_slope: steepest surface, see :data:`fsinfer.pixel_surfaces.MAX_SLOPE`.
     min_seen_through: points that so many views look through, and more than agree with them, are removed.
     voxel: side in scene units; None takes the 25th percentile of the pixel footprints.
     max_points: the voxel grows until no more points are left.
@@ -60,11 +61,13 @@ class FusionSettings:
     confidence_cap: float = 0.5
     source_confidence_part: float = 0.5
     tolerances: Tolerances = field(default_factory=Tolerances)
+    noise_part: float = 0.7
+    noise_step_max: float = 3e-3
     max_sources: int = 12
     extra_views: int = 1
-    average_level: int = 4
+    average_level: int = 6
     min_smooth_neighbours: int = 5
-    max_slope: float = 5.7
+    max_slope: float = MAX_SLOPE
     min_seen_through: int = 2
     voxel: float | None = None
     max_points: int = 4_000_000
@@ -97,6 +100,7 @@ def fuse(
     maps = DepthMaps(scene, depth_folder, cache_maps=settings.cache_maps)
     min_confidence, voxel = _adapt(maps, settings)
     neighbours = find_neighbours(scene, maps.available, settings.max_sources)
+    settings = replace(settings, tolerances=adapt_tolerances(maps, neighbours, min_confidence, settings))
     middle = np.mean([scene.views[i].camera.center for i in maps.available], axis=0)
     merger = VoxelMerger(voxel, max_points=settings.max_points)
     for done, index in enumerate(maps.available):
@@ -150,7 +154,12 @@ def fuse_view(
     """Return the points of one view that its neighbours confirm, one for each pixel, in world coordinates."""
     reference = maps.get(index)
     keep = (reference.inverse_depth > 0) & (reference.confidence >= min_confidence)
-    keep &= smooth_pixels(reference, settings)
+    keep &= smooth_pixels(
+        reference,
+        min_neighbours=settings.min_smooth_neighbours,
+        max_slope=settings.max_slope,
+        noise=settings.tolerances.relative_depth_step,
+    )
     rows, columns = np.nonzero(keep)
     if not neighbours:
         rows, columns = rows[:0], columns[:0]
@@ -206,69 +215,6 @@ def passing_level(levels: NDArray[np.uint8], *, extra_views: int) -> NDArray[np.
     return passed
 
 
-def smooth_pixels(reference: DepthMap, settings: FusionSettings) -> NDArray[np.bool_]:
-    """(h, w) bool: enough of the 8 neighbours lie on the same surface as the pixel (others are flying pixels).
-
-    A neighbour does when its depth differs by no more than a surface at 80 degrees to the ray would, plus the depth
-    tolerance of one level for noise.
-    """
-    inverse = reference.inverse_depth
-    height, width = inverse.shape
-    padded = np.pad(inverse, 1)
-    slope = settings.max_slope / reference.intrinsic[0, 0]
-    count = np.zeros((height, width), dtype=np.uint8)
-    for du in (-1, 0, 1):
-        for dv in (-1, 0, 1):
-            if du == 0 and dv == 0:
-                continue
-            other = padded[1 + dv : 1 + dv + height, 1 + du : 1 + du + width]
-            # |z' - z| <= limit * z with q = 1/z becomes |q - q'| <= limit * q': no division, and q' = 0 never passes.
-            limit = np.float32(slope * np.hypot(du, dv) + settings.tolerances.relative_depth_step)
-            count += (np.abs(inverse - other) <= limit * np.minimum(other, inverse)) & (other > 0)
-    # Outside the image there is nothing to compare with: the border needs as large a part of what it has.
-    present = (
-        cv2.filter2D(np.ones((height, width), np.uint8), -1, np.ones((3, 3)), borderType=cv2.BORDER_CONSTANT).astype(
-            np.int16
-        )
-        - 1
-    )
-    return np.asarray(8 * count.astype(np.int16) >= settings.min_smooth_neighbours * present)
-
-
-def pixel_normals(
-    reference: DepthMap, rows: NDArray[np.intp], columns: NDArray[np.intp], settings: FusionSettings
-) -> NDArray[np.float32]:
-    """(N, 3) unit normals in camera coordinates, towards the camera, from the depths around N pixels.
-
-    On a plane n.X = h, 1/z = (n/h)^T K^-1 (u, v, 1) is affine in the pixel; with its coefficients (a, b, c) from a
-    least-squares fit to the neighbours on the same surface, n is parallel to K^T (a, b, c).
-    """
-    inverse = reference.inverse_depth
-    height, width = inverse.shape
-    here = inverse[rows, columns].astype(np.float64)
-    slope = settings.max_slope / reference.intrinsic[0, 0]
-    sums = np.zeros((5, len(rows)))
-    for du, dv in _RING:
-        other_row, other_column = np.clip(rows + dv, 0, height - 1), np.clip(columns + du, 0, width - 1)
-        there = inverse[other_row, other_column]
-        limit = slope * np.hypot(du, dv) + settings.tolerances.relative_depth_step
-        same = (there > 0) & (np.abs(there - here) <= limit * np.minimum(there, here))
-        difference = (there - here) * same
-        x, y = (other_column - columns) * same, (other_row - rows) * same
-        sums += (x * x, x * y, y * y, x * difference, y * difference)
-    xx, xy, yy, xq, yq = sums
-    determinant = xx * yy - xy * xy
-    solvable = determinant > 1e-9
-    determinant = np.where(solvable, determinant, 1)
-    a = np.where(solvable, (yy * xq - xy * yq) / determinant, 0)
-    b = np.where(solvable, (xx * yq - xy * xq) / determinant, 0)
-    c = here - a * columns - b * rows
-    # n points along +z (away) with h > 0, so the normal towards the camera is its opposite.
-    normals = -np.stack([a, b, c], axis=1) @ reference.intrinsic
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.asarray(normals / np.maximum(lengths, 1e-30), dtype=np.float32)
-
-
 def _samples(
     scene: Scene,
     reference: DepthMap,
@@ -287,9 +233,12 @@ def _samples(
         # x_world = R^T (x_cam - t); as rows this is (x_cam - t) R.
         xyz=(in_camera - reference.cam_from_world[:3, 3]) @ rotation,
         rgb=_colours(scene, index, reference, rows, columns),
-        normals=pixel_normals(reference, rows, columns, settings) @ rotation.astype(np.float32),
+        normals=pixel_normals(
+            reference, rows, columns, max_slope=settings.max_slope, noise=settings.tolerances.relative_depth_step
+        )
+        @ rotation.astype(np.float32),
         # Variance of a depth grows with the fourth power of the distance and falls with the number of views.
-        weight=(np.maximum(confidence, 0.05) * views / np.maximum(depth, 1e-6) ** 4).astype(np.float32),
+        weight=np.maximum(confidence, 0.05) * views / depth.astype(np.float64) ** 4,
         confidence=confidence,
         views=views,
         count=np.ones(len(rows), dtype=np.int32),
@@ -307,10 +256,10 @@ def _colours(
     grid = reference.grid
     # Averaging over what a depth pixel covers keeps the colours from flickering; odd widths leave the centre in place.
     width, height = (max(1, 2 * int(step / 2) + 1) for step in (grid.step_x, grid.step_y))
-    image = cv2.blur(image, (width, height))
+    smooth = cv2.blur(image, (width, height))
     x = np.clip(np.rint(columns * grid.step_x + grid.offset_x_px), 0, image.shape[1] - 1).astype(np.intp)
     y = np.clip(np.rint(rows * grid.step_y + grid.offset_y_px), 0, image.shape[0] - 1).astype(np.intp)
-    return np.asarray(image[y, x], dtype=np.float32)
+    return np.asarray(smooth[y, x], dtype=np.float32)
 
 
 def _adapt(maps: DepthMaps, settings: FusionSettings) -> tuple[float, float]:
@@ -331,6 +280,31 @@ def _adapt(maps: DepthMaps, settings: FusionSettings) -> tuple[float, float]:
     sure = footprint[confidence >= threshold]
     voxel = settings.voxel or float(np.percentile(sure if len(sure) else footprint, 25))
     return threshold, voxel
+
+
+def adapt_tolerances(
+    maps: DepthMaps, neighbours: dict[int, tuple[int, ...]], min_confidence: float, settings: FusionSettings
+) -> Tolerances:
+    """Widen the depth tolerance to the noise of the maps, measured between up to 8 views and their first neighbour."""
+    loose = Tolerances(relative_depth_step=settings.noise_step_max)
+    differences = []
+    for index in maps.available[:: -(-len(maps.available) // 8)]:
+        reference = maps.get(index)
+        rows, columns = np.nonzero((reference.confidence >= min_confidence) & (reference.inverse_depth > 0))
+        rows, columns = rows[::11], columns[::11]
+        if not len(rows) or not neighbours[index]:
+            continue
+        depth = np.asarray(1 / reference.inverse_depth[rows, columns], dtype=np.float32)
+        u, v = columns.astype(np.float32), rows.astype(np.float32)
+        source = maps.get(neighbours[index][0])
+        found = check_pair(reference, source, u, v, depth, tolerances=loose, min_confidence=min_confidence)
+        agrees = found.level <= LEVELS
+        differences.append(np.abs(found.depth[agrees] / depth[agrees] - 1))
+    pooled = np.concatenate(differences) if differences else np.empty(0)
+    noise = float(np.median(pooled)) if len(pooled) else 0.0
+    step = max(settings.tolerances.relative_depth_step, min(settings.noise_part * noise, settings.noise_step_max))
+    _log.info("neighbouring depth maps differ by %.2f %% (median), tolerance step %.4f", 100 * noise, step)
+    return replace(settings.tolerances, relative_depth_step=step)
 
 
 def _drop_specks(samples: Samples, voxel: float, min_pixels: int) -> Samples:

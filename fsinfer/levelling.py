@@ -43,7 +43,7 @@ class LevelSettings:
 
     max_tilt_deg: float = 35.0
     min_second_spread: float = 0.03
-    max_normals: int = 20_000
+    max_normals: int = 12_000
     stem_window: float = 0.3
     blind_window: float = 0.45
     lean_scale: float = 0.06
@@ -157,8 +157,8 @@ def sample_normals(points: Array, count: int, *, neighbours: int = 24, seed: int
     Patches whose thickness exceeds a third of their width are left out: foliage and noise have no normal.
     """
     rng = np.random.default_rng(seed)
-    if len(points) > 10 * count:
-        points = points[rng.choice(len(points), 10 * count, replace=False)]
+    if len(points) > 8 * count:
+        points = points[rng.choice(len(points), 8 * count, replace=False)]
     chosen = points if len(points) <= count else points[rng.choice(len(points), count, replace=False)]
     _, near = cKDTree(points).query(chosen, k=min(neighbours, len(points)))
     patches = points[near] - points[near].mean(axis=1, keepdims=True)

@@ -74,6 +74,7 @@ class RunResult:
 @dataclass(frozen=True, kw_only=True)
 class _Job:
     source: Path
+    files: list[Path]
     out: Path
     settings: RunSettings
     model_sha256: str
@@ -107,12 +108,18 @@ def run(
     """
     source, out = Path(source), Path(out)
     settings = settings or RunSettings()
-    _check_source(source, out)
+    files = _source_files(source, out)
     # A wrong model name must not show after an hour of structure from motion.
     model_sha256 = read_manifest(settings.depth.model).sha256
     make_folder(out)
     job = _Job(
-        source=source, out=out, settings=settings, model_sha256=model_sha256, book=StageBook(out), progress=progress
+        source=source,
+        files=files,
+        out=out,
+        settings=settings,
+        model_sha256=model_sha256,
+        book=StageBook(out),
+        progress=progress,
     )
     for stage in (_frames, _poses, _depth, _check, _fuse, _scale, _cloud, _trees):
         stage(job)
@@ -123,7 +130,8 @@ def run(
     return RunResult(out=out, plot=plot, stages=tuple(records.values()))
 
 
-def _check_source(source: Path, out: Path) -> None:
+def _source_files(source: Path, out: Path) -> list[Path]:
+    """The photographs, or the video; refuses a source that the run itself would delete."""
     if not source.exists():
         msg = f"{source} does not exist; give a folder of photos or a video file"
         raise InputError(msg)
@@ -131,6 +139,7 @@ def _check_source(source: Path, out: Path) -> None:
     if inside:
         msg = f"{source} lies in {out / inside[0]}, which the run empties and fills; choose another output folder"
         raise InputError(msg)
+    return list_images(source) if source.is_dir() else [source]
 
 
 def _frames(job: _Job) -> None:
@@ -138,10 +147,15 @@ def _frames(job: _Job) -> None:
         result = select_frames(
             job.source, job.out / "frames", settings=job.settings.frames, progress=job.progress("frames")
         )
-        return {"images": len(result.images), "given": len(result.rows)}
+        rejected = [{"name": row.name, "reason": row.reason} for row in result.rows if not row.kept]
+        return {
+            "chosen": len(result.images),
+            "given": len(result.rows),
+            "rejected": rejected,
+            "warnings": result.warnings,
+        }
 
-    files = list_images(job.source) if job.source.is_dir() else [job.source]
-    digests = [file_digest(path) for path in files]
+    digests = [file_digest(path) for path in job.files]
     job.book.run(
         "frames", work, inputs={"source": digests, "settings": _speedless(job.settings.frames)}, outputs=["frames"]
     )
@@ -165,7 +179,12 @@ def _poses(job: _Job) -> None:
         }
 
     job.book.run(
-        "poses", work, inputs={"settings": _speedless(job.settings.poses)}, after=["frames"], outputs=["scene"]
+        "poses",
+        work,
+        inputs={"settings": _speedless(job.settings.poses)},
+        after=["frames"],
+        outputs=["scene"],
+        keeps_partial=True,
     )
 
 

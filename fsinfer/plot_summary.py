@@ -30,9 +30,10 @@ def summarize(records: Mapping[str, StageRecord], *, settings: Mapping[str, Any]
 
     Returns
     -------
-    The content of ``plot.json``: ``units`` is "m", or "model units" while no scale is known. ``density_per_m2`` is
-    points over the plan area of the occupied 0.25 m cells. ``cloud_from_scene`` is the 4x4 similarity from the
-    scene's coordinates to those of cloud.ply; ``camera_height`` is in units of the cloud.
+    The content of ``plot.json``. ``photos`` went into the poses stage, after the ``rejected`` ones were taken out;
+    ``left_out`` are those of them without a pose. ``units`` is "m", or "model units" while no scale is known.
+    ``density_per_m2`` is points over the plan area of the occupied 0.25 m cells. ``cloud_from_scene`` is the 4x4
+    similarity from the scene's coordinates to those of cloud.ply; ``camera_height`` is in units of the cloud.
     ``depth_vs_sfm_median_rel`` is the median of |depth - SfM depth| / SfM depth over well-observed SfM points.
     """
     results: dict[str, dict[str, Any]] = {name: record.result for name, record in records.items()}
@@ -45,6 +46,7 @@ def summarize(records: Mapping[str, StageRecord], *, settings: Mapping[str, Any]
     plot = {
         "source": source,
         "photos_given": value("frames", "given"),
+        "rejected": value("frames", "rejected"),
         "photos": value("poses", "photos"),
         "registered": value("poses", "registered"),
         "left_out": value("poses", "left_out"),
@@ -80,6 +82,16 @@ def write_plot(out: Path, plot: Mapping[str, Any]) -> Path:
     if not path.is_file() or path.read_bytes() != text.encode():
         write_text(path, text)
     return path
+
+
+def update_plot(out: Path, *, source: str, stage: str, seconds: float, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Put what a single command found into ``plot.json``, which need not exist yet; return its new content."""
+    plot = read_plot(out) or summarize({}, settings={}, source=source)
+    times = {key: value for key, value in (plot.get("seconds") or {}).items() if key != "total"}
+    times[stage] = round(seconds, 3)
+    plot |= dict(values) | {"seconds": times | {"total": round(sum(times.values()), 3)}}
+    write_plot(out, plot)
+    return plot
 
 
 def read_plot(out: Path) -> dict[str, Any]:

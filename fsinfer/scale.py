@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Scale",
+    "apply_scale",
+    "check_length",
     "scale_from_aruco",
     "scale_from_clicks",
     "scale_from_endpoints",
@@ -55,7 +57,7 @@ def scale_from_factor(m_per_unit: float) -> Scale:
     ScaleError
         It is not a positive number.
     """
-    _check_length(m_per_unit, "the scale")
+    check_length(m_per_unit, "the scale")
     return Scale(m_per_unit=float(m_per_unit), source="factor", rel_std=None)
 
 
@@ -72,7 +74,7 @@ def scale_from_endpoints(first: Sequence[float], second: Sequence[float], length
     ScaleError
         The points coincide or are not finite, or the length is not positive.
     """
-    _check_length(length_m, "the length")
+    check_length(length_m, "the length")
     points = np.array([first, second], dtype=np.float64)
     if points.shape != (2, 3) or not np.isfinite(points).all():
         msg = f"the end points {first} and {second} are not two points of three finite numbers; give X,Y,Z twice"
@@ -85,9 +87,7 @@ def scale_from_endpoints(first: Sequence[float], second: Sequence[float], length
     return Scale(m_per_unit=length_m / length_units, source="endpoints", rel_std=None, details=details)
 
 
-def scale_from_clicks(
-    scene: Scene, clicks: Mapping[str, Sequence[tuple[float, float]]], length_m: float
-) -> Scale:
+def scale_from_clicks(scene: Scene, clicks: Mapping[str, Sequence[tuple[float, float]]], length_m: float) -> Scale:
     """Scale from the two ends of a known length clicked in two or more photographs of the scene.
 
     Parameters
@@ -106,7 +106,7 @@ def scale_from_clicks(
     ScaleError
         Fewer than two views, a view that is not in the scene, or rays that do not meet.
     """
-    _check_length(length_m, "the length")
+    check_length(length_m, "the length")
     cameras = {view.name: view.camera for view in scene.views}
     unknown = sorted(set(clicks) - set(cameras))
     if unknown:
@@ -139,14 +139,14 @@ def scale_from_aruco(
     scene: Scene, length_m: float, *, dictionary: str = "4X4_50", progress: Progress | None = None
 ) -> Scale:
     """Scale from ArUco markers in the photographs; see :func:`fsinfer.markers.scale_from_aruco`."""
-    from fsinfer import markers, progress as progress_module
+    from fsinfer import markers
+    from fsinfer import progress as progress_module
 
-    return markers.scale_from_aruco(
-        scene, length_m, dictionary=dictionary, progress=progress or progress_module.silent
-    )
+    return markers.scale_from_aruco(scene, length_m, dictionary=dictionary, progress=progress or progress_module.silent)
 
 
-def _check_length(value: float, what: str) -> None:
+def check_length(value: float, what: str) -> None:
+    """Raise :class:`ScaleError` unless ``value`` is a positive number; ``what`` names it."""
     if not (math.isfinite(value) and value > 0):
         msg = f"{what} is {value}; give a number above 0"
         raise ScaleError(msg)

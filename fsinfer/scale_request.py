@@ -97,10 +97,11 @@ def parse_point(text: str) -> Point:
 
 
 def _check_dictionary(name: str) -> None:
-    import cv2
+    # A misspelt name must not show after an hour of structure from motion.
+    from fsinfer.markers import dictionary_names
 
-    if not hasattr(cv2.aruco, f"DICT_{name}"):
-        known = sorted(key.removeprefix("DICT_") for key in dir(cv2.aruco) if key.startswith("DICT_"))
+    known = dictionary_names()
+    if name.upper().removeprefix("DICT_") not in known:
         msg = f"--aruco-dictionary {name} is unknown; it is one of {', '.join(known)}"
         raise InputError(msg)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +13,7 @@ from fsinfer.cloud import read_cloud, write_cloud
 from fsinfer.errors import ScaleError
 from fsinfer.files import make_folder
 from fsinfer.placement import PlacedCloud, density_per_m2, place_cloud, transform_cloud
-from fsinfer.plot_summary import package_versions, read_plot, write_plot
+from fsinfer.plot_summary import package_versions, read_plot, update_plot
 from fsinfer.progress import Progress, silent
 from fsinfer.scale_request import NO_SCALE, ScaleRequest, find_scale
 from fsinfer.scene import read_scene
@@ -43,6 +44,7 @@ def fuse_scene(scene_folder: Path, out: Path, *, level: bool | None = None, prog
     """
     from fsinfer.fusion import fuse
 
+    start = time.perf_counter()
     scene = read_scene(scene_folder)
     ours = (scene_folder / "poses.json").is_file()
     cloud = fuse(scene, out, progress=progress)
@@ -63,7 +65,8 @@ def fuse_scene(scene_folder: Path, out: Path, *, level: bool | None = None, prog
         "camera_height": placed.camera_height,
         "versions": package_versions(),
     }
-    write_plot(out, read_plot(out) | summary)
+    seconds = time.perf_counter() - start
+    update_plot(out, source=scene_folder.name, stage="fuse", seconds=seconds, values=summary)
     return len(cloud.xyz)
 
 
@@ -87,6 +90,7 @@ def measure_cloud_file(
     ScaleError
         ArUco markers were asked for, and ``out`` has no scene that the cloud came from.
     """
+    start = time.perf_counter()
     cloud = read_cloud(cloud_path)
     origin = read_plot(cloud_path.parent)
     scale, warnings = _cloud_scale(request, cloud_path, out, origin)
@@ -106,13 +110,16 @@ def measure_cloud_file(
         progress=progress,
     )
     result["warnings"] = [*warnings, *result["warnings"]]
-    plot = read_plot(out) | {key: result[key] for key in ("trees", "trees_with_dbh", "ground_method", "diagnosis")}
+    values = {key: result[key] for key in ("trees", "trees_with_dbh", "ground_method", "diagnosis")}
+    values["trees_scale"] = {"m_per_unit": scale.m_per_unit, "source": scale.source, "rel_std": scale.rel_std}
+    before = read_plot(out)
     own_cloud = cloud_path.resolve().parent == out.resolve()
-    if not own_cloud or "units" not in plot:
-        plot |= {"units": "m" if metric else MODEL_UNITS, "points": len(cloud.xyz), "versions": package_versions()}
-        plot |= {"density_per_m2": density_per_m2(cloud.xyz) if metric else None, "warnings": result["warnings"]}
-    plot["trees_scale"] = {"m_per_unit": scale.m_per_unit, "source": scale.source, "rel_std": scale.rel_std}
-    write_plot(out, plot)
+    # A cloud of unknown unit that was measured as it is was taken to be in metres.
+    if not own_cloud or "units" not in before or (before["units"] == SCENE_UNITS and factor == 1.0):
+        values |= {"units": "m" if metric else MODEL_UNITS, "points": len(cloud.xyz), "versions": package_versions()}
+        values |= {"density_per_m2": density_per_m2(cloud.xyz) if metric else None, "warnings": result["warnings"]}
+    seconds = time.perf_counter() - start
+    update_plot(out, source=cloud_path.name, stage="trees", seconds=seconds, values=values)
     return result
 
 

@@ -32,9 +32,7 @@ class TriangulatedPoint:
         return float(self.errors_px.max())
 
 
-def triangulate(
-    projections: Sequence[NDArray[np.float64]], pixels: NDArray[np.float64]
-) -> TriangulatedPoint | None:
+def triangulate(projections: Sequence[NDArray[np.float64]], pixels: NDArray[np.float64]) -> TriangulatedPoint | None:
     """Triangulate one point (Hartley and Zisserman, *Multiple View Geometry*, 12.2, then Gauss-Newton).
 
     Parameters
@@ -69,7 +67,9 @@ def triangulate(
     if (depth <= 0).any() or not np.isfinite(xyz).all() or np.linalg.cond(normal) > 1e14:
         return None
     errors_px = np.linalg.norm(residual.reshape(-1, 2), axis=1)
-    return TriangulatedPoint(xyz=xyz, covariance=np.linalg.inv(normal), errors_px=errors_px)
+    return TriangulatedPoint(
+        xyz=xyz, covariance=np.asarray(np.linalg.inv(normal), dtype=np.float64), errors_px=errors_px
+    )
 
 
 def _linearize(

@@ -22,7 +22,7 @@ class Samples:
     xyz: (N, 3) float64.
     rgb: (N, 3) float32, 0..255.
     normals: (N, 3) float32.
-    weight: (N,) float32 > 0, inverse variance of the position up to a factor.
+    weight: (N,) float64 > 0, inverse variance of the position up to a factor.
     confidence: (N,) float32.
     views: (N,) int32; a merged point keeps the largest.
     count: (N,) int32, number of depth pixels behind each.
@@ -31,7 +31,7 @@ class Samples:
     xyz: NDArray[np.float64]
     rgb: NDArray[np.float32]
     normals: NDArray[np.float32]
-    weight: NDArray[np.float32]
+    weight: NDArray[np.float64]
     confidence: NDArray[np.float32]
     views: NDArray[np.int32]
     count: NDArray[np.int32]
@@ -61,7 +61,7 @@ def merge_voxels(samples: Samples, voxel: float) -> Samples:
     order = np.argsort(keys, kind="stable")
     keys = keys[order]
     starts = np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
-    weight = samples.weight[order].astype(np.float64)
+    weight = samples.weight[order]
     total = np.add.reduceat(weight, starts)
 
     def mean(values: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -77,7 +77,7 @@ def merge_voxels(samples: Samples, voxel: float) -> Samples:
         xyz=mean(samples.xyz),
         rgb=mean(samples.rgb).astype(np.float32),
         normals=normals.astype(np.float32),
-        weight=total.astype(np.float32),
+        weight=total,
         confidence=(np.add.reduceat(samples.confidence[order] * count, starts) / counts).astype(np.float32),
         views=np.maximum.reduceat(samples.views[order], starts),
         count=counts.astype(np.int32),

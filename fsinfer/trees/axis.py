@@ -122,7 +122,7 @@ def fit_axis(
         step *= min(1.0, 0.05 / max(np.abs(step[[0, 1, 4]]).max(), 1e-12))
         p = p + step
         p[4] = max(p[4], 0.01)
-        shares = (likelihood.sum(axis=1) + s.prior_points * np.array([0.9, 0.05, 0.05]))
+        shares = likelihood.sum(axis=1) + s.prior_points * np.array([0.9, 0.05, 0.05])
         shares /= shares.sum()
         new_sigma = float(np.sqrt((core @ residual**2 + 4.0 * 0.005**2) / (total + 4.0)))
         # The start is deliberately wide; never shrink by more than a quarter a step, or a wrong arc captures the fit.
@@ -131,7 +131,7 @@ def fit_axis(
         tail = float(np.clip(mean_tail, *s.tail_m))
         if iteration > 8 and np.abs(step).max() < 1e-5:
             break
-    covariance = np.linalg.inv(information + np.diag(prior_information) + 1e-9 * np.eye(6))
+    covariance = np.asarray(np.linalg.inv(information + np.diag(prior_information) + 1e-9 * np.eye(6)), np.float64)
     return AxisFit(
         parameters=p, height_m=height_m, sigma_m=sigma, covariance=covariance, core=core, residuals_m=residual
     )

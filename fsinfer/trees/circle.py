@@ -69,7 +69,8 @@ def fit_circle(points_xy: ArrayLike, *, settings: CircleSettings | None = None, 
     local = points[finite] - origin
     rng = np.random.default_rng(seed)
     circle = _start(local, settings, rng)
-    kept = np.ones(len(local), dtype=bool)
+    residuals = residuals_to(local, circle)
+    kept = np.abs(residuals) <= _drop_limit(residuals, settings)
     for _ in range(settings.iterations):
         circle = fit_geometric(local[kept], circle)
         residuals = residuals_to(local, circle)
@@ -148,8 +149,9 @@ def residuals_to(points: Floats, circle: Floats) -> Floats:
 def arc_coverage(offsets: Floats, *, bins: int = 72) -> float:
     """Share of the circumference seen by ``offsets`` (N, 2) from the centre.
 
-    With few points the bins widen so that a full circle still counts as 1 (at least three points a bin on average),
-    and a bin counts when it holds a tenth of what a typical seen bin holds, so that strays do not close an arc.
+    With few points the bins widen so that a full circle still counts as 1: six points a bin on average, of which one
+    in 400 stays empty by chance. A bin counts when it holds a tenth of what a typical seen bin holds, so that strays
+    do not close an arc.
     """
     return float(covered_bins(offsets, bins=bins).mean())
 
@@ -158,7 +160,7 @@ def covered_bins(offsets: Floats, *, bins: int = 72) -> Bools:
     """Which equal sectors of the circle hold points, as (B,) bool with B <= ``bins``; sector 0 starts at angle -pi."""
     if len(offsets) == 0:
         return np.zeros(1, dtype=bool)
-    bins = int(np.clip(len(offsets) // 3, 6, bins))
+    bins = int(np.clip(len(offsets) // 6, 8, bins))
     angle = np.arctan2(offsets[:, 1], offsets[:, 0])
     index = np.minimum(((angle + np.pi) / (2.0 * np.pi) * bins).astype(int), bins - 1)
     count = np.bincount(index, minlength=bins)

@@ -101,7 +101,7 @@ def measure_stem(
     offset, foot = axis_coordinates(used, fit.parameters, height)
     taper = float(fit.parameters[5])
     wall = np.abs(fit.residuals_m) <= 2.5 * fit.sigma_m
-    coverage = float(covered_bins(offset[wall], bins=36).mean())
+    coverage = float(covered_bins(offset[wall], bins=72).mean())
     slice_radius, slice_sd, section = _slice(points, fit, height, coverage, s, seed)
     patches = len(np.unique(np.floor(used[wall] / s.patch_m).astype(np.int64), axis=0))
     joint_sd = float(np.sqrt(fit.covariance[4, 4] * max(1.0, wall.sum() / max(patches, 1))))
@@ -163,7 +163,7 @@ def _joint_fit(
     for half in s.half_window_m:
         window = points[np.abs(points[:, 2] - height) <= half]
         offset, _ = axis_coordinates(window, start, height)
-        near = window[np.hypot(offset[:, 0], offset[:, 1]) <= start[4] + 0.12]
+        near = window[np.hypot(offset[:, 0], offset[:, 1]) <= start[4] + float(np.clip(0.8 * start[4], 0.05, 0.12))]
         if len(near) > s.max_points:
             near = near[rng.choice(len(near), s.max_points, replace=False)]
         if len(near) < s.min_points:
@@ -228,9 +228,7 @@ def _slice(
     return None, float("nan"), last
 
 
-def _refuse(
-    fit: AxisFit, coverage: float, dbh_m: float, sd: float, gap: float, count: int, s: DbhSettings
-) -> str:
+def _refuse(fit: AxisFit, coverage: float, dbh_m: float, sd: float, gap: float, count: int, s: DbhSettings) -> str:
     if count < s.min_points:
         return f"too few points at breast height: {count}; photograph the stem from more places"
     if coverage < s.min_coverage:

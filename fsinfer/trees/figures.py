@@ -114,7 +114,9 @@ def plot_section(tree: Tree, section: Section, path: Path) -> None:
     if tree.dbh_cm is None:
         title = f"Tree {tree.tree_id}: no DBH"
     else:
-        title = f"Tree {tree.tree_id}: DBH {tree.dbh_cm:.1f} cm  (95 %: {tree.dbh_lo95_cm:.1f} to {tree.dbh_hi95_cm:.1f})"
+        title = (
+            f"Tree {tree.tree_id}: DBH {tree.dbh_cm:.1f} cm  (95 %: {tree.dbh_lo95_cm:.1f} to {tree.dbh_hi95_cm:.1f})"
+        )
     details = (
         f"{tree.bh_m:.2f} m above ground · slice ± {100 * section.half_slice_m:.1f} cm · "
         f"{round(360 * tree.arc_coverage)}° of the stem seen"

@@ -8,7 +8,7 @@ the tolerance of the plane. Below 90 % a raster is added, fitted by penalised le
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ class GroundSettings:
 
     tolerance_m: tuple[float, float] = (0.02, 0.05)  # the paper: points within 2-5 cm are ground; adapted to the noise
     cell_m: float = 0.4  # below the 0.5-1 m of usual terrain rasters, so that root collars and bumps follow
+    max_cells: float = 60000.0  # one hectare keeps its 0.4 m
     layer_m: float = 0.05  # height bins in which the lowest dense layer of a cell is looked for
     search_m: float = 1.0  # the lowest dense layer lies at most this far above the lowest point of its cell
     filter_radius_m: float = 3.0  # within this distance of a stem foot the ground cannot hide in a crown
@@ -80,6 +81,9 @@ def find_ground(points: Floats, *, settings: GroundSettings | None = None, seed:
     """
     settings = settings or GroundSettings()
     origin = points[:, :2].min(axis=0)
+    area = float(np.prod(np.maximum(np.ptp(points[:, :2], axis=0), settings.cell_m)))
+    # Large plots get a coarser raster, so that its equations stay solvable in seconds.
+    settings = replace(settings, cell_m=max(settings.cell_m, float(np.sqrt(area / settings.max_cells))))
     cells = np.floor((points[:, :2] - origin) / settings.cell_m).astype(np.int64)
     shape = (int(cells[:, 1].max()) + 1, int(cells[:, 0].max()) + 1)
     index = cells[:, 1] * shape[1] + cells[:, 0]

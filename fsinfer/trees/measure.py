@@ -134,8 +134,15 @@ def analyse_plot(
     # Work about a local origin: map coordinates of 10^6 m would cost precision in the fits.
     origin = np.r_[np.floor(np.median(xyz[:, :2], axis=0)), 0.0]
     local = xyz - origin
-    extent = np.percentile(local[:, :2], [0.5, 99.5], axis=0) + origin[:2]
-    _check_unit(extent)
+    box = np.percentile(local[:, :2], [0.5, 99.5], axis=0)
+    _check_unit(box)
+    # A single point a kilometre away must not blow up the rasters.
+    margin = 0.5 * float(np.max(box[1] - box[0])) + 2.0
+    near = ((local[:, :2] >= box[0] - margin) & (local[:, :2] <= box[1] + margin)).all(axis=1)
+    if not near.all():
+        warnings.append(f"{int((~near).sum())} points far outside the plot were left out")
+        local = local[near]
+    extent = box + origin[:2]
     progress(0, 3, "finding the ground")
     ground = find_ground(local, settings=settings.ground, seed=settings.seed)
     if ground.share < 0.6:
@@ -145,7 +152,7 @@ def analyse_plot(
     progress(1, 3, "looking for stems")
     search = find_stems(stand, settings=settings.stems, progress=progress, seed=settings.seed)
     progress(2, 3, "measuring stems")
-    pairs = _measure(stand, search, ground, settings, scale_rel_std, origin)
+    pairs = _doubt_the_rough(_measure(stand, search, ground, settings, scale_rel_std, origin))
     return PlotResult(
         trees=tuple(replace(tree, tree_id=number) for number, (tree, _) in enumerate(pairs, start=1)),
         sections=tuple(section for _, section in pairs),
@@ -192,6 +199,23 @@ def _measure(
         z_ground = float(ground.height_at(section.center[None])[0])
         pairs.append((_tree(section, z_ground, height, origin), section))
     return pairs
+
+
+def _doubt_the_rough(pairs: list[tuple[Tree, Section]]) -> list[tuple[Tree, Section]]:
+    """Mark stems much rougher than the others of the plot: double walls too close together to be told apart."""
+    residuals = [tree.residual_cm for tree, _ in pairs if tree.dbh_cm is not None and tree.residual_cm is not None]
+    if len(residuals) < 5:
+        return pairs
+    limit = 1.7 * float(np.median(residuals)) + 0.3
+    marked = []
+    for tree, section in pairs:
+        if tree.dbh_cm is not None and tree.residual_cm is not None and tree.residual_cm > limit:
+            doubt = f"residual {tree.residual_cm:.1f} cm, far above the plot's other stems: perhaps a double wall"
+            reason = f"{tree.reason}; {doubt}" if tree.reason else doubt
+            tree = replace(tree, status="doubtful", reason=reason)
+            section = replace(section, status="doubtful", reason=reason)
+        marked.append((tree, section))
+    return marked
 
 
 def _on_own_ground(near: Floats, stem: Stem, ground: Ground, settings: TreeSettings) -> tuple[Floats, Stem]:
@@ -310,30 +334,24 @@ def _without_scale(
         msg = f"units_per_m_hint must be a positive number, got {units_per_m_hint}"
         raise CloudError(msg)
     result = analyse_plot(xyz / units, settings=settings, progress=progress)
-    trees = []
-    for tree in result.trees:
-        trees.append(
-            replace(
-                tree,
-                **{name: None for name in _DIAMETERS},
-                x_m=tree.x_m * units,
-                y_m=tree.y_m * units,
-                z_ground_m=tree.z_ground_m * units,
-                status="unmeasured",
-                reason="no scale",
-            )
+    trees = [
+        replace(
+            tree,
+            x_m=tree.x_m * units,
+            y_m=tree.y_m * units,
+            z_ground_m=tree.z_ground_m * units,
+            dbh_cm=None,
+            dbh_lo95_cm=None,
+            dbh_hi95_cm=None,
+            dbh_perimeter_cm=None,
+            dbh_min_cm=None,
+            dbh_max_cm=None,
+            residual_cm=None,
+            height_m=None,
+            status="unmeasured",
+            reason="no scale",
         )
+        for tree in result.trees
+    ]
     warning = "no scale: positions are in model units and no diameter is given"
     return replace(result, trees=tuple(trees), warnings=(*result.warnings, warning))
-
-
-_DIAMETERS = (
-    "dbh_cm",
-    "dbh_lo95_cm",
-    "dbh_hi95_cm",
-    "dbh_perimeter_cm",
-    "dbh_min_cm",
-    "dbh_max_cm",
-    "residual_cm",
-    "height_m",
-)

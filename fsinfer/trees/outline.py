@@ -44,7 +44,7 @@ def fit_outline(offsets: Floats, weights: Floats, radius: float, sigma: float) -
     theta = np.linspace(-np.pi, np.pi, 361)[:-1]
     rho = radius + _harmonics(theta) @ coefficients[1:]
     curve = np.column_stack([rho * np.cos(theta), rho * np.sin(theta)])
-    # Width in a direction is the extent of the outline along it; the mean width of a convex body is girth / pi (Cauchy).
+    # Width in a direction is the extent of the outline along it; the mean width of a convex body is its girth / pi.
     direction = np.linspace(0.0, np.pi, 181)[:-1]
     along = curve @ np.stack([np.cos(direction), np.sin(direction)])
     width = along.max(axis=0) - along.min(axis=0)

@@ -18,7 +18,7 @@ from scipy.ndimage import maximum_filter, uniform_filter
 from scipy.spatial import cKDTree
 
 from fsinfer.progress import Progress, silent
-from fsinfer.trees.axis import AxisFit, axis_coordinates, fit_axis
+from fsinfer.trees.axis import AxisFit, AxisSettings, axis_coordinates, fit_axis
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -199,17 +199,28 @@ def _votes(
     return (row * shape[1] + column)[inside], np.broadcast_to(weight[:, None], row.shape)[inside]
 
 
-def _verify(
-    near: Floats, xy: Floats, height: float, cell_m: float, s: StemSettings
-) -> tuple[Stem | None, str]:
+def _verify(near: Floats, xy: Floats, height: float, cell_m: float, s: StemSettings) -> tuple[Stem | None, str]:
     window = near[np.abs(near[:, 2] - height) <= 0.5 * s.window_m]
     if len(window) < 8:
         return None, "too few points"
-    radius = _start_radius(window, xy, s)
-    if radius is None:
-        return None, "no ring"
+    why = "no ring"
+    for radius in _start_radii(window, xy, s):
+        stem, why = _verify_ring(near, window, xy, height, radius, cell_m, s)
+        if stem is not None:
+            return stem, ""
+    return None, why
+
+
+def _verify_ring(
+    near: Floats, window: Floats, xy: Floats, height: float, radius: float, cell_m: float, s: StemSettings
+) -> tuple[Stem | None, str]:
     start = np.array([xy[0], xy[1], 0.0, 0.0, radius, 0.0])
-    fit = fit_axis(_around(window, start, height, radius), start, height)
+    quick = AxisSettings(iterations=20)
+    fit = fit_axis(_around(window, start, height, radius), start, height, settings=quick)
+    if not s.radius_m[0] * 0.75 <= fit.radius_m <= s.radius_m[1] * 1.1:
+        return None, "radius out of range"
+    if fit.sigma_m > s.max_sigma_m:
+        return None, "not round"
     fit = fit_axis(_around(near, fit.parameters, height, fit.radius_m), fit.parameters, height, sigma_m=fit.sigma_m)
     radius, sigma = fit.radius_m, fit.sigma_m
     if not s.radius_m[0] * 0.75 <= radius <= s.radius_m[1] * 1.1:
@@ -255,7 +266,7 @@ def _verify(
         return None, "does not stand out"
     heights = s.heights_m[0] + (np.flatnonzero(supported) + 0.5) * s.layer_m
     top = float(heights.max() + 0.5 * s.layer_m)
-    if top < s.post_top_m and (2.0 * radius < s.thin_m or _is_flat(offset[on_wall], coverage, s)):
+    if top < s.post_top_m and (2.0 * (radius - sigma) < s.thin_m or _is_flat(offset[on_wall], coverage, s)):
         return None, "post or board"
     quality = length * min(coverage, 0.5) * min(contrast, 5.0) / (1.0 + sigma / 0.01)
     bottom = float(heights.min() - 0.5 * s.layer_m)
@@ -274,8 +285,8 @@ def _is_flat(offsets: Floats, coverage: float, s: StemSettings) -> bool:
     return bool(4.0 * np.sqrt(max(values[0], 0.0)) < s.thin_m and bulge < 0.5 * s.thin_m)
 
 
-def _start_radius(window: Floats, xy: Floats, s: StemSettings) -> float | None:
-    """Radius whose ring is occupied in most (sector, layer) bins while its inside is empty."""
+def _start_radii(window: Floats, xy: Floats, s: StemSettings) -> list[float]:
+    """Radii (at most two) whose rings are occupied in most (sector, layer) bins while their insides are empty."""
     step = 0.01
     offset = window[:, :2] - xy
     distance = np.hypot(offset[:, 0], offset[:, 1])
@@ -300,15 +311,18 @@ def _start_radius(window: Floats, xy: Floats, s: StemSettings) -> float | None:
     score *= 1.0 - np.minimum(inside / np.maximum(upto, 1.0), 1.0)
     score[: int(s.radius_m[0] / step)] = 0.0
     best = int(np.argmax(score))
-    return (best + 0.5) * step if score[best] > 0.03 else None
+    found = [best]
+    score_elsewhere = np.where(np.abs(np.arange(bins) - best) > max(3, 0.3 * best), score, 0.0)
+    found.append(int(np.argmax(score_elsewhere)))
+    return [(ring + 0.5) * step for ring in found if score[ring] > max(0.03, 0.5 * score[best])]
 
 
 def _around(points: Floats, parameters: Floats, height: float, radius: float) -> Floats:
     """Points within reach of the fit's window, thinned to a few hundred (every k-th, so deterministic)."""
     center = parameters[:2] + parameters[2:4] * (points[:, 2:3] - height)
     distance = np.hypot(points[:, 0] - center[:, 0], points[:, 1] - center[:, 1])
-    near = points[distance <= radius + 0.10]
-    return near[:: max(len(near) // 1000, 1)]
+    near = points[distance <= radius + float(np.clip(0.8 * radius, 0.05, 0.10))]
+    return near[:: max(len(near) // 600, 1)]
 
 
 def _inside(stem: Stem, xy: Floats, height: float) -> bool:

@@ -22,7 +22,7 @@ class TopSettings:
     min_height_m: float = 3.0
     min_slenderness: float = 35.0  # height over diameter; forest trees have 50-120, open-grown ones 30-50
     crown_spread: float = 2.0  # the upper third must spread wider than this times the stem's radius
-    thinning: float = 0.6  # points per layer at the top against the crown's densest layer: a crown tapers, a cut does not
+    thinning: float = 0.6  # points in the top layer against the crown's densest: a crown tapers, a cut does not
 
 
 def tree_height(

@@ -1,4 +1,4 @@
-"""Simulated plots with exact truth: stems with taper, lean and ovality, seen in part, with noise and an outward tail."""
+"""Simulated plots with truth: stems with taper, lean and ovality, seen in part, with noise and an outward tail."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def wall(
     ovality: float = 0.0,
     taper: float = -0.005,
 ) -> Floats:
-    """Points (N, 3) of an upright stem about the z axis whose radius at 1.3 m is ``radius``; ovality keeps the girth."""
+    """Points (N, 3) of a stem about the z axis whose radius at 1.3 m is ``radius``; ovality keeps the girth."""
     arc = np.radians(arc_deg)
     count = int(arc * radius * top_m / spacing_m**2)
     angle = middle + rng.uniform(-arc / 2, arc / 2, count)
@@ -128,4 +128,4 @@ def board(rng: np.random.Generator, *, at: tuple[float, float], sigma_m: float) 
     """A flat board 40 cm wide and 1.6 m high, seen from the front."""
     count = int(0.4 * 1.6 / 0.008**2)
     points = np.column_stack([rng.uniform(-0.2, 0.2, count), np.zeros(count), rng.uniform(0.0, 1.6, count)])
-    return points + [*at, 0.0] + rng.normal(0.0, sigma_m, (count, 3))
+    return points + np.array([*at, 0.0]) + rng.normal(0.0, sigma_m, (count, 3))

@@ -20,9 +20,9 @@ M_PER_UNIT = 0.5
 # x_m, y_m, radius_m
 STEMS = np.array([[-1.2, 0.0, 0.15], [1.0, 0.9, 0.11], [0.9, -1.1, 0.20]])
 HEIGHT_M = 4.0
-VIEWS = 16
-SIZE = (200, 150)
-FOCAL_PX = 150.0
+VIEWS = 12
+SIZE = (160, 120)
+FOCAL_PX = 120.0
 _TURN = Rotation.from_euler("xyz", [100.0, 20.0, 30.0], degrees=True).as_matrix()
 
 

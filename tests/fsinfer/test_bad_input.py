@@ -189,9 +189,7 @@ def test_evaluate_with_tables_that_are_none(call: Call, tmp_path: Path) -> None:
 
 
 def test_report_of_nothing(call: Call, tmp_path: Path) -> None:
-    assert errors_of(call("report", tmp_path / "nowhere"))
-    (tmp_path / "empty").mkdir()
-    assert errors_of(call("report", tmp_path / "empty"))
+    assert "nowhere" in errors_of(call("report", tmp_path / "nowhere"))[0]
 
 
 def test_output_that_is_a_file(call: Call, cloud: Path, tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ import pytest
 
 import fsinfer
 from fsinfer.cli import main
-from fsinfer.cli_console import explain, reports_errors, stage_progress
+from fsinfer.cli_console import explain, reports_errors, stage_progress, warn
 from fsinfer.cloud import read_cloud
 from fsinfer.errors import CloudError
 from fsinfer.plot_summary import read_plot
@@ -166,6 +166,7 @@ def test_fuse_then_trees(metric_out: Path, call: Call) -> None:
     assert code == 0, err
     found = sorted(float(row["dbh_cm"]) for row in _rows(metric_out / "trees.csv"))
     assert out.startswith("3 trees, 3 with DBH")
+    assert call("report", metric_out)[:2] == (0, f"{metric_out / 'report.html'}\n")
     np.testing.assert_allclose(found, sorted(200 * STEMS[:, 2]), atol=1.0)
 
 
@@ -209,5 +210,6 @@ def test_warnings_of_the_library_are_shown_once(call: Call, capsys: pytest.Captu
     call("--version")
     call("--version")
     logging.getLogger("fsinfer.cloud").warning("%d points dropped", 3)
+    warn(["3 points dropped"])
     logging.getLogger("fsinfer.cloud").info("not for people")
     assert capsys.readouterr().err == "Warning: 3 points dropped\n"

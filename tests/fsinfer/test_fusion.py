@@ -8,8 +8,15 @@ import pytest
 from fsinfer.consistency import LEVELS, Tolerances, check_pair, check_pixel
 from fsinfer.depth_maps import DepthMaps
 from fsinfer.errors import CloudError, SceneError
-from fsinfer.fusion import FusionSettings, find_neighbours, fuse, passing_level, pixel_normals, smooth_pixels
+from fsinfer.fusion import (
+    FusionSettings,
+    adapt_tolerances,
+    find_neighbours,
+    fuse,
+    passing_level,
+)
 from fsinfer.pfm import read_pfm, write_pfm
+from fsinfer.pixel_surfaces import pixel_normals, smooth_pixels
 from fsinfer.scene import Camera, read_scene, write_camera, write_pairs
 
 RADIUS = 0.15
@@ -252,7 +259,7 @@ def test_flying_pixels_at_a_silhouette_are_dropped(tmp_path):
     # A column of mixed depths between the ground and the stem, as smoothing makes them.
     depth[row - 4 : row + 5, edge] = 0.5 * (depth[row - 4 : row + 5, edge - 1] + depth[row, edge + 2])
     write_pfm(tmp_path / "depth" / "000.pfm", depth)
-    keep = smooth_pixels(DepthMaps(scene, tmp_path).get(0), FusionSettings())
+    keep = smooth_pixels(DepthMaps(scene, tmp_path).get(0))
     assert not keep[row - 3 : row + 4, edge].any()
     assert keep[row - 3 : row + 4, edge + 2].all()
     assert keep[100, 10:150].all()
@@ -262,7 +269,7 @@ def test_normals_of_a_slanted_plane_are_exact(tmp_path):
     scene = make_scene(tmp_path / "scene", tmp_path, cameras=3)
     reference = DepthMaps(scene, tmp_path).get(0)
     rows, columns = np.mgrid[100:119:3, 3:60:5].reshape(2, -1)
-    normals = pixel_normals(reference, rows, columns, FusionSettings()) @ reference.cam_from_world[:3, :3]
+    normals = pixel_normals(reference, rows, columns) @ reference.cam_from_world[:3, :3]
     np.testing.assert_allclose(normals, np.tile([0, 0, 1.0], (len(rows), 1)), atol=1e-3)
 
 
@@ -300,3 +307,17 @@ def test_mistakes_are_user_errors(tmp_path):
 
 def test_levels_fit_their_type():
     assert LEVELS < 255
+
+
+def test_depth_tolerance_follows_the_noise_of_the_maps(tmp_path):
+    steps = {}
+    for noise in (0.0, 0.006, 0.05):
+        scene = make_scene(tmp_path / f"{noise}" / "scene", tmp_path / f"{noise}", noise=noise, cameras=4)
+        maps = DepthMaps(scene, tmp_path / f"{noise}")
+        neighbours = find_neighbours(scene, maps.available, 4)
+        steps[noise] = adapt_tolerances(maps, neighbours, 0.5, FusionSettings()).relative_depth_step
+        off = adapt_tolerances(maps, neighbours, 0.5, FusionSettings(noise_part=0))
+        assert off == Tolerances()
+    assert steps[0.0] == Tolerances().relative_depth_step
+    assert 0.0015 < steps[0.006] <= 0.003
+    assert steps[0.05] <= 0.003

@@ -1,7 +1,10 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from fsinfer.cloud import read_cloud
 from fsinfer.errors import CloudError
 from fsinfer.levelling import estimate_up, ground_plane, level, sample_normals
 
@@ -156,3 +159,20 @@ def test_too_little_is_a_user_error():
         level(points[:50], centers, down)
     with pytest.raises(CloudError, match="0 cameras"):
         level(points, centers[:0], down[:0])
+
+
+def test_laser_scan_of_pines_is_found_upright():
+    path = Path(__file__).parents[2] / ".." / "shared" / "data" / "clouds" / "pine_plot.laz"
+    if not path.is_file():
+        pytest.skip("shared/data/clouds is missing")
+    points = read_cloud(path).xyz[::2]
+    points -= np.median(points, axis=0)
+    _, centers, down, right = make_plot()
+    centers = centers * 0.5 + [0, 0, np.percentile(points[:, 2], 5)]
+    turn, (points, centers, down, right) = move((points, centers, down, right))
+    motion = level(points, centers, down, camera_right=right)
+    # The scanner stood level; pines are not quite straight.
+    assert angle_deg(motion[2, :3], turn[:, 2]) < 2
+    levelled = points @ motion[:3, :3].T + motion[:3, 3]
+    near = np.hypot(levelled[:, 0], levelled[:, 1]) < 1.5
+    assert abs(np.percentile(levelled[near, 2], 5)) < 0.2

@@ -43,6 +43,7 @@ def parse(argv: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--texture-names", help="comma-separated names (without suffix) to use of --textures")
     parser.add_argument("--photo-share", type=float, default=0.5, help="share of textures taken from photographs")
     parser.add_argument("--clutter", type=float, default=0.25, help="share of scenes with objects instead of trees")
+    parser.add_argument("--texture-px", type=int, default=1024, help="size of the texture tiles")
     plot = parser.add_argument_group("--kind plot")
     plot.add_argument("--trees", type=int, default=20)
     plot.add_argument("--radius-m", type=float, default=6.0)
@@ -53,6 +54,7 @@ def parse(argv: list[str] | None = None) -> argparse.Namespace:
     plot.add_argument("--hfov-deg", type=float, default=65.0)
     plot.add_argument("--boards", type=int, default=3, help="posts with two ArUco boards each, 0.25 m squares")
     plot.add_argument("--zigzag", type=float, default=0.0, help="share of the photographs taken on transects")
+    plot.add_argument("--distortion", type=float, default=0.0, help="radial k1 of the images; cams stay pinhole")
     plot.add_argument("--min-dbh-cm", type=float, default=8.0)
     plot.add_argument("--max-dbh-cm", type=float, default=70.0)
     return parser.parse_args(argv)
@@ -87,6 +89,8 @@ def cluster_settings(rng: np.random.Generator, photos: tuple[Path, ...], args: a
         clutter=clutter,
         detail_radius_m=9.0,
         ground_step_m=0.06,
+        texture_px=args.texture_px,
+        panorama_px=512,
         photos=photos,
         photo_share=args.photo_share,
     )
@@ -124,7 +128,7 @@ def synthesize_clusters(args: argparse.Namespace, seed: int, photos: tuple[Path,
                 "seed": seed,
                 "kind": "cluster",
                 "cluster": number,
-                "settings": vars(settings),
+                "settings": vars(settings) | {"photos": [p.name for p in photos]},
                 "sensor": vars(sensor),
                 "views": args.views,
                 "width": width,
@@ -156,6 +160,7 @@ def synthesize_plot(args: argparse.Namespace, seed: int, photos: tuple[Path, ...
         outer_sides=64,
         outer_step_m=0.05,
         targets=args.boards,
+        texture_px=args.texture_px,
         photos=photos,
         photo_share=1.0 if args.texture_names else args.photo_share,
         min_dbh_m=args.min_dbh_cm / 100,
@@ -189,17 +194,17 @@ def synthesize_plot(args: argparse.Namespace, seed: int, photos: tuple[Path, ...
         depth = read_view_depth(folder, i)
         if depth is None:
             depth = caster.depth(camera, width, height)
-            picture = caster.picture(camera, width, height, args.supersample)
+            picture = caster.picture(camera, width, height, args.supersample, distortion=args.distortion)
             photo = expose(np.random.default_rng([seed, 3, i]), sensor, picture)
             write_view(folder, i, photo, depth, with_depth_range(camera, depth, 25.0), sensor.quality)
         depths.append(depth)
         if (i + 1) % 10 == 0:
             print(f"  view {i + 1}/{len(cameras)}, {time.perf_counter() - start:.0f} s", flush=True)
     finish_scene(folder, cameras, depths)
-    options = {k: str(v) for k, v in vars(args).items()}
-    write_record(
-        folder, {"seed": seed, "kind": "plot", "options": options, "settings": vars(settings), "sensor": vars(sensor)}
-    )
+    options = {k: str(v) for k, v in vars(args).items() if k not in ("out", "textures")}
+    drawn = vars(settings) | {"photos": [p.name for p in photos]}
+    record = {"seed": seed, "kind": "plot", "options": options, "settings": drawn, "sensor": vars(sensor)}
+    write_record(folder, record)
 
 
 def main(argv: list[str] | None = None) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from fsinfer.scene import Camera
 from training.synthesize.camera_path import intrinsics, look_at, make_camera
 from training.synthesize.render import Caster
-from training.synthesize.world import World
+from training.synthesize.world import CLUTTER_RADIUS_M, World
 
 
 def cluster_cameras(
@@ -26,6 +26,9 @@ def cluster_cameras(
 
 def _draw(rng: np.random.Generator, world: World, views: int, width: int, height: int) -> list[Camera]:
     inside = world.obstacles[np.hypot(*world.obstacles[:, :2].T) < 7.0] if len(world.obstacles) else world.obstacles
+    if len(inside):  # objects that are no trees are few, and are what clutter scenes are for
+        things = inside[inside[:, 2] == CLUTTER_RADIUS_M]
+        inside = things if len(things) and rng.random() < 0.6 else inside
     aim = inside[int(rng.integers(len(inside)))] if len(inside) else np.array([*rng.normal(0, 2, 2), 0.2])
     distance = np.exp(rng.uniform(np.log(1.0), np.log(8.0))) + aim[2]
     bearing = rng.uniform(0, 2 * np.pi)

@@ -75,10 +75,10 @@ def clutter_object(
         return [blob(rng, center, scale, material, tile_m, roughness=0.2, power=power)]
     if kind == "box":
         half = size * rng.uniform(0.3, 1.0, 3)
-        return [box(place + np.array([0, 0, half[2] * 0.9]), turned_axes(rng, half, tilt=0.06), material, tile_m)]
+        return [box(place + np.array([0, 0, half[2] * 0.75]), turned_axes(rng, half, tilt=0.06), material, tile_m)]
     if kind == "wall":
         half = np.array([rng.uniform(1, 3), rng.uniform(0.08, 0.3), rng.uniform(0.4, 1.5)])
-        return [box(place + np.array([0, 0, half[2] * 0.9]), turned_axes(rng, half, tilt=0.02), material, tile_m)]
+        return [box(place + np.array([0, 0, half[2] * 0.75]), turned_axes(rng, half, tilt=0.02), material, tile_m)]
     if kind == "post":
         h = np.linspace(-0.2, rng.uniform(0.8, 3), 12)
         points = place + np.stack([rng.normal(0, 0.1) * h, rng.normal(0, 0.1) * h, h], -1)

@@ -23,13 +23,14 @@ def branches(
     reach[dead:] = share**0.7 * rng.uniform(0.7, 1.2, live) * (0.8 + 5.5 * stem.dbh_m)
     azimuth = rng.uniform(0, 2 * np.pi, count)
     rise = rng.normal(0.15, 0.35, count)
-    steps = 6
+    steps = 8
     t = np.linspace(0, 1, steps)
     outward = np.stack([np.cos(azimuth), np.sin(azimuth)], -1)
     points = np.repeat(stem.axis(start_h)[:, None], steps, axis=1)
     points[..., :2] += outward[:, None] * (t[None] * reach[:, None])[..., None]
     points[..., 2] += reach[:, None] * (rise[:, None] * t - 0.15 * t**2)
-    points[:, 1:] += rng.normal(0, 0.05, (count, steps - 1, 3)) * reach[:, None, None]
+    bends = np.cumsum(rng.normal(0, 0.02, (count, steps - 2, 3)), axis=1)
+    points[:, 2:] += bends * reach[:, None, None]
     thick = np.minimum(np.concatenate([rng.uniform(0.003, 0.012, dead), reach[dead:] * 0.012]), 0.04)
     thick = np.minimum(thick, stem.radius(start_h) * 0.6)
     radii = thick[:, None] * (1 - 0.85 * t)

@@ -35,8 +35,8 @@ class Light:
         return TO_LINEAR[lookup(self.panorama, np.stack([u, v], -1).astype(np.float32))]
 
 
-def random_light(rng: np.random.Generator, *, forest: bool) -> Light:
-    """Draw sun height and strength (a third of the scenes are overcast) and paint the panorama."""
+def random_light(rng: np.random.Generator, *, forest: bool, panorama_px: int = 1024) -> Light:
+    """Draw sun height and strength (a third of scenes are overcast) and paint a panorama ``panorama_px`` high."""
     overcast = rng.random() < 0.35
     elevation, azimuth = np.radians(rng.uniform(22, 65)), rng.uniform(0, 2 * np.pi)
     warm = rng.uniform(0, 0.25) * (1 - elevation)
@@ -49,34 +49,38 @@ def random_light(rng: np.random.Generator, *, forest: bool) -> Light:
         sun=sun.astype(np.float32),
         sky=sky.astype(np.float32),
         bounce=bounce.astype(np.float32),
-        panorama=_panorama(rng, overcast=overcast, forest=forest),
+        panorama=_panorama(rng, panorama_px, overcast=overcast, forest=forest),
     )
 
 
-def _panorama(rng: np.random.Generator, *, overcast: bool, forest: bool) -> NDArray[np.uint8]:
-    """Clouds on a gradient above rows of far trees, the farther the paler; (1024, 4096, 3) gamma-encoded."""
-    height, width = 1024, 4096
-    rows = np.linspace(0, 1, height, dtype=np.float32)[:, None]
-    clouds = np.tile(fractal(rng, 1024, beta=1.6, low=2, stretch=2.0), (1, 4))
-    cover = np.clip(clouds - rng.uniform(-1, 1.5) + (2 if overcast else 0), 0, 1)[..., None]
-    top, low = np.array([110, 150, 205], np.float32), np.array([200, 212, 226], np.float32)
-    blue = top + (low - top) * np.clip(2 * rows[..., None], 0, 1)
-    image = blue + (np.array([222, 226, 230], np.float32) + 12 * clouds[..., None] - blue) * cover
-    detail = fractal(rng, 1024, beta=0.8, columns=2048)
+def _panorama(rng: np.random.Generator, height: int, *, overcast: bool, forest: bool) -> NDArray[np.uint8]:
+    """Clouds on a gradient above rows of far trees, the farther the paler; (height, 4 height, 3) gamma-encoded."""
+    width, unit = 4 * height, height / 1024
+    rows = np.linspace(0, 1, height, dtype=np.float32)[:, None, None]
+    clouds = np.tile(fractal(rng, height, beta=1.6, low=2, stretch=2.0), (1, 4))[..., None]
+    cover = np.clip(clouds - np.float32(rng.uniform(-1, 1.5) - (2 if overcast else 0)), 0, 1)
+    blue = _rgb(110, 150, 205) + _rgb(90, 62, 21) * np.clip(2 * rows, 0, 1)
+    image = blue + (_rgb(222, 226, 230) + 12 * clouds - blue) * cover
+    detail = fractal(rng, height, beta=0.8, columns=width // 2)
     detail = np.concatenate([detail, detail[:, ::-1]], axis=1)
-    trunks = fractal(rng, 1024, beta=0.3, stretch=60, columns=2048)
-    trunks = np.concatenate([trunks[:, ::-1], trunks], axis=1)
-    green = np.array([50, 64, 42]) * rng.uniform(0.6, 1.4) + rng.normal(0, 5, 3)
-    haze = np.array([176, 186, 192]) if overcast else np.array([170, 186, 204])
-    far = rng.uniform(0.2, 0.7)
+    trunks = fractal(rng, height, beta=0.3, stretch=60, columns=width // 2)
+    # Far trees are pale and soft; a crisp backdrop would give matching more to hold on to than the plot itself.
+    crisp = np.float32(rng.uniform(0.05, 0.2))
+    tone = np.exp(crisp * detail + crisp * np.concatenate([trunks[:, ::-1], trunks], axis=1))
+    green = _rgb(50, 64, 42) * np.float32(rng.uniform(0.6, 1.4)) + rng.normal(0, 5, 3).astype(np.float32)
+    haze = _rgb(176, 186, 192) if overcast else _rgb(170, 186, 204)
+    far = rng.uniform(0.35, 0.8)
     grey_row = np.arange(height, dtype=np.float32)[:, None]
-    for layer, share in enumerate((far, 0.6 * far, 0.3 * far)):
-        line = fractal(rng, 512, beta=0.9, columns=width)[0] * rng.uniform(10, 30)
-        edge = height / 2 - rng.uniform(20, 140 if forest else 50) * (1 - 0.25 * layer) - line
-        shift = 911 * layer
-        texture = np.roll(detail, shift, axis=1)
-        tone = np.exp(0.35 * texture + 0.3 * np.roll(trunks, shift, axis=1))[..., None]
-        trees = ((1 - share) * green).astype(np.float32) * tone + (share * haze).astype(np.float32)
-        cover = np.clip((grey_row - edge[None] + 14 * texture) / 2, 0, 1)[..., None]
-        image = image + (trees - image) * cover
+    for layer, share in enumerate((far, 0.75 * far, 0.5 * far)):
+        line = fractal(rng, 64, beta=0.9, columns=width)[0] * np.float32(rng.uniform(10, 30))
+        edge = np.float32(512 - rng.uniform(20, 140 if forest else 50) * (1 - 0.25 * layer)) - line
+        shift = int(911 * unit) * layer
+        cover = np.clip((grey_row / np.float32(unit) - edge[None] + 14 * np.roll(detail, shift, axis=1)) / 2, 0, 1)
+        top = max(int((cover > 0).any(1).argmax()), 0)
+        trees = np.float32(1 - share) * green * np.roll(tone, shift, axis=1)[top:, :, None] + np.float32(share) * haze
+        image[top:] += (trees - image[top:]) * cover[top:, :, None]
     return np.clip(image, 0, 255).astype(np.uint8)
+
+
+def _rgb(red: float, green: float, blue: float) -> NDArray[np.float32]:
+    return np.array([red, green, blue], np.float32)

@@ -23,6 +23,7 @@ class Sensor:
     blur_px: float
     quality: int
     drift: float
+    sharpening: float
 
 
 def random_sensor(rng: np.random.Generator, linear: NDArray[np.float32]) -> Sensor:
@@ -39,6 +40,7 @@ def random_sensor(rng: np.random.Generator, linear: NDArray[np.float32]) -> Sens
         blur_px=rng.uniform(0.15, 0.6),
         quality=int(rng.integers(80, 96)),
         drift=rng.uniform(0.02, 0.12),
+        sharpening=rng.uniform(0.0, 0.7),
     )
 
 
@@ -60,6 +62,7 @@ def expose(rng: np.random.Generator, sensor: Sensor, linear: NDArray[np.float32]
     if rng.random() < 0.25:  # a hand that moved a little during the exposure
         image = cv2.filter2D(image, -1, _motion_kernel(rng, rng.uniform(0.4, 1.4)))
     image = image + grain
+    image = image + sensor.sharpening * (image - cv2.GaussianBlur(image, (0, 0), 1.2))
     image = image + sensor.contrast * image * (1 - image) * (image - 0.5)
     grey = image.mean(-1, keepdims=True)
     return np.clip((grey + sensor.saturation * (image - grey)) * 255 + 0.5, 0, 255).astype(np.uint8)

@@ -104,18 +104,21 @@ class Caster:
         hits = self.cast(origins, directions)
         return np.where(np.isfinite(hits.t), hits.t, 0).astype(np.float32).reshape(height, width)
 
-    def picture(self, camera: Camera, width: int, height: int, supersample: int = 2) -> NDArray[np.float32]:
+    def picture(
+        self, camera: Camera, width: int, height: int, supersample: int = 2, *, distortion: float = 0.0
+    ) -> NDArray[np.float32]:
         """Linear RGB (height, width, 3): the mean of ``supersample``^2 rays set symmetrically in each pixel.
 
         The mean is taken of gamma-encoded values, as in a phone's photograph that was made smaller; a mean of
         light would move the edges between black and white by a third of a pixel towards the black.
+        ``distortion`` is the radial k1 of the picture (depth maps and cameras stay pinhole).
         """
         offsets = (np.arange(supersample) + 0.5) / supersample - 0.5
         total = np.zeros((height * width, 3), np.float32)
         number = 0
         for dy in offsets:
             for dx in offsets:
-                origins, directions = pixel_rays(camera, width, height, (float(dx), float(dy)))
+                origins, directions = pixel_rays(camera, width, height, (float(dx), float(dy)), distortion)
                 angle = 2 * np.pi * number / supersample**2 + 0.4
                 light = self._shade(origins, directions, float(camera.intrinsic[0, 0]) * supersample, angle)
                 total += np.sqrt(light)
@@ -183,16 +186,25 @@ def interpolate(corners: NDArray[np.float32], u: NDArray[np.float32], v: NDArray
 
 
 def pixel_rays(
-    camera: Camera, width: int, height: int, offset: tuple[float, float]
+    camera: Camera, width: int, height: int, offset: tuple[float, float], distortion: float = 0.0
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Rays through (u + dx, v + dy) of every pixel, row by row; directions have z = 1 in the camera frame.
 
-    So the distance along a ray is the z depth. Pixel centres lie at integers: ray = K^-1 (u, v, 1).
+    So the distance along a ray is the z depth. Pixel centres lie at integers: ray = K^-1 (u, v, 1). With
+    ``distortion`` k1 the ray (x, y, 1) is the one whose x (1 + k1 r^2), y (1 + k1 r^2) falls on the pixel.
     """
     columns = camera.cam_from_world[:3, :3].T @ np.linalg.inv(camera.intrinsic)
     across = (np.arange(width) + offset[0])[:, None] * columns[:, 0]
     along = (np.arange(height) + offset[1])[:, None] * columns[:, 1] + columns[:, 2]
     directions = (across[None] + along[:, None]).astype(np.float32).reshape(-1, 3)
+    if distortion:
+        rays = directions.astype(np.float64) @ camera.cam_from_world[:3, :3].T
+        distorted = rays[:, :2]
+        plain = distorted.copy()
+        for _ in range(10):  # fixed point; |k1| r^2 is small
+            plain = distorted / (1 + distortion * (plain**2).sum(1, keepdims=True))
+        rays[:, :2] = plain
+        directions = np.ascontiguousarray(rays @ camera.cam_from_world[:3, :3], dtype=np.float32)
     origins = np.empty_like(directions)
     origins[:] = camera.center
     return origins, directions

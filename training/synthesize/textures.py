@@ -214,23 +214,23 @@ def modulation(rng: Rng, size: int = 256, strength: float = 0.18) -> NDArray[np.
 
 
 def make_material(
-    rng: Rng, kind: str, photos: Sequence[Path], *, photo_share: float = 0.6, tile_m: float | None = None
+    rng: Rng, kind: str, photos: Sequence[Path], *, photo_share: float = 0.6, size: int = 1024
 ) -> Material:
     """A material of ``kind`` bark, ground, rock or generic; from one of ``photos`` of that kind by chance."""
     prefix = {"bark": "bark_", "ground": "ground_", "rock": "rock", "generic": ""}[kind]
     suitable = [p for p in photos if p.name.startswith(prefix) and p.suffix == ".jpg"]
     height: Field | None
     if suitable and rng.random() < photo_share:
-        image = from_photo(rng, suitable[int(rng.integers(len(suitable)))], turn=kind != "bark")
+        image = from_photo(rng, suitable[int(rng.integers(len(suitable)))], size, turn=kind != "bark")
         height = relief_of(image)
     elif kind == "ground":
-        image, height = litter(rng), None
+        image, height = litter(rng, size), None
     else:
-        image, height = {"bark": bark, "rock": rock, "generic": generic}[kind](rng)
+        image, height = {"bark": bark, "rock": rock, "generic": generic}[kind](rng, size)
     size_m = {"bark": (0.8, 1.5), "ground": (1.4, 2.6), "rock": (0.8, 1.8), "generic": (0.7, 1.8)}[kind]
     return Material(
         levels=pyramid(image),
-        tile_m=tile_m or float(rng.uniform(*size_m)),
+        tile_m=float(rng.uniform(*size_m)),
         height=() if height is None else pyramid(height),
         modulation=modulation(rng, strength=float(rng.uniform(0.1, 0.3))),
     )

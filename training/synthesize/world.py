@@ -22,6 +22,11 @@ from training.synthesize.terrain import Terrain, make_terrain, terrain_mesh
 from training.synthesize.textures import make_material
 from training.synthesize.undergrowth import litter, log, scatter, shrub, stones, tufts
 
+#: Leaves that lie on the ground one by one, at most; the rest of the litter is texture.
+MOST_LITTER = 15000
+#: Radius that cameras take objects other than stems to have.
+CLUTTER_RADIUS_M = 0.8
+
 
 @dataclass(frozen=True, kw_only=True)
 class WorldSettings:
@@ -42,6 +47,8 @@ class WorldSettings:
     outer_sides: int = 28
     outer_step_m: float = 0.15
     targets: int = 0
+    texture_px: int = 1024
+    panorama_px: int = 1024
     photos: tuple[Path, ...] = ()
     photo_share: float = 0.6
     min_dbh_m: float = 0.08
@@ -109,28 +116,36 @@ def make_targets(
     return targets
 
 
+def shade_feet(ground: Mesh, obstacles: NDArray[np.float64]) -> None:
+    """Darken the ground around the feet of ``obstacles`` (k, 3: x, y, radius), where they hide half the sky."""
+    x, y = ground.vertices[:, 0], ground.vertices[:, 1]
+    for cx, cy, radius in obstacles:
+        near = np.flatnonzero((np.abs(x - cx) < radius + 1) & (np.abs(y - cy) < radius + 1))
+        beyond = np.hypot(x[near] - cx, y[near] - cy) - radius
+        ground.tint[near] *= (1 - 0.45 * np.exp(-np.maximum(beyond, 0) / 0.2)).astype(np.float32)[:, None]
+
+
 def build_world(rng: np.random.Generator, settings: WorldSettings) -> World:
     """Draw a world from ``rng``."""
     photos, share = settings.photos, settings.photo_share
-    materials = [make_material(rng, "ground", photos, photo_share=share)]
+    materials = [make_material(rng, "ground", photos, photo_share=share, size=settings.texture_px)]
     barks = [len(materials) + i for i in range(int(rng.integers(2, 4)))]
-    materials += [make_material(rng, "bark", photos, photo_share=share) for _ in barks]
+    materials += [make_material(rng, "bark", photos, photo_share=share, size=settings.texture_px) for _ in barks]
     stone = len(materials)
-    materials.append(make_material(rng, "rock", photos, photo_share=share))
+    materials.append(make_material(rng, "rock", photos, photo_share=share, size=settings.texture_px))
     others = []
     if settings.clutter:
         others = [len(materials) + i for i in range(3)]
-        materials += [
-            make_material(rng, rng.choice(["generic", "rock", "generic", "bark"]), photos, photo_share=share / 2)
-            for _ in others
-        ]
+        kinds = rng.choice(["generic", "rock", "generic", "bark"], len(others))
+        size = settings.texture_px
+        materials += [make_material(rng, str(k), photos, photo_share=share / 2, size=size) for k in kinds]
         others.append(stone)
     first_card = len(materials)
     materials += [card_material(rng, k, photos) for k in KINDS]
     materials.append(card_material(rng, "leaves", photos))
     leaves, needles, fern, grass, leaves_2 = range(first_card, first_card + 5)
     terrain = make_terrain(rng, slope_deg=settings.slope_deg, roughness=settings.roughness)
-    light = random_light(rng, forest=not settings.clutter)
+    light = random_light(rng, forest=not settings.clutter, panorama_px=settings.panorama_px)
     opaque = [
         terrain_mesh(
             terrain,
@@ -180,15 +195,17 @@ def build_world(rng: np.random.Generator, settings: WorldSettings) -> World:
     for x, y in place_stems(rng, clutter, settings.radius_m, 0.3, inner, 1.4):
         z = float(terrain.height(np.float64(x), np.float64(y)))
         opaque += clutter_object(rng, x, y, z, others, [materials[i].tile_m for i in others])
-        obstacles.append((x, y, 0.8))
+        obstacles.append((x, y, CLUTTER_RADIUS_M))
     targets = make_targets(terrain, spots, materials, stone)
     opaque += [m for t in targets for m in t.meshes]
     obstacles += [(x, y, 0.2) for x, y in spots]
     markers = {"boards": [t.record for t in targets if "id" in t.record]}
     markers |= {"sticks": [t.record for t in targets if "length_m" in t.record]}
+    shade_feet(opaque[0], np.array(obstacles).reshape(-1, 3))
     rich, reach = settings.undergrowth, settings.detail_radius_m
     bare = settings.season == "winter"
-    cards.append(litter(rng, terrain, scatter(rng, int(rng.uniform(500, 5000)), reach), [leaves, leaves_2]))
+    leaf_count = int(min(rng.uniform(2, 50) * np.pi * reach**2, MOST_LITTER))
+    cards.append(litter(rng, terrain, scatter(rng, leaf_count, reach), [leaves, leaves_2]))
     if rich > 0:
         count = int(rich * rng.uniform(150, 4000))
         places = scatter(rng, count + 2, reach, clumps=14)

@@ -1,0 +1,87 @@
+"""What an output folder holds, read leniently: a missing or damaged part becomes a note, never a failure."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from fsinfer.errors import FsinferError
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contents:
+    """The parts of an output folder that are text.
+
+    Attributes
+    ----------
+    out: the folder.
+    plot: ``plot.json``, {} when missing.
+    trees: rows of ``trees.csv``, None when there is no table.
+    frames: rows of ``frames.csv``, None when there is none.
+    notes: what could not be read, in plain words.
+    """
+
+    out: Path
+    plot: dict[str, Any]
+    trees: list[dict[str, str]] | None
+    frames: list[dict[str, str]] | None
+    notes: tuple[str, ...]
+
+    @property
+    def metric(self) -> bool:
+        """True when lengths are metres."""
+        if self.plot.get("units") is not None:
+            return bool(self.plot["units"] == "m")
+        # A cloud measured by itself (fsinfer trees) has no scale of its own, but trees with a DBH.
+        return bool(self.plot.get("scale_m_per_unit")) or any(
+            number(t.get("dbh_cm")) is not None for t in self.trees or ()
+        )
+
+
+def read_contents(out: Path) -> Contents:
+    """Read the text parts of ``out``."""
+    notes: list[str] = []
+    plot = _lenient(lambda: _read_plot(out / "plot.json"), "plot.json", notes)
+    trees = _lenient(lambda: _read_rows(out / "trees.csv"), "trees.csv", notes)
+    frames_path = next((p for p in (out / "frames" / "frames.csv", out / "frames.csv") if p.is_file()), None)
+    frames = None if frames_path is None else _lenient(lambda: _read_rows(frames_path), "frames.csv", notes)
+    return Contents(out=out, plot=plot or {}, trees=trees, frames=frames, notes=tuple(notes))
+
+
+def number(text: object) -> float | None:
+    """Return a finite float, or None for an empty or unreadable cell."""
+    try:
+        value = float(text)  # type: ignore[arg-type]  # anything else is a TypeError
+    except (TypeError, ValueError):
+        return None
+    return value if value - value == 0 else None
+
+
+def _lenient(read: Callable[[], T], name: str, notes: list[str]) -> T | None:
+    try:
+        return read()
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, csv.Error, FsinferError) as error:
+        notes.append(f"{name} could not be read ({error}); that part of the report is missing.")
+        return None
+
+
+def _read_plot(path: Path) -> dict[str, Any]:
+    plot = json.loads(path.read_text(encoding="utf-8"))
+    if not isinstance(plot, dict):
+        msg = "it is no JSON object"
+        raise ValueError(msg)
+    return plot
+
+
+def _read_rows(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="", encoding="utf-8-sig") as stream:
+        reader = csv.DictReader(stream)
+        return [{str(key): str(value or "") for key, value in row.items() if key is not None} for row in reader]

@@ -1,0 +1,133 @@
+"""Export: every preset passes the checker, agrees with PyTorch, and its manifest guards the files."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+import torch
+
+from export.onnx_export import export_model, load_checkpoint
+from export.parity import whole_parity
+from fsinfer.depth_model import DepthModel
+from fsinfer.errors import InputError, ModelError
+from fsinfer.images import write_image
+from fsinfer.scene import Camera, read_scene, write_camera, write_pairs
+from training.model import PRESETS, FSMVSNet
+
+
+@pytest.fixture(scope="module", params=["mvsnet", "paper", "field"])
+def exported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[FSMVSNet, Path]:
+    torch.manual_seed(0)
+    model = FSMVSNet(PRESETS[request.param])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the exporter's own deprecations are not ours to mend
+        folder = tmp_path_factory.mktemp(request.param)
+        return model.eval(), export_model(model, folder, provenance={"seed": 0})
+
+
+def write_scene(folder: Path, views: int = 3) -> Path:
+    """Views of a fronto-parallel texture at 3 units, 140x108 pixels: no multiple of 32."""
+    rng = np.random.default_rng(0)
+    texture = rng.integers(0, 255, (108, 260, 3), dtype=np.uint8)
+    for i in range(views):
+        write_image(folder / "images" / f"{i}.png", texture[:, 40 + 10 * i : 180 + 10 * i])
+        pose = np.eye(4)
+        pose[0, 3] = -0.3 * i
+        intrinsic = np.array([[100.0, 0, 70], [0, 100, 54], [0, 0, 1]])
+        write_camera(
+            folder / "cams" / f"{i}_cam.txt",
+            Camera(intrinsic=intrinsic, cam_from_world=pose, depth_min=1.5, depth_max=12.0),
+        )
+    write_pairs(folder / "pair.txt", {i: [(j, 1.0) for j in range(views) if j != i] for i in range(views)})
+    return folder
+
+
+def test_graphs_hold_192_planes_and_no_batch_norm(exported: tuple[FSMVSNet, Path]) -> None:
+    _, manifest = exported
+    data = json.loads(manifest.read_text())
+    assert data["volume"]["planes"] == 192
+    assert data["opset"] >= 18
+    assert all(graph["max_abs_difference"] < 1e-4 for graph in data["graphs"].values())
+    for graph in data["graphs"].values():
+        loaded = onnx.load(manifest.parent / graph["file"])
+        assert not any(node.op_type == "BatchNormalization" for node in loaded.graph.node)
+    packed = data["volume"]["packed_planes"]
+    shape = data["graphs"]["regularizer"]["inputs"]["volume"]
+    assert shape[0] * packed == 192 if packed else shape[2] == 192
+
+
+def test_whole_depth_map_agrees_with_pytorch(exported: tuple[FSMVSNet, Path], tmp_path: Path) -> None:
+    model, manifest = exported
+    parity = whole_parity(model, DepthModel.load(manifest), read_scene(write_scene(tmp_path)), views=1)
+    assert parity.depth_rel_p50 < 1e-5
+    if model.config.loss != "plane":
+        # Untrained scores have no peak; only the expectation over all planes is stable then.
+        assert parity.depth_rel_p999 < 1e-3
+
+
+def test_a_changed_file_is_refused(exported: tuple[FSMVSNet, Path], tmp_path: Path) -> None:
+    _, manifest = exported
+    for file in manifest.parent.iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    copy = tmp_path / manifest.name
+    graph = tmp_path / json.loads(copy.read_text())["graphs"]["features"]["file"]
+    graph.write_bytes(graph.read_bytes() + b"x")
+    with pytest.raises(ModelError, match="damaged or was changed"):
+        DepthModel.load(copy)
+    graph.write_bytes(graph.read_bytes()[:100])
+    with pytest.raises(ModelError, match="damaged"):
+        DepthModel.load(copy)
+    graph.unlink()
+    with pytest.raises(ModelError, match="missing"):
+        DepthModel.load(copy)
+
+
+def test_a_file_that_is_no_onnx_is_refused_even_with_its_hash(exported: tuple[FSMVSNet, Path], tmp_path: Path) -> None:
+    from fsinfer.manifest import hash_files
+
+    _, manifest = exported
+    data = json.loads(manifest.read_text())
+    files = []
+    for graph in data["graphs"].values():
+        (tmp_path / graph["file"]).write_bytes(b"not onnx")
+        files.append(tmp_path / graph["file"])
+    data["sha256"] = hash_files(files)
+    (tmp_path / "m.json").write_text(json.dumps(data))
+    with pytest.raises(ModelError, match="onnxruntime"):
+        DepthModel.load(tmp_path / "m.json")
+
+
+def test_unknown_model_names_the_known_ones() -> None:
+    with pytest.raises(ModelError, match="no depth model nothing"):
+        DepthModel.load("nothing")
+
+
+def test_a_broken_manifest_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "m.json").write_text("{}")
+    with pytest.raises(ModelError, match="not a model manifest"):
+        DepthModel.load(tmp_path / "m.json")
+
+
+def test_predict_checks_its_input(exported: tuple[FSMVSNet, Path]) -> None:
+    model = DepthModel.load(exported[1])
+    image = np.zeros((64, 64, 3), np.uint8)
+    k, p = np.eye(3)[None].repeat(2, 0), np.eye(4)[None].repeat(2, 0)
+    with pytest.raises(InputError, match="at least one source"):
+        model.predict([image], k[:1], p[:1], (1, 2))
+    with pytest.raises(InputError, match="near < far"):
+        model.predict([image, image], k, p, (2, 1))
+    with pytest.raises(InputError, match="uint8"):
+        model.predict([image.astype(np.float32), image], k, p, (1, 2))  # type: ignore[list-item]
+    with pytest.raises(InputError, match="N,3,3"):
+        model.predict([image, image], k[:1], p, (1, 2))
+
+
+def test_a_checkpoint_that_is_none(tmp_path: Path) -> None:
+    (tmp_path / "checkpoint.pt").write_bytes(b"nothing")
+    with pytest.raises(ModelError, match=r"training\.train"):
+        load_checkpoint(tmp_path / "checkpoint.pt")

@@ -1,0 +1,186 @@
+"""FS-MVSNet in PyTorch: shapes of all presets, warping against the deployed NumPy path, losses that fall."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from fsinfer.volume import Features, correlation_volume, upsample_index, variance_volume
+from fsinfer.warping import relative_projection as numpy_projection
+from training.losses import compute_loss, cross_entropy_two_bins, edge_attention, target_index
+from training.model import PRESETS, FSMVSNet
+from training.model import fsmvsnet as network
+from training.model.attention import SqueezeExcitation
+from training.model.backbone import BFPN
+from training.model.fsmvsnet import Window
+from training.model.packed import pack, with_neighbours
+from training.model.regression import peak_window, soft_argmin
+from training.model.volume import correlation_volume as torch_correlation
+from training.model.volume import plane_inverse_depths
+from training.model.volume import variance_volume as torch_variance
+from training.model.warping import relative_projection
+
+
+def views(count: int = 3, height: int = 64, width: int = 96) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    generator = torch.Generator().manual_seed(0)
+    images = torch.rand(count, 3, height, width, generator=generator) * 255
+    intrinsics = torch.tensor([[90.0, 0, 48], [0, 90, 32], [0, 0, 1]]).repeat(count, 1, 1)
+    poses = torch.eye(4).repeat(count, 1, 1)
+    poses[:, 0, 3] = torch.arange(count) * 0.2
+    poses[:, 2, 3] = torch.arange(count) * 0.05
+    return images, intrinsics, poses
+
+
+@pytest.mark.parametrize(("preset", "stride"), [("mvsnet", 4), ("paper", 4), ("field", 2)])
+def test_presets_forward_and_learn(preset: str, stride: int) -> None:
+    torch.manual_seed(0)
+    model = FSMVSNet(PRESETS[preset])
+    images, intrinsics, poses = views()
+    window = Window(x=4, y=2, width=16, height=12)
+    truth = torch.full((64, 96), 3.0)
+    optimizer = torch.optim.Adam(model.parameters(), lr=3e-3)
+    losses = []
+    for _ in range(4):
+        output = model(images, intrinsics, poses, (1.0, 9.0), window)
+        loss, _ = compute_loss(output, truth, (4, 2, 16, 12), model.config)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        losses.append(float(loss.detach()))
+    assert output.stride == stride
+    assert output.depth.shape == (12 * 4 // stride, 16 * 4 // stride)
+    assert output.scales[-1].stride == stride
+    assert bool(((output.depth > 0.9) & (output.depth < 10)).all())
+    assert bool(((output.confidence >= 0) & (output.confidence <= 1.001)).all())
+    assert losses[-1] < losses[0]
+    # The plain baseline takes no loss at the coarser scales: their heads are the only parameters without a gradient.
+    idle = ("heads.1", "heads.2") if model.config.loss == "smooth" else ()
+    for name, parameter in model.named_parameters():
+        if not any(part in name for part in idle):
+            assert parameter.grad is not None, name
+            assert torch.isfinite(parameter.grad).all(), name
+
+
+def test_ablation_switches_change_the_network() -> None:
+    paper = PRESETS["paper"]
+    kinds = {
+        name: {type(m).__name__ for m in FSMVSNet(dataclasses.replace(paper, **change)).modules()}
+        for name, change in {"full": {}, "no_bfpn": {"backbone": "conv"}, "no_se": {"se": False}}.items()
+    }
+    assert {"BFPN", "SqueezeExcitation"} <= kinds["full"]
+    assert "BFPN" not in kinds["no_bfpn"]
+    assert "SqueezeExcitation" not in kinds["no_se"]
+
+
+def test_paper_has_multi_scale_heads_and_192_planes() -> None:
+    model = FSMVSNet(PRESETS["paper"]).eval()
+    with torch.no_grad():
+        output = model(*views(), (1.0, 9.0))
+    assert [(s.stride, s.scores_dhw.shape[0]) for s in output.scales] == [(16, 48), (8, 96), (4, 192)]
+
+
+def test_pyramid_keeps_pixels_in_place() -> None:
+    torch.manual_seed(0)
+    pyramid = BFPN(base=8, channels=8, refine_channels=8).eval()
+    image = torch.zeros(1, 3, 128, 128)
+    with torch.no_grad():
+        base = pyramid(image)
+        image[..., 64, 64] = 10.0
+        moved = pyramid(image)
+    for level, stride in zip(range(2), (4, 2), strict=True):
+        change = (moved[level] - base[level]).abs().sum(dim=(0, 1))
+        assert divmod(int(change.argmax()), change.shape[1]) == (64 // stride, 64 // stride)
+
+
+def test_volumes_equal_the_deployed_numpy_volumes() -> None:
+    _, intrinsics, poses = views()
+    torch.manual_seed(1)
+    maps = torch.randn(3, 8, 16, 24)
+    inverse = plane_inverse_depths(torch.tensor(1.0), torch.tensor(9.0), 12, inverse=True)[:, None, None]
+    hypotheses = inverse.expand(-1, 16, 24)
+    a, b = relative_projection(intrinsics, poses, 4)
+    k, p = intrinsics.double().numpy(), poses.double().numpy()
+    projections = [numpy_projection(k[0], p[0], k[i], p[i], 4) for i in (1, 2)]
+    features = [Features.from_chw(m.numpy()) for m in maps]
+    planes = inverse.numpy()
+    torch_volume, torch_weights = torch_correlation(maps[0], list(maps[1:]), a, b, hypotheses, (0, 0), 2)
+    volume, weights = correlation_volume(features[0], features[1:], projections, planes)
+    np.testing.assert_allclose(volume, torch_volume.numpy(), atol=3e-5)
+    np.testing.assert_allclose(weights, torch_weights.numpy(), atol=3e-5)
+    expected = torch_variance(maps[0], list(maps[1:]), a, b, hypotheses, (0, 0)).numpy()
+    np.testing.assert_allclose(variance_volume(features[0], features[1:], projections, planes), expected, atol=3e-5)
+
+
+def test_a_window_is_a_cut_of_the_whole_volume() -> None:
+    _, intrinsics, poses = views()
+    torch.manual_seed(2)
+    maps = torch.randn(3, 8, 16, 24)
+    inverse = plane_inverse_depths(torch.tensor(1.0), torch.tensor(9.0), 12, inverse=True)[:, None, None]
+    a, b = relative_projection(intrinsics, poses, 4)
+    whole = torch_variance(maps[0], list(maps[1:]), a, b, inverse.expand(-1, 16, 24), (0, 0))
+    part = torch_variance(maps[0][:, 4:9, 6:13], list(maps[1:]), a, b, inverse.expand(-1, 5, 7), (6, 4))
+    torch.testing.assert_close(part, whole[:, :, 4:9, 6:13], atol=1e-5, rtol=1e-5)
+
+
+def test_upsampled_index_equals_the_deployed_one() -> None:
+    index = torch.rand(9, 13) * 20
+    np.testing.assert_allclose(
+        network.upsample_index(index, 17, 26).numpy(), upsample_index(index.numpy(), 17, 26), atol=1e-5
+    )
+
+
+def test_squeeze_excitation_over_slabs_is_one_volume() -> None:
+    torch.manual_seed(0)
+    se = SqueezeExcitation(32)
+    slabs = torch.randn(6, 32, 5, 7)
+    volume = slabs.transpose(0, 1)[None]
+    torch.testing.assert_close(se.over_slabs(slabs), se(volume)[0].transpose(0, 1))
+
+
+def test_packing_and_neighbours() -> None:
+    volume = torch.arange(16.0).reshape(8, 2, 1, 1)
+    slabs = pack(volume, 4)
+    assert slabs.flatten(1).tolist() == [list(range(8)), list(range(8, 16))]
+    mixed = with_neighbours(slabs)
+    assert mixed[0].flatten().tolist() == [*range(8), *range(8), *range(8, 16)]
+
+
+def test_soft_argmin_blurs_two_peaks_and_the_window_does_not() -> None:
+    probability = torch.zeros(20, 1, 1)
+    probability[4], probability[5], probability[15] = 0.3, 0.3, 0.4
+    probability[3] = 0.0
+    index, mass = peak_window(probability, 1)
+    assert float(index) == pytest.approx(15, abs=1e-3)
+    assert float(mass) == pytest.approx(0.4, abs=1e-5)
+    assert float(soft_argmin(probability, torch.arange(20.0))) == pytest.approx(8.7, abs=1e-4)
+
+
+@pytest.mark.parametrize("inverse", [True, False])
+def test_target_index_of_a_plane_is_its_number(inverse: bool) -> None:
+    planes = plane_inverse_depths(torch.tensor(2.0), torch.tensor(8.0), 192, inverse=inverse)[:, None, None]
+    truth = (1 / planes[[0, 77, 191]]).reshape(1, 3)
+    index, mask = target_index(torch.cat([truth, torch.tensor([[0.0, 20.0, 1.0]])]), planes)
+    torch.testing.assert_close(index[0], torch.tensor([0.0, 77, 191]), atol=0.02, rtol=0)
+    assert mask[1].tolist() == [False, False, False]
+
+
+def test_cross_entropy_is_least_at_the_split_label() -> None:
+    index = torch.tensor([[4.25]])
+    label = torch.zeros(10, 1, 1)
+    label[4], label[5] = 0.75, 0.25
+    best = cross_entropy_two_bins((label + 1e-9).log(), index, torch.tensor([[True]]))
+    entropy = -(0.75 * np.log(0.75) + 0.25 * np.log(0.25))
+    assert float(best) == pytest.approx(entropy, abs=1e-3)
+    shifted = cross_entropy_two_bins((label.roll(1, 0) + 1e-9).log(), index, torch.tensor([[True]]))
+    assert float(shifted) > float(best) + 1
+
+
+def test_attention_weighs_edges() -> None:
+    truth = torch.full((6, 8), 2.0)
+    truth[:, 4:] = 4.0
+    weight = edge_attention(truth)
+    assert float(weight[2, 3]) == pytest.approx(2.0)
+    assert float(weight[2, 1]) == pytest.approx(1.0)
