@@ -32,7 +32,9 @@ def load_checkpoint(path: Path) -> tuple[FSMVSNet, dict[str, Any]]:
     return model.eval(), state
 
 
-def export_model(model: FSMVSNet, folder: Path, *, provenance: dict[str, Any], confidence_threshold: float = 0.3) -> Path:
+def export_model(
+    model: FSMVSNet, folder: Path, *, provenance: dict[str, Any], confidence_threshold: float = 0.3
+) -> Path:
     """Write ``NAME_*.onnx`` and ``NAME.json`` into ``folder``; returns the manifest's path.
 
     Every graph passes the ONNX checker and is compared with PyTorch on an input of another size than the one it
@@ -78,7 +80,7 @@ def export_model(model: FSMVSNet, folder: Path, *, provenance: dict[str, Any], c
 def write_graph(graph: Graph, path: Path) -> None:
     """Export one graph with the dynamo exporter and check it."""
     dimension = torch.export.Dim
-    shapes = {key: {i: dimension.DYNAMIC for i in free} for key, free in graph.free.items()}
+    shapes = {key: dict.fromkeys(free, dimension.DYNAMIC) for key, free in graph.free.items()}
     program = torch.onnx.export(
         graph.module.eval(),
         kwargs=graph.inputs,

@@ -154,9 +154,7 @@ class DepthModel:
         if manifest.volume == "variance":
             volume = variance_volume(quarter[0], quarter[1:], projections, planes, threads=self.threads)[None]
         else:
-            volume, weights = correlation_volume(
-                quarter[0], quarter[1:], projections, planes, threads=self.threads
-            )
+            volume, weights = correlation_volume(quarter[0], quarter[1:], projections, planes, threads=self.threads)
             if manifest.packed:
                 depth, groups, height, width = volume.shape
                 packed = manifest.packed_planes

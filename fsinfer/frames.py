@@ -41,8 +41,9 @@ class FrameSettings:
     ----------
     interval_s: seconds of video between frames (the paper: 2).
     window_s: the sharpest frame within so many seconds round each time is taken.
-    equalize: ``none``, ``clahe`` or ``hist`` (the paper's histogram equalization). SIFT and the depth network both
-        take out brightness and contrast themselves: see docs for what equalization changed on real photos.
+    equalize: ``none``, ``clahe`` or ``hist`` (the paper's histogram equalization). None by default: SIFT and the depth
+        network take out brightness and contrast themselves, upright photos are copied without coding them again,
+        and the colours of the cloud stay those of the photos.
     limits: when a frame is dropped.
     jpeg_quality: of frames that are written anew; upright JPEG photos are copied as they are.
     """

@@ -109,7 +109,7 @@ def read_manifest(name_or_path: str | Path) -> ModelManifest:
     found = hash_files(manifest.files)
     if found != manifest.sha256:
         msg = (
-            f"model {manifest.name} in {path.parent} is damaged or was changed: SHA-256 {found[:12]}…, the manifest says "
+            f"model {manifest.name} in {path.parent} is damaged or was changed: SHA-256 {found[:12]}…, manifest "
             f"{manifest.sha256[:12]}…; install fsinfer again or re-export the model"
         )
         raise ModelError(msg)

@@ -29,6 +29,8 @@ class MarkerSettings:
     max_off_plane: and its corners lie off their plane by this share of the side.
     max_pairs: hypotheses tried for one number.
     length_rel_std: of the printed length: half a millimetre on a quarter of a metre is 0.2 %; common to all markers.
+    edge_std_px: how far blooming and the camera's tone curve may shift the edge between black and white; common to
+        all edges, and the reason to go near the markers.
     """
 
     min_views: int = 3
@@ -40,6 +42,7 @@ class MarkerSettings:
     max_off_plane: float = 0.08
     max_pairs: int = 150
     length_rel_std: float = 0.002
+    edge_std_px: float = 0.07
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -227,6 +230,8 @@ def _objection(fitted: FittedMarker, projections: Sequence[NDArray[np.float64]],
     """Why a fitted marker is not believed; empty where it is."""
     if fitted.angle_deg < settings.min_angle_deg:
         return f"seen within {fitted.angle_deg:.1f} degrees only; photograph it from places further apart"
+    if any(_area_px2(sighting.corners_px) <= 0 for sighting in fitted.sightings):
+        return "it is seen mirrored"
     free = _corners_in_space(fitted.sightings, projections)
     if free is None:
         return "the rays to its corners do not meet"
@@ -241,3 +246,9 @@ def _objection(fitted: FittedMarker, projections: Sequence[NDArray[np.float64]],
     if fitted.error_px > max(settings.gate_px, settings.gate_side_share * mean_side_px):
         return f"its corners are {fitted.error_px:.1f} pixels off"
     return ""
+
+
+def _area_px2(corners_px: NDArray[np.float64]) -> float:
+    """Signed area of the quadrilateral, positive when clockwise in the image (y down)."""
+    x, y = corners_px[:, 0], corners_px[:, 1]
+    return float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum() / 2)

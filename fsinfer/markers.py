@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fsinfer.errors import ScaleError
 from fsinfer.frame_quality import luminance
 from fsinfer.images import read_image
+from fsinfer.marker_corners import refine_corners
 from fsinfer.marker_fit import FittedMarker, MarkerSettings, Sighting, find_markers
 from fsinfer.progress import Progress, silent
 from fsinfer.scale import Scale, check_length
@@ -35,12 +36,10 @@ def make_detector(dictionary: str) -> cv2.aruco.ArucoDetector:
         msg = f"there is no ArUco dictionary {dictionary!r}; choose one of {', '.join(dictionary_names())}"
         raise ScaleError(msg)
     parameters = cv2.aruco.DetectorParameters()
+    # A start for our own refinement, which is not biased.
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    # Windows small against the marker: the white rim of a print is as wide as one of its cells at best.
     parameters.cornerRefinementWinSize = 5
     parameters.relativeCornerRefinmentWinSize = 0.3
-    parameters.cornerRefinementMaxIterations = 60
-    parameters.cornerRefinementMinAccuracy = 0.005
     predefined = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, _PREFIX + name))
     return cv2.aruco.ArucoDetector(predefined, parameters)
 
@@ -49,14 +48,15 @@ def detect_markers(
     image: NDArray[np.uint8], detector: cv2.aruco.ArucoDetector, *, min_side_px: float = MarkerSettings.min_side_px
 ) -> list[tuple[int, NDArray[np.float64]]]:
     """Find markers in an (H, W, 3) RGB uint8 image: (number, (4, 2) float64 corners in pixels, clockwise)."""
-    corners, numbers, _ = detector.detectMarkers(luminance(image))
+    grey = luminance(image)
+    corners, numbers, _ = detector.detectMarkers(grey)
     found = []
     # OpenCV gives None for the numbers where there is no marker.
     for number, quad in zip(() if not corners else np.asarray(numbers).ravel(), corners, strict=True):
         corners_px = np.asarray(quad, dtype=np.float64).reshape(4, 2)
         sides = np.linalg.norm(corners_px - np.roll(corners_px, 1, axis=0), axis=1)
         if sides.min() >= min_side_px:
-            found.append((int(number), corners_px))
+            found.append((int(number), refine_corners(grey, corners_px)))
     return found
 
 
@@ -176,9 +176,13 @@ def _combine(
                 "leave_one_out_rel": None if without is None else without / combined - 1,
             }
         )
-    rel_std = _combined_rel_std(scales / combined, rel_stds, weights, settings)
+    # Blooming moves every edge the same way: no averaging over views or markers takes it out.
+    side_px = float(np.mean([sighting.side_px for marker in markers for sighting in marker.sightings]))
+    edge_rel_std = 2 * settings.edge_std_px / side_px
+    rel_std = float(np.hypot(_combined_rel_std(scales / combined, rel_stds, weights, settings), edge_rel_std))
+    details = searched | {"mean_side_px": side_px, "edge_rel_std": edge_rel_std, "markers": entries}
     _log.info("scale %.6g m per unit from %d markers, %.2f %%", combined, len(markers), 100 * rel_std)
-    return Scale(m_per_unit=combined, source="aruco", rel_std=rel_std, details=searched | {"markers": entries})
+    return Scale(m_per_unit=combined, source="aruco", rel_std=rel_std, details=details)
 
 
 def _combined_rel_std(

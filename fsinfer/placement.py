@@ -52,8 +52,10 @@ def place_cloud(cloud: PointCloud, scene: Scene, *, m_per_unit: float | None = N
     centers = np.array([view.camera.center for view in scene.views])
     # The image's downward axis in world coordinates: the second row of the rotation.
     down = np.array([view.camera.cam_from_world[1, :3] for view in scene.views])
+    # People tilt a phone up or down more than they roll it: its horizontal axis tells what is level.
+    right = np.array([view.camera.cam_from_world[0, :3] for view in scene.views])
     scale = 1.0 if m_per_unit is None else m_per_unit
-    cloud_from_scene = np.diag([scale, scale, scale, 1.0]) @ level(cloud.xyz, centers, down)
+    cloud_from_scene = np.diag([scale, scale, scale, 1.0]) @ level(cloud.xyz, centers, down, camera_right=right)
     heights = centers @ cloud_from_scene[2, :3] + cloud_from_scene[2, 3]
     return PlacedCloud(
         cloud=transform_cloud(cloud, cloud_from_scene),

@@ -32,6 +32,8 @@ ADVICE = (
     "photos must overlap by two thirds or more, be sharp, and show bark, litter or other texture in good light; "
     "walk on a little between photos and do not only turn on the spot"
 )
+# A pose that hangs on fewer points than this is an accident.
+_MIN_POINTS = 10
 # Raised when scenes written before must not be taken for finished ones.
 _FORMAT = 1
 
@@ -108,10 +110,12 @@ def estimate_poses(
         raise PosesError(msg)
     with colmap_errors("finding poses", work):
         model, left_out = _structure_from_motion(photos, images, work, settings, progress)
-        if left_out:
-            warnings.append(_left_out_message(left_out, len(photos)))
         model = refine(model, RefinementSettings(), settings.thread_count, progress)
-        registered = _write_scene(model, photos, out, settings, progress)
+    blind = _drop_blind_views(model)
+    left_out += [photo.name for photo in photos if photo.file in blind]
+    if left_out:
+        warnings.append(_left_out_message(sorted(left_out), len(photos)))
+    registered = _write_scene(model, photos, out, settings, progress)
     for warning in warnings:
         _log.warning(warning)
     record = {"photos": len(paths), "registered": registered, "warnings": warnings, "key": key}
@@ -226,6 +230,20 @@ def _structure_from_motion(
     return models[0], [photo.name for photo in photos if photo.file not in registered]
 
 
+def _drop_blind_views(model: Any) -> set[str]:
+    """Take photos out of the model that lost nearly all their points in the last adjustment; returns their files."""
+    blind = {}
+    for image_id in model.reg_image_ids():
+        image = model.images[image_id]
+        pose = image.cam_from_world().matrix()
+        points = np.array([model.points3D[p.point3D_id].xyz for p in image.get_observation_points2D()]).reshape(-1, 3)
+        if int((points @ pose[2, :3] + pose[2, 3] > 0).sum()) < _MIN_POINTS:
+            blind[image.frame_id] = image.name
+    for frame_id in blind:
+        model.deregister_frame(frame_id)
+    return set(blind.values())
+
+
 def _left_out_message(names: Sequence[str], photos: int) -> str:
     shown = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
     return (
@@ -245,7 +263,8 @@ def _write_scene(model: Any, photos: Sequence[_Photo], out: Path, settings: Pose
         target = out / "images" / f"{name}.jpg"
         pixels = read_image(by_file[image.name].source)
         write_image(target, undistort(pixels, maps[image.camera_id]), quality=settings.jpeg_quality)
-    for image in model.images.values():
+    for image_id in image_ids.values():
+        image = model.images[image_id]
         image.name = f"{by_file[image.name].name}.jpg"
     sparse = sparse_of(model)
     cameras = {}
@@ -258,7 +277,8 @@ def _write_scene(model: Any, photos: Sequence[_Photo], out: Path, settings: Pose
         size = (int(pinhole.width), int(pinhole.height))
         depths = depth_range(sparse, sparse.observations[name], intrinsic, pose, size)
         if depths is None:
-            msg = f"{name} sees no point of the model; leave it out of the photos and run again"
+            # _drop_blind_views has taken such views out.
+            msg = f"{name} sees no point of the model; take it out of the photos and run again"
             raise PosesError(msg)
         cameras[name] = Camera(intrinsic=intrinsic, cam_from_world=pose, depth_min=depths[0], depth_max=depths[1])
     for name, camera in cameras.items():

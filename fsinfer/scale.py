@@ -75,10 +75,10 @@ def scale_from_endpoints(first: Sequence[float], second: Sequence[float], length
         The points coincide or are not finite, or the length is not positive.
     """
     check_length(length_m, "the length")
-    points = np.array([first, second], dtype=np.float64)
-    if points.shape != (2, 3) or not np.isfinite(points).all():
+    if len(first) != 3 or len(second) != 3 or not np.isfinite([*first, *second]).all():
         msg = f"the end points {first} and {second} are not two points of three finite numbers; give X,Y,Z twice"
         raise ScaleError(msg)
+    points = np.array([first, second], dtype=np.float64)
     length_units = float(np.linalg.norm(points[1] - points[0]))
     if not length_units > 1e-12 * float(np.abs(points).max()):
         msg = f"the end points {first} and {second} are the same; give the two ends of the {length_m} m length"

@@ -43,13 +43,14 @@ def relative_projection(
     scale = np.diag([1 / stride, 1 / stride, 1.0])
     relative = source_cam_from_world @ np.linalg.inv(reference_cam_from_world)
     source, reference = scale @ source_intrinsic, scale @ reference_intrinsic
-    return Projection(
-        matrix=source @ relative[:3, :3] @ np.linalg.inv(reference), offset=source @ relative[:3, 3]
-    )
+    return Projection(matrix=source @ relative[:3, :3] @ np.linalg.inv(reference), offset=source @ relative[:3, 3])
 
 
 def source_coordinates(
-    projection: Projection, inverse_depth_dhw: Float32, row_start: int = 0, width: int | None = None,
+    projection: Projection,
+    inverse_depth_dhw: Float32,
+    row_start: int = 0,
+    width: int | None = None,
     height: int | None = None,
 ) -> tuple[Float32, Float32]:
     """Source pixel (x, y) of every hypothesis, two (D, h, w) float32 arrays.
@@ -73,16 +74,15 @@ def source_coordinates(
     z = np.empty_like(x)
     np.add(far[2], shift[2], out=z)
     behind = z < 1e-6
-    if behind.any():
+    some_behind = bool(behind.any())
+    if some_behind:
         z[behind] = 1.0
-    else:
-        behind = None
     np.divide(np.float32(1), z, out=z)
     np.add(far[0], shift[0], out=x)
     np.multiply(x, z, out=x)
     np.add(far[1], shift[1], out=y)
     np.multiply(y, z, out=y)
-    if behind is not None:
+    if some_behind:
         x[behind] = OUTSIDE
         y[behind] = OUTSIDE
     return x, y

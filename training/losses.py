@@ -6,7 +6,7 @@ All are computed in units of plane intervals, so that a scene's scale and depth 
 from __future__ import annotations
 
 import torch
-import torch.nn.functional as F  # noqa: N812
+import torch.nn.functional as F
 from torch import Tensor
 
 from training.model.config import ModelConfig
@@ -89,14 +89,14 @@ def hybrid_loss(output: DepthOutput, truths: dict[int, Tensor], config: ModelCon
     for rank, scale in enumerate(reversed(output.scales), start=1):
         multiscale = multiscale + _smooth_l1(scale, truths[scale.stride]) / 2 ** (rank - 1)
     attention = _smooth_l1(finest, truths[finest.stride], edge_attention(truths[finest.stride]))
-    total = (
-        config.lambda_smooth * smooth + config.lambda_multiscale * multiscale + config.lambda_attention * attention
-    )
+    total = config.lambda_smooth * smooth + config.lambda_multiscale * multiscale + config.lambda_attention * attention
     parts = {"smooth": smooth, "multiscale": multiscale, "attention": attention}
     return total, {name: float(value.detach()) for name, value in parts.items()}
 
 
-def compute_loss(output: DepthOutput, truth: Tensor, window: tuple[int, int, int, int] | None, config: ModelConfig) -> tuple[Tensor, dict[str, float]]:
+def compute_loss(
+    output: DepthOutput, truth: Tensor, window: tuple[int, int, int, int] | None, config: ModelConfig
+) -> tuple[Tensor, dict[str, float]]:
     """Loss of one view. ``truth`` is the full-size depth map; ``window`` (x, y, width, height) at a quarter of it."""
     truths = {}
     for scale in output.scales:

@@ -212,8 +212,12 @@ def train(settings: TrainSettings) -> Path:
                 row: dict[str, float] = {"step": trainer.step, "spent_s": round(trainer.spent_s, 1), **running}
                 _log(row, log, board, trainer.step)
             if settings.validation and trainer.step % settings.validate_every == 0:
-                _log({"step": trainer.step, **{f"val_{k}": v for k, v in trainer.validate().items()}}, log, board,
-                     trainer.step)
+                _log(
+                    {"step": trainer.step, **{f"val_{k}": v for k, v in trainer.validate().items()}},
+                    log,
+                    board,
+                    trainer.step,
+                )
             if trainer.step % settings.checkpoint_every == 0:
                 trainer.save()
     trainer.save()

@@ -15,8 +15,8 @@ from export.onnx_export import export_model, load_checkpoint
 from export.parity import whole_parity
 from fsinfer.depth_model import DepthModel
 from fsinfer.errors import InputError, ModelError
-from fsinfer.images import write_image
-from fsinfer.scene import Camera, read_scene, write_camera, write_pairs
+from fsinfer.scene import read_scene
+from tests.plane_scene import write_plane_scene
 from training.model import PRESETS, FSMVSNet
 
 
@@ -28,23 +28,6 @@ def exported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
         warnings.simplefilter("ignore")  # the exporter's own deprecations are not ours to mend
         folder = tmp_path_factory.mktemp(request.param)
         return model.eval(), export_model(model, folder, provenance={"seed": 0})
-
-
-def write_scene(folder: Path, views: int = 3) -> Path:
-    """Views of a fronto-parallel texture at 3 units, 140x108 pixels: no multiple of 32."""
-    rng = np.random.default_rng(0)
-    texture = rng.integers(0, 255, (108, 260, 3), dtype=np.uint8)
-    for i in range(views):
-        write_image(folder / "images" / f"{i}.png", texture[:, 40 + 10 * i : 180 + 10 * i])
-        pose = np.eye(4)
-        pose[0, 3] = -0.3 * i
-        intrinsic = np.array([[100.0, 0, 70], [0, 100, 54], [0, 0, 1]])
-        write_camera(
-            folder / "cams" / f"{i}_cam.txt",
-            Camera(intrinsic=intrinsic, cam_from_world=pose, depth_min=1.5, depth_max=12.0),
-        )
-    write_pairs(folder / "pair.txt", {i: [(j, 1.0) for j in range(views) if j != i] for i in range(views)})
-    return folder
 
 
 def test_graphs_hold_192_planes_and_no_batch_norm(exported: tuple[FSMVSNet, Path]) -> None:
@@ -63,7 +46,7 @@ def test_graphs_hold_192_planes_and_no_batch_norm(exported: tuple[FSMVSNet, Path
 
 def test_whole_depth_map_agrees_with_pytorch(exported: tuple[FSMVSNet, Path], tmp_path: Path) -> None:
     model, manifest = exported
-    parity = whole_parity(model, DepthModel.load(manifest), read_scene(write_scene(tmp_path)), views=1)
+    parity = whole_parity(model, DepthModel.load(manifest), read_scene(write_plane_scene(tmp_path)), views=1)
     assert parity.depth_rel_p50 < 1e-5
     if model.config.loss != "plane":
         # Untrained scores have no peak; only the expectation over all planes is stable then.

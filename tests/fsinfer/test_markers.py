@@ -162,7 +162,11 @@ def test_wrong_detections_do_not_move_a_marker() -> None:
     good = sightings(0, 6, rng)
     # The same number read into leaves, and one detection turned by a quarter.
     bad = [
-        Sighting(marker_id=1, view=view, corners_px=np.array([[0, 0], [20, 0], [20, 20], [0, 20.0]]) + rng.uniform(50, 300, 2))
+        Sighting(
+            marker_id=1,
+            view=view,
+            corners_px=np.array([[0, 0], [20, 0], [20, 20], [0, 20.0]]) + rng.uniform(50, 300, 2),
+        )
         for view in (0, 2, 4)
     ]
     turned = Sighting(marker_id=1, view=5, corners_px=np.roll(good.pop(5).corners_px, 1, axis=0))
@@ -175,9 +179,7 @@ def test_wrong_detections_do_not_move_a_marker() -> None:
 
 def test_mirrored_and_oblong_detections_are_rejected() -> None:
     rng = np.random.default_rng(2)
-    mirrored = [
-        Sighting(marker_id=1, view=s.view, corners_px=s.corners_px[::-1]) for s in sightings(0, 6, rng)
-    ]
+    mirrored = [Sighting(marker_id=1, view=s.view, corners_px=s.corners_px[::-1]) for s in sightings(0, 6, rng)]
     found, reasons = find_markers(mirrored, *projections(6), MarkerSettings())
     assert not found
     assert reasons

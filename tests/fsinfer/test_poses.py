@@ -113,8 +113,12 @@ def test_a_second_call_does_nothing(result: PosesResult, room: Path) -> None:
     assert before == {path: path.stat().st_mtime_ns for path in result.scene.rglob("*") if path.is_file()}
 
 
-def test_goes_on_from_the_features_after_a_kill(room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_goes_on_from_the_features_after_a_kill(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import pycolmap
+
+    photos, out = tmp_path / "photos", tmp_path / "out"
+    for index, image in enumerate(photographs()[:4]):
+        write_image(photos / f"p{index}.jpg", image)
 
     class KillError(Exception):
         pass
@@ -124,25 +128,27 @@ def test_goes_on_from_the_features_after_a_kill(room: Path, tmp_path: Path, monk
             raise KillError
 
     with pytest.raises(KillError):
-        estimate_poses(room / "photos", tmp_path, settings=SETTINGS, progress=stop)
-    assert not (tmp_path / "poses.json").exists()
+        estimate_poses(photos, out, settings=SETTINGS, progress=stop)
+    assert not (out / "poses.json").exists()
 
     def forbidden(*_args: object, **_options: object) -> None:
         pytest.fail("features were extracted again")
 
     monkeypatch.setattr(pycolmap, "extract_features", forbidden)
-    assert estimate_poses(room / "photos", tmp_path, settings=SETTINGS).registered == 8
-    assert not (tmp_path / "work").exists()
+    assert estimate_poses(photos, out, settings=SETTINGS).registered == 4
+    assert not (out / "work").exists()
 
 
-def test_photo_that_does_not_belong_is_left_out_by_name(room: Path, tmp_path: Path) -> None:
+def test_the_larger_of_two_parts_is_taken_and_the_other_named(tmp_path: Path) -> None:
     for index, image in enumerate(photographs()[:5]):
         write_image(tmp_path / "photos" / f"p{index}.jpg", image)
-    noise = np.random.default_rng(5).integers(0, 255, (360, 480, 3), dtype=np.uint8)
-    write_image(tmp_path / "photos" / "stray.jpg", noise)
+    for index, image in enumerate(photographs(seed=50)[2:5]):
+        write_image(tmp_path / "photos" / f"other{index}.jpg", image)
     result = estimate_poses(tmp_path / "photos", tmp_path / "scene", settings=SETTINGS)
-    assert result.registered == 5
-    assert any("stray" in warning for warning in result.warnings)
+    assert (result.photos, result.registered) == (8, 5)
+    assert len(result.warnings) == 1
+    assert "3 of 8 photos could not be placed with the others: other0, other1, other2" in result.warnings[0]
+    assert {view.name for view in read_scene(result.scene).views} == {f"p{index}" for index in range(5)}
 
 
 def noise_photos(folder: Path, count: int) -> Path:

@@ -17,7 +17,7 @@ from tests.fsinfer.rendered_room import intrinsic, poses
 def test_factor() -> None:
     scale = scale_from_factor(0.4)
     assert (scale.m_per_unit, scale.source, scale.rel_std) == (0.4, "factor", None)
-    assert np.array_equal(apply_scale(np.array([[1.0, 2, 3]]), scale), [[0.4, 0.8, 1.2]])
+    assert np.allclose(apply_scale(np.array([[1.0, 2, 3]]), scale), [[0.4, 0.8, 1.2]], rtol=1e-12)
 
 
 @pytest.mark.parametrize("value", [0.0, -2.0, float("nan"), float("inf")])

@@ -104,7 +104,7 @@ def test_no_depth_at_the_points(scene: Scene, sparse: SparseModel, tmp_path: Pat
     check = check_depth(scene, sparse, tmp_path)
     assert check.median_rel is None
     assert (check.compared, check.asked) == (0, 120)
-    with pytest.raises(SceneError, match="no depth map"):
+    with pytest.raises(SceneError, match="fsinfer depth"):
         check_depth(scene, sparse, tmp_path / "empty")
 
 

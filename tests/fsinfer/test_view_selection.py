@@ -36,7 +36,7 @@ def test_best_source_has_angle_and_shared_points() -> None:
 
 
 def test_views_that_share_nothing_are_no_sources() -> None:
-    points = np.random.default_rng(1).uniform(-1, 1, (20, 3)) + [0, 0, 5]
+    points = np.random.default_rng(1).uniform(-1, 1, (20, 3)) + np.array([0, 0, 5])
     seen = [np.arange(10), np.arange(10), np.arange(10, 20)]
     sources = choose_sources(score_pairs(points, cameras_on_a_line([0, 5, 10], 5.0), seen), 10)
     assert [[source for source, _ in sources[view]] for view in range(3)] == [[1], [0], []]

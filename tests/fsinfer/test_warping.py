@@ -89,9 +89,7 @@ def test_correlation_volume_equals_the_reference(threads: int) -> None:
     features = [Features.from_chw(m) for m in maps]
     volume, weights = correlation_volume(features[0], features[1:], projections, inverse, threads=threads)
     hwc = [m.transpose(1, 2, 0) for m in maps]
-    np.testing.assert_allclose(
-        volume, correlation_volume_reference(hwc[0], hwc[1:], projections, inverse), atol=2e-5
-    )
+    np.testing.assert_allclose(volume, correlation_volume_reference(hwc[0], hwc[1:], projections, inverse), atol=2e-5)
     assert weights.shape == (2, 37, 41)
     assert ((weights > 0) & (weights <= 1)).all()
 

@@ -7,7 +7,7 @@ and padding 1 are centred on even pixels), so that intrinsics scale by 1/s with 
 from __future__ import annotations
 
 import torch
-import torch.nn.functional as F  # noqa: N812
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 

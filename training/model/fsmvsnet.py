@@ -209,8 +209,9 @@ class FSMVSNet(nn.Module):
             depth = self._depth(index, near, far)
             return DepthOutput(depth=depth, confidence=confidence, stride=4, scales=tuple(scales))
 
-        height, width = min(2 * window.height, half.shape[-2] - 2 * window.y), min(
-            2 * window.width, half.shape[-1] - 2 * window.x
+        height, width = (
+            min(2 * window.height, half.shape[-2] - 2 * window.y),
+            min(2 * window.width, half.shape[-1] - 2 * window.x),
         )
         centre = upsample_index(index.detach(), height, width)
         offsets = torch.linspace(-config.refine_span, config.refine_span, config.refine_planes, device=images.device)
@@ -227,9 +228,7 @@ class FSMVSNet(nn.Module):
         )
         scores = self.refine_head.scores(fine_volume.flatten(0, 1), fine_reference)
         fine_index, fine_confidence = self.refine_head.read(scores)
-        scales.append(
-            ScaleOutput(stride=2, scores_dhw=scores, index_hw=fine_index, inverse_depth_dhw=narrow.detach())
-        )
+        scales.append(ScaleOutput(stride=2, scores_dhw=scores, index_hw=fine_index, inverse_depth_dhw=narrow.detach()))
         step = 2 * config.refine_span / (config.refine_planes - 1)
         final = centre + offsets[0] + fine_index * step
         coarse_confidence = upsample_like(confidence[None, None], centre)[0, 0]

@@ -8,7 +8,7 @@ at half resolution and below.
 from __future__ import annotations
 
 import torch
-import torch.nn.functional as F  # noqa: N812
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from training.model.attention import SqueezeExcitation
@@ -82,7 +82,9 @@ class Refiner(nn.Module):
         self.down = nn.Sequential(
             conv_bn_relu(width, 3 * width // 2, stride=2), conv_bn_relu(3 * width // 2, 3 * width // 2)
         )
-        self.down2 = nn.Sequential(conv_bn_relu(3 * width // 2, 2 * width, stride=2), conv_bn_relu(2 * width, 2 * width))
+        self.down2 = nn.Sequential(
+            conv_bn_relu(3 * width // 2, 2 * width, stride=2), conv_bn_relu(2 * width, 2 * width)
+        )
         self.reduce2 = nn.Conv2d(2 * width, 3 * width // 2, 1)
         self.up = conv_bn_relu(3 * width // 2, 3 * width // 2)
         self.reduce = nn.Conv2d(3 * width // 2, width, 1)

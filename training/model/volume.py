@@ -17,7 +17,11 @@ def plane_inverse_depths(depth_min: Tensor, depth_max: Tensor, planes: int, *, i
 
 
 def variance_volume(
-    reference_chw: Tensor, sources: list[Tensor], a: Tensor, b: Tensor, inverse_depth_dhw: Tensor,
+    reference_chw: Tensor,
+    sources: list[Tensor],
+    a: Tensor,
+    b: Tensor,
+    inverse_depth_dhw: Tensor,
     origin_xy: tuple[int, int],
 ) -> Tensor:
     """Variance of the N views' features (MVSNet, eq. 2): (C, D, h, w).
@@ -42,8 +46,14 @@ def correlation(reference_chw: Tensor, warped_cdhw: Tensor, groups: int) -> Tens
 
 
 def correlation_volume(
-    reference_chw: Tensor, sources: list[Tensor], a: Tensor, b: Tensor, inverse_depth_dhw: Tensor,
-    origin_xy: tuple[int, int], groups: int, view_weights: Tensor | None = None,
+    reference_chw: Tensor,
+    sources: list[Tensor],
+    a: Tensor,
+    b: Tensor,
+    inverse_depth_dhw: Tensor,
+    origin_xy: tuple[int, int],
+    groups: int,
+    view_weights: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Weighted mean of the sources' correlations, (D, G, h, w), and the weights (S, h, w).
 

@@ -8,13 +8,11 @@ point instead of a plane).
 from __future__ import annotations
 
 import torch
-import torch.nn.functional as F  # noqa: N812
+import torch.nn.functional as F
 from torch import Tensor
 
 
-def relative_projection(
-    intrinsics: Tensor, cam_from_world: Tensor, stride: int | float
-) -> tuple[Tensor, Tensor]:
+def relative_projection(intrinsics: Tensor, cam_from_world: Tensor, stride: int | float) -> tuple[Tensor, Tensor]:
     """Return A (S, 3, 3) and b (S, 3) of every source view against view 0, at a feature stride.
 
     ``intrinsics`` (N, 3, 3) in pixels of the full image, ``cam_from_world`` (N, 4, 4). A source pixel at the
@@ -43,9 +41,7 @@ def warp(features_chw: Tensor, a: Tensor, b: Tensor, inverse_depth_dhw: Tensor, 
     -------
     (C, D, h, w); zero where the hypothesis falls outside the source view or behind it.
     """
-    channels, height, width = features_chw.shape
-    planes, h, w = inverse_depth_dhw.shape
-    return sample(features_chw, *project(a, b, inverse_depth_dhw, origin_xy)).reshape(channels, planes, h, w)
+    return sample(features_chw, *project(a, b, inverse_depth_dhw, origin_xy)).reshape(-1, *inverse_depth_dhw.shape)
 
 
 def project(a: Tensor, b: Tensor, inverse_depth_dhw: Tensor, origin_xy: tuple[int, int]) -> tuple[Tensor, Tensor]:

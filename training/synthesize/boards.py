@@ -30,11 +30,12 @@ class Target:
 
 
 def board_material(marker_id: int) -> Material:
-    """The printed sheet of a 4X4_50 marker with a white margin of one module; black is not quite black."""
+    """The printed sheet of a 4X4_50 marker with a pale margin of one module; black is not quite black."""
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
     marker = cv2.aruco.generateImageMarker(dictionary, marker_id, MODULES * MODULE_PX, borderBits=1)
     sheet = np.pad(marker, MODULE_PX, constant_values=255)
-    grey = (28 + (228 - 28) * (sheet > 127)).astype(np.uint8)
+    # Matt grey paper: glaring white would be clipped by the sensor, and its edges would creep over the black.
+    grey = (28 + (176 - 28) * (sheet > 127)).astype(np.uint8)
     side = SIDE_M * MODULES_WITH_MARGIN / MODULES
     # Mips end at 8 pixels a module, where module borders still fall on texel borders.
     return Material(levels=pyramid(np.dstack([grey] * 3))[:4], tile_m=side)

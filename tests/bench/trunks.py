@@ -1,0 +1,109 @@
+"""DBH of single real trunks from stereo pairs with a trunk mask: ``python -m tests.bench.trunks TRUNKS OUT``.
+
+TRUNKS holds MVSNet scenes (``T01`` …), each with ``mask.png`` of the trunk in view 0, and ``dbh.csv`` (scene, dbh_cm).
+For every pair: the depth map of view 0 through ``fsinfer depth``, then a circle in the trunk's cross-section from the
+points of the visible arc and the two rays that touch the trunk's sides.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from fsinfer.depth import DepthSettings, estimate_depth, read_depth_grid
+from fsinfer.pfm import read_pfm
+from fsinfer.scene import read_scene
+
+BAND = 0.15  # share of the mask's height, about its middle, that counts as breast height
+EDGE_SHARE = 0.08  # of the trunk's width at each side that is left out: fattened edges, grazing surface
+POINT_SIGMA_M = 0.01
+EDGE_SIGMA_M = 0.002
+
+
+def trunk_points(
+    depth: NDArray[np.float32], intrinsic: NDArray[np.float64], mask: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Points (N, 3) of the band, and directions (M, 2) in x, z of the rays along its left and right silhouette."""
+    rows = np.flatnonzero(mask.any(axis=1))
+    # Rows where the mask reaches neither side of the picture: only there are both silhouettes real.
+    middle, half = (rows[0] + rows[-1]) / 2, BAND / 2 * (rows[-1] - rows[0])
+    points, left, right = [], [], []
+    inverse = np.linalg.inv(intrinsic)
+    for v in range(int(middle - half), int(middle + half) + 1):
+        columns = np.flatnonzero(mask[v])
+        if len(columns) < 8 or columns[0] == 0 or columns[-1] == mask.shape[1] - 1:
+            continue
+        margin = EDGE_SHARE * (columns[-1] - columns[0])
+        inner = columns[(columns > columns[0] + margin) & (columns < columns[-1] - margin)]
+        pixels = np.stack([inner, np.full(len(inner), v), np.ones(len(inner))])
+        points.append((inverse @ pixels).T * depth[v, inner, None])
+        for edge, rays in ((columns[0] - 0.5, left), (columns[-1] + 0.5, right)):
+            rays.append((inverse @ np.array([edge, v, 1.0]))[[0, 2]])
+    return np.concatenate(points), np.array(left), np.array(right)
+
+
+def fit_arc(
+    points: NDArray[np.float64], left: NDArray[np.float64], right: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], float]:
+    """Centre (x, z) and radius of the circle through the points and tangent to both silhouettes, metres.
+
+    The camera stands at the origin; a ray touches the circle where its distance from the centre is the radius.
+    """
+    xz = points[:, [0, 2]]
+    near = float(np.median(xz[:, 1]))
+    xz = xz[np.abs(xz[:, 1] - near) < 0.1 * near]  # what the mask cuts out of the background by mistake
+    directions = [side.mean(axis=0) / np.linalg.norm(side.mean(axis=0)) for side in (left, right)]
+    radius = near * float(np.arccos(np.clip(directions[0] @ directions[1], -1, 1))) / 2
+    weight = 1 / np.sqrt(len(xz))  # the arc is one observation: its pixels err together
+
+    def residuals(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
+        centre, r = parameters[:2], parameters[2]
+        arc = (np.linalg.norm(xz - centre, axis=1) - r) * weight / POINT_SIGMA_M
+        edges = [(abs(centre[0] * d[1] - centre[1] * d[0]) - r) / EDGE_SIGMA_M for d in directions]
+        return np.concatenate([arc, edges])
+
+    start = np.array([float(np.median(xz[:, 0])), near + radius, radius])
+    # Twice the start's radius about it holds every trunk; without a wall a flat arc runs off to a giant circle.
+    reach = np.array([radius, 2 * radius, 0.9 * radius])
+    solution = least_squares(residuals, start, loss="soft_l1", x_scale=0.01, bounds=(start - reach, start + reach))
+    return solution.x[:2], float(solution.x[2])
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run all pairs and print the table with the mean absolute error."""
+    parser = argparse.ArgumentParser(prog="python -m tests.bench.trunks", description=__doc__)
+    parser.add_argument("trunks", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--model", default="field")
+    args = parser.parse_args(argv)
+    with (args.trunks / "dbh.csv").open(encoding="utf-8") as file:
+        truth = {row["scene"]: float(row["dbh_cm"]) for row in csv.DictReader(file)}
+    errors = []
+    for name, expected in truth.items():
+        scene = read_scene(args.trunks / name)
+        estimate_depth(scene, args.out / name, settings=DepthSettings(model=args.model))
+        view = scene.views[0]
+        depth = read_pfm(args.out / name / "depth" / f"{view.name}.pfm")
+        grid = read_depth_grid(args.out / name, view.name)
+        mask = cv2.imread(str(args.trunks / name / "mask.png"), cv2.IMREAD_GRAYSCALE) > 127
+        v, u = (np.rint(np.arange(n) * s + o).astype(int) for n, s, o in zip(
+            depth.shape, (grid.step_y, grid.step_x), (grid.offset_y_px, grid.offset_x_px), strict=True
+        ))
+        small = mask[np.ix_(np.clip(v, 0, mask.shape[0] - 1), np.clip(u, 0, mask.shape[1] - 1))]
+        _, radius = fit_arc(*trunk_points(depth, grid.intrinsic(view.camera.intrinsic), small))
+        errors.append(200 * radius - expected)
+        distance = float(np.median(depth[small]))
+        print(f"{name}: {200 * radius:6.2f} cm, tape {expected:6.2f} cm, error {errors[-1]:+5.2f} cm, {distance:.2f} m")
+    absolute = np.abs(errors)
+    print(f"{len(errors)} pairs: MAE {absolute.mean():.2f} cm, bias {np.mean(errors):+.2f} cm, worst {absolute.max():.2f}")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

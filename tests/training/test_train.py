@@ -1,0 +1,149 @@
+"""Training and evaluation end to end on a scene whose truth is known."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from fsinfer.errors import SceneError
+from fsinfer.pfm import read_pfm, write_pfm
+from fsinfer.scene import read_scene
+from tests.plane_scene import PLANE_DEPTH, write_plane_scene
+from training.datasets import SamplingSettings, SceneSamples, jitter_colour, load_sample
+from training.evaluate import evaluate_scene, main, on_truth_grid
+from training.metrics import depth_errors
+from training.train import Trainer, TrainSettings, parse_arguments, pick_window, train
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("scenes")
+    for seed in range(2):
+        write_plane_scene(folder / f"s{seed}", seed=seed)
+    return folder
+
+
+def test_samples_are_drawn_from_every_scene(scenes: Path) -> None:
+    stream = iter(SceneSamples([scenes], seed=0, settings=SamplingSettings(min_sources=1, max_sources=2)))
+    drawn = [next(stream) for _ in range(20)]
+    assert {sample.name.split("/")[0] for sample in drawn} == {"s0", "s1"}
+    assert {len(sample.images) for sample in drawn} == {2, 3}
+    near, far = drawn[0].depth_range
+    assert 0.5 < near <= 1.5
+    assert far >= 12
+
+
+def test_no_scene_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match=r"training\.synthesize"):
+        next(iter(SceneSamples([tmp_path], seed=0)))
+
+
+def test_a_quarter_size_depth_map_is_spread(tmp_path: Path) -> None:
+    folder = write_plane_scene(tmp_path)
+    small = np.arange(27 * 35, dtype=np.float32).reshape(27, 35) + 1
+    write_pfm(folder / "depths" / "0.pfm", small)
+    sample = load_sample(read_scene(folder), 0, [1])
+    np.testing.assert_array_equal(sample.depth[::4, ::4].numpy(), small)
+
+
+def test_colour_jitter_keeps_the_range() -> None:
+    images = torch.rand(3, 3, 8, 8) * 255
+    changed = jitter_colour(images, 0.2, np.random.default_rng(0))
+    assert 0 <= float(changed.min()) <= float(changed.max()) <= 255
+    assert not torch.allclose(images, changed)
+
+
+def test_windows_start_on_even_pixels_where_there_is_truth(scenes: Path) -> None:
+    sample = load_sample(read_scene(scenes / "s0"), 0, [1])
+    depth = torch.zeros_like(sample.depth)
+    depth[:, 100:] = 3.0
+    half = dataclasses.replace(sample, depth=depth)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        window = pick_window(half, (16, 12), rng)
+        assert window.x % 2 == 0
+        assert window.y % 2 == 0
+        assert window.x + 16 <= 35
+        assert window.y + 12 <= 27
+
+
+def test_training_runs_stops_and_resumes(scenes: Path, tmp_path: Path) -> None:
+    settings = TrainSettings(
+        data=(scenes,),
+        out=tmp_path,
+        validation=(scenes,),
+        steps=2,
+        crop=(16, 12),
+        min_sources=1,
+        max_sources=2,
+        checkpoint_every=1,
+        validate_every=2,
+    )
+    checkpoint = train(settings)
+    first = Trainer(dataclasses.replace(settings, steps=3))
+    assert first.step == 2
+    train(dataclasses.replace(settings, steps=3))
+    assert torch.load(checkpoint, weights_only=True)["step"] == 3
+    rows = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+    assert any("val_median_rel" in row for row in rows)
+
+
+def test_the_time_limit_ends_a_run(scenes: Path, tmp_path: Path) -> None:
+    train(TrainSettings(data=(scenes,), out=tmp_path, minutes=1e-6, crop=(16, 12), max_sources=2))
+    assert torch.load(tmp_path / "checkpoint.pt", weights_only=True)["step"] == 1
+
+
+def test_a_sure_estimate_counts_and_a_missing_one_is_wrong() -> None:
+    truth = np.full((10, 10), 4.0, np.float32)
+    truth[0] = 0
+    depth = truth.copy()
+    depth[1:4] = 0  # missing, and known to be unsure
+    confidence = (depth > 0).astype(np.float32)
+    errors = depth_errors(depth, confidence, truth)
+    assert errors is not None
+    assert errors.pixels == 90
+    assert errors.within_1pct == pytest.approx(60 / 90)
+    assert errors.median_rel == 0
+    assert errors.within_1pct_sure == pytest.approx(60 / 90)
+    confidence[1] = 2.0
+    surest = depth_errors(depth, confidence, truth)
+    assert surest is not None
+    assert surest.within_1pct_sure < 1
+    assert depth_errors(depth, confidence, np.zeros_like(truth)) is None
+
+
+def test_estimates_are_read_at_the_centres_of_the_truth_pixels() -> None:
+    values = np.arange(8 * 12, dtype=np.float32).reshape(8, 12)
+    np.testing.assert_array_equal(on_truth_grid(values, 2, (16, 24), (16, 24))[::2, ::2], values)
+    np.testing.assert_array_equal(on_truth_grid(values, 2, (4, 6), (16, 24)), values[1::2, 1::2])
+
+
+def test_a_perfect_predictor_has_no_error(scenes: Path) -> None:
+    scene = read_scene(scenes / "s0")
+    truth = read_pfm(scenes / "s0" / "depths" / "0.pfm")
+    rows = evaluate_scene(lambda *_: (truth[::2, ::2], truth[::2, ::2], 2), scene)
+    assert len(rows) == 3
+    assert all(errors.median_abs == 0 and errors.within_1pct == 1 for errors in rows.values())
+    off = evaluate_scene(lambda *_: (truth[::2, ::2] * 1.02, truth[::2, ::2], 2), scene)
+    assert all(e.median_abs == pytest.approx(0.02 * PLANE_DEPTH, rel=1e-3) for e in off.values())
+
+
+def test_evaluate_command(scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    settings = TrainSettings(data=(scenes,), out=tmp_path, steps=1, crop=(16, 12), max_sources=2)
+    checkpoint = train(settings)
+    capsys.readouterr()
+    assert main([str(scenes / "s0"), "--checkpoint", str(checkpoint), "--every", "3", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["mean"]["pixels"] == 108 * 140
+    assert main([str(tmp_path / "nothing"), "--checkpoint", str(checkpoint)]) == 2
+    assert "Error: no scene" in capsys.readouterr().out
+
+
+def test_command_line_defaults_are_the_papers() -> None:
+    settings = parse_arguments(["--data", "a", "b", "--out", "run"])
+    assert settings.data == (Path("a"), Path("b"))
+    assert (settings.learning_rate, settings.weight_decay) == (1e-3, 1e-5)
