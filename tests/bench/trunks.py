@@ -1,8 +1,8 @@
 """DBH of single real trunks from stereo pairs with a trunk mask: ``python -m tests.bench.trunks TRUNKS OUT``.
 
 TRUNKS holds MVSNet scenes (``T01`` …), each with ``mask.png`` of the trunk in view 0, and ``dbh.csv`` (scene, dbh_cm).
-For every pair: the depth map of view 0 through ``fsinfer depth``, then a circle in the trunk's cross-section from the
-points of the visible arc and the two rays that touch the trunk's sides.
+For every pair: the depth map of view 0 through ``fsinfer depth``, then, in five sections of the trunk, a circle
+through the points of the visible arc and tangent to the two rays that touch the trunk's sides; their median counts.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from fsinfer.depth import DepthSettings, estimate_depth, read_depth_grid
 from fsinfer.pfm import read_pfm
 from fsinfer.scene import read_scene
 
-BAND = 0.15  # share of the mask's height, about its middle, that counts as breast height
+BANDS = ((0.30, 0.38), (0.38, 0.46), (0.46, 0.54), (0.54, 0.62), (0.62, 0.70))  # shares of the mask's height
 EDGE_SHARE = 0.08  # of the trunk's width at each side that is left out: fattened edges, grazing surface
 POINT_SIGMA_M = 0.01
 EDGE_SIGMA_M = 0.002
 
 
 def trunk_points(
-    depth: NDArray[np.float32], intrinsic: NDArray[np.float64], mask: NDArray[np.bool_]
+    depth: NDArray[np.float32], intrinsic: NDArray[np.float64], mask: NDArray[np.bool_], band: tuple[float, float]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Points (N, 3) of the band, and directions (M, 2) in x, z of the rays along its left and right silhouette."""
     rows = np.flatnonzero(mask.any(axis=1))
-    # Rows where the mask reaches neither side of the picture: only there are both silhouettes real.
-    middle, half = (rows[0] + rows[-1]) / 2, BAND / 2 * (rows[-1] - rows[0])
+    first, last = (int(rows[0] + share * (rows[-1] - rows[0])) for share in band)
     points, left, right = [], [], []
     inverse = np.linalg.inv(intrinsic)
-    for v in range(int(middle - half), int(middle + half) + 1):
+    for v in range(first, last + 1):
         columns = np.flatnonzero(mask[v])
+        # Where the mask reaches a side of the picture that silhouette is not real.
         if len(columns) < 8 or columns[0] == 0 or columns[-1] == mask.shape[1] - 1:
             continue
         margin = EDGE_SHARE * (columns[-1] - columns[0])
@@ -92,16 +92,26 @@ def main(argv: list[str] | None = None) -> int:
         depth = read_pfm(args.out / name / "depth" / f"{view.name}.pfm")
         grid = read_depth_grid(args.out / name, view.name)
         mask = cv2.imread(str(args.trunks / name / "mask.png"), cv2.IMREAD_GRAYSCALE) > 127
-        v, u = (np.rint(np.arange(n) * s + o).astype(int) for n, s, o in zip(
-            depth.shape, (grid.step_y, grid.step_x), (grid.offset_y_px, grid.offset_x_px), strict=True
-        ))
+        v, u = (
+            np.rint(np.arange(n) * s + o).astype(int)
+            for n, s, o in zip(
+                depth.shape, (grid.step_y, grid.step_x), (grid.offset_y_px, grid.offset_x_px), strict=True
+            )
+        )
         small = mask[np.ix_(np.clip(v, 0, mask.shape[0] - 1), np.clip(u, 0, mask.shape[1] - 1))]
-        _, radius = fit_arc(*trunk_points(depth, grid.intrinsic(view.camera.intrinsic), small))
-        errors.append(200 * radius - expected)
+        intrinsic = grid.intrinsic(view.camera.intrinsic)
+        bands = [200 * fit_arc(*trunk_points(depth, intrinsic, small, band))[1] for band in BANDS]
+        dbh_cm = float(np.median(bands))
+        errors.append(dbh_cm - expected)
         distance = float(np.median(depth[small]))
-        print(f"{name}: {200 * radius:6.2f} cm, tape {expected:6.2f} cm, error {errors[-1]:+5.2f} cm, {distance:.2f} m")
+        print(
+            f"{name}: {dbh_cm:6.2f} cm (sections {min(bands):.1f} to {max(bands):.1f}), tape {expected:6.2f} cm, "
+            f"error {errors[-1]:+5.2f} cm, {distance:.2f} m"
+        )
     absolute = np.abs(errors)
-    print(f"{len(errors)} pairs: MAE {absolute.mean():.2f} cm, bias {np.mean(errors):+.2f} cm, worst {absolute.max():.2f}")
+    print(
+        f"{len(errors)} pairs: MAE {absolute.mean():.2f} cm, bias {np.mean(errors):+.2f} cm, worst {absolute.max():.2f}"
+    )
     return 0
 
 
