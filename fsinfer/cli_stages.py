@@ -172,6 +172,10 @@ def evaluate(
     align: Annotated[
         Align, typer.Option("--align", help="Move and turn the positions onto the measured ones first.")
     ] = Align.auto,
+    area_margin_m: Annotated[
+        float | None,
+        typer.Option("--area-margin-m", help="Do not judge trees farther than this outside the measured ones' hull."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
     figure: Annotated[Path | None, typer.Option("--figure", help="Draw measured against extracted DBH (PNG).")] = None,
     debug: Debug = False,
@@ -187,6 +191,7 @@ def evaluate(
         max_distance_m=max_distance_m,
         by_id=by_id,
         align=align.value,
+        area_margin_m=area_margin_m,
     )
     if figure is not None:
         plot_evaluation(result, figure)

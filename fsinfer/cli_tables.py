@@ -18,6 +18,7 @@ def evaluation_rows(evaluation: Evaluation) -> list[str]:
         f"Found without DBH   {unmeasured}",
         f"Omitted             {evaluation.omitted}",
         f"False               {evaluation.false}",
+        f"Outside the area    {evaluation.outside}",
     ]
     motion = evaluation.measured_from_extracted
     if motion is not None:

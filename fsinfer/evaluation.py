@@ -5,7 +5,8 @@ Accuracy without completeness misleads, so both are always given. With ``n_measu
 - *detected*: measured trees that have an extracted stem at their place;
 - *matched*: detected trees whose extracted stem has a DBH. A stem found but not measured counts as detected only;
 - ``r`` = matched / n_measured (the paper's completeness), *omitted* = n_measured - detected, *false* = extracted
-  stems that no measured tree explains (with or without a DBH);
+  stems that no measured tree explains (with or without a DBH). Photographs also see trees beyond the plot, where nobody
+  measured: with an area margin those are *outside* and not judged;
 - over the matched: bias = mean(extracted - measured), MAE, RMSE = sqrt(mean(difference^2)),
   rRMSE = RMSE / mean measured DBH of the matched, AE = 1 - rRMSE (FS-MVSNet, Forests 2025, 16, 927).
 
@@ -24,6 +25,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
+from scipy.spatial import ConvexHull
 
 from fsinfer.errors import InputError
 from fsinfer.files import atomic_path
@@ -71,6 +73,9 @@ class Pair:
 class Evaluation:
     """The metrics of :mod:`fsinfer.evaluation`; those of accuracy are None when nothing matched.
 
+    ``false`` counts extracted trees without a partner; with an area margin only those inside the measured area, and
+    ``outside`` those beyond it, where nobody measured and nothing can be said.
+
     ``measured_from_extracted`` holds rotation in degrees and shift in metres when the frames were aligned, else None.
     """
 
@@ -80,6 +85,7 @@ class Evaluation:
     matched: int
     omitted: int
     false: int
+    outside: int
     r: float
     rmse_cm: float | None
     rrmse: float | None
@@ -156,11 +162,14 @@ def evaluate(
     max_distance_m: float = 0.5,
     by_id: bool = False,
     align: str = "auto",
+    area_margin_m: float | None = None,
 ) -> Evaluation:
     """Compare ``extracted`` trees with ``measured`` ones, one to one.
 
     ``align``: "auto" registers the frames when they match fewer than half of the trees as given and registration finds
-    clearly more; "never" and "always" decide it. Raises :class:`~fsinfer.errors.InputError` for unusable input.
+    clearly more; "never" and "always" decide it. ``area_margin_m``: where given, the measured area is the convex
+    hull of the measured trees grown by this much, and an unmatched tree beyond it is ``outside``, not ``false``. Raises
+    :class:`~fsinfer.errors.InputError` for unusable input.
     """
     if align not in ALIGNMENTS:
         msg = f"align must be one of {', '.join(ALIGNMENTS)}, got {align!r}"
@@ -207,7 +216,12 @@ def evaluate(
         )
         for (i, j), distance in zip(links, distances, strict=True)
     )
-    return _metrics(len(measured), len(extracted), pairs, motion)
+    outside = 0
+    if area_margin_m is not None and not by_id:
+        partners = {j for _, j in links}
+        lonely = moved[[j for j in range(len(moved)) if j not in partners]]
+        outside = int((~_in_measured_area(truth, lonely, area_margin_m)).sum())
+    return _metrics(len(measured), len(extracted), outside, pairs, motion)
 
 
 def plot_evaluation(evaluation: Evaluation, path: Path) -> None:
@@ -237,7 +251,17 @@ def plot_evaluation(evaluation: Evaluation, path: Path) -> None:
         figure.savefig(temporary, dpi=150)
 
 
-def _metrics(n: int, extracted: int, pairs: tuple[Pair, ...], motion: dict[str, float] | None) -> Evaluation:
+def _in_measured_area(truth: Floats, points: Floats, margin_m: float) -> NDArray[np.bool_]:
+    """Whether points (K, 2) lie in the convex hull of the measured positions, grown by ``margin_m``."""
+    if len(truth) < 3 or np.linalg.matrix_rank(truth - truth.mean(axis=0), tol=1e-6) < 2 or len(points) == 0:
+        return np.ones(len(points), bool)
+    sides = ConvexHull(truth).equations  # outward unit normal and offset of each side
+    return np.asarray((points @ sides[:, :2].T + sides[:, 2]).max(axis=1) <= margin_m)
+
+
+def _metrics(
+    n: int, extracted: int, outside: int, pairs: tuple[Pair, ...], motion: dict[str, float] | None
+) -> Evaluation:
     both = [(p.measured_cm, p.extracted_cm) for p in pairs if p.extracted_cm is not None]
     rmse = rrmse = bias = mae = None
     if both:
@@ -252,7 +276,8 @@ def _metrics(n: int, extracted: int, pairs: tuple[Pair, ...], motion: dict[str, 
         detected=len(pairs),
         matched=len(both),
         omitted=n - len(pairs),
-        false=extracted - len(pairs),
+        false=extracted - len(pairs) - outside,
+        outside=outside,
         r=len(both) / n,
         rmse_cm=rmse,
         rrmse=rrmse,

@@ -151,3 +151,13 @@ def test_scatter_figure(tmp_path):
     assert (tmp_path / "scatter.png").stat().st_size > 5000
     plot_evaluation(evaluate(MEASURED, []), tmp_path / "empty.png")
     assert (tmp_path / "empty.png").stat().st_size > 5000
+
+
+def test_stems_beyond_the_measured_area_are_not_judged() -> None:
+    corners = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0)]
+    measured = [MeasuredTree(tree_id=str(i), x_m=x, y_m=y, dbh_cm=20.0) for i, (x, y) in enumerate(corners)]
+    strangers = [(5.0, 5.0), (10.9, 5.0), (11.1, 5.0), (30.0, -4.0)]
+    extra = [MeasuredTree(tree_id=f"e{i}", x_m=x, y_m=y, dbh_cm=20.0) for i, (x, y) in enumerate(strangers)]
+    result = evaluate(measured, [*measured, *extra], align="never", area_margin_m=1.0)
+    assert (result.matched, result.false, result.outside) == (4, 2, 2)
+    assert evaluate(measured, [*measured, *extra], align="never").false == 4

@@ -1,0 +1,97 @@
+"""A rendered plot through the whole pipeline: ``python -m tests.bench.plot PLOT OUT``.
+
+PLOT is what ``training.synthesize --kind plot`` writes; only its photographs are given to ``fsinfer run``. Printed: the
+error of the camera positions and of the scale, and the trees against ``truth.csv`` (positions aligned by the camera
+positions, so that the match owes nothing to the diameters).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.depth import DepthSettings
+from fsinfer.evaluation import evaluate, plot_evaluation, read_measured
+from fsinfer.pipeline import RunSettings, run
+from fsinfer.scale_request import ScaleRequest
+from fsinfer.scene import read_scene
+from fsinfer.trees.table import read_trees
+
+
+def similarity(
+    source: NDArray[np.float64], target: NDArray[np.float64]
+) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
+    """Scale, rotation and shift that take points (N, 3) to others in the least-squares sense (Umeyama 1991)."""
+    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
+    u, s, vt = np.linalg.svd(b.T @ a)
+    sign = np.array([1, 1, np.sign(np.linalg.det(u @ vt))])
+    rotation = u @ np.diag(sign) @ vt
+    scale = float((s * sign).sum() / (a**2).sum())
+    return scale, rotation, target.mean(axis=0) - scale * rotation @ source.mean(axis=0)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run and print the comparison."""
+    parser = argparse.ArgumentParser(prog="python -m tests.bench.plot", description=__doc__)
+    parser.add_argument("plot", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--aruco-length-m", type=float, default=0.25)
+    parser.add_argument("--source-views", type=int, default=DepthSettings().source_views)
+    args = parser.parse_args(argv)
+    settings = RunSettings(
+        depth=DepthSettings(source_views=args.source_views), scale=ScaleRequest(aruco_length_m=args.aruco_length_m)
+    )
+    run(args.plot / "images", args.out, settings=settings)
+    summary = json.loads((args.out / "plot.json").read_text(encoding="utf-8"))
+    truth = {view.name: view.camera.center for view in read_scene(args.plot).views}
+    found = {view.name: view.camera.center for view in read_scene(args.out / "scene").views}
+    names = sorted(found)
+    cloud_from_scene = np.array(summary["cloud_from_scene"])
+    centers = np.array([cloud_from_scene[:3, :3] @ found[n] + cloud_from_scene[:3, 3] for n in names])
+    expected = np.array([truth[n] for n in names])
+    scale, rotation, shift = similarity(centers, expected)
+    residual = np.linalg.norm(scale * centers @ rotation.T + shift - expected, axis=1)
+    trees = []
+    for tree in read_trees(args.out / "trees.csv"):
+        x, y, _ = scale * rotation @ np.array([tree.x_m, tree.y_m, tree.z_ground_m]) + shift
+        trees.append(replace(tree, x_m=float(x), y_m=float(y)))
+    result = evaluate(read_measured(args.plot / "truth.csv"), trees, align="never", area_margin_m=1.0)
+    by_id = {str(tree.tree_id): tree for tree in trees}
+    inside = []
+    for pair in result.pairs:
+        tree = by_id[pair.extracted_id]
+        if pair.extracted_cm is None:
+            print(f"tree {pair.measured_id:>3}: {pair.measured_cm:6.2f} cm, not measured: {tree.reason}")
+            continue
+        low, high = tree.dbh_lo95_cm or 0.0, tree.dbh_hi95_cm or 0.0
+        inside.append(low <= pair.measured_cm <= high)
+        print(
+            f"tree {pair.measured_id:>3}: {pair.measured_cm:6.2f} cm, found {pair.extracted_cm:6.2f} "
+            f"[{low:.2f}, {high:.2f}], error {pair.extracted_cm - pair.measured_cm:+5.2f}, "
+            f"arc {tree.arc_coverage:.2f}, {tree.status} {tree.reason}"
+        )
+    for tree in trees:
+        if str(tree.tree_id) not in {pair.extracted_id for pair in result.pairs}:
+            print(f"without partner: ({tree.x_m:.1f}, {tree.y_m:.1f}), DBH {tree.dbh_cm}, {tree.status} {tree.reason}")
+    print(
+        f"photos placed: {len(names)} of {summary['photos']}, cameras rms {1000 * np.sqrt((residual**2).mean()):.1f} mm"
+    )
+    print(f"scale error {100 * (1 / scale - 1):+.3f} %, depth to SfM points {summary['depth_vs_sfm_median_rel']:.5f}")
+    print(
+        f"n {result.n}, r {100 * result.r:.1f} %, omitted {result.omitted}, false {result.false}, "
+        f"outside {result.outside}, RMSE {result.rmse_cm or np.nan:.2f} cm, bias {result.bias_cm or np.nan:+.2f} cm, "
+        f"MAE {result.mae_cm or np.nan:.2f} cm, AE {100 * (result.ae or np.nan):.1f} %, "
+        f"in their interval {sum(inside)} of {len(inside)}"
+    )
+    print("seconds", summary["seconds"], "peak MB", summary["peak_rss_mb"])
+    plot_evaluation(result, args.out / "evaluation.png")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
