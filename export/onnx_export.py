@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,7 @@ def load_checkpoint(path: Path) -> tuple[FSMVSNet, dict[str, Any]]:
         state = torch.load(path, map_location="cpu", weights_only=True)
         model = FSMVSNet(ModelConfig(**state["config"]))
         model.load_state_dict(state["average"])
-    except (OSError, KeyError, TypeError, RuntimeError) as error:
+    except (OSError, EOFError, KeyError, TypeError, RuntimeError, UnpicklingError) as error:
         msg = f"{path} is not a checkpoint of training.train ({error}); give the checkpoint.pt of a run"
         raise ModelError(msg) from error
     return model.eval(), state

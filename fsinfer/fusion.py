@@ -22,7 +22,7 @@ from fsinfer.errors import CloudError
 from fsinfer.pixel_surfaces import MAX_SLOPE, pixel_normals, smooth_pixels
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene
-from fsinfer.voxels import MAX_EXTENT_VOXELS, Samples, VoxelMerger, neighbours_within, select
+from fsinfer.voxels import MAX_EXTENT_VOXELS, Samples, VoxelMerger, much_worse_than_nearby, select, sum_within
 
 _log = logging.getLogger(__name__)
 
@@ -53,6 +53,8 @@ class FusionSettings:
     min_seen_through: points that so many views look through, and more than agree with them, are removed.
     voxel: side in scene units; None takes the 25th percentile of the pixel footprints.
     max_points: the voxel grows until no more points are left.
+    halo_ratio, halo_cell: points whose standard deviation is over ``halo_ratio`` times that of what lies within
+        ``halo_cell`` voxels and faces the same way are the halo of far views; ``None`` keeps them.
     min_cell_pixels: points with fewer depth pixels in the 12-voxel neighbourhood are lone specks and removed.
     cache_maps: depth maps kept in memory.
     """
@@ -72,6 +74,8 @@ class FusionSettings:
     voxel: float | None = None
     max_points: int = 4_000_000
     min_cell_pixels: int = 8
+    halo_ratio: float | None = 2.0
+    halo_cell: float = 6.0
     cache_maps: int = 40
 
 
@@ -113,6 +117,9 @@ def fuse(
     merged = merger.result()
     if merged is not None:
         merged = _drop_specks(merged, merger.voxel, settings.min_cell_pixels)
+        if settings.halo_ratio is not None:
+            halo = much_worse_than_nearby(merged, settings.halo_cell * merger.voxel, settings.halo_ratio)
+            merged = select(merged, ~halo)
     if merged is None or not len(merged):
         msg = (
             f"no point of {depth_folder / 'depth'} is seen alike by two views; take photographs closer to each other, "
@@ -310,4 +317,4 @@ def adapt_tolerances(
 def _drop_specks(samples: Samples, voxel: float, min_pixels: int) -> Samples:
     if min_pixels <= 1:
         return samples
-    return select(samples, neighbours_within(samples.xyz, 4 * voxel, samples.count) >= min_pixels)
+    return select(samples, sum_within(samples.xyz, 4 * voxel, samples.count) >= min_pixels)

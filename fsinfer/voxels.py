@@ -94,20 +94,51 @@ def select(samples: Samples, chosen: NDArray[np.bool_]) -> Samples:
     return Samples(**{name: getattr(samples, name)[chosen] for name in Samples.__dataclass_fields__})
 
 
-def neighbours_within(xyz: NDArray[np.float64], cell: float, count: NDArray[np.int32]) -> NDArray[np.int64]:
-    """(N,) sum of ``count`` in the 3x3x3 cells around each point's own: a cheap density that finds lone specks."""
-    keys, own = np.unique(voxel_keys(xyz, cell), return_inverse=True)
-    counts = np.bincount(own, weights=count, minlength=len(keys)).astype(np.int64)
-    cells = np.stack([keys >> (2 * _AXIS_BITS), (keys >> _AXIS_BITS) % _AXIS_CELLS, keys % _AXIS_CELLS], axis=1)
-    total = np.zeros(len(keys), dtype=np.int64)
-    for dx in (-1, 0, 1):
-        for dy in (-1, 0, 1):
-            for dz in (-1, 0, 1):
-                near = (cells + np.array([dx, dy, dz])) % _AXIS_CELLS
-                wanted = (near[:, 0] << (2 * _AXIS_BITS)) | (near[:, 1] << _AXIS_BITS) | near[:, 2]
-                place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-                total += np.where(keys[place] == wanted, counts[place], 0)
-    return np.asarray(total[own])
+def sum_within(
+    xyz: NDArray[np.float64],
+    cell: float,
+    values: NDArray[np.floating | np.integer],
+    bins: NDArray[np.int64] | None = None,
+) -> NDArray[np.float64]:
+    """(N,) sum of ``values`` in the 3x3x3 cells around each point's own, over points of the same bin.
+
+    ``bins``: (N,) small non-negative integers; points of different bins do not see each other.
+    """
+    plain = voxel_keys(xyz, cell)
+    result = np.zeros(len(xyz))
+    labels = np.zeros(len(xyz), np.int64) if bins is None else bins
+    for label in np.unique(labels):
+        mine = labels == label
+        keys, own = np.unique(plain[mine], return_inverse=True)
+        sums = np.bincount(own, weights=values[mine], minlength=len(keys))
+        cells = np.stack([keys >> (2 * _AXIS_BITS), (keys >> _AXIS_BITS) % _AXIS_CELLS, keys % _AXIS_CELLS], axis=1)
+        total = np.zeros(len(keys))
+        for dx in (-1, 0, 1):
+            for dy in (-1, 0, 1):
+                for dz in (-1, 0, 1):
+                    near = (cells + np.array([dx, dy, dz])) % _AXIS_CELLS
+                    wanted = (near[:, 0] << (2 * _AXIS_BITS)) | (near[:, 1] << _AXIS_BITS) | near[:, 2]
+                    place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+                    total += np.where(keys[place] == wanted, sums[place], 0)
+        result[mine] = total[own]
+    return result
+
+
+def much_worse_than_nearby(samples: Samples, cell: float, ratio: float) -> NDArray[np.bool_]:
+    """(N,) bool: points whose standard deviation is over ``ratio`` times that of their surroundings.
+
+    A trunk seen from near and from far gets a halo of the far views' points round the near views' sharp surface.
+    Where near observations exist the far ones add nothing but that halo. A point is compared with those within one to
+    two cells that face the same way (one of six directions), so that a side seen only from far is kept. The variance of
+    the surroundings is the mean over their pixels, each weighted by its inverse variance.
+    """
+    quality = samples.weight / samples.count  # inverse variance of a single pixel
+    axis = np.abs(samples.normals).argmax(axis=1)
+    facing = 2 * axis + (samples.normals[np.arange(len(axis)), axis] > 0)
+    best = sum_within(samples.xyz, cell, samples.weight * quality, facing) / np.maximum(
+        sum_within(samples.xyz, cell, samples.weight, facing), 1e-300
+    )
+    return np.asarray(quality * ratio**2 < best)
 
 
 class VoxelMerger:

@@ -1,6 +1,6 @@
 import numpy as np
 
-from fsinfer.voxels import Samples, VoxelMerger, join, merge_voxels, neighbours_within
+from fsinfer.voxels import Samples, VoxelMerger, join, merge_voxels, much_worse_than_nearby, sum_within
 
 
 def make_samples(xyz, weight=None):
@@ -52,11 +52,35 @@ def test_size_stays_bounded_and_nothing_is_nothing():
 def test_lone_specks_have_few_neighbours():
     rng = np.random.default_rng(0)
     xyz = np.concatenate([rng.uniform(0, 1, (500, 3)), [[9.0, -7, 2]], [[9.2, -7, 2]]])
-    near = neighbours_within(xyz, 0.5, np.ones(len(xyz), np.int32))
+    near = sum_within(xyz, 0.5, np.ones(len(xyz), np.int32))
     assert near[-2:].tolist() == [2, 2]
     assert near[:500].min() > 50
     # Cells on both sides of the origin are neighbours too.
-    assert neighbours_within(np.array([[-0.01, 0, 0], [0.01, 0, 0]]), 0.5, np.array([3, 4], np.int32)).tolist() == [
+    assert sum_within(np.array([[-0.01, 0, 0], [0.01, 0, 0]]), 0.5, np.array([3, 4], np.int32)).tolist() == [
         7,
         7,
     ]
+
+
+def test_the_halo_of_far_views_goes_and_a_side_seen_only_from_far_stays():
+    rng = np.random.default_rng(1)
+
+    def wall(count: int, normal: tuple[float, float, float], sigma: float, y: float) -> Samples:
+        xyz = np.stack([rng.uniform(0, 1, count), y + rng.normal(0, sigma, count), rng.uniform(0, 1, count)], axis=1)
+        ones = np.ones(count)
+        return Samples(
+            xyz=xyz,
+            rgb=np.zeros((count, 3), np.float32),
+            normals=np.tile(np.array(normal, np.float32), (count, 1)),
+            weight=ones / sigma**2,
+            confidence=ones.astype(np.float32),
+            views=ones.astype(np.int32),
+            count=ones.astype(np.int32),
+        )
+
+    near, far = wall(3000, (0, -1, 0), 0.003, 0.0), wall(3000, (0, -1, 0), 0.02, 0.0)
+    back = wall(3000, (0, 1, 0), 0.02, 0.1)
+    worse = much_worse_than_nearby(join([near, far, back]), 0.05, 2.0)
+    assert not worse[:3000].any()
+    assert worse[3000:6000].mean() > 0.9  # a point far out in the halo may have no near neighbour
+    assert not worse[6000:].any()
