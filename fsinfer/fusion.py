@@ -118,7 +118,7 @@ def fuse(
     if merged is not None:
         merged = _drop_specks(merged, merger.voxel, settings.min_cell_pixels)
         if settings.halo_ratio is not None:
-            halo = much_worse_than_nearby(merged, settings.halo_cell * merger.voxel, settings.halo_ratio)
+            halo = much_worse_than_nearby(merged, settings.halo_cell * voxel, settings.halo_ratio)
             merged = select(merged, ~halo)
     if merged is None or not len(merged):
         msg = (
