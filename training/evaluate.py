@@ -82,9 +82,18 @@ def on_truth_grid(values: Float32, stride: int, truth_shape: tuple[int, int], im
 
 
 def evaluate_scene(
-    predict: Predict, scene: Scene, *, source_views: int = 4, every: int = 1, max_depth: float = np.inf
+    predict: Predict,
+    scene: Scene,
+    *,
+    source_views: int = 4,
+    every: int = 1,
+    max_depth: float = np.inf,
+    pixels: list[tuple[Float32, Float32]] | None = None,
 ) -> dict[str, DepthErrors]:
-    """Errors of every ``every``-th view of a scene, by view name."""
+    """Errors of every ``every``-th view of a scene, by view name.
+
+    ``pixels`` is given the confidence and the relative error of the pixels with truth, for :func:`confidence_curve`.
+    """
     rows = {}
     for view in scene.views[::every]:
         truth_path = scene.folder / "depths" / f"{view.name}.pfm"
@@ -101,18 +110,38 @@ def evaluate_scene(
         truth = read_pfm(truth_path)
         height, width = images[0].shape[:2]
         shape = (truth.shape[0], truth.shape[1])
-        errors = depth_errors(
-            on_truth_grid(depth, stride, shape, (height, width)),
-            on_truth_grid(confidence, stride, shape, (height, width)),
-            truth,
-            max_depth=max_depth,
-        )
+        depth = on_truth_grid(depth, stride, shape, (height, width))
+        confidence = on_truth_grid(confidence, stride, shape, (height, width))
+        errors = depth_errors(depth, confidence, truth, max_depth=max_depth)
+        if pixels is not None:
+            known = (truth > 0) & (truth < max_depth)
+            pixels.append((confidence[known], np.abs(depth[known] / truth[known] - 1)))
         if errors is not None:
             rows[f"{scene.folder.name}/{view.name}"] = errors
     if not rows:
         msg = f"{scene.folder} has no view with depths/NAME.pfm and a source; nothing to evaluate"
         raise SceneError(msg)
     return rows
+
+
+def confidence_curve(pixels: list[tuple[Float32, Float32]], *, wanted: float = 0.9) -> tuple[list[str], float]:
+    """Share of pixels within 1 % by tenths of confidence, and the least threshold above which ``wanted`` of them are.
+
+    Returns the rows of the table and the threshold (1.0 where none reaches ``wanted``).
+    """
+    confidence, error = (np.concatenate(part) for part in zip(*pixels, strict=True))
+    order = np.argsort(-confidence)
+    good = error[order] < 0.01
+    share = np.cumsum(good) / np.arange(1, len(good) + 1)
+    enough = np.flatnonzero(share >= wanted)
+    threshold = float(confidence[order[enough[-1]]]) if len(enough) else 1.0
+    rows = [
+        f"confidence {float(confidence[part].max()):.3f} to {float(confidence[part].min()):.3f}: "
+        f"{100 * (error[part] < 0.01).mean():5.1f} % within 1 %"
+        for part in np.array_split(order, 10)
+        if len(part)
+    ]
+    return rows, threshold
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -124,6 +153,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--source-views", type=int, default=4)
     parser.add_argument("--every", type=int, default=1, help="every so-manieth view of a scene")
     parser.add_argument("--max-depth", type=float, default=float("inf"), help="ignore truth beyond, scene units")
+    parser.add_argument("--confidence", action="store_true", help="print how the error falls with the confidence")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     args = parser.parse_args(arguments)
     try:
@@ -133,9 +163,15 @@ def main(arguments: list[str] | None = None) -> int:
             msg = f"no scene with pair.txt and depths/ in {[str(p) for p in args.scenes]}"
             raise SceneError(msg)
         rows: dict[str, DepthErrors] = {}
+        pixels: list[tuple[Float32, Float32]] = []
         for folder in folders:
             found = evaluate_scene(
-                predict, read_scene(folder), source_views=args.source_views, every=args.every, max_depth=args.max_depth
+                predict,
+                read_scene(folder),
+                source_views=args.source_views,
+                every=args.every,
+                max_depth=args.max_depth,
+                pixels=pixels if args.confidence else None,
             )
             rows.update(found)
             if not args.json:
@@ -149,6 +185,9 @@ def main(arguments: list[str] | None = None) -> int:
         print(json.dumps({"mean": mean, "views": {name: e.to_dict() for name, e in rows.items()}}, indent=1))
     else:
         print(_line(f"mean of {len(rows)} views", mean))
+        if args.confidence:
+            table, threshold = confidence_curve(pixels)
+            print("\n".join([*table, f"90 % are within 1 % from a confidence of {threshold:.3f}"]))
     return 0
 
 

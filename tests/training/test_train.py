@@ -15,7 +15,7 @@ from fsinfer.pfm import read_pfm, write_pfm
 from fsinfer.scene import read_scene
 from tests.plane_scene import PLANE_DEPTH, write_plane_scene
 from training.datasets import SamplingSettings, SceneSamples, jitter_colour, load_sample
-from training.evaluate import evaluate_scene, main, on_truth_grid
+from training.evaluate import confidence_curve, evaluate_scene, main, on_truth_grid
 from training.metrics import depth_errors
 from training.train import Trainer, TrainSettings, parse_arguments, pick_window, train
 
@@ -131,6 +131,17 @@ def test_a_perfect_predictor_has_no_error(scenes: Path) -> None:
     assert all(errors.median_abs == 0 and errors.within_1pct == 1 for errors in rows.values())
     off = evaluate_scene(lambda *_: (truth[::2, ::2] * 1.02, truth[::2, ::2], 2), scene)
     assert all(e.median_abs == pytest.approx(0.02 * PLANE_DEPTH, rel=1e-3) for e in off.values())
+
+
+def test_confidence_curve_finds_where_the_errors_begin() -> None:
+    confidence = np.linspace(0, 1, 1001, dtype=np.float32)
+    error = np.where(confidence > 0.5, 0.001, 0.1).astype(np.float32)
+    rows, threshold = confidence_curve([(confidence[:400], error[:400]), (confidence[400:], error[400:])])
+    assert len(rows) == 10
+    assert "100.0 %" in rows[0]
+    assert "  0.0 %" in rows[-1]
+    assert threshold == pytest.approx(0.5 - 0.5 / 9, abs=2e-3)  # 500 good among 500 / 0.9
+    assert confidence_curve([(confidence, np.ones_like(error))])[1] == 1.0
 
 
 def test_evaluate_command(scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
