@@ -158,3 +158,16 @@ def test_command_line_defaults_are_the_papers() -> None:
     settings = parse_arguments(["--data", "a", "b", "--out", "run"])
     assert settings.data == (Path("a"), Path("b"))
     assert (settings.learning_rate, settings.weight_decay) == (1e-3, 1e-5)
+
+
+def test_a_slim_checkpoint_exports_the_same_weights(scenes: Path, tmp_path: Path) -> None:
+    from export.onnx_export import load_checkpoint
+    from training.checkpoint import slim
+
+    checkpoint = train(TrainSettings(data=(scenes,), out=tmp_path, steps=1, crop=(16, 12), max_sources=2))
+    slim(checkpoint, tmp_path / "slim.pt")
+    assert (tmp_path / "slim.pt").stat().st_size < checkpoint.stat().st_size / 2
+    whole, thin = (load_checkpoint(p)[0].state_dict() for p in (checkpoint, tmp_path / "slim.pt"))
+    assert all(torch.equal(whole[key], thin[key]) for key in whole)
+    resumed = Trainer(TrainSettings(data=(scenes,), out=tmp_path / "next", init=tmp_path / "slim.pt"))
+    assert all(torch.equal(resumed.model.state_dict()[key], thin[key]) for key in thin)
