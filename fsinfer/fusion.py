@@ -74,7 +74,7 @@ class FusionSettings:
     voxel: float | None = None
     max_points: int = 4_000_000
     min_cell_pixels: int = 8
-    halo_ratio: float | None = 2.0
+    halo_ratio: float | None = 3.0
     halo_cell: float = 6.0
     cache_maps: int = 40
 
