@@ -19,7 +19,7 @@ from fsinfer.frames import FrameSettings, select_frames
 from fsinfer.fusion import FusionSettings, fuse
 from fsinfer.images import list_images
 from fsinfer.manifest import read_manifest
-from fsinfer.placement import density_per_m2, place_cloud
+from fsinfer.placement import density_per_m2, marker_centers, place_cloud
 from fsinfer.plot_summary import package_versions, summarize, write_plot
 from fsinfer.poses import PoseSettings, estimate_poses
 from fsinfer.progress import Progress, silent
@@ -274,6 +274,7 @@ def _trees(job: _Job) -> None:
                 scale_rel_std=scale["rel_std"],
                 metric=scale["m_per_unit"] is not None,
                 camera_height=job.book.records["cloud"].result["camera_height"],
+                marker_xyz=marker_centers(scale, job.book.records["cloud"].result["cloud_from_scene"]),
                 progress=job.progress("trees"),
             )
         except CloudError as error:

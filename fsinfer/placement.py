@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,3 +88,16 @@ def density_per_m2(xyz: NDArray[np.float64]) -> float | None:
         return None
     cells = np.unique(np.floor(xyz[:, :2] / DENSITY_CELL_M).astype(np.int64), axis=0)
     return float(len(xyz) / (len(cells) * DENSITY_CELL_M**2))
+
+
+def marker_centers(scale: Mapping[str, Any], cloud_from_scene: Sequence[Sequence[float]]) -> NDArray[np.float64]:
+    """Centres of the markers of a scale record in the frame of the cloud: (M, 3), M = 0 without markers.
+
+    Parameters
+    ----------
+    scale: the record of the scale stage; ``details["markers"][i]["center"]`` is in scene units.
+    cloud_from_scene: (4, 4) similarity.
+    """
+    centers = np.array([marker["center"] for marker in scale.get("details", {}).get("markers", [])]).reshape(-1, 3)
+    similarity = np.asarray(cloud_from_scene, dtype=np.float64)
+    return np.asarray(centers @ similarity[:3, :3].T + similarity[:3, 3])

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from fsinfer.errors import OutputError
 from fsinfer.progress import Progress, silent
 
 if TYPE_CHECKING:
     from fsinfer.cloud import PointCloud
-    from fsinfer.trees import TreeSettings
+    from fsinfer.trees import PlotResult, TreeSettings
 
 # Where a standing person holds a phone.
 CAMERA_HEIGHT_M = 1.5
+# A marker's board and the post behind it lie within this of the marker's centre.
+MARKER_REACH_M = 0.25
 
 
 def write_tree_outputs(
@@ -24,6 +30,7 @@ def write_tree_outputs(
     scale_rel_std: float | None = None,
     metric: bool = True,
     camera_height: float | None = None,
+    marker_xyz: NDArray[np.float64] | None = None,
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Measure the trees of a cloud (z up) and write table and figures into ``out``.
@@ -36,6 +43,7 @@ def write_tree_outputs(
     scale_rel_std: relative standard deviation of the scale, if known; it widens every interval.
     camera_height: median height of the cameras above the ground, in units of the cloud; a person holds a camera at
         about 1.5 m, which tells roughly how large the trees are while the scale is unknown.
+    marker_xyz: (M, 3) centres of the markers that gave the scale, in the cloud's frame: see :func:`without_posts`.
 
     Returns
     -------
@@ -60,6 +68,8 @@ def write_tree_outputs(
         units_per_m_hint=None if metric else hint,
         progress=progress,
     )
+    if marker_xyz is not None and metric:
+        result = without_posts(result, marker_xyz)
     write_trees(out / "trees.csv", result.trees)
     _clear_figures(out)
     write_figures(out / "figures", result)
@@ -70,6 +80,28 @@ def write_tree_outputs(
         "diagnosis": result.diagnosis,
         "warnings": [*result.warnings, *(() if result.trees else (result.diagnosis,))],
     }
+
+
+def without_posts(result: PlotResult, marker_xyz: NDArray[np.float64]) -> PlotResult:
+    """Take out what stands where a marker is and does not measure as a sound stem: the marker's post or board.
+
+    A marker pinned to a tree stays with its tree, as long as the tree's DBH is beyond doubt. What was taken out is said
+    in the warnings, because it might have been a tree after all. ``marker_xyz``: (M, 3) metres, the cloud's frame.
+    """
+    kept, warnings = [], []
+    for index, tree in enumerate(result.trees):
+        apart = np.hypot(*(marker_xyz[:, :2] - [tree.x_m, tree.y_m]).T) if len(marker_xyz) else np.array([np.inf])
+        if tree.status == "ok" or apart.min() > MARKER_REACH_M:
+            kept.append(index)
+            continue
+        where = f"({tree.x_m:.1f}, {tree.y_m:.1f})"
+        warnings.append(f"an object at {where} was taken for the post of a marker, not for a tree")
+    return replace(
+        result,
+        trees=tuple(result.trees[i] for i in kept),
+        sections=tuple(result.sections[i] for i in kept),
+        warnings=(*result.warnings, *warnings),
+    )
 
 
 def write_no_trees(out: Path, *, reason: str) -> dict[str, Any]:
