@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from fsinfer.depth import DepthSettings
 from fsinfer.evaluation import evaluate, plot_evaluation, read_measured
+from fsinfer.fusion import FusionSettings
 from fsinfer.pipeline import RunSettings, run
 from fsinfer.scale_request import ScaleRequest
 from fsinfer.scene import read_scene
@@ -42,9 +43,12 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("out", type=Path)
     parser.add_argument("--aruco-length-m", type=float, default=0.25)
     parser.add_argument("--source-views", type=int, default=DepthSettings().source_views)
+    parser.add_argument("--halo-ratio", type=float, default=FusionSettings().halo_ratio, help="0 = no halo filter")
     args = parser.parse_args(argv)
     settings = RunSettings(
-        depth=DepthSettings(source_views=args.source_views), scale=ScaleRequest(aruco_length_m=args.aruco_length_m)
+        depth=DepthSettings(source_views=args.source_views),
+        fusion=FusionSettings(halo_ratio=args.halo_ratio or None),
+        scale=ScaleRequest(aruco_length_m=args.aruco_length_m),
     )
     run(args.plot / "images", args.out, settings=settings)
     summary = json.loads((args.out / "plot.json").read_text(encoding="utf-8"))
