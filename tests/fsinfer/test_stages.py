@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from fsinfer.errors import InputError, PosesError
-from fsinfer.memory import MemoryPeak
 from fsinfer.stages import StageBook, as_json, file_digest
 
 
