@@ -34,12 +34,16 @@ class DepthSettings:
     model: name of a shipped model or path of a manifest.
     source_views: sources for each reference view, best first; the paper's N is this plus one.
     max_size_px: longer side of the image given to the network; larger photographs are reduced to it.
+    min_far_over_near: the far bound is at least this many times the near one. Camera files often hold a range cut to
+        the subject, and whatever stands behind it would be given a wrong depth; with planes uniform in 1/depth all that
+        lies beyond seven times the near bound takes a seventh of them at most.
     threads: 0 uses every core.
     """
 
     model: str = DEFAULT_MODEL
     source_views: int = 4
     max_size_px: int = 1280
+    min_far_over_near: float = 7.0
     threads: int = 0
 
 
@@ -152,7 +156,7 @@ def estimate_depth(
                 [item.features for item in loaded],
                 np.stack([item.intrinsic for item in loaded]),
                 np.stack([v.camera.cam_from_world for v in (view, *sources)]),
-                (view.camera.depth_min, view.camera.depth_max),
+                search_range(model, view.camera.depth_min, view.camera.depth_max, settings.min_far_over_near),
             )
             write_pfm(out / "depth" / f"{view.name}.pfm", estimate.depth)
             write_pfm(out / "confidence" / f"{view.name}.pfm", estimate.confidence)
@@ -182,6 +186,11 @@ def estimate_depth(
         model_sha256=model.manifest.sha256,
         seconds=time.monotonic() - started,
     )
+
+
+def search_range(model: DepthModel, near: float, far: float, min_far_over_near: float) -> tuple[float, float]:
+    """Depth range to search: the far bound of a tight range is moved out where planes are uniform in 1/depth."""
+    return near, max(far, min_far_over_near * near) if model.manifest.inverse_depth else far
 
 
 def _load(model: DepthModel, view: View, max_size_px: int, cache: OrderedDict[str, _Loaded]) -> _Loaded:
@@ -216,6 +225,7 @@ def _resume(out: Path, settings: DepthSettings, model_sha256: str) -> dict[str, 
         "model_sha256": model_sha256,
         "source_views": settings.source_views,
         "max_size_px": settings.max_size_px,
+        "min_far_over_near": settings.min_far_over_near,
     }
     try:
         index = read_depth_index(out)

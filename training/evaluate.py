@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from fsinfer.depth import DepthSettings, search_range
 from fsinfer.depth_model import DepthModel
 from fsinfer.errors import FsinferError, SceneError
 from fsinfer.images import read_image
@@ -43,7 +44,8 @@ def onnx_predictor(model: str | Path, threads: int = 0) -> Predict:
         cam_from_world: NDArray[np.float64],
         depth_range: tuple[float, float],
     ) -> tuple[Float32, Float32, int]:
-        estimate = loaded.predict(images, intrinsics, cam_from_world, depth_range)
+        searched = search_range(loaded, *depth_range, DepthSettings().min_far_over_near)
+        estimate = loaded.predict(images, intrinsics, cam_from_world, searched)
         return estimate.depth, estimate.confidence, estimate.stride
 
     return predict

@@ -13,6 +13,7 @@ import torch
 
 from export.onnx_export import export_model, load_checkpoint
 from export.parity import whole_parity
+from fsinfer.depth import search_range
 from fsinfer.depth_model import DepthModel
 from fsinfer.errors import InputError, ModelError
 from fsinfer.scene import read_scene
@@ -114,3 +115,10 @@ def test_a_checkpoint_that_is_none(tmp_path: Path) -> None:
     (tmp_path / "checkpoint.pt").write_bytes(b"nothing")
     with pytest.raises(ModelError, match=r"training\.train"):
         load_checkpoint(tmp_path / "checkpoint.pt")
+
+
+def test_a_tight_depth_range_is_opened_to_the_background(exported: tuple[FSMVSNet, Path]) -> None:
+    model = DepthModel.load(exported[1])
+    opened = (1.0, 7.0) if model.manifest.inverse_depth else (1.0, 2.0)
+    assert search_range(model, 1.0, 2.0, 7.0) == opened
+    assert search_range(model, 1.0, 20.0, 7.0) == (1.0, 20.0)
