@@ -58,30 +58,6 @@ class DepthResult:
     seconds: float
 
 
-@dataclass(frozen=True, kw_only=True)
-class DepthGrid:
-    """Where the pixels of a depth map lie in its scene image: ``image_px = step * u + offset`` on each axis.
-
-    Pixel centres lie at integer coordinates on both sides.
-    """
-
-    step_x: float
-    step_y: float
-    offset_x_px: float
-    offset_y_px: float
-
-    def intrinsic(self, image_intrinsic: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(3, 3) intrinsics of the depth map from those of the image."""
-        to_depth = np.array(
-            [
-                [1 / self.step_x, 0, -self.offset_x_px / self.step_x],
-                [0, 1 / self.step_y, -self.offset_y_px / self.step_y],
-                [0, 0, 1],
-            ]
-        )
-        return np.asarray(to_depth @ image_intrinsic)
-
-
 def read_depth_index(depth_folder: Path) -> dict[str, Any]:
     """``depth/depth.json`` of a folder that the stage wrote; :class:`SceneError` where there is none."""
     path = depth_folder / "depth" / "depth.json"
@@ -93,21 +69,6 @@ def read_depth_index(depth_folder: Path) -> dict[str, Any]:
         msg = f"{depth_folder} holds no finished depth maps ({path} is missing or damaged); run: fsinfer depth"
         raise SceneError(msg) from error
     return dict(index)
-
-
-def read_depth_grid(depth_folder: Path, name: str) -> DepthGrid:
-    """Grid of view ``name`` from ``depth/depth.json``."""
-    views = read_depth_index(depth_folder)["views"]
-    if name not in views:
-        msg = f"{depth_folder / 'depth'} has no depth map of {name}; run: fsinfer depth"
-        raise SceneError(msg)
-    entry = views[name]
-    return DepthGrid(
-        step_x=entry["pixel_step_x"],
-        step_y=entry["pixel_step_y"],
-        offset_x_px=entry["offset_x_px"],
-        offset_y_px=entry["offset_y_px"],
-    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,7 +25,7 @@ class ModelManifest:
     planes: number of planes of the volume (192); inverse_depth: uniform in 1/depth.
     refine_planes, refine_span: the narrow volume at half resolution; span in plane intervals on each side.
     sha256: over the graphs' bytes, in the order features, regularizer, refiner.
-    confidence_threshold: share of probability from which a pixel counts as sure, chosen on validation scenes.
+    confidence_threshold: at which the parity check compares the confidence masks; fusion finds its own for each plot.
     """
 
     name: str

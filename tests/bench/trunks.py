@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from fsinfer.depth import DepthSettings, estimate_depth, read_depth_grid
-from fsinfer.pfm import read_pfm
+from fsinfer.depth import DepthSettings, estimate_depth
+from fsinfer.depth_maps import DepthMaps
 from fsinfer.scene import read_scene
 
 BANDS = ((0.30, 0.38), (0.38, 0.46), (0.46, 0.54), (0.54, 0.62), (0.62, 0.70))  # shares of the mask's height
@@ -88,9 +88,8 @@ def main(argv: list[str] | None = None) -> int:
     for name, expected in truth.items():
         scene = read_scene(args.trunks / name)
         estimate_depth(scene, args.out / name, settings=DepthSettings(model=args.model))
-        view = scene.views[0]
-        depth = read_pfm(args.out / name / "depth" / f"{view.name}.pfm")
-        grid = read_depth_grid(args.out / name, view.name)
+        found = DepthMaps(scene, args.out / name).get(0)
+        depth, grid = 1 / found.inverse_depth, found.grid
         mask = cv2.imread(str(args.trunks / name / "mask.png"), cv2.IMREAD_GRAYSCALE) > 127
         v, u = (
             np.rint(np.arange(n) * s + o).astype(int)
@@ -99,8 +98,7 @@ def main(argv: list[str] | None = None) -> int:
             )
         )
         small = mask[np.ix_(np.clip(v, 0, mask.shape[0] - 1), np.clip(u, 0, mask.shape[1] - 1))]
-        intrinsic = grid.intrinsic(view.camera.intrinsic)
-        bands = [200 * fit_arc(*trunk_points(depth, intrinsic, small, band))[1] for band in BANDS]
+        bands = [200 * fit_arc(*trunk_points(depth, found.intrinsic, small, band))[1] for band in BANDS]
         dbh_cm = float(np.median(bands))
         errors.append(dbh_cm - expected)
         distance = float(np.median(depth[small]))
