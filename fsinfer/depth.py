@@ -117,7 +117,12 @@ def estimate_depth(
                 [item.features for item in loaded],
                 np.stack([item.intrinsic for item in loaded]),
                 np.stack([v.camera.cam_from_world for v in (view, *sources)]),
-                search_range(model, view.camera.depth_min, view.camera.depth_max, settings.min_far_over_near),
+                search_range(
+                    view.camera.depth_min,
+                    view.camera.depth_max,
+                    min_far_over_near=settings.min_far_over_near,
+                    inverse_depth=model.manifest.inverse_depth,
+                ),
             )
             write_pfm(out / "depth" / f"{view.name}.pfm", estimate.depth)
             write_pfm(out / "confidence" / f"{view.name}.pfm", estimate.confidence)
@@ -149,9 +154,9 @@ def estimate_depth(
     )
 
 
-def search_range(model: DepthModel, near: float, far: float, min_far_over_near: float) -> tuple[float, float]:
+def search_range(near: float, far: float, *, min_far_over_near: float, inverse_depth: bool) -> tuple[float, float]:
     """Depth range to search: the far bound of a tight range is moved out where planes are uniform in 1/depth."""
-    return near, max(far, min_far_over_near * near) if model.manifest.inverse_depth else far
+    return near, max(far, min_far_over_near * near) if inverse_depth else far
 
 
 def _load(model: DepthModel, view: View, max_size_px: int, cache: OrderedDict[str, _Loaded]) -> _Loaded:

@@ -33,7 +33,9 @@ Predict = Callable[
 ]
 
 
-def onnx_predictor(model: str | Path, threads: int = 0) -> Predict:
+def onnx_predictor(
+    model: str | Path, threads: int = 0, min_far_over_near: float = DepthSettings().min_far_over_near
+) -> Predict:
     """Predict with the deployed path."""
     loaded = DepthModel.load(model, threads=threads)
     cv2.setNumThreads(1)
@@ -44,14 +46,16 @@ def onnx_predictor(model: str | Path, threads: int = 0) -> Predict:
         cam_from_world: NDArray[np.float64],
         depth_range: tuple[float, float],
     ) -> tuple[Float32, Float32, int]:
-        searched = search_range(loaded, *depth_range, DepthSettings().min_far_over_near)
+        searched = search_range(
+            *depth_range, min_far_over_near=min_far_over_near, inverse_depth=loaded.manifest.inverse_depth
+        )
         estimate = loaded.predict(images, intrinsics, cam_from_world, searched)
         return estimate.depth, estimate.confidence, estimate.stride
 
     return predict
 
 
-def torch_predictor(checkpoint: Path) -> Predict:
+def torch_predictor(checkpoint: Path, min_far_over_near: float = DepthSettings().min_far_over_near) -> Predict:
     """Predict with PyTorch from a checkpoint."""
     from export.onnx_export import load_checkpoint
 
@@ -67,7 +71,10 @@ def torch_predictor(checkpoint: Path) -> Predict:
         depth_range: tuple[float, float],
     ) -> tuple[Float32, Float32, int]:
         nchw = torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2).float().to(device)
-        output = model(nchw, torch.from_numpy(intrinsics), torch.from_numpy(cam_from_world), depth_range)
+        searched = search_range(
+            *depth_range, min_far_over_near=min_far_over_near, inverse_depth=model.config.inverse_depth
+        )
+        output = model(nchw, torch.from_numpy(intrinsics), torch.from_numpy(cam_from_world), searched)
         return output.depth.cpu().numpy(), output.confidence.cpu().numpy(), output.stride
 
     return predict
@@ -155,11 +162,22 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--source-views", type=int, default=4)
     parser.add_argument("--every", type=int, default=1, help="every so-manieth view of a scene")
     parser.add_argument("--max-depth", type=float, default=float("inf"), help="ignore truth beyond, scene units")
+    parser.add_argument(
+        "--min-far-over-near",
+        type=float,
+        default=DepthSettings().min_far_over_near,
+        help="as in fsinfer depth; 1 searches just the camera files' range",
+    )
     parser.add_argument("--confidence", action="store_true", help="print how the error falls with the confidence")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     args = parser.parse_args(arguments)
     try:
-        predict = torch_predictor(args.checkpoint) if args.checkpoint else onnx_predictor(args.model)
+        far = args.min_far_over_near
+        predict = (
+            torch_predictor(args.checkpoint, far)
+            if args.checkpoint
+            else onnx_predictor(args.model, min_far_over_near=far)
+        )
         folders = find_scenes(args.scenes)
         if not folders:
             msg = f"no scene with pair.txt and depths/ in {[str(p) for p in args.scenes]}"

@@ -117,8 +117,7 @@ def test_a_checkpoint_that_is_none(tmp_path: Path) -> None:
         load_checkpoint(tmp_path / "checkpoint.pt")
 
 
-def test_a_tight_depth_range_is_opened_to_the_background(exported: tuple[FSMVSNet, Path]) -> None:
-    model = DepthModel.load(exported[1])
-    opened = (1.0, 7.0) if model.manifest.inverse_depth else (1.0, 2.0)
-    assert search_range(model, 1.0, 2.0, 7.0) == opened
-    assert search_range(model, 1.0, 20.0, 7.0) == (1.0, 20.0)
+def test_a_tight_depth_range_is_opened_to_the_background() -> None:
+    assert search_range(1.0, 2.0, min_far_over_near=7.0, inverse_depth=True) == (1.0, 7.0)
+    assert search_range(1.0, 2.0, min_far_over_near=7.0, inverse_depth=False) == (1.0, 2.0)
+    assert search_range(1.0, 20.0, min_far_over_near=7.0, inverse_depth=True) == (1.0, 20.0)
