@@ -31,6 +31,7 @@ class PoseSettings:
     Attributes
     ----------
     max_image_size: longer side at which features are found, pixels. 23 photos of 2016x1512 at 1600: all registered.
+    first_octave: -1 doubles the photo before looking for features (COLMAP's default), 0 does not.
     max_features: per photo; COLMAP's default is 8192, and matching time grows with its square.
     exhaustive_up_to: with at most this many photos every pair is matched; above, photos are taken to be in the order
         of walking (names).
@@ -47,6 +48,7 @@ class PoseSettings:
     """
 
     max_image_size: int = 1600
+    first_octave: int = -1
     max_features: int = 6000
     exhaustive_up_to: int = 60
     overlap: int = 12
@@ -108,6 +110,7 @@ def extract_features(
     options.num_threads = settings.thread_count
     options.max_image_size = settings.max_image_size
     options.sift.max_num_features = settings.max_features
+    options.sift.first_octave = settings.first_octave
     total = sum(len(names) for names in cameras.values())
     done = 0
     for names in cameras.values():

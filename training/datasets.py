@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -47,6 +47,8 @@ class SamplingSettings:
     max_sources: int = 4
     colour_jitter: float = 0.2
     range_jitter: float = 0.35  # near bound down to 1/(1+j), far bound up to 1+2j of the camera file's
+    mirror: float = 0.5  # share of samples seen in a mirror
+    pose_noise_px: float = 0.3  # half of the samples: each source off by up to this (standard deviation), as after SfM
 
 
 def find_scenes(roots: Sequence[Path]) -> list[Path]:
@@ -100,6 +102,33 @@ def jitter_colour(images: Tensor, strength: float, rng: np.random.Generator) -> 
     return unit.clamp(0, 1) * 255
 
 
+def mirrored(sample: Sample) -> Sample:
+    """Reflect the sample at the plane x = 0 of the world: images and depth left to right, cameras to match."""
+    flip = torch.diag(torch.tensor([-1.0, 1.0, 1.0, 1.0], dtype=sample.cam_from_world.dtype))
+    intrinsics = sample.intrinsics.clone()
+    intrinsics[:, 0, 2] = sample.images.shape[-1] - 1 - intrinsics[:, 0, 2]
+    return replace(
+        sample,
+        images=sample.images.flip(-1),
+        depth=sample.depth.flip(-1),
+        intrinsics=intrinsics,
+        cam_from_world=flip @ sample.cam_from_world @ flip,
+    )
+
+
+def disturbed_poses(sample: Sample, noise_px: float, rng: np.random.Generator) -> Tensor:
+    """(N, 4, 4) cam_from_world with each source rotated at random by ``noise_px`` pixels (standard deviation).
+
+    Structure from motion leaves a few tenths of a pixel; to first order an error of a source's position looks like
+    a rotation in the small window round any one point.
+    """
+    poses = sample.cam_from_world.clone()
+    for i in range(1, len(poses)):
+        vector = rng.normal(0, noise_px / float(sample.intrinsics[i, 0, 0]), 3)
+        poses[i, :3] = torch.from_numpy(cv2.Rodrigues(vector)[0]).to(poses.dtype) @ poses[i, :3]
+    return poses
+
+
 class SceneSamples(IterableDataset[Sample]):
     """An endless random stream of samples; folders are listed anew now and then, so that a growing set is used."""
 
@@ -138,16 +167,19 @@ class SceneSamples(IterableDataset[Sample]):
         sample = load_sample(scene, index, [int(s) for s in sources])
         if (sample.depth > 0).float().mean() < 0.1:
             return None
+        if rng.random() < settings.mirror:
+            sample = mirrored(sample)
+        poses = sample.cam_from_world
+        if settings.pose_noise_px and rng.random() < 0.5:
+            poses = disturbed_poses(sample, settings.pose_noise_px * rng.random(), rng)
         near, far = sample.depth_range
         jitter = settings.range_jitter
         images = sample.images
         if settings.colour_jitter:
             images = jitter_colour(images, settings.colour_jitter, rng)
-        return Sample(
+        return replace(
+            sample,
             images=images,
-            intrinsics=sample.intrinsics,
-            cam_from_world=sample.cam_from_world,
-            depth=sample.depth,
+            cam_from_world=poses,
             depth_range=(near / (1 + jitter * rng.random()), far * (1 + 2 * jitter * rng.random())),
-            name=sample.name,
         )

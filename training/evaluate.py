@@ -216,7 +216,8 @@ def _line(name: str, e: dict[str, float]) -> str:
         f"{name:28s} median {100 * e['median_rel']:6.3f} %  within 1 %: {100 * e['within_1pct']:5.1f} %  "
         f"surer 70 %: {100 * e['within_1pct_sure']:5.1f} %  abs {e['median_abs']:.4f}  "
         f"sure {e['median_abs_sure']:.4f}  "
-        f"sure within 0.03: {100 * e['within_3cm_sure']:5.1f} %"
+        f"sure within 0.03: {100 * e['within_3cm_sure']:5.1f} %  "
+        f"flying {100 * e['flying']:4.1f} %, sure {100 * e['flying_sure']:4.1f} %"
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +18,8 @@ class DepthErrors:
     median_rel: median of |d - t| / t.  within_1pct: share of all pixels with truth whose error is below 1 %.
     within_1pct_sure: the same among the surer 70 %.  median_abs, median_abs_sure: in scene units.
     within_3cm_sure: share of the surer 70 % within 0.03 scene units.
+    flying, flying_sure: share of the pixels at silhouettes that hang in the air (:func:`flying_pixels`), of all and of
+        those among the surer 70 %; NaN where the view has no silhouette.
     """
 
     pixels: int
@@ -26,6 +29,8 @@ class DepthErrors:
     median_abs: float
     median_abs_sure: float
     within_3cm_sure: float
+    flying: float
+    flying_sure: float
 
     def to_dict(self) -> dict[str, float]:
         """Return the fields as plain values."""
@@ -49,6 +54,7 @@ def depth_errors(
     error = np.abs(depth[mask] - truth[mask])
     relative = error / truth[mask]
     sure = confidence[mask] >= np.quantile(confidence[mask], 0.3)
+    silhouette, flies = (pixels[mask] for pixels in flying_pixels(depth, truth))
     return DepthErrors(
         pixels=int(mask.sum()),
         median_rel=float(np.median(relative)),
@@ -57,9 +63,54 @@ def depth_errors(
         median_abs=float(np.median(error)),
         median_abs_sure=float(np.median(error[sure])),
         within_3cm_sure=float((error[sure] < 0.03).mean()),
+        flying=_share(flies, silhouette),
+        flying_sure=_share(flies & sure, silhouette & sure),
     )
 
 
+def _share(part: NDArray[np.bool_], whole: NDArray[np.bool_]) -> float:
+    return float(part.sum() / whole.sum()) if whole.any() else float("nan")
+
+
+def flying_pixels(
+    depth: NDArray[np.float32],
+    truth: NDArray[np.float32],
+    *,
+    radius_px: int = 3,
+    min_step: float = 0.1,
+    tolerance: float = 0.03,
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Find pixels at silhouettes, and those of them whose depth lies between the surfaces but on none of them.
+
+    A pixel is at a silhouette where the nearest and the farthest truth within ``radius_px`` differ by more than
+    ``min_step`` of the nearest. It flies where its depth is between those two and differs from every true depth
+    within ``radius_px`` by more than ``tolerance``. Both maps are (h, w) on the same grid; 0 is no truth.
+    """
+    window = np.ones((2 * radius_px + 1, 2 * radius_px + 1), np.uint8)
+    near = np.minimum(cv2.erode(np.where(truth > 0, truth, np.float32(np.inf)), window), np.float32(1e9))
+    far = cv2.dilate(truth, window)
+    silhouette = (truth > 0) & (far > near * (1 + min_step))
+    between = silhouette & (depth > near * (1 + tolerance)) & (depth < far * (1 - tolerance))
+    rows, columns = np.nonzero(between)
+    padded = np.pad(truth, radius_px)
+    error = np.full(len(rows), np.inf, np.float32)
+    for down in range(2 * radius_px + 1):
+        for right in range(2 * radius_px + 1):
+            surface = padded[rows + down, columns + right]
+            known = surface > 0
+            here = np.abs(depth[rows, columns][known] / surface[known] - 1)
+            error[known] = np.minimum(error[known], here)
+    flies = np.zeros_like(silhouette)
+    flies[rows, columns] = error > tolerance
+    return silhouette, flies
+
+
 def mean_errors(rows: list[DepthErrors]) -> dict[str, float]:
-    """Unweighted mean over views of every figure."""
-    return {key: float(np.mean([row.to_dict()[key] for row in rows])) for key in rows[0].to_dict()} if rows else {}
+    """Unweighted mean over views of every figure; views without a silhouette do not count for the flying pixels."""
+    if not rows:
+        return {}
+    columns = {key: np.array([row.to_dict()[key] for row in rows]) for key in rows[0].to_dict()}
+    return {
+        key: float(np.nanmean(values)) if not np.isnan(values).all() else float("nan")
+        for key, values in columns.items()
+    }

@@ -3,6 +3,7 @@
 TRUNKS holds MVSNet scenes (``T01`` …), each with ``mask.png`` of the trunk in view 0, and ``dbh.csv`` (scene, dbh_cm).
 For every pair: the depth map of view 0 through ``fsinfer depth``, then, in five sections of the trunk, a circle
 through the points of the visible arc and tangent to the two rays that touch the trunk's sides; their median counts.
+Beside it stands the median difference between the depth map and points triangulated from SIFT matches in the mask.
 """
 
 from __future__ import annotations
@@ -18,10 +19,14 @@ from scipy.optimize import least_squares
 
 from fsinfer.depth import DepthSettings, estimate_depth
 from fsinfer.depth_maps import DepthMaps
-from fsinfer.scene import read_scene
+from fsinfer.images import read_image
+from fsinfer.scene import Scene, read_scene
+from fsinfer.triangulation import triangulate
 
 BANDS = ((0.30, 0.38), (0.38, 0.46), (0.46, 0.54), (0.54, 0.62), (0.62, 0.70))  # shares of the mask's height
 EDGE_SHARE = 0.08  # of the trunk's width at each side that is left out: fattened edges, grazing surface
+MATCH_RATIO = 0.75  # Lowe's ratio test, both ways
+MATCH_ERROR_PX = 1.0
 POINT_SIGMA_M = 0.01
 EDGE_SIGMA_M = 0.002
 
@@ -75,6 +80,31 @@ def fit_arc(
     return solution.x[:2], float(solution.x[2])
 
 
+def matched_points(scene: Scene, mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """(N, 3): pixel (u, v) of view 0 inside ``mask`` and z depth, of SIFT matches that two rays agree on."""
+    sift = cv2.SIFT_create(contrastThreshold=0.01)
+    found = [
+        sift.detectAndCompute(cv2.cvtColor(read_image(view.image_path), cv2.COLOR_RGB2GRAY), region)
+        for view, region in zip(scene.views[:2], (mask.astype(np.uint8), None), strict=True)
+    ]
+    (keys0, first), (keys1, second) = found
+    matcher = cv2.BFMatcher()
+    ways = []
+    for a, b in ((first, second), (second, first)):
+        pairs = matcher.knnMatch(a, b, k=2)
+        ways.append({m.queryIdx: m.trainIdx for m, n in pairs if m.distance < MATCH_RATIO * n.distance})
+    projections = [view.camera.intrinsic @ view.camera.cam_from_world[:3] for view in scene.views[:2]]
+    rows = []
+    for i, j in ways[0].items():
+        if ways[1].get(j) != i:
+            continue
+        point = triangulate(projections, np.array([keys0[i].pt, keys1[j].pt]))
+        if point is not None and point.max_error_px < MATCH_ERROR_PX:
+            z = float((scene.views[0].camera.cam_from_world[:3] @ [*point.xyz, 1.0])[2])
+            rows.append((*keys0[i].pt, z))
+    return np.array(rows).reshape(-1, 3)
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run all pairs and print the table with the mean absolute error."""
     parser = argparse.ArgumentParser(prog="python -m tests.bench.trunks", description=__doc__)
@@ -84,7 +114,7 @@ def main(argv: list[str] | None = None) -> int:
     args = parser.parse_args(argv)
     with (args.trunks / "dbh.csv").open(encoding="utf-8") as file:
         truth = {row["scene"]: float(row["dbh_cm"]) for row in csv.DictReader(file)}
-    errors = []
+    errors, worst_match = [], 0.0
     for name, expected in truth.items():
         scene = read_scene(args.trunks / name)
         estimate_depth(scene, args.out / name, settings=DepthSettings(model=args.model))
@@ -102,13 +132,20 @@ def main(argv: list[str] | None = None) -> int:
         dbh_cm = float(np.median(bands))
         errors.append(dbh_cm - expected)
         distance = float(np.median(depth[small]))
+        points = matched_points(scene, mask)
+        columns = np.rint((points[:, 0] - grid.offset_x_px) / grid.step_x).astype(int).clip(0, depth.shape[1] - 1)
+        rows = np.rint((points[:, 1] - grid.offset_y_px) / grid.step_y).astype(int).clip(0, depth.shape[0] - 1)
+        differences = np.abs(depth[rows, columns] / points[:, 2] - 1)
+        worst_match = max(worst_match, float(np.median(differences)))
         print(
             f"{name}: {dbh_cm:6.2f} cm (sections {min(bands):.1f} to {max(bands):.1f}), tape {expected:6.2f} cm, "
-            f"error {errors[-1]:+5.2f} cm, {distance:.2f} m"
+            f"error {errors[-1]:+5.2f} cm, {distance:.2f} m; depth to {len(points)} matched points: median "
+            f"{100 * np.median(differences):.2f} %"
         )
     absolute = np.abs(errors)
     print(
-        f"{len(errors)} pairs: MAE {absolute.mean():.2f} cm, bias {np.mean(errors):+.2f} cm, worst {absolute.max():.2f}"
+        f"{len(errors)} pairs: MAE {absolute.mean():.2f} cm, bias {np.mean(errors):+.2f} cm, worst {absolute.max():.2f}; "
+        f"depth to matched points: at most {100 * worst_match:.2f} %"
     )
     return 0
 

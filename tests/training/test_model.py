@@ -18,10 +18,10 @@ from training.model.backbone import BFPN
 from training.model.fsmvsnet import Window
 from training.model.packed import pack, with_neighbours
 from training.model.regression import peak_window, soft_argmin
+from training.model.volume import GroupCorrelation, correlation, plane_inverse_depths
 from training.model.volume import correlation_volume as torch_correlation
-from training.model.volume import plane_inverse_depths
 from training.model.volume import variance_volume as torch_variance
-from training.model.warping import relative_projection
+from training.model.warping import project, relative_projection, sample
 
 
 def views(count: int = 3, height: int = 64, width: int = 96) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -119,6 +119,27 @@ def test_volumes_equal_the_deployed_numpy_volumes() -> None:
     np.testing.assert_allclose(weights, torch_weights.numpy(), atol=3e-5)
     expected = torch_variance(maps[0], list(maps[1:]), a, b, hypotheses, (0, 0)).numpy()
     np.testing.assert_allclose(variance_volume(features[0], features[1:], projections, planes), expected, atol=3e-5)
+
+
+@pytest.mark.parametrize("chunk_bytes", [1, 2**30])
+def test_chunked_correlation_equals_the_plain_one_with_its_gradients(
+    chunk_bytes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("training.model.volume.CHUNK_BYTES", chunk_bytes)
+    _, intrinsics, poses = views()
+    torch.manual_seed(4)
+    reference = torch.randn(8, 16, 24, requires_grad=True)
+    source = torch.randn(8, 16, 24, requires_grad=True)
+    inverse = plane_inverse_depths(torch.tensor(1.0), torch.tensor(9.0), 12, inverse=True)[:, None, None]
+    a, b = relative_projection(intrinsics, poses, 4)
+    x, y = project(a[0], b[0], inverse.expand(-1, 16, 24), (0, 0))
+    plain = correlation(reference, sample(source, x, y).reshape(8, 12, 16, 24), 2)
+    toward = torch.randn_like(plain)
+    expected = torch.autograd.grad((plain * toward).sum(), (reference, source))
+    chunked = GroupCorrelation.apply(reference, source, x, y, 2)
+    found = torch.autograd.grad((chunked * toward).sum(), (reference, source))
+    torch.testing.assert_close(chunked, plain, atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(found, expected, atol=1e-4, rtol=1e-4)
 
 
 def test_a_window_is_a_cut_of_the_whole_volume() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -155,6 +156,19 @@ def test_written_scene_is_complete_and_a_finished_one_is_kept(clusters: Path):
     before = image.stat().st_mtime_ns
     main([str(clusters), "--seed", "3", "--clutter", "0", *SMALL])
     assert image.stat().st_mtime_ns == before
+
+
+def test_a_walk_is_photographs_in_a_row_of_a_plot(tmp_path: Path):
+    arguments = [str(tmp_path), "--seed", "7", "--kind", "walk", *SMALL]
+    main(arguments)
+    scene = read_scene(tmp_path / "w00007")
+    assert len(scene.views) == 3
+    assert all(view.sources for view in scene.views)
+    steps = [np.linalg.norm(a.camera.center - b.camera.center) for a, b in pairwise(scene.views)]
+    assert 0.1 < min(steps) <= max(steps) < 1.2
+    before = (tmp_path / "w00007" / "images" / "00000000.jpg").stat().st_mtime_ns
+    main(arguments)
+    assert (tmp_path / "w00007" / "images" / "00000000.jpg").stat().st_mtime_ns == before
 
 
 def test_plot_writes_truth_markers_and_walks_clear_of_stems(tmp_path: Path):

@@ -14,9 +14,9 @@ from fsinfer.errors import SceneError
 from fsinfer.pfm import read_pfm, write_pfm
 from fsinfer.scene import read_scene
 from tests.plane_scene import PLANE_DEPTH, write_plane_scene
-from training.datasets import SamplingSettings, SceneSamples, jitter_colour, load_sample
+from training.datasets import SamplingSettings, SceneSamples, disturbed_poses, jitter_colour, load_sample, mirrored
 from training.evaluate import confidence_curve, evaluate_scene, main, on_truth_grid
-from training.metrics import depth_errors
+from training.metrics import depth_errors, flying_pixels, mean_errors
 from training.train import Trainer, TrainSettings, parse_arguments, pick_window, train
 
 
@@ -115,6 +115,63 @@ def test_a_sure_estimate_counts_and_a_missing_one_is_wrong() -> None:
     assert surest is not None
     assert surest.within_1pct_sure < 1
     assert depth_errors(depth, confidence, np.zeros_like(truth)) is None
+
+
+def test_only_depths_between_two_surfaces_fly() -> None:
+    truth = np.full((20, 30), 2.0, np.float32)
+    truth[:, 15:] = 6.0
+    depth = truth.copy()
+    depth[:, 14] = 3.5  # between both
+    depth[:, 15] = 2.01  # the silhouette is a pixel too wide: on the wrong surface, but on one
+    depth[:, 3] = 3.5  # wrong, but not at the silhouette
+    silhouette, flies = flying_pixels(depth, truth, radius_px=3)
+    np.testing.assert_array_equal(np.flatnonzero(silhouette.any(axis=0)), np.arange(12, 18))
+    np.testing.assert_array_equal(np.flatnonzero(flies.any(axis=0)), [14])
+    errors = depth_errors(depth, np.ones_like(depth), truth)
+    assert errors is not None
+    assert errors.flying == pytest.approx(1 / 6)
+    flat = depth_errors(depth[:, :10], np.ones((20, 10), np.float32), truth[:, :10])
+    assert flat is not None
+    assert np.isnan(flat.flying)
+    assert mean_errors([errors, flat])["flying"] == pytest.approx(1 / 6)
+
+
+def test_a_mirrored_sample_is_as_consistent_as_the_sample(scenes: Path) -> None:
+    sample = load_sample(read_scene(scenes / "s0"), 0, [1])
+    turned = mirrored(sample)
+    u, v = 20, 33
+    for item, column in ((sample, u), (turned, sample.depth.shape[1] - 1 - u)):
+        z = float(item.depth[v, column])
+        ray = torch.linalg.inv(item.intrinsics[0]) @ torch.tensor([column, v, 1.0], dtype=torch.float64) * z
+        world = torch.linalg.inv(item.cam_from_world[0]) @ torch.cat([ray, torch.ones(1, dtype=torch.float64)])
+        seen = item.intrinsics[1] @ (item.cam_from_world[1] @ world)[:3]
+        x, y = (round(float(c / seen[2])) for c in seen[:2])
+        if item is sample:
+            expected = item.images[1, :, y, x]
+            place = x, y
+    torch.testing.assert_close(turned.images[1, :, y, x], expected)
+    assert (x, y) == (sample.images.shape[-1] - 1 - place[0], place[1])
+    again = mirrored(turned)
+    torch.testing.assert_close(again.cam_from_world, sample.cam_from_world)
+    torch.testing.assert_close(again.images, sample.images)
+
+
+def test_disturbed_poses_move_pixels_by_as_much_as_asked(scenes: Path) -> None:
+    sample = load_sample(read_scene(scenes / "s0"), 0, [1])
+    rng = np.random.default_rng(0)
+    point = torch.tensor([0.2, 0.1, PLANE_DEPTH, 1.0], dtype=torch.float64)
+    k = sample.intrinsics[1]
+
+    def pixel(pose: torch.Tensor) -> torch.Tensor:
+        seen = k @ (pose @ point)[:3]
+        return seen[:2] / seen[2]
+
+    moves = []
+    for _ in range(200):
+        poses = disturbed_poses(sample, 0.3, rng)
+        torch.testing.assert_close(poses[0], sample.cam_from_world[0])
+        moves.append(pixel(poses[1]) - pixel(sample.cam_from_world[1]))
+    assert float(torch.stack(moves).std()) == pytest.approx(0.3, rel=0.15)
 
 
 def test_estimates_are_read_at_the_centres_of_the_truth_pixels() -> None:

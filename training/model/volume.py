@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
-from training.model.warping import warp
+from training.model.warping import project, warp
+
+CHUNK_BYTES = 2**21  # of warped features at a time: what a second-level cache holds (measured: 2**18 is 12 % slower)
 
 
 def plane_inverse_depths(depth_min: Tensor, depth_max: Tensor, planes: int, *, inverse: bool) -> Tensor:
@@ -45,6 +50,66 @@ def correlation(reference_chw: Tensor, warped_cdhw: Tensor, groups: int) -> Tens
     return product.mean(dim=1).transpose(0, 1)
 
 
+class GroupCorrelation(torch.autograd.Function):
+    """:func:`correlation` of a warped source without the warped volume: planes in chunks that stay in the cache.
+
+    Written out, the (C, D, h, w) product and its gradients go through memory six times and take half of a training
+    step on a CPU. Here a chunk is sampled, multiplied and summed at once, and sampled again for the gradient.
+    """
+
+    @staticmethod
+    def forward(
+        ctx: Any, reference_chw: Tensor, source_chw: Tensor, x_dhw: Tensor, y_dhw: Tensor, groups: int
+    ) -> Tensor:
+        """(C, h, w), (C, Hs, Ws), source coordinates (D, h, w) twice → (D, G, h, w)."""
+        channels, h, w = reference_chw.shape
+        planes = x_dhw.shape[0]
+        reference = reference_chw.reshape(groups, channels // groups, 1, h * w)
+        grid = _normalized(x_dhw, y_dhw, source_chw)
+        result = reference_chw.new_empty(planes, groups, h * w)
+        for chunk in _chunks(planes, reference_chw):
+            warped = _sample(source_chw, grid[chunk]).reshape(groups, channels // groups, -1, h * w)
+            result[chunk] = (warped * reference).mean(dim=1).transpose(0, 1)
+        ctx.save_for_backward(reference_chw, source_chw, grid)
+        return result.reshape(planes, groups, h, w)
+
+    @staticmethod
+    def backward(ctx: Any, gradient_dghw: Tensor) -> tuple[Tensor, Tensor, None, None, None]:  # type: ignore[override]
+        """Gradients of the reference and of the source features."""
+        reference_chw, source_chw, grid = ctx.saved_tensors
+        channels, h, w = reference_chw.shape
+        planes, groups = gradient_dghw.shape[:2]
+        reference = reference_chw.reshape(groups, channels // groups, 1, h * w)
+        gradient = gradient_dghw.reshape(planes, groups, 1, h * w).permute(1, 2, 0, 3) * (groups / channels)
+        of_reference = torch.zeros_like(reference)
+        of_source = torch.zeros_like(source_chw)[None]
+        for chunk in _chunks(planes, reference_chw):
+            part = gradient[:, :, chunk]
+            warped = _sample(source_chw, grid[chunk]).reshape(groups, channels // groups, -1, h * w)
+            of_reference += (warped * part).sum(dim=2, keepdim=True)
+            of_warped = (part * reference).reshape(1, channels, -1, h * w)
+            of_source += torch.ops.aten.grid_sampler_2d_backward(
+                of_warped, source_chw[None], grid[chunk][None], 0, 0, True, [True, False]
+            )[0]
+        return of_reference.reshape(channels, h, w), of_source[0], None, None, None
+
+
+def _normalized(x_dhw: Tensor, y_dhw: Tensor, source_chw: Tensor) -> Tensor:
+    """Source pixel coordinates in -1 … 1, (D, h*w, 2), as grid_sample wants them with aligned corners."""
+    height, width = source_chw.shape[1:]
+    grid = torch.stack([x_dhw * (2 / (width - 1)) - 1, y_dhw * (2 / (height - 1)) - 1], dim=-1)
+    return grid.reshape(x_dhw.shape[0], -1, 2)
+
+
+def _sample(source_chw: Tensor, grid_dp2: Tensor) -> Tensor:
+    return F.grid_sample(source_chw[None], grid_dp2[None], mode="bilinear", padding_mode="zeros", align_corners=True)
+
+
+def _chunks(planes: int, reference_chw: Tensor) -> list[slice]:
+    size = planes if reference_chw.is_cuda else max(1, CHUNK_BYTES // (4 * reference_chw.numel()))
+    return [slice(start, start + size) for start in range(0, planes, size)]
+
+
 def correlation_volume(
     reference_chw: Tensor,
     sources: list[Tensor],
@@ -64,8 +129,8 @@ def correlation_volume(
     weight_sum: Tensor | None = None
     weights = []
     for i, source in enumerate(sources):
-        warped = warp(source, a[i], b[i], inverse_depth_dhw, origin_xy)
-        corr = correlation(reference_chw, warped, groups)
+        x, y = project(a[i], b[i], inverse_depth_dhw, origin_xy)
+        corr = torch.as_tensor(GroupCorrelation.apply(reference_chw, source, x, y, groups))  # type: ignore[no-untyped-call]
         weight = torch.softmax(corr.sum(dim=1), dim=0).amax(dim=0) if view_weights is None else view_weights[i]
         weights.append(weight)
         summed = corr * weight if summed is None else summed + corr * weight

@@ -1,4 +1,9 @@
-"""Command line: ``python -m training.synthesize OUT --seed S --scenes N --kind cluster|plot``."""
+"""Command line: ``python -m training.synthesize OUT --seed S --scenes N --kind cluster|walk|plot``.
+
+``cluster``: a few small views of one stem or object, for training. ``walk``: some photographs in a row of a walk
+through a plot drawn at random, for validation and test at full size. ``plot``: all photographs of a plot, for the
+pipeline.
+"""
 
 from __future__ import annotations
 
@@ -33,9 +38,9 @@ def parse(argv: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("out", type=Path, metavar="OUT")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--scenes", type=int, default=1, help="seeds S .. S+N-1, one world each")
-    parser.add_argument("--kind", choices=("cluster", "plot"), default="cluster")
+    parser.add_argument("--kind", choices=("cluster", "walk", "plot"), default="cluster")
     parser.add_argument("--clusters-per-scene", type=int, default=2)
-    parser.add_argument("--views", type=int, default=5, help="views a cluster")
+    parser.add_argument("--views", type=int, default=5, help="views of a cluster or walk")
     parser.add_argument("--width", type=int)
     parser.add_argument("--height", type=int)
     parser.add_argument("--supersample", type=int, default=2)
@@ -138,6 +143,70 @@ def synthesize_clusters(args: argparse.Namespace, seed: int, photos: tuple[Path,
     print(f"s{seed:05d}: built in {built:.1f} s, all in {time.perf_counter() - start:.1f} s", flush=True)
 
 
+def walk_settings(rng: np.random.Generator, photos: tuple[Path, ...], args: argparse.Namespace) -> WorldSettings:
+    """Draw a plot: open or dense, level or steep, bare or overgrown."""
+    radius = float(rng.uniform(4, 8))
+    trees = max(3, round(np.pi * radius**2 * float(rng.uniform(0.06, 0.2))))
+    return WorldSettings(
+        radius_m=radius,
+        outer_m=radius + 22,
+        trees=trees,
+        outer_trees=round(trees * float(rng.uniform(1, 3))),
+        slope_deg=float(rng.uniform(0, 22)),
+        roughness=float(rng.uniform(0.2, 1.0)),
+        undergrowth=float(rng.uniform(0, 1)),
+        season=str(rng.choice(["summer", "summer", "winter"])),
+        clutter=False,
+        detail_radius_m=radius + 3,
+        ground_step_m=0.06,
+        outer_gap_m=2.3,
+        outer_sides=64,
+        outer_step_m=0.05,
+        targets=int(rng.integers(0, 4)),
+        texture_px=args.texture_px,
+        photos=photos,
+        photo_share=args.photo_share,
+        max_dbh_m=float(rng.uniform(0.3, 0.7)),
+    )
+
+
+def synthesize_walk(args: argparse.Namespace, seed: int, photos: tuple[Path, ...]) -> None:
+    """Render ``args.views`` photographs in a row of a walk through the plot of one seed."""
+    folder = args.out / f"w{seed:05d}"
+    if finished(folder):
+        return
+    width, height = args.width or 1280, args.height or 720
+    start = time.perf_counter()
+    rng = np.random.default_rng([seed, 1])
+    settings = walk_settings(rng, photos, args)
+    world = build_world(rng, settings)
+    caster = Caster(world.opaque, world.cards, world.materials, world.light)
+    rng = np.random.default_rng([seed, 2])
+    cameras = plot_cameras(
+        rng,
+        world.terrain,
+        world.obstacles,
+        radius_m=settings.radius_m,
+        photos=int(settings.radius_m * rng.uniform(15, 32)),  # 0.25 to 0.6 m from one to the next
+        width=width,
+        height=height,
+        hfov_deg=float(rng.uniform(52, 76)),
+    )
+    first = int(rng.integers(len(cameras) - args.views))
+    cameras = cameras[first : first + args.views]
+    depths = [caster.depth(camera, width, height) for camera in cameras]
+    pictures = [caster.picture(camera, width, height, args.supersample) for camera in cameras]
+    sensor = random_sensor(rng, pictures[len(pictures) // 2])
+    for i, (camera, depth, picture) in enumerate(zip(cameras, depths, pictures, strict=True)):
+        write_view(
+            folder, i, expose(rng, sensor, picture), depth, with_depth_range(camera, depth, 25.0), sensor.quality
+        )
+    finish_scene(folder, cameras, depths)
+    drawn = vars(settings) | {"photos": [p.name for p in photos]}
+    write_record(folder, {"seed": seed, "kind": "walk", "first": first, "settings": drawn, "sensor": vars(sensor)})
+    print(f"w{seed:05d}: {len(cameras)} views in {time.perf_counter() - start:.0f} s", flush=True)
+
+
 def synthesize_plot(args: argparse.Namespace, seed: int, photos: tuple[Path, ...], folder: Path) -> None:
     """Render one plot into ``folder``; views that are there already are kept."""
     if finished(folder):
@@ -215,6 +284,8 @@ def main(argv: list[str] | None = None) -> None:
     for seed in range(args.seed, args.seed + args.scenes):
         if args.kind == "cluster":
             synthesize_clusters(args, seed, photos)
+        elif args.kind == "walk":
+            synthesize_walk(args, seed, photos)
         else:
             synthesize_plot(args, seed, photos, args.out if args.scenes == 1 else args.out / f"p{seed:05d}")
 

@@ -1,0 +1,113 @@
+"""Structure from motion on a rendered plot: seconds of each step and error of the cameras, for any settings.
+
+python -m tests.bench.poses PLOT --set max_features=4000 --photos 80
+
+``PLOT`` is a scene of ``training.synthesize --kind plot`` (or any scene in MVSNet format whose cameras are true).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import tempfile
+import time
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.poses import PoseSettings, estimate_poses
+from fsinfer.scene import Scene, read_scene
+
+
+class Stopwatch:
+    """A progress callback that adds up the seconds of each step by its name."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._step, self._since = "start", time.monotonic()
+
+    def __call__(self, _done: int, _total: int, step: str) -> None:
+        """Note the time when the step changes."""
+        now = time.monotonic()
+        self.seconds[self._step] = self.seconds.get(self._step, 0.0) + now - self._since
+        self._step, self._since = step, now
+
+
+def similarity(source: NDArray[np.float64], target: NDArray[np.float64]) -> tuple[float, Any, Any]:
+    """Scale, rotation and translation that bring (n, 3) ``source`` nearest to ``target`` (Umeyama 1991)."""
+    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
+    u, d, vt = np.linalg.svd(b.T @ a / len(a))
+    sign = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    rotation = u @ sign @ vt
+    scale = float((d * np.diag(sign)).sum() / a.var(axis=0).sum())
+    return scale, rotation, target.mean(axis=0) - scale * rotation @ source.mean(axis=0)
+
+
+def camera_errors(found: Scene, truth: Scene) -> dict[str, float]:
+    """Errors of the camera centres (mm, if the truth is in metres) and of the directions (degrees)."""
+    true = {view.name: view.camera.cam_from_world for view in truth.views}
+    pairs = [(view.camera.cam_from_world, true[view.name]) for view in found.views if view.name in true]
+    ours, theirs = (np.stack(poses) for poses in zip(*pairs, strict=True))
+    centers = [-np.einsum("nji,nj->ni", p[:, :3, :3], p[:, :3, 3]) for p in (ours, theirs)]
+    scale, rotation, shift = similarity(*centers)
+    distance = np.linalg.norm(scale * centers[0] @ rotation.T + shift - centers[1], axis=1)
+    turn = np.einsum("nij,jk,nlk->nil", ours[:, :3, :3], rotation.T, theirs[:, :3, :3])
+    angle = np.degrees(np.arccos(np.clip((np.trace(turn, axis1=1, axis2=2) - 1) / 2, -1, 1)))
+    return {
+        "center_rms_mm": 1000 * float(np.sqrt((distance**2).mean())),
+        "center_max_mm": 1000 * float(distance.max()),
+        "angle_median_deg": float(np.median(angle)),
+        "angle_max_deg": float(angle.max()),
+    }
+
+
+def parse_settings(pairs: list[str]) -> PoseSettings:
+    """``name=value`` pairs to :class:`PoseSettings`."""
+    settings = PoseSettings()
+    kinds = {field.name: type(getattr(settings, field.name)) for field in fields(settings)}
+    for pair in pairs:
+        name, _, value = pair.partition("=")
+        settings = replace(settings, **{name: kinds[name](value)})
+    return settings
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(prog="python -m tests.bench.poses", description=__doc__)
+    parser.add_argument("plot", type=Path)
+    parser.add_argument("--photos", type=int, default=0, help="only the first so many; 0 = all")
+    parser.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="fields of PoseSettings")
+    parser.add_argument("--out", type=Path, help="keep the scene here")
+    arguments = parser.parse_args()
+    truth = read_scene(arguments.plot)
+    views = truth.views[: arguments.photos or None]
+    with tempfile.TemporaryDirectory() as temporary:
+        photos = Path(temporary) / "photos"
+        photos.mkdir()
+        for view in views:
+            shutil.copy(view.image_path, photos)
+        out = arguments.out or Path(temporary) / "scene"
+        watch = Stopwatch()
+        started = time.monotonic()
+        result = estimate_poses(photos, out, settings=parse_settings(arguments.set), progress=watch)
+        seconds = time.monotonic() - started
+        record = json.loads((out / "poses.json").read_text(encoding="utf-8"))
+        row = {
+            "settings": arguments.set,
+            "photos": result.photos,
+            "registered": result.registered,
+            "seconds": round(seconds, 1),
+            "steps": {name: round(spent, 1) for name, spent in watch.seconds.items() if spent >= 0.1},
+            "points": record["points"],
+            "reprojection_px": round(record["mean_reprojection_error_px"], 3),
+            **{name: round(value, 4) for name, value in camera_errors(read_scene(out), truth).items()},
+        }
+    print(json.dumps(row))
+
+
+if __name__ == "__main__":
+    main()
