@@ -1,4 +1,4 @@
-"""Training samples from any folder of scenes in MVSNet format that has exact ``depths/*.pfm``."""
+"""Training samples from any scenes with true depth (:mod:`training.layouts`)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from torch.utils.data import IterableDataset
 
 from fsinfer.errors import SceneError
 from fsinfer.pfm import read_pfm
-from fsinfer.scene import Scene, read_scene
+from fsinfer.scene import Scene
+from training.layouts import TrueScene, find_true_scenes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,17 +49,15 @@ class SamplingSettings:
     colour_jitter: float = 0.2
     range_jitter: float = 0.35  # near bound down to 1/(1+j), far bound up to 1+2j of the camera file's
     mirror: float = 0.5  # share of samples seen in a mirror
+    turn: float = 0.3  # share of samples with all pictures on their side, as phones held upright often store them
     pose_noise_px: float = 0.3  # half of the samples: each source off by up to this (standard deviation), as after SfM
 
 
-def find_scenes(roots: Sequence[Path]) -> list[Path]:
-    """Every folder below ``roots`` that holds ``pair.txt`` and ``depths``, sorted."""
-    found = {p.parent for root in roots for p in root.rglob("pair.txt") if (p.parent / "depths").is_dir()}
-    return sorted(found)
+def load_sample(scene: Scene, index: int, sources: Sequence[int], depth: NDArray[np.float32] | None = None) -> Sample:
+    """Read view ``index`` with the given source views; a smaller depth map is spread by its integer factor.
 
-
-def load_sample(scene: Scene, index: int, sources: Sequence[int]) -> Sample:
-    """Read view ``index`` with the given source views; a smaller depth map is spread by its integer factor."""
+    ``depth`` is that of :meth:`training.layouts.TrueScene.true_depth`; without it ``depths/NAME.pfm`` is read.
+    """
     views = [scene.views[i] for i in (index, *sources)]
     images = []
     for view in views:
@@ -70,7 +69,8 @@ def load_sample(scene: Scene, index: int, sources: Sequence[int]) -> Sample:
     if len({image.shape for image in images}) > 1:
         msg = f"{scene.folder}: training needs views of one size, found {sorted({i.shape for i in images})}"
         raise SceneError(msg)
-    depth = read_pfm(scene.folder / "depths" / f"{views[0].name}.pfm")
+    if depth is None:
+        depth = read_pfm(scene.folder / "depths" / f"{views[0].name}.pfm")
     height, width = images[0].shape[1:]
     if depth.shape != (height, width):
         factor = height // depth.shape[0]
@@ -116,6 +116,24 @@ def mirrored(sample: Sample) -> Sample:
     )
 
 
+def turned(sample: Sample, *, clockwise: bool) -> Sample:
+    """Turn all pictures, and the cameras with them, by 90 degrees; the world stays."""
+    sign = 1 if clockwise else -1
+    turn = torch.tensor([[0.0, -sign, 0, 0], [sign, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]).to(sample.cam_from_world)
+    height, width = sample.images.shape[-2:]
+    old, intrinsics = sample.intrinsics, sample.intrinsics.clone()
+    intrinsics[:, 0, 0], intrinsics[:, 1, 1] = old[:, 1, 1], old[:, 0, 0]
+    intrinsics[:, 0, 2] = height - 1 - old[:, 1, 2] if clockwise else old[:, 1, 2]
+    intrinsics[:, 1, 2] = old[:, 0, 2] if clockwise else width - 1 - old[:, 0, 2]
+    return replace(
+        sample,
+        images=torch.rot90(sample.images, -sign, (-2, -1)),
+        depth=torch.rot90(sample.depth, -sign, (-2, -1)),
+        intrinsics=intrinsics,
+        cam_from_world=turn @ sample.cam_from_world,
+    )
+
+
 def disturbed_poses(sample: Sample, noise_px: float, rng: np.random.Generator) -> Tensor:
     """(N, 4, 4) cam_from_world with each source rotated at random by ``noise_px`` pixels (standard deviation).
 
@@ -146,29 +164,31 @@ class SceneSamples(IterableDataset[Sample]):
         worker = torch.utils.data.get_worker_info()
         rng = np.random.default_rng([self.seed, worker.id if worker else 0])
         while True:
-            folders = find_scenes(self.roots)
-            if not folders:
+            scenes = find_true_scenes(self.roots, "train")
+            if not scenes:
                 msg = f"no scene with pair.txt and depths/ below {self.roots}; make some: python -m training.synthesize"
                 raise SceneError(msg)
             for _ in range(self.relist_every):
-                scene = read_scene(folders[rng.integers(len(folders))])
-                sample = self._draw(scene, rng)
+                sample = self._draw(scenes[rng.integers(len(scenes))], rng)
                 if sample is not None:
                     yield sample
 
-    def _draw(self, scene: Scene, rng: np.random.Generator) -> Sample | None:
+    def _draw(self, true_scene: TrueScene, rng: np.random.Generator) -> Sample | None:
         settings = self.settings
+        scene = true_scene.read()
         index = int(rng.integers(len(scene.views)))
         candidates: NDArray[np.int64] = np.array(scene.views[index].sources)
         if len(candidates) == 0:
             return None
         count = min(int(rng.integers(settings.min_sources, settings.max_sources + 1)), len(candidates))
         sources = rng.choice(candidates, size=count, replace=False)
-        sample = load_sample(scene, index, [int(s) for s in sources])
+        sample = load_sample(scene, index, [int(s) for s in sources], true_scene.true_depth(scene.views[index]))
         if (sample.depth > 0).float().mean() < 0.1:
             return None
         if rng.random() < settings.mirror:
             sample = mirrored(sample)
+        if rng.random() < settings.turn:
+            sample = turned(sample, clockwise=bool(rng.random() < 0.5))
         poses = sample.cam_from_world
         if settings.pose_noise_px and rng.random() < 0.5:
             poses = disturbed_poses(sample, settings.pose_noise_px * rng.random(), rng)

@@ -1,4 +1,4 @@
-"""Depth errors of a model on scene folders with true depth (``depths/*.pfm``).
+"""Depth errors of a model on scenes with true depth: ``depths/*.pfm``, the DTU training set, BlendedMVS.
 
 python -m training.evaluate SCENES --model field            the ONNX model, through fsinfer, as it is deployed
 python -m training.evaluate SCENES --checkpoint RUN/checkpoint.pt   a checkpoint in PyTorch
@@ -20,9 +20,8 @@ from fsinfer.depth import DepthSettings, search_range
 from fsinfer.depth_model import DepthModel
 from fsinfer.errors import FsinferError, SceneError
 from fsinfer.images import read_image
-from fsinfer.pfm import read_pfm
-from fsinfer.scene import Scene, read_scene
-from training.datasets import find_scenes
+from fsinfer.scene import Scene, View
+from training.layouts import SPLITS, DepthsFolder, find_true_scenes
 from training.metrics import DepthErrors, depth_errors, mean_errors
 
 Float32 = NDArray[np.float32]
@@ -98,16 +97,19 @@ def evaluate_scene(
     every: int = 1,
     max_depth: float = np.inf,
     pixels: list[tuple[Float32, Float32]] | None = None,
+    true_depth: Callable[[View], Float32 | None] | None = None,
 ) -> dict[str, DepthErrors]:
     """Errors of every ``every``-th view of a scene, by view name.
 
     ``pixels`` is given the confidence and the relative error of the pixels with truth, for :func:`confidence_curve`.
+    ``true_depth`` is that of a :class:`training.layouts.TrueScene`; without it ``depths/NAME.pfm`` is read.
     """
+    true_depth = true_depth or DepthsFolder(folder=scene.folder).true_depth
     rows = {}
     for view in scene.views[::every]:
-        truth_path = scene.folder / "depths" / f"{view.name}.pfm"
         sources = [scene.views[i] for i in view.sources[:source_views]]
-        if not truth_path.is_file() or not sources:
+        truth = true_depth(view) if sources else None
+        if truth is None:
             continue
         images = [read_image(v.image_path) for v in (view, *sources)]
         depth, confidence, stride = predict(
@@ -116,7 +118,6 @@ def evaluate_scene(
             np.stack([v.camera.cam_from_world for v in (view, *sources)]),
             (view.camera.depth_min, view.camera.depth_max),
         )
-        truth = read_pfm(truth_path)
         height, width = images[0].shape[:2]
         shape = (truth.shape[0], truth.shape[1])
         depth = on_truth_grid(depth, stride, shape, (height, width))
@@ -128,7 +129,7 @@ def evaluate_scene(
         if errors is not None:
             rows[f"{scene.folder.name}/{view.name}"] = errors
     if not rows:
-        msg = f"{scene.folder} has no view with depths/NAME.pfm and a source; nothing to evaluate"
+        msg = f"{scene.folder} has no view with a true depth map and a source; nothing to evaluate"
         raise SceneError(msg)
     return rows
 
@@ -156,7 +157,10 @@ def confidence_curve(pixels: list[tuple[Float32, Float32]], *, wanted: float = 0
 def main(arguments: list[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(prog="python -m training.evaluate", description=__doc__)
-    parser.add_argument("scenes", type=Path, nargs="+", help="folders that are scenes or hold scenes")
+    parser.add_argument(
+        "scenes", type=Path, nargs="+", help="folders that are scenes or hold scenes; roots of DTU, BlendedMVS"
+    )
+    parser.add_argument("--split", choices=SPLITS, default="validation", help="scenes of DTU or BlendedMVS to take")
     parser.add_argument("--model", default="field", help="name of a shipped model or path of a manifest")
     parser.add_argument("--checkpoint", type=Path, help="evaluate this checkpoint in PyTorch instead")
     parser.add_argument("--source-views", type=int, default=4)
@@ -178,20 +182,21 @@ def main(arguments: list[str] | None = None) -> int:
             if args.checkpoint
             else onnx_predictor(args.model, min_far_over_near=far)
         )
-        folders = find_scenes(args.scenes)
-        if not folders:
+        scenes = find_true_scenes(args.scenes, args.split)
+        if not scenes:
             msg = f"no scene with pair.txt and depths/ in {[str(p) for p in args.scenes]}"
             raise SceneError(msg)
         rows: dict[str, DepthErrors] = {}
         pixels: list[tuple[Float32, Float32]] = []
-        for folder in folders:
+        for true_scene in scenes:
             found = evaluate_scene(
                 predict,
-                read_scene(folder),
+                true_scene.read(),
                 source_views=args.source_views,
                 every=args.every,
                 max_depth=args.max_depth,
                 pixels=pixels if args.confidence else None,
+                true_depth=true_scene.true_depth,
             )
             rows.update(found)
             if not args.json:

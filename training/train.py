@@ -20,11 +20,11 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torch.utils.data import DataLoader
 
 from fsinfer.errors import FsinferError
-from fsinfer.scene import read_scene
-from training.datasets import Sample, SamplingSettings, SceneSamples, find_scenes, load_sample
+from training.datasets import Sample, SamplingSettings, SceneSamples, load_sample
+from training.layouts import find_true_scenes
 from training.losses import at_stride, compute_loss
 from training.metrics import depth_errors, mean_errors
-from training.model import PRESETS, FSMVSNet, ModelConfig
+from training.model import CONFIGS, FSMVSNet, ModelConfig
 from training.model.fsmvsnet import Window
 
 
@@ -89,7 +89,7 @@ class Trainer:
         if settings.threads:
             torch.set_num_threads(settings.threads)
         torch.manual_seed(settings.seed)
-        self.config: ModelConfig = PRESETS[settings.preset]
+        self.config: ModelConfig = CONFIGS[settings.preset]
         self.model = FSMVSNet(self.config).to(self.device)
         self.average = AveragedModel(
             self.model, multi_avg_fn=get_ema_multi_avg_fn(settings.ema_decay), use_buffers=True
@@ -178,10 +178,10 @@ class Trainer:
         """Errors of the moving average on whole validation views."""
         self.average.eval()
         rows = []
-        folders = find_scenes(self.settings.validation)
-        for folder in folders[:: max(1, len(folders) // limit)][:limit]:
-            scene = read_scene(folder)
-            sample = load_sample(scene, 0, scene.views[0].sources[:4])
+        scenes = find_true_scenes(self.settings.validation, "validation")
+        for true_scene in scenes[:: max(1, len(scenes) // limit)][:limit]:
+            scene = true_scene.read()
+            sample = load_sample(scene, 0, scene.views[0].sources[:4], true_scene.true_depth(scene.views[0]))
             output = self.average(
                 sample.images.to(self.device), sample.intrinsics, sample.cam_from_world, sample.depth_range
             )
@@ -246,10 +246,11 @@ def parse_arguments(arguments: list[str] | None = None) -> TrainSettings:
     """Read the command line."""
     default = TrainSettings(data=(), out=Path("run"))
     parser = argparse.ArgumentParser(prog="python -m training.train", description=__doc__)
-    parser.add_argument("--data", type=Path, nargs="+", required=True, help="folders with training scenes")
-    parser.add_argument("--validation", type=Path, nargs="*", default=[], help="folders with validation scenes")
+    data_help = "folders with training scenes, the DTU training set, BlendedMVS"
+    parser.add_argument("--data", type=Path, nargs="+", required=True, help=data_help)
+    parser.add_argument("--validation", type=Path, nargs="*", default=[], help="likewise; there the validation split")
     parser.add_argument("--out", type=Path, required=True, help="folder of the run; resumes from its checkpoint")
-    parser.add_argument("--preset", choices=sorted(PRESETS), default=default.preset)
+    parser.add_argument("--preset", choices=sorted(CONFIGS), default=default.preset)
     parser.add_argument("--minutes", type=float, default=default.minutes, help="training time in all, resumes counted")
     parser.add_argument("--steps", type=int, default=default.steps)
     parser.add_argument("--learning-rate", type=float, default=default.learning_rate)

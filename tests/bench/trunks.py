@@ -144,7 +144,8 @@ def main(argv: list[str] | None = None) -> int:
         )
     absolute = np.abs(errors)
     print(
-        f"{len(errors)} pairs: MAE {absolute.mean():.2f} cm, bias {np.mean(errors):+.2f} cm, worst {absolute.max():.2f}; "
+        f"{len(errors)} pairs: MAE {absolute.mean():.2f} cm, bias {np.mean(errors):+.2f} cm, "
+        f"worst {absolute.max():.2f}; "
         f"depth to matched points: at most {100 * worst_match:.2f} %"
     )
     return 0

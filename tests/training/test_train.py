@@ -14,7 +14,16 @@ from fsinfer.errors import SceneError
 from fsinfer.pfm import read_pfm, write_pfm
 from fsinfer.scene import read_scene
 from tests.plane_scene import PLANE_DEPTH, write_plane_scene
-from training.datasets import SamplingSettings, SceneSamples, disturbed_poses, jitter_colour, load_sample, mirrored
+from training.datasets import (
+    Sample,
+    SamplingSettings,
+    SceneSamples,
+    disturbed_poses,
+    jitter_colour,
+    load_sample,
+    mirrored,
+    turned,
+)
 from training.evaluate import confidence_curve, evaluate_scene, main, on_truth_grid
 from training.metrics import depth_errors, flying_pixels, mean_errors
 from training.train import Trainer, TrainSettings, parse_arguments, pick_window, train
@@ -136,24 +145,35 @@ def test_only_depths_between_two_surfaces_fly() -> None:
     assert mean_errors([errors, flat])["flying"] == pytest.approx(1 / 6)
 
 
-def test_a_mirrored_sample_is_as_consistent_as_the_sample(scenes: Path) -> None:
+def seen_in_source(sample: Sample, u: int, v: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """World point of a reference pixel, and the colour at the nearest pixel of view 1 that shows it."""
+    ray = torch.linalg.inv(sample.intrinsics[0]) @ torch.tensor([u, v, 1.0], dtype=torch.float64)
+    point = torch.cat([ray * float(sample.depth[v, u]), torch.ones(1, dtype=torch.float64)])
+    world = torch.linalg.inv(sample.cam_from_world[0]) @ point
+    pixel = sample.intrinsics[1] @ (sample.cam_from_world[1] @ world)[:3]
+    x, y = (round(float(c / pixel[2])) for c in pixel[:2])
+    return world[:3], sample.images[1, :, y, x]
+
+
+def test_mirrored_and_turned_samples_are_as_consistent_as_the_sample(scenes: Path) -> None:
     sample = load_sample(read_scene(scenes / "s0"), 0, [1])
-    turned = mirrored(sample)
+    height, width = sample.depth.shape
+    sample = dataclasses.replace(sample, depth=sample.depth + torch.arange(width) * 1e-3)  # which pixel is which
     u, v = 20, 33
-    for item, column in ((sample, u), (turned, sample.depth.shape[1] - 1 - u)):
-        z = float(item.depth[v, column])
-        ray = torch.linalg.inv(item.intrinsics[0]) @ torch.tensor([column, v, 1.0], dtype=torch.float64) * z
-        world = torch.linalg.inv(item.cam_from_world[0]) @ torch.cat([ray, torch.ones(1, dtype=torch.float64)])
-        seen = item.intrinsics[1] @ (item.cam_from_world[1] @ world)[:3]
-        x, y = (round(float(c / seen[2])) for c in seen[:2])
-        if item is sample:
-            expected = item.images[1, :, y, x]
-            place = x, y
-    torch.testing.assert_close(turned.images[1, :, y, x], expected)
-    assert (x, y) == (sample.images.shape[-1] - 1 - place[0], place[1])
-    again = mirrored(turned)
-    torch.testing.assert_close(again.cam_from_world, sample.cam_from_world)
-    torch.testing.assert_close(again.images, sample.images)
+    world, colour = seen_in_source(sample, u, v)
+    mirror_world, mirror_colour = seen_in_source(mirrored(sample), width - 1 - u, v)
+    torch.testing.assert_close(mirror_world, world * torch.tensor([-1.0, 1, 1], dtype=torch.float64))
+    torch.testing.assert_close(mirror_colour, colour)
+    for clockwise, place in ((True, (height - 1 - v, u)), (False, (v, width - 1 - u))):
+        turn = turned(sample, clockwise=clockwise)
+        assert turn.depth.shape == (width, height)
+        turned_world, turned_colour = seen_in_source(turn, *place)
+        torch.testing.assert_close(turned_world, world)
+        torch.testing.assert_close(turned_colour, colour)
+        back = turned(turn, clockwise=not clockwise)
+        torch.testing.assert_close(back.images, sample.images)
+        torch.testing.assert_close(back.intrinsics, sample.intrinsics)
+        torch.testing.assert_close(back.cam_from_world, sample.cam_from_world)
 
 
 def test_disturbed_poses_move_pixels_by_as_much_as_asked(scenes: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 DEPTH_PLANES = 192
@@ -66,3 +66,20 @@ PRESETS: dict[str, ModelConfig] = {
         inverse_depth=True,
     ),
 }
+
+PAPER, FIELD = PRESETS["paper"], PRESETS["field"]
+#: One change each: the ablation of the paper (its Table 8) and ours of what ``field`` does differently.
+ABLATIONS: dict[str, ModelConfig] = {
+    config.name: config
+    for config in (
+        replace(PAPER, name="paper-no-bfpn", backbone="conv"),
+        replace(PAPER, name="paper-no-se", se=False),
+        replace(PAPER, name="paper-no-hybrid", loss="smooth"),
+        replace(FIELD, name="field-conv3d", regularizer="conv3d", width=8),
+        replace(FIELD, name="field-no-bfpn", backbone="conv", refine_planes=0),
+        replace(FIELD, name="field-no-refine", refine_planes=0),
+        replace(FIELD, name="field-no-se", se=False),
+        replace(FIELD, name="field-hybrid", loss="hybrid"),
+    )
+}
+CONFIGS = PRESETS | ABLATIONS
