@@ -41,6 +41,7 @@ def parse(argv: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--kind", choices=("cluster", "walk", "plot"), default="cluster")
     parser.add_argument("--clusters-per-scene", type=int, default=2)
     parser.add_argument("--views", type=int, default=5, help="views of a cluster or walk")
+    parser.add_argument("--wide-share", type=float, default=0.0, help="share of clusters with views all round")
     parser.add_argument("--width", type=int)
     parser.add_argument("--height", type=int)
     parser.add_argument("--supersample", type=int, default=2)
@@ -117,7 +118,8 @@ def synthesize_clusters(args: argparse.Namespace, seed: int, photos: tuple[Path,
         if finished(folder):
             continue
         rng = np.random.default_rng([seed, 2, number])
-        cameras = cluster_cameras(rng, world, caster, views=args.views, width=width, height=height)
+        wide = bool(args.wide_share) and bool(rng.random() < args.wide_share)
+        cameras = cluster_cameras(rng, world, caster, views=args.views, width=width, height=height, wide=wide)
         depths = [caster.depth(c, width, height) for c in cameras]
         pictures = [caster.picture(c, width, height, args.supersample) for c in cameras]
         sensor = random_sensor(rng, pictures[len(pictures) // 2])
@@ -133,6 +135,7 @@ def synthesize_clusters(args: argparse.Namespace, seed: int, photos: tuple[Path,
                 "seed": seed,
                 "kind": "cluster",
                 "cluster": number,
+                "wide": wide,
                 "settings": vars(settings) | {"photos": [p.name for p in photos]},
                 "sensor": vars(sensor),
                 "views": args.views,

@@ -11,12 +11,22 @@ from training.synthesize.world import CLUTTER_RADIUS_M, World
 
 
 def cluster_cameras(
-    rng: np.random.Generator, world: World, caster: Caster, *, views: int, width: int, height: int
+    rng: np.random.Generator,
+    world: World,
+    caster: Caster,
+    *,
+    views: int,
+    width: int,
+    height: int,
+    wide: bool = False,
 ) -> list[Camera]:
-    """Draw views of one stem or object; retried until all see enough and none stands inside something."""
+    """Draw views of one stem or object; retried until all see enough and none stands inside something.
+
+    ``wide`` views stand round it, 8 to 25 degrees from one to the next, as in photographs of a monument.
+    """
     best: list[Camera] = []
     for _ in range(40):
-        cameras = _draw(rng, world, views, width, height)
+        cameras = _draw(rng, world, views, width, height, wide=wide)
         worst = min(_usable(caster, c, width, height) for c in cameras)
         if worst > 0.45:
             return cameras
@@ -24,7 +34,7 @@ def cluster_cameras(
     return best
 
 
-def _draw(rng: np.random.Generator, world: World, views: int, width: int, height: int) -> list[Camera]:
+def _draw(rng: np.random.Generator, world: World, views: int, width: int, height: int, *, wide: bool) -> list[Camera]:
     inside = world.obstacles[np.hypot(*world.obstacles[:, :2].T) < 7.0] if len(world.obstacles) else world.obstacles
     if len(inside):  # objects that are no trees are few, and are what clutter scenes are for
         things = inside[inside[:, 2] == CLUTTER_RADIUS_M]
@@ -41,14 +51,14 @@ def _draw(rng: np.random.Generator, world: World, views: int, width: int, height
     look_h = rng.uniform(0.1, 2.2) if distance > 2 else rng.uniform(0.5, 1.8)
     target = np.array([aim[0], aim[1], float(world.terrain.height(aim[0], aim[1])) + look_h])
     step = np.exp(rng.uniform(np.log(0.08), np.log(0.9)))
-    step = min(step, 0.35 * distance)
+    step = min(step, 0.35 * distance) if not wide else distance * np.radians(rng.uniform(8, 25))
     to_target = (target[:2] - middle) / np.linalg.norm(target[:2] - middle)
     side = np.array([-to_target[1], to_target[0]])
-    heading = rng.normal(0, 0.35) if rng.random() < 0.8 else rng.uniform(-1.4, 1.4)
+    heading = rng.normal(0, 0.35) if wide or rng.random() < 0.8 else rng.uniform(-1.4, 1.4)
     walk = np.cos(heading) * side + np.sin(heading) * to_target
     along = np.cumsum(step * np.exp(rng.normal(0, 0.3, views)))
     along -= along[views // 2]
-    orbit = rng.uniform(0, 1)  # 0: straight walk, 1: around the target
+    orbit = rng.uniform(0, 1) if not wide else 1.0  # 0: straight walk, 1: around the target
     cameras = []
     for s in along:
         angle = s / max(distance, 1.0) * orbit * np.sign(walk @ side)
