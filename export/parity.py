@@ -48,7 +48,9 @@ def whole_parity(
         output = model(nchw, torch.from_numpy(intrinsics), torch.from_numpy(poses), depth_range)
         depth = output.depth.numpy()
         relative.append((np.abs(estimate.depth - depth) / depth).ravel())
-        agree.append(((estimate.confidence > threshold) == (output.confidence.numpy() > threshold)).ravel())
+        agree.append(
+            ((estimate.confidence > threshold) == (deployed.calibrated(output.confidence.numpy()) > threshold)).ravel()
+        )
     errors, agreement = np.concatenate(relative), np.concatenate(agree)
     return Parity(
         views=len(chosen),

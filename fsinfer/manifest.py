@@ -8,6 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fsinfer.errors import ModelError
 
 DEFAULT_MODEL = "field"
@@ -26,6 +29,8 @@ class ModelManifest:
     refine_planes, refine_span: the narrow volume at half resolution; span in plane intervals on each side.
     sha256: over the graphs' bytes, in the order features, regularizer, refiner.
     confidence_threshold: at which the parity check compares the confidence masks; fusion finds its own for each plot.
+    calibration: raw confidences and the share of pixels within 1 % of the true depth at each of them, both rising;
+        ``None`` where the model was not calibrated.
     """
 
     name: str
@@ -42,6 +47,7 @@ class ModelManifest:
     refine_span: float
     sha256: str
     confidence_threshold: float
+    calibration: tuple[NDArray[np.float32], NDArray[np.float32]] | None
     details: dict[str, Any]
 
     @property
@@ -97,6 +103,7 @@ def read_manifest(name_or_path: str | Path) -> ModelManifest:
             refine_span=data["refine"]["span"],
             sha256=data["sha256"],
             confidence_threshold=data["confidence_threshold"],
+            calibration=_calibration(data.get("confidence_calibration")),
             details=data,
         )
     except (OSError, ValueError, KeyError, TypeError) as error:
@@ -114,3 +121,13 @@ def read_manifest(name_or_path: str | Path) -> ModelManifest:
         )
         raise ModelError(msg)
     return manifest
+
+
+def _calibration(entry: dict[str, list[float]] | None) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
+    if entry is None:
+        return None
+    raw, share = np.array(entry["raw"], np.float32), np.array(entry["within_1pct"], np.float32)
+    if raw.shape != share.shape or raw.ndim != 1 or len(raw) < 2 or (np.diff(raw) <= 0).any():
+        msg = f"confidence_calibration needs two equally long rising lists, has {raw.shape=}, {share.shape=}"
+        raise ValueError(msg)
+    return raw, share

@@ -33,10 +33,14 @@ Predict = Callable[
 
 
 def onnx_predictor(
-    model: str | Path, threads: int = 0, min_far_over_near: float = DepthSettings().min_far_over_near
+    model: str | Path,
+    threads: int = 0,
+    min_far_over_near: float = DepthSettings().min_far_over_near,
+    *,
+    calibrate: bool = True,
 ) -> Predict:
-    """Predict with the deployed path."""
-    loaded = DepthModel.load(model, threads=threads)
+    """Predict with the deployed path; ``calibrate`` = False gives the network's own confidence."""
+    loaded = DepthModel.load(model, threads=threads, calibrate=calibrate)
     cv2.setNumThreads(1)
 
     def predict(
@@ -145,13 +149,14 @@ def confidence_curve(pixels: list[tuple[Float32, Float32]], *, wanted: float = 0
     share = np.cumsum(good) / np.arange(1, len(good) + 1)
     enough = np.flatnonzero(share >= wanted)
     threshold = float(confidence[order[enough[-1]]]) if len(enough) else 1.0
+    tenths = [part for part in np.array_split(order, 10) if len(part)]
     rows = [
-        f"confidence {float(confidence[part].max()):.3f} to {float(confidence[part].min()):.3f}: "
-        f"{100 * (error[part] < 0.01).mean():5.1f} % within 1 %"
-        for part in np.array_split(order, 10)
-        if len(part)
+        f"confidence {float(confidence[part].max()):.3f} to {float(confidence[part].min()):.3f}, "
+        f"mean {float(confidence[part].mean()):.3f}: {100 * (error[part] < 0.01).mean():5.1f} % within 1 %"
+        for part in tenths
     ]
-    return rows, threshold
+    gap = sum(len(p) * abs(float(confidence[p].mean()) - float((error[p] < 0.01).mean())) for p in tenths) / len(order)
+    return [*rows, f"mean distance of confidence and share: {gap:.3f}"], threshold
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -214,9 +214,12 @@ def test_confidence_curve_finds_where_the_errors_begin() -> None:
     confidence = np.linspace(0, 1, 1001, dtype=np.float32)
     error = np.where(confidence > 0.5, 0.001, 0.1).astype(np.float32)
     rows, threshold = confidence_curve([(confidence[:400], error[:400]), (confidence[400:], error[400:])])
-    assert len(rows) == 10
+    assert len(rows) == 11
     assert "100.0 %" in rows[0]
-    assert "  0.0 %" in rows[-1]
+    assert "  0.0 %" in rows[-2]
+    assert float(rows[-1].split()[-1]) == pytest.approx(
+        0.25, abs=2e-3
+    )  # 0.5 to 1 where all are good, 0 to 0.5 where none is
     assert threshold == pytest.approx(0.5 - 0.5 / 9, abs=2e-3)  # 500 good among 500 / 0.9
     assert confidence_curve([(confidence, np.ones_like(error))])[1] == 1.0
 
