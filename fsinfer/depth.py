@@ -37,6 +37,8 @@ class DepthSettings:
     min_far_over_near: the far bound is at least this many times the near one. Camera files often hold a range cut to
         the subject, and whatever stands behind it would be given a wrong depth; with planes uniform in 1/depth all that
         lies beyond seven times the near bound takes a seventh of them at most.
+    max_far_over_near: the near bound is at least the far one divided by this. A leaf right before the lens would draw
+        the planes to itself: from 0.2 m on they lie half a metre apart at 4 m. What is nearer is lost instead.
     threads: 0 uses every core.
     """
 
@@ -44,6 +46,7 @@ class DepthSettings:
     source_views: int = 4
     max_size_px: int = 1280
     min_far_over_near: float = 7.0
+    max_far_over_near: float = 30.0
     threads: int = 0
 
 
@@ -118,10 +121,7 @@ def estimate_depth(
                 np.stack([item.intrinsic for item in loaded]),
                 np.stack([v.camera.cam_from_world for v in (view, *sources)]),
                 search_range(
-                    view.camera.depth_min,
-                    view.camera.depth_max,
-                    min_far_over_near=settings.min_far_over_near,
-                    inverse_depth=model.manifest.inverse_depth,
+                    view.camera.depth_min, view.camera.depth_max, settings, inverse_depth=model.manifest.inverse_depth
                 ),
             )
             write_pfm(out / "depth" / f"{view.name}.pfm", estimate.depth)
@@ -154,9 +154,15 @@ def estimate_depth(
     )
 
 
-def search_range(near: float, far: float, *, min_far_over_near: float, inverse_depth: bool) -> tuple[float, float]:
-    """Depth range to search: the far bound of a tight range is moved out where planes are uniform in 1/depth."""
-    return near, max(far, min_far_over_near * near) if inverse_depth else far
+def search_range(near: float, far: float, settings: DepthSettings, *, inverse_depth: bool) -> tuple[float, float]:
+    """Depth range to search where planes are uniform in 1/depth, see :class:`DepthSettings`; others are searched as is.
+
+    The near bound of a range that is too long is moved out first, then the far bound of one that is too tight.
+    """
+    if not inverse_depth:
+        return near, far
+    near = max(near, far / settings.max_far_over_near)
+    return near, max(far, settings.min_far_over_near * near)
 
 
 def _load(model: DepthModel, view: View, max_size_px: int, cache: OrderedDict[str, _Loaded]) -> _Loaded:
@@ -192,6 +198,7 @@ def _resume(out: Path, settings: DepthSettings, model_sha256: str) -> dict[str, 
         "source_views": settings.source_views,
         "max_size_px": settings.max_size_px,
         "min_far_over_near": settings.min_far_over_near,
+        "max_far_over_near": settings.max_far_over_near,
     }
     try:
         index = read_depth_index(out)

@@ -35,7 +35,7 @@ Predict = Callable[
 def onnx_predictor(
     model: str | Path,
     threads: int = 0,
-    min_far_over_near: float = DepthSettings().min_far_over_near,
+    settings: DepthSettings | None = None,
     *,
     calibrate: bool = True,
 ) -> Predict:
@@ -49,16 +49,14 @@ def onnx_predictor(
         cam_from_world: NDArray[np.float64],
         depth_range: tuple[float, float],
     ) -> tuple[Float32, Float32, int]:
-        searched = search_range(
-            *depth_range, min_far_over_near=min_far_over_near, inverse_depth=loaded.manifest.inverse_depth
-        )
+        searched = search_range(*depth_range, settings or DepthSettings(), inverse_depth=loaded.manifest.inverse_depth)
         estimate = loaded.predict(images, intrinsics, cam_from_world, searched)
         return estimate.depth, estimate.confidence, estimate.stride
 
     return predict
 
 
-def torch_predictor(checkpoint: Path, min_far_over_near: float = DepthSettings().min_far_over_near) -> Predict:
+def torch_predictor(checkpoint: Path, settings: DepthSettings | None = None) -> Predict:
     """Predict with PyTorch from a checkpoint."""
     from export.onnx_export import load_checkpoint
 
@@ -74,9 +72,7 @@ def torch_predictor(checkpoint: Path, min_far_over_near: float = DepthSettings()
         depth_range: tuple[float, float],
     ) -> tuple[Float32, Float32, int]:
         nchw = torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2).float().to(device)
-        searched = search_range(
-            *depth_range, min_far_over_near=min_far_over_near, inverse_depth=model.config.inverse_depth
-        )
+        searched = search_range(*depth_range, settings or DepthSettings(), inverse_depth=model.config.inverse_depth)
         output = model(nchw, torch.from_numpy(intrinsics), torch.from_numpy(cam_from_world), searched)
         return output.depth.cpu().numpy(), output.confidence.cpu().numpy(), output.stride
 
@@ -175,17 +171,23 @@ def main(arguments: list[str] | None = None) -> int:
         "--min-far-over-near",
         type=float,
         default=DepthSettings().min_far_over_near,
-        help="as in fsinfer depth; 1 searches just the camera files' range",
+        help="as in fsinfer depth; 1 keeps the camera files' far bound",
+    )
+    parser.add_argument(
+        "--max-far-over-near",
+        type=float,
+        default=DepthSettings().max_far_over_near,
+        help="as in fsinfer depth; inf keeps the camera files' near bound",
     )
     parser.add_argument("--confidence", action="store_true", help="print how the error falls with the confidence")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     args = parser.parse_args(arguments)
     try:
-        far = args.min_far_over_near
+        settings = DepthSettings(min_far_over_near=args.min_far_over_near, max_far_over_near=args.max_far_over_near)
         predict = (
-            torch_predictor(args.checkpoint, far)
+            torch_predictor(args.checkpoint, settings)
             if args.checkpoint
-            else onnx_predictor(args.model, min_far_over_near=far)
+            else onnx_predictor(args.model, settings=settings)
         )
         scenes = find_true_scenes(args.scenes, args.split)
         if not scenes:

@@ -13,7 +13,7 @@ import torch
 
 from export.onnx_export import export_model, load_checkpoint
 from export.parity import whole_parity
-from fsinfer.depth import search_range
+from fsinfer.depth import DepthSettings, search_range
 from fsinfer.depth_model import DepthModel
 from fsinfer.errors import InputError, ModelError
 from fsinfer.scene import read_scene
@@ -117,7 +117,10 @@ def test_a_checkpoint_that_is_none(tmp_path: Path) -> None:
         load_checkpoint(tmp_path / "checkpoint.pt")
 
 
-def test_a_tight_depth_range_is_opened_to_the_background() -> None:
-    assert search_range(1.0, 2.0, min_far_over_near=7.0, inverse_depth=True) == (1.0, 7.0)
-    assert search_range(1.0, 2.0, min_far_over_near=7.0, inverse_depth=False) == (1.0, 2.0)
-    assert search_range(1.0, 20.0, min_far_over_near=7.0, inverse_depth=True) == (1.0, 20.0)
+def test_depth_ranges_are_opened_to_the_background_and_closed_before_the_lens() -> None:
+    settings = DepthSettings(min_far_over_near=7.0, max_far_over_near=30.0)
+    assert search_range(1.0, 2.0, settings, inverse_depth=True) == (1.0, 7.0)
+    assert search_range(1.0, 2.0, settings, inverse_depth=False) == (1.0, 2.0)
+    assert search_range(1.0, 20.0, settings, inverse_depth=True) == (1.0, 20.0)
+    assert search_range(0.1, 30.0, settings, inverse_depth=True) == (1.0, 30.0)
+    assert search_range(0.1, 30.0, settings, inverse_depth=False) == (0.1, 30.0)
