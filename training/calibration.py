@@ -20,6 +20,7 @@ from fsinfer.files import write_text
 from fsinfer.manifest import read_manifest
 from training.evaluate import confidence_curve, evaluate_scene, onnx_predictor
 from training.layouts import find_true_scenes
+from training.metrics import PixelErrors, pool
 
 Float32 = NDArray[np.float32]
 
@@ -60,14 +61,15 @@ def main(arguments: list[str] | None = None) -> int:
         if not scenes:
             msg = f"no scene with pair.txt and depths/ in {[str(p) for p in args.scenes]}"
             raise SceneError(msg)
-        pixels: list[tuple[Float32, Float32]] = []
+        pixels: list[PixelErrors] = []
         for scene in scenes:
             evaluate_scene(predict, scene.read(), every=args.every, pixels=pixels, true_depth=scene.true_depth)
     except FsinferError as error:
         print(f"Error: {error}")
         return 2
-    confidence, error_rel = (np.concatenate(part) for part in zip(*pixels, strict=True))
-    raw, share = fit_calibration(confidence, error_rel < 0.01)
+    pooled = pool(pixels)
+    confidence = pooled.confidence
+    raw, share = fit_calibration(confidence, pooled.relative < 0.01)
     data = json.loads(path.read_text(encoding="utf-8"))
     data["confidence_calibration"] = {
         "raw": [round(float(v), 6) for v in raw],
@@ -77,7 +79,7 @@ def main(arguments: list[str] | None = None) -> int:
     }
     write_text(path, json.dumps(data, indent=1) + "\n")
     calibrated = np.interp(confidence, raw, share).astype(np.float32)
-    print("\n".join(confidence_curve([(calibrated, error_rel)])[0]))
+    print("\n".join(confidence_curve(calibrated, pooled.relative)[0]))
     return 0
 
 

@@ -22,7 +22,7 @@ from fsinfer.errors import FsinferError, SceneError
 from fsinfer.images import read_image
 from fsinfer.scene import Scene, View
 from training.layouts import SPLITS, DepthsFolder, find_true_scenes
-from training.metrics import DepthErrors, depth_errors, mean_errors
+from training.metrics import DepthErrors, PixelErrors, depth_errors, mean_errors, pool, pooled_errors
 
 Float32 = NDArray[np.float32]
 #: (images, intrinsics, cam_from_world, depth_range) → depth, confidence, stride
@@ -96,12 +96,12 @@ def evaluate_scene(
     source_views: int = 4,
     every: int = 1,
     max_depth: float = np.inf,
-    pixels: list[tuple[Float32, Float32]] | None = None,
+    pixels: list[PixelErrors] | None = None,
     true_depth: Callable[[View], Float32 | None] | None = None,
 ) -> dict[str, DepthErrors]:
     """Errors of every ``every``-th view of a scene, by view name.
 
-    ``pixels`` is given the confidence and the relative error of the pixels with truth, for :func:`confidence_curve`.
+    ``pixels`` is given those of each view, to be pooled (:func:`training.metrics.pool`).
     ``true_depth`` is that of a :class:`training.layouts.TrueScene`; without it ``depths/NAME.pfm`` is read.
     """
     true_depth = true_depth or DepthsFolder(folder=scene.folder).true_depth
@@ -125,7 +125,10 @@ def evaluate_scene(
         errors = depth_errors(depth, confidence, truth, max_depth=max_depth)
         if pixels is not None:
             known = (truth > 0) & (truth < max_depth)
-            pixels.append((confidence[known], np.abs(depth[known] / truth[known] - 1)))
+            absolute = np.abs(depth[known] - truth[known])
+            pixels.append(
+                PixelErrors(confidence=confidence[known], absolute=absolute, relative=absolute / truth[known])
+            )
         if errors is not None:
             rows[f"{scene.folder.name}/{view.name}"] = errors
     if not rows:
@@ -134,12 +137,12 @@ def evaluate_scene(
     return rows
 
 
-def confidence_curve(pixels: list[tuple[Float32, Float32]], *, wanted: float = 0.9) -> tuple[list[str], float]:
+def confidence_curve(confidence: Float32, error: Float32, *, wanted: float = 0.9) -> tuple[list[str], float]:
     """Share of pixels within 1 % by tenths of confidence, and the least threshold above which ``wanted`` of them are.
 
-    Returns the rows of the table and the threshold (1.0 where none reaches ``wanted``).
+    ``confidence`` and relative ``error`` (n,) of pixels. Returns the rows of the table and the threshold (1.0 where
+    none reaches ``wanted``).
     """
-    confidence, error = (np.concatenate(part) for part in zip(*pixels, strict=True))
     order = np.argsort(-confidence)
     good = error[order] < 0.01
     share = np.cumsum(good) / np.arange(1, len(good) + 1)
@@ -194,7 +197,7 @@ def main(arguments: list[str] | None = None) -> int:
             msg = f"no scene with pair.txt and depths/ in {[str(p) for p in args.scenes]}"
             raise SceneError(msg)
         rows: dict[str, DepthErrors] = {}
-        pixels: list[tuple[Float32, Float32]] = []
+        pixels: list[PixelErrors] = []
         for true_scene in scenes:
             found = evaluate_scene(
                 predict,
@@ -202,7 +205,7 @@ def main(arguments: list[str] | None = None) -> int:
                 source_views=args.source_views,
                 every=args.every,
                 max_depth=args.max_depth,
-                pixels=pixels if args.confidence else None,
+                pixels=pixels,
                 true_depth=true_scene.true_depth,
             )
             rows.update(found)
@@ -212,13 +215,17 @@ def main(arguments: list[str] | None = None) -> int:
     except FsinferError as error:
         print(f"Error: {error}")
         return 2
-    mean = mean_errors(list(rows.values()))
+    mean, pooled = mean_errors(list(rows.values())), pool(pixels)
+    flying = {key: mean[key] for key in ("flying", "flying_sure")}
+    together = pooled_errors(pooled) | flying
     if args.json:
-        print(json.dumps({"mean": mean, "views": {name: e.to_dict() for name, e in rows.items()}}, indent=1))
+        views = {name: e.to_dict() for name, e in rows.items()}
+        print(json.dumps({"mean": mean, "pooled": together, "views": views}, indent=1))
     else:
         print(_line(f"mean of {len(rows)} views", mean))
+        print(_line("all their pixels together", together))
         if args.confidence:
-            table, threshold = confidence_curve(pixels)
+            table, threshold = confidence_curve(pooled.confidence, pooled.relative)
             print("\n".join([*table, f"90 % are within 1 % from a confidence of {threshold:.3f}"]))
     return 0
 

@@ -68,6 +68,37 @@ def depth_errors(
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class PixelErrors:
+    """The pixels with truth of one view, (n,) float32 each: confidence, absolute and relative error."""
+
+    confidence: NDArray[np.float32]
+    absolute: NDArray[np.float32]
+    relative: NDArray[np.float32]
+
+
+def pool(pixels: list[PixelErrors]) -> PixelErrors:
+    """All views' pixels in one."""
+    return PixelErrors(
+        confidence=np.concatenate([part.confidence for part in pixels]),
+        absolute=np.concatenate([part.absolute for part in pixels]),
+        relative=np.concatenate([part.relative for part in pixels]),
+    )
+
+
+def pooled_errors(pixels: PixelErrors) -> dict[str, float]:
+    """The figures of :class:`DepthErrors` over all pixels of all views; the surer 70 % are those of the whole set."""
+    sure = pixels.confidence >= np.quantile(pixels.confidence, 0.3)
+    return {
+        "median_rel": float(np.median(pixels.relative)),
+        "within_1pct": float((pixels.relative < 0.01).mean()),
+        "within_1pct_sure": float((pixels.relative[sure] < 0.01).mean()),
+        "median_abs": float(np.median(pixels.absolute)),
+        "median_abs_sure": float(np.median(pixels.absolute[sure])),
+        "within_3cm_sure": float((pixels.absolute[sure] < 0.03).mean()),
+    }
+
+
 def _share(part: NDArray[np.bool_], whole: NDArray[np.bool_]) -> float:
     return float(part.sum() / whole.sum()) if whole.any() else float("nan")
 

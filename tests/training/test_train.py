@@ -25,7 +25,7 @@ from training.datasets import (
     turned,
 )
 from training.evaluate import confidence_curve, evaluate_scene, main, on_truth_grid
-from training.metrics import depth_errors, flying_pixels, mean_errors
+from training.metrics import PixelErrors, depth_errors, flying_pixels, mean_errors, pool, pooled_errors
 from training.train import Trainer, TrainSettings, parse_arguments, pick_window, train
 
 
@@ -213,7 +213,7 @@ def test_a_perfect_predictor_has_no_error(scenes: Path) -> None:
 def test_confidence_curve_finds_where_the_errors_begin() -> None:
     confidence = np.linspace(0, 1, 1001, dtype=np.float32)
     error = np.where(confidence > 0.5, 0.001, 0.1).astype(np.float32)
-    rows, threshold = confidence_curve([(confidence[:400], error[:400]), (confidence[400:], error[400:])])
+    rows, threshold = confidence_curve(confidence, error)
     assert len(rows) == 11
     assert "100.0 %" in rows[0]
     assert "  0.0 %" in rows[-2]
@@ -221,7 +221,24 @@ def test_confidence_curve_finds_where_the_errors_begin() -> None:
         0.25, abs=2e-3
     )  # 0.5 to 1 where all are good, 0 to 0.5 where none is
     assert threshold == pytest.approx(0.5 - 0.5 / 9, abs=2e-3)  # 500 good among 500 / 0.9
-    assert confidence_curve([(confidence, np.ones_like(error))])[1] == 1.0
+    assert confidence_curve(confidence, np.ones_like(error))[1] == 1.0
+
+
+def test_pooled_errors_rank_the_pixels_of_all_views_together() -> None:
+    good = PixelErrors(
+        confidence=np.full(70, 0.9, np.float32),
+        absolute=np.full(70, 0.01, np.float32),
+        relative=np.full(70, 0.005, np.float32),
+    )
+    bad = PixelErrors(
+        confidence=np.full(30, 0.2, np.float32),
+        absolute=np.full(30, 0.5, np.float32),
+        relative=np.full(30, 0.1, np.float32),
+    )
+    errors = pooled_errors(pool([bad, good]))
+    assert errors["within_1pct"] == pytest.approx(0.7)
+    assert errors["within_1pct_sure"] == errors["within_3cm_sure"] == 1.0  # of view ``bad`` alone it would be 0
+    assert errors["median_abs"] == errors["median_abs_sure"] == pytest.approx(0.01)
 
 
 def test_evaluate_command(scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -229,7 +246,9 @@ def test_evaluate_command(scenes: Path, tmp_path: Path, capsys: pytest.CaptureFi
     checkpoint = train(settings)
     capsys.readouterr()
     assert main([str(scenes / "s0"), "--checkpoint", str(checkpoint), "--every", "3", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["mean"]["pixels"] == 108 * 140
+    found = json.loads(capsys.readouterr().out)
+    assert found["mean"]["pixels"] == 108 * 140
+    assert found["pooled"]["median_abs"] == pytest.approx(found["mean"]["median_abs"])  # one view
     assert main([str(tmp_path / "nothing"), "--checkpoint", str(checkpoint)]) == 2
     assert "Error: no scene" in capsys.readouterr().out
 
