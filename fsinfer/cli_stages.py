@@ -146,7 +146,7 @@ def trees(
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
-    """Find the trees of a cloud and measure their DBH: trees.csv and a figure for each tree.
+    """Find the trees of a cloud and measure their DBH: trees.csv, a figure for each tree, maps, labelled points.
 
     A cloud is taken to be in metres unless fsinfer made it without a scale.
     """
@@ -177,12 +177,15 @@ def evaluate(
         typer.Option("--area-margin-m", help="Do not judge trees farther than this outside the measured ones' hull."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
-    figure: Annotated[Path | None, typer.Option("--figure", help="Draw measured against extracted DBH (PNG).")] = None,
+    figure: Annotated[
+        Path | None, typer.Option("--figure", help="Draw extracted against measured DBH, counts, differences (PNG).")
+    ] = None,
     debug: Debug = False,
 ) -> None:
     """Compare extracted trees with measured ones: trees found, RMSE, bias, accuracy."""
     from fsinfer.evaluation import evaluate as compare
-    from fsinfer.evaluation import plot_evaluation, read_measured
+    from fsinfer.evaluation import read_measured
+    from fsinfer.evaluation_figure import plot_evaluation
 
     result = compare(
         read_measured(measured, need_position=not by_id),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,8 @@ _KEPT_DIMENSIONS = ("intensity", "classification")
 # LAS stores 32-bit integers; the finest step is 0.1 mm for a plot (30 m), coarser only for extents of 100 m and more.
 _STEPS_PER_EXTENT = 1e5
 _STEP_RANGE = (1e-7, 1e-3)
+# GeoTIFF keys: ProjectedCSTypeGeoKey, GeographicTypeGeoKey, and the value for "user defined".
+_PROJECTED_KEY, _GEOGRAPHIC_KEY, _USER_DEFINED = 3072, 2048, 32767
 
 
 def read_las(path: Path) -> dict[str, NDArray[Any]]:
@@ -68,6 +71,34 @@ def read_las(path: Path) -> dict[str, NDArray[Any]]:
     for name in cloud.point_format.extra_dimension_names:
         columns[name] = np.asarray(cloud[name])
     return columns
+
+
+def read_epsg(path: Path) -> int | None:
+    """EPSG code of the horizontal frame that a LAS or LAZ header names, None where it names none.
+
+    Looks at the GeoTIFF keys (projected, then geographic) and at the last code of a WKT record's projected part.
+    """
+    import laspy
+
+    try:
+        with laspy.open(path) as reader:
+            records = [*reader.header.vlrs, *(reader.header.evlrs or [])]
+    except Exception as error:  # as in read_las
+        raise _damaged(path, str(error)) from error
+    keys: dict[int, int] = {}
+    for record in records:
+        for key in getattr(record, "geo_keys", ()):
+            keys[int(key.id)] = int(key.value_offset)
+        text = getattr(record, "string", "")
+        if isinstance(text, str) and "AUTHORITY" in text.upper():
+            # A compound frame ends with the vertical part; the projected one ends before it.
+            codes = re.findall(r'AUTHORITY\["EPSG","(\d+)"\]', text.split("VERT_CS")[0], flags=re.IGNORECASE)
+            if codes:
+                return int(codes[-1])
+    for key_id in (_PROJECTED_KEY, _GEOGRAPHIC_KEY):
+        if keys.get(key_id, 0) not in (0, _USER_DEFINED):
+            return keys[key_id]
+    return None
 
 
 def write_las(path: Path, xyz: NDArray[np.float64], rgb: NDArray[np.uint8] | None, extra: dict[str, Any]) -> None:

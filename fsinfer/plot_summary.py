@@ -64,6 +64,8 @@ def summarize(records: Mapping[str, StageRecord], *, settings: Mapping[str, Any]
         "trees": value("trees", "trees"),
         "trees_with_dbh": value("trees", "trees_with_dbh"),
         "diagnosis": value("trees", "diagnosis"),
+        "stand": value("trees", "stand"),
+        "plot_area_m2": value("trees", "plot_area_m2"),
         "seconds": seconds | {"total": round(sum(seconds.values()), 3)},
         "peak_rss_mb": max(peaks, default=None),
         "versions": package_versions(),

@@ -12,6 +12,7 @@ import numpy as np
 from fsinfer.cloud import read_cloud, write_cloud
 from fsinfer.errors import ScaleError
 from fsinfer.files import make_folder
+from fsinfer.las import read_epsg
 from fsinfer.placement import PlacedCloud, density_per_m2, place_cloud, transform_cloud
 from fsinfer.plot_summary import package_versions, read_plot, update_plot
 from fsinfer.progress import Progress, silent
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 MODEL_UNITS = "model units"
 SCENE_UNITS = "scene units"
+TREE_VALUES = ("trees", "trees_with_dbh", "ground_method", "diagnosis", "stand", "plot_area_m2")
 
 
 def fuse_scene(scene_folder: Path, out: Path, *, level: bool | None = None, progress: Progress = silent) -> int:
@@ -107,10 +109,12 @@ def measure_cloud_file(
         scale_rel_std=scale.rel_std if scale.rel_std is not None else origin.get("scale_rel_std"),
         metric=metric,
         camera_height=origin.get("camera_height"),
+        # A cloud that had to be scaled is not in the frame that its header names.
+        epsg=read_epsg(cloud_path) if cloud_path.suffix.lower() in (".las", ".laz") and factor == 1.0 else None,
         progress=progress,
     )
     result["warnings"] = [*warnings, *result["warnings"]]
-    values = {key: result[key] for key in ("trees", "trees_with_dbh", "ground_method", "diagnosis")}
+    values = {key: result[key] for key in TREE_VALUES}
     values["trees_scale"] = {"m_per_unit": scale.m_per_unit, "source": scale.source, "rel_std": scale.rel_std}
     before = read_plot(out)
     own_cloud = cloud_path.resolve().parent == out.resolve()

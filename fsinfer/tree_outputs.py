@@ -1,8 +1,9 @@
-"""What the tree stage leaves in the output folder: ``trees.csv``, ``figures/``, and why there are no trees."""
+"""What the tree stage leaves in the output folder: tables, maps, labelled points, figures, and why there are none."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterable
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from fsinfer.cloud import PointCloud
     from fsinfer.trees import PlotResult, TreeSettings
 
+MAPS = ("trees.gpkg", "trees.geojson", "trees.laz")
 # Where a standing person holds a phone.
 CAMERA_HEIGHT_M = 1.5
 # A marker's board and the post behind it lie within this of the marker's centre.
@@ -31,30 +33,36 @@ def write_tree_outputs(
     metric: bool = True,
     camera_height: float | None = None,
     marker_xyz: NDArray[np.float64] | None = None,
+    epsg: int | None = None,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """Measure the trees of a cloud (z up) and write table and figures into ``out``.
+    """Measure the trees of a cloud (z up) and write table, maps, labelled points and figures into ``out``.
 
     Parameters
     ----------
     cloud: z up; metres, or model units with ``metric=False``: then the trees get positions and no DBH.
-    out: receives ``trees.csv`` and ``figures/*.png``; figures of an earlier measurement are removed.
+    out: receives ``trees.csv`` and ``figures/*.png``, and in metres ``trees.gpkg`` (``trees.geojson`` too where the
+        frame is of WGS84) and ``trees.laz``, the cloud with a ``TreeID``; what an earlier measurement left is removed.
     settings: of the measurement.
     scale_rel_std: relative standard deviation of the scale, if known; it widens every interval.
     camera_height: median height of the cameras above the ground, in units of the cloud; a person holds a camera at
         about 1.5 m, which tells roughly how large the trees are while the scale is unknown.
     marker_xyz: (M, 3) centres of the markers that gave the scale, in the cloud's frame: see :func:`without_posts`.
+    epsg: code of the cloud's horizontal frame; None for local metres.
 
     Returns
     -------
-    JSON values: ``trees``, ``trees_with_dbh``, ``ground_method``, ``diagnosis``, and ``warnings``, which repeat the
-    diagnosis when no tree was found.
+    JSON values: ``trees``, ``trees_with_dbh``, ``ground_method``, ``diagnosis``, ``stand`` (the stand table),
+    ``plot_area_m2`` (None when unknown), and ``warnings``, which repeat the diagnosis when no tree was found.
 
     Raises
     ------
     CloudError
         The cloud holds no plot: too few points, no ground, or a size that cannot be in metres.
     """
+    from fsinfer.cloud import write_cloud
+    from fsinfer.tree_labels import label_points
+    from fsinfer.tree_maps import write_maps
     from fsinfer.trees import analyse_plot
     from fsinfer.trees.figures import write_figures
     from fsinfer.trees.table import write_trees
@@ -66,18 +74,26 @@ def write_tree_outputs(
         scale_rel_std=scale_rel_std or 0.0,
         metric=metric,
         units_per_m_hint=None if metric else hint,
+        turned=camera_height is not None,
         progress=progress,
     )
     if marker_xyz is not None and metric:
         result = without_posts(result, marker_xyz)
     write_trees(out / "trees.csv", result.trees)
     _clear_figures(out)
+    _clear_maps(out)
     write_figures(out / "figures", result)
+    if metric:
+        write_maps(out, result.trees, epsg=epsg)
+        labels = label_points(cloud.xyz, result)
+        write_cloud(out / "trees.laz", replace(cloud, extra=cloud.extra | {"TreeID": labels}))
     return {
         "trees": len(result.trees),
         "trees_with_dbh": sum(tree.dbh_cm is not None for tree in result.trees),
         "ground_method": None if result.ground is None else result.ground.method,
         "diagnosis": result.diagnosis,
+        "stand": asdict(result.stand),
+        "plot_area_m2": result.plot_area_m2 or None,
         "warnings": [*result.warnings, *(() if result.trees else (result.diagnosis,))],
     }
 
@@ -110,11 +126,21 @@ def write_no_trees(out: Path, *, reason: str) -> dict[str, Any]:
 
     write_trees(out / "trees.csv", [])
     _clear_figures(out)
-    return {"trees": 0, "trees_with_dbh": 0, "ground_method": None, "diagnosis": reason, "warnings": [reason]}
+    _clear_maps(out)
+    nothing = {"ground_method": None, "stand": None, "plot_area_m2": None}
+    return {"trees": 0, "trees_with_dbh": 0, **nothing, "diagnosis": reason, "warnings": [reason]}
 
 
 def _clear_figures(out: Path) -> None:
-    for figure in (out / "figures").glob("*.png"):
+    _remove((out / "figures").glob("*.png"))
+
+
+def _clear_maps(out: Path) -> None:
+    _remove(path for name in MAPS if (path := out / name).is_file())
+
+
+def _remove(paths: Iterable[Path]) -> None:
+    for figure in paths:
         try:
             figure.unlink()
         except OSError as error:

@@ -3,8 +3,10 @@
 from fsinfer.trees.circle import CircleFit, CircleSettings, fit_circle
 from fsinfer.trees.dbh import DbhSettings, Section
 from fsinfer.trees.ground import Ground, GroundSettings, find_ground
-from fsinfer.trees.measure import PlotResult, Tree, TreeSettings, analyse_plot, measure_trees
+from fsinfer.trees.measure import PlotResult, TreeSettings, analyse_plot, measure_trees
+from fsinfer.trees.stand import StandTable, stand_table
 from fsinfer.trees.stems import StemSettings, find_stems
+from fsinfer.trees.tree import Tree
 
 __all__ = [
     "CircleFit",
@@ -14,6 +16,7 @@ __all__ = [
     "GroundSettings",
     "PlotResult",
     "Section",
+    "StandTable",
     "StemSettings",
     "Tree",
     "TreeSettings",
@@ -22,4 +25,5 @@ __all__ = [
     "find_stems",
     "fit_circle",
     "measure_trees",
+    "stand_table",
 ]

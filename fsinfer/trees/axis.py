@@ -4,6 +4,10 @@ The residual of a point is its distance from the axis minus the radius at its fo
 mixture: a Gaussian core (bark), an exponential tail outward of it (edge fattening, moss, flying points stand outside a
 stem far more often than inside) and a uniform background. Expectation-maximisation weights each point by its
 probability of belonging to the core, so that the tail does not pull the radius; the M-step is Gauss-Newton.
+
+Stems are not round: with ``order`` >= 2 the radius gets harmonics over the angle, each with a prior. Where the stem is
+seen all round they are measured; where half of it is hidden the prior says how far they may pull the radius, and the
+covariance carries that.
 """
 
 from __future__ import annotations
@@ -28,6 +32,9 @@ class AxisSettings:
     taper_mean: float = -0.006  # radius lost per metre of height around breast height: about 1 cm of diameter per metre
     taper_std: float = 0.008  # between cylindrical and butt swell
     lean_std: float = 0.10  # tangent of the lean; 6 degrees
+    # Standard deviation of each coefficient of the 2nd, 3rd and 4th harmonic, part of the radius: stems are 2-5 % oval
+    # (least against greatest diameter 0.92-0.98, forestry practice), and less and less triangular and square.
+    shape_std: tuple[float, ...] = (0.016, 0.008, 0.004)
     prior_points: float = 20.0  # strength of the tail shares' prior: a fit of 20 points should not invent a tail
 
 
@@ -35,7 +42,10 @@ class AxisSettings:
 class AxisFit:
     """Parameters (6,): x, y at ``height_m``, slopes dx/dh, dy/dh, radius, taper dr/dh; and the noise found.
 
-    ``covariance`` (6, 6) assumes independent residuals. ``core`` (N,) is each point's probability of being bark.
+    ``shape_m`` (2 K,) are the cosine and sine coefficients of the harmonics 2, 3, ... of the radius, in metres.
+    ``jacobian`` (N, 6 + 2 K) are the residuals' derivatives and ``prior_information`` (6 + 2 K,) the diagonal of the
+    prior's; ``covariance`` (6 + 2 K, 6 + 2 K) assumes independent residuals. ``core`` (N,) is each point's probability
+    of being bark, ``noise_m`` (N,) its standard deviation.
     """
 
     parameters: Floats
@@ -44,6 +54,10 @@ class AxisFit:
     covariance: Floats
     core: Floats
     residuals_m: Floats
+    jacobian: Floats
+    prior_information: Floats
+    shape_m: Floats
+    noise_m: Floats
 
     @property
     def radius_m(self) -> float:
@@ -86,54 +100,71 @@ def fit_axis(
     height_m: float,
     *,
     sigma_m: float = 0.02,
+    order: int = 1,
+    relative: Floats | None = None,
     settings: AxisSettings | None = None,
-    weights: Floats | None = None,
 ) -> AxisFit:
-    """Fit a tapered cylinder to points (N, 3) of x, y, height (metres) from ``start`` (6,) by EM."""
+    """Fit a tapered cylinder to points (N, 3) of x, y, height (metres) from ``start`` (6,) by EM.
+
+    ``relative`` (N,) is each point's noise in units of the stem's (1 without it): hazy sides of a stem count less.
+    ``order`` is the highest harmonic of its section: 1 for a circle, up to ``1 + len(settings.shape_std)``.
+    """
     s = settings or AxisSettings()
-    p = start.astype(np.float64).copy()
-    given = np.ones(len(points)) if weights is None else weights
-    prior_mean = np.array([0.0, 0.0, 0.0, 0.0, 0.0, s.taper_mean])
-    prior_information = np.array([0.0, 0.0, s.lean_std**-2, s.lean_std**-2, 0.0, s.taper_std**-2])
+    shape_std = np.repeat(s.shape_std[: order - 1], 2)
+    p = np.concatenate([start.astype(np.float64), np.zeros(len(shape_std))])
+    prior_mean = np.zeros(len(p))
+    prior_mean[5] = s.taper_mean
+    prior_information = np.zeros(len(p))
+    prior_information[2:4], prior_information[5] = s.lean_std**-2, s.taper_std**-2
+    tiny = 1e-9 * np.eye(len(p))
     sigma, tail, shares = sigma_m, 0.03, np.array([0.8, 0.12, 0.08])
+    ratio = np.ones(len(points)) if relative is None else relative
     core = np.zeros(len(points))
     residual = np.zeros(len(points))
-    information = np.eye(6)
+    jacobian = np.zeros((len(points), len(p)))
+    information = np.eye(len(p))
     for iteration in range(s.iterations):
         residual, jacobian = _residuals(points, p, height_m)
         inner = min(s.window_m, max(p[4], 0.02))
         inside = (residual >= -inner) & (residual <= s.window_m)
-        likelihood = np.stack(
-            [
-                shares[0] * _gauss(residual, sigma),
-                shares[1] * _gauss_with_tail(residual, sigma, tail),
-                np.full(len(residual), shares[2] / (s.window_m + inner)),
-            ]
-        )
-        likelihood *= (inside * given) / np.maximum(likelihood.sum(axis=0), 1e-300)
-        core = likelihood[0]
+        gauss, with_tail = _densities(residual, sigma * ratio, tail)
+        bark, outward = shares[0] * gauss, shares[1] * with_tail
+        share = inside / np.maximum(bark + outward + shares[2] / (s.window_m + inner), 1e-300)
+        core, outward = bark * share, outward * share
         total = float(core.sum())
         if total < 3.0:
             break
-        information = (jacobian * (core / sigma**2)[:, None]).T @ jacobian
-        regularised = information + np.diag(prior_information) + 1e-9 * np.eye(6)
-        gradient = jacobian.T @ (core * residual / sigma**2) + prior_information * (p - prior_mean)
+        weighted = jacobian * (core / (sigma * ratio) ** 2)[:, None]
+        information = weighted.T @ jacobian
+        prior_information[6:] = (shape_std * p[4]) ** -2.0
+        regularised = information + np.diag(prior_information) + tiny
+        gradient = weighted.T @ residual + prior_information * (p - prior_mean)
         step = -np.linalg.solve(regularised, gradient)
-        step *= min(1.0, 0.05 / max(np.abs(step[[0, 1, 4]]).max(), 1e-12))
+        step *= min(1.0, 0.05 / max(abs(step[0]), abs(step[1]), abs(step[4]), 1e-12))
         p = p + step
         p[4] = max(p[4], 0.01)
-        shares = likelihood.sum(axis=1) + s.prior_points * np.array([0.9, 0.05, 0.05])
+        away = float(outward.sum())
+        shares = np.array([total, away, float(inside.sum()) - total - away])
+        shares += s.prior_points * np.array([0.9, 0.05, 0.05])
         shares /= shares.sum()
-        new_sigma = float(np.sqrt((core @ residual**2 + 4.0 * 0.005**2) / (total + 4.0)))
+        new_sigma = float(np.sqrt((core @ (residual / ratio) ** 2 + 4.0 * 0.005**2) / (total + 4.0)))
         # The start is deliberately wide; never shrink by more than a quarter a step, or a wrong arc captures the fit.
         sigma = float(np.clip(max(new_sigma, 0.75 * sigma), *s.sigma_m))
-        mean_tail = float(likelihood[1] @ np.maximum(residual, 0.0) / max(likelihood[1].sum(), 1e-9))
+        mean_tail = float(outward @ np.maximum(residual, 0.0)) / max(away, 1e-9)
         tail = float(np.clip(mean_tail, *s.tail_m))
         if iteration > 8 and np.abs(step).max() < 1e-5:
             break
-    covariance = np.asarray(np.linalg.inv(information + np.diag(prior_information) + 1e-9 * np.eye(6)), np.float64)
     return AxisFit(
-        parameters=p, height_m=height_m, sigma_m=sigma, covariance=covariance, core=core, residuals_m=residual
+        parameters=p[:6],
+        height_m=height_m,
+        sigma_m=sigma,
+        covariance=np.asarray(np.linalg.inv(information + np.diag(prior_information) + tiny), np.float64),
+        core=core,
+        residuals_m=residual,
+        jacobian=jacobian,
+        prior_information=prior_information,
+        shape_m=p[6:],
+        noise_m=sigma * ratio,
     )
 
 
@@ -146,18 +177,36 @@ def _residuals(points: Floats, p: Floats, height_m: float) -> tuple[Floats, Floa
     dx, dy, dz = x - foot * slope[0], y - foot * slope[1], z - foot
     distance = np.maximum(np.sqrt(dx**2 + dy**2 + dz**2), 1e-9)
     nx, ny = dx / distance, dy / distance
-    jacobian = np.column_stack([-nx, -ny, -nx * foot, -ny * foot, -np.ones(len(foot)), -foot])
-    return distance - (p[4] + p[5] * foot), jacobian
+    jacobian = np.empty((len(foot), len(p)))
+    jacobian[:, 0], jacobian[:, 1] = -nx, -ny
+    jacobian[:, 2], jacobian[:, 3] = -nx * foot, -ny * foot
+    jacobian[:, 4], jacobian[:, 5] = -1.0, -foot
+    residual = distance - (p[4] + p[5] * foot)
+    if len(p) > 6:
+        # The harmonics' own change with the centre is of second order and left out of the derivatives.
+        jacobian[:, 6:] = -harmonics(nx, ny, len(p) - 6)
+        residual += jacobian[:, 6:] @ p[6:]
+    return residual, jacobian
 
 
-def _gauss(residual: Floats, sigma: float) -> Floats:
-    return np.asarray(np.exp(-0.5 * (residual / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma))
+def harmonics(cosine: Floats, sine: Floats, columns: int) -> Floats:
+    """cos 2a, sin 2a, cos 3a, sin 3a, ... (N, ``columns``) from cos a and sin a (N,)."""
+    result = np.empty((len(cosine), columns))
+    c, s = cosine, sine
+    for column in range(0, columns, 2):
+        c, s = c * cosine - s * sine, c * sine + s * cosine
+        result[:, column], result[:, column + 1] = c, s
+    return result
 
 
-def _gauss_with_tail(residual: Floats, sigma: float, tail: float) -> Floats:
-    """Density of a Gaussian plus an outward exponential of mean ``tail`` (exponentially modified Gaussian)."""
-    argument = (sigma / tail - residual / sigma) / np.sqrt(2.0)
+def _densities(residual: Floats, sigma: Floats, tail: float) -> tuple[Floats, Floats]:
+    """Densities (N,) of a Gaussian, and of one plus an outward exponential of mean ``tail``; ``sigma`` (N,)."""
+    scaled = residual / sigma
+    body = np.exp(-0.5 * scaled**2)
+    argument = (sigma / tail - scaled) / np.sqrt(2.0)
     # erfcx overflows for very negative arguments, where the density is the plain exponential.
-    body = np.exp(-0.5 * (residual / sigma) ** 2) * erfcx(np.maximum(argument, -20.0)) / (2.0 * tail)
-    plain = np.exp(np.minimum(0.5 * (sigma / tail) ** 2 - residual / tail, 0.0)) / tail
-    return np.asarray(np.where(argument > -5.0, body, plain))
+    with_tail = body * erfcx(np.maximum(argument, -5.0)) / (2.0 * tail)
+    far = argument <= -5.0
+    if far.any():
+        with_tail[far] = np.exp(0.5 * (sigma[far] / tail) ** 2 - residual[far] / tail) / tail
+    return body / (np.sqrt(2.0 * np.pi) * sigma), with_tail

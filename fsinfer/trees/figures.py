@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from fsinfer.files import atomic_path
 from fsinfer.progress import Progress, silent
-from fsinfer.trees.measure import PlotResult, Tree
+from fsinfer.trees.measure import PlotResult
+from fsinfer.trees.tree import Tree
 
 if TYPE_CHECKING:
     from fsinfer.trees.dbh import Section

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,11 +12,16 @@ from fsinfer.errors import CloudError
 from fsinfer.progress import Progress, silent
 from fsinfer.trees.dbh import DbhSettings, Section, measure_stem
 from fsinfer.trees.ground import Ground, GroundSettings, find_ground
-from fsinfer.trees.stems import Stem, StemSearch, StemSettings, find_stems
+from fsinfer.trees.sanity import TURNS, check_unit, check_upside_down, clean, turned_message
+from fsinfer.trees.stand import StandTable, seen_area, stand_table
+from fsinfer.trees.stems import Stem, StemSearch, StemSettings, find_stems, thin
 from fsinfer.trees.top import TopSettings, tree_height
+from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
-_log = logging.getLogger(__name__)
+MAX_TURNED_POINTS = 300_000  # enough to find stems, few enough for a second a side
+LITTLE_GROUND = 0.33  # of the plot's box in plan
+MAX_TURNED_CM = 100.0  # corners of a building measure as thicker trees
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,37 +43,6 @@ class TreeSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tree:
-    """One row of ``trees.csv``.
-
-    ``x_m, y_m`` is the stem's centre at ``bh_m`` above the ground, in the frame of the cloud; ``z_ground_m`` the
-    ground there. ``dbh_cm`` and its 95 % interval come from the circle; ``dbh_perimeter_cm`` is what a diameter tape
-    reads (girth / pi) and ``dbh_min_cm``, ``dbh_max_cm`` what callipers read, where the stem was seen nearly all round.
-    ``arc_coverage`` in [0, 1]; ``points`` are those the circle used; ``residual_cm`` is the noise of the bark about
-    the model. None means "not measured", and ``reason`` says why. ``status`` is ok, doubtful or unmeasured.
-    """
-
-    tree_id: int
-    x_m: float
-    y_m: float
-    z_ground_m: float
-    dbh_cm: float | None
-    dbh_lo95_cm: float | None
-    dbh_hi95_cm: float | None
-    dbh_perimeter_cm: float | None
-    dbh_min_cm: float | None
-    dbh_max_cm: float | None
-    bh_m: float
-    arc_coverage: float
-    points: int
-    residual_cm: float | None
-    lean_deg: float
-    height_m: float | None
-    status: str
-    reason: str
-
-
-@dataclass(frozen=True, kw_only=True)
 class PlotResult:
     """Trees with their sections (same order), the ground, and what the forester should know.
 
@@ -83,6 +56,12 @@ class PlotResult:
     warnings: tuple[str, ...]
     extent_m: tuple[float, float, float, float]
     spacing_m: float
+    plot_area_m2: float = 0.0
+
+    @property
+    def stand(self) -> StandTable:
+        """Stems and basal area a hectare on ``plot_area_m2``, the area where ground was seen."""
+        return stand_table(self.trees, self.plot_area_m2)
 
 
 def measure_trees(
@@ -114,13 +93,15 @@ def analyse_plot(
     metric: bool = True,
     units_per_m_hint: float | None = None,
     progress: Progress = silent,
+    turned: bool = False,
 ) -> PlotResult:
     """Find the ground and the stems in points (N, 3), metres, z up, and measure each stem.
 
     ``scale_rel_std`` is the relative standard deviation of the cloud's scale; it widens the intervals. With
     ``metric=False`` the unit is unknown: stems are looked for with ``units_per_m_hint`` units to the metre (a rough
     guess by the caller, for instance from the height at which the camera was held; 1 without one), positions stay in
-    model units and no DBH is given. No trees is a valid result: ``diagnosis`` says why.
+    model units and no DBH is given. No trees is a valid result: ``diagnosis`` says why. ``turned`` says that z is
+    known to point up; without it a cloud with no measurable stem is looked at from its other sides.
 
     Raises :class:`~fsinfer.errors.CloudError` for clouds that hold no plot (too few points, no ground, wrong unit).
     """
@@ -130,12 +111,12 @@ def analyse_plot(
         raise CloudError(msg)
     if not metric:
         return _without_scale(points, settings, units_per_m_hint, progress)
-    xyz, warnings = _clean(points)
+    xyz, warnings = clean(points)
     # Work about a local origin: map coordinates of 10^6 m would cost precision in the fits.
     origin = np.r_[np.floor(np.median(xyz[:, :2], axis=0)), 0.0]
     local = xyz - origin
     box = np.percentile(local[:, :2], [0.5, 99.5], axis=0)
-    _check_unit(box)
+    check_unit(box)
     # A single point a kilometre away must not blow up the rasters.
     margin = 0.5 * float(np.max(box[1] - box[0])) + 2.0
     near = ((local[:, :2] >= box[0] - margin) & (local[:, :2] <= box[1] + margin)).all(axis=1)
@@ -143,16 +124,23 @@ def analyse_plot(
         warnings.append(f"{int((~near).sum())} points far outside the plot were left out")
         local = local[near]
     extent = box + origin[:2]
+    plan_m2 = float(np.prod(box[1] - box[0]))
     progress(0, 3, "finding the ground")
     ground = find_ground(local, settings=settings.ground, seed=settings.seed)
+    check_upside_down(local, ground, settings.ground, seed=settings.seed)
     if ground.share < 0.6:
         warnings.append(f"ground seen in only {100 * ground.share:.0f} % of the lowest parts of the plot")
+    if seen_area(local, ground, np.zeros((0, 2)), close=False) < LITTLE_GROUND * plan_m2:
+        warnings.append("little ground is seen: breast height is counted from the lowest points of the stems")
     heights = local[:, 2] - ground.height_at(local[:, :2])
     stand = np.column_stack([local[:, :2], heights])
     progress(1, 3, "looking for stems")
     search = find_stems(stand, settings=settings.stems, progress=progress, seed=settings.seed)
     progress(2, 3, "measuring stems")
     pairs = _doubt_the_rough(_measure(stand, search, ground, settings, scale_rel_std, origin))
+    if not turned and not any(tree.dbh_cm is not None for tree, _ in pairs):
+        _check_turned(local, settings)
+    centers = np.array([[tree.x_m, tree.y_m] for tree, _ in pairs]).reshape(-1, 2) - origin[:2]
     return PlotResult(
         trees=tuple(replace(tree, tree_id=number) for number, (tree, _) in enumerate(pairs, start=1)),
         sections=tuple(section for _, section in pairs),
@@ -165,6 +153,7 @@ def analyse_plot(
         warnings=tuple(warnings),
         extent_m=(float(extent[0, 0]), float(extent[0, 1]), float(extent[1, 0]), float(extent[1, 1])),
         spacing_m=search.spacing_m,
+        plot_area_m2=seen_area(local, ground, centers),
     )
 
 
@@ -180,6 +169,7 @@ def _measure(
     slab = stand[(stand[:, 2] >= low - 0.5) & (stand[:, 2] <= high + 0.5)]
     index = cKDTree(slab[:, :2])
     centers = np.array([stem.axis.center_at(settings.bh_m) for stem in search.stems]).reshape(-1, 2)
+    crowns = thin(stand[stand[:, 2] > 1.0], settings.top.cell_m) if len(centers) else stand
     pairs = []
     for number, stem in enumerate(search.stems):
         near = slab[index.query_ball_point(centers[number], stem.axis.radius_m + 0.35)]
@@ -195,7 +185,7 @@ def _measure(
         )
         if section.dbh_m is not None and 100.0 * section.dbh_m < settings.min_dbh_cm:
             continue
-        height = tree_height(stand, stem, centers, number, section.dbh_m, settings=settings.top)
+        height = tree_height(crowns, stem, centers, number, section.dbh_m, settings=settings.top)
         z_ground = float(ground.height_at(section.center[None])[0])
         pairs.append((_tree(section, z_ground, height, origin), section))
     return pairs
@@ -277,34 +267,16 @@ def _tree(section: Section, z_ground: float, height: float | None, origin: Float
     )
 
 
-def _clean(points: ArrayLike) -> tuple[Floats, list[str]]:
-    xyz = np.asarray(points, dtype=np.float64)
-    if xyz.ndim != 2 or xyz.shape[1] != 3:
-        msg = f"the cloud must be an array of shape (N, 3), got {xyz.shape=}"
-        raise CloudError(msg)
-    finite = np.isfinite(xyz).all(axis=1)
-    warnings = []
-    if not finite.all():
-        warnings.append(f"{int((~finite).sum())} points with NaN or infinite coordinates were left out")
-        _log.warning(warnings[-1])
-        xyz = xyz[finite]
-    if len(xyz) < 100:
-        msg = f"the cloud holds only {len(xyz)} usable points; a plot needs thousands: check the file and the fusion"
-        raise CloudError(msg)
-    return xyz, warnings
-
-
-def _check_unit(extent: Floats) -> None:
-    size = float(np.max(extent[1] - extent[0]))
-    if size < 0.3:
-        msg = f"the cloud is only {100 * size:.1f} cm wide: it is not in metres; give the scale (--scale, --endpoints)"
-        raise CloudError(msg)
-    if size > 700.0:
-        msg = (
-            f"the cloud is {size:.0f} m wide: is it in centimetres or millimetres? Give the scale "
-            "(--scale 0.01 or 0.001), or cut the cloud into plots below 700 m"
-        )
-        raise CloudError(msg)
+def _check_turned(points: Floats, settings: TreeSettings) -> None:
+    """Raise where stems stand along another axis than z: clouds of computer graphics are y up."""
+    few = points[:: max(len(points) // MAX_TURNED_POINTS, 1)]
+    for how, turn in TURNS:
+        try:
+            result = analyse_plot(few @ turn.T, settings=settings, turned=True)
+        except CloudError:
+            continue
+        if sum(tree.status == "ok" and (tree.dbh_cm or 0.0) <= MAX_TURNED_CM for tree in result.trees) >= 2:
+            raise CloudError(turned_message(how))
 
 
 def _diagnosis(trees: list[Tree], search: StemSearch, stand: Floats, settings: TreeSettings) -> str:
@@ -333,7 +305,7 @@ def _without_scale(
     if not (np.isfinite(units) and units > 0):
         msg = f"units_per_m_hint must be a positive number, got {units_per_m_hint}"
         raise CloudError(msg)
-    result = analyse_plot(xyz / units, settings=settings, progress=progress)
+    result = analyse_plot(xyz / units, settings=settings, progress=progress, turned=True)
     trees = [
         replace(
             tree,
@@ -354,4 +326,4 @@ def _without_scale(
         for tree in result.trees
     ]
     warning = "no scale: positions are in model units and no diameter is given"
-    return replace(result, trees=tuple(trees), warnings=(*result.warnings, warning))
+    return replace(result, trees=tuple(trees), warnings=(*result.warnings, warning), plot_area_m2=0.0)

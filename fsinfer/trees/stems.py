@@ -43,6 +43,8 @@ class StemSettings:
     min_contrast: float = 1.6  # density on the wall against the density just outside of it
     max_noise: float = 0.40  # sigma over radius; more is a bush
     max_sigma_m: float = 0.028  # the fit's own bound is 3 cm: whoever reaches it has found no wall
+    rough_m: float = 0.017  # noisier than the usual photogrammetric cloud (1.5 cm): a shrub, unless it shows ...
+    min_rough_length_m: float = 1.2  # ... this much of a stem
     thin_m: float = 0.06  # posts and boards: thinner than this and ...
     post_top_m: float = 2.0  # ... ending below this is no tree
     min_fork_length_m: float = 1.2  # a stem that touches another must show itself more clearly:
@@ -83,21 +85,21 @@ def find_stems(
     spacing = measured_spacing(slab, seed=seed)
     cell_m = float(max(s.cell_m, 1.2 * spacing))
     seeds = _hough_seeds(slab, cell_m, s)
-    thin = _thin(slab, max(0.5 * cell_m, 0.008))
-    tree = cKDTree(thin[:, :2])
+    thinned = thin(slab, max(0.5 * cell_m, 0.008))
+    tree = cKDTree(thinned[:, :2])
     rejected: dict[str, int] = {}
     accepted: list[Stem] = []
     for number, (x, y, height) in enumerate(seeds):
         progress(number, len(seeds), "looking for stems")
         if any(_inside(stem, np.array([x, y]), float(height)) for stem in accepted):
             continue
-        near = thin[tree.query_ball_point([x, y], s.radius_m[1] + 0.15)]
+        near = thinned[tree.query_ball_point([x, y], s.radius_m[1] + 0.15)]
         stem, why = _verify(near, np.array([x, y]), float(height), cell_m, s)
         if stem is None:
             rejected[why] = rejected.get(why, 0) + 1
         else:
             accepted.append(stem)
-    stems = _resolve_overlaps(accepted, thin, tree, cell_m, s)
+    stems = _resolve_overlaps(accepted, thinned, tree, cell_m, s)
     return StemSearch(stems=tuple(stems), candidates=len(seeds), rejected=rejected, spacing_m=spacing)
 
 
@@ -109,8 +111,10 @@ def measured_spacing(points: Floats, *, seed: int = 0) -> float:
     return float(np.median(distance))
 
 
-def _thin(points: Floats, cell_m: float) -> Floats:
-    """One point of each occupied cubic cell."""
+def thin(points: Floats, cell_m: float) -> Floats:
+    """One point of each occupied cubic cell of points (N, 3), in their order."""
+    if len(points) == 0:
+        return points
     cells = np.floor((points - points.min(axis=0)) / cell_m).astype(np.int64)
     extent = cells.max(axis=0) + 1
     key = (cells[:, 0] * extent[1] + cells[:, 1]) * extent[2] + cells[:, 2]
@@ -215,13 +219,18 @@ def _verify_ring(
     near: Floats, window: Floats, xy: Floats, height: float, radius: float, cell_m: float, s: StemSettings
 ) -> tuple[Stem | None, str]:
     start = np.array([xy[0], xy[1], 0.0, 0.0, radius, 0.0])
-    quick = AxisSettings(iterations=20)
-    fit = fit_axis(_around(window, start, height, radius), start, height, settings=quick)
+    # Most candidates run away within a few steps on a few points; only the others are worth more.
+    few = fit_axis(_around(window, start, height, radius, 150), start, height, settings=AxisSettings(iterations=7))
+    if not s.radius_m[0] * 0.5 <= few.radius_m <= s.radius_m[1] * 1.3:
+        return None, "radius out of range"
+    around = _around(window, start, height, radius, 600)
+    fit = fit_axis(around, few.parameters, height, sigma_m=few.sigma_m, settings=AxisSettings(iterations=14))
     if not s.radius_m[0] * 0.75 <= fit.radius_m <= s.radius_m[1] * 1.1:
         return None, "radius out of range"
     if fit.sigma_m > s.max_sigma_m:
         return None, "not round"
-    fit = fit_axis(_around(near, fit.parameters, height, fit.radius_m), fit.parameters, height, sigma_m=fit.sigma_m)
+    around = _around(near, fit.parameters, height, fit.radius_m, 600)
+    fit = fit_axis(around, fit.parameters, height, sigma_m=fit.sigma_m)
     radius, sigma = fit.radius_m, fit.sigma_m
     if not s.radius_m[0] * 0.75 <= radius <= s.radius_m[1] * 1.1:
         return None, "radius out of range"
@@ -253,6 +262,8 @@ def _verify_ring(
     length = float(supported.sum() * s.layer_m)
     if length < s.min_length_m:
         return None, "too short"
+    if sigma > s.rough_m and length < s.min_rough_length_m:
+        return None, "rough and short"
     used = supported[np.clip(layer, 0, layers - 1)]
     deep = used & (residual < -max(3.0 * sigma, 1.2 * cell_m)) & own[sector]
     on_wall = used & wall & own[sector]
@@ -317,19 +328,19 @@ def _start_radii(window: Floats, xy: Floats, s: StemSettings) -> list[float]:
     return [(ring + 0.5) * step for ring in found if score[ring] > max(0.03, 0.5 * score[best])]
 
 
-def _around(points: Floats, parameters: Floats, height: float, radius: float) -> Floats:
-    """Points within reach of the fit's window, thinned to a few hundred (every k-th, so deterministic)."""
+def _around(points: Floats, parameters: Floats, height: float, radius: float, most: int) -> Floats:
+    """Points within reach of the fit's window, thinned to about ``most`` (every k-th, so deterministic)."""
     center = parameters[:2] + parameters[2:4] * (points[:, 2:3] - height)
     distance = np.hypot(points[:, 0] - center[:, 0], points[:, 1] - center[:, 1])
     near = points[distance <= radius + float(np.clip(0.8 * radius, 0.05, 0.10))]
-    return near[:: max(len(near) // 600, 1)]
+    return near[:: max(len(near) // most, 1)]
 
 
 def _inside(stem: Stem, xy: Floats, height: float) -> bool:
     return bool(np.linalg.norm(stem.axis.center_at(height) - xy) <= stem.axis.radius_m + 0.02)
 
 
-def _resolve_overlaps(stems: list[Stem], thin: Floats, tree: cKDTree, cell_m: float, s: StemSettings) -> list[Stem]:
+def _resolve_overlaps(stems: list[Stem], points: Floats, tree: cKDTree, cell_m: float, s: StemSettings) -> list[Stem]:
     """Let the better stem own its wall: a weaker one that touches it must stand without those points.
 
     Ordered by position, so that the numbering does not depend on the order of the points.
@@ -340,7 +351,7 @@ def _resolve_overlaps(stems: list[Stem], thin: Floats, tree: cKDTree, cell_m: fl
         reach = stem.axis.radius_m + 0.15
         rivals = [o for o in kept if np.linalg.norm(o.axis.center_at(1.3) - center) < reach + o.axis.radius_m]
         if rivals:
-            near = thin[tree.query_ball_point(center, s.radius_m[1] + 0.15)]
+            near = points[tree.query_ball_point(center, s.radius_m[1] + 0.15)]
             for other in rivals:
                 offset, _ = axis_coordinates(near, other.axis.parameters, other.axis.height_m)
                 own = other.axis.radius_m + max(4.0 * other.axis.sigma_m, 1.5 * cell_m)

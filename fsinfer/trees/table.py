@@ -10,7 +10,7 @@ from typing import Any
 
 from fsinfer.errors import InputError
 from fsinfer.files import atomic_path
-from fsinfer.trees.measure import Tree
+from fsinfer.trees.tree import Tree
 
 #: The columns in their order: exactly the fields of :class:`~fsinfer.trees.measure.Tree`.
 COLUMNS: tuple[str, ...] = tuple(field.name for field in fields(Tree))

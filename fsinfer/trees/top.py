@@ -17,6 +17,7 @@ class TopSettings:
     """Constants of :func:`tree_height`."""
 
     crown_radius_m: float = 0.8  # about the continued axis; wider takes in the neighbours' crowns
+    cell_m: float = 0.05  # crowns are thinned to this: their form, not their density, tells the top
     layer_m: float = 0.5
     max_gap_m: float = 1.5  # a longer empty stretch separates a tree from what hangs above it
     min_height_m: float = 3.0

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.depth import DepthSettings
-from fsinfer.evaluation import evaluate, plot_evaluation, read_measured
+from fsinfer.evaluation import evaluate, read_measured
+from fsinfer.evaluation_figure import plot_evaluation
 from fsinfer.fusion import FusionSettings
 from fsinfer.pipeline import RunSettings, run
 from fsinfer.scale_request import ScaleRequest

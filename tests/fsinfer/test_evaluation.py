@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from fsinfer.errors import InputError
-from fsinfer.evaluation import MeasuredTree, evaluate, plot_evaluation, read_measured
+from fsinfer.evaluation import MeasuredTree, evaluate, read_measured
+from fsinfer.evaluation_figure import plot_evaluation
 
 
 @dataclass(frozen=True)

@@ -118,12 +118,46 @@ def test_bare_ground_is_a_result_with_a_diagnosis():
         (lambda points: points * 1000.0, "centimetres or millimetres"),
         (lambda points: points[:, :2], "shape"),
         (lambda points: points * np.nan, "only 0 usable points"),
+        (lambda points: points * [1.0, -1.0, -1.0], "z points down"),
+        (lambda points: points[:, [0, 2, 1]] * [1.0, 1.0, -1.0], "y points up"),
+        (lambda points: points[:, [2, 1, 0]] * [-1.0, 1.0, 1.0], "x points down"),
+        (lambda points: (points + np.array([5e5, 5.4e6, 0.0])).astype(np.float32), "steps of 50 cm"),
     ],
-    ids=["few", "empty", "millimetric", "thousandfold", "flat", "all nan"],
-)
+    ids=[
+        "few", "empty", "millimetric", "thousandfold", "flat", "all nan", "upside down", "y up", "x down",
+        "map coordinates in single precision",
+    ],
+)  # fmt: skip
 def test_bad_clouds_say_what_is_wrong(plot, make, message):
     with pytest.raises(CloudError, match=message):
         analyse_plot(make(plot.points))
+
+
+def test_duplicate_points_change_little(plot, result):
+    twice = analyse_plot(np.concatenate([plot.points, plot.points]))
+    assert [t.dbh_cm for t in twice.trees] == pytest.approx([t.dbh_cm for t in result.trees], abs=0.1)
+
+
+def test_stems_without_ground_are_measured_with_a_warning(plot):
+    found = analyse_plot(plot.points[plot.points[:, 2] > 1.0])
+    assert any("little ground" in text for text in found.warnings)
+
+
+def test_a_canopy_alone_is_one_clear_message():
+    rng = np.random.default_rng(1)
+    with pytest.raises(CloudError, match="no ground"):
+        analyse_plot(np.column_stack([rng.uniform(0, 10, (40000, 2)), rng.normal(12, 1.5, 40000)]))
+
+
+def test_a_building_has_no_diameters():
+    rng = np.random.default_rng(2)
+    count = 15000
+    along, up = rng.uniform(0, 7, (4, count)), rng.uniform(0, 3, (4, count))
+    walls = [np.column_stack([np.full(count, side), along[i], up[i]]) for i, side in enumerate((0.0, 7.0))]
+    walls += [np.column_stack([along[i + 2], np.full(count, side), up[i + 2]]) for i, side in enumerate((0.0, 7.0))]
+    floor = np.column_stack([rng.uniform(0, 7, (count, 2)), np.zeros(count)])
+    found = analyse_plot(np.concatenate([*walls, floor]) + rng.normal(0, 0.005, (5 * count, 3)))
+    assert all(tree.dbh_cm is None and tree.reason for tree in found.trees)
 
 
 def test_figures_are_written(tmp_path, result):

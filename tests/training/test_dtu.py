@@ -212,6 +212,6 @@ def test_the_depth_evaluation_takes_the_root(root: Path, capsys: pytest.CaptureF
     assert list(rows) == [f"scan3_train/{view:08d}" for view in range(3)]
     assert all(row.median_abs == 0 for row in rows.values())
     assert rows["scan3_train/00000000"].pixels == 127 * 4 * 151 * 4 + 127 + 151 + 1  # surface, and its far edges
-    assert main([str(root), "--model", "field", "--every", "3", "--source-views", "1", "--json"]) == 0
+    assert main([str(root), "--model", "field", "--every", "3", "--source-views", "2", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["mean"]["median_rel"] < 0.02
     assert main([str(root), "--split", "test"]) == 2

@@ -115,7 +115,9 @@ def simulate(seed: int, spec: CloudSpec | None = None) -> StemCloud:
         near = feet[rng.integers(len(feet))] + rng.normal(0.0, 0.6, 2)
         parts.add(_shrub(rng, near, ground, spacing))
     strays = int(0.002 * sum(map(len, parts.points)))
-    parts.add(rng.uniform([-1.0, -1.0, ground.low - 0.3], [size + 1.0, size + 1.0, ground.high + spec.top_m], (strays, 3)))
+    parts.add(
+        rng.uniform([-1.0, -1.0, ground.low - 0.3], [size + 1.0, size + 1.0, ground.high + spec.top_m], (strays, 3))
+    )
     points = np.concatenate(parts.points)
     return StemCloud(
         points=points, stems=tuple(stems), owner=np.concatenate(parts.owner).astype(np.int64), spacing_m=spacing
@@ -206,7 +208,9 @@ def _tree(
         parts.add(_noisy(rng, spec, surface, normal, foot + away, z_foot), first)
     if spec.forked_low <= kind < spec.forked_low + spec.forked_high:
         tags.append("fork above")
-        limb = _Stem(rng, spec, 0.3 * diameter, slope + rng.choice([-1.0, 1.0]) * rng.uniform(0.25, 0.5, 2), swell=False)
+        limb = _Stem(
+            rng, spec, 0.3 * diameter, slope + rng.choice([-1.0, 1.0]) * rng.uniform(0.25, 0.5, 2), swell=False
+        )
         height = rng.uniform(1.7, 2.3)
         start = foot + slope * height - limb.slope * height
         surface = limb.surface(rng, spacing, height, spec.top_m, seen, middle)

@@ -1,0 +1,91 @@
+"""Clouds that cannot be measured as they are: too few points, lost digits, a wrong unit, a wrong way up."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fsinfer.errors import CloudError
+from fsinfer.trees.ground import Ground, GroundSettings, find_ground
+
+Floats = NDArray[np.float64]
+_log = logging.getLogger(__name__)
+
+WARN_STEP_M = 0.005  # single precision beyond 40 km: as coarse as a photogrammetric cloud's noise
+COARSE_STEP_M = 0.03  # beyond 300 km, as in map coordinates: no circle is left
+LITTLE_GROUND = 0.5  # a plot whose ground is under less of it than this may be lying on its head
+#: Ways a cloud may lie: rotation matrices that turn it z up, with the words for the user.
+TURNS: tuple[tuple[str, Floats], ...] = (
+    ("y points up", np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])),
+    ("y points down", np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])),
+    ("x points up", np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])),
+    ("x points down", np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])),
+    ("z points down", np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])),
+)
+
+
+def turned_message(how: str) -> str:
+    """What to tell the user of a cloud in which ``how`` (see ``TURNS``)."""
+    return f"the cloud does not stand upright: {how} in it; turn it so that z points up, and measure it again"
+
+
+def check_upside_down(points: Floats, ground: Ground, settings: GroundSettings, *, seed: int = 0) -> None:
+    """Raise where the points (N, 3) show much more ground with the cloud turned on its head."""
+    if ground.reach >= LITTLE_GROUND:
+        return
+    try:
+        other = find_ground(points * [1.0, -1.0, -1.0], settings=settings, seed=seed)
+    except CloudError:
+        return
+    if other.reach > 2.0 * ground.reach:
+        raise CloudError(turned_message("z points down"))
+
+
+def coordinate_step(xyz: Floats) -> float:
+    """Smallest step between different x or y coordinates of a sample of points (N, 3): the resolution of storage."""
+    sample = xyz[:: max(len(xyz) // 20_000, 1), :2]
+    steps = [np.diff(np.unique(sample[:, axis])) for axis in (0, 1)]
+    return max((float(step.min()) for step in steps if len(step)), default=0.0)
+
+
+def clean(points: ArrayLike) -> tuple[Floats, list[str]]:
+    """Finite points (N, 3) float64 with warnings; raises where too few are left or their steps are too coarse."""
+    xyz = np.asarray(points, dtype=np.float64)
+    if xyz.ndim != 2 or xyz.shape[1] != 3:
+        msg = f"the cloud must be an array of shape (N, 3), got {xyz.shape=}"
+        raise CloudError(msg)
+    finite = np.isfinite(xyz).all(axis=1)
+    warnings = []
+    if not finite.all():
+        warnings.append(f"{int((~finite).sum())} points with NaN or infinite coordinates were left out")
+        _log.warning(warnings[-1])
+        xyz = xyz[finite]
+    if len(xyz) < 100:
+        msg = f"the cloud holds only {len(xyz)} usable points; a plot needs thousands: check the file and the fusion"
+        raise CloudError(msg)
+    step = coordinate_step(xyz)
+    if step >= COARSE_STEP_M:
+        msg = (
+            f"the coordinates come in steps of {100 * step:.0f} cm: the cloud was stored in single precision far from "
+            "its origin; export it as LAS/LAZ or with double coordinates, or shift it to a local origin first"
+        )
+        raise CloudError(msg)
+    if step >= WARN_STEP_M:
+        warnings.append(f"the coordinates come in steps of {1000 * step:.0f} mm: diameters cannot be better than that")
+    return xyz, warnings
+
+
+def check_unit(extent: Floats) -> None:
+    """Raise where the box (2, 2) of a plot cannot be in metres."""
+    size = float(np.max(extent[1] - extent[0]))
+    if size < 0.3:
+        msg = f"the cloud is only {100 * size:.1f} cm wide: it is not in metres; give the scale (--scale, --endpoints)"
+        raise CloudError(msg)
+    if size > 700.0:
+        msg = (
+            f"the cloud is {size:.0f} m wide: is it in centimetres or millimetres? Give the scale "
+            "(--scale 0.01 or 0.001), or cut the cloud into plots below 700 m"
+        )
+        raise CloudError(msg)

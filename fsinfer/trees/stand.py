@@ -1,0 +1,80 @@
+"""The stand table: stems and basal area a hectare, quadratic mean diameter, and the area they refer to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_closing
+
+from fsinfer.trees.ground import Ground
+from fsinfer.trees.tree import Tree
+
+Floats = NDArray[np.float64]
+
+CELL_M = 0.5
+NEAR_GROUND_M = 0.3  # herbs and noise; what lies so low stands for ground that was seen
+CLOSE_M = 1.0  # the shadow of a stem or a shrub on the ground belongs to the plot
+AREA_METHOD = "ground seen in the cloud, gaps of up to 2 m closed"
+NO_AREA = "unknown: the cloud shows too little ground around the stems"
+LEAST_ON_GROUND = 0.8  # of the stems must stand on ground that was seen, or its area says nothing of the plot
+
+
+@dataclass(frozen=True, kw_only=True)
+class StandTable:
+    """Per-hectare figures; those of diameters count the ``measured`` stems only and are None without any.
+
+    ``plot_area_m2`` is horizontal; ``area_method`` says how it was taken. Stems without a DBH count in
+    ``stems_per_ha`` but cannot in ``basal_area_m2_per_ha``, which is therefore a lower bound when there are some.
+    """
+
+    stems: int
+    measured: int
+    plot_area_m2: float
+    area_method: str
+    stems_per_ha: float | None
+    basal_area_m2_per_ha: float | None
+    quadratic_mean_dbh_cm: float | None
+    mean_dbh_cm: float | None
+
+
+def stand_table(trees: Sequence[Tree], plot_area_m2: float, *, area_method: str = AREA_METHOD) -> StandTable:
+    """Summarise ``trees`` on ``plot_area_m2`` square metres (0 when unknown: nothing is given a hectare)."""
+    dbh = np.array([tree.dbh_cm for tree in trees if tree.dbh_cm is not None], dtype=np.float64)
+    hectares = plot_area_m2 / 10_000.0
+    basal_m2 = float(np.pi / 4.0 * ((dbh / 100.0) ** 2).sum())
+    return StandTable(
+        stems=len(trees),
+        measured=len(dbh),
+        plot_area_m2=plot_area_m2,
+        area_method=area_method if hectares > 0 else NO_AREA,
+        stems_per_ha=len(trees) / hectares if hectares > 0 else None,
+        basal_area_m2_per_ha=basal_m2 / hectares if hectares > 0 and len(dbh) else None,
+        quadratic_mean_dbh_cm=float(np.sqrt((dbh**2).mean())) if len(dbh) else None,
+        mean_dbh_cm=float(dbh.mean()) if len(dbh) else None,
+    )
+
+
+def seen_area(points: Floats, ground: Ground, stems_xy: Floats, *, close: bool = True) -> float:
+    """Horizontal area in square metres where points (N, 3) show the ground; 0 where stems (T, 2) stand off it.
+
+    ``close`` counts gaps of up to two metres as seen.
+    """
+    low = points[np.abs(points[:, 2] - ground.height_at(points[:, :2])) <= NEAR_GROUND_M, :2]
+    if len(low) == 0:
+        return 0.0
+    reach = round(CLOSE_M / CELL_M)
+    origin = low.min(axis=0)
+    cells = np.floor((low - origin) / CELL_M).astype(np.int64) + reach + 1
+    seen = np.zeros(cells.max(axis=0) + reach + 2, dtype=bool)
+    seen[cells[:, 0], cells[:, 1]] = True
+    if close:
+        seen = binary_closing(seen, np.ones((2 * reach + 1, 2 * reach + 1)))
+    at = np.floor((stems_xy - origin) / CELL_M).astype(np.int64) + reach + 1
+    inside = ((at >= 0) & (at < seen.shape)).all(axis=1)
+    on_ground = np.count_nonzero(seen[at[inside, 0], at[inside, 1]])
+    if on_ground < LEAST_ON_GROUND * len(stems_xy):
+        return 0.0
+    return float(seen.sum() * CELL_M**2)

@@ -1,0 +1,36 @@
+"""One tree of the plot: a row of ``trees.csv``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tree:
+    """One row of ``trees.csv``.
+
+    ``x_m, y_m`` is the stem's centre at ``bh_m`` above the ground, in the frame of the cloud; ``z_ground_m`` the
+    ground there. ``dbh_cm`` and its 95 % interval come from the circle; ``dbh_perimeter_cm`` is what a diameter tape
+    reads (girth / pi) and ``dbh_min_cm``, ``dbh_max_cm`` what callipers read, where the stem was seen nearly all round.
+    ``arc_coverage`` in [0, 1]; ``points`` are those the circle used; ``residual_cm`` is the noise of the bark about
+    the model. None means "not measured", and ``reason`` says why. ``status`` is ok, doubtful or unmeasured.
+    """
+
+    tree_id: int
+    x_m: float
+    y_m: float
+    z_ground_m: float
+    dbh_cm: float | None
+    dbh_lo95_cm: float | None
+    dbh_hi95_cm: float | None
+    dbh_perimeter_cm: float | None
+    dbh_min_cm: float | None
+    dbh_max_cm: float | None
+    bh_m: float
+    arc_coverage: float
+    points: int
+    residual_cm: float | None
+    lean_deg: float
+    height_m: float | None
+    status: str
+    reason: str

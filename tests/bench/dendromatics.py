@@ -1,0 +1,161 @@
+"""fsinfer beside dendromatics (the engine of 3DFin) on the same simulated plots, accuracy and time.
+
+``python -m tests.bench.dendromatics --python /path/to/venv/bin/python --kind photo --plots 4``, where the other
+environment holds ``pip install dendromatics``. Its parameters are tuned to the clouds first: every setting of a grid
+runs on the plot before the first one, and the one with the most trees found (then the most diameters, then the least
+RMSE) is used. Time is without reading files. ``--cloud FILE`` compares time and number of trees on a file instead.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from fsinfer import read_cloud
+from fsinfer.trees import analyse_plot
+from training.synthesize.stem_cloud import KINDS, CloudSpec, StemCloud, simulate
+
+Floats = NDArray[np.float64]
+MAX_DISTANCE_M = 0.3
+GRID = tuple(
+    {"n_points": n, "h_range": h, "section_width": w, "vert_threshold": v}
+    for n in (200, 1000)
+    for h in (0.7,)
+    for w in (0.02, 0.05)
+    for v in (0.6, 0.7)
+)
+# Runs in the other environment: -c, because a script of this name would hide the package.
+WORKER = """
+import sys, json, time, io, contextlib, numpy as np, dendromatics as d
+data, result, settings = sys.argv[1], sys.argv[2], json.loads(sys.argv[3])
+cloud = np.load(data)
+answers = []
+for p in settings:
+    start = time.perf_counter()
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):
+            cloth = d.generate_dtm(d.clean_ground(cloud))
+            z0 = d.normalize_heights(cloud, d.clean_cloth(cloth))
+            coords = np.column_stack([cloud, z0])
+            stripe = coords[(z0 > 0.7) & (z0 < 3.5)]
+            clusters = d.verticality_clustering(stripe, n_points=p["n_points"], vert_threshold=p["vert_threshold"])
+            assigned, vector, heights = d.individualize_trees(coords, clusters, h_range=p["h_range"])
+            sections = np.arange(0.5, 2.6, 0.2)
+            sections = np.sort(np.append(sections, 1.3))
+            sections = np.unique(sections.round(3))
+            x, y, r, _, _, sector, _ = d.compute_sections(
+                assigned, sections, section_width=p["section_width"], n_points_section=15)
+            outliers = d.tilt_detection(x, y, r, sections)
+            dbh, where = d.tree_locator(sections, x, y, vector, sector, r, outliers)
+        trees = [[float(a) for a in (*w[:2], 100 * b)] for w, b in zip(where, np.ravel(dbh))]
+        answers.append({"trees": trees, "seconds": time.perf_counter() - start, "error": ""})
+    except Exception as error:
+        answers.append({"trees": [], "seconds": time.perf_counter() - start, "error": repr(error)[:200]})
+json.dump(answers, open(result, "w"))
+"""
+
+
+def dendromatics(python: Path, points: Floats, settings: list[dict[str, float]]) -> list[dict[str, Any]]:
+    """Trees (x_m, y_m, dbh_cm; 0 = none), seconds and error of each setting."""
+    with tempfile.TemporaryDirectory() as folder:
+        data, result = Path(folder) / "cloud.npy", Path(folder) / "trees.json"
+        np.save(data, points)
+        command = [str(python), "-W", "ignore", "-c", WORKER, str(data), str(result), json.dumps(settings)]
+        subprocess.run(command, check=True, capture_output=True)
+        return list(json.loads(result.read_text(encoding="utf-8")))
+
+
+def ours(points: Floats) -> dict[str, Any]:
+    """The same of fsinfer."""
+    start = time.perf_counter()
+    result = analyse_plot(points)
+    trees = [[t.x_m, t.y_m, t.dbh_cm or 0.0] for t in result.trees]
+    return {"trees": trees, "seconds": time.perf_counter() - start, "error": ""}
+
+
+def compare(cloud: StemCloud, trees: list[list[float]]) -> tuple[int, int, int, list[float]]:
+    """True stems, found, false, and the errors in cm of those with a diameter."""
+    truth = np.array([[s.x_m, s.y_m] for s in cloud.stems])
+    found = np.array(trees, dtype=np.float64).reshape(-1, 3)
+    distance = np.linalg.norm(truth[:, None] - found[None, :, :2], axis=2)
+    rows, columns = linear_sum_assignment(np.where(distance < MAX_DISTANCE_M, distance, 1e3))
+    links = [(i, j) for i, j in zip(rows, columns, strict=True) if distance[i, j] < MAX_DISTANCE_M]
+    errors = [float(found[j, 2] - cloud.stems[i].dbh_cm) for i, j in links if found[j, 2] > 0]
+    return len(truth), len(links), len(found) - len(links), errors
+
+
+def line(name: str, rows: list[tuple[int, int, int, list[float]]], seconds: float, points: int) -> str:
+    """One line of the table."""
+    stems, found, false = (sum(r[k] for r in rows) for k in range(3))
+    error = np.array([e for r in rows for e in r[3]] or [np.nan])
+    return (
+        f"{name:>13}: stems {stems}, found {100 * found / stems:.1f} %, false {false}, with DBH {len(error)}, "
+        f"RMSE {np.sqrt((error**2).mean()):.2f} cm, median |error| {np.median(np.abs(error)):.2f} cm, "
+        f"bias {error.mean():+.2f} cm, {seconds:.1f} s, {1e6 * seconds / points:.2f} s per million points"
+    )
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Compare and print."""
+    parser = argparse.ArgumentParser(prog="python -m tests.bench.dendromatics", description=__doc__)
+    parser.add_argument("--python", type=Path, required=True, help="of an environment with dendromatics")
+    parser.add_argument("--kind", choices=KINDS, default="lidar")
+    parser.add_argument("--plots", type=int, default=4)
+    parser.add_argument("--first-seed", type=int, default=2000)
+    parser.add_argument("--cloud", type=Path, help="a cloud file instead of simulated plots")
+    args = parser.parse_args(argv)
+    if args.cloud:
+        points = read_cloud(args.cloud).xyz
+        points = points - np.floor(points.min(axis=0))
+        settings = [*GRID]
+        answers = dendromatics(args.python, points, settings)
+        for setting, answer in zip(settings, answers, strict=True):
+            measured = sum(t[2] > 0 for t in answer["trees"])
+            print(
+                setting, len(answer["trees"]), "trees", measured, "DBH", f"{answer['seconds']:.1f} s", answer["error"]
+            )
+        mine = ours(points)
+        print(
+            f"fsinfer {len(mine['trees'])} trees, {sum(t[2] > 0 for t in mine['trees'])} DBH, {mine['seconds']:.1f} s"
+        )
+        return 0
+    tuning = simulate(args.first_seed - 1, CloudSpec(kind=args.kind))
+    best, best_score = dict(GRID[0]), (-1.0, 0, 0.0)
+    for setting, answer in zip(GRID, dendromatics(args.python, tuning.points, list(GRID)), strict=True):
+        _, found, false, errors = compare(tuning, answer["trees"])
+        rmse = float(np.sqrt(np.mean(np.square(errors)))) if errors else 99.0
+        score = (float(found - false), len(errors), -rmse)
+        if score > best_score:
+            best, best_score = dict(setting), score
+    print(f"{args.kind}: tuned on seed {args.first_seed - 1}: {best}, found - false {best_score[0]:.0f}")
+    rows: dict[str, list[tuple[int, int, int, list[float]]]] = {"dendromatics": [], "fsinfer": []}
+    seconds = dict.fromkeys(rows, 0.0)
+    points_total = 0
+    for seed in range(args.first_seed, args.first_seed + args.plots):
+        cloud = simulate(seed, CloudSpec(kind=args.kind))
+        points_total += len(cloud.points)
+        for name, answer in (
+            ("dendromatics", dendromatics(args.python, cloud.points, [best])[0]),
+            ("fsinfer", ours(cloud.points)),
+        ):
+            if answer["error"]:
+                print(f"  seed {seed}: {name}: {answer['error']}", file=sys.stderr)
+            rows[name].append(compare(cloud, answer["trees"]))
+            seconds[name] += answer["seconds"]
+    for name, result in rows.items():
+        print(line(name, result, seconds[name], points_total))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
