@@ -48,6 +48,9 @@ class SamplingSettings:
     max_sources: int = 4
     colour_jitter: float = 0.2
     range_jitter: float = 0.35  # near bound down to 1/(1+j), far bound up to 1+2j of the camera file's
+    near_pull: float = (
+        6.0  # half of the samples: near bound drawn in by up to this factor more, as a twig near the lens does
+    )
     mirror: float = 0.5  # share of samples seen in a mirror
     turn: float = 0.3  # share of samples with all pictures on their side, as phones held upright often store them
     pose_noise_px: float = 0.3  # half of the samples: each source off by up to this (standard deviation), as after SfM
@@ -194,6 +197,9 @@ class SceneSamples(IterableDataset[Sample]):
             poses = disturbed_poses(sample, settings.pose_noise_px * rng.random(), rng)
         near, far = sample.depth_range
         jitter = settings.range_jitter
+        # Log-uniform. Photographs of 1280 pixels in a plot have 0.5 to 2 quarter-resolution pixels a plane; small
+        # training pictures with the subject's own range have 0.1 and would not teach the network to look so far.
+        near /= settings.near_pull ** (rng.random() if rng.random() < 0.5 else 0.0)
         images = sample.images
         if settings.colour_jitter:
             images = jitter_colour(images, settings.colour_jitter, rng)

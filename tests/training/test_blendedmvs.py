@@ -16,7 +16,7 @@ from training.evaluate import evaluate_scene
 from training.layouts import find_true_scenes
 
 PLAIN = SamplingSettings(
-    min_sources=1, max_sources=2, colour_jitter=0, range_jitter=0, mirror=0, turn=0, pose_noise_px=0
+    min_sources=1, max_sources=2, colour_jitter=0, range_jitter=0, near_pull=1, mirror=0, turn=0, pose_noise_px=0
 )
 HEIGHT, WIDTH, FOCAL_PX, DEPTH, SHIFT_PX = 72, 96, 100.0, 2.0, 6
 A, B, C = "5a3ca9cb270f0e3f14d0eddb", "5b7a3890fc8fcf6781e2593a", "59f87d0bfa6280566fb38c9a"

@@ -22,7 +22,7 @@ from training.layouts import find_true_scenes
 from training.train import Trainer, TrainSettings
 
 PLAIN = SamplingSettings(
-    min_sources=2, max_sources=2, colour_jitter=0, range_jitter=0, mirror=0, turn=0, pose_noise_px=0
+    min_sources=2, max_sources=2, colour_jitter=0, range_jitter=0, near_pull=1, mirror=0, turn=0, pose_noise_px=0
 )
 FOCAL_PX = 1446.165  # of the 640x512 photographs
 PLANE_MM = 600.0

@@ -60,6 +60,7 @@ def parse(argv: list[str] | None = None) -> argparse.Namespace:
     plot.add_argument("--hfov-deg", type=float, default=65.0)
     plot.add_argument("--boards", type=int, default=3, help="posts with two ArUco boards each, 0.25 m squares")
     plot.add_argument("--zigzag", type=float, default=0.0, help="share of the photographs taken on transects")
+    plot.add_argument("--both-ways", action="store_true", help="walk the inner loop twice, looking in, then out")
     plot.add_argument("--distortion", type=float, default=0.0, help="radial k1 of the images; cams stay pinhole")
     plot.add_argument("--min-dbh-cm", type=float, default=8.0)
     plot.add_argument("--max-dbh-cm", type=float, default=70.0)
@@ -251,6 +252,7 @@ def synthesize_plot(args: argparse.Namespace, seed: int, photos: tuple[Path, ...
         height=height,
         hfov_deg=args.hfov_deg,
         zigzag=args.zigzag,
+        both_ways=args.both_ways,
     )
     middle = cameras[0]
     sensor = random_sensor(rng, caster.picture(middle, width, height, 1))

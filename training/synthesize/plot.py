@@ -15,30 +15,45 @@ STEP_M = 0.4
 CLEARANCE_M = 0.8
 
 
-def _loops(radius_m: float, photos: int) -> list[float]:
+def _loops(radius_m: float, photos: int, *, both_ways: bool) -> list[float]:
     """Radii of the concentric loops whose length suits the number of photographs best."""
     outside = radius_m + 1.0
+    if both_ways:
+        return [outside, 0.45 * outside, 0.45 * outside]
     options = [[outside, *(outside * f for f in inner)] for inner in ((), (0.45,), (0.66, 0.33), (0.78, 0.55, 0.3))]
     return min(options, key=lambda loops: abs(np.log(2 * np.pi * sum(loops) / photos / STEP_M)))
 
 
-def walk(radius_m: float, photos: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Places (n, 2), equally spaced, and bearings seen from the plot's centre (n,) of a spiral of loops."""
-    loops = _loops(radius_m, photos)
-    turns = []
+def walk(radius_m: float, photos: int, *, both_ways: bool = False) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A spiral of loops: places (n, 2), equally spaced, and headings (n,).
+
+    The photographer looks inward, swaying slowly to both sides: from the inner loops that shows the trees beyond the
+    centre. ``both_ways`` walks one inner loop twice, the second time looking outward, so that the trees at the rim
+    are seen from inside at half the distance.
+    """
+    loops = _loops(radius_m, photos, both_ways=both_ways)
+    turns, start = [], 0.0
     for number, radius in enumerate(loops):
-        angle = np.linspace(0, 2 * np.pi, 721)[:-1]
+        last = number + 1 == len(loops)
+        # Twice walked, a loop is closed before its last eighth of a turn leads inward, and after the turning round.
+        end = 2 * np.pi * (1.0 if not both_ways else 1.25 if last else 1.125)
+        angle = np.linspace(0, end, 721)[:-1]
         here = np.full(720, radius)
-        if number + 1 < len(loops):  # the last eighth of a turn leads inward to the next loop
-            t = np.clip((angle / (2 * np.pi) - 0.875) / 0.125, 0, 1)
+        if not last:  # the last eighth of a turn leads inward to the next loop
+            t = np.clip((angle - end) / (2 * np.pi) / 0.125 + 1, 0, 1)
             here = radius + (loops[number + 1] - radius) * t**2 * (3 - 2 * t)
-        turns.append(np.stack([angle + 2 * np.pi * number, here], -1))
+        turns.append(np.stack([angle + start, here], -1))
+        start += end
     angle, radius = np.concatenate(turns).T
     line = np.stack([radius * np.cos(angle), radius * np.sin(angle)], -1)
     length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     at = np.linspace(0, length[-1], photos)
     places = np.stack([np.interp(at, length, line[:, i]) for i in range(2)], -1)
-    return places, np.interp(at, length, angle)
+    bearing = np.interp(at, length, angle)
+    heading = bearing + np.pi + 0.3 * np.sin(np.arange(photos) * 2 * np.pi / 23)
+    if both_ways:  # turning round takes the first quarter of the last loop
+        heading += np.pi * np.clip((bearing - turns[-1][0, 0]) / (np.pi / 2), 0, 1)
+    return places, heading
 
 
 def transects(radius_m: float, photos: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -67,12 +82,11 @@ def plot_cameras(
     height: int,
     hfov_deg: float,
     zigzag: float = 0.0,
+    both_ways: bool = False,
 ) -> list[Camera]:
-    """The photographs' cameras in walking order; a share ``zigzag`` of them is taken on transects."""
+    """The photographs' cameras in walking order (:func:`walk`); a share ``zigzag`` of them is taken on transects."""
     crossing = round(photos * zigzag)
-    places, bearing = walk(radius_m, photos - crossing)
-    # Looking inward, swaying slowly to both sides: from the inner loops that shows the trees beyond the centre.
-    yaw = bearing + np.pi + 0.3 * np.sin(np.arange(len(bearing)) * 2 * np.pi / 23)
+    places, yaw = walk(radius_m, photos - crossing, both_ways=both_ways)
     if crossing:
         more, heading = transects(radius_m, crossing)
         places, yaw = np.concatenate([places, more]), np.concatenate([yaw, heading])
