@@ -9,12 +9,14 @@ import typer
 
 from fsinfer import __version__
 from fsinfer.cli_console import Debug, Quiet, explain, reports_errors, say, show_library_warnings, stage_progress, warn
+from fsinfer.cli_field import register_field
 from fsinfer.cli_options import (
     ArucoDictionary,
     ArucoLength,
     BhRule,
     BreastHeight,
     BreastHeightRule,
+    Edits,
     Endpoints,
     EndpointsLength,
     Equalize,
@@ -90,13 +92,15 @@ def run(
     max_size: MaxSize = 1280,
     bh: BreastHeight = 1.3,
     bh_rule: BreastHeightRule = BhRule.midpoint,
+    edits: Edits = None,
     threads: Threads = 0,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
     """Do everything: photos to point cloud, stem map, DBH and report. Run again to go on after a stop.
 
-    Without a scale option the cloud is in model units and no DBH is measured; adding one later takes seconds.
+    Boards printed by fsinfer marker give the scale by themselves. Without them and without a scale option the cloud is
+    in model units and no DBH is measured; adding one later takes seconds.
     """
     request = scale_request(scale, aruco_length_m, aruco_dictionary, endpoints, length_m)
     from fsinfer.pipeline import RunSettings
@@ -109,7 +113,7 @@ def run(
         scale=request,
     )
     with stage_progress(quiet=quiet) as progress:
-        result = run_pipeline(source, out, settings=settings, progress=progress)
+        result = run_pipeline(source, out, settings=settings, edits=edits, progress=progress)
     plot = result.plot
     warn(plot["warnings"])
     if not any(record.ran for record in result.stages):
@@ -120,6 +124,7 @@ def run(
     typer.echo(f"Report: {out / 'report.html'}")
 
 
+register_field(app)
 register_stages(app)
 
 

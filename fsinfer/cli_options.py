@@ -84,6 +84,14 @@ class BhRule(StrEnum):
     uphill = "uphill"
 
 
+Edits = Annotated[
+    Path | None,
+    typer.Option(
+        "--edits",
+        help="CSV of corrections to the stem map: trees to delete, add or merge. Default: OUT/edits.csv.",
+        show_default=False,
+    ),
+]
 BreastHeightRule = Annotated[
     BhRule,
     typer.Option("--bh-rule", help="Count breast height from the ground in the middle of the stem, or uphill of it."),

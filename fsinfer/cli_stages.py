@@ -16,6 +16,7 @@ from fsinfer.cli_options import (
     BhRule,
     BreastHeight,
     BreastHeightRule,
+    Edits,
     Endpoints,
     EndpointsLength,
     Equalize,
@@ -143,6 +144,7 @@ def trees(
     length_m: EndpointsLength = None,
     bh: BreastHeight = 1.3,
     bh_rule: BreastHeightRule = BhRule.midpoint,
+    edits: Edits = None,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
@@ -155,7 +157,12 @@ def trees(
 
     with stage_progress(quiet=quiet) as progress:
         result = measure_cloud_file(
-            cloud, out, request=request, settings=tree_settings(bh_m=bh, bh_rule=bh_rule), progress=progress("trees")
+            cloud,
+            out,
+            request=request,
+            settings=tree_settings(bh_m=bh, bh_rule=bh_rule),
+            edits=edits,
+            progress=progress("trees"),
         )
     warn(result["warnings"])
     typer.echo(f"{result['trees']} trees, {result['trees_with_dbh']} with DBH, in {out / 'trees.csv'}")

@@ -53,6 +53,7 @@ class QualityLimits:
     min_mean, max_mean: of the luminance, 0 to 255.
     max_dark_share, max_bright_share: a forest against the sky easily has 30 % of white.
     min_difference: mean difference of luminance thumbnails (0 to 255) from the last kept photo; less is a repetition.
+        A change of the exposure alone, up to a stop each way, makes no difference.
     """
 
     min_relative_sharpness: float = 0.35
@@ -106,11 +107,17 @@ def reasons_to_drop(scores: Sequence[FrameScore], limits: QualityLimits) -> list
     for index, score in enumerate(scores):
         if reasons[index]:
             continue
-        if last is not None and float(np.abs(score.thumbnail - last.thumbnail).mean()) < limits.min_difference:
+        if last is not None and difference(score.thumbnail, last.thumbnail) < limits.min_difference:
             reasons[index] = "same as the one before"
         else:
             last = score
     return reasons
+
+
+def difference(first: NDArray[np.float32], second: NDArray[np.float32]) -> float:
+    """Mean absolute difference of two luminance thumbnails after the exposure of the second is matched to the first."""
+    gain = float(np.clip((first.mean() + 1) / (second.mean() + 1), 0.5, 2.0))
+    return float(np.abs(first - gain * second).mean())
 
 
 def _exposure_reason(score: FrameScore, limits: QualityLimits) -> str:

@@ -1,4 +1,4 @@
-"""Photos or a video to the frames worth using: sharp, well exposed, upright, with a reason for each that is not."""
+"""Photos and videos to the frames worth using: sharp, well exposed, upright; with a reason for each that is not."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from fsinfer.contact_sheet import Tile, thumbnail, write_contact_sheet
 from fsinfer.errors import ImageError, OutputError
 from fsinfer.files import make_folder, write_text
 from fsinfer.frame_quality import (
@@ -22,15 +23,24 @@ from fsinfer.frame_quality import (
     reasons_to_drop,
     score_frame,
 )
-from fsinfer.images import camera_exif, is_upright_jpeg_or_png, list_images, read_image, write_image
+from fsinfer.images import (
+    PHOTO_SUFFIXES,
+    camera_exif,
+    is_upright_jpeg_or_png,
+    list_images,
+    named_camera_exif,
+    read_image,
+    write_image,
+)
 from fsinfer.progress import Progress, silent
 from fsinfer.stages import file_digest
-from fsinfer.video import sharpest_frames
+from fsinfer.video import VIDEO_SUFFIXES, sharpest_frames
 
-__all__ = ["FrameRow", "FrameSettings", "FramesResult", "select_frames"]
+__all__ = ["FrameRow", "FrameSettings", "FramesResult", "list_captures", "select_frames"]
 
 _log = logging.getLogger(__name__)
 _JPEG_SUFFIXES = frozenset({".jpg", ".jpeg"})
+CONTACT_SHEET = "frames_contact.jpg"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,18 +98,44 @@ class FramesResult:
     warnings: tuple[str, ...] = ()
 
 
+def list_captures(source: Path) -> list[Path]:
+    """The photos and videos that ``source`` (a folder or one video) holds, sorted by name.
+
+    Raises
+    ------
+    ImageError
+        It is missing, or a folder without any.
+    """
+    if not source.is_dir():
+        return [source]
+    videos = [
+        path
+        for path in source.iterdir()
+        if path.suffix.lower() in VIDEO_SUFFIXES and not path.name.startswith(".") and path.is_file()
+    ]
+    photos = [] if videos and not _has_photos(source) else list_images(source)
+    return sorted([*photos, *videos])
+
+
+def _has_photos(folder: Path) -> bool:
+    return any(path.suffix.lower() in PHOTO_SUFFIXES for path in folder.iterdir())
+
+
 def select_frames(
     source: Path | str, out: Path | str, *, settings: FrameSettings | None = None, progress: Progress = silent
 ) -> FramesResult:
-    """Choose frames and write ``out/images/NAME.jpg`` and ``out/frames.csv``.
+    """Choose frames and write ``out/images/NAME.jpg``, ``out/frames.csv`` and ``out/frames_contact.jpg``.
+
+    A folder may hold photos and videos of several cameras: each video is judged by itself, and gets a calibration of
+    its own later. The contact sheet shows what was dropped and why; there is none when nothing was.
 
     A photo that cannot be read is a row with a reason, not the end: it may be one of a hundred. Photos may differ in
     size. Called again with the same source and settings it returns what was chosen before.
 
     Parameters
     ----------
-    source: folder of photos, or a video.
-    out: folder for ``images`` and ``frames.csv``.
+    source: folder of photos and videos, or a video.
+    out: folder for ``images``, ``frames.csv`` and ``frames_contact.jpg``.
 
     Raises
     ------
@@ -118,17 +154,31 @@ def select_frames(
     if source.resolve().is_relative_to((out / "images").resolve()):
         msg = f"{source} would be overwritten by the chosen frames; choose another output folder than {out}"
         raise ImageError(msg)
-    paths = list_images(source) if source.is_dir() else [source]
+    paths = list_captures(source)
     key = {"settings": asdict(settings), "source": {path.name: file_digest(path) for path in paths}}
     finished = _finished(out, key)
     if finished is not None:
         return finished
     _clear(out)
     write_text(out / "frames.json", json.dumps({"key": None}) + "\n")
-    if source.is_dir():
-        rows = _from_photos(paths, out / "images", settings, progress)
-    else:
-        rows = _from_video(source, out / "images", settings, progress)
+    tiles: list[Tile] = []
+    rows: list[FrameRow] = []
+    clips = [path for path in paths if path.suffix.lower() in VIDEO_SUFFIXES or not source.is_dir()]
+    photos = [path for path in paths if path not in clips]
+    if photos:
+        rows += _from_photos(photos, out / "images", settings, tiles, progress)
+    names = [row.name for row in rows]
+    for clip in clips:
+        # Clips of several phones may have one size: the name of the clip in the metadata keeps their lenses apart.
+        exif = named_camera_exif(f"clip {clip.name}") if len(paths) > 1 else None
+        try:
+            rows += _from_video(clip, out / "images", settings, exif, names, tiles, progress)
+        except ImageError as error:
+            if len(paths) == 1:
+                raise
+            rows.append(_row(clip.stem, clip.name, None, None, f"cannot be read: {error}"))
+    rows.sort(key=lambda row: row.name)
+    write_contact_sheet(out / CONTACT_SHEET, tiles, total=len(rows))
     images = tuple(out / "images" / f"{row.name}.jpg" for row in rows if row.kept)
     warnings = _warnings(rows)
     write_text(out / "frames.csv", _as_csv(rows))
@@ -142,7 +192,9 @@ def select_frames(
     return FramesResult(images=images, rows=tuple(rows), warnings=tuple(warnings))
 
 
-def _from_photos(paths: Sequence[Path], folder: Path, settings: FrameSettings, progress: Progress) -> list[FrameRow]:
+def _from_photos(
+    paths: Sequence[Path], folder: Path, settings: FrameSettings, tiles: list[Tile], progress: Progress
+) -> list[FrameRow]:
     scores: dict[Path, FrameScore] = {}
     reasons: dict[Path, str] = {}
     first_of: dict[str, Path] = {}
@@ -170,6 +222,10 @@ def _from_photos(paths: Sequence[Path], folder: Path, settings: FrameSettings, p
         progress(len(paths) + done, 2 * len(paths), "writing frames")
         if not reasons[path]:
             _write_photo(path, folder / f"{path.stem}.jpg", settings)
+        else:
+            readable = path in scores or not reasons[path].startswith("cannot be read")
+            small = thumbnail(read_image(path)) if readable else None
+            tiles.append(Tile(image=small, name=path.name, reason=reasons[path]))
     progress(2 * len(paths), 2 * len(paths), "writing frames")
     return [_row(path.stem, path.name, None, scores.get(path), reasons[path]) for path in paths]
 
@@ -188,21 +244,35 @@ def _write_photo(path: Path, target: Path, settings: FrameSettings) -> None:
     write_image(target, image, quality=settings.jpeg_quality, exif=camera_exif(path))
 
 
-def _from_video(path: Path, folder: Path, settings: FrameSettings, progress: Progress) -> list[FrameRow]:
+def _from_video(
+    path: Path,
+    folder: Path,
+    settings: FrameSettings,
+    exif: bytes | None,
+    taken: list[str],
+    tiles: list[Tile],
+    progress: Progress,
+) -> list[FrameRow]:
     found: list[tuple[str, float, FrameScore]] = []
+    stem = path.stem.replace(" ", "_")
+    # IMG_1.mov beside IMG_1.mp4, or beside a photo IMG_1_000030.jpg.
+    while any(name.startswith(f"{stem}_") for name in taken):
+        stem += "_clip"
     frames = sharpest_frames(path, interval_s=settings.interval_s, window_s=settings.window_s, progress=progress)
     for frame in frames:
-        name = f"{path.stem.replace(' ', '_')}_{frame.index:06d}"
+        name = f"{stem}_{frame.index:06d}"
         score = score_frame(frame.image)
         image = equalize(frame.image, settings.equalize)
-        write_image(folder / f"{name}.jpg", image, quality=settings.jpeg_quality)
+        write_image(folder / f"{name}.jpg", image, quality=settings.jpeg_quality, exif=exif)
         found.append((name, frame.time_s, score))
     reasons = reasons_to_drop([score for _, _, score in found], settings.limits)
     rows = []
     for (name, time_s, score), reason in zip(found, reasons, strict=True):
         if reason:
+            tiles.append(Tile(image=thumbnail(read_image(folder / f"{name}.jpg")), name=name, reason=reason))
             (folder / f"{name}.jpg").unlink(missing_ok=True)
         rows.append(_row(name, path.name, time_s, score, reason))
+    taken += [row.name for row in rows]
     return rows
 
 
@@ -282,7 +352,7 @@ def _clear(out: Path) -> None:
         return
     try:
         shutil.rmtree(out / "images", ignore_errors=True)
-        for name in ("frames.json", "frames.csv"):
+        for name in ("frames.json", "frames.csv", CONTACT_SHEET):
             (out / name).unlink(missing_ok=True)
     except OSError as error:
         msg = f"cannot clear {out} ({error.strerror or error}); choose another output folder"

@@ -29,6 +29,8 @@ _ORIENTATION = 0x0112
 _EXIF_IFD = 0x8769
 _MAKE, _MODEL = 0x010F, 0x0110
 _FOCAL_LENGTH, _FOCAL_LENGTH_35MM = 0x920A, 0xA405
+_GNSS_IFD = 0x8825
+_LATITUDE_REF, _LATITUDE, _LONGITUDE_REF, _LONGITUDE = 1, 2, 3, 4
 
 
 def list_images(folder: Path | str) -> list[Path]:
@@ -151,6 +153,15 @@ def camera_exif(path: Path | str) -> bytes | None:
     return kept.tobytes() if len(kept) or kept_lens else None
 
 
+def named_camera_exif(model: str) -> bytes:
+    """Metadata for frames of one video: a camera model of their own, so that they share no lens with other frames."""
+    from PIL import Image
+
+    kept = Image.Exif()
+    kept[_MODEL] = model
+    return kept.tobytes()
+
+
 def camera_key(path: Path | str) -> tuple[str, ...]:
     """Name the camera and lens of a photo: equal keys mean that the photos can share a calibration.
 
@@ -187,6 +198,22 @@ def is_upright_jpeg_or_png(path: Path | str) -> bool:
     with image:
         plain = image.format in ("JPEG", "PNG") and image.mode in ("RGB", "L")
         return plain and int(image.getexif().get(_ORIENTATION, 1)) in (0, 1)
+
+
+def gnss_degrees(path: Path | str) -> tuple[float, float] | None:
+    """(latitude, longitude) in degrees that the phone noted, None where it noted none that can be read."""
+    try:
+        with _open_header(Path(path)) as image:
+            tags = dict(image.getexif().get_ifd(_GNSS_IFD))
+        values = []
+        for value, reference, negative in ((_LATITUDE, _LATITUDE_REF, "S"), (_LONGITUDE, _LONGITUDE_REF, "W")):
+            degrees, minutes, seconds = (float(part) for part in tags[value])
+            sign = -1 if str(tags.get(reference, "")).upper().startswith(negative) else 1
+            values.append(sign * (degrees + minutes / 60 + seconds / 3600))
+    except (ImageError, OSError, KeyError, ValueError, TypeError, ZeroDivisionError):
+        # Broken metadata costs a direction and nothing else.
+        return None
+    return (values[0], values[1]) if np.isfinite(values).all() else None
 
 
 def _open_header(path: Path) -> Image:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import cv2
@@ -29,19 +29,23 @@ def dictionary_names() -> list[str]:
     return sorted(name.removeprefix(_PREFIX) for name in dir(cv2.aruco) if name.startswith(_PREFIX))
 
 
-def make_detector(dictionary: str) -> cv2.aruco.ArucoDetector:
-    """An OpenCV detector with sub-pixel corners; :class:`ScaleError` for an unknown dictionary."""
+def predefined_dictionary(dictionary: str) -> cv2.aruco.Dictionary:
+    """OpenCV's dictionary of that name; :class:`ScaleError` where there is none."""
     name = dictionary.upper().removeprefix(_PREFIX)
     if name not in dictionary_names():
         msg = f"there is no ArUco dictionary {dictionary!r}; choose one of {', '.join(dictionary_names())}"
         raise ScaleError(msg)
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, _PREFIX + name))
+
+
+def make_detector(dictionary: str) -> cv2.aruco.ArucoDetector:
+    """An OpenCV detector with sub-pixel corners; :class:`ScaleError` for an unknown dictionary."""
     parameters = cv2.aruco.DetectorParameters()
     # A start for our own refinement, which is not biased.
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     parameters.cornerRefinementWinSize = 5
     parameters.relativeCornerRefinmentWinSize = 0.3
-    predefined = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, _PREFIX + name))
-    return cv2.aruco.ArucoDetector(predefined, parameters)
+    return cv2.aruco.ArucoDetector(predefined_dictionary(dictionary), parameters)
 
 
 def detect_markers(
@@ -62,7 +66,7 @@ def detect_markers(
 
 def scale_from_aruco(
     scene: Scene,
-    length_m: float,
+    length_m: float | Mapping[int, float],
     *,
     dictionary: str = "4X4_50",
     settings: MarkerSettings | None = None,
@@ -76,7 +80,8 @@ def scale_from_aruco(
 
     Parameters
     ----------
-    length_m: side of the black square, metres, the same for all markers; their numbers do not matter.
+    length_m: side of the black square, metres, the same for all markers, whose numbers then do not matter; or the
+        side of each number, and markers of other numbers are left alone.
     dictionary: such as ``4X4_50``; see :func:`dictionary_names`.
 
     Returns
@@ -90,7 +95,8 @@ def scale_from_aruco(
     ImageError
         A scene image cannot be read.
     """
-    check_length(length_m, "the side of the markers")
+    for length in length_m.values() if isinstance(length_m, Mapping) else (length_m,):
+        check_length(length, "the side of the markers")
     settings = settings or MarkerSettings()
     detector = make_detector(dictionary)
     sightings: list[Sighting] = []
@@ -99,7 +105,8 @@ def scale_from_aruco(
         for number, corners_px in detect_markers(
             read_image(view.image_path), detector, min_side_px=settings.min_side_px
         ):
-            sightings.append(Sighting(marker_id=number, view=index, corners_px=corners_px))
+            if not isinstance(length_m, Mapping) or number in length_m:
+                sightings.append(Sighting(marker_id=number, view=index, corners_px=corners_px))
     progress(len(scene.views), len(scene.views), "looking for markers")
     projections = [view.camera.intrinsic @ view.camera.cam_from_world[:3] for view in scene.views]
     centers = np.array([view.camera.center for view in scene.views])
@@ -114,12 +121,14 @@ def scale_from_aruco(
         "photos_searched": len(scene.views),
         "photos_with_markers": len({sighting.view for sighting in sightings}),
         "dictionary": dictionary,
-        "length_m": length_m,
+        "length_m": None if isinstance(length_m, Mapping) else length_m,
         "rejected": rejected,
     }
     if not markers:
         raise ScaleError(_nothing_found(scene, sightings, rejected, dictionary, settings))
-    return _combine(scene, markers, length_m, settings, searched)
+    numbers = [marker.sightings[0].marker_id for marker in markers]
+    lengths = [length_m[number] if isinstance(length_m, Mapping) else length_m for number in numbers]
+    return _combine(scene, markers, np.array(lengths), settings, searched)
 
 
 def _nothing_found(
@@ -147,11 +156,11 @@ def _nothing_found(
 def _combine(
     scene: Scene,
     markers: Sequence[FittedMarker],
-    length_m: float,
+    lengths_m: NDArray[np.float64],
     settings: MarkerSettings,
     searched: dict[str, Any],
 ) -> Scale:
-    scales = np.array([length_m / marker.side_units for marker in markers])
+    scales = lengths_m / np.array([marker.side_units for marker in markers])
     rel_stds = np.array([marker.side_rel_std for marker in markers])
     # Markers differ by the warp of the model too, which no residual shows: none counts for much more than another.
     weights = 1 / (rel_stds**2 + settings.length_rel_std**2)
@@ -165,12 +174,15 @@ def _combine(
                 "id": marker.sightings[0].marker_id,
                 "views": [scene.views[sighting.view].name for sighting in marker.sightings],
                 "center": marker.corners.mean(axis=0).tolist(),
+                "length_m": float(lengths_m[index]),
                 "side_units": marker.side_units,
                 "m_per_unit": float(scales[index]),
                 "rel_std": float(rel_stds[index]),
-                "residual_rel": float(marker.side_units * combined / length_m - 1),
-                "residual_mm": float(1000 * (marker.side_units * combined - length_m)),
+                "residual_rel": float(marker.side_units * combined / lengths_m[index] - 1),
+                "residual_mm": float(1000 * (marker.side_units * combined - lengths_m[index])),
                 "error_px": marker.error_px,
+                # Of the five largest the smallest: what the photos from near by can measure.
+                "near_side_px": float(np.sort([sighting.side_px for sighting in marker.sightings])[-5:][0]),
                 "angle_deg": marker.angle_deg,
                 "leave_one_out_m_per_unit": without,
                 "leave_one_out_rel": None if without is None else without / combined - 1,

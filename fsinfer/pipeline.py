@@ -15,7 +15,7 @@ from fsinfer.cloud import read_cloud, write_cloud
 from fsinfer.depth import DepthSettings, estimate_depth
 from fsinfer.errors import CloudError, InputError
 from fsinfer.files import make_folder
-from fsinfer.frames import FrameSettings, select_frames
+from fsinfer.frames import FrameSettings, list_captures, select_frames
 from fsinfer.fusion import FusionSettings, fuse
 from fsinfer.images import list_images
 from fsinfer.manifest import read_manifest
@@ -27,6 +27,7 @@ from fsinfer.scale_request import ScaleRequest, find_scale
 from fsinfer.scene import Scene, read_scene
 from fsinfer.sparse import depth_vs_sfm, read_sparse
 from fsinfer.stages import StageBook, StageRecord, as_json, file_digest
+from fsinfer.tree_edits import TreeEdit, find_edits
 from fsinfer.tree_outputs import write_no_trees, write_tree_outputs
 from fsinfer.trees import TreeSettings
 
@@ -80,6 +81,7 @@ class _Job:
     model_sha256: str
     book: StageBook
     progress: StageProgress
+    edits: tuple[TreeEdit, ...] = ()
 
     def scene(self) -> Scene:
         return read_scene(self.out / "scene")
@@ -90,6 +92,7 @@ def run(
     out: Path,
     *,
     settings: RunSettings | None = None,
+    edits: Path | None = None,
     progress: StageProgress = silent_stages,
 ) -> RunResult:
     """Do the whole job, going on from what an earlier run into ``out`` finished.
@@ -99,6 +102,7 @@ def run(
     source: a folder of photographs, or a video.
     out: output folder, made if missing. Its layout is in docs/quickstart.md.
     settings: of all stages.
+    edits: corrections of the stem map by hand; without it ``OUT/edits.csv``, where there is one.
     progress: gives the progress callback for a stage's name.
 
     Raises
@@ -111,6 +115,7 @@ def run(
     files = _source_files(source, out)
     # A wrong model name must not show after an hour of structure from motion.
     model_sha256 = read_manifest(settings.depth.model).sha256
+    corrections = find_edits(out, edits)
     make_folder(out)
     job = _Job(
         source=source,
@@ -120,6 +125,7 @@ def run(
         model_sha256=model_sha256,
         book=StageBook(out),
         progress=progress,
+        edits=corrections,
     )
     for stage in (_frames, _poses, _depth, _check, _fuse, _scale, _cloud, _trees):
         stage(job)
@@ -139,7 +145,7 @@ def _source_files(source: Path, out: Path) -> list[Path]:
     if inside:
         msg = f"{source} lies in {out / inside[0]}, which the run empties and fills; choose another output folder"
         raise InputError(msg)
-    return list_images(source) if source.is_dir() else [source]
+    return list_captures(source)
 
 
 def _frames(job: _Job) -> None:
@@ -275,6 +281,7 @@ def _trees(job: _Job) -> None:
                 metric=scale["m_per_unit"] is not None,
                 camera_height=job.book.records["cloud"].result["camera_height"],
                 marker_xyz=marker_centers(scale, job.book.records["cloud"].result["cloud_from_scene"]),
+                edits=job.edits,
                 progress=job.progress("trees"),
             )
         except CloudError as error:
@@ -287,6 +294,7 @@ def _trees(job: _Job) -> None:
         inputs={
             "settings": _speedless(job.settings.trees),
             "rel_std": scale["rel_std"],
+            "edits": job.edits,
             "versions": package_versions()["fsinfer"],
         },
         after=["cloud"],

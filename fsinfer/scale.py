@@ -136,7 +136,11 @@ def scale_from_clicks(scene: Scene, clicks: Mapping[str, Sequence[tuple[float, f
 
 
 def scale_from_aruco(
-    scene: Scene, length_m: float, *, dictionary: str = "4X4_50", progress: Progress | None = None
+    scene: Scene,
+    length_m: float | Mapping[int, float],
+    *,
+    dictionary: str = "4X4_50",
+    progress: Progress | None = None,
 ) -> Scale:
     """Scale from ArUco markers in the photographs; see :func:`fsinfer.markers.scale_from_aruco`."""
     from fsinfer import markers

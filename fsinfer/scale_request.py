@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -13,17 +14,20 @@ if TYPE_CHECKING:
     from fsinfer.scale import Scale
     from fsinfer.scene import Scene
 
+_log = logging.getLogger(__name__)
+
 Point = tuple[float, float, float]
 
 NO_SCALE = (
-    "no scale was given: the cloud is in model units and no DBH is measured; photograph ArUco markers and give "
-    "--aruco-length-m, or give --endpoints with --length-m (two points read off cloud.ply), or --scale"
+    "no scale was given: the cloud is in model units and no DBH is measured; photograph boards printed by fsinfer "
+    "marker, or ArUco markers of your own and give --aruco-length-m, or give --endpoints with --length-m (two points "
+    "read off cloud.ply), or --scale"
 )
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScaleRequest:
-    """At most one source of scale; none of them leaves the result in model units.
+    """At most one source of scale; with none, boards that tell their length are looked for.
 
     Attributes
     ----------
@@ -32,6 +36,8 @@ class ScaleRequest:
     aruco_dictionary: name of the marker dictionary, as printed on the markers.
     endpoints: two points, in the units of the cloud without a scale; only their distance matters.
     length_m: the true distance of the two points, metres.
+    printed_boards: without another source, look for boards printed by ``fsinfer marker``, whose numbers tell their
+        length (:mod:`fsinfer.printed_boards`); the result is in model units where there are none.
 
     Raises
     ------
@@ -44,6 +50,7 @@ class ScaleRequest:
     aruco_dictionary: str = "4X4_50"
     endpoints: tuple[Point, Point] | None = None
     length_m: float | None = None
+    printed_boards: bool = True
 
     def __post_init__(self) -> None:
         given = [
@@ -127,7 +134,8 @@ def find_scale(
     if request.endpoints is not None and request.length_m is not None:
         return scale_from_endpoints(*request.endpoints, request.length_m), ()
     if request.aruco_length_m is None:
-        return nothing, (NO_SCALE,)
+        boards = _from_printed_boards(scene, progress) if request.printed_boards and scene is not None else None
+        return (nothing, (NO_SCALE,)) if boards is None else (boards, _few_boards(boards))
     if scene is None:
         msg = (
             "--aruco-length-m looks for the markers in the photographs, and there is no scene here; use it with "
@@ -139,3 +147,26 @@ def find_scale(
     except ScaleError as error:
         return nothing, (f"no scale from ArUco markers, the result is in model units and no DBH is measured: {error}",)
     return scale, ()
+
+
+def _from_printed_boards(scene: Scene, progress: Progress) -> Scale | None:
+    """The scale by boards that tell their length, or None where no such board can be used."""
+    from fsinfer.printed_boards import DICTIONARY, board_lengths
+    from fsinfer.scale import scale_from_aruco
+
+    try:
+        return scale_from_aruco(scene, board_lengths(), dictionary=DICTIONARY, progress=progress)
+    except ScaleError as error:
+        # No board, or none that is seen well enough: nobody asked for boards, so that this is no warning of its own.
+        _log.info("no scale from printed boards: %s", error)
+        return None
+
+
+def _few_boards(scale: Scale) -> tuple[str, ...]:
+    found = scale.details["markers"]
+    if len(found) > 1:
+        return ()
+    return (
+        f"the scale rests on one board (number {found[0]['id']}, {found[0]['length_m']:g} m by its number); "
+        "measure it with a ruler, and put up three or more next time",
+    )

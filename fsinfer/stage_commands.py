@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fsinfer.cloud import read_cloud, write_cloud
+from fsinfer.cloud import PointCloud, read_cloud, write_cloud
+from fsinfer.cloud_chunks import open_chunks
+from fsinfer.cloud_thinning import ThinningSettings, thin_while_reading
 from fsinfer.errors import ScaleError
 from fsinfer.files import make_folder
 from fsinfer.las import read_epsg
@@ -19,6 +22,8 @@ from fsinfer.progress import Progress, silent
 from fsinfer.scale_request import NO_SCALE, ScaleRequest, find_scale
 from fsinfer.scene import read_scene
 from fsinfer.stages import as_json
+from fsinfer.tree_edits import find_edits
+from fsinfer.tree_labels import write_labelled
 from fsinfer.tree_outputs import write_tree_outputs
 
 if TYPE_CHECKING:
@@ -78,9 +83,15 @@ def measure_cloud_file(
     *,
     request: ScaleRequest,
     settings: TreeSettings,
+    thinning: ThinningSettings | None = None,
+    edits: Path | None = None,
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Measure the trees of a cloud file (z up) into ``out``.
+
+    Files of more than ``thinning.max_points`` points are read in pieces and thinned, which the warnings say.
+
+    ``edits`` are corrections of the stem map by hand; without it ``edits.csv`` in ``out``, where there is one.
 
     The cloud is taken to be in metres, unless ``plot.json`` beside it says that it has no scale and none is given
     here: then trees get positions in model units and no DBH, and the warnings say why.
@@ -93,15 +104,26 @@ def measure_cloud_file(
         ArUco markers were asked for, and ``out`` has no scene that the cloud came from.
     """
     start = time.perf_counter()
-    cloud = read_cloud(cloud_path)
+    thinning = thinning or ThinningSettings()
+    corrections = find_edits(out, edits)
+    chunked = open_chunks(cloud_path)
+    large = chunked if chunked is not None and chunked.points > thinning.max_points else None
     origin = read_plot(cloud_path.parent)
     scale, warnings = _cloud_scale(request, cloud_path, out, origin)
     make_folder(out)
     # Nothing said and nothing known to the contrary: other people's clouds are in metres.
     metric = scale.m_per_unit is not None or origin.get("units") != MODEL_UNITS
     factor = scale.m_per_unit or 1.0
-    if factor != 1.0:
-        cloud = transform_cloud(cloud, np.diag([factor, factor, factor, 1.0]))
+    if large is None:
+        cloud = read_cloud(cloud_path)
+        points = len(cloud.xyz)
+        if factor != 1.0:
+            cloud = transform_cloud(cloud, np.diag([factor, factor, factor, 1.0]))
+    else:
+        large = replace(large, factor=factor)
+        thinned = thin_while_reading(large, settings=thinning, progress=progress)
+        cloud, points = PointCloud(xyz=thinned.xyz), thinned.total
+        warnings = (*warnings, *thinned.warnings)
     result = write_tree_outputs(
         cloud,
         out,
@@ -111,6 +133,8 @@ def measure_cloud_file(
         camera_height=origin.get("camera_height"),
         # A cloud that had to be scaled is not in the frame that its header names.
         epsg=read_epsg(cloud_path) if cloud_path.suffix.lower() in (".las", ".laz") and factor == 1.0 else None,
+        write_labelled=None if large is None else partial(write_labelled, large),
+        edits=corrections,
         progress=progress,
     )
     result["warnings"] = [*warnings, *result["warnings"]]
@@ -120,8 +144,11 @@ def measure_cloud_file(
     own_cloud = cloud_path.resolve().parent == out.resolve()
     # A cloud of unknown unit that was measured as it is was taken to be in metres.
     if not own_cloud or "units" not in before or (before["units"] == SCENE_UNITS and factor == 1.0):
-        values |= {"units": "m" if metric else MODEL_UNITS, "points": len(cloud.xyz), "versions": package_versions()}
-        values |= {"density_per_m2": density_per_m2(cloud.xyz) if metric else None, "warnings": result["warnings"]}
+        values |= {"units": "m" if metric else MODEL_UNITS, "points": points, "versions": package_versions()}
+        density = density_per_m2(cloud.xyz) if metric else None
+        # Thinning leaves something in every cell: the area is that of the whole cloud.
+        density = None if density is None else density * points / len(cloud.xyz)
+        values |= {"density_per_m2": density, "warnings": result["warnings"]}
     seconds = time.perf_counter() - start
     update_plot(out, source=cloud_path.name, stage="trees", seconds=seconds, values=values)
     return result

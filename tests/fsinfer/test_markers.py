@@ -216,3 +216,31 @@ def test_weighted_median() -> None:
     assert weighted_median(np.array([1.0, 3.0]), np.array([1.0, 1.0])) == 2.0
     # One wrong marker among five of equal weight does not move it.
     assert weighted_median(np.array([1.0, 1.01, 0.99, 1.0, 7.0]), np.ones(5)) == pytest.approx(1.0)
+
+
+def test_printed_boards_need_no_option(tmp_path: Path) -> None:
+    """Numbers 23 and 41 tell 0.15 and 0.25 m; 7 tells nothing and is left alone."""
+    from fsinfer.scale_request import NO_SCALE, ScaleRequest, find_scale
+
+    only = make_scene(tmp_path / "one", {1: 23})
+    scale, warnings = find_scale(ScaleRequest(), scene=only)
+    assert scale.m_per_unit == pytest.approx(0.15 / SIDE, rel=0.004)
+    assert [entry["id"] for entry in scale.details["markers"]] == [23]
+    assert "one board (number 23, 0.15 m" in warnings[0]
+    anybodys = make_scene(tmp_path / "other", {0: 7})
+    scale, warnings = find_scale(ScaleRequest(), scene=anybodys)
+    assert (scale.m_per_unit, scale.source, warnings) == (None, "none", (NO_SCALE,))
+
+
+def test_boards_of_different_lengths_give_one_scale(tmp_path: Path) -> None:
+    scene = make_scene(tmp_path, {0: 7, 1: 23, 2: 41})
+    # All three are 0.30 units wide here: told different lengths they must contradict each other, told one, agree.
+    agreed = scale_from_aruco(scene, {7: 0.3, 23: 0.3, 41: 0.3})
+    assert max(abs(entry["residual_mm"]) for entry in agreed.details["markers"]) < 1.5
+    told = scale_from_aruco(scene, {7: 0.3, 23: 0.3, 41: 0.15})
+    assert told.m_per_unit == pytest.approx(1.0, rel=0.01)
+    wrong = {entry["id"]: entry["residual_mm"] for entry in told.details["markers"]}
+    assert wrong[41] == pytest.approx(150, abs=3)
+    assert told.rel_std is not None
+    assert agreed.rel_std is not None
+    assert told.rel_std > 5 * agreed.rel_std

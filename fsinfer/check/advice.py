@@ -1,0 +1,111 @@
+"""What the check found, in sentences for the person who still stands in the forest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.check.coverage import StemCoverage
+from fsinfer.check.north import Compass
+from fsinfer.scale import Scale
+
+# Photos in directions so near to the middle of the unseen side are named as places to stand.
+_PLACE_DEG = 20.0
+# A board is measured well from so many photos with sides of so many pixels: 0.07 px of every edge is 0.35 % of 40.
+_BOARD_VIEWS, _BOARD_SIDE_PX = 5, 40.0
+
+
+def advice(
+    *,
+    names: Sequence[str],
+    left_out: Sequence[str],
+    given: Sequence[str],
+    stems: Sequence[StemCoverage],
+    compass: Compass,
+    offsets_m: Sequence[NDArray[np.float64]],
+) -> list[str]:
+    """Sentences, what matters most first; empty when nothing has to be done again.
+
+    Parameters
+    ----------
+    names: of the placed photos in the order of walking; ``left_out``: of the others; ``given``: of all, in order.
+    offsets_m: for each stem, (P, 2) plan positions of the placed photos from it.
+    """
+    lines = _gaps_of_the_walk(given, set(left_out))
+    for entry, offsets in zip(stems, offsets_m, strict=True):
+        if entry.verdict == "one side":
+            side = compass.side(entry.gap_center_deg)
+            lines.append(
+                f"Walk round tree {entry.number} again, from {side}: it was seen from one side only "
+                f"({_place(entry, names, offsets)})."
+            )
+    for entry in stems:
+        if entry.verdict == "hardly seen":
+            side = f", above all from {compass.side(entry.gap_center_deg)}" if entry.one_sided else ""
+            lines.append(
+                f"Photograph tree {entry.number} again from nearer, all round{side}: only {len(entry.views)} photos "
+                f"share points on it (nearest photo {names[entry.nearest]})."
+            )
+    far = [str(entry.number) for entry in stems if entry.verdict == "far"]
+    if far:
+        which = f"trees {', '.join(far)}" if len(far) > 1 else f"tree {far[0]}"
+        lines.append(f"Seen all round, but from far: {which}. Pass at 3 to 6 m if their diameter matters to you.")
+    return lines
+
+
+def _place(entry: StemCoverage, names: Sequence[str], offsets_m: NDArray[np.float64]) -> str:
+    """Where that is in the walk: nearest photo, and the nearest of those on the missing side if there is one."""
+    text = f"the tree near photo {names[entry.nearest]}"
+    azimuths = np.degrees(np.arctan2(offsets_m[:, 1], offsets_m[:, 0]))
+    there = np.abs((azimuths - entry.gap_center_deg + 180) % 360 - 180) < _PLACE_DEG
+    if not there.any():
+        return text
+    nearest = int(np.where(there, np.linalg.norm(offsets_m, axis=1), np.inf).argmin())
+    return f"{text}; the missing side faces the place of photo {names[nearest]}"
+
+
+def _gaps_of_the_walk(given: Sequence[str], left_out: set[str]) -> list[str]:
+    """One sentence for each run of photos that could not be placed."""
+    runs: list[list[str]] = []
+    ranks = [rank for rank, name in enumerate(given) if name in left_out]
+    for before, rank in pairwise([-2, *ranks]):
+        if rank != before + 1:
+            runs.append([])
+        runs[-1].append(given[rank])
+    lines = []
+    for run in sorted(runs, key=len, reverse=True)[:10]:
+        which = f"Photos {run[0]} to {run[-1]} ({len(run)})" if len(run) > 1 else f"Photo {run[0]}"
+        again = "walk this stretch again, slower, with two thirds of each photo in the next"
+        single = "its neighbours make up for it if no tree is named here"
+        lines.append(f"{which} did not join the others: {again if len(run) > 1 else single}.")
+    return lines
+
+
+def marker_lines(scale: Scale, *, given: bool) -> list[str]:
+    """How well each board was seen, and what to do about it."""
+    found = scale.details.get("markers", [])
+    lines = []
+    for entry in found:
+        views, side_px = len(entry["views"]), float(entry["near_side_px"])
+        good = views >= _BOARD_VIEWS and side_px >= _BOARD_SIDE_PX
+        hint = "good" if good else "pass it again at 2 to 3 m, facing it, for five sharp photos"
+        lines.append(f"Board {entry['id']}: in {views} photos, its side up to {side_px:.0f} pixels: {hint}.")
+    usable = {entry["id"] for entry in found}
+    for entry in (entry for entry in scale.details.get("rejected", []) if entry["id"] not in usable):
+        lines.append(f"Board {entry['id']} cannot be used ({entry['reason']}): pass it again at 2 to 3 m, facing it.")
+    if not found:
+        lines.append("No board can be used: without one the plot has no scale, and no diameter is measured.")
+    elif len(found) < 3:
+        lines.append(f"{len(found)} board{'s' if len(found) > 1 else ''}: three or more, spread out, show a wrong one.")
+    if found and not given:
+        lines.append("The boards do not tell their length: give --aruco-length-m to fsinfer run.")
+    return lines
+
+
+def photo_names(paths: Sequence[Path]) -> list[str]:
+    """Names of photos without suffix, in order."""
+    return [path.stem for path in paths]

@@ -1,0 +1,289 @@
+"""Photos to advice: poses of small photos, stems in the sparse points, and who saw them from where."""
+
+from __future__ import annotations
+
+import json
+import logging
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from fsinfer.check.advice import advice, marker_lines
+from fsinfer.check.coverage import CoverageSettings, StemCoverage, judge_stems
+from fsinfer.check.north import Compass, find_compass, gnss_places
+from fsinfer.check.sparse_stems import SparseStemSettings, find_sparse_stems
+from fsinfer.errors import CloudError, ScaleError
+from fsinfer.files import make_folder, write_text
+from fsinfer.frames import FrameSettings, select_frames
+from fsinfer.images import list_images
+from fsinfer.levelling import level
+from fsinfer.markers import scale_from_aruco
+from fsinfer.poses import PoseSettings, estimate_poses
+from fsinfer.progress import Progress, silent
+from fsinfer.scale import Scale
+from fsinfer.scale_request import ScaleRequest, find_scale
+from fsinfer.scene import Scene, read_scene
+from fsinfer.sparse import SparseModel, read_sparse
+from fsinfer.trees.ground import find_ground
+
+_log = logging.getLogger(__name__)
+
+Floats = NDArray[np.float64]
+
+
+def quick_poses() -> PoseSettings:
+    """Smaller photos, fewer features and pairs than for a run: who saw what does not take the last pixel.
+
+    Matching goes with the number of pairs and the square of the features: a quarter of the work for 300 photos.
+    """
+    return PoseSettings(max_image_size=1200, max_features=3500, overlap=8, loop_stride=7)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckSettings:
+    """Settings of the check.
+
+    Attributes
+    ----------
+    margin_m: stems are judged up to so far outside the walk; farther ones cannot be seen from all sides.
+    camera_height_m: people hold a phone about so high; gives the size of things where no board does.
+    max_reach_m: points farther from the middle of the walk are left out.
+    """
+
+    frames: FrameSettings = field(default_factory=FrameSettings)
+    poses: PoseSettings = field(default_factory=quick_poses)
+    stems: SparseStemSettings = field(default_factory=SparseStemSettings)
+    coverage: CoverageSettings = field(default_factory=CoverageSettings)
+    scale: ScaleRequest = field(default_factory=ScaleRequest)
+    margin_m: float = 0.5
+    camera_height_m: float = 1.5
+    max_reach_m: float = 30.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckResult:
+    """What was found.
+
+    Attributes
+    ----------
+    photos, registered: given and placed.
+    lines: what to do again, most important first; empty when nothing.
+    notes: what was found otherwise: photos, boards, stems.
+    stems: every stem with how it was seen, plan coordinates in metres.
+    cameras: (P, 2) plan positions of the placed photos, in the order of ``names``.
+    compass: how the map is turned.
+    map_path: the picture; None where no stem was found.
+    seconds: by step.
+    """
+
+    photos: int
+    registered: int
+    lines: tuple[str, ...]
+    notes: tuple[str, ...]
+    stems: tuple[StemCoverage, ...]
+    cameras: Floats
+    names: tuple[str, ...]
+    compass: Compass
+    map_path: Path | None
+    seconds: dict[str, float]
+
+
+def check_capture(
+    source: Path, out: Path, *, settings: CheckSettings | None = None, progress: Progress = silent
+) -> CheckResult:
+    """Say which trees to photograph again; writes ``out/check/check.png`` and ``check.json``.
+
+    A scene that ``fsinfer run`` left in ``out/scene`` is used; else the photos are placed quickly into
+    ``out/check/scene``, where a second check finds them.
+
+    Raises
+    ------
+    ImageError, PosesError
+        The photos cannot be read, or no two of them fit together.
+    """
+    settings = settings or CheckSettings()
+    source, out = Path(source), Path(out)
+    make_folder(out)
+    start = time.monotonic()
+    seconds: dict[str, float] = {}
+    if (out / "scene" / "poses.json").is_file():
+        folder = out / "scene"
+        given = _given(folder, out / "frames" / "images", source)
+    else:
+        frames = select_frames(source, out / "check" / "frames", settings=settings.frames, progress=progress)
+        seconds["frames"] = time.monotonic() - start
+        folder = out / "check" / "scene"
+        estimate_poses(out / "check" / "frames" / "images", folder, settings=settings.poses, progress=progress)
+        given = list(frames.images)
+    seconds["poses"] = time.monotonic() - start - sum(seconds.values())
+    photos = {path.stem: path for path in (list_images(source) if source.is_dir() else [])}
+    # Frames that were coded again lost their place; the photos themselves have it.
+    originals = [photos.get(path.stem, path) for path in given]
+    scene, sparse = read_scene(folder), read_sparse(folder / "sparse")
+    scale, visible = _scale(settings.scale, scene, progress)
+    seconds["boards"] = time.monotonic() - start - sum(seconds.values())
+    result = judge_scene(scene, sparse, originals, scale, visible, settings=settings)
+    seconds["stems"] = time.monotonic() - start - sum(seconds.values())
+    return _write(result, out / "check", seconds)
+
+
+def judge_scene(
+    scene: Scene,
+    sparse: SparseModel,
+    given: Sequence[Path],
+    scale: Scale,
+    boards: Scale,
+    *,
+    settings: CheckSettings | None = None,
+) -> CheckResult:
+    """The check without its files: from a scene and its sparse points to the result.
+
+    Parameters
+    ----------
+    given: the photos that were to be placed, in the order of walking; a photo's stem is the name of its view.
+    scale: metres per unit, or unknown.
+    boards: how the boards were seen, whatever their length; its ``details`` are empty where none was.
+    """
+    settings = settings or CheckSettings()
+    names = [view.name for view in scene.views]
+    notes = [f"{len(names)} of {len(given)} photos placed."]
+    left_out = sorted({path.stem for path in given} - set(names))
+    level_from_scene, heights, points, cameras = _plan(scene, sparse, scale, settings)
+    trusted = (sparse.track_lengths >= settings.stems.min_track) & (sparse.errors_px < settings.stems.max_error_px)
+    centers = [entry["center"] for entry in boards.details.get("markers", [])]
+    at_boards = [level_from_scene[:2, :3] @ np.array(center) + level_from_scene[:2, 3] for center in centers]
+    stems = [
+        stem
+        for stem in find_sparse_stems(points, heights, trusted, settings=settings.stems)
+        # The post of a board is upright and round, too.
+        if all(np.linalg.norm(stem.center - place) > 0.35 for place in at_boards)
+    ]
+    inside = _inside(cameras[:, :2], np.array([stem.center for stem in stems]).reshape(-1, 2), settings.margin_m)
+    observations = [sparse.observations.get(name, np.zeros(0, np.int64)) for name in names]
+    judged = judge_stems(stems, observations, cameras[:, :2], inside, settings=settings.coverage)
+    by_name = {path.stem: path for path in given}
+    compass = find_compass(cameras[:, :2], gnss_places([by_name.get(name, Path(name)) for name in names]))
+    lines = advice(
+        names=names,
+        left_out=left_out,
+        given=[path.stem for path in given],
+        stems=judged,
+        compass=compass,
+        offsets_m=[cameras[:, :2] - entry.stem.center for entry in judged],
+    )
+    if scale.m_per_unit is None:
+        notes.append(f"No scale: lengths are guessed from a phone held {settings.camera_height_m:g} m high.")
+    notes += marker_lines(boards, given=settings.scale.given or scale.m_per_unit is not None)
+    within = [entry for entry in judged if entry.inside]
+    good = sum(entry.verdict in ("good", "far") for entry in within)
+    notes.append(
+        f"{len(within)} stems within your walk, {good} of them seen all round; {len(judged) - len(within)} outside."
+    )
+    if not judged:
+        notes.append("No stem was found in the sparse points: trees cannot be judged.")
+    return CheckResult(
+        photos=len(given),
+        registered=len(names),
+        lines=tuple(lines),
+        notes=tuple(notes),
+        stems=tuple(judged),
+        cameras=cameras[:, :2],
+        names=tuple(names),
+        compass=compass,
+        map_path=None,
+        seconds={},
+    )
+
+
+def _given(scene: Path, frames: Path, source: Path) -> list[Path]:
+    """The photos that a finished scene was made of."""
+    if frames.is_dir() and any(frames.iterdir()):
+        return list_images(frames)
+    return list_images(source) if source.is_dir() else list_images(scene / "images")
+
+
+def _scale(request: ScaleRequest, scene: Scene, progress: Progress) -> tuple[Scale, Scale]:
+    """The metric scale, and how the boards are seen where their length is not known."""
+    scale, _ = find_scale(request, scene=scene, progress=progress)
+    if scale.source == "aruco":
+        return scale, scale
+    try:
+        # The length does not matter for how well a board is seen.
+        return scale, scale_from_aruco(scene, 1.0, dictionary=request.aruco_dictionary, progress=progress)
+    except ScaleError:
+        return scale, Scale(m_per_unit=None, source="none", rel_std=None)
+
+
+def _plan(
+    scene: Scene, sparse: SparseModel, scale: Scale, settings: CheckSettings
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """(4, 4) similarity to metres with z up, heights of the points above the ground, the points and the cameras."""
+    centers = np.array([view.camera.center for view in scene.views])
+    right = np.array([view.camera.cam_from_world[0, :3] for view in scene.views])
+    down = np.array([view.camera.cam_from_world[1, :3] for view in scene.views])
+    motion = level(sparse.points, centers, down, camera_right=right)
+    height = float(np.median(centers @ motion[2, :3] + motion[2, 3]))
+    m_per_unit = scale.m_per_unit or settings.camera_height_m / max(height, 1e-9)
+    motion = np.diag([m_per_unit, m_per_unit, m_per_unit, 1.0]) @ motion
+    points = sparse.points @ motion[:3, :3].T + motion[:3, 3]
+    cameras = centers @ motion[:3, :3].T + motion[:3, 3]
+    near = np.hypot(*points[:, :2].T) < settings.max_reach_m
+    ground_points = points[near & (sparse.track_lengths >= settings.stems.min_track)]
+    try:
+        ground = find_ground(ground_points).height_at(points[:, :2])
+    except CloudError as error:
+        _log.info("no ground in the sparse points (%s); z = 0 stands for it", error)
+        ground = np.zeros(len(points))
+    heights = np.where(near, points[:, 2] - ground, 1e6)  # too high for a stem
+    return motion, heights, points, cameras
+
+
+def _inside(cameras: Floats, places: Floats, margin_m: float) -> NDArray[np.bool_]:
+    """Whether places (N, 2) lie in the convex hull of the cameras (P, 2), or at most so far outside it."""
+    try:
+        hull = ConvexHull(cameras)
+    except (QhullError, ValueError):
+        # A straight walk has no inside: everything beside it can be walked round as well.
+        return np.ones(len(places), dtype=bool)
+    normals, offsets = hull.equations[:, :2], hull.equations[:, 2]
+    return np.asarray((places @ normals.T + offsets <= margin_m).all(axis=1))
+
+
+def _write(result: CheckResult, folder: Path, seconds: dict[str, float]) -> CheckResult:
+    from fsinfer.check.map import draw_map
+
+    path = folder / "check.png"
+    draw_map(result, path)
+    result = replace(result, map_path=path, seconds={key: round(value, 1) for key, value in seconds.items()})
+    write_text(folder / "check.json", json.dumps(_as_json(result), indent=1) + "\n")
+    return result
+
+
+def _as_json(result: CheckResult) -> dict[str, Any]:
+    return {
+        "photos": result.photos,
+        "registered": result.registered,
+        "again": list(result.lines),
+        "notes": list(result.notes),
+        "north_known": result.compass.known,
+        "seconds": result.seconds,
+        "stems": [
+            {
+                "tree": entry.number,
+                "x_m": round(float(entry.stem.center[0]), 3),
+                "y_m": round(float(entry.stem.center[1]), 3),
+                "points": len(entry.stem.members),
+                "photos": [result.names[index] for index in entry.views],
+                "widest_gap_deg": round(entry.gap_deg, 1),
+                "nearest_m": round(float(entry.distances_m.min()), 2) if len(entry.views) else None,
+                "verdict": entry.verdict,
+            }
+            for entry in result.stems
+        ],
+    }

@@ -1,0 +1,215 @@
+"""Does ``fsinfer check`` name the stems that were seen from one side only, and no others?
+
+python -m tests.bench.check PLOT OUT --trials 10           curtains on the sparse model of OUT/scene
+python -m tests.bench.check PLOT OUT --leave-out 6,10      a real run without the photos that see trees 6 and 10 from
+                                                           one side; OUT is made
+
+PLOT is a scene of ``training.synthesize --kind plot``; its exact depth maps tell which photo sees which stem. A stem is
+one-sided in truth when the photos that see it leave a fan of 180 degrees or more empty, and seen all round when they
+leave less than 150. A curtain takes every observation of a stem's points by the photos on one side of it out of the
+sparse model.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import shutil
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.check import CheckResult, check_capture
+from fsinfer.check.capture import judge_scene
+from fsinfer.check.coverage import widest_gap
+from fsinfer.pfm import read_pfm
+from fsinfer.scale import Scale
+from fsinfer.scene import Scene, read_scene
+from fsinfer.sparse import SparseModel, read_sparse
+from tests.bench.plot import similarity
+
+ONE_SIDED_DEG, ALL_ROUND_DEG = 180.0, 150.0
+_NO_SCALE = Scale(m_per_unit=None, source="none", rel_std=None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Truth:
+    """``azimuths_deg`` and ``seen`` are (trees, photos); ``seen`` by the exact depth maps."""
+
+    ids: list[str]
+    xy: NDArray[np.float64]
+    radius_m: NDArray[np.float64]
+    z_m: NDArray[np.float64]
+    names: list[str]
+    centers: NDArray[np.float64]
+    azimuths_deg: NDArray[np.float64]
+    seen: NDArray[np.bool_]
+
+    def gaps(self, photos: NDArray[np.bool_], curtains: dict[int, float]) -> NDArray[np.float64]:
+        """Widest empty fan of each tree, given which photos there are, and the curtains (tree: direction)."""
+        gaps = []
+        for tree in range(len(self.ids)):
+            seen = self.seen[tree] & photos
+            if tree in curtains:
+                seen = seen & ~behind(self.azimuths_deg[tree], curtains[tree])
+            gaps.append(widest_gap(self.azimuths_deg[tree][seen])[0])
+        return np.array(gaps)
+
+
+def behind(azimuths_deg: NDArray[np.float64], direction_deg: float) -> NDArray[np.bool_]:
+    """Whether photos stand in the half-plane round ``direction_deg``."""
+    return np.asarray(np.abs((azimuths_deg - direction_deg + 180) % 360 - 180) < 90)
+
+
+def read_truth(plot: Path) -> Truth:
+    """Trees, cameras, and who sees whom."""
+    scene = read_scene(plot)
+    with (plot / "truth.csv").open(encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    xy = np.array([[float(row["x_m"]), float(row["y_m"])] for row in rows])
+    z = np.array([float(row["z_ground_m"]) for row in rows])
+    radius = np.array([float(row["dbh_cm"]) / 200 for row in rows])
+    centers = np.array([view.camera.center for view in scene.views])
+    offsets = centers[None, :, :2] - xy[:, None]
+    heights = np.arange(0.6, 2.4, 0.1)
+    seen = np.zeros((len(rows), len(scene.views)), dtype=bool)
+    for index, view in enumerate(scene.views):
+        depth = read_pfm(plot / "depths" / f"{view.name}.pfm")
+        axis = np.concatenate([np.repeat(xy, len(heights), axis=0), (z[:, None] + heights).reshape(-1, 1)], axis=1)
+        local = axis @ view.camera.cam_from_world[:3, :3].T + view.camera.cam_from_world[:3, 3]
+        pixels = local @ view.camera.intrinsic.T
+        front = local[:, 2] > 0.3
+        column = np.where(front, np.rint(pixels[:, 0] / np.where(front, local[:, 2], 1)), -1).astype(int)
+        row = np.where(front, np.rint(pixels[:, 1] / np.where(front, local[:, 2], 1)), -1).astype(int)
+        inside = front & (column >= 0) & (row >= 0) & (column < depth.shape[1]) & (row < depth.shape[0])
+        found = depth[np.where(inside, row, 0), np.where(inside, column, 0)]
+        r = np.repeat(radius, len(heights))
+        hit = inside & (np.abs(found - local[:, 2] + r) < 0.12 + r / 2)
+        seen[:, index] = hit.reshape(len(rows), -1).sum(axis=1) >= 4
+    return Truth(
+        ids=[row["tree_id"] for row in rows],
+        xy=xy,
+        radius_m=radius,
+        z_m=z,
+        names=[view.name for view in scene.views],
+        centers=centers,
+        azimuths_deg=np.degrees(np.arctan2(offsets[..., 1], offsets[..., 0])),
+        seen=seen,
+    )
+
+
+def curtained(sparse: SparseModel, scene: Scene, truth: Truth, curtains: dict[int, float]) -> SparseModel:
+    """The sparse model as it would be without the observations that the curtains hide."""
+    centers = np.array([view.camera.center for view in scene.views])
+    expected = np.array([truth.centers[truth.names.index(view.name)] for view in scene.views])
+    scale, rotation, shift = similarity(centers, expected)
+    points = scale * sparse.points @ rotation.T + shift
+    observations = {name: seen.copy() for name, seen in sparse.observations.items()}
+    lost = np.zeros(len(points), dtype=np.int64)
+    for tree, direction in curtains.items():
+        away = np.linalg.norm(points[:, :2] - truth.xy[tree], axis=1)
+        low = (points[:, 2] > truth.z_m[tree]) & (points[:, 2] < truth.z_m[tree] + 5)
+        on = low & (away < truth.radius_m[tree] + 0.25)
+        for view in scene.views:
+            if behind(truth.azimuths_deg[tree][[truth.names.index(view.name)]], direction)[0]:
+                seen = observations[view.name]
+                lost[seen[on[seen]]] += 1
+                observations[view.name] = seen[~on[seen]]
+    return replace(sparse, observations=observations, track_lengths=sparse.track_lengths - lost)
+
+
+def compare(
+    result: CheckResult, truth: Truth, gaps: NDArray[np.float64]
+) -> tuple[list[str], list[str], list[str], list[str]]:
+    """Trees named rightly, named wrongly, missed though visible, and one-sided but without points; by truth's id."""
+    expected = np.array([truth.centers[truth.names.index(name)][:2] for name in result.names])
+    plan, world = result.cameras @ [1, 1j], expected @ [1, 1j]
+    factor = ((plan - plan.mean()).conj() * (world - world.mean())).sum() / (np.abs(plan - plan.mean()) ** 2).sum()
+    right, wrong, found = [], [], {}
+    for entry in result.stems:
+        place = factor * (entry.stem.center @ [1, 1j] - plan.mean()) + world.mean()
+        distance = np.hypot(truth.xy[:, 0] - place.real, truth.xy[:, 1] - place.imag)
+        tree = int(distance.argmin())
+        known = distance[tree] < truth.radius_m[tree] + 0.4
+        if known:
+            found[tree] = entry.verdict
+        if entry.verdict == "one side":
+            if known and gaps[tree] >= ONE_SIDED_DEG:
+                right.append(truth.ids[tree])
+            elif not known or gaps[tree] < ALL_ROUND_DEG:
+                wrong.append(truth.ids[tree] if known else "no tree")
+    one_sided = [tree for tree in range(len(truth.ids)) if gaps[tree] >= ONE_SIDED_DEG]
+    missed = [f"{truth.ids[tree]} ({found[tree]})" for tree in one_sided if found.get(tree, "one side") != "one side"]
+    without = [truth.ids[tree] for tree in one_sided if tree not in found]
+    return right, wrong, missed, without
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(prog="python -m tests.bench.check", description=__doc__)
+    parser.add_argument("plot", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--trials", type=int, default=10)
+    parser.add_argument("--per-trial", type=int, default=3, help="stems behind a curtain in each trial")
+    parser.add_argument("--min-dbh-cm", type=float, default=12.0, help="of the stems behind curtains")
+    parser.add_argument(
+        "--leave-out", help="tree numbers with commas: leave out the photos that see them from one side"
+    )
+    parser.add_argument("--side-deg", type=float, default=0.0, help="the side, with --leave-out")
+    args = parser.parse_args(argv)
+    truth = read_truth(args.plot)
+    totals = np.zeros(4, dtype=int)
+    if args.leave_out:
+        return leave_out(args, truth)
+    scene = read_scene(args.out / "scene")
+    sparse = read_sparse(args.out / "scene" / "sparse")
+    photos = np.isin(truth.names, [view.name for view in scene.views])
+    given = [view.image_path for view in scene.views]
+    rng = np.random.default_rng(0)
+    thick = np.flatnonzero(truth.radius_m >= args.min_dbh_cm / 200)
+    for trial in range(args.trials + 1):
+        chosen = rng.choice(thick, args.per_trial, replace=False) if trial else []
+        curtains = {int(tree): float(rng.uniform(0, 360)) for tree in chosen}
+        result = judge_scene(scene, curtained(sparse, scene, truth, curtains), given, _NO_SCALE, _NO_SCALE)
+        outcome = compare(result, truth, truth.gaps(photos, curtains))
+        totals += [len(part) for part in outcome]
+        right, wrong, missed, without = (", ".join(part) or "-" for part in outcome)
+        behind_curtains = ", ".join(truth.ids[tree] for tree in curtains) or "-"
+        print(
+            f"trial {trial}: behind curtains {behind_curtains}; named rightly {right}; wrongly {wrong}; "
+            f"missed {missed}; without points {without}",
+            flush=True,
+        )
+    print(f"named rightly {totals[0]}, wrongly {totals[1]}, missed {totals[2]}, without points {totals[3]}")
+    return 0
+
+
+def leave_out(args: argparse.Namespace, truth: Truth) -> int:
+    """Structure from motion of the photos that are left, as the check does it."""
+    trees = [truth.ids.index(number) for number in args.leave_out.split(",")]
+    gone = np.zeros(len(truth.names), dtype=bool)
+    for tree in trees:
+        gone |= truth.seen[tree] & behind(truth.azimuths_deg[tree], args.side_deg)
+    folder = args.out / "photos"
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, out in zip(truth.names, gone, strict=True):
+        if not out:
+            shutil.copy(args.plot / "images" / f"{name}.jpg", folder)
+    print(f"{int(gone.sum())} of {len(gone)} photos left out", flush=True)
+    start = time.monotonic()
+    result = check_capture(folder, args.out)
+    print(f"{time.monotonic() - start:.0f} s", result.seconds, *result.notes, *result.lines, sep="\n  ")
+    gaps = truth.gaps(np.isin(truth.names, result.names), {})
+    for label, part in zip(
+        ("named rightly", "named wrongly", "missed", "without points"), compare(result, truth, gaps), strict=True
+    ):
+        print(f"{label}: {', '.join(part) or '-'}")
+    print("true fans:", ", ".join(f"{number} {gap:.0f}" for number, gap in zip(truth.ids, gaps, strict=True)))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

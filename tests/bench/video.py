@@ -1,0 +1,215 @@
+"""A rendered phone video through frames, poses and scale, with no option but the output folder.
+
+python -m tests.bench.video OUT [--photos 90] [--full]
+
+The video is what a forester brings home: portrait (stored on its side, with the rotation flag in the file), blur by
+motion, changing exposure, boards as ``fsinfer marker`` prints them (numbers 40 to 42 are 0.25 m), one of them turned by
+45 degrees. A phone's shake is a rotation, so one rendered picture a place gives every frame of that place exactly, by a
+homography; blur is the mean of rotated sub-frames. Printed: the frames chosen, the errors of the cameras and the scale,
+and the scale budget. ``--full`` goes on to depth, trees and the report.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import struct
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from fsinfer.frames import select_frames
+from fsinfer.pipeline import run
+from fsinfer.poses import PoseSettings, estimate_poses
+from fsinfer.scale_request import ScaleRequest, find_scale
+from fsinfer.scene import Camera, Scene, read_camera, read_scene, write_camera
+from tests.bench.plot import similarity
+from training.synthesize.boards import board_material, board_pair
+from training.synthesize.mesh import merge
+from training.synthesize.photo import expose, random_sensor
+from training.synthesize.plot import plot_cameras
+from training.synthesize.render import Caster
+from training.synthesize.world import WorldSettings, build_world, target_places
+
+WIDTH, HEIGHT = 540, 960
+#: Frames a second of the video, and how long the phone stays at one place.
+RATE, STAY_S = 10, 2
+BOARDS = (40, 41, 42)
+TURNED_DEG = 45.0
+
+
+def render(out: Path, *, photos: int, seed: int) -> None:
+    """One sharp picture for each place, with its true camera, and ``truth.csv``; pictures that are there are kept."""
+    from training.synthesize.scene_writer import write_truth
+
+    settings = WorldSettings(
+        radius_m=3.5,
+        outer_m=22.0,
+        trees=6,
+        outer_trees=18,
+        slope_deg=4.0,
+        roughness=0.5,
+        undergrowth=0.15,
+        season="winter",
+        clutter=False,
+        detail_radius_m=6.0,
+        ground_step_m=0.06,
+        outer_gap_m=2.3,
+        min_dbh_m=0.12,
+    )
+    world = build_world(np.random.default_rng([seed, 1]), settings)
+    solid = [world.opaque]
+    for number, (x, y) in enumerate(target_places(len(BOARDS), settings.radius_m + 0.8)[:-1]):
+        facing = float(np.arctan2(y, x))
+        material = len(world.materials)
+        world.materials.append(board_material(BOARDS[number]))
+        front, _ = board_pair(world.terrain, np.array([x, y]), facing, (BOARDS[number], 0), (material, material), 1)
+        sheet, post, plate = front.meshes
+        if number == 0:
+            center = sheet.vertices.mean(axis=0)
+            axis = np.array([np.cos(facing), np.sin(facing), 0.0])
+            turn = Rotation.from_rotvec(np.radians(TURNED_DEG) * axis).as_matrix()
+            sheet, plate = (
+                replace(m, vertices=((m.vertices - center) @ turn.T + center).astype(m.vertices.dtype))
+                for m in (sheet, plate)
+            )
+        solid += [sheet, post, plate]
+    caster = Caster(merge(solid), world.cards, world.materials, world.light)
+    rng = np.random.default_rng([seed, 2])
+    cameras = plot_cameras(
+        rng,
+        world.terrain,
+        world.obstacles,
+        radius_m=settings.radius_m + 0.5,
+        photos=photos,
+        width=WIDTH,
+        height=HEIGHT,
+        hfov_deg=44.0,
+    )
+    write_truth(out / "truth.csv", world.stems[: world.in_plot], world.sections[: world.in_plot])
+    sensor = random_sensor(rng, caster.picture(cameras[0], WIDTH // 2, HEIGHT // 2, 1))
+    start = time.perf_counter()
+    for index, camera in enumerate(cameras):
+        path = out / "places" / f"{index:03d}.png"
+        write_camera(out / "places" / f"{index:03d}_cam.txt", camera)
+        if not path.is_file():
+            picture = expose(np.random.default_rng([seed, 3, index]), sensor, caster.picture(camera, WIDTH, HEIGHT, 2))
+            cv2.imwrite(str(path), picture[:, :, ::-1])
+        print(f"place {index + 1}/{photos}, {time.perf_counter() - start:.0f} s", flush=True)
+
+
+def shaken(image: NDArray[np.uint8], intrinsic: NDArray[np.float64], path: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The mean of the picture as seen by cameras turned by the rotation vectors ``path`` (n, 3), radians."""
+    total = np.zeros(image.shape)
+    for vector in path:
+        turn = intrinsic @ Rotation.from_rotvec(vector).as_matrix() @ np.linalg.inv(intrinsic)
+        total += cv2.warpPerspective(
+            image, turn, (image.shape[1], image.shape[0]), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT
+        )
+    return total / len(path)
+
+
+def make_video(out: Path, *, photos: int, seed: int) -> Path:
+    """``video.mp4``: stored lying on its side, with the flag that turns it upright."""
+    path = out / "video.mp4"
+    rng = np.random.default_rng([seed, 4])
+    part = out / "part.mp4"
+    writer = cv2.VideoWriter(str(part), cv2.VideoWriter_fourcc(*"mp4v"), RATE, (HEIGHT, WIDTH))
+    for index in range(photos):
+        image = cv2.imread(str(out / "places" / f"{index:03d}.png"))
+        intrinsic = read_camera(out / "places" / f"{index:03d}_cam.txt").intrinsic
+        # Clouds move: the exposure swings by two thirds of a stop each way during the walk.
+        gain = 2 ** (0.67 * np.sin(2 * np.pi * index / photos * 2.5) / 2.2)
+        # Every ninth place is passed in a hurry: nothing there is sharp.
+        hurried = index % 9 == 4
+        for _ in range(RATE * STAY_S):
+            sharp = rng.random() < 0.3 and not hurried
+            length = np.radians(0.03 if sharp else rng.uniform(0.3, 1.0) * (1.5 if hurried else 1))
+            direction = rng.normal(size=3) * (1, 1, 0.3)
+            direction *= length / np.linalg.norm(direction)
+            offset = np.radians(rng.normal(0, 0.15, 3))
+            steps = np.linspace(-0.5, 0.5, 2 if sharp else 9)[:, None]
+            frame = np.clip(shaken(image, intrinsic, offset + steps * direction) * gain, 0, 255).astype(np.uint8)
+            writer.write(np.ascontiguousarray(np.rot90(frame, 1)))
+    writer.release()
+    set_rotation_flag(part)
+    part.replace(path)
+    return path
+
+
+def set_rotation_flag(path: Path) -> None:
+    """Write "turn a quarter clockwise to show" into the track header of an MP4 (ISO 14496-12, 8.3.2)."""
+    data = bytearray(path.read_bytes())
+    at = data.rindex(b"tkhd") + 4 + 40
+    one = 1 << 16
+    data[at : at + 36] = struct.pack(">9i", 0, one, 0, -one, 0, 0, WIDTH * one, 0, 1 << 30)
+    path.write_bytes(bytes(data))
+
+
+def compare(out: Path, scene: Scene) -> tuple[float, float]:
+    """Metres per scene unit by the true cameras, and the rms of the camera positions in metres."""
+    true: dict[int, Camera] = {}
+    for view in scene.views:
+        # Names end in the number of the frame; a place lasts RATE * STAY_S of them.
+        place = int(view.name.rsplit("_", 1)[1]) // (RATE * STAY_S)
+        true[scene.views.index(view)] = read_camera(out / "places" / f"{place:03d}_cam.txt")
+    found = np.array([scene.views[index].camera.center for index in true])
+    expected = np.array([camera.center for camera in true.values()])
+    scale, rotation, shift = similarity(found, expected)
+    residual = np.linalg.norm(scale * found @ rotation.T + shift - expected, axis=1)
+    return scale, float(np.sqrt((residual**2).mean()))
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(prog="python -m tests.bench.video", description=__doc__)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--photos", type=int, default=90, help="places along the walk; at most 100")
+    parser.add_argument("--seed", type=int, default=7)
+    parser.add_argument("--full", action="store_true", help="the whole pipeline, up to the report")
+    parser.add_argument("--render-only", action="store_true")
+    parser.add_argument("--max-features", type=int, default=PoseSettings().max_features, help="fewer are faster")
+    args = parser.parse_args(argv)
+    cv2.setNumThreads(1)
+    args.out.mkdir(parents=True, exist_ok=True)
+    if not (args.out / "video.mp4").is_file():
+        render(args.out, photos=args.photos, seed=args.seed)
+        make_video(args.out, photos=args.photos, seed=args.seed)
+    if args.render_only:
+        return 0
+    result = args.out / "result"
+    if args.full:
+        run(args.out / "video.mp4", result)
+    else:
+        chosen = select_frames(args.out / "video.mp4", result / "frames")
+        print(f"frames: {len(chosen.images)} of {len(chosen.rows)}", *chosen.warnings, sep="\n  ")
+        start = time.perf_counter()
+        settings = PoseSettings(max_features=args.max_features)
+        poses = estimate_poses(result / "frames" / "images", result / "scene", settings=settings)
+        print(f"poses: {poses.registered} of {poses.photos}, {time.perf_counter() - start:.0f} s", *poses.warnings)
+    scene = read_scene(result / "scene")
+    scale, warnings = find_scale(ScaleRequest(), scene=scene)
+    print(*warnings, sep="\n")
+    true_scale, rms_m = compare(args.out, scene)
+    print(f"cameras rms {1000 * rms_m:.1f} mm")
+    if scale.m_per_unit is None:
+        return 1
+    print(f"scale error {100 * (scale.m_per_unit / true_scale - 1):+.3f} % (given +- {100 * scale.rel_std:.3f} %)")
+    for marker in scale.details["markers"]:
+        print(
+            f"  board {marker['id']}: {len(marker['views'])} views, residual {marker['residual_mm']:+.2f} mm, "
+            f"error {marker['error_px']:.2f} px, without it {100 * (marker['leave_one_out_rel'] or 0):+.3f} %"
+        )
+    if args.full:
+        plot = json.loads((result / "plot.json").read_text(encoding="utf-8"))
+        print("seconds", plot["seconds"], "trees", plot["trees"], plot["trees_with_dbh"])
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,258 @@
+"""The check names the stems that were seen from one side, says from where to go on, and leaves the others alone."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fsinfer.check.advice import advice, marker_lines
+from fsinfer.check.capture import CheckResult, judge_scene
+from fsinfer.check.coverage import CoverageSettings, judge_stems, widest_gap
+from fsinfer.check.map import draw_map, seen_arcs
+from fsinfer.check.north import COMPASS_WORDS, MAP_WORDS, find_compass
+from fsinfer.check.sparse_stems import find_sparse_stems
+from fsinfer.images import read_image
+from fsinfer.scale import Scale
+from fsinfer.scene import Camera, Scene, View
+from fsinfer.sparse import SparseModel
+from tests.fsinfer.rendered_room import look_at
+
+# Plan position and radius, metres; the last stands outside the walk.
+STEMS = [(1.5, 0.0, 0.12), (-2.0, 1.5, 0.2), (0.0, -2.5, 0.06), (-1.0, -1.0, 0.15), (2.0, 2.5, 0.1), (9.0, 0.0, 0.15)]
+PHOTOS = 48
+NO_SCALE = Scale(m_per_unit=None, source="none", rel_std=None)
+UNIT = 0.4  # metres per scene unit
+
+
+def make(hidden: dict[int, float], noise_m: float = 0.01) -> tuple[Scene, SparseModel]:
+    """A plot walked all round; ``hidden`` stems are not seen by the photos in the half-plane of that direction."""
+    rng = np.random.default_rng(0)
+    angles = np.linspace(0, 2 * np.pi, PHOTOS, endpoint=False)
+    centers = np.column_stack([5 * np.cos(angles), 5 * np.sin(angles), np.full(PHOTOS, 1.5)])
+    points, normals, owner = [], [], []
+    ground = np.column_stack([rng.uniform(-9, 10, (4000, 2)), rng.normal(0, 0.02, 4000)])
+    points.append(ground)
+    normals.append(np.tile([0.0, 0, 1], (4000, 1)))
+    owner.append(np.full(4000, -1))
+    for number, (x, y, radius) in enumerate(STEMS):
+        turn, height = rng.uniform(0, 2 * np.pi, 500), rng.uniform(0.05, 4, 500)
+        out = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(500)])
+        points.append(
+            np.array([x, y, 0]) + radius * out + height[:, None] * [0, 0, 1] + rng.normal(0, noise_m, (500, 3))
+        )
+        normals.append(out)
+        owner.append(np.full(500, number))
+    bush = rng.uniform([-3.6, -3.2, 0.1], [-2.6, -2.2, 2.4], (250, 3))
+    points.append(bush)
+    normals.append(np.tile([0.0, 0, 1], (250, 1)))
+    owner.append(np.full(250, -1))
+    xyz, normal, own = np.concatenate(points), np.concatenate(normals), np.concatenate(owner)
+    observations, views, tracks = {}, [], np.zeros(len(xyz), dtype=np.int64)
+    down = np.array([0.0, 0.0, -1.0])
+    for index, center in enumerate(centers):
+        ray = center - xyz
+        facing = (ray * normal).sum(axis=1) / np.linalg.norm(ray, axis=1) > 0.45
+        seen = (facing | (own < 0)) & (rng.random(len(xyz)) < 0.4)
+        for number, direction in hidden.items():
+            bearing = np.degrees(np.arctan2(center[1] - STEMS[number][1], center[0] - STEMS[number][0]))
+            if abs((bearing - direction + 180) % 360 - 180) < 90:
+                seen &= own != number
+        observations[f"p{index:02d}"] = np.flatnonzero(seen)
+        tracks += seen
+        # look_at has y down: the world is turned so that z is up afterwards.
+        flip = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+        pose = look_at(flip @ center, flip @ (0.1 * center + 1.1 * 1.3 * -down / 1.43))
+        pose[:3, :3] = pose[:3, :3] @ flip
+        pose[:3, 3] = -pose[:3, :3] @ center / UNIT
+        camera = Camera(intrinsic=np.eye(3), cam_from_world=pose, depth_min=0.1, depth_max=9.0)
+        views.append(View(name=f"p{index:02d}", image_path=Path(f"p{index:02d}.jpg"), camera=camera, sources=()))
+    sparse = SparseModel(
+        points=xyz / UNIT, errors_px=np.full(len(xyz), 0.5), track_lengths=tracks, observations=observations
+    )
+    return Scene(folder=Path(), views=tuple(views)), sparse
+
+
+def check(hidden: dict[int, float], scale: Scale = NO_SCALE) -> CheckResult:
+    scene, sparse = make(hidden)
+    return judge_scene(scene, sparse, [view.image_path for view in scene.views], scale, NO_SCALE)
+
+
+def truth_of(result: CheckResult) -> dict[int, str]:
+    """Verdict by number in STEMS; the plan is only turned and shifted against the truth."""
+    angles = np.linspace(0, 2 * np.pi, PHOTOS, endpoint=False)
+    true = 5 * np.exp(1j * angles)
+    plan = result.cameras @ [1, 1j]
+    factor = ((plan - plan.mean()).conj() * true).sum() / (np.abs(plan - plan.mean()) ** 2).sum()
+    verdicts = {}
+    for entry in result.stems:
+        place = factor * (entry.stem.center @ [1, 1j] - plan.mean())
+        apart = [abs(complex(x, y) - place) for x, y, _ in STEMS]
+        assert min(apart) < 0.05
+        verdicts[int(np.argmin(apart))] = entry.verdict
+    return verdicts
+
+
+def test_a_plot_walked_all_round_has_nothing_to_do_again() -> None:
+    result = check({})
+    assert truth_of(result) == {**dict.fromkeys(range(5), "good"), 5: "outside"}
+    assert result.lines == ()
+    assert any("5 stems within your walk, 5 of them seen all round; 1 outside" in note for note in result.notes)
+
+
+@pytest.mark.parametrize("hidden", [{1: 40.0}, {0: 200.0, 3: 310.0}])
+def test_the_stems_behind_curtains_are_named_and_no_others(hidden: dict[int, float]) -> None:
+    result = check(hidden, Scale(m_per_unit=UNIT, source="aruco", rel_std=0.001))
+    verdicts = truth_of(result)
+    assert {number for number, verdict in verdicts.items() if verdict == "one side"} == set(hidden)
+    assert {verdicts[number] for number in set(range(5)) - set(hidden)} == {"good"}
+    assert len(result.lines) == len(hidden)
+    for line in result.lines:
+        assert line.startswith("Walk round tree ")
+    # The photo that is named as the place stands where the curtain was.
+    for entry in (entry for entry in result.stems if entry.verdict == "one side"):
+        number = min(hidden, key=lambda n: abs(complex(*STEMS[n][:2]) - _true_place(result, entry.stem.center)))
+        line = next(line for line in result.lines if f"tree {entry.number} " in line)
+        angle = 2 * np.pi * int(line.split("photo p")[-1][:2]) / PHOTOS
+        seen_from = np.degrees(np.arctan2(5 * np.sin(angle) - STEMS[number][1], 5 * np.cos(angle) - STEMS[number][0]))
+        assert abs((seen_from - hidden[number] + 180) % 360 - 180) < 35
+
+
+def _true_place(result: CheckResult, center: NDArray[np.float64]) -> complex:
+    true = 5 * np.exp(1j * np.linspace(0, 2 * np.pi, PHOTOS, endpoint=False))
+    plan = result.cameras @ [1, 1j]
+    factor = ((plan - plan.mean()).conj() * true).sum() / (np.abs(plan - plan.mean()) ** 2).sum()
+    return complex(factor * (center @ [1, 1j] - plan.mean()))
+
+
+def test_the_map_shows_the_missing_side(tmp_path: Path) -> None:
+    colours = {}
+    for name, hidden in (("all", {}), ("one", {1: 40.0})):
+        draw_map(check(hidden), tmp_path / f"{name}.png")
+        picture = read_image(tmp_path / f"{name}.png").astype(int)
+        colours[name] = int((np.abs(picture - [0xD5, 0x5E, 0x00]).sum(axis=2) < 30).sum())
+    # The legend has a spot of this colour in both.
+    assert colours["one"] > colours["all"] + 1000
+
+
+def test_radius_and_place_of_stems_and_no_bush() -> None:
+    _, sparse = make({})
+    points = sparse.points * UNIT
+    stems = find_sparse_stems(points, points[:, 2], np.ones(len(points), bool))
+    assert len(stems) == len(STEMS)
+    for stem in stems:
+        apart = [np.hypot(stem.center[0] - x, stem.center[1] - y) for x, y, _ in STEMS]
+        assert min(apart) < 0.02
+        assert stem.radius == pytest.approx(STEMS[int(np.argmin(apart))][2], abs=0.02)
+
+
+def test_one_stray_match_does_not_hide_a_side() -> None:
+    _, sparse = make({})
+    points = sparse.points * UNIT
+    stem = find_sparse_stems(points, points[:, 2], np.ones(len(points), bool))[:1]
+    cameras = stem[0].center + 4 * np.column_stack(
+        [np.cos(np.radians(np.arange(0, 360, 10))), np.sin(np.radians(np.arange(0, 360, 10)))]
+    )
+    seen = [stem[0].members[:20] if index < 19 else stem[0].members[:0] for index in range(36)]
+    judged = judge_stems(stem, seen, cameras, np.array([True]))[0]
+    assert (judged.verdict, judged.gap_deg) == ("one side", pytest.approx(180))
+    assert judged.gap_center_deg == pytest.approx(270)
+    seen[27] = stem[0].members[:2]
+    assert judge_stems(stem, seen, cameras, np.array([True]))[0].verdict == "one side"
+    seen[27] = stem[0].members[:6]
+    assert judge_stems(stem, seen, cameras, np.array([True]))[0].verdict == "good"
+    few = [one if index % 5 == 0 else one[:0] for index, one in enumerate(seen)]
+    assert judge_stems(stem, few, cameras, np.array([True]), settings=CoverageSettings(few_share=0.3))[0].verdict == (
+        "hardly seen"
+    )
+
+
+def test_widest_gap_and_arcs() -> None:
+    assert widest_gap(np.array([])) == (360.0, 0.0)
+    assert widest_gap(np.array([10.0])) == (360.0, 190.0)
+    assert widest_gap(np.array([350.0, 10.0, 100.0])) == (250.0, pytest.approx(225.0))
+    assert seen_arcs(np.arange(0, 360, 20.0)) == [(0.0, 360.0)]
+    assert seen_arcs(np.array([350.0, 0.0, 10.0])) == [(335.0, 385.0)]
+    assert seen_arcs(np.array([0.0, 10.0, 180.0])) == [(165.0, 195.0), (-15.0, 25.0)]
+
+
+def test_north_by_gnss_and_by_the_first_photo() -> None:
+    rng = np.random.default_rng(1)
+    angles = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    cameras = 15 * np.column_stack([np.cos(angles), np.sin(angles)])
+    # The plan's x axis points north; the phone is 2 m off each time.
+    north, east = cameras[:, 0], -cameras[:, 1]
+    noise = rng.normal(0, 2, (40, 2))
+    latitude = 48 + np.degrees((north + noise[:, 0]) / 6_371_000)
+    longitude = 9 + np.degrees((east + noise[:, 1]) / 6_371_000 / np.cos(np.radians(48)))
+    compass = find_compass(cameras, dict(enumerate(zip(latitude.tolist(), longitude.tolist(), strict=True))))
+    assert compass.known
+    assert compass.turn_deg == pytest.approx(90, abs=5)
+    assert [compass.side(angle) for angle in (0, 90, 180, 270)] == [COMPASS_WORDS[i] for i in (2, 4, 6, 0)]
+    # A plot no wider than the errors of a phone says nothing about north, and a scatter without sense neither.
+    small = find_compass(cameras / 5, dict(enumerate(zip(latitude.tolist(), longitude.tolist(), strict=True))))
+    wild = {rank: (48 + rng.normal(0, 1e-4), 9 + rng.normal(0, 1e-4)) for rank in range(40)}
+    assert not small.known
+    assert not find_compass(cameras, wild).known
+    # Without north, what lies towards the first photo is at the bottom of the map.
+    assert small.side(0.0) == MAP_WORDS[6] == "the bottom of the map"
+
+
+def test_photos_that_did_not_join_are_told_by_stretches() -> None:
+    given = [f"p{index}" for index in range(10)]
+    lines = advice(
+        names=[],
+        left_out=["p2", "p3", "p4", "p8"],
+        given=given,
+        stems=[],
+        compass=find_compass(np.array([[0.0, -1], [0, 1]]), {}),
+        offsets_m=[],
+    )
+    assert lines[0].startswith("Photos p2 to p4 (3) did not join the others: walk this stretch again")
+    assert lines[1].startswith("Photo p8 did not join")
+
+
+def test_boards_seen_too_seldom_or_from_far() -> None:
+    def entry(number: int, views: int, side_px: float) -> dict[str, object]:
+        return {"id": number, "views": [str(i) for i in range(views)], "near_side_px": side_px}
+
+    found = [entry(40, 12, 80.0), entry(41, 4, 80.0), entry(42, 12, 20.0)]
+    rejected = [{"id": 43, "reason": "1 views"}, {"id": 40, "reason": "1 views"}]
+    scale = Scale(m_per_unit=1.0, source="aruco", rel_std=0.01, details={"markers": found, "rejected": rejected})
+    lines = marker_lines(scale, given=True)
+    assert [line.split(":")[0] for line in lines] == [
+        "Board 40",
+        "Board 41",
+        "Board 42",
+        "Board 43 cannot be used (1 views)",
+    ]
+    assert [line.endswith("good.") for line in lines] == [True, False, False, False]
+    assert "no scale" in marker_lines(NO_SCALE, given=False)[0]
+    assert "--aruco-length-m" in marker_lines(scale, given=False)[-1]
+
+
+def test_the_command_uses_the_scene_that_is_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from fsinfer.check import check_capture
+    from fsinfer.check.capture import CheckSettings
+    from fsinfer.images import write_image
+    from fsinfer.poses import PoseSettings
+    from tests.fsinfer.rendered_room import photographs
+
+    folder = tmp_path / "photos"
+    for index, image in enumerate(photographs()):
+        write_image(folder / f"r{index}.jpg", image)
+    settings = CheckSettings(poses=PoseSettings(max_features=1500))
+    result = check_capture(folder, tmp_path / "out", settings=settings)
+    assert (result.registered, result.stems) == (8, ())
+    assert "No stem was found in the sparse points: trees cannot be judged." in result.notes
+    record = json.loads((tmp_path / "out" / "check" / "check.json").read_text(encoding="utf-8"))
+    assert record["registered"] == 8
+    assert (tmp_path / "out" / "check" / "check.png").is_file()
+    # A run's scene is taken before anything is computed again.
+    (tmp_path / "out" / "check" / "scene").rename(tmp_path / "out" / "scene")
+    again = check_capture(folder, tmp_path / "out", settings=settings)
+    assert again.registered == 8
+    assert not (tmp_path / "out" / "check" / "scene").exists()
