@@ -114,15 +114,25 @@ def extract_features(
     total = sum(len(names) for names in cameras.values())
     done = 0
     for names in cameras.values():
+        if _camera_of(database, names) is None:
+            # COLMAP numbers photos in the order in which its threads finish them, and everything after depends on the
+            # numbers: entered in order first, two runs on one machine are alike.
+            with pycolmap.Database.open(database):
+                pass  # makes the file
+            pycolmap.import_images(
+                database,
+                images,
+                camera_mode=pycolmap.CameraMode.SINGLE,
+                image_names=list(names),
+                options=_reader(settings),
+            )
         for start in range(0, len(names), _PHOTOS_PER_BATCH):
             batch = list(names[start : start + _PHOTOS_PER_BATCH])
             progress(done, total, "finding features")
             camera_id = _camera_of(database, names)
             missing = [name for name in batch if not _has_features(database, name)]
             if missing:
-                reader = pycolmap.ImageReaderOptions()
-                reader.camera_model = "SIMPLE_RADIAL"
-                reader.default_focal_length_factor = settings.default_focal_factor
+                reader = _reader(settings)
                 if camera_id is not None:
                     reader.existing_camera_id = camera_id
                 pycolmap.extract_features(
@@ -136,6 +146,15 @@ def extract_features(
                 )
             done += len(batch)
     progress(total, total, "finding features")
+
+
+def _reader(settings: PoseSettings) -> Any:
+    import pycolmap
+
+    reader = pycolmap.ImageReaderOptions()
+    reader.camera_model = "SIMPLE_RADIAL"
+    reader.default_focal_length_factor = settings.default_focal_factor
+    return reader
 
 
 def _camera_of(database: Path, names: Sequence[str]) -> int | None:

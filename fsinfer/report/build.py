@@ -6,16 +6,24 @@ import json
 from collections import Counter
 from pathlib import Path
 
-from fsinfer.errors import InputError
+from fsinfer.errors import FsinferError, InputError
 from fsinfer.files import write_text
+from fsinfer.images import read_image
+from fsinfer.report.cloud_data import MAX_POINTS
+from fsinfer.report.cloud_part import cloud_section
 from fsinfer.report.contents import Contents, number, read_contents
-from fsinfer.report.html import escape, facts, paragraph, section
+from fsinfer.report.depth_part import depth_section
+from fsinfer.report.html import embedded_image, escape, facts, paragraph, section, shrink
 from fsinfer.report.page import render_page
-from fsinfer.report.pictures import cloud_section, depth_section
-from fsinfer.report.summary import plot_section, tiles, warnings_section
-from fsinfer.report.trees_part import figures_section, table_section
+from fsinfer.report.summary import plot_section, tiles
+from fsinfer.report.trees_part import stems_section, table_section
+from fsinfer.report.warnings_part import warnings_section
 
 REPORT_FILE = "report.html"
+# Small enough for most mailboxes.
+MAX_MB = 14.0
+LEAST_POINTS = 200_000
+PLAIN_NAMES = ("photos", "images", "frames", "video.mp4")
 # Columns under which a table of frames may say whether a frame was taken.
 _CHOSEN_COLUMNS = ("chosen", "kept", "selected", "used")
 
@@ -23,7 +31,8 @@ _CHOSEN_COLUMNS = ("chosen", "kept", "selected", "used")
 def make_report(out: Path | str) -> Path:
     """Write ``OUT/report.html`` from what ``OUT`` holds: one file, without any reference to the network.
 
-    Parts that are missing or damaged are said in the page.
+    Parts that are missing or damaged are said in the page. The cloud is thinned so that the page stays below
+    ``MAX_MB`` with the pictures of an ordinary plot.
 
     Returns
     -------
@@ -42,21 +51,26 @@ def make_report(out: Path | str) -> Path:
         raise InputError(msg)
     contents = read_contents(out)
     source = contents.plot.get("source")
-    title = f"Forest plot {source}" if source else f"Forest plot {out.resolve().name}"
+    # Many a folder of photos is called "photos"; the output folder says more then.
+    plain = not source or str(source).lower() in PLAIN_NAMES
+    title = f"Forest plot {out.resolve().name if plain else source}"
     versions = contents.plot.get("versions")
     version = versions.get("fsinfer") if isinstance(versions, dict) else None
     subtitle = "Trees measured from photographs with fsinfer" + (f" {version}" if version else "")
+    stems, depth = stems_section(contents), depth_section(contents)
+    # Eleven bytes a point, four characters for three bytes.
+    room = int((MAX_MB * 1e6 - len(stems) - len(depth)) * 3 / 4 / 11)
     page = render_page(
         title,
         subtitle,
         [
-            tiles(contents),
             warnings_section(contents),
+            tiles(contents),
             plot_section(contents),
+            stems,
             table_section(contents),
-            figures_section(contents),
-            cloud_section(contents),
-            depth_section(contents),
+            cloud_section(contents, max_points=min(max(room, LEAST_POINTS), MAX_POINTS)),
+            depth,
             _frames_section(contents),
             _provenance_section(contents),
         ],
@@ -80,7 +94,22 @@ def _frames_section(contents: Contents) -> str:
         rejected = frames
     reasons = Counter(row.get("reason", "").strip() for row in rejected)
     rows += [(f"Reason: {reason}", str(count)) for reason, count in reasons.most_common(12) if reason]
-    return section("Photos", facts(rows), anchor="photos")
+    return section("Photos", facts(rows), _contact_sheet(contents), anchor="photos")
+
+
+def _contact_sheet(contents: Contents) -> str:
+    """What was dropped and why, as the frames stage drew it; nothing where it drew nothing."""
+    path = contents.out / "frames" / "frames_contact.jpg"
+    if not path.is_file():
+        return ""
+    try:
+        sheet = read_image(path)
+    except FsinferError as error:
+        return paragraph(f"{path.name} could not be read ({error}).", "missing")
+    return (
+        "<details><summary>Photos that were left out</summary>"
+        f"{embedded_image(shrink(sheet, 1000), 'Left out, with the reason', suffix='.webp')}</details>"
+    )
 
 
 def _provenance_section(contents: Contents) -> str:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from fsinfer.errors import FsinferError
 
@@ -43,6 +46,23 @@ class Contents:
             number(t.get("dbh_cm")) is not None for t in self.trees or ()
         )
 
+    @property
+    def cloud_from_scene(self) -> NDArray[np.float64] | None:
+        """(4, 4) similarity from the scene's coordinates to those of ``cloud.ply``; None where it is not known."""
+        try:
+            similarity = np.array(self.plot.get("cloud_from_scene"), dtype=np.float64)
+        except (TypeError, ValueError):
+            return None
+        sound = similarity.shape == (4, 4) and bool(np.isfinite(similarity).all())
+        return similarity if sound and np.linalg.det(similarity[:3, :3]) > 0 else None
+
+    @property
+    def trees_per_cloud(self) -> float:
+        """Coordinates of ``trees.csv`` are those of ``cloud.ply`` times this (``fsinfer trees --scale``)."""
+        scale = self.plot.get("trees_scale")
+        factor = number(scale.get("m_per_unit")) if isinstance(scale, dict) else None
+        return factor if factor is not None and factor > 0 else 1.0
+
 
 def read_contents(out: Path) -> Contents:
     """Read the text parts of ``out``."""
@@ -61,6 +81,12 @@ def number(text: object) -> float | None:
     except (TypeError, ValueError):
         return None
     return value if value - value == 0 else None
+
+
+def tree_number(tree: Mapping[str, str]) -> int | None:
+    """The number of a row of ``trees.csv``; None where the cell is empty or damaged."""
+    value = number(tree.get("tree_id"))
+    return None if value is None else int(value)
 
 
 def _lenient(read: Callable[[], T], name: str, notes: list[str]) -> T | None:

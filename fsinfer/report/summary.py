@@ -7,12 +7,16 @@ from collections import Counter
 from dataclasses import dataclass
 
 from fsinfer.report.contents import Contents, number
-from fsinfer.report.html import bullets, escape, facts, paragraph, section
+from fsinfer.report.html import escape, facts, section
 
-NO_SCALE = (
-    "No scale is known: all lengths, positions and densities are in model units, not metres, and no DBH is given. "
-    "Photograph a marker of known size and run again with --aruco-length-m, or give --endpoints with --length-m."
-)
+# Width of the diameter classes of the stand table: inventories use 2, 4 or 5 cm.
+CLASS_CM = 5
+SCALE_SOURCES = {
+    "aruco": "markers in the photos",
+    "factor": "the factor that was given",
+    "endpoints": "the length between two points that were given",
+    "unknown": "an unknown source",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,46 +74,6 @@ def tiles(contents: Contents) -> str:
     return f'<div class="tiles">{cells}</div>' if cells else ""
 
 
-def warnings_section(contents: Contents) -> str:
-    """Return scale alarm and warnings, first of all things to read."""
-    plot = contents.plot
-    parts = []
-    if plot and not contents.metric:
-        parts.append(paragraph(NO_SCALE, "alarm"))
-    given = plot.get("warnings")
-    texts = [str(text) for text in given] if isinstance(given, list) else [str(given)] if given else []
-    if parts:
-        # The alarm above says it already.
-        texts = [text for text in texts if not text.startswith("no scale")]
-    diagnosis = plot.get("diagnosis")
-    if diagnosis and diagnosis not in texts and not (contents.trees or []):
-        texts.append(str(diagnosis))
-    photos, registered = number(plot.get("photos")), number(plot.get("registered"))
-    if photos and registered is not None and registered < 0.8 * photos:
-        texts.append(
-            f"Only {registered:.0f} of {photos:.0f} photos could be placed: parts of the plot may be missing. Take "
-            "more photos with more overlap, walking slowly."
-        )
-    difference = number(plot.get("depth_vs_sfm_median_rel"))
-    if difference is not None and difference > 0.01:
-        texts.append(
-            f"The depth maps differ from the tie points of the photos by {100 * difference:.1f} % (median); below 1 % "
-            "is usual. Treat the diameters with care."
-        )
-    unsure = Counter(tree.get("status", "") for tree in contents.trees or ())
-    told = [
-        f"{unsure[k]} {what}" for k, what in (("unmeasured", "without a DBH"), ("doubtful", "doubtful")) if unsure[k]
-    ]
-    if told:
-        texts.append(f"Stems {' and '.join(told)}: the last column of the tree table says why.")
-    texts += contents.notes
-    if texts:
-        parts.append(bullets(texts, "warnings"))
-    elif not parts:
-        parts.append(paragraph("None." if plot else "plot.json is not in this folder, so nothing is known.", "note"))
-    return section("What to look out for", *parts, anchor="warnings")
-
-
 def plot_section(contents: Contents) -> str:
     """Return plot summary and stand table."""
     plot, stand = contents.plot, stand_of(contents)
@@ -145,7 +109,8 @@ def plot_section(contents: Contents) -> str:
             rows.append(("Ground area covered by the cloud", f"{points / density:,.0f} m²"))
     scale, spread = number(plot.get("scale_m_per_unit")), number(plot.get("scale_rel_std"))
     if scale is not None:
-        known = f"{scale:.6g} m per model unit, from {plot.get('scale_source', 'an unknown source')}"
+        source = str(plot.get("scale_source") or "unknown")
+        known = f"{scale:.6g} m per model unit, from {SCALE_SOURCES.get(source, source)}"
         rows.append(
             ("Scale", known + (f", ± {100 * spread:.2f} % (one standard deviation)" if spread is not None else ""))
         )
@@ -155,4 +120,64 @@ def plot_section(contents: Contents) -> str:
     if difference is not None:
         rows.append(("Depth against tie points (median)", f"{100 * difference:.2f} %"))
     rows.append(("Lengths in", unit))
-    return section("Plot", facts(rows), anchor="plot")
+    return section("Plot", facts(rows), _classes(contents, stand), _boards(contents), anchor="plot")
+
+
+def _classes(contents: Contents, stand: Stand) -> str:
+    """The stand table: stems and basal area by classes of diameter."""
+    dbh_cm = [d for d in (number(tree.get("dbh_cm")) for tree in contents.trees or ()) if d is not None]
+    if not dbh_cm:
+        return ""
+    per_hectare = None if stand.area_m2 is None else 10_000 / stand.area_m2
+    head = ["DBH class (cm)", "Stems", "Basal area (m²)"]
+    if per_hectare is not None:
+        head += ["Stems per ha", "Basal area (m²/ha)"]
+    counted = Counter(int(d // CLASS_CM) for d in dbh_cm)
+    rows = []
+    for k in range(min(counted), max(counted) + 1):
+        own = [d for d in dbh_cm if int(d // CLASS_CM) == k]
+        rows.append(_class_row(f"{k * CLASS_CM} to under {(k + 1) * CLASS_CM}", own, per_hectare))
+    rows.append(_class_row("All with a DBH", dbh_cm, per_hectare))
+    return _wide_table("Stand table", head, rows, total=True)
+
+
+def _wide_table(title: str, head: list[str], rows: list[list[str]], *, total: bool = False) -> str:
+    """A table of numbers under a heading; ``total`` sets its last row off."""
+    top = "".join(f'<th scope="col">{escape(text)}</th>' for text in head)
+    body = "".join("<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>" for row in rows)
+    return (
+        f'<h3>{escape(title)}</h3><div class="wide" tabindex="0" role="region" aria-label="{escape(title)}">'
+        f'<table class="stand{" total" if total else ""}"><thead><tr>{top}</tr></thead>'
+        f"<tbody>{body}</tbody></table></div>"
+    )
+
+
+def _boards(contents: Contents) -> str:
+    """The markers that gave the scale, each with how far it disagrees with the others."""
+    details = contents.plot.get("scale_details")
+    boards = details.get("markers") if isinstance(details, dict) else None
+    if not isinstance(boards, list) or not boards or not all(isinstance(board, dict) for board in boards):
+        return ""
+    rows = []
+    for board in boards:
+        views, residual = board.get("views"), number(board.get("residual_rel"))
+        without, pixels = number(board.get("leave_one_out_rel")), number(board.get("error_px"))
+        rows.append(
+            [
+                str(board.get("id", "?")),
+                str(len(views)) if isinstance(views, list) else "",
+                "" if residual is None else f"{100 * residual:+.2f} %",
+                "" if without is None else f"{100 * without:+.2f} %",
+                "" if pixels is None else f"{pixels:.2f}",
+            ]
+        )
+    head = ["Marker", "Photos", "Its length differs by", "Scale without it", "Error (pixels)"]
+    return _wide_table("Scale by markers", head, rows)
+
+
+def _class_row(name: str, dbh_cm: list[float], per_hectare: float | None) -> list[str]:
+    basal_m2 = math.pi / 4 * sum((d / 100) ** 2 for d in dbh_cm)
+    row = [name, str(len(dbh_cm)), f"{basal_m2:.3f}"]
+    if per_hectare is not None:
+        row += [f"{len(dbh_cm) * per_hectare:.0f}", f"{basal_m2 * per_hectare:.1f}"]
+    return row

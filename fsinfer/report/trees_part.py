@@ -1,93 +1,192 @@
-"""The trees in the report: the sortable table, the stem map and a card with the cross-section of each tree."""
+"""The trees in the report: the map beside the card of the tree picked on it, and the sortable table."""
 
 from __future__ import annotations
 
-import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
-from fsinfer.report.contents import Contents, number
-from fsinfer.report.html import embedded_file, paragraph, section, sortable_table
+from fsinfer.errors import FsinferError
+from fsinfer.images import read_image
+from fsinfer.report.contents import Contents, number, tree_number
+from fsinfer.report.html import embedded_image, escape, facts, paragraph, section, shrink, sortable_table
+from fsinfer.report.stem_map import stem_map
+from fsinfer.report.tree_photos import TreePhoto, tree_photos
 
-_KINDS = ("ok", "doubtful", "unmeasured")
+KINDS = ("ok", "doubtful", "unmeasured")
+STATUS_WORDS = {"ok": "measured", "doubtful": "doubtful", "unmeasured": "no diameter"}
+# The page stays below 15 MB: of many trees each gets fewer and smaller pictures.
+MAX_PHOTOS = 180
+PHOTOS_PER_TREE = 3
+MANY_TREES = 90
 
 
 def table_section(contents: Contents) -> str:
-    """Return the table of all trees; click on a column's head to sort."""
+    """Return the table of all trees; a column's head sorts, a tree's number shows its card."""
     if contents.trees is None:
-        return section("Trees", paragraph("trees.csv is not in this folder.", "missing"), anchor="trees")
+        return section("Tree table", paragraph("trees.csv is not in this folder.", "missing"), anchor="trees")
     if not contents.trees:
         why = str(contents.plot.get("diagnosis") or "The table of trees is empty.")
-        return section("Trees", paragraph("No trees were found."), paragraph(why), anchor="trees")
+        return section("Tree table", paragraph("No trees were found."), paragraph(why), anchor="trees")
     unit = "m" if contents.metric else "units"
-    columns = (
+    columns: tuple[tuple[str, str, str], ...] = (
         ("Tree", "tree_id", "{:.0f}"),
         ("DBH (cm)", "dbh_cm", "{:.1f}"),
         ("95 % interval (cm)", "", ""),
         ("Status", "status", ""),
-        ("From perimeter (cm)", "dbh_perimeter_cm", "{:.1f}"),
         ("Seen all round (%)", "arc_coverage", "{:.0%}"),
-        ("Residual (cm)", "residual_cm", "{:.2f}"),
+        ("DBH by tape (cm)", "dbh_perimeter_cm", "{:.1f}"),
+        ("Unevenness (cm)", "residual_cm", "{:.2f}"),
         ("Points", "points", "{:.0f}"),
         ("Lean (°)", "lean_deg", "{:.1f}"),
+        ("Height (m)", "height_m", "{:.1f}"),
         (f"x ({unit})", "x_m", "{:.2f}"),
         (f"y ({unit})", "y_m", "{:.2f}"),
+    )
+    # A column without a single value only takes room.
+    columns = tuple(
+        c for c in columns if c[1] in ("", "status") or any(number(t.get(c[1])) is not None for t in contents.trees)
     )
     rows = []
     for tree in contents.trees:
         cells = []
         for _, name, form in columns:
             if name == "status":
-                cells.append((tree.get("status", ""), tree.get("status", "")))
+                cells.append((STATUS_WORDS.get(tree.get("status", ""), tree.get("status", "")), tree.get("status", "")))
             elif name:
                 value = number(tree.get(name))
                 cells.append(("" if value is None else form.format(value), "" if value is None else repr(value)))
             else:
                 cells.append(_interval(tree))
         rows.append([*cells, (tree.get("reason", ""), tree.get("reason", ""))])
-    kinds = [tree["status"] if tree.get("status") in _KINDS else "ok" for tree in contents.trees]
+    kinds = [tree["status"] if tree.get("status") in KINDS else "ok" for tree in contents.trees]
+    ids = [tree_number(tree) for tree in contents.trees]
     return section(
-        "Trees",
-        paragraph("Click on a heading to sort. An empty DBH was not measured; the last column says why.", "note"),
-        sortable_table([*(head for head, _, _ in columns), "Remark"], rows, kinds),
+        "Tree table",
+        paragraph(
+            "Choose a heading to sort, a number to see the tree. An empty DBH was not measured; the remark says why.",
+            "note screen",
+        ),
+        sortable_table([*(head for head, _, _ in columns), "Remark"], rows, kinds, ids=ids, label="Trees of the plot"),
         anchor="trees",
     )
 
 
-def figures_section(contents: Contents) -> str:
-    """Return the stem map and the cross-sections that lie in ``figures``."""
-    folder = contents.out / "figures"
-    parts = []
-    stem_map = folder / "stem_map.png"
-    if stem_map.is_file():
-        parts.append(f'<div class="single">{embedded_file(stem_map, "Stem map")}</div>')
-    else:
-        parts.append(paragraph("There is no stem map in this folder.", "missing"))
-    by_id = {str(int(i)): tree for tree in contents.trees or () if (i := number(tree.get("tree_id"))) is not None}
-    cards = [
-        (int(found[1]), path)
-        for path in folder.glob("tree_*.png")
-        if (found := re.fullmatch(r"tree_0*(\d+)", path.stem)) is not None
-    ]
-    figures = [embedded_file(path, _caption(number_, by_id.get(str(number_)))) for number_, path in sorted(cards)]
-    if figures:
-        parts.append(f"<h3>Cross-sections at breast height</h3><div class='cards'>{''.join(figures)}</div>")
-    else:
-        parts.append(paragraph("There are no cross-section figures in this folder.", "missing"))
-    return section("Stem map and cross-sections", *parts, anchor="figures")
+def stems_section(contents: Contents) -> str:
+    """Return the stem map and the card of every tree: diameter, photos that see it, its section at breast height."""
+    trees = [(i, tree) for tree in contents.trees or () if (i := tree_number(tree)) is not None]
+    if not trees:
+        return ""
+    photos, why = _photos(contents, len(trees))
+    cards = "".join(_card(contents, tree_id, tree, photos, small=len(trees) > MANY_TREES) for tree_id, tree in trees)
+    options = "".join(f'<option value="{i}">Tree {i}</option>' for i, _ in trees)
+    steps = (
+        '<div class="steps"><button type="button" data-step="-1" aria-label="Previous tree">‹ Previous</button>'
+        f'<select id="choose-tree" aria-label="Show tree">{options}</select>'
+        '<button type="button" data-step="1" aria-label="Next tree">Next ›</button></div>'
+    )
+    told = paragraph(
+        "Choose a tree on the map: its card shows how it was measured and which photos see it.", "note screen"
+    )
+    if why:
+        told += paragraph(why, "missing")
+    return section(
+        "Stem map and trees",
+        told,
+        f'<div class="stems">{stem_map(contents)}<div>{steps}<p class="said" role="status"></p>{cards}</div></div>',
+        anchor="stems",
+    )
 
 
-def _interval(tree: dict[str, str]) -> tuple[str, str]:
+def _photos(contents: Contents, trees: int) -> tuple[dict[int, list[TreePhoto]], str]:
+    per_tree = min(max(MAX_PHOTOS // trees, 1), PHOTOS_PER_TREE)
+    return tree_photos(contents, per_tree=per_tree, height_px=480 if trees <= MANY_TREES else 330)
+
+
+def _card(
+    contents: Contents,
+    tree_id: int,
+    tree: Mapping[str, str],
+    photos: Mapping[int, Sequence[TreePhoto]],
+    *,
+    small: bool,
+) -> str:
+    status = tree.get("status", "")
+    kind = status if status in KINDS else "ok"
+    dbh_cm = number(tree.get("dbh_cm"))
+    interval, _ = _interval(tree)
+    shown = "DBH not measured" if dbh_cm is None else f"DBH {dbh_cm:.1f} cm"
+    head = (
+        f'<h3>Tree {tree_id} <span class="status {kind}">{escape(STATUS_WORDS[kind])}</span></h3>'
+        f'<div class="dbh">{escape(shown)}</div>'
+    )
+    if interval:
+        head += paragraph(f"95 % interval: {interval} cm", "note")
+    if tree.get("reason"):
+        head += paragraph(tree["reason"], "reason")
+    pictures = "".join(
+        embedded_image(
+            photo.image,
+            f"{photo.name}, {photo.distance_m:.1f} {'m' if contents.metric else 'm (guessed)'} away",
+            suffix=".webp",
+            alt=f"Tree {tree_id} in photo {photo.name}, with the line at breast height",
+        )
+        for photo in photos.get(tree_id, ())
+    )
+    if pictures:
+        what = (
+            "Orange: breast height, as wide as the measured stem." if dbh_cm is not None else "Orange: breast height."
+        )
+        pictures = f'<div class="photos">{pictures}</div>' + paragraph(what, "note")
+    elif photos:
+        pictures = paragraph("No photo shows this stem unhidden at breast height.", "note")
+    button = (
+        f'<p class="viewer"><button type="button" data-cloud="{tree_id}">Show tree {tree_id} in the cloud</button></p>'
+    )
+    figure = _section_figure(contents.out / "figures" / f"tree_{tree_id:03d}.png", tree_id, small=small)
+    return (
+        f'<article class="card" id="tree-{tree_id}" data-tree="{tree_id}" aria-label="Tree {tree_id}">'
+        f"{head}{pictures}{facts(_rows(tree, contents.metric))}{figure}{button}</article>"
+    )
+
+
+def _rows(tree: Mapping[str, str], metric: bool) -> list[tuple[str, str]]:
+    unit = "m" if metric else "model units"
+    rows = []
+    for name, column, form in (
+        ("DBH as a tape reads it", "dbh_perimeter_cm", "{:.1f} cm"),
+        ("Seen of the stem's girth", "arc_coverage", "{:.0%}"),
+        ("Points in the section", "points", "{:.0f}"),
+        ("Unevenness of the section", "residual_cm", "{:.1f} cm"),
+        ("Lean", "lean_deg", "{:.1f}°"),
+        ("Height", "height_m", "{:.1f} m"),
+    ):
+        value = number(tree.get(column))
+        if value is not None:
+            rows.append((name, form.format(value)))
+    least, most = number(tree.get("dbh_min_cm")), number(tree.get("dbh_max_cm"))
+    if least is not None and most is not None:
+        rows.insert(1, ("Least and greatest diameter", f"{least:.1f} and {most:.1f} cm"))
+    x, y = number(tree.get("x_m")), number(tree.get("y_m"))
+    if x is not None and y is not None:
+        rows.append(("Position x, y", f"{x:.2f}, {y:.2f} {unit}"))
+    return rows
+
+
+def _section_figure(path: Path, tree_id: int, *, small: bool) -> str:
+    if not path.is_file():
+        return ""
+    caption = f"Section of tree {tree_id} at breast height, from above"
+    try:
+        image = read_image(path)
+    except FsinferError as error:
+        return paragraph(f"{path.name} could not be read ({error}).", "missing")
+    image = shrink(image, 420 if small else 620)
+    return f'<div class="section">{embedded_image(image, caption, suffix=".webp")}</div>'
+
+
+def _interval(tree: Mapping[str, str]) -> tuple[str, str]:
     low, high = number(tree.get("dbh_lo95_cm")), number(tree.get("dbh_hi95_cm"))
     if low is None or high is None:
         return "", ""
     # Sorted by its width: the surest tree first.
     return f"{low:.1f} to {high:.1f}", repr(high - low)
-
-
-def _caption(tree_id: int, tree: dict[str, str] | None) -> str:
-    if tree is None:
-        return f"Tree {tree_id} (not in trees.csv)"
-    dbh_cm = number(tree.get("dbh_cm"))
-    if dbh_cm is None:
-        return f"Tree {tree_id}: DBH not measured. {tree.get('reason', '')}".strip()
-    interval, _ = _interval(tree)
-    return f"Tree {tree_id}: DBH {dbh_cm:.1f} cm" + (f" (95 %: {interval} cm)" if interval else "")

@@ -24,7 +24,7 @@ from fsinfer.scene import read_scene
 from tests.fsinfer.synthetic_plot import M_PER_UNIT, STEMS, write_depth_folder, write_scene_folder
 
 Call = Callable[..., tuple[int, str, str]]
-COMMANDS = ("demo", "run", "frames", "poses", "depth", "fuse", "trees", "evaluate", "report")
+COMMANDS = ("demo", "run", "marker", "check", "frames", "poses", "depth", "fuse", "trees", "evaluate", "report")
 
 
 @pytest.fixture
@@ -61,6 +61,16 @@ def test_scale_options_are_there(call: Call, command: str, monkeypatch: pytest.M
     assert [
         o for o in ("--aruco-length-m", "--aruco-dictionary", "--endpoints", "--length-m", "--scale") if o not in out
     ] == []
+
+
+def test_marker_prints_boards_that_tell_their_length(call: Call, tmp_path: Path) -> None:
+    code, out, _ = call("marker", "--out", tmp_path / "m.pdf", "--paper", "a3", "--count", 2)
+    assert code == 0
+    assert "2 boards (40, 41), black square 250 mm, A3" in out
+    assert (tmp_path / "m.pdf").read_bytes().startswith(b"%PDF")
+    code, _, err = call("marker", "--out", tmp_path / "n.pdf", "--ids", "1,x")
+    assert code == 2
+    assert "--ids" in err
 
 
 def test_version(call: Call) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-HEAVY = ("torch", "pycolmap", "matplotlib", "onnxruntime", "laspy", "cv2", "scipy", "plotly", "numpy", "typer")
+HEAVY = ("torch", "pycolmap", "matplotlib", "onnxruntime", "laspy", "cv2", "scipy", "numpy", "typer")
 # Makes any "import torch" fail, as in an installation without it.
 BLOCK_TORCH = "import sys; sys.modules['torch'] = None; "
 

@@ -28,6 +28,7 @@ from fsinfer.pipeline import RunSettings, run
 from fsinfer.poses import PosesResult
 from fsinfer.scale_request import ScaleRequest
 from fsinfer.trees import TreeSettings
+from fsinfer.trees.table import read_trees
 from tests.fsinfer.synthetic_plot import M_PER_UNIT, STEMS, VIEWS, write_depth_folder, write_scene_folder
 
 METRIC = RunSettings(scale=ScaleRequest(factor=M_PER_UNIT))
@@ -90,7 +91,7 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> Fakes:
     monkeypatch.setattr(pipeline, "depth_vs_sfm", lambda *_: 0.0025)
     # Drawing takes most of the time; test_cli and the tests of the report draw.
     monkeypatch.setattr("fsinfer.report.make_report", lambda out: write_text(out / "report.html", "<html>"))
-    monkeypatch.setattr("fsinfer.trees.figures.write_figures", lambda folder, _: make_folder(folder))
+    monkeypatch.setattr("fsinfer.trees.figures.write_figures", lambda folder, *_, **__: make_folder(folder))
     return fakes
 
 
@@ -195,6 +196,25 @@ def test_killed_run_goes_on(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
     # Each was called once in vain and once for good; none that was finished was called again.
     assert fakes.calls == {"frames": 1, "poses": 2, "depth": 2, "fuse": 2, "trees": 2}
     assert (out / "trees.csv").read_bytes() == (whole / "trees.csv").read_bytes()
+
+
+def test_corrections_by_hand_repeat_only_the_trees(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    first = run(photos, out, settings=METRIC)
+    trees = read_trees(out / "trees.csv")
+    (out / "edits.csv").write_text("action,tree_id\ndelete,2\n", encoding="utf-8")
+    edited = run(photos, out, settings=METRIC)
+    assert ran(edited) == ["trees", "report"]
+    assert read_trees(out / "trees.csv") == [tree for tree in trees if tree.tree_id != 2]
+    assert edited.plot["trees"] == first.plot["trees"] - 1
+    assert ran(run(photos, out, settings=METRIC)) == []
+    # A file that is given counts instead of the one in the folder.
+    (tmp_path / "mine.csv").write_text("action,tree_id\ndelete,1\ndelete,9\n", encoding="utf-8")
+    with pytest.raises(InputError, match="row 3 of the edits names tree 9"):
+        run(photos, out, settings=METRIC, edits=tmp_path / "mine.csv")
+    (out / "edits.csv").unlink()
+    run(photos, out, settings=METRIC)
+    assert read_trees(out / "trees.csv") == trees
 
 
 def test_new_photo_repeats_everything(fakes: Fakes, photos: Path, tmp_path: Path) -> None:

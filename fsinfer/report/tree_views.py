@@ -1,0 +1,174 @@
+"""Which photographs show a tree best: unhidden by the depth maps, large, and near the middle of the picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.depth_maps import DepthMap
+from fsinfer.scene import Camera
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewSettings:
+    """Constants of :func:`choose_views`; lengths in metres."""
+
+    default_radius_m: float = 0.12  # where no diameter is known
+    below_m: float = 0.15  # the crop shows the foot ...
+    top_m: float = 2.2  # ... and the stem above breast height
+    checked_m: float = 0.4  # of the stem on either side of breast height is compared with the depth map
+    tolerance_of_depth: float = 0.05  # the depth map agrees with the stem within this, or within a radius
+    min_seen: float = 0.35  # share of the checked points that the depth map shows where the stem is
+    max_hidden: float = 0.35  # share behind something nearer
+    good_width_px: float = 120.0  # more than this is no better for the eye
+    least_width_px: float = 8.0
+    apart_deg: float = 40.0  # two chosen photographs look from directions at least this far apart, if there are any
+    least_apart_deg: float = 12.0
+    worth: float = 0.3  # of the best score, below which a photograph is not shown
+
+
+@dataclass(frozen=True, kw_only=True)
+class StandingTree:
+    """A tree in the scene's coordinates.
+
+    Attributes
+    ----------
+    tree_id: its number.
+    breast: (3,) the stem's centre at breast height.
+    up: (3,) the step of one metre upwards (one cloud unit where the scale is unknown).
+    radius: of the stem, scene units; ``measured`` says whether it is one or a guess.
+    bh_m: height of ``breast`` over the foot, in steps of ``up``.
+    """
+
+    tree_id: int
+    breast: Floats
+    up: Floats
+    radius: float
+    measured: bool
+    bh_m: float
+
+    def at(self, height_m: float) -> Floats:
+        """Centre (3,) of an upright stem at ``height_m`` over its foot."""
+        return np.asarray(self.breast + (height_m - self.bh_m) * self.up)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RatedView:
+    """How well view ``view`` (index into the scene) shows tree ``tree_id``; ``direction`` (3,) points to the camera."""
+
+    tree_id: int
+    view: int
+    score: float
+    direction: Floats
+    distance_m: float
+
+
+def project(points: Floats, camera: Camera) -> tuple[Floats, Floats]:
+    """Pixel positions (N, 2) and z depths (N,) of scene points (N, 3) in the photograph."""
+    in_camera = points @ camera.cam_from_world[:3, :3].T + camera.cam_from_world[:3, 3]
+    depth = in_camera[:, 2]
+    homogeneous = in_camera @ camera.intrinsic.T
+    return homogeneous[:, :2] / np.where(np.abs(depth) < 1e-12, 1e-12, depth)[:, None], depth
+
+
+def rate_view(
+    tree: StandingTree,
+    view: int,
+    camera: Camera,
+    size_px: tuple[int, int],
+    depth_map: DepthMap | None,
+    *,
+    settings: ViewSettings | None = None,
+) -> RatedView | None:
+    """Rate one photograph for one tree; None where it does not show the stem at breast height.
+
+    Parameters
+    ----------
+    size_px: width and height of the photograph.
+    depth_map: of this view; without one nothing is known of what stands before the tree.
+    """
+    s = settings or ViewSettings()
+    metre = float(np.linalg.norm(tree.up))
+    stem = np.stack([tree.at(h) for h in np.linspace(-s.below_m, s.top_m, 12)])
+    pixels, depths = project(np.vstack([tree.breast[None], stem]), camera)
+    depth = float(depths[0])
+    if depth <= max(2 * tree.radius, 0.3 * metre) or depths.min() <= 0:
+        return None
+    width_px = float(camera.intrinsic[0, 0]) * 2 * tree.radius / depth
+    size = np.array(size_px, dtype=np.float64)
+    if width_px < s.least_width_px or (pixels[0] < width_px / 2).any() or (pixels[0] > size - 1 - width_px / 2).any():
+        return None
+    inside = float(((pixels[1:] >= 0) & (pixels[1:] <= size - 1)).all(axis=1).mean())
+    seen = 0.5
+    if depth_map is not None:
+        seen, hidden = _seen_and_hidden(tree, camera, depth_map, s)
+        if seen < s.min_seen or hidden > s.max_hidden:
+            return None
+    off_centre = float(np.linalg.norm(pixels[0] - size / 2) / np.linalg.norm(size / 2))
+    score = seen * min(width_px / s.good_width_px, 1.0) ** 0.5 * inside * (1 - 0.5 * off_centre**2)
+    offset = camera.center - tree.breast
+    distance = float(np.linalg.norm(offset))
+    return RatedView(
+        tree_id=tree.tree_id, view=view, score=score, direction=offset / distance, distance_m=distance / metre
+    )
+
+
+def choose_views(
+    rated: Sequence[RatedView], count: int, *, settings: ViewSettings | None = None
+) -> tuple[RatedView, ...]:
+    """Choose up to ``count`` of the views of one tree, best first, from directions well apart where there are any."""
+    s = settings or ViewSettings()
+    best_first = sorted(rated, key=lambda r: (-r.score, r.view))
+    chosen: list[RatedView] = []
+    for apart_deg in (s.apart_deg, s.least_apart_deg):
+        for candidate in best_first:
+            if len(chosen) >= count or candidate.score < s.worth * best_first[0].score:
+                break
+            cosines = [float(candidate.direction @ other.direction) for other in chosen]
+            if all(cosine < np.cos(np.radians(apart_deg)) for cosine in cosines):
+                chosen.append(candidate)
+    return tuple(chosen)
+
+
+def breast_height_ring(tree: StandingTree, camera: Camera) -> Floats:
+    """The half (M, 2) of the stem's circle at breast height that faces the camera, in pixels of the photograph."""
+    across, towards = _horizontal(tree, camera)
+    angle = np.linspace(-np.pi / 2, np.pi / 2, 33)[:, None]
+    points = tree.breast + tree.radius * (np.sin(angle) * across + np.cos(angle) * towards)
+    return project(points, camera)[0]
+
+
+def _seen_and_hidden(tree: StandingTree, camera: Camera, depth_map: DepthMap, s: ViewSettings) -> tuple[float, float]:
+    """Shares of points on the near side of the stem that the depth map shows, and that something nearer hides."""
+    across, towards = _horizontal(tree, camera)
+    side, height = np.meshgrid(np.linspace(-0.7, 0.7, 5), np.linspace(-s.checked_m, s.checked_m, 9))
+    side, height = side.reshape(-1, 1), height.reshape(-1, 1)
+    surface = tree.radius * (side * across + np.sqrt(1 - side**2) * towards)
+    in_camera = (tree.breast + height * tree.up + surface) @ camera.cam_from_world[:3, :3].T
+    in_camera += camera.cam_from_world[:3, 3]
+    depth = in_camera[:, 2]
+    pixels = np.rint((in_camera @ depth_map.intrinsic.T)[:, :2] / np.maximum(depth, 1e-12)[:, None]).astype(np.int64)
+    rows, columns = depth_map.inverse_depth.shape
+    inside = (pixels >= 0).all(axis=1) & (pixels[:, 0] < columns) & (pixels[:, 1] < rows) & (depth > 0)
+    found = np.zeros(len(depth))
+    found[inside] = depth_map.inverse_depth[pixels[inside, 1], pixels[inside, 0]]
+    known = found > 0
+    found[known] = 1 / found[known]
+    tolerance = np.maximum(tree.radius, s.tolerance_of_depth * depth)
+    seen = known & (np.abs(found - depth) <= tolerance)
+    hidden = known & (found < depth - tolerance)
+    return float(seen.mean()), float(hidden.mean())
+
+
+def _horizontal(tree: StandingTree, camera: Camera) -> tuple[Floats, Floats]:
+    """Level unit vectors (3,) at the stem: across the line of sight, and towards the camera."""
+    up = tree.up / np.linalg.norm(tree.up)
+    offset = camera.center - tree.breast
+    towards = offset - (offset @ up) * up
+    towards /= max(float(np.linalg.norm(towards)), 1e-12)
+    return np.cross(up, towards), towards

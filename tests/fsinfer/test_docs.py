@@ -1,0 +1,70 @@
+"""The code in the documentation runs, on small data, and does what the text says."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fsinfer.cloud import write_cloud
+from fsinfer.depth_model import DepthModel
+from fsinfer.images import read_image
+from fsinfer.manifest import models_folder
+from fsinfer.scene import read_scene
+from tests.fsinfer.report_plot import plot_cloud, tree_rows, write_report_folder
+from tests.plane_scene import write_plane_scene
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def python_blocks(name: str) -> list[str]:
+    return re.findall(
+        r"^```python\n(.*?)^```", (DOCS / name).read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE
+    )
+
+
+def test_the_example_without_fsinfer_computes_the_same_depth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (block,) = python_blocks("onnx.md")
+    assert "fsinfer" not in block
+    (tmp_path / "models").symlink_to(models_folder())
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    exec(compile(block, "docs/onnx.md", "exec"), names)
+    views = read_scene(write_plane_scene(tmp_path / "scene", height=75, width=90)).views
+    images = [read_image(view.image_path) for view in views]
+    intrinsics = np.stack([view.camera.intrinsic for view in views])
+    poses = np.stack([view.camera.cam_from_world for view in views])
+    depth, confidence = names["depth_of"](images, intrinsics, poses, 1.5, 12.0)  # type: ignore[operator]
+    expected = DepthModel.load("field", threads=1).predict(images, intrinsics, poses, (1.5, 12.0))
+    assert depth.shape == expected.depth.shape == (38, 45)
+    # Where two hypotheses are equally good, rounding decides between them.
+    close = np.abs(depth - expected.depth) < 1e-3 * expected.depth
+    assert close.mean() > 0.995
+    assert np.abs(confidence - expected.confidence)[close].max() < 5e-3
+
+
+def test_the_walk_through_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Drawing takes most of the time, and is tested elsewhere.
+    monkeypatch.setattr("fsinfer.trees.figures.write_figures", lambda folder, *_, **__: folder.mkdir(exist_ok=True))
+    out = write_report_folder(tmp_path / "plot")
+    write_cloud(out / "cloud.ply", plot_cloud(points_per_stem=12_000, ground=30_000))
+    rows = ["tree_id,x_m,y_m,dbh_cm", *(f"{r['tree_id']},{r['x_m']},{r['y_m']},{r['dbh_cm'] + 1}" for r in tree_rows())]
+    (out / "truth.csv").write_text("\n".join(rows), encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    printed, names = io.StringIO(), {}
+    blocks = python_blocks("example.md")
+    assert len(blocks) == 8
+    with contextlib.redirect_stdout(printed):
+        for number, block in enumerate(blocks, start=1):
+            exec(compile(block, f"docs/example.md, block {number}", "exec"), names)
+    text = printed.getvalue()
+    assert "12 of 12 photos, 3 trees, lengths in m" in text
+    assert "3 of 3 found, RMSE 1.00 cm, bias -1.00 cm" in text
+    assert "is in front of 12 photos" in text
+    assert "tree 1: 30.0 cm at 1.30 m" in text
+    assert "[1, 2, 4] report.html" in text
+    assert (out / "report.html").stat().st_size > 100_000
