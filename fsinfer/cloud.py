@@ -97,7 +97,7 @@ def read_cloud(path: Path | str) -> PointCloud:
         columns = read_las(path)
     else:
         columns = _read_text(path)
-    cloud = _from_columns(path, columns)
+    cloud = cloud_of_columns(path, columns)
     finite = np.asarray(np.isfinite(cloud.xyz).all(axis=1))
     dropped = len(cloud) - int(finite.sum())
     if dropped:
@@ -133,7 +133,7 @@ def write_cloud(path: Path | str, cloud: PointCloud) -> None:
     if not np.isfinite(cloud.xyz).all():
         msg = f"some points for {path} have no finite coordinates; drop them before writing"
         raise CloudError(msg)
-    extra = {name: _storable(name, values) for name, values in cloud.extra.items()}
+    extra = {name: storable(name, values) for name, values in cloud.extra.items()}
     if suffix == ".ply":
         columns: dict[str, NDArray[Any]] = dict(zip("xyz", _ply_coordinates(cloud.xyz).T, strict=True))
         if cloud.normals is not None:
@@ -155,7 +155,7 @@ def _ply_coordinates(xyz: NDArray[np.float64]) -> NDArray[Any]:
     return xyz if step > _FLOAT_STEP_PER_EXTENT * extent else xyz.astype(np.float32)
 
 
-def _storable(name: str, values: NDArray[Any]) -> NDArray[Any]:
+def storable(name: str, values: NDArray[Any]) -> NDArray[Any]:
     """Convert to a type that PLY and LAS have; 64-bit integers and booleans have none."""
     if values.dtype == np.bool_:
         return values.astype(np.uint8)
@@ -173,7 +173,8 @@ def _storable(name: str, values: NDArray[Any]) -> NDArray[Any]:
     return values
 
 
-def _from_columns(path: Path, columns: dict[str, NDArray[Any]]) -> PointCloud:
+def cloud_of_columns(path: Path, columns: dict[str, NDArray[Any]]) -> PointCloud:
+    """A cloud of (N,) columns by name, as a file has them; ``path`` is for the message where x, y or z is missing."""
     lower = {name.lower(): name for name in columns}
     if not all(axis in lower for axis in "xyz"):
         msg = f"{path} has no x, y and z for its points; export the cloud again"

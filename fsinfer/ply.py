@@ -33,6 +33,15 @@ class _Element:
     has_lists: bool
 
 
+@dataclass(frozen=True, kw_only=True)
+class PlyTable:
+    """The vertex table of a binary PLY: row type, number of rows, and its first byte in the file."""
+
+    dtype: np.dtype[np.void]
+    count: int
+    offset: int
+
+
 def read_ply(path: Path) -> dict[str, NDArray[Any]]:
     """Read the vertex table of a PLY file (ascii, little or big endian); faces and other elements are ignored.
 
@@ -51,31 +60,39 @@ def read_ply(path: Path) -> dict[str, NDArray[Any]]:
         msg = f"cannot read {path}: {error.strerror or error}; check the path"
         raise CloudError(msg) from error
     form, elements, start = _parse_header(path, data[:_MAX_HEADER_BYTES])
-    before = []
-    for element in elements:
-        if element.name == "vertex":
-            break
-        before.append(element)
-    else:
-        msg = f"{path} has no vertices; export the points (not only faces) as PLY again"
-        raise CloudError(msg)
-    if element.has_lists:
-        msg = f"{path}: its vertices hold a list property; export the cloud without it, or as LAZ"
-        raise CloudError(msg)
+    element, before = _vertices(path, elements)
     if form == "ascii":
         return _read_ascii(path, data[start:], element, skip_rows=sum(e.count for e in before))
-    order = "<" if form == "binary_little_endian" else ">"
-    for earlier in before:
-        if earlier.has_lists:
-            msg = f"{path}: element '{earlier.name}' stands before the vertices; export the points alone, or as LAZ"
-            raise CloudError(msg)
-        start += earlier.count * _row_dtype(earlier, order).itemsize
-    dtype = _row_dtype(element, order)
-    have = max(0, len(data) - start) // max(1, dtype.itemsize)
-    if have < element.count:
-        raise _truncated(path, have, element.count)
-    table = np.frombuffer(data, dtype=dtype, count=element.count, offset=start)
-    return {name: table[name].astype(dtype[name].newbyteorder("=")) for name, _ in element.properties}
+    place = _binary_table(path, form, element, before, start, len(data))
+    table = np.frombuffer(data, dtype=place.dtype, count=place.count, offset=place.offset)
+    return {name: table[name].astype(place.dtype[name].newbyteorder("=")) for name, _ in element.properties}
+
+
+def find_table(path: Path) -> PlyTable | None:
+    """Where the vertices of a binary PLY lie, so that they can be read in pieces; None for an ascii one.
+
+    Raises as :func:`read_ply` does.
+    """
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(_MAX_HEADER_BYTES)
+        size = path.stat().st_size
+    except OSError as error:
+        msg = f"cannot read {path}: {error.strerror or error}; check the path"
+        raise CloudError(msg) from error
+    form, elements, start = _parse_header(path, head)
+    element, before = _vertices(path, elements)
+    return None if form == "ascii" else _binary_table(path, form, element, before, start, size)
+
+
+def read_rows(path: Path, table: PlyTable, start: int, count: int) -> NDArray[np.void]:
+    """``count`` vertices from number ``start`` on, in the file's own types."""
+    offset = table.offset + start * table.dtype.itemsize
+    # Not a memory map: pages of a mapped file count as memory of the process until the system takes them back.
+    rows = np.fromfile(path, dtype=table.dtype, count=count, offset=offset)
+    if len(rows) < count:
+        raise _truncated(path, start + len(rows), table.count)
+    return rows
 
 
 def write_ply(path: Path, columns: dict[str, NDArray[Any]], *, comments: tuple[str, ...] = ()) -> None:
@@ -129,6 +146,34 @@ def _parse_header(path: Path, head: bytes) -> tuple[str, list[_Element], int]:
     if any(len({name for name, _ in e.properties}) != len(e.properties) for e in elements):
         raise CloudError(damaged)
     return form, elements, newline + 1
+
+
+def _vertices(path: Path, elements: list[_Element]) -> tuple[_Element, list[_Element]]:
+    """The vertex element, and those that stand before it."""
+    before: list[_Element] = []
+    for element in elements:
+        if element.name == "vertex":
+            if element.has_lists:
+                msg = f"{path}: its vertices hold a list property; export the cloud without it, or as LAZ"
+                raise CloudError(msg)
+            return element, before
+        before.append(element)
+    msg = f"{path} has no vertices; export the points (not only faces) as PLY again"
+    raise CloudError(msg)
+
+
+def _binary_table(path: Path, form: str, element: _Element, before: list[_Element], start: int, size: int) -> PlyTable:
+    order = "<" if form == "binary_little_endian" else ">"
+    for earlier in before:
+        if earlier.has_lists:
+            msg = f"{path}: element '{earlier.name}' stands before the vertices; export the points alone, or as LAZ"
+            raise CloudError(msg)
+        start += earlier.count * _row_dtype(earlier, order).itemsize
+    dtype = _row_dtype(element, order)
+    have = max(0, size - start) // max(1, dtype.itemsize)
+    if have < element.count:
+        raise _truncated(path, have, element.count)
+    return PlyTable(dtype=dtype, count=element.count, offset=start)
 
 
 def _row_dtype(element: _Element, order: str) -> np.dtype[np.void]:

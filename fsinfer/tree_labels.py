@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.cloud import cloud_of_columns, storable
+from fsinfer.las import NORMAL_NAMES, copy_las, las_writer
+
 if TYPE_CHECKING:
+    from fsinfer.cloud_chunks import ChunkedCloud
     from fsinfer.trees import PlotResult
 
 # A point belongs to the stem within three standard deviations of its noise; bark and moss need some room in any case.
@@ -44,3 +49,34 @@ def label_points(points: NDArray[np.float64], result: PlotResult) -> NDArray[np.
         best[near[own]] = distance[own]
         labels[near[own]] = tree.tree_id
     return labels
+
+
+def write_labelled(source: ChunkedCloud, path: Path, result: PlotResult) -> None:
+    """Write ``path`` (LAZ): the points of a large cloud file with their ``TreeID``, read and written piece by piece."""
+    if source.table is None:
+        copy_las(
+            source.path,
+            path,
+            "TreeID",
+            lambda xyz: label_points(xyz, result),
+            chunk_points=source.settings.chunk_points,
+            factor=source.factor,
+        )
+        return
+    sample = source.sample()
+    first = cloud_of_columns(source.path, next(source.columns()))
+    kinds: dict[str, np.dtype[Any]] = {name: storable(name, values).dtype for name, values in first.extra.items()}
+    if first.normals is not None:
+        kinds |= dict.fromkeys(NORMAL_NAMES, np.dtype(np.float32))
+    kinds["TreeID"] = np.dtype(np.int32)
+    low, high = sample.min(axis=0), sample.max(axis=0)
+    with las_writer(path, low, high, colour=first.rgb is not None, kinds=kinds) as append:
+        for columns in source.columns():
+            cloud = cloud_of_columns(source.path, columns)
+            finite: NDArray[np.bool_] = np.asarray(np.isfinite(cloud.xyz).all(axis=1))
+            cloud = cloud.select(finite)
+            xyz = cloud.xyz * source.factor
+            extra = {name: storable(name, values) for name, values in cloud.extra.items()}
+            if cloud.normals is not None:
+                extra |= dict(zip(NORMAL_NAMES, cloud.normals.T, strict=True))
+            append(xyz, cloud.rgb, extra | {"TreeID": label_points(xyz, result)})

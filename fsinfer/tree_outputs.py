@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,9 +15,12 @@ from fsinfer.progress import Progress, silent
 
 if TYPE_CHECKING:
     from fsinfer.cloud import PointCloud
+    from fsinfer.tree_edits import TreeEdit
     from fsinfer.trees import PlotResult, TreeSettings
+    from fsinfer.trees.stem_curve import CurvePoint
 
-MAPS = ("trees.gpkg", "trees.geojson", "trees.laz")
+# Everything but trees.csv and the figures: what an earlier measurement in metres may have left.
+MAPS = ("trees.gpkg", "trees.geojson", "trees.laz", "trees.xlsx", "stem_curve.csv")
 # Where a standing person holds a phone.
 CAMERA_HEIGHT_M = 1.5
 # A marker's board and the post behind it lie within this of the marker's centre.
@@ -34,6 +37,8 @@ def write_tree_outputs(
     camera_height: float | None = None,
     marker_xyz: NDArray[np.float64] | None = None,
     epsg: int | None = None,
+    write_labelled: Callable[[Path, PlotResult], None] | None = None,
+    edits: Sequence[TreeEdit] = (),
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Measure the trees of a cloud (z up) and write table, maps, labelled points and figures into ``out``.
@@ -42,13 +47,16 @@ def write_tree_outputs(
     ----------
     cloud: z up; metres, or model units with ``metric=False``: then the trees get positions and no DBH.
     out: receives ``trees.csv`` and ``figures/*.png``, and in metres ``trees.gpkg`` (``trees.geojson`` too where the
-        frame is of WGS84) and ``trees.laz``, the cloud with a ``TreeID``; what an earlier measurement left is removed.
+        frame is of WGS84) and ``trees.laz``, the cloud with a ``TreeID``, ``stem_curve.csv`` and ``trees.xlsx`` (all
+        tables as sheets); what an earlier measurement left is removed.
     settings: of the measurement.
     scale_rel_std: relative standard deviation of the scale, if known; it widens every interval.
     camera_height: median height of the cameras above the ground, in units of the cloud; a person holds a camera at
         about 1.5 m, which tells roughly how large the trees are while the scale is unknown.
     marker_xyz: (M, 3) centres of the markers that gave the scale, in the cloud's frame: see :func:`without_posts`.
     epsg: code of the cloud's horizontal frame; None for local metres.
+    edits: corrections by hand (:mod:`fsinfer.tree_edits`), applied to what was found.
+    write_labelled: writes ``trees.laz`` instead, for a cloud of which only a part is in memory.
 
     Returns
     -------
@@ -65,6 +73,7 @@ def write_tree_outputs(
     from fsinfer.tree_maps import write_maps
     from fsinfer.trees import analyse_plot
     from fsinfer.trees.figures import write_figures
+    from fsinfer.trees.stem_curve import stem_curves, write_curves
     from fsinfer.trees.table import write_trees
 
     hint = None if camera_height is None or camera_height <= 0 else camera_height / CAMERA_HEIGHT_M
@@ -79,14 +88,26 @@ def write_tree_outputs(
     )
     if marker_xyz is not None and metric:
         result = without_posts(result, marker_xyz)
+    if edits:
+        from fsinfer.tree_edits import apply_edits
+
+        result = apply_edits(
+            result, cloud.xyz, edits, settings=settings, scale_rel_std=scale_rel_std or 0.0, metric=metric
+        )
     write_trees(out / "trees.csv", result.trees)
     _clear_figures(out)
     _clear_maps(out)
-    write_figures(out / "figures", result)
+    curves = stem_curves(cloud.xyz, result) if metric else {}
+    write_figures(out / "figures", result, curves=curves)
     if metric:
+        write_curves(out / "stem_curve.csv", curves.values())
+        write_tables(out / "trees.xlsx", result, curves)
         write_maps(out, result.trees, epsg=epsg)
-        labels = label_points(cloud.xyz, result)
-        write_cloud(out / "trees.laz", replace(cloud, extra=cloud.extra | {"TreeID": labels}))
+        if write_labelled is None:
+            labels = label_points(cloud.xyz, result)
+            write_cloud(out / "trees.laz", replace(cloud, extra=cloud.extra | {"TreeID": labels}))
+        else:
+            write_labelled(out / "trees.laz", result)
     return {
         "trees": len(result.trees),
         "trees_with_dbh": sum(tree.dbh_cm is not None for tree in result.trees),
@@ -96,6 +117,24 @@ def write_tree_outputs(
         "plot_area_m2": result.plot_area_m2 or None,
         "warnings": [*result.warnings, *(() if result.trees else (result.diagnosis,))],
     }
+
+
+def write_tables(path: Path, result: PlotResult, curves: dict[int, tuple[CurvePoint, ...]]) -> None:
+    """Write the trees, the stand table and the stem curves as sheets of one XLSX workbook."""
+    from fsinfer.spreadsheet import write_workbook
+    from fsinfer.trees.stem_curve import COLUMNS as CURVE_COLUMNS
+    from fsinfer.trees.stem_curve import curve_row
+    from fsinfer.trees.table import COLUMNS, table_row
+
+    stand = [("figure", "value"), *asdict(result.stand).items()]
+    write_workbook(
+        path,
+        {
+            "trees": [COLUMNS, *map(table_row, result.trees)],
+            "stand": stand,
+            "stem curve": [CURVE_COLUMNS, *(curve_row(point) for curve in curves.values() for point in curve)],
+        },
+    )
 
 
 def without_posts(result: PlotResult, marker_xyz: NDArray[np.float64]) -> PlotResult:

@@ -5,7 +5,8 @@ from fsinfer.trees.dbh import DbhSettings, Section
 from fsinfer.trees.ground import Ground, GroundSettings, find_ground
 from fsinfer.trees.measure import PlotResult, TreeSettings, analyse_plot, measure_trees
 from fsinfer.trees.stand import StandTable, stand_table
-from fsinfer.trees.stems import StemSettings, find_stems
+from fsinfer.trees.stem import StemSettings
+from fsinfer.trees.stems import find_stems
 from fsinfer.trees.tree import Tree
 
 __all__ = [

@@ -25,7 +25,7 @@ from fsinfer.trees.circle import CircleSettings, covered_bins, fit_circle
 from fsinfer.trees.outline import Outline, fit_outline
 from fsinfer.trees.sides import noise_sector, relative_noise, seen_side
 from fsinfer.trees.spread import Spread, SpreadSettings, fit_spread
-from fsinfer.trees.stems import Stem
+from fsinfer.trees.stem import Stem
 from fsinfer.trees.walls import blurred_gap, wall_gap
 
 Floats = NDArray[np.float64]
@@ -47,7 +47,7 @@ class DbhSettings:
     doubtful_coverage: float = 100.0 / 360.0
     max_sigma_m: float = 0.026
     max_sigma_of_radius: float = 0.35
-    max_interval: float = 0.45  # a 95 % interval wider than this share of the DBH is no measurement
+    max_interval: float = 0.6  # a 95 % interval wider than this share of the DBH is no measurement
     doubtful_interval: float = 0.22
     outline_coverage: float = 0.8  # perimeter, least and greatest diameter need the way round
     order: int = 4  # harmonics of the section

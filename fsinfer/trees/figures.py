@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,18 +16,28 @@ from fsinfer.trees.tree import Tree
 
 if TYPE_CHECKING:
     from fsinfer.trees.dbh import Section
+    from fsinfer.trees.stem_curve import CurvePoint
 
 STATUS_COLOURS = {"ok": "#1b7837", "doubtful": "#d98300", "unmeasured": "#9a9a9a"}
 _KEPT, _DROPPED, _CIRCLE, _CURVE = "#2b5c8a", "#d1495b", "#1b1b1b", "#e08e0b"
 
 
-def write_figures(folder: Path, result: PlotResult, *, progress: Progress = silent) -> list[Path]:
-    """Write ``stem_map.png`` and ``tree_ID.png`` for each tree into ``folder``; returns the paths."""
+def write_figures(
+    folder: Path,
+    result: PlotResult,
+    *,
+    curves: Mapping[int, Sequence[CurvePoint]] | None = None,
+    progress: Progress = silent,
+) -> list[Path]:
+    """Write ``stem_map.png`` and ``tree_ID.png`` for each tree into ``folder``; returns the paths.
+
+    ``curves`` are the stem curves by tree id, drawn beside the sections where there are some.
+    """
     paths = [Path(folder) / "stem_map.png"]
     plot_stem_map(result, paths[0])
     for number, (tree, section) in enumerate(zip(result.trees, result.sections, strict=True), start=1):
         path = Path(folder) / f"tree_{tree.tree_id:03d}.png"
-        plot_section(tree, section, path)
+        plot_section(tree, section, path, curve=(curves or {}).get(tree.tree_id, ()))
         paths.append(path)
         progress(number, len(result.trees), "drawing sections")
     return paths
@@ -82,12 +93,17 @@ def plot_stem_map(result: PlotResult, path: Path) -> None:
     _save(figure, path)
 
 
-def plot_section(tree: Tree, section: Section, path: Path) -> None:
-    """One tree's section at breast height, in centimetres about the circle's centre."""
+def plot_section(tree: Tree, section: Section, path: Path, *, curve: Sequence[CurvePoint] = ()) -> None:
+    """One tree's section at breast height, in centimetres about the circle's centre, and its stem curve beside it."""
     from matplotlib.patches import Annulus, Circle
 
-    figure = _figure(6.4, 6.9)
-    axes = figure.add_subplot()
+    measured = [point for point in curve if point.diameter_cm is not None]
+    figure = _figure(9.4 if measured else 6.4, 6.9)
+    if measured:
+        axes, beside = figure.subplots(1, 2, width_ratios=(2.4, 1.0))
+        _draw_curve(beside, tree, measured)
+    else:
+        axes = figure.add_subplot()
     center = section.circle_m[:2]
     radius = 100.0 * float(section.circle_m[2])
     offsets = 100.0 * (section.offsets_m - center)
@@ -104,8 +120,8 @@ def plot_section(tree: Tree, section: Section, path: Path) -> None:
         axes.add_patch(band)
         axes.add_patch(Circle((0, 0), radius, fill=False, edgecolor=_CIRCLE, linewidth=1.5, label="circle"))
     if section.outline is not None:
-        curve = 100.0 * (section.outline.curve_m - center)
-        axes.plot(*_closed(curve).T, color=_CURVE, linewidth=1.5, linestyle="--", label="outline")
+        outline = 100.0 * (section.outline.curve_m - center)
+        axes.plot(*_closed(outline).T, color=_CURVE, linewidth=1.5, linestyle="--", label="outline")
     axes.plot(0, 0, marker="+", color=_CIRCLE, markersize=9)
     reach = 1.3 * max(radius, float(np.percentile(np.abs(offsets), 98)) if len(offsets) else 0.0, 3.0)
     reach = min(reach, 2.2 * max(radius, 3.0))
@@ -130,6 +146,22 @@ def plot_section(tree: Tree, section: Section, path: Path) -> None:
     axes.text(0.5, 1.015, details, transform=axes.transAxes, ha="center", va="bottom", fontsize=8.5, color="0.25")
     figure.legend(loc="outside lower center", ncols=3, fontsize=8.5, frameon=False)
     _save(figure, path)
+
+
+def _draw_curve(axes: Any, tree: Tree, measured: Sequence[CurvePoint]) -> None:
+    height = [point.height_m for point in measured]
+    diameter = [point.diameter_cm or 0.0 for point in measured]
+    error = [1.96 * (point.std_cm or 0.0) for point in measured]
+    axes.errorbar(diameter, height, xerr=error, fmt="o-", color=_KEPT, markersize=4, linewidth=1.0, capsize=2)
+    if tree.dbh_cm is not None:
+        axes.plot(tree.dbh_cm, tree.bh_m, marker="D", color=_CURVE, linestyle="", markersize=6)
+        axes.annotate("DBH", (tree.dbh_cm, tree.bh_m), xytext=(6, -3), textcoords="offset points", fontsize=8.5)
+    widest = max(*(d + e for d, e in zip(diameter, error, strict=True)), tree.dbh_cm or 0.0)
+    axes.set(xlim=(0.0, 1.2 * widest), ylim=(0.0, max(height[-1], tree.bh_m) + 0.5))
+    axes.set(xlabel="diameter (cm)", ylabel="height above ground (m)")
+    axes.set_title("Stem curve", fontsize=10)
+    axes.grid(color="0.93")
+    axes.set_axisbelow(True)
 
 
 def _figure(width: float, height: float) -> Any:

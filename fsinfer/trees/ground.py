@@ -17,6 +17,7 @@ from scipy.ndimage import grey_erosion, map_coordinates
 from scipy.sparse.linalg import spsolve
 
 from fsinfer.errors import CloudError
+from fsinfer.trees.cells import MAX_TABLE
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -151,11 +152,21 @@ def _slope_filter(cell: Ints, low: Floats, shape: tuple[int, int], settings: Gro
     return np.asarray(low <= lowest.ravel()[cell])
 
 
+def _count(key: Ints) -> tuple[Ints, Ints]:
+    """The values (K,) among ``key`` (N,), ascending, and how often each occurs."""
+    if int(key.max()) > min(MAX_TABLE, 20 * len(key)):
+        values, count = np.unique(key, return_counts=True)
+        return values, count
+    table = np.bincount(key)
+    values = np.flatnonzero(table)
+    return values, table[values]
+
+
 def _lowest_layers(index: Ints, z: Floats, settings: GroundSettings) -> tuple[Ints, Floats]:
     """Cells (C,) and height of their lowest dense layer (C,): strays below the ground are not dense."""
     layer = np.floor((z - z.min()) / settings.layer_m).astype(np.int64)
     layers = int(layer.max()) + 1
-    key, count = np.unique(index * layers + layer, return_counts=True)
+    key, count = _count(index * layers + layer)
     cell, level = key // layers, key % layers
     starts = np.flatnonzero(np.r_[True, cell[1:] != cell[:-1]])
     lowest = np.repeat(level[starts], np.diff(np.r_[starts, len(cell)]))
@@ -220,10 +231,11 @@ def _core_noise(relative: Floats) -> float:
 
 
 def _cell_medians(index: Ints, z: Floats) -> tuple[Ints, Floats]:
-    order = np.lexsort((z, index))
-    index, z = index[order], z[order]
     if len(index) == 0:
         return index, z
+    # By cell, then by height, in one sort: a cell's heights stay within the span that separates it from the next.
+    order = np.argsort(index * (float(np.ptp(z)) + 1.0) + (z - z.min()))
+    index, z = index[order], z[order]
     starts = np.flatnonzero(np.r_[True, index[1:] != index[:-1]])
     count = np.diff(np.r_[starts, len(index)])
     enough = count >= 3

@@ -6,15 +6,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
 from fsinfer.errors import CloudError
 from fsinfer.progress import Progress, silent
+from fsinfer.trees.cells import PlanIndex, thin
 from fsinfer.trees.dbh import DbhSettings, Section, measure_stem
 from fsinfer.trees.ground import Ground, GroundSettings, find_ground
 from fsinfer.trees.sanity import TURNS, check_unit, check_upside_down, clean, turned_message
-from fsinfer.trees.stand import StandTable, seen_area, stand_table
-from fsinfer.trees.stems import Stem, StemSearch, StemSettings, find_stems, thin
+from fsinfer.trees.stand import NEAR_GROUND_M, StandTable, seen_area, stand_table
+from fsinfer.trees.stem import Stem, StemSettings
+from fsinfer.trees.stems import StemSearch, find_stems
 from fsinfer.trees.top import TopSettings, tree_height
 from fsinfer.trees.tree import Tree
 
@@ -130,14 +131,15 @@ def analyse_plot(
     check_upside_down(local, ground, settings.ground, seed=settings.seed)
     if ground.share < 0.6:
         warnings.append(f"ground seen in only {100 * ground.share:.0f} % of the lowest parts of the plot")
-    if seen_area(local, ground, np.zeros((0, 2)), close=False) < LITTLE_GROUND * plan_m2:
+    stand = local.copy()
+    stand[:, 2] -= ground.height_at(local[:, :2])
+    low = stand[np.abs(stand[:, 2]) <= NEAR_GROUND_M, :2]
+    if seen_area(low, np.zeros((0, 2)), close=False) < LITTLE_GROUND * plan_m2:
         warnings.append("little ground is seen: breast height is counted from the lowest points of the stems")
-    heights = local[:, 2] - ground.height_at(local[:, :2])
-    stand = np.column_stack([local[:, :2], heights])
     progress(1, 3, "looking for stems")
     search = find_stems(stand, settings=settings.stems, progress=progress, seed=settings.seed)
     progress(2, 3, "measuring stems")
-    pairs = _doubt_the_rough(_measure(stand, search, ground, settings, scale_rel_std, origin))
+    pairs = _doubt_the_rough(measure_stems(stand, search, ground, settings, scale_rel_std, origin))
     if not turned and not any(tree.dbh_cm is not None for tree, _ in pairs):
         _check_turned(local, settings)
     centers = np.array([[tree.x_m, tree.y_m] for tree, _ in pairs]).reshape(-1, 2) - origin[:2]
@@ -153,11 +155,11 @@ def analyse_plot(
         warnings=tuple(warnings),
         extent_m=(float(extent[0, 0]), float(extent[0, 1]), float(extent[1, 0]), float(extent[1, 1])),
         spacing_m=search.spacing_m,
-        plot_area_m2=seen_area(local, ground, centers),
+        plot_area_m2=seen_area(low, centers),
     )
 
 
-def _measure(
+def measure_stems(
     stand: Floats,
     search: StemSearch,
     ground: Ground,
@@ -165,14 +167,16 @@ def _measure(
     scale_rel_std: float,
     origin: Floats,
 ) -> list[tuple[Tree, Section]]:
+    """Measure the stems of a search in points (N, 3) of x, y, height above ``ground``, metres about ``origin`` (3,)."""
     low, high = settings.stems.heights_m
     slab = stand[(stand[:, 2] >= low - 0.5) & (stand[:, 2] <= high + 0.5)]
-    index = cKDTree(slab[:, :2])
+    index = PlanIndex(slab, settings.stems.index_cell_m)
     centers = np.array([stem.axis.center_at(settings.bh_m) for stem in search.stems]).reshape(-1, 2)
-    crowns = thin(stand[stand[:, 2] > 1.0], settings.top.cell_m) if len(centers) else stand
+    crowns = thin(stand[stand[:, 2] > 1.0], settings.top.cell_m) if len(centers) else stand[:0]
+    crown_index = PlanIndex(crowns, 0.5 * settings.top.reach_m)
     pairs = []
     for number, stem in enumerate(search.stems):
-        near = slab[index.query_ball_point(centers[number], stem.axis.radius_m + 0.35)]
+        near = index.near(centers[number], stem.axis.radius_m + 0.35)
         near, stem = _on_own_ground(near, stem, ground, settings)
         section = measure_stem(
             _without_neighbours(near, stem, search.stems),
@@ -185,7 +189,7 @@ def _measure(
         )
         if section.dbh_m is not None and 100.0 * section.dbh_m < settings.min_dbh_cm:
             continue
-        height = tree_height(crowns, stem, centers, number, section.dbh_m, settings=settings.top)
+        height = tree_height(crown_index, stem, centers, number, section.dbh_m, settings=settings.top)
         z_ground = float(ground.height_at(section.center[None])[0])
         pairs.append((_tree(section, z_ground, height, origin), section))
     return pairs

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_closing
 
-from fsinfer.trees.ground import Ground
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
@@ -57,12 +56,12 @@ def stand_table(trees: Sequence[Tree], plot_area_m2: float, *, area_method: str 
     )
 
 
-def seen_area(points: Floats, ground: Ground, stems_xy: Floats, *, close: bool = True) -> float:
-    """Horizontal area in square metres where points (N, 3) show the ground; 0 where stems (T, 2) stand off it.
+def seen_area(low: Floats, stems_xy: Floats, *, close: bool = True) -> float:
+    """Horizontal area in square metres where the ground is seen; 0 where stems (T, 2) stand off it.
 
-    ``close`` counts gaps of up to two metres as seen.
+    ``low`` (N, 2) are the places of points within ``NEAR_GROUND_M`` of the ground. ``close`` counts gaps of up to two
+    metres as seen.
     """
-    low = points[np.abs(points[:, 2] - ground.height_at(points[:, :2])) <= NEAR_GROUND_M, :2]
     if len(low) == 0:
         return 0.0
     reach = round(CLOSE_M / CELL_M)

@@ -47,6 +47,12 @@ def read_trees(path: Path) -> list[Tree]:
     return [_tree(path, number, row) for number, row in enumerate(reader, start=2)]
 
 
+def table_row(tree: Tree) -> tuple[float | int | str | None, ...]:
+    """The values of ``COLUMNS`` for a spreadsheet: numbers rounded as in the CSV, None where nothing was measured."""
+    values = ((name, getattr(tree, name)) for name in COLUMNS)
+    return tuple(round(v, _decimals(n)) if isinstance(v, float) else v for n, v in values)
+
+
 def _text(name: str, value: Any) -> str:
     if value is None:
         return ""

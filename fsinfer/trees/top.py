@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.trees.stems import Stem
+from fsinfer.trees.cells import PlanIndex
+from fsinfer.trees.stem import Stem
 
 Floats = NDArray[np.float64]
 
@@ -17,6 +18,7 @@ class TopSettings:
     """Constants of :func:`tree_height`."""
 
     crown_radius_m: float = 0.8  # about the continued axis; wider takes in the neighbours' crowns
+    reach_m: float = 4.0  # from the stem's place at breast height; leaning tops farther off are not followed
     cell_m: float = 0.05  # crowns are thinned to this: their form, not their density, tells the top
     layer_m: float = 0.5
     max_gap_m: float = 1.5  # a longer empty stretch separates a tree from what hangs above it
@@ -27,7 +29,7 @@ class TopSettings:
 
 
 def tree_height(
-    stand: Floats,
+    stand: PlanIndex,
     stem: Stem,
     centers: Floats,
     number: int,
@@ -35,7 +37,7 @@ def tree_height(
     *,
     settings: TopSettings | None = None,
 ) -> float | None:
-    """Height above ground of the stem's top from points (N, 3) of x, y, height; None where it was not seen.
+    """Height above ground of the stem's top from an index of x, y, height; None where it was not seen.
 
     Points nearer to another stem's position in ``centers`` (T, 2) are left to that one.
     """
@@ -43,7 +45,8 @@ def tree_height(
     start = stem.axis.center_at(1.3)
     # Heavy leans measured over two metres must not be continued over twenty.
     slope = stem.axis.parameters[2:4] * 0.5
-    high = stand[(stand[:, 2] > 1.0) & (np.abs(stand[:, 0] - start[0]) < 4.0) & (np.abs(stand[:, 1] - start[1]) < 4.0)]
+    high = stand.near(start, s.reach_m)
+    high = high[high[:, 2] > 1.0]
     offset = high[:, :2] - (start + slope * (high[:, 2:3] - 1.3))
     near = high[np.hypot(offset[:, 0], offset[:, 1]) <= s.crown_radius_m]
     if len(near) < 20:

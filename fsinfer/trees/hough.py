@@ -1,0 +1,102 @@
+"""Candidates for stems: cells of wall-like surface vote along their normals for the centres of all radii.
+
+Votes of height bands add up over a metre of height, where only vertical round things agree.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter, uniform_filter
+from scipy.spatial import cKDTree
+
+from fsinfer.trees.stem import StemSettings
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def hough_seeds(slab: Floats, cell_m: float, s: StemSettings) -> Floats:
+    """Candidate centres (K, 3) as x, y, mid height of the window, strongest first."""
+    origin = slab[:, :2].min(axis=0) - s.radius_m[1]
+    extent = slab[:, :2].max(axis=0) + s.radius_m[1] - origin
+    vote_cell = float(max(s.vote_cell_m, np.sqrt(extent[0] * extent[1] / 12e6)))  # bounds the memory to ~100 MB
+    shape = tuple(int(v) for v in np.ceil(extent / vote_cell)[::-1] + 1)
+    band = np.floor((slab[:, 2] - s.heights_m[0]) / s.band_m).astype(np.int64)
+    bands = int(np.ceil((s.heights_m[1] - s.heights_m[0]) / s.band_m))
+    votes: list[tuple[Ints, Floats]] = []
+    for number in range(bands):
+        center, normal, weight = _wall_cells(slab[band == number], cell_m, s.band_m)
+        votes.append(_votes(center - origin, normal, weight, vote_cell, shape, s))
+    per_window = max(round(s.window_m / s.band_m), 1)
+    found = []
+    for first in range(0, max(bands - per_window, 0) + 1, max(per_window // 2, 1)):
+        chosen = votes[first : first + per_window]
+        index = np.concatenate([v[0] for v in chosen])
+        weight = np.concatenate([v[1] for v in chosen])
+        image = np.bincount(index, weights=weight, minlength=shape[0] * shape[1]).reshape(shape) / per_window
+        image = uniform_filter(image, size=3, mode="constant") * 9.0
+        peak = (image >= s.min_votes) & (image == maximum_filter(image, size=5, mode="constant"))
+        row, column = np.nonzero(peak)
+        xy = origin + (np.column_stack([column, row]) + 0.5) * vote_cell
+        height = s.heights_m[0] + (first + 0.5 * per_window) * s.band_m
+        found.append(np.column_stack([xy, np.full(len(xy), height), image[row, column]]))
+    seeds = np.concatenate(found)
+    limit = int(np.ceil(s.max_seeds_per_m2 * extent[0] * extent[1])) + 50
+    order = np.lexsort((seeds[:, 1], seeds[:, 0], -seeds[:, 3]))[:limit]
+    return seeds[order, :3]
+
+
+def _wall_cells(points: Floats, cell_m: float, band_m: float) -> tuple[Floats, Floats, Floats]:
+    """Occupied cells of one band: centre (C, 2), horizontal normal (C, 2), weight (C,).
+
+    The weight is the share of the band's height that the cell fills times how line-like its surroundings are, so that
+    vertical walls count and level twigs hardly do.
+    """
+    if len(points) < 5:
+        return np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)
+    steps = 5
+    low = points.min(axis=0)
+    cells = np.floor((points[:, :2] - low[:2]) / cell_m).astype(np.int64)
+    rise = np.minimum((points[:, 2] - low[2]) / (band_m / steps), steps - 1).astype(np.int64)
+    width = int(cells[:, 1].max()) + 1
+    size = (int(cells[:, 0].max()) + 1) * width
+    occupied = np.zeros(size * steps, dtype=bool)
+    occupied[(cells[:, 0] * width + cells[:, 1]) * steps + rise] = True
+    filled = occupied.reshape(size, steps).sum(axis=1)
+    key = np.flatnonzero(filled)
+    filled = filled[key]
+    center = low[:2] + (np.column_stack([key // width, key % width]) + 0.5) * cell_m
+    share = filled / steps
+    k = min(28, len(center))
+    distance, index = cKDTree(center).query(center, k=k, distance_upper_bound=3.6 * cell_m)
+    if k == 1:
+        return np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)
+    valid = np.isfinite(distance)
+    index = np.where(valid, index, 0)
+    weight = np.where(valid, share[index], 0.0)
+    total = np.maximum(weight.sum(axis=1), 1e-9)
+    neighbours = center[index]
+    mean = (weight[..., None] * neighbours).sum(axis=1) / total[:, None]
+    offset = neighbours - mean[:, None]
+    xx = (weight * offset[..., 0] ** 2).sum(axis=1) / total
+    yy = (weight * offset[..., 1] ** 2).sum(axis=1) / total
+    xy = (weight * offset[..., 0] * offset[..., 1]).sum(axis=1) / total
+    # Closed-form eigenvectors of 2x2 matrices: the normal is perpendicular to the major axis.
+    angle = 0.5 * np.arctan2(2.0 * xy, xx - yy)
+    difference = np.hypot(xx - yy, 2.0 * xy)
+    linear = difference / np.maximum(xx + yy + difference, 1e-12) * 2.0
+    normal = np.column_stack([-np.sin(angle), np.cos(angle)])
+    alone = valid.sum(axis=1) < 3
+    return center[~alone], normal[~alone], (share * np.minimum(linear, 1.0))[~alone]
+
+
+def _votes(
+    center: Floats, normal: Floats, weight: Floats, vote_cell: float, shape: tuple[int, ...], s: StemSettings
+) -> tuple[Ints, Floats]:
+    radii = np.arange(s.radius_m[0] + 0.5 * vote_cell, s.radius_m[1], vote_cell)
+    radii = np.concatenate([-radii, radii])
+    position = (center[:, None] + radii[None, :, None] * normal[:, None]) / vote_cell
+    column, row = position[..., 0].astype(np.int64), position[..., 1].astype(np.int64)
+    inside = (column >= 0) & (row >= 0) & (column < shape[1]) & (row < shape[0])
+    return (row * shape[1] + column)[inside], np.broadcast_to(weight[:, None], row.shape)[inside]

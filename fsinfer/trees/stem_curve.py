@@ -1,0 +1,181 @@
+"""The stem curve: diameters up the visible trunk, each with a reason where there is none.
+
+From breast height upward and downward the axis is followed in steps: a tapered cylinder (:mod:`fsinfer.trees.axis`) is
+fitted to the points around each height, starting from the one before. Its error is that of the fit alone (with what
+neighbouring points share): it is smaller than an interval as given for the DBH, and calibrated on nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.files import atomic_path
+from fsinfer.trees.axis import axis_coordinates, fit_axis
+from fsinfer.trees.cells import PlanIndex
+from fsinfer.trees.circle import covered_bins
+from fsinfer.trees.dbh import Section
+from fsinfer.trees.measure import PlotResult
+from fsinfer.trees.spread import fit_spread
+from fsinfer.trees.tree import Tree
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurveSettings:
+    """Constants of :func:`stem_curves`."""
+
+    step_m: float = 0.5
+    half_window_m: float = 0.2  # below half a step: the heights share no points
+    highest_m: float = 30.0
+    reach_m: float = 1.5  # in plan about the stem's place at breast height; stems that lean farther are not followed
+    near_m: tuple[float, float] = (0.05, 0.12)  # about the wall expected: least and greatest, and ...
+    near_of_radius: float = 0.8  # ... this share of the radius
+    min_points: int = 30
+    min_coverage: float = 90.0 / 360.0  # without the metre around it, an arc must tell more than at breast height
+    max_noise: float = 1.6  # times that at breast height, and ...
+    slack_noise_m: float = 0.004  # ... this; more is twigs and leaves
+    max_std: float = 0.04  # of the diameter
+    max_growth: float = 1.06  # from one height to the next farther up; stems taper
+    max_loss: float = 0.75
+    max_lost_m: float = 2.0  # without a diameter, the stem is not followed any farther
+    max_points: int = 2000
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurvePoint:
+    """One height of a stem: diameter in cm, or None and why; ``std_cm`` is the standard deviation of the fit."""
+
+    tree_id: int
+    height_m: float
+    diameter_cm: float | None
+    std_cm: float | None
+    arc_coverage: float
+    points: int
+    reason: str
+
+
+COLUMNS = ("tree_id", "height_m", "diameter_cm", "std_cm", "arc_coverage", "points", "reason")
+
+
+def stem_curves(
+    points: Floats, result: PlotResult, *, settings: CurveSettings | None = None
+) -> dict[int, tuple[CurvePoint, ...]]:
+    """Stem curves by tree id from points (N, 3) in the cloud's frame, for the trees with a DBH; heights ascend."""
+    s = settings or CurveSettings()
+    if not any(tree.dbh_cm is not None for tree in result.trees):
+        return {}
+    origin = np.array([np.floor(points[:, 0].min()), np.floor(points[:, 1].min()), 0.0])
+    index = PlanIndex(points - origin, 0.5 * s.reach_m)
+    curves = {}
+    for tree, section in zip(result.trees, result.sections, strict=True):
+        if tree.dbh_cm is None:
+            continue
+        near = index.near(np.array([tree.x_m, tree.y_m]) - origin[:2], s.reach_m)
+        near = near - np.array([0.0, 0.0, tree.z_ground_m])
+        curves[tree.tree_id] = _curve(near, tree, section, origin, s)
+    return curves
+
+
+def write_curves(path: Path, curves: Iterable[tuple[CurvePoint, ...]]) -> None:
+    """Write ``stem_curve.csv``: a row a height, empty where no diameter could be measured."""
+    import csv
+
+    with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as handle:
+        writer = csv.writer(handle, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        for point in (point for curve in curves for point in curve):
+            writer.writerow(curve_row(point))
+
+
+def curve_row(point: CurvePoint) -> tuple[int | float | str, ...]:
+    """The values of ``COLUMNS``, rounded; empty strings for None."""
+    return (
+        point.tree_id,
+        round(point.height_m, 2),
+        "" if point.diameter_cm is None else round(point.diameter_cm, 2),
+        "" if point.std_cm is None else round(point.std_cm, 2),
+        round(point.arc_coverage, 2),
+        point.points,
+        point.reason,
+    )
+
+
+def _curve(near: Floats, tree: Tree, section: Section, origin: Floats, s: CurveSettings) -> tuple[CurvePoint, ...]:
+    start = np.array([tree.x_m - origin[0], tree.y_m - origin[1], *section.slope, section.circle_m[2], section.taper])
+    top = min(s.highest_m, float(near[:, 2].max(initial=0.0)))
+    # The highest window is full: half a one would tell of a lower height.
+    up = np.arange(np.ceil(tree.bh_m / s.step_m) * s.step_m, top - s.half_window_m, s.step_m)
+    down = np.arange(np.ceil(tree.bh_m / s.step_m) * s.step_m - s.step_m, 0.0, -s.step_m)
+    found = []
+    for heights in (down, up):
+        state, at = start, tree.bh_m
+        for height in heights:
+            height = float(height)
+            point, state_there = _at(near, tree, section, state, at, height, s)
+            found.append(point)
+            if state_there is not None:
+                state, at = state_there, height
+            elif abs(height - at) > s.max_lost_m:
+                break
+    found.sort(key=lambda point: point.height_m)
+    # What ends the curve is told once, not at every height above.
+    while len(found) > 1 and found[-1].diameter_cm is None and found[-2].diameter_cm is None:
+        found.pop()
+    return tuple(found)
+
+
+def _at(
+    near: Floats, tree: Tree, section: Section, state: Floats, at: float, height: float, s: CurveSettings
+) -> tuple[CurvePoint, Floats | None]:
+    expected = state.copy()
+    expected[:2] += state[2:4] * (height - at)
+    expected[4] = max(state[4] + state[5] * (height - at), 0.015)
+    window = near[np.abs(near[:, 2] - height) <= s.half_window_m]
+    offset, _ = axis_coordinates(window, expected, height)
+    reach = float(np.clip(s.near_of_radius * expected[4], *s.near_m))
+    window = window[np.abs(np.hypot(offset[:, 0], offset[:, 1]) - expected[4]) <= reach]
+    window = window[:: max(len(window) // s.max_points, 1)]
+
+    def none(reason: str, coverage: float = 0.0) -> tuple[CurvePoint, None]:
+        point = CurvePoint(
+            tree_id=tree.tree_id, height_m=height, diameter_cm=None, std_cm=None, arc_coverage=coverage,
+            points=len(window), reason=reason,
+        )  # fmt: skip
+        return point, None
+
+    if len(window) < s.min_points:
+        return none(f"too few points: {len(window)}")
+    noise = section.residual_m
+    fit = fit_axis(window, expected, height, sigma_m=max(1.5 * noise, 0.006))
+    offset, foot = axis_coordinates(window, fit.parameters, height)
+    wall = np.abs(fit.residuals_m) <= 2.5 * fit.sigma_m
+    coverage = float(covered_bins(offset[wall], bins=36).mean())
+    if wall.sum() < s.min_points:
+        return none(f"too few points on the bark: {int(wall.sum())}", coverage)
+    if coverage < s.min_coverage:
+        return none(f"only {360 * coverage:.0f} degrees of the stem are seen", coverage)
+    if fit.sigma_m > s.max_noise * noise + s.slack_noise_m:
+        return none(f"surface too rough: residual {100 * fit.sigma_m:.1f} cm", coverage)
+    growth = fit.radius_m / max(float(state[4]), 1e-3)
+    low, high = (s.max_loss, s.max_growth) if height > at else (1.0 / s.max_growth, 1.0 / s.max_loss)
+    if not low <= growth <= high:
+        return none("its curvature does not fit the stem next to it: a whorl, a fork, or twigs", coverage)
+    std = float(np.sqrt(max(fit_spread(fit, offset, foot).covariance[4, 4], 0.0)))
+    if std > s.max_std * fit.radius_m:
+        return none(f"too uncertain: {200 * fit.radius_m:.0f} cm, standard deviation {200 * std:.0f} cm", coverage)
+    point = CurvePoint(
+        tree_id=tree.tree_id,
+        height_m=height,
+        diameter_cm=200.0 * fit.radius_m,
+        std_cm=200.0 * std,
+        arc_coverage=coverage,
+        points=int(wall.sum()),
+        reason="",
+    )
+    return point, fit.parameters
