@@ -48,9 +48,7 @@ class SamplingSettings:
     max_sources: int = 4
     colour_jitter: float = 0.2
     range_jitter: float = 0.35  # near bound down to 1/(1+j), far bound up to 1+2j of the camera file's
-    near_pull: float = (
-        6.0  # half of the samples: near bound drawn in by up to this factor more, as a twig near the lens does
-    )
+    near_pull: float = 6.0  # half of the samples: near bound drawn in by up to this factor more, as a twig may do
     mirror: float = 0.5  # share of samples seen in a mirror
     turn: float = 0.3  # share of samples with all pictures on their side, as phones held upright often store them
     pose_noise_px: float = 0.3  # half of the samples: each source off by up to this (standard deviation), as after SfM

@@ -186,7 +186,7 @@ def photometric_error(sample: Sample) -> float:
 
 def test_samples_fit_depth_and_cameras_in_one_light(root: Path) -> None:
     stream = iter(SceneSamples([root], seed=0, settings=PLAIN))
-    samples = [next(stream) for _ in range(6)]
+    samples = [next(stream) for _ in range(12)]  # both lights are drawn
     assert {sample.name.split("/")[0] for sample in samples} == {"scan2_train"}
     assert {int(sample.images.max()) // 60 for sample in samples} == {0, 2}  # light 0: up to 59; light 3: 120 to 179
     for sample in samples:
