@@ -23,6 +23,7 @@ from fsinfer.sparse import sparse_of
 from fsinfer.stages import file_digest
 from fsinfer.undistort import intrinsic_of, undistort, undistort_model, undistortion_maps
 from fsinfer.view_selection import depth_range, select_views
+from fsinfer.walking_steps import strays
 
 __all__ = ["PoseSettings", "PosesResult", "estimate_poses"]
 
@@ -110,9 +111,12 @@ def estimate_poses(
         raise PosesError(msg)
     with colmap_errors("finding poses", work):
         model, left_out = _structure_from_motion(photos, images, work, settings, progress)
+        astray = _drop_strays(model, photos)
         model = refine(model, RefinementSettings(), settings.thread_count, progress)
     blind = _drop_blind_views(model)
     left_out += [photo.name for photo in photos if photo.file in blind]
+    if astray:
+        warnings.append(_astray_message(astray, len(photos)))
     if left_out:
         warnings.append(_left_out_message(sorted(left_out), len(photos)))
     registered = _write_scene(model, photos, out, settings, progress)
@@ -228,6 +232,25 @@ def _structure_from_motion(
         raise PosesError(msg)
     registered = {models[0].images[image_id].name for image_id in models[0].reg_image_ids()}
     return models[0], [photo.name for photo in photos if photo.file not in registered]
+
+
+def _drop_strays(model: Any, photos: Sequence[_Photo]) -> list[str]:
+    """Take photos out of the model that lie at another scale than the walk; returns their names."""
+    number = {photo.file: index for index, photo in enumerate(photos)}
+    placed = sorted((number[model.images[i].name], i) for i in model.reg_image_ids())
+    centers = np.array([model.images[i].projection_center() for _, i in placed])
+    found = strays(centers, np.array([index for index, _ in placed]))
+    for is_stray, (_, image_id) in zip(found, placed, strict=True):
+        if is_stray:
+            model.deregister_frame(model.images[image_id].frame_id)
+    return [photos[index].name for is_stray, (index, _) in zip(found, placed, strict=True) if is_stray]
+
+
+def _astray_message(names: Sequence[str], photos: int) -> str:
+    return (
+        f"{len(names)} of {photos} photos ({names[0]} to {names[-1]}) were left out: the steps between them do not fit "
+        "the rest of the walk, so they were joined to it by false matches; turn more slowly, with more photos between"
+    )
 
 
 def _drop_blind_views(model: Any) -> set[str]:
