@@ -54,7 +54,7 @@ def test_four_photos_on_the_spot_are_no_stray_stretch() -> None:
 
 
 def test_pieces_of_a_falsely_joined_part_go_with_it() -> None:
-    lost = [9.0, 0.0, 0.0] + ring(20)  # the right scale in the wrong place
+    lost = np.array([9.0, 0.0, 0.0]) + ring(20)  # the right scale in the wrong place
     centers = np.concatenate([ring(120), 15.0 * ring(20), lost, 13.0 * ring(15)])
     found = strays(centers, np.arange(len(centers)))
     assert found[120 + HALF_WINDOW :].all()
@@ -62,5 +62,5 @@ def test_pieces_of_a_falsely_joined_part_go_with_it() -> None:
 
 
 def test_a_second_walk_elsewhere_is_none() -> None:
-    centers = np.concatenate([ring(100), [30.0, 0.0, 0.0] + ring(30)])
+    centers = np.concatenate([ring(100), np.array([30.0, 0.0, 0.0]) + ring(30)])
     assert not strays(centers, np.arange(130)).any()
