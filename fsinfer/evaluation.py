@@ -24,9 +24,9 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
 from fsinfer.errors import InputError
+from fsinfer.plan_area import in_hull
 from fsinfer.plan_registration import apply, assign, register
 
 Floats = NDArray[np.float64]
@@ -218,16 +218,8 @@ def evaluate(
     if area_margin_m is not None and not by_id:
         partners = {j for _, j in links}
         lonely = moved[[j for j in range(len(moved)) if j not in partners]]
-        outside = int((~_in_measured_area(truth, lonely, area_margin_m)).sum())
+        outside = int((~in_hull(truth, lonely, area_margin_m)).sum())
     return _metrics(len(measured), len(extracted), outside, pairs, motion)
-
-
-def _in_measured_area(truth: Floats, points: Floats, margin_m: float) -> NDArray[np.bool_]:
-    """Whether points (K, 2) lie in the convex hull of the measured positions, grown by ``margin_m``."""
-    if len(truth) < 3 or np.linalg.matrix_rank(truth - truth.mean(axis=0), tol=1e-6) < 2 or len(points) == 0:
-        return np.ones(len(points), bool)
-    sides = ConvexHull(truth).equations  # outward unit normal and offset of each side
-    return np.asarray((points @ sides[:, :2].T + sides[:, 2]).max(axis=1) <= margin_m)
 
 
 def _metrics(

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import logging
 import shutil
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +21,7 @@ from fsinfer.frame_quality import (
     reasons_to_drop,
     score_frame,
 )
+from fsinfer.frame_table import FrameRow, frames_csv, read_frames_csv
 from fsinfer.images import (
     PHOTO_SUFFIXES,
     camera_exif,
@@ -63,30 +62,6 @@ class FrameSettings:
     equalize: str = "none"
     limits: QualityLimits = field(default_factory=QualityLimits)
     jpeg_quality: int = 97
-
-
-@dataclass(frozen=True, kw_only=True)
-class FrameRow:
-    """One line of ``frames.csv``; scores as in :class:`fsinfer.frame_quality.FrameScore`, empty if unreadable.
-
-    Attributes
-    ----------
-    name: of the frame in ``images``, without suffix.
-    source: file that it comes from.
-    time_s: in the video, None for photos.
-    kept: whether it was chosen.
-    reason: why not, empty where chosen.
-    """
-
-    name: str
-    source: str
-    time_s: float | None
-    sharpness: float | None
-    mean_luminance: float | None
-    dark_share: float | None
-    bright_share: float | None
-    kept: bool
-    reason: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,7 +156,7 @@ def select_frames(
     write_contact_sheet(out / CONTACT_SHEET, tiles, total=len(rows))
     images = tuple(out / "images" / f"{row.name}.jpg" for row in rows if row.kept)
     warnings = _warnings(rows)
-    write_text(out / "frames.csv", _as_csv(rows))
+    write_text(out / "frames.csv", frames_csv(rows))
     write_text(out / "frames.json", json.dumps({"key": key, "warnings": warnings}, indent=1) + "\n")
     if not images:
         counts = "; ".join(sorted({row.reason for row in rows if row.reason}))
@@ -299,36 +274,13 @@ def _warnings(rows: Sequence[FrameRow]) -> list[str]:
     return [f"{len(dropped)} of {len(rows)} frames were not used ({shown}{more})"]
 
 
-_DIGITS = {"time_s": 3, "sharpness": 6, "mean_luminance": 2, "dark_share": 5, "bright_share": 5}
-
-
-def _as_csv(rows: Sequence[FrameRow]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    names = [entry.name for entry in fields(FrameRow)]
-    writer.writerow(names)
-    for row in rows:
-        values = asdict(row)
-        writer.writerow([_cell(name, values[name]) for name in names])
-    return text.getvalue()
-
-
-def _cell(name: str, value: Any) -> str:
-    if value is None:
-        return ""
-    if isinstance(value, bool):
-        return str(int(value))
-    return f"{value:.{_DIGITS[name]}f}" if name in _DIGITS else str(value)
-
-
 def _finished(out: Path, key: dict[str, Any]) -> FramesResult | None:
     """The result of an earlier run with the same source, if all of it is still there."""
     try:
         record = json.loads((out / "frames.json").read_text(encoding="utf-8"))
         if record["key"] != json.loads(json.dumps(key)):
             return None
-        with (out / "frames.csv").open(encoding="utf-8", newline="") as stream:
-            rows = tuple(_parse(row) for row in csv.DictReader(stream))
+        rows = read_frames_csv(out / "frames.csv")
         warnings = tuple(record["warnings"])
     except (OSError, ValueError, KeyError, TypeError):
         return None
@@ -336,11 +288,6 @@ def _finished(out: Path, key: dict[str, Any]) -> FramesResult | None:
     if not images or not all(path.is_file() for path in images):
         return None
     return FramesResult(images=images, rows=rows, warnings=warnings)
-
-
-def _parse(row: dict[str, str]) -> FrameRow:
-    numbers = {name: float(row[name]) if row[name] else None for name in _DIGITS}
-    return FrameRow(name=row["name"], source=row["source"], kept=row["kept"] == "1", reason=row["reason"], **numbers)
 
 
 def _clear(out: Path) -> None:

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 # Side of the cells whose area counts as covered for the density, metres: wide against the point spacing of a cloud
 # from photographs (1-2 cm), narrow against a plot. The paper gives points per square metre without saying of what.
 DENSITY_CELL_M = 0.25
+#: Where a standing person holds a phone: the guess at a metre while the scale is unknown.
+CAMERA_HEIGHT_M = 1.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +50,30 @@ def place_cloud(cloud: PointCloud, scene: Scene, *, m_per_unit: float | None = N
     CloudError
         The cloud has too few points to find the ground in.
     """
+    cloud_from_scene, camera_height = level_scene(cloud.xyz, scene, m_per_unit=m_per_unit)
+    return PlacedCloud(
+        cloud=transform_cloud(cloud, cloud_from_scene), cloud_from_scene=cloud_from_scene, camera_height=camera_height
+    )
+
+
+def level_scene(
+    points: NDArray[np.float64], scene: Scene, *, m_per_unit: float | None = None
+) -> tuple[NDArray[np.float64], float]:
+    """Find the plot's frame from points (N, 3) and cameras in scene units: z up, ground near z = 0.
+
+    Parameters
+    ----------
+    m_per_unit: metres per scene unit; None keeps scene units.
+
+    Returns
+    -------
+    (4, 4) float64 similarity from scene coordinates to the plot's, and the median height of the cameras there.
+
+    Raises
+    ------
+    CloudError
+        There are too few points to find the ground in.
+    """
     from fsinfer.levelling import level
 
     centers = np.array([view.camera.center for view in scene.views])
@@ -56,13 +82,8 @@ def place_cloud(cloud: PointCloud, scene: Scene, *, m_per_unit: float | None = N
     # People tilt a phone up or down more than they roll it: its horizontal axis tells what is level.
     right = np.array([view.camera.cam_from_world[0, :3] for view in scene.views])
     scale = 1.0 if m_per_unit is None else m_per_unit
-    cloud_from_scene = np.diag([scale, scale, scale, 1.0]) @ level(cloud.xyz, centers, down, camera_right=right)
-    heights = centers @ cloud_from_scene[2, :3] + cloud_from_scene[2, 3]
-    return PlacedCloud(
-        cloud=transform_cloud(cloud, cloud_from_scene),
-        cloud_from_scene=cloud_from_scene,
-        camera_height=float(np.median(heights)),
-    )
+    plot_from_scene = np.diag([scale, scale, scale, 1.0]) @ level(points, centers, down, camera_right=right)
+    return plot_from_scene, float(np.median(centers @ plot_from_scene[2, :3] + plot_from_scene[2, 3]))
 
 
 def transform_cloud(cloud: PointCloud, similarity: NDArray[np.float64]) -> PointCloud:

@@ -240,10 +240,12 @@ def _drop_strays(model: Any, photos: Sequence[_Photo]) -> list[str]:
     placed = sorted((number[model.images[i].name], i) for i in model.reg_image_ids())
     centers = np.array([model.images[i].projection_center() for _, i in placed])
     found = strays(centers, np.array([index for index, _ in placed]))
-    for is_stray, (_, image_id) in zip(found, placed, strict=True):
+    names = []
+    for is_stray, (index, image_id) in zip(found, placed, strict=True):
         if is_stray:
             model.deregister_frame(model.images[image_id].frame_id)
-    return [photos[index].name for is_stray, (index, _) in zip(found, placed, strict=True) if is_stray]
+            names.append(photos[index].name)
+    return names
 
 
 def _astray_message(names: Sequence[str], photos: int) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import OutputError
+from fsinfer.placement import CAMERA_HEIGHT_M
 from fsinfer.progress import Progress, silent
 
 if TYPE_CHECKING:
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
 
 # Everything but trees.csv and the figures: what an earlier measurement in metres may have left.
 MAPS = ("trees.gpkg", "trees.geojson", "trees.laz", "trees.xlsx", "stem_curve.csv")
-# Where a standing person holds a phone.
-CAMERA_HEIGHT_M = 1.5
 # A marker's board and the post behind it lie within this of the marker's centre.
 MARKER_REACH_M = 0.25
 

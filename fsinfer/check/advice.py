@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,8 +103,3 @@ def marker_lines(scale: Scale, *, given: bool) -> list[str]:
     if found and not given:
         lines.append("The boards do not tell their length: give --aruco-length-m to fsinfer run.")
     return lines
-
-
-def photo_names(paths: Sequence[Path]) -> list[str]:
-    """Names of photos without suffix, in order."""
-    return [path.stem for path in paths]

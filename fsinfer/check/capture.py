@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 from fsinfer.check.advice import advice, marker_lines
 from fsinfer.check.coverage import CoverageSettings, StemCoverage, judge_stems
@@ -22,8 +21,9 @@ from fsinfer.errors import CloudError, ScaleError
 from fsinfer.files import make_folder, write_text
 from fsinfer.frames import FrameSettings, select_frames
 from fsinfer.images import list_images
-from fsinfer.levelling import level
 from fsinfer.markers import scale_from_aruco
+from fsinfer.placement import CAMERA_HEIGHT_M, level_scene
+from fsinfer.plan_area import in_hull
 from fsinfer.poses import PoseSettings, estimate_poses
 from fsinfer.progress import Progress, silent
 from fsinfer.scale import Scale
@@ -62,7 +62,7 @@ class CheckSettings:
     coverage: CoverageSettings = field(default_factory=CoverageSettings)
     scale: ScaleRequest = field(default_factory=ScaleRequest)
     margin_m: float = 0.5
-    camera_height_m: float = 1.5
+    camera_height_m: float = CAMERA_HEIGHT_M
     max_reach_m: float = 30.0
 
 
@@ -164,7 +164,8 @@ def judge_scene(
         # The post of a board is upright and round, too.
         if all(np.linalg.norm(stem.center - place) > 0.35 for place in at_boards)
     ]
-    inside = _inside(cameras[:, :2], np.array([stem.center for stem in stems]).reshape(-1, 2), settings.margin_m)
+    # A straight walk has no inside: everything beside it can be walked round as well.
+    inside = in_hull(cameras[:, :2], np.array([stem.center for stem in stems]).reshape(-1, 2), settings.margin_m)
     observations = [sparse.observations.get(name, np.zeros(0, np.int64)) for name in names]
     judged = judge_stems(stems, observations, cameras[:, :2], inside, settings=settings.coverage)
     by_name = {path.stem: path for path in given}
@@ -224,13 +225,11 @@ def _plan(
     scene: Scene, sparse: SparseModel, scale: Scale, settings: CheckSettings
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """(4, 4) similarity to metres with z up, heights of the points above the ground, the points and the cameras."""
+    motion, height = level_scene(sparse.points, scene, m_per_unit=scale.m_per_unit)
+    if scale.m_per_unit is None:
+        m_per_unit = settings.camera_height_m / max(height, 1e-9)
+        motion = np.diag([m_per_unit, m_per_unit, m_per_unit, 1.0]) @ motion
     centers = np.array([view.camera.center for view in scene.views])
-    right = np.array([view.camera.cam_from_world[0, :3] for view in scene.views])
-    down = np.array([view.camera.cam_from_world[1, :3] for view in scene.views])
-    motion = level(sparse.points, centers, down, camera_right=right)
-    height = float(np.median(centers @ motion[2, :3] + motion[2, 3]))
-    m_per_unit = scale.m_per_unit or settings.camera_height_m / max(height, 1e-9)
-    motion = np.diag([m_per_unit, m_per_unit, m_per_unit, 1.0]) @ motion
     points = sparse.points @ motion[:3, :3].T + motion[:3, 3]
     cameras = centers @ motion[:3, :3].T + motion[:3, 3]
     near = np.hypot(*points[:, :2].T) < settings.max_reach_m
@@ -242,17 +241,6 @@ def _plan(
         ground = np.zeros(len(points))
     heights = np.where(near, points[:, 2] - ground, 1e6)  # too high for a stem
     return motion, heights, points, cameras
-
-
-def _inside(cameras: Floats, places: Floats, margin_m: float) -> NDArray[np.bool_]:
-    """Whether places (N, 2) lie in the convex hull of the cameras (P, 2), or at most so far outside it."""
-    try:
-        hull = ConvexHull(cameras)
-    except (QhullError, ValueError):
-        # A straight walk has no inside: everything beside it can be walked round as well.
-        return np.ones(len(places), dtype=bool)
-    normals, offsets = hull.equations[:, :2], hull.equations[:, 2]
-    return np.asarray((places @ normals.T + offsets <= margin_m).all(axis=1))
 
 
 def _write(result: CheckResult, folder: Path, seconds: dict[str, float]) -> CheckResult:

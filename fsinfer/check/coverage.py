@@ -125,7 +125,7 @@ def judge_stems(
         )
     # People look for "the tree after this one" on their way; those outside come last.
     found.sort(key=lambda entry: (not entry.inside, entry.nearest, -len(entry.stem.members)))
-    return [_numbered(entry, rank + 1) for rank, entry in enumerate(found)]
+    return [replace(entry, number=rank + 1) for rank, entry in enumerate(found)]
 
 
 def widest_gap(azimuths_deg: Floats) -> tuple[float, float]:
@@ -145,7 +145,3 @@ def _supported(shared: NDArray[np.int64], azimuths: Floats, settings: CoverageSe
     weight = np.minimum(shared[seeing], settings.max_support)
     support = ((between <= settings.support_deg) * weight[None]).sum(axis=1)
     return np.asarray(seeing[support >= settings.min_support])
-
-
-def _numbered(entry: StemCoverage, number: int) -> StemCoverage:
-    return replace(entry, number=number)

@@ -179,8 +179,9 @@ def _fit(
 def _lean(plan: Floats, heights: Floats, settings: SparseStemSettings) -> Floats:
     """Metres sideways for each metre up (2,), from the medians of the slices; at most ``_MAX_LEAN``."""
     slices = ((heights - settings.min_height_m) / settings.slice_m).astype(np.int64)
-    levels = [(heights[slices == s].mean(), *np.median(plan[slices == s], axis=0)) for s in np.unique(slices)]
-    rows = np.array([row for row, s in zip(levels, np.unique(slices), strict=True) if (slices == s).sum() >= 3])
+    numbers, counts = np.unique(slices, return_counts=True)
+    members = [slices == number for number in numbers[counts >= 3]]
+    rows = np.array([(heights[own].mean(), *np.median(plan[own], axis=0)) for own in members])
     if len(rows) < 4:
         return np.zeros(2)
     design = np.column_stack([rows[:, 0], np.ones(len(rows))])

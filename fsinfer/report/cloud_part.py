@@ -80,8 +80,7 @@ def _info(contents: Contents, data: ViewerData, cloud: PointCloud, path: Path, u
     low, high = np.percentile(cloud.xyz, [2, 98], axis=0)
     plan = float(max(high[0] - low[0], high[1] - low[1], 1e-9))
     per_cloud = 1.0 if path.name == "trees.laz" else 1.0 / contents.trees_per_cloud
-    camera_height = number(contents.plot.get("camera_height"))
-    metre = 1.0 if contents.metric or not camera_height or camera_height <= 0 else camera_height / 1.5
+    metre = contents.metre
     trees = []
     for tree in contents.trees or () if path.parent == contents.out else ():
         values = [number(tree.get(name)) for name in ("tree_id", "x_m", "y_m", "z_ground_m")]

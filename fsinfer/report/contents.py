@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import FsinferError
+from fsinfer.placement import CAMERA_HEIGHT_M
 
 T = TypeVar("T")
 
@@ -45,6 +46,13 @@ class Contents:
         return bool(self.plot.get("scale_m_per_unit")) or any(
             number(t.get("dbh_cm")) is not None for t in self.trees or ()
         )
+
+    @property
+    def metre(self) -> float:
+        """Length of a metre in units of the cloud: while no scale is known, guessed from the cameras' height."""
+        camera_height = number(self.plot.get("camera_height"))
+        guessed = not self.metric and camera_height is not None and camera_height > 0
+        return (camera_height or 1.0) / CAMERA_HEIGHT_M if guessed else 1.0
 
     @property
     def cloud_from_scene(self) -> NDArray[np.float64] | None:

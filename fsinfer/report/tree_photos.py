@@ -25,8 +25,6 @@ from fsinfer.report.tree_views import (
 )
 from fsinfer.scene import Scene, View, read_scene
 
-# Where a standing person holds a phone: the guess at a metre while the scale is unknown.
-CAMERA_HEIGHT_M = 1.5
 # A crop enlarged more than this only shows its pixels.
 MAX_ENLARGEMENT = 2.5
 OUTSIDE_RGB = (233, 236, 232)
@@ -77,11 +75,7 @@ def standing_trees(contents: Contents) -> list[StandingTree]:
     scene_from_cloud = np.linalg.inv(similarity)
     # Coordinates of trees.csv are those of cloud.ply times the factor that fsinfer trees was given.
     cloud_per_tree = 1.0 / contents.trees_per_cloud
-    metre = 1.0
-    camera_height = number(contents.plot.get("camera_height"))
-    if not contents.metric and camera_height is not None and camera_height > 0:
-        metre = camera_height / CAMERA_HEIGHT_M
-    up = np.asarray(scene_from_cloud[:3, 2] * cloud_per_tree * metre, dtype=np.float64)
+    up = np.asarray(scene_from_cloud[:3, 2] * cloud_per_tree * contents.metre, dtype=np.float64)
     per_metre = float(np.linalg.norm(up))
     found = []
     for row in contents.trees or ():

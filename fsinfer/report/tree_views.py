@@ -68,11 +68,14 @@ class RatedView:
     distance_m: float
 
 
-def project(points: Floats, camera: Camera) -> tuple[Floats, Floats]:
-    """Pixel positions (N, 2) and z depths (N,) of scene points (N, 3) in the photograph."""
+def project(points: Floats, camera: Camera, intrinsic: Floats | None = None) -> tuple[Floats, Floats]:
+    """Pixel positions (N, 2) and z depths (N,) of scene points (N, 3) in the photograph.
+
+    ``intrinsic`` (3, 3) takes the place of the camera's, for a picture of another size such as the depth map.
+    """
     in_camera = points @ camera.cam_from_world[:3, :3].T + camera.cam_from_world[:3, 3]
     depth = in_camera[:, 2]
-    homogeneous = in_camera @ camera.intrinsic.T
+    homogeneous = in_camera @ (camera.intrinsic if intrinsic is None else intrinsic).T
     return homogeneous[:, :2] / np.where(np.abs(depth) < 1e-12, 1e-12, depth)[:, None], depth
 
 
@@ -149,10 +152,9 @@ def _seen_and_hidden(tree: StandingTree, camera: Camera, depth_map: DepthMap, s:
     side, height = np.meshgrid(np.linspace(-0.7, 0.7, 5), np.linspace(-s.checked_m, s.checked_m, 9))
     side, height = side.reshape(-1, 1), height.reshape(-1, 1)
     surface = tree.radius * (side * across + np.sqrt(1 - side**2) * towards)
-    in_camera = (tree.breast + height * tree.up + surface) @ camera.cam_from_world[:3, :3].T
-    in_camera += camera.cam_from_world[:3, 3]
-    depth = in_camera[:, 2]
-    pixels = np.rint((in_camera @ depth_map.intrinsic.T)[:, :2] / np.maximum(depth, 1e-12)[:, None]).astype(np.int64)
+    exact, depth = project(tree.breast + height * tree.up + surface, camera, depth_map.intrinsic)
+    # Behind the camera, where no pixel counts, the numbers may be huge.
+    pixels = np.rint(np.where(depth[:, None] > 0, exact, -1.0)).astype(np.int64)
     rows, columns = depth_map.inverse_depth.shape
     inside = (pixels >= 0).all(axis=1) & (pixels[:, 0] < columns) & (pixels[:, 1] < rows) & (depth > 0)
     found = np.zeros(len(depth))

@@ -14,13 +14,12 @@ import tempfile
 import time
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fsinfer.poses import PoseSettings, estimate_poses
 from fsinfer.scene import Scene, read_scene
+from tests.bench.plot import similarity
 
 
 class Stopwatch:
@@ -35,16 +34,6 @@ class Stopwatch:
         now = time.monotonic()
         self.seconds[self._step] = self.seconds.get(self._step, 0.0) + now - self._since
         self._step, self._since = step, now
-
-
-def similarity(source: NDArray[np.float64], target: NDArray[np.float64]) -> tuple[float, Any, Any]:
-    """Scale, rotation and translation that bring (n, 3) ``source`` nearest to ``target`` (Umeyama 1991)."""
-    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
-    u, d, vt = np.linalg.svd(b.T @ a / len(a))
-    sign = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    rotation = u @ sign @ vt
-    scale = float((d * np.diag(sign)).sum() / a.var(axis=0).sum())
-    return scale, rotation, target.mean(axis=0) - scale * rotation @ source.mean(axis=0)
 
 
 def camera_errors(found: Scene, truth: Scene) -> dict[str, float]:
