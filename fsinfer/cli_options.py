@@ -59,7 +59,7 @@ class Equalize(StrEnum):
 
 
 IntervalS = Annotated[
-    float, typer.Option("--interval-s", min=0.05, help="Seconds of video from one frame to the next.")
+    float, typer.Option("--interval-s", min=0.05, help="Seconds of video between frames at most; less where you turn.")
 ]
 EqualizeHow = Annotated[
     Equalize, typer.Option("--equalize", help="Even out brightness: not at all, locally (clahe), or the histogram.")

@@ -33,7 +33,7 @@ from fsinfer.images import (
 )
 from fsinfer.progress import Progress, silent
 from fsinfer.stages import file_digest
-from fsinfer.video import VIDEO_SUFFIXES, sharpest_frames
+from fsinfer.video import VIDEO_SUFFIXES, VideoSettings, sharpest_frames
 
 __all__ = ["FrameRow", "FrameSettings", "FramesResult", "list_captures", "select_frames"]
 
@@ -48,8 +48,7 @@ class FrameSettings:
 
     Attributes
     ----------
-    interval_s: seconds of video between frames (the paper: 2).
-    window_s: the sharpest frame within so many seconds round each time is taken.
+    interval_s, window_s, max_shift: of video, see :class:`fsinfer.video.VideoSettings`.
     equalize: ``none``, ``clahe`` or ``hist`` (the paper's histogram equalization). None by default: SIFT and the depth
         network take out brightness and contrast themselves, upright photos are copied without coding them again,
         and the colours of the cloud stay those of the photos.
@@ -59,6 +58,7 @@ class FrameSettings:
 
     interval_s: float = 2.0
     window_s: float = 0.5
+    max_shift: float = 0.3
     equalize: str = "none"
     limits: QualityLimits = field(default_factory=QualityLimits)
     jpeg_quality: int = 97
@@ -233,7 +233,8 @@ def _from_video(
     # IMG_1.mov beside IMG_1.mp4, or beside a photo IMG_1_000030.jpg.
     while any(name.startswith(f"{stem}_") for name in taken):
         stem += "_clip"
-    frames = sharpest_frames(path, interval_s=settings.interval_s, window_s=settings.window_s, progress=progress)
+    video = VideoSettings(interval_s=settings.interval_s, window_s=settings.window_s, max_shift=settings.max_shift)
+    frames = sharpest_frames(path, settings=video, progress=progress)
     for frame in frames:
         name = f"{stem}_{frame.index:06d}"
         score = score_frame(frame.image)

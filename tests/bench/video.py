@@ -1,12 +1,13 @@
 """A rendered phone video through frames, poses and scale, with no option but the output folder.
 
-python -m tests.bench.video OUT [--photos 90] [--full]
+python -m tests.bench.video OUT [--places 150] [--full]
 
-The video is what a forester brings home: portrait (stored on its side, with the rotation flag in the file), blur by
-motion, changing exposure, boards as ``fsinfer marker`` prints them (numbers 40 to 42 are 0.25 m), one of them turned by
-45 degrees. A phone's shake is a rotation, so one rendered picture a place gives every frame of that place exactly, by a
-homography; blur is the mean of rotated sub-frames. Printed: the frames chosen, the errors of the cameras and the scale,
-and the scale budget. ``--full`` goes on to depth, trees and the report.
+The video is what a forester brings home after a minute and a half: two loops at half a metre a second, portrait (stored
+on its side, with the rotation flag in the file), blur by motion, changing exposure, boards as ``fsinfer marker`` prints
+them (numbers 40 to 42 are 0.25 m), one of them turned by 45 degrees. A phone's shake is a rotation, so one rendered
+picture every 0.3 m gives every frame of that place exactly, by a homography; blur is the mean of rotated sub-frames.
+Printed: the frames chosen, the errors of the cameras and the scale, and the scale budget. ``--full`` goes on to depth,
+trees and the report, and compares the diameters with the truth.
 """
 
 from __future__ import annotations
@@ -30,20 +31,69 @@ from fsinfer.scale_request import ScaleRequest, find_scale
 from fsinfer.scene import Camera, Scene, read_camera, read_scene, write_camera
 from tests.bench.plot import similarity
 from training.synthesize.boards import board_material, board_pair
+from training.synthesize.camera_path import intrinsics, look_at, make_camera
 from training.synthesize.mesh import merge
 from training.synthesize.photo import expose, random_sensor
-from training.synthesize.plot import plot_cameras
+from training.synthesize.plot import CLEARANCE_M
 from training.synthesize.render import Caster
-from training.synthesize.world import WorldSettings, build_world, target_places
+from training.synthesize.terrain import Terrain
+from training.synthesize.world import WorldSettings, build_world
 
-WIDTH, HEIGHT = 540, 960
-#: Frames a second of the video, and how long the phone stays at one place.
-RATE, STAY_S = 10, 2
+WIDTH, HEIGHT, HFOV_DEG = 720, 1280, 40.0
+#: Frames a second of the video, and how many of them one place gives: 0.3 m at half a metre a second.
+RATE, FRAMES_A_PLACE = 10, 6
 BOARDS = (40, 41, 42)
+#: Their distance from the middle of the plot; they face outward, to the outer loop 1.8 m away.
+BOARD_RADIUS_M = 3.2
 TURNED_DEG = 45.0
 
 
-def render(out: Path, *, photos: int, seed: int) -> None:
+def clear_bearing(obstacles: NDArray[np.float64], nominal_rad: float, walk_m: float) -> float:
+    """The bearing near ``nominal_rad`` from which a board sees most of the outer loop, free of stems."""
+    bearings = nominal_rad + np.radians(np.arange(-50, 51, 2))
+    clear_m = []
+    for bearing in bearings:
+        board = BOARD_RADIUS_M * np.array([np.cos(bearing), np.sin(bearing)])
+        ends = walk_m * np.array([[np.cos(bearing + a), np.sin(bearing + a)] for a in np.radians([-20, 0, 20])])
+        lines = (board + np.linspace(0, 1, 12)[:, None, None] * (ends - board)).reshape(-1, 2)
+        away = np.linalg.norm(lines[:, None] - obstacles[None, :, :2], axis=2) - obstacles[:, 2]
+        clear_m.append(min(float(away.min()), 0.5) - 0.001 * abs(bearing - nominal_rad))
+    return float(bearings[int(np.argmax(clear_m))])
+
+
+def path_of_cameras(
+    rng: np.random.Generator, terrain: Terrain, obstacles: NDArray[np.float64], outer_m: float, places: int
+) -> list[Camera]:
+    """Two loops looking in, swaying a little to both sides, round whatever stands in the way, in even steps."""
+    bearing = np.linspace(0, 4.25 * np.pi, 4000)
+    inward = np.clip((bearing - 1.75 * np.pi) / (0.5 * np.pi), 0, 1)
+    radius = outer_m * (1 - 0.55 * inward**2 * (3 - 2 * inward))
+    line = np.stack([radius * np.cos(bearing), radius * np.sin(bearing)], axis=-1)
+    for _ in range(300):
+        for x, y, size in obstacles:
+            away = line - [x, y]
+            distance = np.linalg.norm(away, axis=1)
+            line += away / distance[:, None] * np.clip(size + CLEARANCE_M - distance, 0, None)[:, None]
+        for _ in range(20):
+            line[1:-1] = 0.5 * line[1:-1] + 0.25 * (line[:-2] + line[2:])
+    length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    at = np.linspace(0, length[-1], places)
+    walked = np.stack([np.interp(at, length, line[:, axis]) for axis in range(2)], axis=-1)
+    yaw = np.interp(at, length, bearing) + np.pi + 0.2 * np.sin(2 * np.pi * at / 10)
+    intrinsic = intrinsics(WIDTH, HEIGHT, HFOV_DEG)
+    cameras = []
+    for (x, y), heading in zip(walked, yaw, strict=True):
+        ground = float(terrain.height(x, y))
+        center = np.array([x, y, ground + 1.5 + rng.normal(0, 0.03)])
+        ahead = 4 * np.array([np.cos(heading), np.sin(heading)])
+        drop = 4 * np.tan(np.radians(rng.normal(8, 1.5)))
+        slope = float(terrain.height(x + ahead[0], y + ahead[1])) - ground
+        target = center + np.array([*ahead, 0.7 * slope - drop])
+        cameras.append(make_camera(intrinsic, look_at(center, target, rng.normal(0, 0.03))))
+    return cameras
+
+
+def render(out: Path, *, places: int, seed: int) -> None:
     """One sharp picture for each place, with its true camera, and ``truth.csv``; pictures that are there are kept."""
     from training.synthesize.scene_writer import write_truth
 
@@ -63,12 +113,14 @@ def render(out: Path, *, photos: int, seed: int) -> None:
         min_dbh_m=0.12,
     )
     world = build_world(np.random.default_rng([seed, 1]), settings)
-    solid = [world.opaque]
-    for number, (x, y) in enumerate(target_places(len(BOARDS), settings.radius_m + 0.8)[:-1]):
-        facing = float(np.arctan2(y, x))
+    solid, posts = [world.opaque], []
+    for number, board in enumerate(BOARDS):
+        facing = clear_bearing(world.obstacles, 2 * np.pi * number / len(BOARDS), settings.radius_m + 1.5)
+        place = BOARD_RADIUS_M * np.array([np.cos(facing), np.sin(facing)])
+        posts.append([*place, 0.1])
         material = len(world.materials)
-        world.materials.append(board_material(BOARDS[number]))
-        front, _ = board_pair(world.terrain, np.array([x, y]), facing, (BOARDS[number], 0), (material, material), 1)
+        world.materials.append(board_material(board))
+        front, _ = board_pair(world.terrain, place, facing, (board, 0), (material, material), 1)
         sheet, post, plate = front.meshes
         if number == 0:
             center = sheet.vertices.mean(axis=0)
@@ -81,16 +133,8 @@ def render(out: Path, *, photos: int, seed: int) -> None:
         solid += [sheet, post, plate]
     caster = Caster(merge(solid), world.cards, world.materials, world.light)
     rng = np.random.default_rng([seed, 2])
-    cameras = plot_cameras(
-        rng,
-        world.terrain,
-        world.obstacles,
-        radius_m=settings.radius_m + 0.5,
-        photos=photos,
-        width=WIDTH,
-        height=HEIGHT,
-        hfov_deg=44.0,
-    )
+    obstacles = np.concatenate([world.obstacles, posts])
+    cameras = path_of_cameras(rng, world.terrain, obstacles, settings.radius_m + 1.5, places)
     write_truth(out / "truth.csv", world.stems[: world.in_plot], world.sections[: world.in_plot])
     sensor = random_sensor(rng, caster.picture(cameras[0], WIDTH // 2, HEIGHT // 2, 1))
     start = time.perf_counter()
@@ -100,7 +144,7 @@ def render(out: Path, *, photos: int, seed: int) -> None:
         if not path.is_file():
             picture = expose(np.random.default_rng([seed, 3, index]), sensor, caster.picture(camera, WIDTH, HEIGHT, 2))
             cv2.imwrite(str(path), picture[:, :, ::-1])
-        print(f"place {index + 1}/{photos}, {time.perf_counter() - start:.0f} s", flush=True)
+        print(f"place {index + 1}/{places}, {time.perf_counter() - start:.0f} s", flush=True)
 
 
 def shaken(image: NDArray[np.uint8], intrinsic: NDArray[np.float64], path: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -114,20 +158,20 @@ def shaken(image: NDArray[np.uint8], intrinsic: NDArray[np.float64], path: NDArr
     return total / len(path)
 
 
-def make_video(out: Path, *, photos: int, seed: int) -> Path:
+def make_video(out: Path, *, places: int, seed: int) -> Path:
     """``video.mp4``: stored lying on its side, with the flag that turns it upright."""
     path = out / "video.mp4"
     rng = np.random.default_rng([seed, 4])
     part = out / "part.mp4"
     writer = cv2.VideoWriter(str(part), cv2.VideoWriter_fourcc(*"mp4v"), RATE, (HEIGHT, WIDTH))
-    for index in range(photos):
+    for index in range(places):
         image = cv2.imread(str(out / "places" / f"{index:03d}.png"))
         intrinsic = read_camera(out / "places" / f"{index:03d}_cam.txt").intrinsic
         # Clouds move: the exposure swings by two thirds of a stop each way during the walk.
-        gain = 2 ** (0.67 * np.sin(2 * np.pi * index / photos * 2.5) / 2.2)
-        # Every ninth place is passed in a hurry: nothing there is sharp.
-        hurried = index % 9 == 4
-        for _ in range(RATE * STAY_S):
+        gain = 2 ** (0.67 * np.sin(2 * np.pi * index / places * 2.5) / 2.2)
+        # Every eleventh place is passed in a hurry: nothing there is sharp.
+        hurried = index % 11 == 4
+        for _ in range(FRAMES_A_PLACE):
             sharp = rng.random() < 0.3 and not hurried
             length = np.radians(0.03 if sharp else rng.uniform(0.3, 1.0) * (1.5 if hurried else 1))
             direction = rng.normal(size=3) * (1, 1, 0.3)
@@ -155,8 +199,8 @@ def compare(out: Path, scene: Scene) -> tuple[float, float]:
     """Metres per scene unit by the true cameras, and the rms of the camera positions in metres."""
     true: dict[int, Camera] = {}
     for view in scene.views:
-        # Names end in the number of the frame; a place lasts RATE * STAY_S of them.
-        place = int(view.name.rsplit("_", 1)[1]) // (RATE * STAY_S)
+        # Names end in the number of the frame; a place lasts FRAMES_A_PLACE of them.
+        place = int(view.name.rsplit("_", 1)[1]) // FRAMES_A_PLACE
         true[scene.views.index(view)] = read_camera(out / "places" / f"{place:03d}_cam.txt")
     found = np.array([scene.views[index].camera.center for index in true])
     expected = np.array([camera.center for camera in true.values()])
@@ -169,7 +213,7 @@ def main(argv: list[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(prog="python -m tests.bench.video", description=__doc__)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--photos", type=int, default=90, help="places along the walk; at most 100")
+    parser.add_argument("--places", type=int, default=150, help="rendered along the walk")
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--full", action="store_true", help="the whole pipeline, up to the report")
     parser.add_argument("--render-only", action="store_true")
@@ -178,8 +222,8 @@ def main(argv: list[str] | None = None) -> int:
     cv2.setNumThreads(1)
     args.out.mkdir(parents=True, exist_ok=True)
     if not (args.out / "video.mp4").is_file():
-        render(args.out, photos=args.photos, seed=args.seed)
-        make_video(args.out, photos=args.photos, seed=args.seed)
+        render(args.out, places=args.places, seed=args.seed)
+        make_video(args.out, places=args.places, seed=args.seed)
     if args.render_only:
         return 0
     result = args.out / "result"

@@ -14,7 +14,8 @@ from fsinfer.errors import ImageError
 from fsinfer.frame_quality import QualityLimits, reasons_to_drop, score_frame
 from fsinfer.frames import CONTACT_SHEET, FrameSettings, list_captures, select_frames
 from fsinfer.images import camera_key, gnss_degrees, read_image, write_image
-from fsinfer.video import _choose
+from fsinfer.video import VideoSettings, _choose
+from fsinfer.view_change import ViewChange
 from tests.fsinfer.rendered_room import texture
 
 
@@ -61,8 +62,8 @@ def test_photos_and_clips_in_one_folder(tmp_path: Path) -> None:
     for number in range(4):
         write_image(folder / f"a{number}.jpg", photo(number))
     wide = texture(9, 500)
-    write_video(folder / "b.mp4", [wide[:150, 4 * i : 4 * i + 200] for i in range(40)])
-    write_video(folder / "c.mp4", [wide[200:350, 4 * i : 4 * i + 200] for i in range(40)])
+    write_video(folder / "b.mp4", [wide[:150, 2 * i : 2 * i + 200] for i in range(40)])
+    write_video(folder / "c.mp4", [wide[200:350, 2 * i : 2 * i + 200] for i in range(40)])
     (folder / "d.mp4").write_bytes(b"cut off")
     (folder / ".hidden.mp4").write_bytes(b"")
     assert [path.name for path in list_captures(folder)] == [
@@ -85,7 +86,7 @@ def test_photos_and_clips_in_one_folder(tmp_path: Path) -> None:
 
 def test_a_folder_of_clips_alone_and_an_empty_one(tmp_path: Path) -> None:
     (tmp_path / "clips").mkdir()
-    write_video(tmp_path / "clips" / "walk.mp4", [texture(1, 400)[:150, 4 * i : 4 * i + 200] for i in range(25)])
+    write_video(tmp_path / "clips" / "walk.mp4", [texture(1, 400)[:150, 2 * i : 2 * i + 200] for i in range(25)])
     assert len(select_frames(tmp_path / "clips", tmp_path / "out").images) == 2
     (tmp_path / "none").mkdir()
     with pytest.raises(ImageError, match="holds no photos"):
@@ -124,7 +125,7 @@ class UnevenClip:
         return {cv2.CAP_PROP_FPS: 30.0, cv2.CAP_PROP_FRAME_COUNT: float(len(self.times_s))}[what]
 
     def retrieve(self) -> tuple[bool, np.ndarray]:
-        return True, texture(0, 300)[:150, self.at : self.at + 200]
+        return True, texture(0, 300)[:150, self.at // 2 : self.at // 2 + 200]
 
 
 def test_uneven_frame_times_count_by_their_stamps() -> None:
@@ -135,12 +136,45 @@ def test_uneven_frame_times_count_by_their_stamps() -> None:
             at += 1 / 30 if index < 60 else 1 / 10
 
     clip = UnevenClip(list(times()))
-    chosen = list(_choose(clip, 2.0, 0.5, lambda _d, _t, _w: None))  # type: ignore[arg-type]
+    chosen = list(_choose(clip, VideoSettings(), lambda _d, _t, _w: None))  # type: ignore[arg-type]
     # 2 s at 30 frames a second and 6 s at 10: a choice every 2 s, not every 60 frames.
     assert len(chosen) == 4
     for rank, frame in enumerate(chosen):
         assert 2.0 * rank - 1e-6 <= frame.time_s <= 2.0 * rank + 0.5 + 1e-6
         assert frame.time_s == pytest.approx(clip.times_s[frame.index])
+
+
+def test_a_quick_turn_is_given_more_frames(tmp_path: Path) -> None:
+    # Six seconds: slow, then a turn by one and a half pictures in two seconds, then slow.
+    wide = texture(5, 600)
+    places = np.concatenate([np.arange(20), 20 + 15 * np.arange(20), 320 + np.arange(20)])
+    shake = np.random.default_rng(0).integers(0, 4, (60, 2))
+    write_video(
+        tmp_path / "turn.mp4", [wide[y : y + 150, x : x + 200] for x, y in zip(places, shake[:, 1], strict=True)]
+    )
+    rows = select_frames(tmp_path / "turn.mp4", tmp_path / "out").rows
+    times = [row.time_s for row in rows if row.time_s is not None]
+    turning = [time_s for time_s in times if 2.0 <= time_s < 4.2]
+    assert len(turning) >= 5
+    assert len(times) - len(turning) <= 3
+    at = np.interp(times, np.arange(60) / 10, places)
+    assert np.diff(at).max() <= 0.3 * 200 + 15
+
+
+def test_shaking_is_no_way_and_a_cut_is_the_whole_one() -> None:
+    wide, change = texture(2, 500), ViewChange()
+    assert change.shift(wide[:150, :200]) == 0.0
+    change.start(wide[100:250, 100:300])
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        x, y = rng.integers(90, 111, 2)
+        assert change.shift(wide[y : y + 150, x : x + 200]) < 0.08
+    for x in range(100, 141, 8):
+        far = change.shift(wide[100:250, x : x + 200])
+    assert far == pytest.approx(0.2, abs=0.02)
+    assert change.shift(texture(77, 300)[:150, :200]) == 1.0
+    change.start(np.zeros((150, 200, 3), np.uint8))
+    assert change.shift(wide[:150, :200]) == 0.0
 
 
 def test_the_contact_sheet_shows_each_dropped_frame(tmp_path: Path) -> None:
@@ -168,7 +202,7 @@ def test_the_contact_sheet_shows_each_dropped_frame(tmp_path: Path) -> None:
 
 def test_a_clip_that_shares_a_name_keeps_its_frames(tmp_path: Path) -> None:
     folder = tmp_path / "day"
-    frames = [texture(1, 400)[:150, 4 * i : 4 * i + 200] for i in range(25)]
+    frames = [texture(1, 400)[:150, 2 * i : 2 * i + 200] for i in range(25)]
     folder.mkdir()
     write_video(folder / "IMG_1.mp4", frames)
     write_video(folder / "IMG_1.avi", [frame[::-1] for frame in frames], "MJPG")

@@ -1,0 +1,66 @@
+"""How far the picture of a walking phone has moved since a frame: corners are followed from look to look."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+#: Longer side at which corners are followed, pixels: a blur of 20 pixels of full HD is 3 there.
+LOOK_SIZE_PX = 320
+_MOST_CORNERS, _FEWEST_CORNERS = 200, 25
+# Fewer of the corners than this still in sight: the picture is another one.
+_LEAST_ALIVE = 0.35
+# A corner followed there and back ends so near to where it began, in pixels of the small picture.
+_RETURN_PX = 1.0
+_FLOW = {"winSize": (15, 15), "maxLevel": 4}
+
+
+class ViewChange:
+    """Follows the corners of one frame through the frames after it (Lucas and Kanade in a pyramid).
+
+    Corners near and far are followed alike, so that turning and walking sideways both count, while a shaking hand comes
+    back to where it was. Pictures are (H, W, 3) uint8 RGB, all of one size.
+    """
+
+    def __init__(self) -> None:
+        self._last: NDArray[np.uint8] | None = None
+        self._first_px = self._now_px = np.zeros((0, 2), np.float32)
+        self._corners = 0
+
+    def start(self, image: NDArray[np.uint8]) -> None:
+        """Take ``image`` as the frame from which the change is counted."""
+        small = _small(image)
+        found = cv2.goodFeaturesToTrack(small, _MOST_CORNERS, 0.01, 7)
+        corners = np.zeros((0, 2), np.float32) if found is None else np.asarray(found, np.float32).reshape(-1, 2)
+        self._last, self._first_px, self._now_px, self._corners = small, corners, corners, len(corners)
+
+    def shift(self, image: NDArray[np.uint8]) -> float:
+        """Median way of the corners since the start, as a share of the picture's width (height, where that is more).
+
+        1 where most of them are out of sight; 0 where there never were enough to tell, as on a black frame.
+        """
+        if self._last is None or self._corners < _FEWEST_CORNERS:
+            return 0.0
+        small = _small(image)
+        if len(self._now_px):
+            there, ok, _ = cv2.calcOpticalFlowPyrLK(self._last, small, self._now_px, None, **_FLOW)  # type: ignore[call-overload]
+            back, ok_back, _ = cv2.calcOpticalFlowPyrLK(small, self._last, there, None, **_FLOW)  # type: ignore[call-overload]
+            size = np.array([small.shape[1], small.shape[0]], np.float32)
+            alive = (ok.ravel() == 1) & (ok_back.ravel() == 1)
+            alive &= np.linalg.norm(back - self._now_px, axis=1) < _RETURN_PX
+            alive &= ((there >= 0) & (there < size)).all(axis=1)
+            self._first_px, self._now_px = self._first_px[alive], np.asarray(there[alive], np.float32)
+        self._last = small
+        if len(self._now_px) < _LEAST_ALIVE * self._corners:
+            return 1.0
+        ways = np.abs(self._now_px - self._first_px) / np.array([small.shape[1], small.shape[0]])
+        return float(np.median(ways.max(axis=1)))
+
+
+def _small(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    scale = LOOK_SIZE_PX / max(grey.shape)
+    if scale < 1:
+        grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return np.asarray(grey, dtype=np.uint8)
