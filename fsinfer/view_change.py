@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +33,7 @@ class ViewChange:
     def start(self, image: NDArray[np.uint8]) -> None:
         """Take ``image`` as the frame from which the change is counted."""
         small = _small(image)
-        found = cv2.goodFeaturesToTrack(small, _MOST_CORNERS, 0.01, 7)
+        found: Any = cv2.goodFeaturesToTrack(small, _MOST_CORNERS, 0.01, 7)  # None on a picture without any
         corners = np.zeros((0, 2), np.float32) if found is None else np.asarray(found, np.float32).reshape(-1, 2)
         self._last, self._first_px, self._now_px, self._corners = small, corners, corners, len(corners)
 

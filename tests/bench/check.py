@@ -1,8 +1,9 @@
 """Does ``fsinfer check`` name the stems that were seen from one side only, and no others?
 
 python -m tests.bench.check PLOT OUT --trials 10           curtains on the sparse model of OUT/scene
-python -m tests.bench.check PLOT OUT --leave-out 6,10      a real run without the photos that see trees 6 and 10 from
-                                                           one side; OUT is made
+python -m tests.bench.check PLOT OUT --leave-out 6:0,10:225
+                                                           a real run without the photos that see tree 6 from 0 degrees
+                                                           (the positive x axis) and tree 10 from 225; OUT is made
 
 PLOT is a scene of ``training.synthesize --kind plot``; its exact depth maps tell which photo sees which stem. A stem is
 one-sided in truth when the photos that see it leave a fan of 180 degrees or more empty, and seen all round when they
@@ -156,9 +157,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--per-trial", type=int, default=3, help="stems behind a curtain in each trial")
     parser.add_argument("--min-dbh-cm", type=float, default=12.0, help="of the stems behind curtains")
     parser.add_argument(
-        "--leave-out", help="tree numbers with commas: leave out the photos that see them from one side"
+        "--leave-out", metavar="TREE:DEG,...", help="leave out the photos that see these trees from this side"
     )
-    parser.add_argument("--side-deg", type=float, default=0.0, help="the side, with --leave-out")
     args = parser.parse_args(argv)
     truth = read_truth(args.plot)
     totals = np.zeros(4, dtype=int)
@@ -189,10 +189,11 @@ def main(argv: list[str] | None = None) -> int:
 
 def leave_out(args: argparse.Namespace, truth: Truth) -> int:
     """Structure from motion of the photos that are left, as the check does it."""
-    trees = [truth.ids.index(number) for number in args.leave_out.split(",")]
     gone = np.zeros(len(truth.names), dtype=bool)
-    for tree in trees:
-        gone |= truth.seen[tree] & behind(truth.azimuths_deg[tree], args.side_deg)
+    for part in args.leave_out.split(","):
+        number, side_deg = part.split(":")
+        tree = truth.ids.index(number)
+        gone |= truth.seen[tree] & behind(truth.azimuths_deg[tree], float(side_deg))
     folder = args.out / "photos"
     folder.mkdir(parents=True, exist_ok=True)
     for name, out in zip(truth.names, gone, strict=True):
