@@ -22,7 +22,7 @@ from fsinfer.errors import FsinferError, SceneError
 from fsinfer.images import read_image
 from fsinfer.scene import Scene, View
 from training.layouts import SPLITS, DepthsFolder, find_true_scenes
-from training.metrics import DepthErrors, PixelErrors, depth_errors, mean_errors, pool, pooled_errors
+from training.metrics import DepthErrors, PixelErrors, depth_errors, mean_errors, pixel_errors, pool, pooled_errors
 
 Float32 = NDArray[np.float32]
 #: (images, intrinsics, cam_from_world, depth_range) → depth, confidence, stride
@@ -124,11 +124,7 @@ def evaluate_scene(
         confidence = on_truth_grid(confidence, stride, shape, (height, width))
         errors = depth_errors(depth, confidence, truth, max_depth=max_depth)
         if pixels is not None:
-            known = (truth > 0) & (truth < max_depth)
-            absolute = np.abs(depth[known] - truth[known])
-            pixels.append(
-                PixelErrors(confidence=confidence[known], absolute=absolute, relative=absolute / truth[known])
-            )
+            pixels.append(pixel_errors(depth, confidence, truth, max_depth=max_depth))
         if errors is not None:
             rows[f"{scene.folder.name}/{view.name}"] = errors
     if not rows:

@@ -37,37 +37,6 @@ class DepthErrors:
         return asdict(self)
 
 
-def depth_errors(
-    depth: NDArray[np.float32],
-    confidence: NDArray[np.float32],
-    truth: NDArray[np.float32],
-    *,
-    max_depth: float = np.inf,
-) -> DepthErrors | None:
-    """Compare a depth map with the truth sampled on the same grid; pixels without truth (0) do not count.
-
-    A missing estimate (0) counts as wrong. Returns ``None`` where no pixel has truth.
-    """
-    mask = (truth > 0) & (truth < max_depth)
-    if not mask.any():
-        return None
-    error = np.abs(depth[mask] - truth[mask])
-    relative = error / truth[mask]
-    sure = confidence[mask] >= np.quantile(confidence[mask], 0.3)
-    silhouette, flies = (pixels[mask] for pixels in flying_pixels(depth, truth))
-    return DepthErrors(
-        pixels=int(mask.sum()),
-        median_rel=float(np.median(relative)),
-        within_1pct=float((relative < 0.01).mean()),
-        within_1pct_sure=float((relative[sure] < 0.01).mean()),
-        median_abs=float(np.median(error)),
-        median_abs_sure=float(np.median(error[sure])),
-        within_3cm_sure=float((error[sure] < 0.03).mean()),
-        flying=_share(flies, silhouette),
-        flying_sure=_share(flies & sure, silhouette & sure),
-    )
-
-
 @dataclass(frozen=True, kw_only=True)
 class PixelErrors:
     """The pixels with truth of one view, (n,) float32 each: confidence, absolute and relative error."""
@@ -75,6 +44,29 @@ class PixelErrors:
     confidence: NDArray[np.float32]
     absolute: NDArray[np.float32]
     relative: NDArray[np.float32]
+
+    @property
+    def sure(self) -> NDArray[np.bool_]:
+        """(n,) bool, the surer 70 % of them."""
+        return np.asarray(self.confidence >= np.quantile(self.confidence, 0.3))
+
+
+def known_pixels(truth: NDArray[np.float32], max_depth: float = np.inf) -> NDArray[np.bool_]:
+    """Pixels whose true depth is known (not 0) and nearer than ``max_depth``."""
+    return np.asarray((truth > 0) & (truth < max_depth))
+
+
+def pixel_errors(
+    depth: NDArray[np.float32],
+    confidence: NDArray[np.float32],
+    truth: NDArray[np.float32],
+    *,
+    max_depth: float = np.inf,
+) -> PixelErrors:
+    """Errors of a depth map at the pixels with truth, all (h, w) on one grid; a missing estimate (0) is wrong."""
+    known = known_pixels(truth, max_depth)
+    absolute = np.abs(depth[known] - truth[known])
+    return PixelErrors(confidence=confidence[known], absolute=absolute, relative=absolute / truth[known])
 
 
 def pool(pixels: list[PixelErrors]) -> PixelErrors:
@@ -88,7 +80,7 @@ def pool(pixels: list[PixelErrors]) -> PixelErrors:
 
 def pooled_errors(pixels: PixelErrors) -> dict[str, float]:
     """The figures of :class:`DepthErrors` over all pixels of all views; the surer 70 % are those of the whole set."""
-    sure = pixels.confidence >= np.quantile(pixels.confidence, 0.3)
+    sure = pixels.sure
     return {
         "median_rel": float(np.median(pixels.relative)),
         "within_1pct": float((pixels.relative < 0.01).mean()),
@@ -97,6 +89,31 @@ def pooled_errors(pixels: PixelErrors) -> dict[str, float]:
         "median_abs_sure": float(np.median(pixels.absolute[sure])),
         "within_3cm_sure": float((pixels.absolute[sure] < 0.03).mean()),
     }
+
+
+def depth_errors(
+    depth: NDArray[np.float32],
+    confidence: NDArray[np.float32],
+    truth: NDArray[np.float32],
+    *,
+    max_depth: float = np.inf,
+) -> DepthErrors | None:
+    """Compare a depth map with the truth sampled on the same grid; pixels without truth (0) do not count.
+
+    A missing estimate (0) counts as wrong. Returns ``None`` where no pixel has truth.
+    """
+    known = known_pixels(truth, max_depth)
+    if not known.any():
+        return None
+    pixels = pixel_errors(depth, confidence, truth, max_depth=max_depth)
+    sure = pixels.sure
+    silhouette, flies = (found[known] for found in flying_pixels(depth, truth))
+    return DepthErrors(
+        pixels=len(pixels.relative),
+        **pooled_errors(pixels),
+        flying=_share(flies, silhouette),
+        flying_sure=_share(flies & sure, silhouette & sure),
+    )
 
 
 def _share(part: NDArray[np.bool_], whole: NDArray[np.bool_]) -> float:
