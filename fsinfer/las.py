@@ -115,13 +115,8 @@ def read_epsg(path: Path) -> int | None:
 
     Looks at the GeoTIFF keys (projected, then geographic) and at the last code of a WKT record's projected part.
     """
-    import laspy
-
-    try:
-        with laspy.open(path) as reader:
-            records = [*reader.header.vlrs, *(reader.header.evlrs or [])]
-    except Exception as error:  # as in read_las
-        raise _damaged(path, str(error)) from error
+    with open_las(path) as reader:
+        records = [*reader.header.vlrs, *(reader.header.evlrs or [])]
     keys: dict[int, int] = {}
     for record in records:
         for key in getattr(record, "geo_keys", ()):

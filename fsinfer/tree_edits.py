@@ -17,9 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import InputError
-from fsinfer.trees.dbh import Section
-from fsinfer.trees.measure import PlotResult, TreeSettings, measure_stems
+from fsinfer.trees.measure import PlotResult
+from fsinfer.trees.section import Section, unmeasured_section
+from fsinfer.trees.settings import TreeSettings
 from fsinfer.trees.stem import Stem, StemSettings
+from fsinfer.trees.stem_measurement import measure_stems, tree_of
 from fsinfer.trees.stems import find_stems
 from fsinfer.trees.tree import Tree
 
@@ -32,6 +34,8 @@ ACTIONS = {"delete": ("tree_id",), "add": ("x_m", "y_m"), "merge": ("tree_id", "
 REACH_M = 0.35
 # Points around a place that are looked at: the widest stem, and what it has to stand out from.
 AROUND_M = 1.5
+# Room for a label on the map where nothing is measured.
+LABEL_RADIUS_M = 0.1
 # A person says that a stem stands there: much less evidence is asked for than where nobody said so.
 SEEN_BY_PERSON = StemSettings(
     min_votes=0.8, min_length_m=0.3, min_arc=0.08, max_filled=0.6, max_noise=0.6, min_contrast=1.1, rough_m=0.025,
@@ -194,46 +198,9 @@ def _numbered(
         reason = f"{said}; {tree.reason}" if tree.reason else said
         return replace(tree, tree_id=number, reason=reason), replace(section, reason=reason)
     reason = f"{said}; " + ("no stem to be measured is seen here" if metric else "no scale")
-    section = Section(
-        center=place,
-        bh_m=settings.bh_m,
-        dbh_m=None,
-        sd_m=float("nan"),
-        coverage=0.0,
-        points=0,
-        residual_m=float("nan"),
-        parts_m={},
-        tau_m=float("nan"),
-        lean_deg=0.0,
-        slope=np.zeros(2),
-        taper=0.0,
-        top_m=settings.bh_m,
-        status="unmeasured",
-        reason=reason,
-        offsets_m=np.zeros((0, 2)),
-        kept=np.zeros(0, dtype=bool),
-        # Room for a label on the map; nothing is measured.
-        circle_m=np.array([0.0, 0.0, 0.1]),
-        half_slice_m=0.0,
-        outline=None,
-    )
-    nothing = dict.fromkeys(("dbh_cm", "dbh_lo95_cm", "dbh_hi95_cm", "dbh_perimeter_cm", "dbh_min_cm", "dbh_max_cm"))
-    tree = Tree(
-        tree_id=number,
-        x_m=float(place[0]),
-        y_m=float(place[1]),
-        z_ground_m=0.0,
-        **nothing,
-        bh_m=settings.bh_m,
-        arc_coverage=0.0,
-        points=0,
-        residual_cm=None,
-        lean_deg=0.0,
-        height_m=None,
-        status="unmeasured",
-        reason=reason,
-    )
-    return tree, section
+    section = unmeasured_section(place, settings.bh_m, reason, radius_m=LABEL_RADIUS_M)
+    tree = tree_of(section, 0.0, None, np.zeros(3))
+    return replace(tree, tree_id=number), section
 
 
 def _known(number: int | None, trees: Iterable[int], row: int) -> int:

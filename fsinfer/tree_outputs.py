@@ -178,9 +178,9 @@ def _clear_maps(out: Path) -> None:
 
 
 def _remove(paths: Iterable[Path]) -> None:
-    for figure in paths:
+    for path in paths:
         try:
-            figure.unlink()
+            path.unlink()
         except OSError as error:
-            msg = f"cannot remove the old {figure}: {error.strerror or error}; close the program that shows it"
+            msg = f"cannot remove the old {path}: {error.strerror or error}; close the program that shows it"
             raise OutputError(msg) from error

@@ -1,9 +1,11 @@
 """Dendrometry: from a metric point cloud to stem positions and diameters."""
 
 from fsinfer.trees.circle import CircleFit, CircleSettings, fit_circle
-from fsinfer.trees.dbh import DbhSettings, Section
+from fsinfer.trees.dbh import DbhSettings
 from fsinfer.trees.ground import Ground, GroundSettings, find_ground
-from fsinfer.trees.measure import PlotResult, TreeSettings, analyse_plot, measure_trees
+from fsinfer.trees.measure import PlotResult, analyse_plot, measure_trees
+from fsinfer.trees.section import Section
+from fsinfer.trees.settings import TreeSettings
 from fsinfer.trees.stand import StandTable, stand_table
 from fsinfer.trees.stem import StemSettings
 from fsinfer.trees.stems import find_stems

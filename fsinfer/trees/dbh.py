@@ -19,28 +19,25 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.errors import CloudError
-from fsinfer.trees.axis import AxisFit, axis_coordinates, fit_axis, harmonics
-from fsinfer.trees.circle import CircleSettings, covered_bins, fit_circle
-from fsinfer.trees.outline import Outline, fit_outline
+from fsinfer.trees.axis import AxisFit, axis_coordinates, fit_axis
+from fsinfer.trees.circle import covered_bins
+from fsinfer.trees.outline import fit_outline
+from fsinfer.trees.section import Section, unmeasured_section
 from fsinfer.trees.sides import noise_sector, relative_noise, seen_side
+from fsinfer.trees.slice import SliceSettings, fit_slice
 from fsinfer.trees.spread import Spread, SpreadSettings, fit_spread
 from fsinfer.trees.stem import Stem
 from fsinfer.trees.walls import blurred_gap, wall_gap
 
 Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)
 class DbhSettings:
     """Constants of :func:`measure_stem`."""
 
-    half_slices_m: tuple[float, ...] = (0.015, 0.03, 0.05, 0.10)  # the paper's 1.5 cm first, then wider
     half_window_m: tuple[float, ...] = (0.4, 0.6, 0.9)  # of the tapered cylinder: 0.9-1.7 m first
-    slice_error_m: float = 0.002  # a slice is wide enough when sigma / sqrt(n * coverage) falls below this
     min_points: int = 12  # four times the circle's parameters
-    patch_m: float = 0.015  # noise of depth maps and of bark is alike within such a patch: independent samples
     max_points: int = 5000  # more do not move the fit
     max_shift_m: float = 0.3  # breast height moves at most this far before the measurement is called doubtful
     min_coverage: float = 65.0 / 360.0  # less arc than this leaves the radius open
@@ -62,42 +59,8 @@ class DbhSettings:
     taper_std: float = 0.002  # radius per metre: what the taper near breast height may differ from the fitted one
     ground_std_m: float = 0.02  # where the ground is, between litter and mineral soil
     max_change: tuple[float, float] = (0.35, 0.03)  # share and metres by which the radius may differ from the search's
-    circle: CircleSettings = field(default_factory=CircleSettings)
+    slice: SliceSettings = field(default_factory=SliceSettings)
     spread: SpreadSettings = field(default_factory=SpreadSettings)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Section:
-    """What one stem's breast-height section gave; lengths in metres, angles in degrees.
-
-    ``offsets_m`` (M, 2) are the slice's points about ``center`` in the plane perpendicular to the axis, ``kept`` (M,)
-    those the circle used, ``circle_m`` (x, y, radius) the fused circle in the same plane. ``center`` (2,) is the axis
-    position at ``bh_m`` in the frame of the cloud, ``slope`` (2,) its dx/dh and dy/dh, ``taper`` the radius's dr/dh,
-    ``top_m`` the height to which the stem was seen (below the search's upper end). ``parts_m`` are the standard
-    deviations of the radius that make up the interval, by name, ``tau_m`` the error that neighbouring points share.
-    ``dbh_m`` is None when ``reason`` says why there is none.
-    """
-
-    center: Floats
-    bh_m: float
-    dbh_m: float | None
-    sd_m: float
-    coverage: float
-    points: int
-    residual_m: float
-    parts_m: dict[str, float]
-    tau_m: float
-    lean_deg: float
-    slope: Floats
-    taper: float
-    top_m: float
-    status: str
-    reason: str
-    offsets_m: Floats
-    kept: Bools
-    circle_m: Floats
-    half_slice_m: float
-    outline: Outline | None
 
 
 def measure_stem(
@@ -118,19 +81,28 @@ def measure_stem(
     start[4] = max(stem.axis.radius_m + start[5] * (height - stem.axis.height_m), 0.01)
     fit, used = _joint_fit(points, start, height, stem.axis.sigma_m, s, seed)
     if used is None:
-        return _refusal(fit, stem, height, f"too few points at breast height: fewer than {s.min_points}")
+        return unmeasured_section(
+            fit.center_at(height),
+            height,
+            f"too few points at breast height: fewer than {s.min_points}",
+            radius_m=fit.radius_m,
+            lean_deg=fit.lean_deg,
+            slope=fit.parameters[2:4],
+            taper=float(fit.parameters[5]),
+            top_m=stem.top_m,
+        )
     offset, foot = axis_coordinates(used, fit.parameters, height)
     spread = fit_spread(fit, offset, foot, settings=s.spread)
     taper = float(fit.parameters[5])
     wall = np.abs(fit.residuals_m) <= 2.5 * fit.noise_m
     coverage = float(covered_bins(offset[wall], bins=72).mean())
-    slice_radius, slice_sd, section = _slice(points, fit, height, coverage, s, seed)
+    section = fit_slice(points, fit, height, coverage, settings=s.slice, seed=seed)
     joint_var = s.spread_factor**2 * float(spread.covariance[4, 4])
     local_var = (s.local_std * fit.radius_m) ** 2
     radius = fit.radius_m
-    if slice_radius is not None:
-        gain = local_var / (local_var + slice_sd**2)
-        radius += gain * (slice_radius - fit.radius_m)
+    if section.radius_m is not None:
+        gain = local_var / (local_var + section.std_m**2)
+        radius += gain * (section.radius_m - fit.radius_m)
         local_var *= 1.0 - gain
     # A geometric fit to points with noise sigma overestimates the radius by sigma^2 / 2R (Chernov & Lesort 2004).
     precision = float((fit.core / fit.noise_m**2).sum() / max(float(fit.core.sum()), 1e-9))
@@ -147,7 +119,7 @@ def measure_stem(
         "scale": radius * scale_rel_std,
     }
     sd = 2.0 * float(np.sqrt(sum(part**2 for part in parts.values())))
-    circle = np.array([section.circle[0], section.circle[1], radius])
+    circle = np.array([section.circle_m[0], section.circle_m[1], radius])
     outline = None
     if coverage >= s.outline_coverage:
         scaled = offset * (1.0 - taper * foot / np.maximum(np.hypot(offset[:, 0], offset[:, 1]), 1e-6))[:, None]
@@ -180,7 +152,7 @@ def measure_stem(
         top_m=stem.top_m,
         status=status,
         reason=reason,
-        offsets_m=section.offsets,
+        offsets_m=section.offsets_m,
         kept=section.kept,
         circle_m=circle,
         half_slice_m=section.half_m,
@@ -238,67 +210,6 @@ def _joint_fit(
     return fit, None
 
 
-def _slice_limit(fit: AxisFit, s: DbhSettings) -> float:
-    return max(s.circle.drop_residual_m, s.circle.noise_factor * fit.sigma_m)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Slice:
-    offsets: Floats
-    kept: Bools
-    circle: Floats
-    half_m: float
-
-
-def _slice(
-    points: Floats, fit: AxisFit, height: float, coverage: float, s: DbhSettings, seed: int
-) -> tuple[float | None, float, _Slice]:
-    """The paper's fused circle in the thinnest slice that suffices: radius or None, its error, the points."""
-    taper = float(fit.parameters[5])
-    near = points[np.abs(points[:, 2] - height) <= 0.25]
-    offset, foot = axis_coordinates(near, fit.parameters, height)
-    distance = np.hypot(offset[:, 0], offset[:, 1])
-    unit = offset / np.maximum(distance, 1e-6)[:, None]
-    shape = harmonics(unit[:, 0], unit[:, 1], len(fit.shape_m)) @ fit.shape_m
-    residual = distance - fit.radius_m - taper * foot - shape
-    reach = np.abs(residual) <= 0.12
-    offset, foot, distance, residual = offset[reach], foot[reach], distance[reach], residual[reach]
-    # Taper and shape are taken out, so that the circle meets a round section and only sees the local difference.
-    excess = taper * foot + shape[reach]
-    offset = offset * (1.0 - excess / np.maximum(distance, 1e-6))[:, None]
-    limit = _slice_limit(fit, s)
-    plain = np.array([0.0, 0.0, fit.radius_m])
-    last = _Slice(offsets=offset, kept=np.zeros(len(offset), dtype=bool), circle=plain, half_m=s.half_slices_m[-1])
-    for half in s.half_slices_m:
-        use = np.abs(foot) <= half
-        # Symmetric about the stem's axis and blind to the tail: the joint fit already knows where bark can be.
-        candidate = use & (np.abs(residual) <= limit)
-        count = int(candidate.sum())
-        if count < s.min_points and half != s.half_slices_m[-1]:
-            continue
-        chosen = np.flatnonzero(candidate)
-        last = _Slice(offsets=offset[use], kept=candidate[use], circle=plain, half_m=half)
-        if count < s.min_points:
-            return None, float("nan"), last
-        enough = fit.sigma_m / np.sqrt(count * max(coverage, 0.05)) <= s.slice_error_m
-        seen = float(covered_bins(offset[chosen], bins=36).mean()) >= 0.85 * coverage
-        if not (enough and seen) and half != s.half_slices_m[-1]:
-            continue
-        try:
-            circle = fit_circle(offset[chosen], settings=s.circle, seed=seed)
-        except CloudError:
-            return None, float("nan"), last
-        kept = np.zeros(len(offset), dtype=bool)
-        kept[chosen[circle.inliers]] = True
-        fused = np.array([*circle.center, circle.radius])
-        last = _Slice(offsets=offset[use], kept=kept[use], circle=fused, half_m=half)
-        spread = circle.radius_std if np.isfinite(circle.radius_std) else fit.sigma_m
-        patches = len(np.unique(np.floor(offset[chosen] / s.patch_m).astype(np.int64), axis=0))
-        spread *= np.sqrt(max(1.0, count / max(patches, 1) * s.patch_m / (2.0 * half + s.patch_m)))
-        return circle.radius, float(spread), last
-    return None, float("nan"), last
-
-
 def _refuse(fit: AxisFit, coverage: float, dbh_m: float, sd: float, gap: float, count: int, s: DbhSettings) -> str:
     if count < s.min_points:
         return f"too few points at breast height: {count}; photograph the stem from more places"
@@ -322,28 +233,3 @@ def _doubt(coverage: float, dbh_m: float, sd: float, shift: float, s: DbhSetting
     if 2 * 1.96 * sd > s.doubtful_interval * dbh_m:
         doubts.append(f"wide interval (+- {100 * 1.96 * sd:.1f} cm)")
     return "; ".join(doubts)
-
-
-def _refusal(fit: AxisFit, stem: Stem, height: float, reason: str) -> Section:
-    return Section(
-        center=fit.center_at(height),
-        bh_m=height,
-        dbh_m=None,
-        sd_m=float("nan"),
-        coverage=0.0,
-        points=0,
-        residual_m=float("nan"),
-        parts_m={},
-        tau_m=float("nan"),
-        lean_deg=fit.lean_deg,
-        slope=fit.parameters[2:4],
-        taper=float(fit.parameters[5]),
-        top_m=stem.top_m,
-        status="unmeasured",
-        reason=reason,
-        offsets_m=np.zeros((0, 2)),
-        kept=np.zeros(0, dtype=bool),
-        circle_m=np.array([0.0, 0.0, fit.radius_m]),
-        half_slice_m=0.0,
-        outline=None,
-    )

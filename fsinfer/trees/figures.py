@@ -15,7 +15,7 @@ from fsinfer.trees.measure import PlotResult
 from fsinfer.trees.tree import Tree
 
 if TYPE_CHECKING:
-    from fsinfer.trees.dbh import Section
+    from fsinfer.trees.section import Section
     from fsinfer.trees.stem_curve import CurvePoint
 
 STATUS_COLOURS = {"ok": "#1b7837", "doubtful": "#d98300", "unmeasured": "#9a9a9a"}

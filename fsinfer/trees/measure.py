@@ -2,45 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fsinfer.errors import CloudError
 from fsinfer.progress import Progress, silent
-from fsinfer.trees.cells import PlanIndex, thin
-from fsinfer.trees.dbh import DbhSettings, Section, measure_stem
-from fsinfer.trees.ground import Ground, GroundSettings, find_ground
+from fsinfer.trees.ground import Ground, find_ground
 from fsinfer.trees.sanity import TURNS, check_unit, check_upside_down, clean, turned_message
+from fsinfer.trees.section import Section
+from fsinfer.trees.settings import TreeSettings
 from fsinfer.trees.stand import NEAR_GROUND_M, StandTable, seen_area, stand_table
-from fsinfer.trees.stem import Stem, StemSettings
+from fsinfer.trees.stem_measurement import doubt_the_rough, measure_stems
 from fsinfer.trees.stems import StemSearch, find_stems
-from fsinfer.trees.top import TopSettings, tree_height
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
-MAX_TURNED_POINTS = 300_000  # enough to find stems, few enough for a second a side
-LITTLE_GROUND = 0.33  # of the plot's box in plan
-MAX_TURNED_CM = 100.0  # corners of a building measure as thicker trees
-
-
-@dataclass(frozen=True, kw_only=True)
-class TreeSettings:
-    """Settings of :func:`analyse_plot` and :func:`measure_trees`.
-
-    ``bh_rule``: breast height counts from the ground at the stem's middle ("midpoint") or from the highest ground at
-    its foot ("uphill", as on forest inventories in many countries).
-    """
-
-    bh_m: float = 1.3
-    bh_rule: str = "midpoint"
-    min_dbh_cm: float = 4.0  # below lies undergrowth; forest inventories start at 4 to 7 cm
-    seed: int = 0
-    ground: GroundSettings = field(default_factory=GroundSettings)
-    stems: StemSettings = field(default_factory=StemSettings)
-    dbh: DbhSettings = field(default_factory=DbhSettings)
-    top: TopSettings = field(default_factory=TopSettings)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,12 +90,12 @@ def analyse_plot(
         raise CloudError(msg)
     if not metric:
         return _without_scale(points, settings, units_per_m_hint, progress)
-    xyz, warnings = clean(points)
+    xyz, warnings = clean(points, settings.sanity)
     # Work about a local origin: map coordinates of 10^6 m would cost precision in the fits.
     origin = np.r_[np.floor(np.median(xyz[:, :2], axis=0)), 0.0]
     local = xyz - origin
     box = np.percentile(local[:, :2], [0.5, 99.5], axis=0)
-    check_unit(box)
+    check_unit(box, settings.sanity)
     # A single point a kilometre away must not blow up the rasters.
     margin = 0.5 * float(np.max(box[1] - box[0])) + 2.0
     near = ((local[:, :2] >= box[0] - margin) & (local[:, :2] <= box[1] + margin)).all(axis=1)
@@ -128,18 +106,18 @@ def analyse_plot(
     plan_m2 = float(np.prod(box[1] - box[0]))
     progress(0, 3, "finding the ground")
     ground = find_ground(local, settings=settings.ground, seed=settings.seed)
-    check_upside_down(local, ground, settings.ground, seed=settings.seed)
+    check_upside_down(local, ground, settings.ground, settings.sanity, seed=settings.seed)
     if ground.share < 0.6:
         warnings.append(f"ground seen in only {100 * ground.share:.0f} % of the lowest parts of the plot")
     stand = local.copy()
     stand[:, 2] -= ground.height_at(local[:, :2])
     low = stand[np.abs(stand[:, 2]) <= NEAR_GROUND_M, :2]
-    if seen_area(low, np.zeros((0, 2)), close=False) < LITTLE_GROUND * plan_m2:
+    if seen_area(low, np.zeros((0, 2)), close=False) < settings.sanity.little_ground * plan_m2:
         warnings.append("little ground is seen: breast height is counted from the lowest points of the stems")
     progress(1, 3, "looking for stems")
     search = find_stems(stand, settings=settings.stems, progress=progress, seed=settings.seed)
     progress(2, 3, "measuring stems")
-    pairs = _doubt_the_rough(measure_stems(stand, search, ground, settings, scale_rel_std, origin))
+    pairs = doubt_the_rough(measure_stems(stand, search, ground, settings, scale_rel_std, origin))
     if not turned and not any(tree.dbh_cm is not None for tree, _ in pairs):
         _check_turned(local, settings)
     centers = np.array([[tree.x_m, tree.y_m] for tree, _ in pairs]).reshape(-1, 2) - origin[:2]
@@ -159,127 +137,18 @@ def analyse_plot(
     )
 
 
-def measure_stems(
-    stand: Floats,
-    search: StemSearch,
-    ground: Ground,
-    settings: TreeSettings,
-    scale_rel_std: float,
-    origin: Floats,
-) -> list[tuple[Tree, Section]]:
-    """Measure the stems of a search in points (N, 3) of x, y, height above ``ground``, metres about ``origin`` (3,)."""
-    low, high = settings.stems.heights_m
-    slab = stand[(stand[:, 2] >= low - 0.5) & (stand[:, 2] <= high + 0.5)]
-    index = PlanIndex(slab, settings.stems.index_cell_m)
-    centers = np.array([stem.axis.center_at(settings.bh_m) for stem in search.stems]).reshape(-1, 2)
-    crowns = thin(stand[stand[:, 2] > 1.0], settings.top.cell_m) if len(centers) else stand[:0]
-    crown_index = PlanIndex(crowns, 0.5 * settings.top.reach_m)
-    pairs = []
-    for number, stem in enumerate(search.stems):
-        near = index.near(centers[number], stem.axis.radius_m + 0.35)
-        near, stem = _on_own_ground(near, stem, ground, settings)
-        section = measure_stem(
-            _without_neighbours(near, stem, search.stems),
-            stem,
-            bh_m=settings.bh_m,
-            ground_noise_m=ground.noise_m / 3.0,
-            scale_rel_std=scale_rel_std,
-            settings=settings.dbh,
-            seed=settings.seed,
-        )
-        if section.dbh_m is not None and 100.0 * section.dbh_m < settings.min_dbh_cm:
-            continue
-        height = tree_height(crown_index, stem, centers, number, section.dbh_m, settings=settings.top)
-        z_ground = float(ground.height_at(section.center[None])[0])
-        pairs.append((_tree(section, z_ground, height, origin), section))
-    return pairs
-
-
-def _doubt_the_rough(pairs: list[tuple[Tree, Section]]) -> list[tuple[Tree, Section]]:
-    """Mark stems much rougher than the others of the plot: double walls too close together to be told apart."""
-    residuals = [tree.residual_cm for tree, _ in pairs if tree.dbh_cm is not None and tree.residual_cm is not None]
-    if len(residuals) < 5:
-        return pairs
-    limit = 1.7 * float(np.median(residuals)) + 0.3
-    marked = []
-    for tree, section in pairs:
-        if tree.dbh_cm is not None and tree.residual_cm is not None and tree.residual_cm > limit:
-            doubt = f"residual {tree.residual_cm:.1f} cm, far above the plot's other stems: perhaps a double wall"
-            reason = f"{tree.reason}; {doubt}" if tree.reason else doubt
-            tree = replace(tree, status="doubtful", reason=reason)
-            section = replace(section, status="doubtful", reason=reason)
-        marked.append((tree, section))
-    return marked
-
-
-def _on_own_ground(near: Floats, stem: Stem, ground: Ground, settings: TreeSettings) -> tuple[Floats, Stem]:
-    """Heights above the one ground level that counts for this stem, so that its axis stays straight on a slope."""
-    foot = stem.axis.center_at(0.0)
-    level = float(ground.height_at(foot[None])[0])
-    reference = level
-    if settings.bh_rule == "uphill":
-        angle = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
-        ring = foot + stem.axis.radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
-        reference = float(ground.height_at(ring).max())
-    z = near[:, 2] + ground.height_at(near[:, :2]) - reference
-    shift = reference - level
-    axis = replace(stem.axis, height_m=stem.axis.height_m - shift)
-    moved = replace(stem, axis=axis, bottom_m=stem.bottom_m - shift, top_m=stem.top_m - shift)
-    return np.column_stack([near[:, :2], z]), moved
-
-
-def _without_neighbours(near: Floats, stem: Stem, stems: tuple[Stem, ...]) -> Floats:
-    """Drop points that lie closer to the surface of another stem."""
-    keep = np.ones(len(near), dtype=bool)
-    own = np.abs(_surface_distance(near, stem))
-    for other in stems:
-        gap = np.linalg.norm(other.axis.center_at(1.3) - stem.axis.center_at(1.3))
-        if 0.05 < gap < other.axis.radius_m + stem.axis.radius_m + 0.25:
-            keep &= own <= np.abs(_surface_distance(near, other))
-    return near[keep]
-
-
-def _surface_distance(points: Floats, stem: Stem) -> Floats:
-    p = stem.axis.parameters
-    center = p[:2] + p[2:4] * (points[:, 2:3] - stem.axis.height_m)
-    return np.asarray(np.hypot(points[:, 0] - center[:, 0], points[:, 1] - center[:, 1]) - p[4])
-
-
-def _tree(section: Section, z_ground: float, height: float | None, origin: Floats) -> Tree:
-    dbh = None if section.dbh_m is None else 100.0 * section.dbh_m
-    half = 1.96 * 100.0 * section.sd_m
-    outline = section.outline if dbh is not None else None
-    return Tree(
-        tree_id=0,
-        x_m=float(section.center[0] + origin[0]),
-        y_m=float(section.center[1] + origin[1]),
-        z_ground_m=z_ground,
-        dbh_cm=dbh,
-        dbh_lo95_cm=None if dbh is None else max(dbh - half, 0.0),
-        dbh_hi95_cm=None if dbh is None else dbh + half,
-        dbh_perimeter_cm=None if outline is None else 100.0 * outline.girth_diameter_m,
-        dbh_min_cm=None if outline is None else 100.0 * outline.min_diameter_m,
-        dbh_max_cm=None if outline is None else 100.0 * outline.max_diameter_m,
-        bh_m=section.bh_m,
-        arc_coverage=section.coverage,
-        points=section.points,
-        residual_cm=100.0 * section.residual_m if np.isfinite(section.residual_m) else None,
-        lean_deg=section.lean_deg,
-        height_m=height,
-        status=section.status,
-        reason=section.reason,
-    )
-
-
 def _check_turned(points: Floats, settings: TreeSettings) -> None:
     """Raise where stems stand along another axis than z: clouds of computer graphics are y up."""
-    few = points[:: max(len(points) // MAX_TURNED_POINTS, 1)]
+    few = points[:: max(len(points) // settings.sanity.turned_points, 1)]
     for how, turn in TURNS:
         try:
             result = analyse_plot(few @ turn.T, settings=settings, turned=True)
         except CloudError:
             continue
-        if sum(tree.status == "ok" and (tree.dbh_cm or 0.0) <= MAX_TURNED_CM for tree in result.trees) >= 2:
+        if (
+            sum(tree.status == "ok" and (tree.dbh_cm or 0.0) <= settings.sanity.max_turned_cm for tree in result.trees)
+            >= 2
+        ):
             raise CloudError(turned_message(how))
 
 

@@ -9,9 +9,14 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-ORDER = 4  # harmonics: ovals (2) to buttressed stems (4); finer waves are bark, which a tape spans
-PRIOR_OF_RADIUS = 0.02  # harmonics of stems are a few per cent of the radius; keeps noise from making waves
-PATCH_M = 0.015  # points within such a patch share their error
+
+@dataclass(frozen=True, kw_only=True)
+class OutlineSettings:
+    """Constants of :func:`fit_outline`."""
+
+    order: int = 4  # harmonics: ovals (2) to buttressed stems (4); finer waves are bark, which a tape spans
+    prior_of_radius: float = 0.02  # harmonics of stems are a few per cent of the radius; keeps noise from making waves
+    patch_m: float = 0.015  # points within such a patch share their error
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,22 +32,25 @@ class Outline:
     max_diameter_m: float
 
 
-def fit_outline(offsets: Floats, weights: Floats, radius: float, sigma: float) -> Outline:
+def fit_outline(
+    offsets: Floats, weights: Floats, radius: float, sigma: float, *, settings: OutlineSettings | None = None
+) -> Outline:
     """Weighted ridge fit of the harmonics to offsets (N, 2) about the axis; ``radius`` fixes the mean radius."""
+    s = settings or OutlineSettings()
     angle = np.arctan2(offsets[:, 1], offsets[:, 0])
     deviation = np.hypot(offsets[:, 0], offsets[:, 1]) - radius
-    design = _harmonics(angle)
+    design = _harmonics(angle, s.order)
     design = np.column_stack([np.ones(len(angle)), design])
     near = weights * (np.abs(deviation) <= max(4.0 * sigma, 0.15 * radius))
-    cells = np.unique(np.floor(offsets[near > 0.1] / PATCH_M).astype(np.int64), axis=0)
+    cells = np.unique(np.floor(offsets[near > 0.1] / s.patch_m).astype(np.int64), axis=0)
     independent = min(1.0, 8.0 * len(cells) / max(float(near.sum()), 1.0))
     information = (design * near[:, None]).T @ design * independent / max(sigma, 0.002) ** 2
-    prior = np.r_[0.0, np.repeat(1.0 / np.arange(1, ORDER + 1), 2) * PRIOR_OF_RADIUS * radius]
+    prior = np.r_[0.0, np.repeat(1.0 / np.arange(1, s.order + 1), 2) * s.prior_of_radius * radius]
     ridge = np.r_[1e-6, prior[1:] ** -2.0]
     gradient = design.T @ (near * deviation) * independent / max(sigma, 0.002) ** 2
     coefficients = np.linalg.solve(information + np.diag(ridge), gradient)
     theta = np.linspace(-np.pi, np.pi, 361)[:-1]
-    rho = radius + _harmonics(theta) @ coefficients[1:]
+    rho = radius + _harmonics(theta, s.order) @ coefficients[1:]
     curve = np.column_stack([rho * np.cos(theta), rho * np.sin(theta)])
     # Width in a direction is the extent of the outline along it; the mean width of a convex body is its girth / pi.
     direction = np.linspace(0.0, np.pi, 181)[:-1]
@@ -56,6 +64,6 @@ def fit_outline(offsets: Floats, weights: Floats, radius: float, sigma: float) -
     )
 
 
-def _harmonics(angle: Floats) -> Floats:
-    waves = [f(k * angle) for k in range(1, ORDER + 1) for f in (np.cos, np.sin)]
+def _harmonics(angle: Floats, order: int) -> Floats:
+    waves = [f(k * angle) for k in range(1, order + 1) for f in (np.cos, np.sin)]
     return np.column_stack(waves)

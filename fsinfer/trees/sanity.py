@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,9 +14,21 @@ from fsinfer.trees.ground import Ground, GroundSettings, find_ground
 Floats = NDArray[np.float64]
 _log = logging.getLogger(__name__)
 
-WARN_STEP_M = 0.005  # single precision beyond 40 km: as coarse as a photogrammetric cloud's noise
-COARSE_STEP_M = 0.03  # beyond 300 km, as in map coordinates: no circle is left
-LITTLE_GROUND = 0.5  # a plot whose ground is under less of it than this may be lying on its head
+
+@dataclass(frozen=True, kw_only=True)
+class SanitySettings:
+    """Limits beyond which a cloud is doubted or refused."""
+
+    min_points: int = 100
+    warn_step_m: float = 0.005  # single precision beyond 40 km: as coarse as a photogrammetric cloud's noise
+    coarse_step_m: float = 0.03  # beyond 300 km, as in map coordinates: no circle is left
+    extent_m: tuple[float, float] = (0.3, 700.0)  # a slice of one stem; the widest plot, which is 50 hectares
+    head_ground: float = 0.5  # a plot whose ground is under less of it than this may be lying on its head
+    little_ground: float = 0.33  # of the plot's box in plan: less is said
+    turned_points: int = 300_000  # enough to find stems, few enough for a second a side
+    max_turned_cm: float = 100.0  # corners of a building measure as thicker trees
+
+
 #: Ways a cloud may lie: rotation matrices that turn it z up, with the words for the user.
 TURNS: tuple[tuple[str, Floats], ...] = (
     ("y points up", np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])),
@@ -31,9 +44,11 @@ def turned_message(how: str) -> str:
     return f"the cloud does not stand upright: {how} in it; turn it so that z points up, and measure it again"
 
 
-def check_upside_down(points: Floats, ground: Ground, settings: GroundSettings, *, seed: int = 0) -> None:
+def check_upside_down(
+    points: Floats, ground: Ground, settings: GroundSettings, sanity: SanitySettings, *, seed: int = 0
+) -> None:
     """Raise where the points (N, 3) show much more ground with the cloud turned on its head."""
-    if ground.reach >= LITTLE_GROUND:
+    if ground.reach >= sanity.head_ground:
         return
     try:
         other = find_ground(points * [1.0, -1.0, -1.0], settings=settings, seed=seed)
@@ -50,7 +65,7 @@ def coordinate_step(xyz: Floats) -> float:
     return max((float(step.min()) for step in steps if len(step)), default=0.0)
 
 
-def clean(points: ArrayLike) -> tuple[Floats, list[str]]:
+def clean(points: ArrayLike, sanity: SanitySettings) -> tuple[Floats, list[str]]:
     """Finite points (N, 3) float64 with warnings; raises where too few are left or their steps are too coarse."""
     xyz = np.asarray(points, dtype=np.float64)
     if xyz.ndim != 2 or xyz.shape[1] != 3:
@@ -62,30 +77,30 @@ def clean(points: ArrayLike) -> tuple[Floats, list[str]]:
         warnings.append(f"{int((~finite).sum())} points with NaN or infinite coordinates were left out")
         _log.warning(warnings[-1])
         xyz = xyz[finite]
-    if len(xyz) < 100:
+    if len(xyz) < sanity.min_points:
         msg = f"the cloud holds only {len(xyz)} usable points; a plot needs thousands: check the file and the fusion"
         raise CloudError(msg)
     step = coordinate_step(xyz)
-    if step >= COARSE_STEP_M:
+    if step >= sanity.coarse_step_m:
         msg = (
             f"the coordinates come in steps of {100 * step:.0f} cm: the cloud was stored in single precision far from "
             "its origin; export it as LAS/LAZ or with double coordinates, or shift it to a local origin first"
         )
         raise CloudError(msg)
-    if step >= WARN_STEP_M:
+    if step >= sanity.warn_step_m:
         warnings.append(f"the coordinates come in steps of {1000 * step:.0f} mm: diameters cannot be better than that")
     return xyz, warnings
 
 
-def check_unit(extent: Floats) -> None:
+def check_unit(extent: Floats, sanity: SanitySettings) -> None:
     """Raise where the box (2, 2) of a plot cannot be in metres."""
     size = float(np.max(extent[1] - extent[0]))
-    if size < 0.3:
+    if size < sanity.extent_m[0]:
         msg = f"the cloud is only {100 * size:.1f} cm wide: it is not in metres; give the scale (--scale, --endpoints)"
         raise CloudError(msg)
-    if size > 700.0:
+    if size > sanity.extent_m[1]:
         msg = (
             f"the cloud is {size:.0f} m wide: is it in centimetres or millimetres? Give the scale "
-            "(--scale 0.01 or 0.001), or cut the cloud into plots below 700 m"
+            f"(--scale 0.01 or 0.001), or cut the cloud into plots below {sanity.extent_m[1]:.0f} m"
         )
         raise CloudError(msg)

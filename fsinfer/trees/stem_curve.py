@@ -18,8 +18,8 @@ from fsinfer.files import atomic_path
 from fsinfer.trees.axis import axis_coordinates, fit_axis
 from fsinfer.trees.cells import PlanIndex
 from fsinfer.trees.circle import covered_bins
-from fsinfer.trees.dbh import Section
 from fsinfer.trees.measure import PlotResult
+from fsinfer.trees.section import Section
 from fsinfer.trees.spread import fit_spread
 from fsinfer.trees.tree import Tree
 
