@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fsinfer.cloud import read_cloud, write_cloud
 from fsinfer.depth import DepthSettings, estimate_depth
 from fsinfer.errors import CloudError, InputError
@@ -25,6 +27,7 @@ from fsinfer.poses import PoseSettings, estimate_poses
 from fsinfer.progress import Progress, silent
 from fsinfer.scale_request import ScaleRequest, find_scale
 from fsinfer.scene import Scene, read_scene
+from fsinfer.silhouettes import StemPhotos
 from fsinfer.sparse import depth_vs_sfm, read_sparse
 from fsinfer.stages import StageBook, StageRecord, as_json, file_digest
 from fsinfer.tree_edits import TreeEdit, find_edits
@@ -282,6 +285,7 @@ def _trees(job: _Job) -> None:
                 camera_height=job.book.records["cloud"].result["camera_height"],
                 marker_xyz=marker_centers(scale, job.book.records["cloud"].result["cloud_from_scene"]),
                 edits=job.edits,
+                photos=_stem_photos(job),
                 progress=job.progress("trees"),
             )
         except CloudError as error:
@@ -297,8 +301,16 @@ def _trees(job: _Job) -> None:
             "edits": job.edits,
             "versions": package_versions()["fsinfer"],
         },
-        after=["cloud"],
+        after=["poses", "depth", "cloud"],
         outputs=["trees.csv", "figures"],
+    )
+
+
+def _stem_photos(job: _Job) -> StemPhotos:
+    return StemPhotos(
+        scene=job.scene(),
+        depth_folder=job.out,
+        cloud_from_scene=np.asarray(job.book.records["cloud"].result["cloud_from_scene"], dtype=np.float64),
     )
 
 

@@ -63,6 +63,7 @@ def summarize(records: Mapping[str, StageRecord], *, settings: Mapping[str, Any]
         "ground_method": value("trees", "ground_method"),
         "trees": value("trees", "trees"),
         "trees_with_dbh": value("trees", "trees_with_dbh"),
+        "trees_with_silhouette": value("trees", "trees_with_silhouette"),
         "diagnosis": value("trees", "diagnosis"),
         "stand": value("trees", "stand"),
         "plot_area_m2": value("trees", "plot_area_m2"),

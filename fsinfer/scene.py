@@ -59,6 +59,20 @@ class Scene:
     views: tuple[View, ...]
 
 
+def project(
+    points: NDArray[np.float64], camera: Camera, intrinsic: NDArray[np.float64] | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Pixel positions (..., 2) and z depths (...) of scene points (..., 3) in the photograph.
+
+    ``intrinsic`` (3, 3) takes the place of the camera's, for a picture of another size such as the depth map. Pixels
+    of points that are not before the camera mean nothing.
+    """
+    in_camera = points @ camera.cam_from_world[:3, :3].T + camera.cam_from_world[:3, 3]
+    depth = in_camera[..., 2]
+    homogeneous = in_camera @ (camera.intrinsic if intrinsic is None else intrinsic).T
+    return homogeneous[..., :2] / np.where(np.abs(depth) < 1e-12, 1e-12, depth)[..., None], np.asarray(depth)
+
+
 def read_camera(path: Path | str) -> Camera:
     """Read ``NAME_cam.txt``: extrinsic 4x4, intrinsic 3x3, ``depth_min interval [planes [depth_max]]``.
 

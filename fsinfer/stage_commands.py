@@ -21,6 +21,7 @@ from fsinfer.plot_summary import package_versions, read_plot, update_plot
 from fsinfer.progress import Progress, silent
 from fsinfer.scale_request import NO_SCALE, ScaleRequest, find_scale
 from fsinfer.scene import read_scene
+from fsinfer.silhouettes import StemPhotos
 from fsinfer.stages import as_json
 from fsinfer.tree_edits import find_edits
 from fsinfer.tree_labels import write_labelled
@@ -32,7 +33,15 @@ if TYPE_CHECKING:
 
 MODEL_UNITS = "model units"
 SCENE_UNITS = "scene units"
-TREE_VALUES = ("trees", "trees_with_dbh", "ground_method", "diagnosis", "stand", "plot_area_m2")
+TREE_VALUES = (
+    "trees",
+    "trees_with_dbh",
+    "trees_with_silhouette",
+    "ground_method",
+    "diagnosis",
+    "stand",
+    "plot_area_m2",
+)
 
 
 def fuse_scene(scene_folder: Path, out: Path, *, level: bool | None = None, progress: Progress = silent) -> int:
@@ -135,6 +144,7 @@ def measure_cloud_file(
         epsg=read_epsg(cloud_path) if cloud_path.suffix.lower() in (".las", ".laz") and factor == 1.0 else None,
         write_labelled=None if large is None else partial(write_labelled, large),
         edits=corrections,
+        photos=_own_photos(cloud_path, origin, factor),
         progress=progress,
     )
     result["warnings"] = [*warnings, *result["warnings"]]
@@ -152,6 +162,18 @@ def measure_cloud_file(
     seconds = time.perf_counter() - start
     update_plot(out, source=cloud_path.name, stage="trees", seconds=seconds, values=values)
     return result
+
+
+def _own_photos(cloud_path: Path, origin: dict[str, Any], factor: float) -> StemPhotos | None:
+    """Return the photographs of the run that made the cloud, if they still lie beside it."""
+    folder = cloud_path.parent
+    cloud_from_scene = origin.get("cloud_from_scene")
+    parts = (folder / "scene" / "cams", folder / "depth" / "depth.json", folder / "confidence")
+    known = cloud_from_scene is not None and cloud_path.name in ("cloud.ply", "cloud.laz")
+    if not known or not all(part.exists() for part in parts):
+        return None
+    scaled = np.diag([factor, factor, factor, 1.0]) @ np.asarray(cloud_from_scene, dtype=np.float64)
+    return StemPhotos(scene=read_scene(folder / "scene"), depth_folder=folder, cloud_from_scene=scaled)
 
 
 def _cloud_scale(

@@ -16,6 +16,7 @@ from fsinfer.progress import Progress, silent
 
 if TYPE_CHECKING:
     from fsinfer.cloud import PointCloud
+    from fsinfer.silhouettes import StemPhotos
     from fsinfer.tree_edits import TreeEdit
     from fsinfer.trees import PlotResult, TreeSettings
     from fsinfer.trees.stem_curve import CurvePoint
@@ -38,6 +39,7 @@ def write_tree_outputs(
     epsg: int | None = None,
     write_labelled: Callable[[Path, PlotResult], None] | None = None,
     edits: Sequence[TreeEdit] = (),
+    photos: StemPhotos | None = None,
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Measure the trees of a cloud (z up) and write table, maps, labelled points and figures into ``out``.
@@ -55,6 +57,7 @@ def write_tree_outputs(
     marker_xyz: (M, 3) centres of the markers that gave the scale, in the cloud's frame: see :func:`without_posts`.
     epsg: code of the cloud's horizontal frame; None for local metres.
     edits: corrections by hand (:mod:`fsinfer.tree_edits`), applied to what was found.
+    photos: those the cloud was made of; the stems' edges in them make the diameters sharper (metres only).
     write_labelled: writes ``trees.laz`` instead, for a cloud of which only a part is in memory.
 
     Returns
@@ -93,6 +96,12 @@ def write_tree_outputs(
         result = apply_edits(
             result, cloud.xyz, edits, settings=settings, scale_rel_std=scale_rel_std or 0.0, metric=metric
         )
+    if photos is not None and metric:
+        from fsinfer.silhouettes import measure_silhouettes
+
+        result = measure_silhouettes(
+            result, photos, scale_rel_std=scale_rel_std or 0.0, dbh=settings.dbh, progress=progress
+        )
     write_trees(out / "trees.csv", result.trees)
     _clear_figures(out)
     _clear_maps(out)
@@ -110,6 +119,7 @@ def write_tree_outputs(
     return {
         "trees": len(result.trees),
         "trees_with_dbh": sum(tree.dbh_cm is not None for tree in result.trees),
+        "trees_with_silhouette": sum(section.silhouette is not None for section in result.sections),
         "ground_method": None if result.ground is None else result.ground.method,
         "diagnosis": result.diagnosis,
         "stand": asdict(result.stand),
@@ -166,7 +176,14 @@ def write_no_trees(out: Path, *, reason: str) -> dict[str, Any]:
     _clear_figures(out)
     _clear_maps(out)
     nothing = {"ground_method": None, "stand": None, "plot_area_m2": None}
-    return {"trees": 0, "trees_with_dbh": 0, **nothing, "diagnosis": reason, "warnings": [reason]}
+    return {
+        "trees": 0,
+        "trees_with_dbh": 0,
+        "trees_with_silhouette": 0,
+        **nothing,
+        "diagnosis": reason,
+        "warnings": [reason],
+    }
 
 
 def _clear_figures(out: Path) -> None:

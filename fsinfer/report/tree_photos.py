@@ -20,10 +20,9 @@ from fsinfer.report.tree_views import (
     ViewSettings,
     breast_height_ring,
     choose_views,
-    project,
     rate_view,
 )
-from fsinfer.scene import Scene, View, read_scene
+from fsinfer.scene import Scene, View, project, read_scene
 
 # A crop enlarged more than this only shows its pixels.
 MAX_ENLARGEMENT = 2.5

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.depth_maps import DepthMap
-from fsinfer.scene import Camera
+from fsinfer.scene import Camera, project
 
 Floats = NDArray[np.float64]
 
@@ -66,17 +66,6 @@ class RatedView:
     score: float
     direction: Floats
     distance_m: float
-
-
-def project(points: Floats, camera: Camera, intrinsic: Floats | None = None) -> tuple[Floats, Floats]:
-    """Pixel positions (N, 2) and z depths (N,) of scene points (N, 3) in the photograph.
-
-    ``intrinsic`` (3, 3) takes the place of the camera's, for a picture of another size such as the depth map.
-    """
-    in_camera = points @ camera.cam_from_world[:3, :3].T + camera.cam_from_world[:3, 3]
-    depth = in_camera[:, 2]
-    homogeneous = in_camera @ (camera.intrinsic if intrinsic is None else intrinsic).T
-    return homogeneous[:, :2] / np.where(np.abs(depth) < 1e-12, 1e-12, depth)[:, None], depth
 
 
 def rate_view(

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.trees.outline import Outline
+from fsinfer.trees.silhouette import SilhouetteFit
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -22,7 +23,8 @@ class Section:
     position at ``bh_m`` in the frame of the cloud, ``slope`` (2,) its dx/dh and dy/dh, ``taper`` the radius's dr/dh,
     ``top_m`` the height to which the stem was seen (below the search's upper end). ``parts_m`` are the standard
     deviations of the radius that make up the interval, by name, ``tau_m`` the error that neighbouring points share.
-    ``dbh_m`` is None when ``reason`` says why there is none.
+    ``dbh_m`` is None when ``reason`` says why there is none. Where photographs were looked at too
+    (:mod:`fsinfer.silhouettes`), ``silhouette`` is what their edges say and ``cloud_dbh_m`` what the points alone gave.
     """
 
     center: Floats
@@ -45,6 +47,8 @@ class Section:
     circle_m: Floats
     half_slice_m: float
     outline: Outline | None
+    silhouette: SilhouetteFit | None = None
+    cloud_dbh_m: float | None = None
 
 
 def unmeasured_section(

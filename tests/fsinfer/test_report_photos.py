@@ -9,8 +9,8 @@ from fsinfer.pfm import read_pfm, write_pfm
 from fsinfer.report.cloud_data import MAX_IN_MEMORY, encode_cloud, read_some
 from fsinfer.report.contents import read_contents
 from fsinfer.report.tree_photos import LINE_RGB, OUTSIDE_RGB, crop_tree, standing_trees, tree_photos
-from fsinfer.report.tree_views import RatedView, breast_height_ring, choose_views, project, rate_view
-from fsinfer.scene import read_scene
+from fsinfer.report.tree_views import RatedView, breast_height_ring, choose_views, rate_view
+from fsinfer.scene import project, read_scene
 from tests.fsinfer.report_plot import plot_cloud, write_report_folder
 from tests.fsinfer.synthetic_plot import M_PER_UNIT, SIZE, STEMS
 

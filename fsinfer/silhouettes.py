@@ -1,0 +1,202 @@
+"""Diameters from the photographs' own edges, joined with those from the cloud.
+
+A cloud knows a stem's surface as well as depth maps do: to millimetres from two metres, to centimetres from ten. The
+edges between stem and background in the same photographs are sharp at any distance. So each stem of the cloud is
+looked up in all photographs that show it (:mod:`fsinfer.stem_edges`), its silhouette is fitted
+(:mod:`fsinfer.trees.silhouette`), and the two diameters are averaged by their precision, or the silhouette's stands
+alone where they contradict each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.depth_maps import DepthMaps
+from fsinfer.progress import Progress, silent
+from fsinfer.scene import Scene
+from fsinfer.stem_edges import EdgeSettings, StemAxis, find_edges
+from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
+from fsinfer.trees.outline import Outline
+from fsinfer.trees.silhouette import SilhouetteFit, SilhouetteSettings, fit_silhouette
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StemPhotos:
+    """The photographs a cloud was made of: ``cloud_from_scene`` (4, 4) maps the scene to the cloud, in metres.
+
+    ``depth_folder`` holds ``depth/`` and ``confidence/``.
+    """
+
+    scene: Scene
+    depth_folder: Path
+    cloud_from_scene: Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class SilhouetteJoinSettings:
+    """Constants of :func:`measure_silhouettes`; metres. Chosen on three rendered plots (docs/accuracy.md)."""
+
+    cloud_floor_m: float = (
+        0.0015  # of the cloud's radius: its interval was calibrated on clouds without depth maps' edges
+    )
+    gate: float = 2.0  # standard deviations between the two beyond which the silhouette stands alone
+    min_photos: int = 4
+    sure_photos: int = 8  # fewer, and a stem that the cloud could not measure stays doubtful
+    sure_sectors: float = 0.3
+    outline_sectors: float = 0.8  # least and greatest diameter need the way round
+    edges: EdgeSettings = field(default_factory=EdgeSettings)
+    fit: SilhouetteSettings = field(default_factory=SilhouetteSettings)
+
+
+def measure_silhouettes(
+    result: PlotResult,
+    photos: StemPhotos,
+    *,
+    scale_rel_std: float = 0.0,
+    dbh: DbhSettings | None = None,
+    settings: SilhouetteJoinSettings | None = None,
+    progress: Progress = silent,
+) -> PlotResult:
+    """Look every stem of ``result`` up in the photographs and join what they say with what the cloud says.
+
+    Stems that no photograph shows clearly stay as they are. Sections get ``silhouette`` and ``cloud_dbh_m``. Raises
+    :class:`~fsinfer.errors.FsinferError` where a photograph or a depth map cannot be read.
+    """
+    s = settings or SilhouetteJoinSettings()
+    dbh = dbh or DbhSettings()
+    stems = [_axis(tree, section) for tree, section in zip(result.trees, result.sections, strict=True)]
+    if not stems:
+        return result
+    maps = DepthMaps(photos.scene, photos.depth_folder, cache_maps=2)
+    found = find_edges(stems, photos.scene, maps, photos.cloud_from_scene, settings=s.edges, progress=progress)
+    pairs = []
+    for tree, section, stem, edges in zip(result.trees, result.sections, stems, found, strict=True):
+        fit = fit_silhouette(edges, stem.radius_m, taper=stem.taper, settings=s.fit)
+        if fit is None or fit.photos < s.min_photos:
+            pairs.append((tree, section))
+            continue
+        joined = join(section, fit, scale_rel_std=scale_rel_std, dbh=dbh, settings=s)
+        pairs.append((_tree(tree, joined, stem, fit), joined))
+    return replace(
+        result,
+        trees=tuple(tree for tree, _ in pairs),
+        sections=tuple(section for _, section in pairs),
+        diagnosis=_diagnosis(result, [tree for tree, _ in pairs]),
+    )
+
+
+def join(
+    section: Section,
+    fit: SilhouetteFit,
+    *,
+    scale_rel_std: float,
+    dbh: DbhSettings,
+    settings: SilhouetteJoinSettings,
+) -> Section:
+    """Average the radii of cloud and silhouette by their precision; what they share (height, scale) comes on top."""
+    s = settings
+    own = [part for name, part in section.parts_m.items() if name not in ("level", "scale")]
+    cloud_std = float(np.hypot(np.sqrt(sum(part**2 for part in own)), s.cloud_floor_m))
+    weight = 0.0
+    if section.dbh_m is not None:
+        apart = abs(section.dbh_m / 2.0 - fit.radius_m)
+        if apart <= s.gate * float(np.hypot(cloud_std, fit.std_m)):
+            weight = fit.std_m**2 / (fit.std_m**2 + cloud_std**2)
+    radius = fit.radius_m + weight * ((section.dbh_m or 0.0) / 2.0 - fit.radius_m) if weight else fit.radius_m
+    level = section.parts_m.get("level", (abs(fit.taper) + dbh.taper_std) * dbh.ground_std_m)
+    parts = {
+        "silhouette": (1.0 - weight) * fit.std_m,
+        "cloud": weight * cloud_std,
+        "level": level,
+        "scale": radius * scale_rel_std,
+    }
+    sd = 2.0 * float(np.sqrt(sum(part**2 for part in parts.values())))
+    status, reason = _status(section, fit, 2.0 * radius, sd, dbh, s)
+    measured = status != "unmeasured"
+    return replace(
+        section,
+        dbh_m=2.0 * radius if measured else None,
+        sd_m=sd,
+        parts_m=parts,
+        status=status,
+        reason=reason,
+        circle_m=np.array([*fit.shift_m, radius]),
+        outline=_outline(fit, radius, s) if measured and fit.sectors >= s.outline_sectors else None,
+        silhouette=fit,
+        cloud_dbh_m=section.dbh_m,
+    )
+
+
+def _axis(tree: Tree, section: Section) -> StemAxis:
+    along = np.array([*section.slope, 1.0])
+    radius = float(section.circle_m[2]) if section.dbh_m is None else section.dbh_m / 2.0
+    return StemAxis(
+        breast=np.array([tree.x_m, tree.y_m, tree.z_ground_m + section.bh_m]),
+        along=along / np.linalg.norm(along),
+        radius_m=max(radius, 0.01),
+        taper=section.taper,
+    )
+
+
+def _status(
+    section: Section, fit: SilhouetteFit, dbh_m: float, sd: float, dbh: DbhSettings, s: SilhouetteJoinSettings
+) -> tuple[str, str]:
+    """Return status and reason anew: what the cloud doubted or refused, the silhouette may know."""
+    if 2 * 1.96 * sd > dbh.max_interval * dbh_m:
+        return "unmeasured", f"too uncertain: {100 * dbh_m:.0f} cm +- {100 * 1.96 * sd:.0f} cm; walk round the stem"
+    doubts = [part for part in section.reason.split("; ") if "breast height" in part and section.dbh_m is not None]
+    few = fit.photos < s.sure_photos or fit.sectors < s.sure_sectors
+    if section.dbh_m is None and few:
+        doubts.append(f"only from its edges in {fit.photos} photos ({section.reason.split(';')[0]})")
+    if 2 * 1.96 * sd > dbh.doubtful_interval * dbh_m:
+        doubts.append(f"wide interval (+- {100 * 1.96 * sd:.1f} cm)")
+    return ("doubtful", "; ".join(doubts)) if doubts else ("ok", "")
+
+
+def _outline(fit: SilhouetteFit, radius: float, s: SilhouetteJoinSettings) -> Outline:
+    """Hull whose support function is the fit's about ``radius``: x = p n + p' n' (Santalo 2004, section 1.2)."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 180, endpoint=False)
+    support = fit.support(angle) + radius - fit.radius_m
+    slope = (np.roll(support, -1) - np.roll(support, 1)) / (angle[2] - angle[0])
+    normal, along = np.column_stack([np.cos(angle), np.sin(angle)]), np.column_stack([-np.sin(angle), np.cos(angle)])
+    width = support + np.roll(support, len(angle) // 2)
+    return Outline(
+        curve_m=support[:, None] * normal + slope[:, None] * along,
+        girth_diameter_m=2.0 * radius,
+        min_diameter_m=float(width.min()),
+        max_diameter_m=float(width.max()),
+    )
+
+
+def _tree(tree: Tree, section: Section, stem: StemAxis, fit: SilhouetteFit) -> Tree:
+    first, second = stem.across
+    moved = stem.breast + fit.shift_m[0] * first + fit.shift_m[1] * second
+    dbh = None if section.dbh_m is None else 100.0 * section.dbh_m
+    half = 1.96 * 100.0 * section.sd_m
+    outline = section.outline
+    return replace(
+        tree,
+        x_m=float(moved[0]),
+        y_m=float(moved[1]),
+        dbh_cm=dbh,
+        dbh_lo95_cm=None if dbh is None else max(dbh - half, 0.0),
+        dbh_hi95_cm=None if dbh is None else dbh + half,
+        dbh_perimeter_cm=None if outline is None else 100.0 * outline.girth_diameter_m,
+        dbh_min_cm=None if outline is None else 100.0 * outline.min_diameter_m,
+        dbh_max_cm=None if outline is None else 100.0 * outline.max_diameter_m,
+        status=section.status,
+        reason=section.reason,
+    )
+
+
+def _diagnosis(result: PlotResult, trees: Sequence[Tree]) -> str:
+    before = sum(tree.dbh_cm is not None for tree in result.trees)
+    after = sum(tree.dbh_cm is not None for tree in trees)
+    return result.diagnosis.replace(f"{before} with a DBH", f"{after} with a DBH")
