@@ -40,7 +40,7 @@ class EdgeSettings:
     clip: float = 20.0  # standard deviations of the bark: beyond, an edge is not surer
     inner: float = 0.7  # of the radius: surely bark
     floor: float = 0.5  # grey values per pixel that count as noise of the camera
-    min_strength: float = 1.2
+    min_strength: float = 1.2  # standard deviations of the bark
     min_seen: float = 0.5  # share of the near side at which the depth map shows the stem
     max_hidden: float = 0.2  # share behind something nearer
     tolerance_of_depth: float = 0.05
@@ -230,7 +230,7 @@ def _cut(stem: StemAxis, camera: Camera, image: NDArray[np.float32], index: int,
 
 
 def _candidates(strip: Strip, stem: StemAxis, s: EdgeSettings) -> Floats:
-    """Rows of support, angle, height, strength, pixel, photo, side and band for every edge of a strip."""
+    """Rows of support, angle, strength, side, height, pixel, photo and band for every edge of a strip."""
     step = strip.offsets_m[1] - strip.offsets_m[0]
     samples_per_px = strip.pixel_m / step
     gradient = samples_per_px * gaussian_filter1d(
@@ -243,27 +243,20 @@ def _candidates(strip: Strip, stem: StemAxis, s: EdgeSettings) -> Floats:
         means.append(gradient[band == number].mean(axis=0))
         heights.append(strip.heights_m[band == number].mean())
     strengths = _whitened(np.array(means), np.abs(strip.offsets_m) <= s.inner * stem.radius_m, s)
-    noise = 1.0
     rows = []
-    for number, (strength, height) in enumerate(zip(strengths, heights, strict=True)):
-        e = strength.astype(np.float64) / noise
+    for number, (e, height) in enumerate(zip(strengths, heights, strict=True)):
         peak = np.flatnonzero((e[1:-1] >= e[:-2]) & (e[1:-1] > e[2:]) & (e[1:-1] >= s.min_strength)) + 1
         bend = np.minimum(e[peak - 1] - 2 * e[peak] + e[peak + 1], -1e-9)
         place = strip.offsets_m[peak] + step * np.clip(0.5 * (e[peak - 1] - e[peak + 1]) / bend, -0.5, 0.5)
         place *= 1.0 + stem.taper * height / stem.radius_m
         side = np.where(place > 0, 1.0, -1.0)
         slant = np.hypot(strip.distance_m, place)
-        normal = (side * strip.distance_m / slant)[:, None] * strip.left + (np.abs(place) / slant)[
-            :, None
-        ] * strip.towards
+        normal = (side * strip.distance_m)[:, None] * strip.left + np.abs(place)[:, None] * strip.towards
         angle = np.arctan2(normal @ second, normal @ first)
         support = strip.distance_m * np.abs(place) / slant
-        same = np.full(len(peak), 1.0)
-        rows.append(
-            np.column_stack(
-                [support, angle, height * same, e[peak], strip.pixel_m * same, strip.photo * same, side, number * same]
-            )
-        )
+        fixed = np.array([height, strip.pixel_m, strip.photo, number])
+        of_all = np.broadcast_to(fixed, (len(peak), 4))
+        rows.append(np.column_stack([support, angle, np.minimum(e[peak], s.clip), side, of_all]))
     return np.vstack(rows)
 
 
@@ -276,18 +269,19 @@ def _whitened(gradients: Floats, inner: NDArray[np.bool_], s: EdgeSettings) -> F
     covariance = bark.T @ bark / len(bark) + s.floor**2 * np.eye(3)
     lower = np.linalg.cholesky(covariance)
     white = np.linalg.solve(lower, gradients.reshape(-1, 3).T)
-    return np.asarray(np.minimum(np.linalg.norm(white, axis=0), s.clip).reshape(gradients.shape[:2]))
+    return np.asarray(np.linalg.norm(white, axis=0).reshape(gradients.shape[:2]), dtype=np.float64)
 
 
 def _edges(strips: list[Floats]) -> Edges:
     rows = np.vstack(strips) if strips else np.zeros((0, 8))
-    ray = np.unique(rows[:, 5:8], axis=0, return_inverse=True)[1] if len(rows) else np.zeros(0)
+    # Photograph, side and band
+    ray = np.unique(rows[:, [6, 3, 7]], axis=0, return_inverse=True)[1] if len(rows) else np.zeros(0)
     return Edges(
         support_m=rows[:, 0],
         angle_rad=rows[:, 1],
-        height_m=rows[:, 2],
-        strength=rows[:, 3],
-        pixel_m=rows[:, 4],
-        photo=rows[:, 5].astype(np.int64),
+        strength=rows[:, 2],
+        height_m=rows[:, 4],
+        pixel_m=rows[:, 5],
+        photo=rows[:, 6].astype(np.int64),
         ray=np.asarray(ray, dtype=np.int64).reshape(-1),
     )

@@ -33,7 +33,9 @@ class SilhouetteSettings:
     place_step_m: float = 0.01
     vote_std_m: float = 0.012
     tolerances_m: tuple[float, ...] = (0.012, 0.008, 0.006, 0.005, 0.004)  # of the first rounds; then what was found
-    rounds: int = 10
+    rounds: int = 12
+    starts: int = 3  # peaks of the vote that are followed up
+    round_first: float = 10.0  # harmonics are held this much tighter in the first rounds
     place_std_m: float = 0.05  # priors: where the cloud has the axis ...
     slope_std: float = 0.03
     taper_std: float = 0.006  # ... radius per metre of height
@@ -60,7 +62,7 @@ class Edges:
     support_m: (N,) distance of the viewing ray from the axis, towards ``angle_rad``.
     angle_rad: (N,) direction of the outward normal in the plane across the axis.
     height_m: (N,) along the axis, about breast height.
-    strength: (N,) edge strength over the median of its photograph's strip; at least 1.
+    strength: (N,) of the edge, in standard deviations of what the bark itself shows.
     pixel_m: (N,) one pixel of the photograph at the stem.
     ray: (N,) number of photograph, side and band: of those with the same number at most one is the stem's edge.
     photo: (N,) index of the photograph in the scene.
@@ -113,60 +115,136 @@ def fit_silhouette(
 ) -> SilhouetteFit | None:
     """Fit the support function of a stem whose radius is roughly ``radius_m``; None where the edges do not agree."""
     s = settings or SilhouetteSettings()
-    if len(edges.ray) == 0:
+    if len(np.unique(edges.ray)) < s.min_edges:
         return None
-    _, ray = np.unique(edges.ray, return_inverse=True)
-    rays = int(ray.max()) + 1
-    if rays < s.min_edges:
-        return None
-    log_strength = np.log(np.maximum(edges.strength, 1.0))
-    order = len(s.shape_std)
-    design = _design(edges.angle_rad, edges.height_m, order)
-    pixel = s.edge_std_px * edges.pixel_m
-    x = np.zeros(design.shape[1])
-    x[1] = taper
-    x[[0, 2, 3]], contrast = _vote(edges, log_strength, ray, rays, radius_m, taper, s)
+    problem = _Problem(edges, radius_m, taper, s)
+    starts, contrast = problem.vote()
     if contrast < s.min_contrast:
         return None
-    prior_mean = np.zeros(len(x))
-    prior_mean[1] = taper
-    shape = np.repeat(np.array(s.shape_std) * radius_m, 2)
-    prior = 1.0 / np.r_[np.inf, s.taper_std, [s.place_std_m] * 2, [s.slope_std] * 2, shape] ** 2
-    noise = s.tolerances_m[0]
-    weight, information = np.zeros(len(ray)), np.diag(prior)
-    for turn in range(s.rounds):
-        tolerance = s.tolerances_m[turn] if turn < len(s.tolerances_m) else max(noise, s.least_noise_m)
-        std = np.hypot(pixel, tolerance)
-        weight = _responsibility(log_strength - 0.5 * ((edges.support_m - design @ x) / std) ** 2, ray, rays, s)
-        precision = weight / std**2
-        information = (design * precision[:, None]).T @ design + np.diag(prior)
-        x = np.linalg.solve(information, (design * precision[:, None]).T @ edges.support_m + prior * prior_mean)
-        residual = edges.support_m - design @ x
-        excess = float((weight * (residual**2 - pixel**2)).sum()) / max(float(weight.sum()) - 4.0, 1.0)
-        noise = float(np.sqrt(max(excess, s.least_noise_m**2)))
-    used = weight > 0.5
-    if used.sum() < s.min_edges or weight.sum() < s.min_share * rays:
+    best = max((problem.refine(start) for start in starts), key=lambda solution: solution.log_likelihood)
+    weight, used = best.weight, best.weight > 0.5
+    if used.sum() < s.min_edges or weight.sum() < s.min_share * problem.rays:
         return None
-    sector = np.floor(np.degrees(edges.angle_rad) / s.sector_deg).astype(np.int64) % round(360.0 / s.sector_deg)
-    scores = design * (precision * residual)[:, None]
-    variance = _clustered_variance(information, scores, sector[used], used, prior)
-    typical_px = float(np.median(edges.pixel_m[used]))
-    std_m = float(np.sqrt(variance + (s.common_px * typical_px) ** 2 + (s.common_std * x[0]) ** 2))
+    all_round = round(360.0 / s.sector_deg)
+    sector = np.floor(np.degrees(edges.angle_rad[used]) / s.sector_deg).astype(np.int64) % all_round
+    variance = _clustered_variance(best.information, best.scores[used], sector, problem.prior)
+    common_px = s.common_px * float(np.median(edges.pixel_m[used]))
+    x = best.x
     return SilhouetteFit(
         radius_m=float(x[0]),
-        std_m=std_m,
+        std_m=float(np.sqrt(variance + common_px**2 + (s.common_std * x[0]) ** 2)),
         shift_m=x[2:4],
         slope=x[4:6],
         taper=float(x[1]),
         shape_m=x[6:],
         rays=float(weight.sum()),
-        share=float(weight.sum()) / rays,
+        share=float(weight.sum()) / problem.rays,
         photos=len(np.unique(edges.photo[used])),
-        sectors=len(np.unique(sector[used])) / round(360.0 / s.sector_deg),
-        noise_m=noise,
+        sectors=len(np.unique(sector)) / all_round,
+        noise_m=best.noise_m,
         contrast=contrast,
         weight=weight,
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Solution:
+    """Unknowns ``x`` (K,), each edge's probability ``weight`` (N,) and gradient ``scores`` (N, K)."""
+
+    x: Floats
+    weight: Floats
+    scores: Floats
+    information: Floats
+    noise_m: float
+    log_likelihood: float
+
+
+class _Problem:
+    """The edges of one stem with what both steps of the fit need of them."""
+
+    def __init__(self, edges: Edges, radius_m: float, taper: float, settings: SilhouetteSettings) -> None:
+        s = self.s = settings
+        self.edges, self.radius_m, self.taper = edges, radius_m, taper
+        self.ray = np.asarray(np.unique(edges.ray, return_inverse=True)[1], dtype=np.int64)
+        self.rays = int(self.ray.max()) + 1
+        self.log_strength = np.log(np.maximum(edges.strength, 1.0))
+        self.pixel = s.edge_std_px * edges.pixel_m
+        self.design = _design(edges.angle_rad, edges.height_m, len(s.shape_std))
+        shape = np.repeat(np.array(s.shape_std) * radius_m, 2)
+        self.prior = 1.0 / np.r_[np.inf, s.taper_std, [s.place_std_m] * 2, [s.slope_std] * 2, shape] ** 2
+        self.prior_mean = np.zeros(len(self.prior))
+        self.prior_mean[1] = taper
+
+    def vote(self) -> tuple[list[Floats], float]:
+        """Radius and place (3,) where the most rays have a strong edge: the best few radii, each at its best place.
+
+        Also the votes of the first over those of a typical radius.
+        """
+        s, edges = self.s, self.edges
+        level = edges.support_m - self.taper * edges.height_m
+        std = np.hypot(s.vote_std_m, self.pixel)
+        shifts = np.arange(-s.place_range_m, s.place_range_m + 1e-9, s.place_step_m)
+        order = np.argsort(self.ray, kind="stable")
+        first = np.searchsorted(self.ray[order], np.arange(self.rays))
+        cosine, sine = np.cos(edges.angle_rad), np.sin(edges.angle_rad)
+        low, high = s.radius_range
+        radii = np.arange(low * self.radius_m, high * self.radius_m + 0.02, s.radius_step_m)
+        tops, places = np.zeros(len(radii)), np.zeros((len(radii), 2))
+        for i, radius in enumerate(radii):
+            for a in shifts:
+                # (len(shifts), N): all places along the second axis at once
+                residual = level - radius - a * cosine - shifts[:, None] * sine
+                score = self.log_strength * np.exp(-0.5 * (residual / std) ** 2)
+                votes = np.maximum.reduceat(score[:, order], first, axis=1).sum(axis=1)
+                if votes.max() > tops[i]:
+                    tops[i], places[i] = votes.max(), (a, shifts[votes.argmax()])
+        peaks = [i for i in range(len(radii)) if tops[i] >= max(tops[max(i - 1, 0) : i + 2])]
+        peaks = sorted(peaks, key=lambda i: -tops[i])[: s.starts]
+        contrast = float(tops.max()) / max(float(np.median(tops)), 1e-9)
+        return [np.array([radii[i], *places[i]]) for i in peaks], contrast
+
+    def refine(self, start: Floats) -> _Solution:
+        """Expectation-maximisation from ``start`` (radius and place), first round, then with harmonics."""
+        s, edges, design = self.s, self.edges, self.design
+        x = self.prior_mean.copy()
+        x[[0, 2, 3]] = start
+        noise = s.least_noise_m
+        for turn in range(s.rounds):
+            early = turn < len(s.tolerances_m)
+            std = np.hypot(self.pixel, s.tolerances_m[turn] if early else noise)
+            weight, log_likelihood = self._responsibility(self._log_fit(x, std))
+            precision = weight / std**2
+            prior = self.prior.copy()
+            if early:  # harmonics would bend a wrong circle through a few edges
+                prior[6:] *= s.round_first**2
+            information = (design * precision[:, None]).T @ design + np.diag(prior)
+            x = np.linalg.solve(information, design.T @ (precision * edges.support_m) + prior * self.prior_mean)
+            residual = edges.support_m - design @ x
+            excess = float((weight * (residual**2 - self.pixel**2)).sum()) / max(float(weight.sum()) - 4.0, 1.0)
+            noise = float(np.sqrt(max(excess, s.least_noise_m**2)))
+        # Starts are compared at one tolerance: a larger noise must not look like a better fit.
+        _, log_likelihood = self._responsibility(self._log_fit(x, np.hypot(self.pixel, s.tolerances_m[-1])))
+        return _Solution(
+            x=x,
+            weight=weight,
+            scores=design * (precision * residual)[:, None],
+            information=information,
+            noise_m=noise,
+            log_likelihood=log_likelihood,
+        )
+
+    def _log_fit(self, x: Floats, std: Floats) -> Floats:
+        return np.asarray(self.log_strength - 0.5 * ((self.edges.support_m - self.design @ x) / std) ** 2)
+
+    def _responsibility(self, log_fit: Floats) -> tuple[Floats, float]:
+        """Probability (N,) that a candidate is the stem's edge, at most one on each ray or none; and the likelihood."""
+        none = float(np.log(self.s.background))
+        top = np.full(self.rays, none)
+        np.maximum.at(top, self.ray, log_fit)
+        total = np.exp(none - top)
+        part = np.exp(log_fit - top[self.ray])
+        np.add.at(total, self.ray, part)
+        return np.asarray(part / total[self.ray]), float((top + np.log(total)).sum())
 
 
 def _design(angle: Floats, height: Floats, order: int) -> Floats:
@@ -178,52 +256,12 @@ def _design(angle: Floats, height: Floats, order: int) -> Floats:
     return np.column_stack(columns)
 
 
-def _vote(
-    edges: Edges, log_strength: Floats, ray: Ints, rays: int, radius_m: float, taper: float, s: SilhouetteSettings
-) -> tuple[Floats, float]:
-    """Radius and place (3,) at which the most rays have a strong edge, and its votes over those of a typical radius."""
-    level = edges.support_m - taper * edges.height_m
-    std = np.hypot(s.vote_std_m, s.edge_std_px * edges.pixel_m)
-    shifts = np.arange(-s.place_range_m, s.place_range_m + 1e-9, s.place_step_m)
-    low, high = s.radius_range
-    best = (-np.inf, np.array([radius_m, 0.0, 0.0]))
-    tops = []
-    order = np.argsort(ray, kind="stable")
-    starts = np.searchsorted(ray[order], np.arange(rays))
-    cosine, sine = np.cos(edges.angle_rad), np.sin(edges.angle_rad)
-    for radius in np.arange(low * radius_m, high * radius_m + 0.02, s.radius_step_m):
-        tops.append(0.0)
-        for a in shifts:
-            # (len(shifts), N): all places along the second axis at once
-            residual = level - radius - a * cosine - shifts[:, None] * sine
-            score = log_strength * np.exp(-0.5 * (residual / std) ** 2)
-            votes = np.maximum.reduceat(score[:, order], starts, axis=1).sum(axis=1)
-            top = int(votes.argmax())
-            tops[-1] = max(tops[-1], float(votes[top]))
-            if votes[top] > best[0]:
-                best = (float(votes[top]), np.array([radius, a, shifts[top]]))
-    return best[1], best[0] / float(np.median(tops))
-
-
-def _responsibility(log_likelihood: Floats, ray: Ints, rays: int, s: SilhouetteSettings) -> Floats:
-    """Probability (N,) that a candidate is the stem's edge: at most one on each ray, or none."""
-    none = float(np.log(s.background))
-    top = np.full(rays, none)
-    np.maximum.at(top, ray, log_likelihood)
-    total = np.exp(none - top)
-    likelihood = np.exp(log_likelihood - top[ray])
-    np.add.at(total, ray, likelihood)
-    return np.asarray(likelihood / total[ray])
-
-
-def _clustered_variance(
-    information: Floats, scores: Floats, sector: Ints, used: NDArray[np.bool_], prior: Floats
-) -> float:
+def _clustered_variance(information: Floats, scores: Floats, sector: Ints, prior: Floats) -> float:
     """Variance of the radius where edges of one sector err together (Liang & Zeger 1986), or the model's if larger."""
     covariance = np.linalg.inv(information)
     names, cluster = np.unique(sector, return_inverse=True)
     sums = np.zeros((len(names), scores.shape[1]))
-    np.add.at(sums, cluster, scores[used])
+    np.add.at(sums, cluster, scores)
     few = len(names) / max(len(names) - 3.0, 1.0)  # radius and place are taken from the sectors
-    meat = few * sums.T @ sums + np.diag(np.where(np.isfinite(prior), prior, 0.0))
+    meat = few * sums.T @ sums + np.diag(prior)
     return max(float(covariance[0] @ meat @ covariance[0]), float(covariance[0, 0]))
