@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass
+from typing import TypeVar
 
 import torch
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
+from export.fast_heads import FastPlaneHead, FastRefineHead
 from training.model import FSMVSNet
 from training.model.config import DEPTH_PLANES
 from training.model.fsmvsnet import REFINE_GROUPS
 
+ModuleT = TypeVar("ModuleT", bound=nn.Module)
 EXAMPLE_SIZE = (96, 128)  # height, width of the image that the exporter traces with
 
 
@@ -51,17 +54,7 @@ class _ByName(nn.Module):
         return index, confidence
 
 
-class _Refine(nn.Module):
-    def __init__(self, head: nn.Module) -> None:
-        super().__init__()
-        self.head = head
-
-    def forward(self, volume: Tensor, features: Tensor) -> tuple[Tensor, Tensor]:
-        index, confidence = self.head(volume, features)
-        return index, confidence
-
-
-def fold_batch_norm(module: nn.Module) -> nn.Module:
+def fold_batch_norm(module: ModuleT) -> ModuleT:
     """Return a copy in evaluation mode whose convolutions have absorbed the batch norms that follow them."""
     folded = copy.deepcopy(module).eval()
     for sequence in [m for m in folded.modules() if isinstance(m, nn.Sequential)]:
@@ -76,6 +69,8 @@ def fold_batch_norm(module: nn.Module) -> nn.Module:
 def graphs(model: FSMVSNet) -> list[Graph]:
     """Cut the model into its graphs, ready for the exporter."""
     config = model.config
+    fast = config.regularizer == "packed" and config.loss == "plane"
+    plane_head = FastPlaneHead(fold_batch_norm(model.plane_head)) if fast else fold_batch_norm(model.plane_head)
     height, width = EXAMPLE_SIZE
     h, w = height // 4, width // 4
     result = [
@@ -98,7 +93,7 @@ def graphs(model: FSMVSNet) -> list[Graph]:
     result.append(
         Graph(
             role="regularizer",
-            module=_ByName(fold_batch_norm(model.plane_head)),
+            module=_ByName(plane_head),
             inputs={"volume": volume},
             outputs=["index", "confidence"],
             free={"volume": free},
@@ -108,7 +103,7 @@ def graphs(model: FSMVSNet) -> list[Graph]:
         result.append(
             Graph(
                 role="refiner",
-                module=_Refine(fold_batch_norm(model.refine_head)),
+                module=FastRefineHead(fold_batch_norm(model.refine_head)),
                 inputs={
                     "volume": torch.randn(config.refine_planes * REFINE_GROUPS, 2 * h, 2 * w),
                     "features": torch.randn(config.refine_channels, 2 * h, 2 * w),

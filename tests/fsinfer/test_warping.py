@@ -9,6 +9,7 @@ from fsinfer.volume import (
     Features,
     correlation_volume,
     correlation_volume_reference,
+    mean_of_four,
     plane_inverse_depths,
     upsample_index,
     upsample_twice,
@@ -132,3 +133,25 @@ def test_upsampling_across_a_step_invents_no_surface() -> None:
     index = np.zeros((4, 6), np.float32)
     index[:, 3:] = 50
     assert set(np.unique(upsample_index(index, 8, 12))) == {0.0, 50.0}
+
+
+@pytest.mark.parametrize("shape", [(8, 2, 5), (3, 1, 5)])
+def test_mean_of_four_is_the_mean(shape: tuple[int, int, int]) -> None:
+    values = np.random.default_rng(0).normal(size=(*shape, 4)).astype(np.float32)
+    out = np.empty(shape, np.float32)
+    mean_of_four(values, out=out)
+    assert np.allclose(out, values.mean(axis=-1), atol=1e-6)
+
+
+def test_the_size_of_the_blocks_does_not_change_the_volume(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(0)
+    views = [Features.from_chw(rng.normal(size=(8, 21, 30)).astype(np.float32)) for _ in range(3)]
+    projections = [Projection(matrix=np.eye(3), offset=np.array([o, 0.3, 0.0])) for o in (2.0, -1.5)]
+    inverse = plane_inverse_depths(1.0, 10.0, 16, inverse=True)[:, None, None]
+    found = []
+    for size in (0, 40_000, 10**9):
+        monkeypatch.setattr("fsinfer.volume.BLOCK_BYTES", size)
+        found.append(correlation_volume(views[0], views[1:], projections, inverse, threads=2))
+    for volume, weights in found[1:]:
+        assert np.array_equal(weights, found[0][1])
+        assert np.allclose(volume, found[0][0], atol=1e-6)

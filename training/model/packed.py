@@ -57,15 +57,16 @@ class PackedRegularizer(nn.Module):
 
     def forward(self, slabs_schw: Tensor) -> Tensor:
         """Return the scores of all planes."""
-        c0 = self._excite(0, self.enter(slabs_schw))
-        c1 = self._excite(1, self.down1(c0))
-        c2 = self._excite(2, self.down2(c1))
+        c0 = self.excite(0, self.enter(slabs_schw))
+        c1 = self.excite(1, self.down1(c0))
+        c2 = self.excite(2, self.down2(c1))
         u1 = self.up1(c1 + upsample_like(self.reduce1(c2), c1))
         u0 = self.up0(c0 + upsample_like(self.reduce0(u1), c0))
         fine = F.pixel_shuffle(self.head(u0), 2)[..., : slabs_schw.shape[-2], : slabs_schw.shape[-1]]
         return (fine + self.residual(slabs_schw)).flatten(0, 1)
 
-    def _excite(self, level: int, slabs_schw: Tensor) -> Tensor:
+    def excite(self, level: int, slabs_schw: Tensor) -> Tensor:
+        """Squeeze-and-excitation of a level over all slabs of the volume, where the network has it."""
         return self.se[level].over_slabs(slabs_schw) if len(self.se) else slabs_schw
 
 

@@ -1,0 +1,302 @@
+"""Depth of one view: ``fsinfer`` against vanilla MVSNet in PyTorch, on the same views, in turns.
+
+python -m tests.bench.speed                 1280x704, 5 views, 5 pairs of runs, every core
+python -m tests.bench.speed --ours --runs 9  only ours, with its split by stage
+
+Vanilla is the ``mvsnet`` preset of ``training`` (variance volume of 32 channels, 192 planes, 3D U-Net, soft-argmin) in
+PyTorch eager; weights do not matter for the time. Each side is a process of its own, so that its peak memory is its
+own; they work in turns, never at the same time. The photographs are noise, the cameras stand 0.3 m apart in a row.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+GEMM_SIZE = 3072
+
+
+def make_views(
+    views: int, height: int, width: int
+) -> tuple[list[NDArray[np.uint8]], NDArray[np.float64], NDArray[np.float64], tuple[float, float]]:
+    """N photographs of noise, (N, 3, 3) intrinsics, (N, 4, 4) poses in a row, the depth range in metres."""
+    rng = np.random.default_rng(0)
+    images = [rng.integers(0, 255, (height, width, 3), dtype=np.uint8) for _ in range(views)]
+    intrinsic = np.array([[0.8 * width, 0, width / 2], [0, 0.8 * width, height / 2], [0, 0, 1.0]])
+    poses = np.stack([np.eye(4)] * views)
+    poses[:, 0, 3] = -0.3 * np.arange(views)
+    return images, np.stack([intrinsic] * views), poses, (1.0, 20.0)
+
+
+def vanilla(args: argparse.Namespace) -> Callable[[], dict[str, float]]:
+    """One whole depth map by MVSNet in PyTorch."""
+    import torch
+
+    from training.model import FSMVSNet
+    from training.model.config import PRESETS
+
+    torch.set_num_threads(args.threads)
+    model = FSMVSNet(PRESETS["mvsnet"]).eval()
+    images, intrinsics, poses, depth_range = make_views(args.views, args.height, args.width)
+    nchw = torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2).float()
+    matrices = torch.from_numpy(intrinsics), torch.from_numpy(poses)
+
+    @torch.no_grad()
+    def run() -> dict[str, float]:
+        started = time.perf_counter()
+        model(nchw, *matrices, depth_range)
+        return {"all": time.perf_counter() - started}
+
+    return run
+
+
+class Timed:
+    """A function that notes how long each call took."""
+
+    def __init__(self, work: Callable[..., Any], seconds: dict[str, float], name: str) -> None:
+        self._work, self._seconds, self._name = work, seconds, name
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """Call through."""
+        started = time.perf_counter()
+        try:
+            return self._work(*args, **kwargs)
+        finally:
+            self._seconds[self._name] = self._seconds.get(self._name, 0.0) + time.perf_counter() - started
+
+    run = __call__  # stands for a session too
+
+
+def ours(args: argparse.Namespace) -> Callable[[], dict[str, float]]:
+    """One whole depth map by fsinfer; ``all`` counts the features of all views, ``cached`` those of one."""
+    import cv2
+
+    from fsinfer import depth_model
+
+    cv2.setNumThreads(1)  # as the depth stage does
+    seconds: dict[str, float] = {}
+    model = depth_model.DepthModel.load(args.model, threads=args.threads)
+    sessions = model._sessions
+    model._sessions = {
+        name: Timed(session.run, seconds, name) if name != "features" else session for name, session in sessions.items()
+    }
+
+    def volume(*arguments: Any, **keywords: Any) -> Any:
+        name = "volume" if keywords.get("view_weights") is None else "narrow volume"
+        return Timed(original, seconds, name)(*arguments, **keywords)
+
+    original = depth_model.correlation_volume
+    depth_model.correlation_volume = volume
+    images, intrinsics, poses, depth_range = make_views(args.views, args.height, args.width)
+
+    def run() -> dict[str, float]:
+        seconds.clear()
+        started = time.perf_counter()
+        features = [Timed(model.features, seconds, "features")(image) for image in images]
+        model.predict_from_features(features, intrinsics, poses, depth_range)
+        whole = time.perf_counter() - started
+        split = dict(seconds)
+        one_view = split["features"] / len(images)
+        return split | {
+            "features of one view": one_view,
+            "rest": whole - sum(split.values()),
+            "all": whole,
+            "cached": whole - split["features"] + one_view,
+        }
+
+    return run
+
+
+def gflop_of(model: Path, inputs: dict[str, NDArray[np.float32]]) -> float:
+    """Multiplications and additions (1e9) of the convolutions and matrix products of a graph at these inputs.
+
+    The shapes are those of the results themselves: every convolution is made an output and run once.
+    """
+    import onnx
+    import onnxruntime
+
+    graph = onnx.load(model)
+    weights = {item.name: tuple(item.dims) for item in graph.graph.initializer}
+    counted = [node for node in graph.graph.node if node.op_type in ("Conv", "MatMul", "Gemm")]
+    known = {output.name for output in graph.graph.output}
+    for node in counted:
+        if node.output[0] not in known:
+            graph.graph.output.append(onnx.helper.make_tensor_value_info(node.output[0], onnx.TensorProto.FLOAT, None))
+    session = onnxruntime.InferenceSession(graph.SerializeToString(), providers=["CPUExecutionProvider"])
+    names = [output.name for output in session.get_outputs()]
+    results = dict(zip(names, session.run(names, inputs), strict=True))
+    total = 0.0
+    for node in counted:
+        weight = weights[node.input[1]]
+        # (outputs, inputs / groups, kernel ...) of a convolution; (inputs, outputs) or its transpose of a product.
+        per_output = (
+            np.prod(weight[1:]) if node.op_type == "Conv" else np.prod(weight) / results[node.output[0]].shape[-1]
+        )
+        total += 2.0 * results[node.output[0]].size * float(per_output)
+    return total / 1e9
+
+
+def gemm_peak_gflops(threads: int) -> float:
+    """Best of ten products of two 3072x3072 float32 matrices by onnxruntime, 1e9 operations a second."""
+    import onnxruntime
+    from onnx import TensorProto, helper
+
+    shape = [GEMM_SIZE, GEMM_SIZE]
+    graph = helper.make_graph(
+        [helper.make_node("MatMul", ["a", "b"], ["c"])],
+        "gemm",
+        [helper.make_tensor_value_info(name, TensorProto.FLOAT, shape) for name in "ab"],
+        [helper.make_tensor_value_info("c", TensorProto.FLOAT, shape)],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9)
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    session = onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
+    matrix = np.random.default_rng(0).random(shape, np.float32)
+    return 2 * GEMM_SIZE**3 / min(seconds_of(lambda: session.run(None, {"a": matrix, "b": matrix}), 10)) / 1e9
+
+
+def seconds_of(work: Callable[[], Any], times: int) -> list[float]:
+    """Seconds of each of so many calls."""
+    found = []
+    for _ in range(times):
+        started = time.perf_counter()
+        work()
+        found.append(time.perf_counter() - started)
+    return found
+
+
+def regularizer_speed(args: argparse.Namespace) -> dict[str, float]:
+    """The regularizer by itself: seconds, GFLOP, and its share of the peak of a matrix product."""
+    from fsinfer.depth_model import DepthModel
+
+    model = DepthModel.load(args.model, threads=args.threads)
+    manifest = model.manifest
+    channels = manifest.packed_planes * manifest.details["volume"]["groups"]
+    shape = (manifest.planes // manifest.packed_planes, channels, -(-args.height // 4), -(-args.width // 4))
+    inputs = {"volume": np.random.default_rng(0).random(shape, np.float32)}
+    session = model._sessions["regularizer"]
+    session.run(None, inputs)
+    peaks, spent = [], []
+    for _ in range(3):  # in turns too: a machine's clock drifts
+        peaks.append(gemm_peak_gflops(args.threads))
+        spent += seconds_of(lambda: session.run(None, inputs), 5)
+    gflop = gflop_of(manifest.folder / manifest.regularizer, inputs)
+    seconds, peak = float(np.median(spent)), max(peaks)
+    return {
+        "seconds": seconds,
+        "gflop": gflop,
+        "gflop_per_s": gflop / seconds,
+        "gemm_peak_gflop_per_s": peak,
+        "share": gflop / seconds / peak,
+    }
+
+
+def serve(args: argparse.Namespace) -> int:
+    """The worker: one run for each line on stdin, one line of JSON for each run."""
+    run = {"vanilla": vanilla, "ours": ours}[args.worker](args)
+    for _ in sys.stdin:
+        found = run()
+        peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        print(json.dumps({"seconds": found, "peak_rss_mib": peak_mib}), flush=True)
+    return 0
+
+
+class Worker:
+    """The process of one side."""
+
+    def __init__(self, side: str, args: argparse.Namespace) -> None:
+        command = [sys.executable, "-m", "tests.bench.speed", "--worker", side]
+        for name in ("views", "height", "width", "threads", "model"):
+            command += [f"--{name}", str(getattr(args, name))]
+        environment = os.environ | {"OMP_NUM_THREADS": str(args.threads), "OPENBLAS_NUM_THREADS": "1"}
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
+        )
+
+    def run(self) -> dict[str, Any]:
+        """One depth map."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write("\n")
+        self._process.stdin.flush()
+        return dict(json.loads(self._process.stdout.readline()))
+
+    def close(self) -> None:
+        """End it."""
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self._process.wait()
+
+
+def median_of(runs: list[dict[str, Any]], key: str) -> float:
+    """Median seconds of one stage."""
+    return float(np.median([run["seconds"][key] for run in runs]))
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run and print."""
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.bench.speed", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--pairs", type=int, default=5, help="runs of each side, in turns")
+    parser.add_argument("--ours", action="store_true", help="leave vanilla out")
+    parser.add_argument("--views", type=int, default=5)
+    parser.add_argument("--width", type=int, default=1280)
+    parser.add_argument("--height", type=int, default=704)
+    parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--model", default="field")
+    parser.add_argument("--worker", choices=("vanilla", "ours"), help=argparse.SUPPRESS)
+    args = parser.parse_args(argv)
+    if args.worker:
+        return serve(args)
+    sides = ["ours"] if args.ours else ["vanilla", "ours"]
+    workers = {side: Worker(side, args) for side in sides}
+    workers["ours"].run()  # warm-up: onnxruntime plans its memory in the first run
+    runs: dict[str, list[dict[str, Any]]] = {side: [] for side in sides}
+    for _ in range(args.pairs):
+        for side in sides:
+            runs[side].append(workers[side].run())
+            if not args.ours:
+                print(f"{side}: {runs[side][-1]['seconds']['all']:.2f} s", flush=True)
+    for worker in workers.values():
+        worker.close()
+    print(f"{args.width}x{args.height}, {args.views} views, {args.threads} threads, {args.pairs} runs, medians")
+    peaks = {side: max(run["peak_rss_mib"] for run in runs[side]) for side in sides}
+    for stage in runs["ours"][0]["seconds"]:
+        print(f"  ours, {stage:22s} {median_of(runs['ours'], stage):7.3f} s")
+    if not args.ours:
+        theirs = median_of(runs["vanilla"], "all")
+        print(f"  vanilla MVSNet              {theirs:7.3f} s")
+        for key, what in (("all", "features of all views"), ("cached", "features of one view, as in a plot")):
+            ratios = [
+                a["seconds"]["all"] / b["seconds"][key] for a, b in zip(runs["vanilla"], runs["ours"], strict=True)
+            ]
+            print(f"  vanilla / ours, {what}: {np.median(ratios):.1f} ({min(ratios):.1f} to {max(ratios):.1f})")
+        print(
+            f"  peak memory: vanilla {peaks['vanilla']:.0f} MiB, ours {peaks['ours']:.0f} MiB "
+            f"({peaks['ours'] / peaks['vanilla']:.2f} of it)"
+        )
+    else:
+        print(f"  peak memory: {peaks['ours']:.0f} MiB")
+    found = regularizer_speed(args)
+    print(
+        f"  regularizer: {found['gflop']:.1f} GFLOP in {found['seconds']:.3f} s = {found['gflop_per_s']:.0f} GFLOP/s, "
+        f"matrix product {found['gemm_peak_gflop_per_s']:.0f} GFLOP/s: {100 * found['share']:.0f} %"
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
