@@ -16,10 +16,12 @@ from fsinfer.progress import Progress
 from fsinfer.view_change import ViewChange
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".3gp", ".mts", ".mpg", ".mpeg"})
-#: Of a video of 30 frames a second every third is looked at.
+#: The way of the picture is looked up so often.
 _LOOK_S = 0.095
 #: A frame may be taken once the picture has moved by this share of what it may move.
-_READY = 0.6
+_READY = 0.5
+#: A frame is sharp that has this share of the median sharpness of so many taken before.
+_SHARP_ENOUGH, _REMEMBERED = 0.7, 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,17 +31,15 @@ class VideoSettings:
     Attributes
     ----------
     interval_s: after so many seconds at the latest (the paper: 2).
-    window_s: then the sharpest frame within so many seconds is taken.
+    window_s: the sharpest frame within so many seconds is taken: of a walker's frames most are blurred by his steps.
     max_shift: sooner where the picture has moved by this share of its width (or height) since the last frame, as it
-        does when a person turns or passes a near stem: photos must share two thirds of their view. Of the frames
-        that moved by 0.6 of it and more, the sharpest is taken.
-    min_gap_s: never sooner than this: who waves the phone about wants no ten frames a second of it.
+        does when a person turns or passes a near stem: photos must share two thirds of their view. The window opens
+        at half of it.
     """
 
     interval_s: float = 2.0
     window_s: float = 0.5
     max_shift: float = 0.3
-    min_gap_s: float = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,32 +84,38 @@ def sharpest_frames(path: Path, *, settings: VideoSettings, progress: Progress) 
 
 def _choose(capture: cv2.VideoCapture, settings: VideoSettings, progress: Progress) -> Iterator[VideoFrame]:
     total = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
-    half_s = min(settings.window_s, settings.interval_s) / 2 + 1e-6
-    # The first window starts at the first frame.
-    target_s, taken_s = half_s, -np.inf
-    change = ViewChange()
-    best, best_score, shift = None, -1.0, 0.0
-    for frame in _looks(capture):
-        if shift < settings.max_shift and taken_s > -np.inf:
-            shift = change.shift(frame.image)
-        early = shift >= settings.max_shift and frame.time_s >= taken_s + settings.min_gap_s
-        late = frame.time_s > target_s + half_s
-        if (early or late) and (best is not None or early):
-            # Where the picture jumps there was no good moment before: then this one is taken.
-            chosen = best or frame
-            yield chosen
-            progress(min(frame.index, total), max(total, frame.index), "reading the video")
-            change.start(chosen.image)
-            shift = 0.0 if chosen is frame else change.shift(frame.image)
-            taken_s, best, best_score = chosen.time_s, None, -1.0
-            if early:
-                target_s = taken_s + settings.interval_s
-            if chosen is frame:
-                continue
-        while frame.time_s > target_s + half_s:
-            target_s += settings.interval_s
-        moved = shift >= _READY * settings.max_shift and frame.time_s >= taken_s + settings.min_gap_s
-        if moved or frame.time_s >= target_s - half_s:
+    window_s = min(settings.window_s, settings.interval_s)
+    change, shift, looked_s = ViewChange(), 0.0, -np.inf
+    # The first window opens at the first frame.
+    due_s, is_open = 0.0, False
+    ripe_s: float | None = None
+    best, best_score = None, -1.0
+    taken: list[float] = []
+    for index, time_s in _times(capture):
+        look = time_s >= looked_s + _LOOK_S
+        if not look and not is_open:
+            continue
+        decoded, image = capture.retrieve()
+        if not decoded or image is None:
+            continue
+        frame = VideoFrame(index=index, time_s=time_s, image=np.ascontiguousarray(image[:, :, ::-1], dtype=np.uint8))
+        if look:
+            shift, looked_s = change.shift(frame.image), time_s
+        if best is not None and ripe_s is None and (shift >= settings.max_shift or time_s > due_s + window_s + 1e-6):
+            ripe_s = time_s
+        # Where no frame was sharp, it stays open a little longer: a blurred frame joins nothing.
+        sharp = not taken or best_score >= _SHARP_ENOUGH * float(np.median(taken))
+        if best is not None and ripe_s is not None and (sharp or time_s > ripe_s + window_s):
+            yield best
+            progress(min(index, total), max(total, index), "reading the video")
+            taken = [*taken[-_REMEMBERED:], best_score]
+            on_time = ripe_s > due_s + window_s
+            due_s = due_s + settings.interval_s if on_time else best.time_s + settings.interval_s - window_s / 2
+            change.start(best.image)
+            shift, looked_s = change.shift(frame.image), time_s
+            is_open, ripe_s, best, best_score = False, None, None, -1.0
+        is_open = is_open or shift >= _READY * settings.max_shift or time_s >= due_s - 1e-6
+        if is_open:
             score = score_frame(frame.image).sharpness
             if score > best_score:
                 best, best_score = frame, score
@@ -117,20 +123,14 @@ def _choose(capture: cv2.VideoCapture, settings: VideoSettings, progress: Progre
         yield best
 
 
-def _looks(capture: cv2.VideoCapture) -> Iterator[VideoFrame]:
-    """Frames about a tenth of a second apart, with their times; those that cannot be decoded are passed over."""
+def _times(capture: cv2.VideoCapture) -> Iterator[tuple[int, float]]:
+    """Number and time of every frame, which is ready to be decoded when it is named."""
     rate = capture.get(cv2.CAP_PROP_FPS)
     rate = rate if np.isfinite(rate) and rate > 0 else 30.0
-    index, last_s, looked_s = -1, -1.0, -np.inf
+    index, last_s = -1, -1.0
     while capture.grab():
         index += 1
         # Phones record at varying rates, so that the time stamp counts, where there is one.
         stamp_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
-        time_s = stamp_s if stamp_s > last_s else max(index / rate, last_s + 1 / rate)
-        last_s = time_s
-        if time_s < looked_s + _LOOK_S:
-            continue
-        decoded, image = capture.retrieve()
-        if decoded and image is not None:
-            looked_s = time_s
-            yield VideoFrame(index=index, time_s=time_s, image=np.ascontiguousarray(image[:, :, ::-1], dtype=np.uint8))
+        last_s = stamp_s if stamp_s > last_s else max(index / rate, last_s + 1 / rate)
+        yield index, last_s

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 #: Longer side at which corners are followed, pixels: a blur of 20 pixels of full HD is 3 there.
 LOOK_SIZE_PX = 320
 _MOST_CORNERS, _FEWEST_CORNERS = 200, 25
-# Fewer of the corners than this still in sight: the picture is another one.
-_LEAST_ALIVE = 0.35
 # A corner followed there and back ends so near to where it began, in pixels of the small picture.
 _RETURN_PX = 1.0
 _FLOW = {"winSize": (15, 15), "maxLevel": 4}
@@ -40,7 +38,7 @@ class ViewChange:
     def shift(self, image: NDArray[np.uint8]) -> float:
         """Median way of the corners since the start, as a share of the picture's width (height, where that is more).
 
-        1 where most of them are out of sight; 0 where there never were enough to tell, as on a black frame.
+        1 where half of them are out of sight; 0 where there never were enough to tell, as on a black frame.
         """
         if self._last is None or self._corners < _FEWEST_CORNERS:
             return 0.0
@@ -54,10 +52,11 @@ class ViewChange:
             alive &= ((there >= 0) & (there < size)).all(axis=1)
             self._first_px, self._now_px = self._first_px[alive], np.asarray(there[alive], np.float32)
         self._last = small
-        if len(self._now_px) < _LEAST_ALIVE * self._corners:
-            return 1.0
-        ways = np.abs(self._now_px - self._first_px) / np.array([small.shape[1], small.shape[0]])
-        return float(np.median(ways.max(axis=1)))
+        # The median of all corners: one out of sight has moved farther than any other.
+        ways = np.ones(self._corners)
+        moved = np.abs(self._now_px - self._first_px) / np.array([small.shape[1], small.shape[0]])
+        ways[: len(moved)] = moved.max(axis=1)
+        return float(np.median(ways))
 
 
 def _small(image: NDArray[np.uint8]) -> NDArray[np.uint8]:

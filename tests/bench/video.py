@@ -18,17 +18,20 @@ import struct
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from fsinfer.evaluation import evaluate, read_measured
 from fsinfer.frames import select_frames
 from fsinfer.pipeline import run
 from fsinfer.poses import PoseSettings, estimate_poses
 from fsinfer.scale_request import ScaleRequest, find_scale
 from fsinfer.scene import Camera, Scene, read_camera, read_scene, write_camera
+from fsinfer.trees.table import read_trees
 from tests.bench.plot import similarity
 from training.synthesize.boards import board_material, board_pair
 from training.synthesize.camera_path import intrinsics, look_at, make_camera
@@ -195,18 +198,34 @@ def set_rotation_flag(path: Path) -> None:
     path.write_bytes(bytes(data))
 
 
-def compare(out: Path, scene: Scene) -> tuple[float, float]:
-    """Metres per scene unit by the true cameras, and the rms of the camera positions in metres."""
-    true: dict[int, Camera] = {}
-    for view in scene.views:
-        # Names end in the number of the frame; a place lasts FRAMES_A_PLACE of them.
-        place = int(view.name.rsplit("_", 1)[1]) // FRAMES_A_PLACE
-        true[scene.views.index(view)] = read_camera(out / "places" / f"{place:03d}_cam.txt")
-    found = np.array([scene.views[index].camera.center for index in true])
-    expected = np.array([camera.center for camera in true.values()])
-    scale, rotation, shift = similarity(found, expected)
-    residual = np.linalg.norm(scale * found @ rotation.T + shift - expected, axis=1)
-    return scale, float(np.sqrt((residual**2).mean()))
+def true_centers(out: Path, scene: Scene) -> NDArray[np.float64]:
+    """(N, 3) true places of the cameras; the name of a frame ends in its number in the video."""
+    places = [int(view.name.rsplit("_", 1)[1]) // FRAMES_A_PLACE for view in scene.views]
+    return np.array([read_camera(out / "places" / f"{place:03d}_cam.txt").center for place in places])
+
+
+def print_trees(out: Path, plot: dict[str, Any], scene: Scene) -> None:
+    """The diameters against ``truth.csv``, positions aligned by the cameras."""
+    cloud_from_scene = np.array(plot["cloud_from_scene"])
+    centers = np.array([view.camera.center for view in scene.views])
+    centers = centers @ cloud_from_scene[:3, :3].T + cloud_from_scene[:3, 3]
+    scale, rotation, shift = similarity(centers, true_centers(out, scene))
+    trees = []
+    for tree in read_trees(out / "result" / "trees.csv"):
+        x, y, _ = scale * rotation @ np.array([tree.x_m, tree.y_m, tree.z_ground_m]) + shift
+        trees.append(replace(tree, x_m=float(x), y_m=float(y)))
+    result = evaluate(read_measured(out / "truth.csv"), trees, align="never", area_margin_m=1.0)
+    by_id = {str(tree.tree_id): tree for tree in trees}
+    for pair in result.pairs:
+        tree = by_id[pair.extracted_id]
+        print(
+            f"tree {pair.measured_id}: {pair.measured_cm:.2f} cm, found {pair.extracted_cm} "
+            f"[{tree.dbh_lo95_cm}, {tree.dbh_hi95_cm}] {tree.status} {tree.reason}"
+        )
+    print(
+        f"n {result.n}, matched {result.matched}, omitted {result.omitted}, false {result.false}, "
+        f"outside {result.outside}, RMSE {result.rmse_cm} cm, bias {result.bias_cm} cm"
+    )
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -239,8 +258,10 @@ def main(argv: list[str] | None = None) -> int:
     scene = read_scene(result / "scene")
     scale, warnings = find_scale(ScaleRequest(), scene=scene)
     print(*warnings, sep="\n")
-    true_scale, rms_m = compare(args.out, scene)
-    print(f"cameras rms {1000 * rms_m:.1f} mm")
+    centers, expected = np.array([view.camera.center for view in scene.views]), true_centers(args.out, scene)
+    true_scale, rotation, shift = similarity(centers, expected)
+    residual_m = np.linalg.norm(true_scale * centers @ rotation.T + shift - expected, axis=1)
+    print(f"cameras rms {1000 * np.sqrt((residual_m**2).mean()):.1f} mm")
     if scale.m_per_unit is None:
         return 1
     print(f"scale error {100 * (scale.m_per_unit / true_scale - 1):+.3f} % (given +- {100 * scale.rel_std:.3f} %)")
@@ -251,7 +272,8 @@ def main(argv: list[str] | None = None) -> int:
         )
     if args.full:
         plot = json.loads((result / "plot.json").read_text(encoding="utf-8"))
-        print("seconds", plot["seconds"], "trees", plot["trees"], plot["trees_with_dbh"])
+        print_trees(args.out, plot, scene)
+        print("photos", plot["photos"], "placed", plot["registered"], "seconds", plot["seconds"])
     return 0
 
 
