@@ -140,12 +140,25 @@ def plot_section(tree: Tree, section: Section, path: Path, *, curve: Sequence[Cu
     )
     if tree.residual_cm is not None:
         details += f" · residual {tree.residual_cm:.1f} cm"
+    if section.silhouette is not None:
+        details += f"\n{_sources(section)}"
     if tree.reason:
         details += f"\n{tree.status}: {_wrapped(tree.reason)}"
-    axes.set_title(f"{title}\n", fontsize=12, fontweight="bold", pad=22 if "\n" in details else 10)
+    axes.set_title(f"{title}\n", fontsize=12, fontweight="bold", pad=10 + 12 * details.count("\n"))
     axes.text(0.5, 1.015, details, transform=axes.transAxes, ha="center", va="bottom", fontsize=8.5, color="0.25")
     figure.legend(loc="outside lower center", ncols=3, fontsize=8.5, frameon=False)
     _save(figure, path)
+
+
+def _sources(section: Section) -> str:
+    """Say what the photographs' edges and the points alone gave."""
+    fit = section.silhouette
+    if fit is None:
+        return ""
+    text = f"edges in {fit.photos} photos: {200 * fit.radius_m:.1f} cm ± {1.96 * 200 * fit.std_m:.1f} cm"
+    if section.cloud_dbh_m is None:
+        return f"{text}; not measurable from the points"
+    return f"{text}; points alone: {100 * section.cloud_dbh_m:.1f} cm"
 
 
 def _draw_curve(axes: Any, tree: Tree, measured: Sequence[CurvePoint]) -> None:
