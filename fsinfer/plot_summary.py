@@ -72,10 +72,21 @@ def summarize(records: Mapping[str, StageRecord], *, settings: Mapping[str, Any]
         "versions": package_versions(),
         "model": value("depth", "model"),
         "model_sha256": value("depth", "model_sha256"),
-        "warnings": [text for result in results.values() for text in result.get("warnings") or ()],
+        "warnings": _warnings(results),
         "settings": dict(settings),
     }
     return dict(_finite(as_json(plot)))
+
+
+def _warnings(results: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """What all stages warn of; that there is no scale is said once, by the stage that looked for one."""
+    missing = any(text.startswith("no scale") for text in results.get("scale", {}).get("warnings") or ())
+    return [
+        text
+        for name, result in results.items()
+        for text in result.get("warnings") or ()
+        if not (missing and name == "trees" and text.startswith("no scale"))
+    ]
 
 
 def write_plot(out: Path, plot: Mapping[str, Any]) -> Path:
