@@ -1,6 +1,7 @@
 """Structure from motion on a rendered plot: seconds of each step and error of the cameras, for any settings.
 
 python -m tests.bench.poses PLOT --set max_features=4000 --photos 80
+python -m tests.bench.poses PLOT --photos 40 --equalize clahe      evened out first, as ``fsinfer frames`` does
 
 ``PLOT`` is a scene of ``training.synthesize --kind plot`` (or any scene in MVSNet format whose cameras are true).
 """
@@ -17,6 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
+from fsinfer.frame_quality import EQUALIZERS, equalize
+from fsinfer.images import read_image, write_image
 from fsinfer.poses import PoseSettings, estimate_poses
 from fsinfer.scene import Scene, read_scene
 from tests.bench.plot import similarity
@@ -70,6 +73,7 @@ def main() -> None:
     parser.add_argument("plot", type=Path)
     parser.add_argument("--photos", type=int, default=0, help="only the first so many; 0 = all")
     parser.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="fields of PoseSettings")
+    parser.add_argument("--equalize", choices=EQUALIZERS, default="none", help="of fsinfer frames")
     parser.add_argument("--out", type=Path, help="keep the scene here")
     arguments = parser.parse_args()
     truth = read_scene(arguments.plot)
@@ -78,7 +82,11 @@ def main() -> None:
         photos = Path(temporary) / "photos"
         photos.mkdir()
         for view in views:
-            shutil.copy(view.image_path, photos)
+            if arguments.equalize == "none":
+                shutil.copy(view.image_path, photos)
+            else:
+                image = equalize(read_image(view.image_path), arguments.equalize)
+                write_image(photos / f"{view.name}.jpg", image, quality=97)
         out = arguments.out or Path(temporary) / "scene"
         watch = Stopwatch()
         started = time.monotonic()
@@ -87,6 +95,7 @@ def main() -> None:
         record = json.loads((out / "poses.json").read_text(encoding="utf-8"))
         row = {
             "settings": arguments.set,
+            "equalize": arguments.equalize,
             "photos": result.photos,
             "registered": result.registered,
             "seconds": round(seconds, 1),
