@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from fsinfer.depth_maps import DepthMaps
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene
-from fsinfer.stem_edges import EdgeSettings, StemAxis, find_edges
+from fsinfer.stem_edges import EdgeSettings, StemAxis, Strip, find_edges
+from fsinfer.stem_strips import draw_strips, keep_strip
 from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
 from fsinfer.trees.outline import Outline
 from fsinfer.trees.silhouette import SilhouetteFit, SilhouetteSettings, fit_silhouette
@@ -62,11 +63,13 @@ def measure_silhouettes(
     scale_rel_std: float = 0.0,
     dbh: DbhSettings | None = None,
     settings: SilhouetteJoinSettings | None = None,
+    figures: Path | None = None,
     progress: Progress = silent,
 ) -> PlotResult:
     """Look every stem of ``result`` up in the photographs and join what they say with what the cloud says.
 
-    Stems that no photograph shows clearly stay as they are. Sections get ``silhouette`` and ``cloud_dbh_m``. Raises
+    Stems that no photograph shows clearly stay as they are. Sections get ``silhouette`` and ``cloud_dbh_m``.
+    ``figures`` is a folder for ``tree_ID_edges.png``: strips of the photographs with the edges that were found. Raises
     :class:`~fsinfer.errors.FsinferError` where a photograph or a depth map cannot be read.
     """
     s = settings or SilhouetteJoinSettings()
@@ -75,13 +78,29 @@ def measure_silhouettes(
     if not stems:
         return result
     maps = DepthMaps(photos.scene, photos.depth_folder, cache_maps=2)
-    found = find_edges(stems, photos.scene, maps, photos.cloud_from_scene, settings=s.edges, progress=progress)
+    strips: list[list[Strip]] = [[] for _ in stems]
+
+    def on_strip(number: int, strip: Strip) -> None:
+        keep_strip(strips[number], strip)
+
+    found = find_edges(
+        stems,
+        photos.scene,
+        maps,
+        photos.cloud_from_scene,
+        settings=s.edges,
+        on_strip=None if figures is None else on_strip,
+        progress=progress,
+    )
     pairs = []
-    for tree, section, stem, edges in zip(result.trees, result.sections, stems, found, strict=True):
+    for tree, section, stem, edges, seen in zip(result.trees, result.sections, stems, found, strips, strict=True):
         fit = fit_silhouette(edges, stem.radius_m, taper=stem.taper, settings=s.fit)
         if fit is None or fit.photos < s.min_photos:
             pairs.append((tree, section))
             continue
+        if figures is not None:
+            names = [photos.scene.views[strip.photo].name for strip in seen]
+            draw_strips(figures / f"tree_{tree.tree_id:03d}_edges.png", seen, names, stem, fit)
         joined = join(section, fit, scale_rel_std=scale_rel_std, dbh=dbh, settings=s)
         pairs.append((_tree(tree, joined, stem, fit), joined))
     return replace(

@@ -7,7 +7,7 @@ stem's edge is straight and adds up, bark and leaves do not.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -75,15 +75,16 @@ class Strip:
     """One photograph's view of one stem.
 
     ``image`` (H, W, 3) float32 is sampled at ``heights_m`` (H,) along the axis and ``offsets_m`` (W,) across, where
-    offsets are those of a cylinder with the stem's taper. ``left`` is the unit vector (3,) of growing offsets,
-    ``towards`` that from the axis to the camera, ``distance_m`` the camera's from the axis, ``pixel_m`` one pixel.
+    offsets are those of a cylinder with the stem's taper. ``right`` is the unit vector (3,) of growing offsets, to the
+    right in the photograph, ``towards`` that from the axis to the camera, ``distance_m`` the camera's from the axis,
+    ``pixel_m`` one pixel.
     """
 
     photo: int
     image: NDArray[np.float32]
     heights_m: Floats
     offsets_m: Floats
-    left: Floats
+    right: Floats
     towards: Floats
     distance_m: float
     pixel_m: float
@@ -96,12 +97,14 @@ def find_edges(
     cloud_from_scene: Floats,
     *,
     settings: EdgeSettings | None = None,
+    on_strip: Callable[[int, Strip], None] | None = None,
     progress: Progress = silent,
 ) -> list[Edges]:
     """Find candidate edges of each stem in all photographs that show it; each photograph is read at most once.
 
-    ``cloud_from_scene`` (4, 4) is the similarity that made the cloud of the scene. Raises
-    :class:`~fsinfer.errors.FsinferError` where a photograph or a depth map cannot be read.
+    ``cloud_from_scene`` (4, 4) is the similarity that made the cloud of the scene. ``on_strip`` is given every strip
+    with its stem's number, for those who want to look at them. Raises :class:`~fsinfer.errors.FsinferError` where a
+    photograph or a depth map cannot be read.
     """
     s = settings or EdgeSettings()
     found: list[list[Floats]] = [[] for _ in stems]
@@ -109,6 +112,8 @@ def find_edges(
         progress(done, len(maps.available), "edges of stems")
         for number, strip in strips_of_photo(stems, index, scene, maps, cloud_from_scene, settings=s):
             found[number].append(_candidates(strip, stems[number], s))
+            if on_strip is not None:
+                on_strip(number, strip)
     progress(len(maps.available), len(maps.available), "edges of stems")
     return [_edges(rows) for rows in found]
 
@@ -156,7 +161,7 @@ def _in_cloud(camera: Camera, cloud_from_scene: Floats) -> Camera:
 
 
 def _facing(stem: StemAxis, camera: Camera) -> tuple[Floats, Floats, float]:
-    """Unit vectors (3,) to the left and towards the camera, both across the axis, and the camera's distance from it."""
+    """Unit vectors (3,) across the axis, to the camera's right and towards it, and the camera's distance."""
     offset = camera.center - stem.breast
     level = offset - (offset @ stem.along) * stem.along
     distance = float(np.linalg.norm(level))
@@ -181,10 +186,10 @@ def _inside(stem: StemAxis, camera: Camera, size: Floats) -> bool:
 
 def _unhidden(stem: StemAxis, camera: Camera, depth_map: DepthMap, metres: float, s: EdgeSettings) -> bool:
     """Whether the depth map shows the near side of the stem where it is, and little before it."""
-    left, towards, _ = _facing(stem, camera)
+    right, towards, _ = _facing(stem, camera)
     height, side = np.meshgrid(np.linspace(-s.half_length_m, s.half_length_m, 9), np.linspace(-0.6, 0.6, 5))
     height, side = height.reshape(-1, 1), side.reshape(-1, 1)
-    surface = stem.radius_m * (side * left + np.sqrt(1.0 - side**2) * towards)
+    surface = stem.radius_m * (side * right + np.sqrt(1.0 - side**2) * towards)
     pixels, depth = project(stem.breast + height * stem.along + surface, camera, depth_map.intrinsic)
     cell = np.rint(pixels).astype(np.int64)
     rows, columns = depth_map.inverse_depth.shape
@@ -200,7 +205,7 @@ def _unhidden(stem: StemAxis, camera: Camera, depth_map: DepthMap, metres: float
 
 
 def _cut(stem: StemAxis, camera: Camera, image: NDArray[np.float32], index: int, s: EdgeSettings) -> Strip | None:
-    left, towards, distance = _facing(stem, camera)
+    right, towards, distance = _facing(stem, camera)
     depth = float(project(stem.breast, camera)[1])
     pixel_m = depth / float(camera.intrinsic[0, 0])
     step = max(pixel_m / s.samples_per_px, stem.radius_m / s.max_samples_of_radius)
@@ -209,7 +214,7 @@ def _cut(stem: StemAxis, camera: Camera, image: NDArray[np.float32], index: int,
     rows = max(int(np.ceil(2 * s.half_length_m / max(pixel_m, 0.004))), 8)
     heights = np.linspace(-s.half_length_m, s.half_length_m, rows)
     widened = offsets[None] * (1.0 + stem.taper * heights[:, None] / stem.radius_m)
-    points = stem.breast + heights[:, None, None] * stem.along + widened[:, :, None] * left
+    points = stem.breast + heights[:, None, None] * stem.along + widened[:, :, None] * right
     pixels, _ = project(points, camera)
     size = np.array(image.shape[1::-1])
     inside = np.all((pixels >= 0) & (pixels <= size - 1), axis=2)
@@ -222,7 +227,7 @@ def _cut(stem: StemAxis, camera: Camera, image: NDArray[np.float32], index: int,
         image=np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR), dtype=np.float32),
         heights_m=heights[whole],
         offsets_m=offsets,
-        left=left,
+        right=right,
         towards=towards,
         distance_m=distance,
         pixel_m=pixel_m,
@@ -251,7 +256,7 @@ def _candidates(strip: Strip, stem: StemAxis, s: EdgeSettings) -> Floats:
         place *= 1.0 + stem.taper * height / stem.radius_m
         side = np.where(place > 0, 1.0, -1.0)
         slant = np.hypot(strip.distance_m, place)
-        normal = (side * strip.distance_m)[:, None] * strip.left + np.abs(place)[:, None] * strip.towards
+        normal = (side * strip.distance_m)[:, None] * strip.right + np.abs(place)[:, None] * strip.towards
         angle = np.arctan2(normal @ second, normal @ first)
         support = strip.distance_m * np.abs(place) / slant
         fixed = np.array([height, strip.pixel_m, strip.photo, number])

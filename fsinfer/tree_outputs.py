@@ -96,14 +96,19 @@ def write_tree_outputs(
         result = apply_edits(
             result, cloud.xyz, edits, settings=settings, scale_rel_std=scale_rel_std or 0.0, metric=metric
         )
+    _clear_figures(out)
     if photos is not None and metric:
         from fsinfer.silhouettes import measure_silhouettes
 
         result = measure_silhouettes(
-            result, photos, scale_rel_std=scale_rel_std or 0.0, dbh=settings.dbh, progress=progress
+            result,
+            photos,
+            scale_rel_std=scale_rel_std or 0.0,
+            dbh=settings.dbh,
+            figures=out / "figures",
+            progress=progress,
         )
     write_trees(out / "trees.csv", result.trees)
-    _clear_figures(out)
     _clear_maps(out)
     curves = stem_curves(cloud.xyz, result) if metric else {}
     write_figures(out / "figures", result, curves=curves)

@@ -11,10 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fsinfer.images import write_image
+from fsinfer.images import read_image, write_image
 from fsinfer.pfm import write_pfm
 from fsinfer.scene import Camera, read_scene, write_camera, write_pairs
 from fsinfer.silhouettes import SilhouetteJoinSettings, StemPhotos, join, measure_silhouettes
+from fsinfer.stem_strips import StripSettings
 from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
 from fsinfer.trees.silhouette import Edges, SilhouetteFit, fit_silhouette
 
@@ -276,3 +277,28 @@ def test_refused_by_the_cloud_and_hardly_seen_stays_doubtful() -> None:
     assert (few.status, few.dbh_m) == ("doubtful", pytest.approx(0.30))
     assert "5 photos" in few.reason
     assert joined(refused, fit_of(0.15, 0.05)).dbh_m is None
+
+
+def test_sheet_of_strips_shows_the_edges_where_the_stem_ends(photos: StemPhotos, tmp_path: Path) -> None:
+    result = measure_silhouettes(plot_of(section_of(0.30, 0.008)), photos, figures=tmp_path)
+    sheet = read_image(tmp_path / "tree_001_edges.png").astype(np.int64)
+    tile = StripSettings()
+    rows, columns = (sheet.shape[i] // (tile.tile_px[1 - i] + tile.gap_px) for i in (0, 1))
+    assert (rows, columns) == (2, 4)
+    shown = 0
+    assert result.sections[0].silhouette is not None
+    for row in range(rows):
+        for column in range(columns):
+            top, left = (tile.gap_px + n * (tile.tile_px[i] + tile.gap_px) for n, i in ((row, 1), (column, 0)))
+            part = sheet[top : top + tile.tile_px[1] - 25, left : left + tile.tile_px[0]]
+            green = part[..., 1] > 230  # the background has at most 212
+            at = np.flatnonzero(green.sum(axis=0) > 10)
+            if part.min() > 250:
+                continue  # an empty place at the end
+            shown += 1
+            between = part[:, at.min() + 6 : at.max() - 5].reshape(-1, 3)
+            outside = np.concatenate([part[:, : at.min() - 6], part[:, at.max() + 7 :]], axis=1).reshape(-1, 3)
+            # Bark is reddish, the background is not.
+            assert ((between[:, 0] - between[:, 1]) > 0).mean() > 0.97
+            assert ((outside[:, 0] - outside[:, 1]) > 0).mean() < 0.5
+    assert shown == 6  # nine photographs 20 degrees apart, of which those nearer than 20 degrees to another go
