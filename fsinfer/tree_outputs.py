@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from fsinfer.trees.stem_curve import CurvePoint
 
 # Everything but trees.csv and the figures: what an earlier measurement in metres may have left.
-MAPS = ("trees.gpkg", "trees.geojson", "trees.laz", "trees.xlsx", "stem_curve.csv")
+MAPS = ("trees.gpkg", "trees.geojson", "trees.laz", "trees.xlsx", "stem_curve.csv", "dbh_sources.csv")
 # A marker's board and the post behind it lie within this of the marker's centre.
 MARKER_REACH_M = 0.25
 
@@ -49,7 +49,8 @@ def write_tree_outputs(
     cloud: z up; metres, or model units with ``metric=False``: then the trees get positions and no DBH.
     out: receives ``trees.csv`` and ``figures/*.png``, and in metres ``trees.gpkg`` (``trees.geojson`` too where the
         frame is of WGS84) and ``trees.laz``, the cloud with a ``TreeID``, ``stem_curve.csv`` and ``trees.xlsx`` (all
-        tables as sheets); what an earlier measurement left is removed.
+        tables as sheets), with ``photos`` also ``dbh_sources.csv`` and ``figures/*_edges.png``; what an earlier
+        measurement left is removed.
     settings: of the measurement.
     scale_rel_std: relative standard deviation of the scale, if known; it widens every interval.
     camera_height: median height of the cameras above the ground, in units of the cloud; a person holds a camera at
@@ -97,8 +98,9 @@ def write_tree_outputs(
             result, cloud.xyz, edits, settings=settings, scale_rel_std=scale_rel_std or 0.0, metric=metric
         )
     _clear_figures(out)
+    _clear_maps(out)
     if photos is not None and metric:
-        from fsinfer.silhouettes import measure_silhouettes
+        from fsinfer.silhouettes import measure_silhouettes, write_sources
 
         result = measure_silhouettes(
             result,
@@ -108,8 +110,8 @@ def write_tree_outputs(
             figures=out / "figures",
             progress=progress,
         )
+        write_sources(out / "dbh_sources.csv", result)
     write_trees(out / "trees.csv", result.trees)
-    _clear_maps(out)
     curves = stem_curves(cloud.xyz, result) if metric else {}
     write_figures(out / "figures", result, curves=curves)
     if metric:

@@ -8,6 +8,7 @@ positions, so that the match owes nothing to the diameters).
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -37,6 +38,17 @@ def similarity(
     return scale, rotation, target.mean(axis=0) - scale * rotation @ source.mean(axis=0)
 
 
+def print_sources(path: Path, measured_cm: dict[str, float]) -> None:
+    """Print the errors of the points alone and of the photographs' edges alone."""
+    with path.open(encoding="utf-8", newline="") as stream:
+        rows = [row for row in csv.DictReader(stream) if row["tree_id"] in measured_cm]
+    for name in ("points", "edges"):
+        errors = np.array([float(r[f"{name}_cm"]) - measured_cm[r["tree_id"]] for r in rows if r[f"{name}_cm"]])
+        if len(errors):
+            rmse, bias, worst = np.sqrt((errors**2).mean()), errors.mean(), np.abs(errors).max()
+            print(f"{name} alone: n {len(errors)}, RMSE {rmse:.2f} cm, bias {bias:+.2f} cm, worst {worst:.2f} cm")
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run and print the comparison."""
     parser = argparse.ArgumentParser(prog="python -m tests.bench.plot", description=__doc__)
@@ -45,13 +57,15 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--aruco-length-m", type=float, default=0.25)
     parser.add_argument("--source-views", type=int, default=DepthSettings().source_views)
     parser.add_argument("--halo-ratio", type=float, default=FusionSettings().halo_ratio, help="0 = no halo filter")
+    parser.add_argument("--judge", action="store_true", help="compare what OUT holds, and run nothing")
     args = parser.parse_args(argv)
     settings = RunSettings(
         depth=DepthSettings(source_views=args.source_views),
         fusion=FusionSettings(halo_ratio=args.halo_ratio or None),
         scale=ScaleRequest(aruco_length_m=args.aruco_length_m),
     )
-    run(args.plot / "images", args.out, settings=settings)
+    if not args.judge:
+        run(args.plot / "images", args.out, settings=settings)
     summary = json.loads((args.out / "plot.json").read_text(encoding="utf-8"))
     truth = {view.name: view.camera.center for view in read_scene(args.plot).views}
     found = {view.name: view.camera.center for view in read_scene(args.out / "scene").views}
@@ -93,6 +107,7 @@ def main(argv: list[str] | None = None) -> int:
         f"MAE {result.mae_cm or np.nan:.2f} cm, AE {100 * (result.ae or np.nan):.1f} %, "
         f"in their interval {sum(inside)} of {len(inside)}"
     )
+    print_sources(args.out / "dbh_sources.csv", {pair.extracted_id: pair.measured_cm for pair in result.pairs})
     print("seconds", summary["seconds"], "peak MB", summary["peak_rss_mb"])
     plot_evaluation(result, args.out / "evaluation.png")
     return 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from hypothesis import strategies as st
 from fsinfer.images import read_image, write_image
 from fsinfer.pfm import write_pfm
 from fsinfer.scene import Camera, read_scene, write_camera, write_pairs
-from fsinfer.silhouettes import SilhouetteJoinSettings, StemPhotos, join, measure_silhouettes
+from fsinfer.silhouettes import SilhouetteJoinSettings, StemPhotos, join, measure_silhouettes, write_sources
 from fsinfer.stem_strips import StripSettings
 from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
 from fsinfer.trees.silhouette import Edges, SilhouetteFit, fit_silhouette
@@ -302,3 +303,13 @@ def test_sheet_of_strips_shows_the_edges_where_the_stem_ends(photos: StemPhotos,
             assert ((between[:, 0] - between[:, 1]) > 0).mean() > 0.97
             assert ((outside[:, 0] - outside[:, 1]) > 0).mean() < 0.5
     assert shown == 6  # nine photographs 20 degrees apart, of which those nearer than 20 degrees to another go
+
+
+def test_sources_of_a_diameter_are_written(photos: StemPhotos, tmp_path: Path) -> None:
+    result = measure_silhouettes(plot_of(section_of(0.34, 0.002)), photos)
+    write_sources(tmp_path / "sources.csv", result)
+    with (tmp_path / "sources.csv").open(encoding="utf-8", newline="") as stream:
+        (row,) = csv.DictReader(stream)
+    assert float(row["points_cm"]) == 34.0
+    assert float(row["edges_cm"]) == pytest.approx(200 * RADIUS, abs=0.3)
+    assert (row["photos"], row["points_used"]) == (str(PHOTOS), "no")
