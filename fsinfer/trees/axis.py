@@ -35,29 +35,18 @@ class AxisSettings:
     # Standard deviation of each coefficient of the 2nd, 3rd and 4th harmonic, part of the radius: stems are 2-5 % oval
     # (least against greatest diameter 0.92-0.98, forestry practice), and less and less triangular and square.
     shape_std: tuple[float, ...] = (0.016, 0.008, 0.004)
+    tolerance: float = 1e-5  # metres, or metres per metre: the last step, where also ...
+    sigma_tolerance: float = 0.01  # ... the noise has settled to this share of itself
     prior_points: float = 20.0  # strength of the tail shares' prior: a fit of 20 points should not invent a tail
 
 
 @dataclass(frozen=True, kw_only=True)
-class AxisFit:
-    """Parameters (6,): x, y at ``height_m``, slopes dx/dh, dy/dh, radius, taper dr/dh; and the noise found.
-
-    ``shape_m`` (2 K,) are the cosine and sine coefficients of the harmonics 2, 3, ... of the radius, in metres.
-    ``jacobian`` (N, 6 + 2 K) are the residuals' derivatives and ``prior_information`` (6 + 2 K,) the diagonal of the
-    prior's; ``covariance`` (6 + 2 K, 6 + 2 K) assumes independent residuals. ``core`` (N,) is each point's probability
-    of being bark, ``noise_m`` (N,) its standard deviation.
-    """
+class Axis:
+    """Parameters (6,): x, y at ``height_m``, slopes dx/dh, dy/dh, radius, taper dr/dh; and the noise found."""
 
     parameters: Floats
     height_m: float
     sigma_m: float
-    covariance: Floats
-    core: Floats
-    residuals_m: Floats
-    jacobian: Floats
-    prior_information: Floats
-    shape_m: Floats
-    noise_m: Floats
 
     @property
     def radius_m(self) -> float:
@@ -72,6 +61,25 @@ class AxisFit:
     def center_at(self, height_m: float) -> Floats:
         """Axis position (2,) where it passes ``height_m``."""
         return np.asarray(self.parameters[:2] + self.parameters[2:4] * (height_m - self.height_m))
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisFit(Axis):
+    """An axis with the evidence for it.
+
+    ``shape_m`` (2 K,) are the cosine and sine coefficients of the harmonics 2, 3, ... of the radius, in metres.
+    ``jacobian`` (N, 6 + 2 K) are the residuals' derivatives and ``prior_information`` (6 + 2 K,) the diagonal of the
+    prior's; ``covariance`` (6 + 2 K, 6 + 2 K) assumes independent residuals. ``core`` (N,) is each point's probability
+    of being bark, ``noise_m`` (N,) its standard deviation.
+    """
+
+    covariance: Floats
+    core: Floats
+    residuals_m: Floats
+    jacobian: Floats
+    prior_information: Floats
+    shape_m: Floats
+    noise_m: Floats
 
 
 def axis_coordinates(points: Floats, parameters: Floats, height_m: float) -> tuple[Floats, Floats]:
@@ -121,10 +129,11 @@ def fit_axis(
     ratio = np.ones(len(points)) if relative is None else relative
     core = np.zeros(len(points))
     residual = np.zeros(len(points))
-    jacobian = np.zeros((len(points), len(p)))
+    jacobian = np.zeros((len(p), len(points)))
     information = np.eye(len(p))
-    for iteration in range(s.iterations):
-        residual, jacobian = _residuals(points, p, height_m)
+    columns = np.ascontiguousarray(points.T) - np.array([[0.0], [0.0], [height_m]])
+    for _ in range(s.iterations):
+        residual, jacobian = _residuals(columns, p)
         inner = min(s.window_m, max(p[4], 0.02))
         inside = (residual >= -inner) & (residual <= s.window_m)
         gauss, with_tail = _densities(residual, sigma * ratio, tail)
@@ -134,11 +143,11 @@ def fit_axis(
         total = float(core.sum())
         if total < 3.0:
             break
-        weighted = jacobian * (core / (sigma * ratio) ** 2)[:, None]
-        information = weighted.T @ jacobian
+        weighted = jacobian * (core / (sigma * ratio) ** 2)
+        information = weighted @ jacobian.T
         prior_information[6:] = (shape_std * p[4]) ** -2.0
         regularised = information + np.diag(prior_information) + tiny
-        gradient = weighted.T @ residual + prior_information * (p - prior_mean)
+        gradient = weighted @ residual + prior_information * (p - prior_mean)
         step = -np.linalg.solve(regularised, gradient)
         step *= min(1.0, 0.05 / max(abs(step[0]), abs(step[1]), abs(step[4]), 1e-12))
         p = p + step
@@ -149,10 +158,10 @@ def fit_axis(
         shares /= shares.sum()
         new_sigma = float(np.sqrt((core @ (residual / ratio) ** 2 + 4.0 * 0.005**2) / (total + 4.0)))
         # The start is deliberately wide; never shrink by more than a quarter a step, or a wrong arc captures the fit.
-        sigma = float(np.clip(max(new_sigma, 0.75 * sigma), *s.sigma_m))
+        old_sigma, sigma = sigma, float(np.clip(max(new_sigma, 0.75 * sigma), *s.sigma_m))
         mean_tail = float(outward @ np.maximum(residual, 0.0)) / max(away, 1e-9)
         tail = float(np.clip(mean_tail, *s.tail_m))
-        if iteration > 8 and np.abs(step).max() < 1e-5:
+        if np.abs(step).max() < s.tolerance and abs(sigma - old_sigma) < s.sigma_tolerance * old_sigma:
             break
     return AxisFit(
         parameters=p[:6],
@@ -161,42 +170,45 @@ def fit_axis(
         covariance=np.asarray(np.linalg.inv(information + np.diag(prior_information) + tiny), np.float64),
         core=core,
         residuals_m=residual,
-        jacobian=jacobian,
+        jacobian=jacobian.T,
         prior_information=prior_information,
         shape_m=p[6:],
         noise_m=sigma * ratio,
     )
 
 
-def _residuals(points: Floats, p: Floats, height_m: float) -> tuple[Floats, Floats]:
-    """Residuals (N,) and their exact derivatives (N, 6): the foot point is stationary along the axis."""
+def _residuals(columns: Floats, p: Floats) -> tuple[Floats, Floats]:
+    """Residuals (N,) and their exact derivatives (P, N): the foot point is stationary along the axis.
+
+    ``columns`` (3, N) are x, y and the height over that of the axis.
+    """
     slope = p[2:4]
     norm2 = 1.0 + float(slope @ slope)
-    x, y, z = points[:, 0] - p[0], points[:, 1] - p[1], points[:, 2] - height_m
+    x, y, z = columns[0] - p[0], columns[1] - p[1], columns[2]
     foot = (x * slope[0] + y * slope[1] + z) / norm2
     dx, dy, dz = x - foot * slope[0], y - foot * slope[1], z - foot
     distance = np.maximum(np.sqrt(dx**2 + dy**2 + dz**2), 1e-9)
     nx, ny = dx / distance, dy / distance
-    jacobian = np.empty((len(foot), len(p)))
-    jacobian[:, 0], jacobian[:, 1] = -nx, -ny
-    jacobian[:, 2], jacobian[:, 3] = -nx * foot, -ny * foot
-    jacobian[:, 4], jacobian[:, 5] = -1.0, -foot
+    jacobian = np.empty((len(p), len(foot)))
+    jacobian[0], jacobian[1] = -nx, -ny
+    jacobian[2], jacobian[3] = -nx * foot, -ny * foot
+    jacobian[4], jacobian[5] = -1.0, -foot
     residual = distance - (p[4] + p[5] * foot)
     if len(p) > 6:
         # The harmonics' own change with the centre is of second order and left out of the derivatives.
-        jacobian[:, 6:] = -harmonics(nx, ny, len(p) - 6)
-        residual += jacobian[:, 6:] @ p[6:]
+        jacobian[6:] = -harmonics(nx, ny, len(p) - 6).T
+        residual += p[6:] @ jacobian[6:]
     return residual, jacobian
 
 
 def harmonics(cosine: Floats, sine: Floats, columns: int) -> Floats:
     """cos 2a, sin 2a, cos 3a, sin 3a, ... (N, ``columns``) from cos a and sin a (N,)."""
-    result = np.empty((len(cosine), columns))
+    result = np.empty((columns, len(cosine)))
     c, s = cosine, sine
     for column in range(0, columns, 2):
         c, s = c * cosine - s * sine, c * sine + s * cosine
-        result[:, column], result[:, column + 1] = c, s
-    return result
+        result[column], result[column + 1] = c, s
+    return result.T
 
 
 def _densities(residual: Floats, sigma: Floats, tail: float) -> tuple[Floats, Floats]:

@@ -8,8 +8,53 @@ from scipy.spatial import cKDTree
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 # A table of 32-bit numbers with an entry for each cell, of which only the pages that hold points are ever touched.
 MAX_TABLE = 100_000_000
+
+
+def column_min(points: Floats) -> Floats:
+    """Least value of each column of points (N, C): (C,), several times faster than along the rows."""
+    return np.array([points[:, column].min() for column in range(points.shape[1])])
+
+
+def column_max(points: Floats) -> Floats:
+    """Greatest value of each column of points (N, C): (C,)."""
+    return np.array([points[:, column].max() for column in range(points.shape[1])])
+
+
+def count_cells(points: Floats, cell_m: float) -> int:
+    """Number of square cells that points (N, 2) lie in."""
+    if len(points) == 0:
+        return 0
+    column, row = (np.floor(points[:, axis] / cell_m).astype(np.int64) for axis in range(2))
+    return len(np.unique(column * (int(np.ptp(row)) + 1) + row))
+
+
+def near_paths(points: Floats, starts: Floats, ends: Floats, radius_m: float, *, cell_m: float = 0.1) -> Bools:
+    """Which points (N, >= 2) may lie within ``radius_m`` in plan of the segments from ``starts`` to ``ends`` (K, 2).
+
+    By cells of ``cell_m``: all that do, and some a cell farther away.
+    """
+    if len(points) == 0 or len(starts) == 0:
+        return np.zeros(len(points), dtype=bool)
+    low, high = column_min(points)[:2], column_max(points)[:2]
+    shape = ((high - low) / cell_m).astype(np.int64) + 1
+    wanted = np.zeros(shape, dtype=bool)
+    # Half a diagonal of the cells at each end of the distance, and half a step along the segment.
+    reach = radius_m + 2.0 * cell_m
+    for start, end in zip(starts, ends, strict=True):
+        for share in np.linspace(0.0, 1.0, int(np.hypot(*(end - start)) / cell_m) + 2):
+            at = (start + share * (end - start) - low) / cell_m - 0.5
+            first = np.maximum(np.floor(at - reach / cell_m).astype(np.int64), 0)
+            last = np.minimum(np.ceil(at + reach / cell_m).astype(np.int64) + 1, shape)
+            if (first >= last).any():
+                continue
+            x, y = np.ogrid[first[0] : last[0], first[1] : last[1]]
+            wanted[first[0] : last[0], first[1] : last[1]] |= np.hypot(x - at[0], y - at[1]) <= reach / cell_m
+    column = ((points[:, 0] - low[0]) / cell_m).astype(np.int64)
+    row = ((points[:, 1] - low[1]) / cell_m).astype(np.int64)
+    return np.asarray(wanted.ravel()[column * shape[1] + row])
 
 
 class PlanIndex:
@@ -20,11 +65,13 @@ class PlanIndex:
         if len(points) == 0:
             self._points, self._shape, self._starts, self._low = points, (0, 0), np.zeros(1, np.int64), np.zeros(2)
             return
-        self._low = points[:, :2].min(axis=0)
-        cell = ((points[:, :2] - self._low) / cell_m).astype(np.int32)
-        self._shape = (int(cell[:, 0].max()) + 1, int(cell[:, 1].max()) + 1)
-        key = cell[:, 0] * self._shape[1] + cell[:, 1]
-        order = np.argsort(key, kind="stable")
+        self._low = column_min(points)[:2]
+        column = ((points[:, 0] - self._low[0]) / cell_m).astype(np.int32)
+        row = ((points[:, 1] - self._low[1]) / cell_m).astype(np.int32)
+        self._shape = (int(column.max()) + 1, int(row.max()) + 1)
+        key = column * self._shape[1] + row
+        # NumPy sorts integers of 16 bits by radix, ten times faster than longer ones.
+        order = np.argsort(key.astype(np.uint16) if self._shape[0] * self._shape[1] < 2**16 else key, kind="stable")
         self._points = points[order]
         self._starts = np.concatenate([[0], np.cumsum(np.bincount(key, minlength=self._shape[0] * self._shape[1]))])
 
@@ -56,13 +103,14 @@ def thin(points: Floats, cell_m: float) -> Floats:
     """One point of each occupied cubic cell of points (N, 3), in their order."""
     if len(points) == 0:
         return points
-    cells = ((points - points.min(axis=0)) / cell_m).astype(np.int64)
-    extent = cells.max(axis=0) + 1
-    key = (cells[:, 0] * extent[1] + cells[:, 1]) * extent[2] + cells[:, 2]
+    low = column_min(points)
+    cells = [((points[:, axis] - low[axis]) / cell_m).astype(np.int64) for axis in range(3)]
+    extent = [int(cell.max()) + 1 for cell in cells]
+    key = (cells[0] * extent[1] + cells[1]) * extent[2] + cells[2]
     if float(extent[0]) * float(extent[1]) * float(extent[2]) > MAX_TABLE:
         return np.asarray(points[np.sort(np.unique(key, return_index=True)[1])])
     # Written from the last to the first: the first of each cell stays.
     number = np.arange(len(key), dtype=np.int32)
-    table = np.empty(int(np.prod(extent)), dtype=np.int32)
+    table = np.empty(extent[0] * extent[1] * extent[2], dtype=np.int32)
     table[key[::-1]] = number[::-1]
     return np.asarray(points[table[key] == number])

@@ -84,14 +84,16 @@ def find_ground(points: Floats, *, settings: GroundSettings | None = None, seed:
     Raises :class:`~fsinfer.errors.CloudError` when no surface holds together (no ground in the cloud, not z up).
     """
     settings = settings or GroundSettings()
-    origin = points[:, :2].min(axis=0)
-    area = float(np.prod(np.maximum(np.ptp(points[:, :2], axis=0), settings.cell_m)))
+    x, y, z = (np.ascontiguousarray(points[:, axis]) for axis in range(3))
+    origin = np.array([x.min(), y.min()])
+    area = max(float(x.max() - origin[0]), settings.cell_m) * max(float(y.max() - origin[1]), settings.cell_m)
     # Large plots get a coarser raster, so that its equations stay solvable in seconds.
     settings = replace(settings, cell_m=max(settings.cell_m, float(np.sqrt(area / settings.max_cells))))
-    cells = np.floor((points[:, :2] - origin) / settings.cell_m).astype(np.int64)
-    shape = (int(cells[:, 1].max()) + 1, int(cells[:, 0].max()) + 1)
-    index = cells[:, 1] * shape[1] + cells[:, 0]
-    cell, low = _lowest_layers(index, points[:, 2], settings)
+    column = ((x - origin[0]) / settings.cell_m).astype(np.int64)
+    row = ((y - origin[1]) / settings.cell_m).astype(np.int64)
+    shape = (int(row.max()) + 1, int(column.max()) + 1)
+    index = row * shape[1] + column
+    cell, low = _lowest_layers(index, z, settings)
     reachable = _slope_filter(cell, low, shape, settings)
     cell, low = cell[reachable], low[reachable]
     center = origin + settings.cell_m * (np.column_stack([cell % shape[1], cell // shape[1]]) + 0.5)
@@ -111,9 +113,10 @@ def find_ground(points: Floats, *, settings: GroundSettings | None = None, seed:
         )
         raise CloudError(msg)
     # Second pass: the lowest layer sits below the middle of a noisy ground; medians of the ground points do not.
-    above = points[:, 2] - (points[:, :2] @ plane[:2] + plane[2]) - surface.ravel()[index]
-    band = np.abs(above) <= max(3.0 * noise, 0.08)
-    used, median = _cell_medians(index[band], (above + surface.ravel()[index])[band])
+    above = z - (plane[0] * x + plane[1] * y + plane[2])
+    over = above - surface.ravel()[index]
+    band = np.flatnonzero(np.abs(over) <= max(3.0 * noise, 0.08))
+    used, median = _cell_medians(index[band], above[band])
     use_raster = plane_share < settings.plane_share
     if use_raster:
         surface = _smooth_surface(used, median, shape, settings, symmetric=True)
@@ -134,7 +137,7 @@ def find_ground(points: Floats, *, settings: GroundSettings | None = None, seed:
         points=0,
         reach=float(reachable.mean()),
     )
-    final = points[band, 2] - result.height_at(points[band, :2])
+    final = z[band] - result.height_at(np.column_stack([x[band], y[band]]))
     noise = float(1.4826 * np.median(np.abs(final))) if len(final) else noise
     tolerance = float(np.clip(2.0 * noise, *settings.tolerance_m))
     count = int(np.count_nonzero(np.abs(final) <= tolerance))

@@ -8,18 +8,20 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, uniform_filter
-from scipy.spatial import cKDTree
 
+from fsinfer.trees.cells import column_max, column_min
 from fsinfer.trees.stem import StemSettings
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+_REACH_CELLS = 3.6  # surroundings of a cell, of which the line-likeness and the normal are taken
+_CHUNK = 100_000  # cells whose neighbours are looked up at once
 
 
 def hough_seeds(slab: Floats, cell_m: float, s: StemSettings) -> Floats:
     """Candidate centres (K, 3) as x, y, mid height of the window, strongest first."""
-    origin = slab[:, :2].min(axis=0) - s.radius_m[1]
-    extent = slab[:, :2].max(axis=0) + s.radius_m[1] - origin
+    origin = column_min(slab)[:2] - s.radius_m[1]
+    extent = column_max(slab)[:2] + s.radius_m[1] - origin
     vote_cell = float(max(s.vote_cell_m, np.sqrt(extent[0] * extent[1] / 12e6)))  # bounds the memory to ~100 MB
     shape = tuple(int(v) for v in np.ceil(extent / vote_cell)[::-1] + 1)
     band = np.floor((slab[:, 2] - s.heights_m[0]) / s.band_m).astype(np.int64)
@@ -56,39 +58,53 @@ def _wall_cells(points: Floats, cell_m: float, band_m: float) -> tuple[Floats, F
     if len(points) < 5:
         return np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)
     steps = 5
-    low = points.min(axis=0)
-    cells = np.floor((points[:, :2] - low[:2]) / cell_m).astype(np.int64)
+    low = column_min(points)
+    # A margin as wide as the reach, so that every cell has all its neighbours.
+    margin = int(_REACH_CELLS)
+    column = ((points[:, 0] - low[0]) / cell_m).astype(np.int64) + margin
+    row = ((points[:, 1] - low[1]) / cell_m).astype(np.int64) + margin
     rise = np.minimum((points[:, 2] - low[2]) / (band_m / steps), steps - 1).astype(np.int64)
-    width = int(cells[:, 1].max()) + 1
-    size = (int(cells[:, 0].max()) + 1) * width
-    occupied = np.zeros(size * steps, dtype=bool)
-    occupied[(cells[:, 0] * width + cells[:, 1]) * steps + rise] = True
-    filled = occupied.reshape(size, steps).sum(axis=1)
+    width = int(row.max()) + 1 + margin
+    size = (int(column.max()) + 1 + margin) * width
+    occupied = np.zeros(steps * size, dtype=np.uint8)
+    occupied[rise * size + column * width + row] = 1
+    filled = occupied.reshape(steps, size).sum(axis=0, dtype=np.uint8)
     key = np.flatnonzero(filled)
-    filled = filled[key]
-    center = low[:2] + (np.column_stack([key // width, key % width]) + 0.5) * cell_m
-    share = filled / steps
-    k = min(28, len(center))
-    distance, index = cKDTree(center).query(center, k=k, distance_upper_bound=3.6 * cell_m)
-    if k == 1:
-        return np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)
-    valid = np.isfinite(distance)
-    index = np.where(valid, index, 0)
-    weight = np.where(valid, share[index], 0.0)
-    total = np.maximum(weight.sum(axis=1), 1e-9)
-    neighbours = center[index]
-    mean = (weight[..., None] * neighbours).sum(axis=1) / total[:, None]
-    offset = neighbours - mean[:, None]
-    xx = (weight * offset[..., 0] ** 2).sum(axis=1) / total
-    yy = (weight * offset[..., 1] ** 2).sum(axis=1) / total
-    xy = (weight * offset[..., 0] * offset[..., 1]).sum(axis=1) / total
+    share = filled[key] / steps
+    center = low[:2] + (np.column_stack([key // width, key % width]) - margin + 0.5) * cell_m
+    moments, count = _moments(filled, key, width)
+    total = moments[:, 0]
+    mean_x, mean_y = moments[:, 1] / total, moments[:, 2] / total
+    xx = moments[:, 3] / total - mean_x**2
+    yy = moments[:, 4] / total - mean_y**2
+    xy = moments[:, 5] / total - mean_x * mean_y
     # Closed-form eigenvectors of 2x2 matrices: the normal is perpendicular to the major axis.
     angle = 0.5 * np.arctan2(2.0 * xy, xx - yy)
     difference = np.hypot(xx - yy, 2.0 * xy)
     linear = difference / np.maximum(xx + yy + difference, 1e-12) * 2.0
     normal = np.column_stack([-np.sin(angle), np.cos(angle)])
-    alone = valid.sum(axis=1) < 3
+    alone = count < 3
     return center[~alone], normal[~alone], (share * np.minimum(linear, 1.0))[~alone]
+
+
+def _moments(filled: NDArray[np.uint8], key: Ints, width: int) -> tuple[Floats, Ints]:
+    """Sums (C, 6) of 1, x, y, xx, yy, xy over the cells within ``_REACH_CELLS`` of each, and their number (C,).
+
+    ``filled`` (S,) are the weights of a grid of rows of ``width``, ``key`` (C,) the occupied cells; x and y are in
+    cells from each.
+    """
+    reach = int(_REACH_CELLS)
+    x, y = (steps.ravel() for steps in np.mgrid[-reach : reach + 1, -reach : reach + 1])
+    inside = x**2 + y**2 <= _REACH_CELLS**2
+    x, y = x[inside], y[inside]
+    basis = np.column_stack([np.ones(len(x)), x, y, x**2, y**2, x * y]).astype(np.float32)
+    moments = np.empty((len(key), 6))
+    count = np.empty(len(key), dtype=np.int64)
+    for first in range(0, len(key), _CHUNK):
+        weight = filled[key[first : first + _CHUNK, None] + (x * width + y)]
+        moments[first : first + _CHUNK] = weight.astype(np.float32) @ basis
+        count[first : first + _CHUNK] = np.count_nonzero(weight, axis=1)
+    return moments, count
 
 
 def _votes(

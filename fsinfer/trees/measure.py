@@ -92,13 +92,16 @@ def analyse_plot(
         return _without_scale(points, settings, units_per_m_hint, progress)
     xyz, warnings = clean(points, settings.sanity)
     # Work about a local origin: map coordinates of 10^6 m would cost precision in the fits.
-    origin = np.r_[np.floor(np.median(xyz[:, :2], axis=0)), 0.0]
+    few = np.ascontiguousarray(xyz[:: max(len(xyz) // settings.sanity.box_points, 1), :2].T)
+    origin = np.r_[np.floor(np.median(few, axis=1)), 0.0]
     local = xyz - origin
-    box = np.percentile(local[:, :2], [0.5, 99.5], axis=0)
+    box = np.percentile(few, [0.5, 99.5], axis=1) - origin[:2]
     check_unit(box, settings.sanity)
     # A single point a kilometre away must not blow up the rasters.
     margin = 0.5 * float(np.max(box[1] - box[0])) + 2.0
-    near = ((local[:, :2] >= box[0] - margin) & (local[:, :2] <= box[1] + margin)).all(axis=1)
+    near = np.ones(len(local), dtype=bool)
+    for axis in range(2):
+        near &= np.abs(local[:, axis] - box[:, axis].mean()) <= 0.5 * np.ptp(box[:, axis]) + margin
     if not near.all():
         warnings.append(f"{int((~near).sum())} points far outside the plot were left out")
         local = local[near]

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.trees.cells import count_cells
+
 Floats = NDArray[np.float64]
 
 
@@ -42,8 +44,8 @@ def fit_outline(
     design = _harmonics(angle, s.order)
     design = np.column_stack([np.ones(len(angle)), design])
     near = weights * (np.abs(deviation) <= max(4.0 * sigma, 0.15 * radius))
-    cells = np.unique(np.floor(offsets[near > 0.1] / s.patch_m).astype(np.int64), axis=0)
-    independent = min(1.0, 8.0 * len(cells) / max(float(near.sum()), 1.0))
+    cells = count_cells(offsets[near > 0.1], s.patch_m)
+    independent = min(1.0, 8.0 * cells / max(float(near.sum()), 1.0))
     information = (design * near[:, None]).T @ design * independent / max(sigma, 0.002) ** 2
     prior = np.r_[0.0, np.repeat(1.0 / np.arange(1, s.order + 1), 2) * s.prior_of_radius * radius]
     ridge = np.r_[1e-6, prior[1:] ** -2.0]

@@ -23,6 +23,7 @@ class SanitySettings:
     warn_step_m: float = 0.005  # single precision beyond 40 km: as coarse as a photogrammetric cloud's noise
     coarse_step_m: float = 0.03  # beyond 300 km, as in map coordinates: no circle is left
     extent_m: tuple[float, float] = (0.3, 700.0)  # a slice of one stem; the widest plot, which is 50 hectares
+    box_points: int = 200_000  # every k-th point tells the percentiles of a plot's extent to a centimetre
     head_ground: float = 0.5  # a plot whose ground is under less of it than this may be lying on its head
     little_ground: float = 0.33  # of the plot's box in plan: less is said
     turned_points: int = 300_000  # enough to find stems, few enough for a second a side
@@ -51,7 +52,8 @@ def check_upside_down(
     if ground.reach >= sanity.head_ground:
         return
     try:
-        other = find_ground(points * [1.0, -1.0, -1.0], settings=settings, seed=seed)
+        few = points[:: max(len(points) // sanity.turned_points, 1)]
+        other = find_ground(few * [1.0, -1.0, -1.0], settings=settings, seed=seed)
     except CloudError:
         return
     if other.reach > 2.0 * ground.reach:
@@ -71,7 +73,8 @@ def clean(points: ArrayLike, sanity: SanitySettings) -> tuple[Floats, list[str]]
     if xyz.ndim != 2 or xyz.shape[1] != 3:
         msg = f"the cloud must be an array of shape (N, 3), got {xyz.shape=}"
         raise CloudError(msg)
-    finite = np.isfinite(xyz).all(axis=1)
+    # A sum is finite only where all three are (coordinates near the largest double are none).
+    finite = np.isfinite(xyz[:, 0] + xyz[:, 1] + xyz[:, 2])
     warnings = []
     if not finite.all():
         warnings.append(f"{int((~finite).sum())} points with NaN or infinite coordinates were left out")

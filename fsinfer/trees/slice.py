@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import CloudError
 from fsinfer.trees.axis import AxisFit, axis_coordinates, harmonics
+from fsinfer.trees.cells import count_cells
 from fsinfer.trees.circle import CircleSettings, covered_bins, fit_circle
 
 Floats = NDArray[np.float64]
@@ -100,7 +101,7 @@ def fit_slice(
         kept[chosen[circle.inliers]] = True
         fused = np.array([*circle.center, circle.radius])
         spread = circle.radius_std if np.isfinite(circle.radius_std) else fit.sigma_m
-        patches = len(np.unique(np.floor(offset[chosen] / s.patch_m).astype(np.int64), axis=0))
+        patches = count_cells(offset[chosen], s.patch_m)
         spread *= np.sqrt(max(1.0, count / max(patches, 1) * s.patch_m / (2.0 * half + s.patch_m)))
         return Slice(
             offsets_m=offset[use],

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_closing
 
+from fsinfer.trees.cells import column_min
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
@@ -65,10 +66,10 @@ def seen_area(low: Floats, stems_xy: Floats, *, close: bool = True) -> float:
     if len(low) == 0:
         return 0.0
     reach = round(CLOSE_M / CELL_M)
-    origin = low.min(axis=0)
-    cells = np.floor((low - origin) / CELL_M).astype(np.int64) + reach + 1
-    seen = np.zeros(cells.max(axis=0) + reach + 2, dtype=bool)
-    seen[cells[:, 0], cells[:, 1]] = True
+    origin = column_min(low)
+    column, row = (((low[:, axis] - origin[axis]) / CELL_M).astype(np.int64) + reach + 1 for axis in range(2))
+    seen = np.zeros((int(column.max()) + reach + 2, int(row.max()) + reach + 2), dtype=bool)
+    seen[column, row] = True
     if close:
         seen = binary_closing(seen, np.ones((2 * reach + 1, 2 * reach + 1)))
     at = np.floor((stems_xy - origin) / CELL_M).astype(np.int64) + reach + 1

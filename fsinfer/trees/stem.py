@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fsinfer.trees.axis import AxisFit
+from fsinfer.trees.axis import Axis
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,6 +18,17 @@ class StemSettings:
     vote_cell_m: float = 0.03
     radius_m: tuple[float, float] = (0.02, 0.60)
     min_votes: float = 2.5  # cells per band: a third of what a stem of 6 cm diameter seen from one side gives
+    min_points: int = 8  # about a candidate
+    start_sigma_m: float = 0.02  # of the fits: wide, so that they find walls two centimetres off
+    min_ring: float = 0.08  # share of its circle that a start shows, as at 43 degrees in two thirds of the layers
+    ring_points: int = 3000  # of which rings are looked for: some twenty in each sector and layer of a stem
+    few_points: int = 150  # for the first steps of a fit, in which most candidates run away
+    few_steps: int = 7
+    more_points: int = 300  # for some more, after which most of the others are not round
+    more_steps: int = 10
+    fit_points: int = 700
+    tolerance_m: float = 5e-5  # of the last fit: finer than any limit below
+    apart_m: float = 0.3  # candidates farther apart are looked at together; both may find one stem, which is resolved
     max_lean_deg: float = 25.0
     layer_m: float = 0.10  # layers of the persistence check
     min_length_m: float = 0.7  # of supported layers; the bands span 2 m and undergrowth may hide half of them
@@ -40,7 +51,7 @@ class StemSettings:
 class Stem:
     """A verified stem: its axis (heights above ground), the supported height range, and the evidence."""
 
-    axis: AxisFit
+    axis: Axis
     bottom_m: float
     top_m: float
     length_m: float

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.trees.cells import PlanIndex, thin
+from fsinfer.trees.cells import PlanIndex, near_paths
 from fsinfer.trees.dbh import measure_stem
 from fsinfer.trees.ground import Ground
 from fsinfer.trees.section import Section
 from fsinfer.trees.settings import TreeSettings
 from fsinfer.trees.stem import Stem
 from fsinfer.trees.stems import StemSearch
-from fsinfer.trees.top import tree_height
+from fsinfer.trees.top import TopSettings, axis_path, tree_height
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
@@ -33,8 +33,8 @@ def measure_stems(
     slab = stand[(stand[:, 2] >= low - 0.5) & (stand[:, 2] <= high + 0.5)]
     index = PlanIndex(slab, settings.stems.index_cell_m)
     centers = np.array([stem.axis.center_at(settings.bh_m) for stem in search.stems]).reshape(-1, 2)
-    crowns = thin(stand[stand[:, 2] > 1.0], settings.top.cell_m) if len(centers) else stand[:0]
-    crown_index = PlanIndex(crowns, 0.5 * settings.top.reach_m)
+    highest = float(stand[:, 2].max(initial=0.0))
+    crown_index = PlanIndex(_crowns(stand, search.stems, highest, settings.top), settings.top.index_cell_m)
     pairs = []
     for number, stem in enumerate(search.stems):
         near = index.near(centers[number], stem.axis.radius_m + 0.35)
@@ -50,10 +50,21 @@ def measure_stems(
         )
         if section.dbh_m is not None and 100.0 * section.dbh_m < settings.min_dbh_cm:
             continue
-        height = tree_height(crown_index, stem, centers, number, section.dbh_m, settings=settings.top)
+        height = tree_height(
+            crown_index, stem, centers, number, section.dbh_m, highest_m=highest, settings=settings.top
+        )
         z_ground = float(ground.height_at(section.center[None])[0])
         pairs.append((tree_of(section, z_ground, height, origin), section))
     return pairs
+
+
+def _crowns(stand: Floats, stems: tuple[Stem, ...], highest: float, settings: TopSettings) -> Floats:
+    """Points above 1 m that may belong to one of the stems."""
+    paths = [axis_path(stem, highest, settings=settings) for stem in stems]
+    starts = np.array([low for low, _ in paths]).reshape(-1, 2)
+    ends = np.array([high for _, high in paths]).reshape(-1, 2)
+    above = stand[stand[:, 2] > 1.0]
+    return np.asarray(above[near_paths(above, starts, ends, settings.crown_radius_m)])
 
 
 def doubt_the_rough(pairs: list[tuple[Tree, Section]]) -> list[tuple[Tree, Section]]:

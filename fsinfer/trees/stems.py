@@ -10,19 +10,22 @@ All counts are of cells, whose size follows the measured spacing, never of point
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from fsinfer.progress import Progress, silent
 from fsinfer.trees.axis import axis_coordinates
 from fsinfer.trees.cells import PlanIndex, measured_spacing, thin
 from fsinfer.trees.hough import hough_seeds
 from fsinfer.trees.stem import Stem, StemSettings
-from fsinfer.trees.verification import verify
+from fsinfer.trees.verification import Candidate, verify
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,18 +53,39 @@ def find_stems(
     index = PlanIndex(thinned, s.index_cell_m)
     rejected: dict[str, int] = {}
     accepted: list[Stem] = []
-    for number, (x, y, height) in enumerate(seeds):
-        progress(number, len(seeds), "looking for stems")
-        xy = np.array([x, y])
-        if _is_inside(accepted, xy, float(height)):
-            continue
-        stem, why = verify(index.near(xy, s.radius_m[1] + 0.15), xy, float(height), cell_m, s)
-        if stem is None:
-            rejected[why] = rejected.get(why, 0) + 1
-        else:
-            accepted.append(stem)
+    done = 0
+    for chosen in _rounds(seeds[:, :2], s.apart_m):
+        progress(done, len(seeds), "looking for stems")
+        done += len(chosen)
+        # In the order of their votes: a seed inside of a stem that a stronger one has found says nothing new.
+        candidates = [
+            Candidate(near=index.near(seed[:2], s.radius_m[1] + 0.15), xy=seed[:2], height_m=float(seed[2]))
+            for seed in seeds[chosen]
+            if not _is_inside(accepted, seed[:2], float(seed[2]))
+        ]
+        for stem, why in verify(candidates, cell_m, s):
+            if stem is None:
+                rejected[why] = rejected.get(why, 0) + 1
+            else:
+                accepted.append(stem)
     stems = _resolve_overlaps(accepted, index, cell_m, s)
     return StemSearch(stems=tuple(stems), candidates=len(seeds), rejected=rejected, spacing_m=spacing)
+
+
+def _rounds(xy: Floats, apart_m: float) -> Iterator[Ints]:
+    """Rows of places (K, 2), strongest first, in rounds: none has a stronger one nearer than ``apart_m`` still to come.
+
+    Places of one round lie apart, so that seldom two of them find the same stem.
+    """
+    pairs = cKDTree(xy).query_pairs(apart_m, output_type="ndarray") if len(xy) else np.zeros((0, 2), dtype=np.int64)
+    number = np.zeros(len(xy), dtype=np.int64)
+    # By the weaker of the two, so that the stronger one's round is known.
+    stronger, weaker = pairs.min(axis=1), pairs.max(axis=1)
+    order = np.lexsort((stronger, weaker))
+    for first, second in zip(stronger[order].tolist(), weaker[order].tolist(), strict=True):
+        number[second] = max(number[second], number[first] + 1)
+    for this in range(int(number.max(initial=-1)) + 1):
+        yield np.flatnonzero(number == this)
 
 
 def _is_inside(stems: list[Stem], xy: Floats, height: float) -> bool:
@@ -90,7 +114,7 @@ def _resolve_overlaps(stems: list[Stem], index: PlanIndex, cell_m: float, s: Ste
                 offset, _ = axis_coordinates(near, other.axis.parameters, other.axis.height_m)
                 own = other.axis.radius_m + max(4.0 * other.axis.sigma_m, 1.5 * cell_m)
                 near = near[np.hypot(offset[:, 0], offset[:, 1]) > own]
-            again, _ = verify(near, center, 1.3, cell_m, s)
+            ((again, _),) = verify([Candidate(near=near, xy=center, height_m=1.3)], cell_m, s)
             if again is None or again.quality < 0.5 * stem.quality:
                 continue
             shift = float(np.linalg.norm(again.axis.center_at(1.3) - center))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.trees.cells import PlanIndex
+from fsinfer.trees.cells import PlanIndex, thin
 from fsinfer.trees.stem import Stem
 
 Floats = NDArray[np.float64]
@@ -19,13 +19,26 @@ class TopSettings:
 
     crown_radius_m: float = 0.8  # about the continued axis; wider takes in the neighbours' crowns
     reach_m: float = 4.0  # from the stem's place at breast height; leaning tops farther off are not followed
+    lean_share: float = 0.5  # heavy leans measured over two metres must not be continued over twenty
     cell_m: float = 0.05  # crowns are thinned to this: their form, not their density, tells the top
+    index_cell_m: float = 0.5  # of the order of a crown's radius
     layer_m: float = 0.5
     max_gap_m: float = 1.5  # a longer empty stretch separates a tree from what hangs above it
     min_height_m: float = 3.0
     min_slenderness: float = 35.0  # height over diameter; forest trees have 50-120, open-grown ones 30-50
     crown_spread: float = 2.0  # the upper third must spread wider than this times the stem's radius
     thinning: float = 0.6  # points in the top layer against the crown's densest: a crown tapers, a cut does not
+
+
+def axis_path(stem: Stem, highest_m: float, *, settings: TopSettings | None = None) -> tuple[Floats, Floats]:
+    """Where the continued axis stands in plan at 1 m above the ground and ``highest_m``, or leaves reach (2,)."""
+    s = settings or TopSettings()
+    start = stem.axis.center_at(1.3)
+    slope = stem.axis.parameters[2:4] * s.lean_share
+    rise = max(highest_m, 1.3) - 1.3
+    lean = float(np.hypot(*slope))
+    rise = min(rise, (s.reach_m + s.crown_radius_m) / lean) if lean > 0 else rise
+    return start - 0.3 * slope, start + rise * slope
 
 
 def tree_height(
@@ -35,20 +48,24 @@ def tree_height(
     number: int,
     dbh_m: float | None,
     *,
+    highest_m: float,
     settings: TopSettings | None = None,
 ) -> float | None:
     """Height above ground of the stem's top from an index of x, y, height; None where it was not seen.
 
-    Points nearer to another stem's position in ``centers`` (T, 2) are left to that one.
+    ``highest_m`` is the height of the highest point. Points nearer to another stem's position in ``centers`` (T, 2)
+    are left to that one.
     """
     s = settings or TopSettings()
     start = stem.axis.center_at(1.3)
-    # Heavy leans measured over two metres must not be continued over twenty.
-    slope = stem.axis.parameters[2:4] * 0.5
-    high = stand.near(start, s.reach_m)
-    high = high[high[:, 2] > 1.0]
-    offset = high[:, :2] - (start + slope * (high[:, 2:3] - 1.3))
-    near = high[np.hypot(offset[:, 0], offset[:, 1]) <= s.crown_radius_m]
+    slope = stem.axis.parameters[2:4] * s.lean_share
+    # All that lies within the crown's radius of the continued axis and within reach, found by one disc about both.
+    low, high = axis_path(stem, highest_m, settings=s)
+    disc = stand.near(0.5 * (low + high), s.crown_radius_m + 0.5 * float(np.hypot(*(high - low))))
+    offset = disc[:, :2] - (start + slope * (disc[:, 2:3] - 1.3))
+    away = np.hypot(disc[:, 0] - start[0], disc[:, 1] - start[1])
+    near = disc[(np.hypot(offset[:, 0], offset[:, 1]) <= s.crown_radius_m) & (away <= s.reach_m) & (disc[:, 2] > 1.0)]
+    near = thin(near, s.cell_m)
     if len(near) < 20:
         return None
     if len(centers) > 1:

@@ -2,52 +2,103 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.trees.axis import AxisSettings, axis_coordinates, fit_axis
+from fsinfer.trees.axis import Axis, AxisSettings, axis_coordinates
+from fsinfer.trees.axis_batch import fit_axes
 from fsinfer.trees.stem import Stem, StemSettings
 
 Floats = NDArray[np.float64]
 
 
-def verify(near: Floats, xy: Floats, height: float, cell_m: float, s: StemSettings) -> tuple[Stem | None, str]:
-    """The stem at the candidate ``xy`` (2,) among the points ``near`` (N, 3), or None and why there is none."""
-    window = near[np.abs(near[:, 2] - height) <= 0.5 * s.window_m]
-    if len(window) < 8:
-        return None, "too few points"
-    why = "no ring"
-    for radius in _start_radii(window, xy, s):
-        stem, why = _verify_ring(near, window, xy, height, radius, cell_m, s)
-        if stem is not None:
-            return stem, ""
-    return None, why
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """A place ``xy`` (2,) where a stem may stand at ``height_m``, with the points ``near`` (N, 3) it; metres."""
+
+    near: Floats
+    xy: Floats
+    height_m: float
 
 
-def _verify_ring(
-    near: Floats, window: Floats, xy: Floats, height: float, radius: float, cell_m: float, s: StemSettings
-) -> tuple[Stem | None, str]:
-    start = np.array([xy[0], xy[1], 0.0, 0.0, radius, 0.0])
+def verify(candidates: Sequence[Candidate], cell_m: float, s: StemSettings) -> list[tuple[Stem | None, str]]:
+    """The stem at each candidate, or None and why there is none.
+
+    Candidates do not know of each other; they are taken together because their axes are fitted at once.
+    """
+    result: list[tuple[Stem | None, str]] = [(None, "too few points")] * len(candidates)
+    windows: dict[int, Floats] = {}
+    radii: dict[int, list[float]] = {}
+    for number, candidate in enumerate(candidates):
+        window = candidate.near[np.abs(candidate.near[:, 2] - candidate.height_m) <= 0.5 * s.window_m]
+        if len(window) >= s.min_points:
+            windows[number], radii[number] = window, _start_radii(window, candidate.xy, s)
+            result[number] = None, "no ring"
+    # All rings at once; the first that is a stem counts, else what the last one lacks.
+    rings = [(n, radius) for n, found in radii.items() for radius in found]
+    axes = _fit_rings([candidates[n] for n, _ in rings], [windows[n] for n, _ in rings], [r for _, r in rings], s)
+    for (n, _), axis in zip(rings, axes, strict=True):
+        if result[n][0] is None:
+            result[n] = (None, axis) if isinstance(axis, str) else _judge(candidates[n].near, axis, cell_m, s)
+    return result
+
+
+def _fit_rings(
+    candidates: Sequence[Candidate], windows: Sequence[Floats], radii: Sequence[float], s: StemSettings
+) -> list[Axis | str]:
+    """The axis of each candidate that starts from a ring of the given radius, or why there is none."""
+    result: list[Axis | str] = ["radius out of range"] * len(candidates)
+
+    def fit(rows: list[int], axes: list[Axis], points: Sequence[Floats], most: int, steps: AxisSettings) -> list[Axis]:
+        return fit_axes(
+            [_around(points[row], axis, most) for row, axis in zip(rows, axes, strict=True)],
+            np.array([axis.parameters for axis in axes]).reshape(-1, 6),
+            np.array([axis.height_m for axis in axes]),
+            sigma_m=np.array([axis.sigma_m for axis in axes]),
+            settings=steps,
+        )
+
+    def keep(rows: list[int], axes: list[Axis], low: float, high: float) -> tuple[list[int], list[Axis]]:
+        kept = [
+            (row, axis)
+            for row, axis in zip(rows, axes, strict=True)
+            if s.radius_m[0] * low <= axis.radius_m <= s.radius_m[1] * high
+        ]
+        return [row for row, _ in kept], [axis for _, axis in kept]
+
+    rows = list(range(len(candidates)))
+    axes = [
+        Axis(parameters=np.array([*c.xy, 0.0, 0.0, radius, 0.0]), height_m=c.height_m, sigma_m=s.start_sigma_m)
+        for c, radius in zip(candidates, radii, strict=True)
+    ]
     # Most candidates run away within a few steps on a few points; only the others are worth more.
-    few = fit_axis(_around(window, start, height, radius, 150), start, height, settings=AxisSettings(iterations=7))
-    if not s.radius_m[0] * 0.5 <= few.radius_m <= s.radius_m[1] * 1.3:
-        return None, "radius out of range"
-    around = _around(window, start, height, radius, 600)
-    fit = fit_axis(around, few.parameters, height, sigma_m=few.sigma_m, settings=AxisSettings(iterations=14))
-    if not s.radius_m[0] * 0.75 <= fit.radius_m <= s.radius_m[1] * 1.1:
-        return None, "radius out of range"
-    if fit.sigma_m > s.max_sigma_m:
-        return None, "not round"
-    around = _around(near, fit.parameters, height, fit.radius_m, 600)
-    fit = fit_axis(around, fit.parameters, height, sigma_m=fit.sigma_m)
+    rows, axes = keep(rows, fit(rows, axes, windows, s.few_points, AxisSettings(iterations=s.few_steps)), 0.5, 1.3)
+    rows, axes = keep(rows, fit(rows, axes, windows, s.more_points, AxisSettings(iterations=s.more_steps)), 0.75, 1.1)
+    for row in rows:
+        result[row] = "not round"
+    round_ = [(row, axis) for row, axis in zip(rows, axes, strict=True) if axis.sigma_m <= s.max_sigma_m]
+    rows, axes = [row for row, _ in round_], [axis for _, axis in round_]
+    nears = [c.near for c in candidates]
+    last = AxisSettings(tolerance=s.tolerance_m)
+    for row, axis in zip(rows, fit(rows, axes, nears, s.fit_points, last), strict=True):
+        if not s.radius_m[0] * 0.75 <= axis.radius_m <= s.radius_m[1] * 1.1:
+            result[row] = "radius out of range"
+        elif axis.lean_deg > s.max_lean_deg:
+            result[row] = "leans too much"
+        elif axis.sigma_m > min(s.max_noise * axis.radius_m, s.max_sigma_m):
+            result[row] = "not round"
+        else:
+            result[row] = axis
+    return result
+
+
+def _judge(near: Floats, fit: Axis, cell_m: float, s: StemSettings) -> tuple[Stem | None, str]:
+    """Whether the points show a stem about an axis: persistent, hollow, and standing out."""
     radius, sigma = fit.radius_m, fit.sigma_m
-    if not s.radius_m[0] * 0.75 <= radius <= s.radius_m[1] * 1.1:
-        return None, "radius out of range"
-    if fit.lean_deg > s.max_lean_deg:
-        return None, "leans too much"
-    if sigma > min(s.max_noise * radius, s.max_sigma_m):
-        return None, "not round"
-    offset, foot = axis_coordinates(near, fit.parameters, height)
+    offset, foot = axis_coordinates(near, fit.parameters, fit.height_m)
     distance = np.hypot(offset[:, 0], offset[:, 1])
     residual = distance - (radius + fit.parameters[5] * foot)
     limit = max(2.5 * sigma, 0.6 * cell_m)
@@ -108,11 +159,12 @@ def _is_flat(offsets: Floats, coverage: float, s: StemSettings) -> bool:
 def _start_radii(window: Floats, xy: Floats, s: StemSettings) -> list[float]:
     """Radii (at most two) whose rings are occupied in most (sector, layer) bins while their insides are empty."""
     step = 0.01
-    offset = window[:, :2] - xy
-    distance = np.hypot(offset[:, 0], offset[:, 1])
+    window = window[:: max(len(window) // s.ring_points, 1)]
+    x, y = window[:, 0] - xy[0], window[:, 1] - xy[1]
+    distance = np.sqrt(x * x + y * y)
     bins = int(np.ceil((s.radius_m[1] + 0.05) / step))
     ring = np.floor(distance / step).astype(np.int64)
-    sector = np.floor((np.arctan2(offset[:, 1], offset[:, 0]) / (2.0 * np.pi) + 0.5) * 16).astype(np.int64) % 16
+    sector = np.floor((np.arctan2(y, x) / (2.0 * np.pi) + 0.5) * 16).astype(np.int64) % 16
     layer = np.floor((window[:, 2] - window[:, 2].min()) / s.layer_m).astype(np.int64)
     layers = int(layer.max()) + 1
     use = ring < bins
@@ -134,12 +186,13 @@ def _start_radii(window: Floats, xy: Floats, s: StemSettings) -> list[float]:
     found = [best]
     score_elsewhere = np.where(np.abs(np.arange(bins) - best) > max(3, 0.3 * best), score, 0.0)
     found.append(int(np.argmax(score_elsewhere)))
-    return [(ring + 0.5) * step for ring in found if score[ring] > max(0.03, 0.5 * score[best])]
+    return [(ring + 0.5) * step for ring in found if score[ring] > max(s.min_ring, 0.5 * score[best])]
 
 
-def _around(points: Floats, parameters: Floats, height: float, radius: float, most: int) -> Floats:
-    """Points within reach of the fit's window, thinned to about ``most`` (every k-th, so deterministic)."""
-    center = parameters[:2] + parameters[2:4] * (points[:, 2:3] - height)
-    distance = np.hypot(points[:, 0] - center[:, 0], points[:, 1] - center[:, 1])
-    near = points[distance <= radius + float(np.clip(0.8 * radius, 0.05, 0.10))]
-    return near[:: max(len(near) // most, 1)]
+def _around(points: Floats, axis: Axis, most: int) -> Floats:
+    """Points within reach of the fit's window, thinned to at most ``most`` (every k-th, so deterministic)."""
+    p = axis.parameters
+    rise = points[:, 2] - axis.height_m
+    x, y = points[:, 0] - p[0] - p[2] * rise, points[:, 1] - p[1] - p[3] * rise
+    near = np.flatnonzero(x * x + y * y <= (p[4] + float(np.clip(0.8 * p[4], 0.05, 0.10))) ** 2)
+    return points[near[:: -(-len(near) // most) or 1]]

@@ -1,0 +1,68 @@
+"""Many axes fitted at once against the same axes fitted one by one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fsinfer.trees.axis import AxisSettings, _densities, fit_axis
+from fsinfer.trees.axis_batch import _tail, fit_axes
+from tests.fsinfer.stem_clouds import wall
+
+# Single precision in the distances, times what a short arc leaves open.
+TOLERANCE_M = 2e-5
+
+
+def _candidates(rng):
+    """Stems of all sizes with noise and a tail, among them hopeless ones; more than one chunk, of unlike sizes."""
+    points, starts = [], []
+    for number in range(60):
+        radius = rng.uniform(0.03, 0.4)
+        stem = wall(rng, radius=radius, arc_deg=rng.uniform(60.0, 360.0), spacing_m=rng.uniform(0.02, 0.05))
+        stem = stem[np.abs(stem[:, 2] - 1.3) < 0.5][:600]
+        stem += rng.normal(0.0, rng.uniform(0.003, 0.02), stem.shape)
+        away = rng.random(len(stem)) < 0.1
+        stem[away, :2] *= 1.0 + rng.exponential(0.03, away.sum())[:, None] / radius
+        if number % 7 == 0:
+            stem = rng.uniform([-0.4, -0.4, 0.9], [0.4, 0.4, 1.7], (rng.integers(8, 80), 3))
+        points.append(stem)
+        starts.append([*rng.normal(0.0, 0.02, 2), 0.0, 0.0, radius + rng.normal(0.0, 0.02), 0.0])
+    return points, np.array(starts)
+
+
+@pytest.mark.parametrize("iterations", [7, 40])
+def test_a_batch_equals_one_by_one(iterations):
+    points, starts = _candidates(np.random.default_rng(0))
+    heights = np.full(len(points), 1.3)
+    settings = AxisSettings(iterations=iterations)
+    batch = fit_axes(points, starts, heights, settings=settings)
+    for axis, own, start in zip(batch, points, starts, strict=True):
+        alone = fit_axis(own, start, 1.3, settings=settings)
+        np.testing.assert_allclose(axis.parameters, alone.parameters, atol=TOLERANCE_M)
+        assert axis.sigma_m == pytest.approx(alone.sigma_m, abs=TOLERANCE_M)
+
+
+def test_a_candidate_does_not_depend_on_its_company():
+    points, starts = _candidates(np.random.default_rng(1))
+    heights = np.full(len(points), 1.3)
+    together = fit_axes(points, starts, heights)
+    half = fit_axes(points[::2], starts[::2], heights[::2])
+    for axis, again in zip(together[::2], half, strict=True):
+        np.testing.assert_allclose(axis.parameters, again.parameters, atol=TOLERANCE_M)
+
+
+def test_the_tail_is_that_of_one_fit():
+    rng = np.random.default_rng(2)
+    residual = rng.uniform(-0.12, 0.12, (2, 4000))
+    sigma, tail = np.array([0.0015, 0.03]), np.array([0.06, 0.01])
+    scaled = residual / sigma[:, None]
+    single = [a.astype(np.float32) for a in (residual, scaled, np.exp(-0.5 * scaled**2))]
+    fast = _tail(*single, sigma, tail)
+    for row in range(2):
+        exact = _densities(residual[row], np.full(4000, sigma[row]), tail[row])[1]
+        # A thousandth of the background, which is some four per metre, is nothing to the mixture.
+        np.testing.assert_allclose(fast[row], exact, rtol=1e-5, atol=4e-3)
+
+
+def test_nothing_gives_nothing():
+    assert fit_axes([], np.zeros((0, 6)), np.zeros(0)) == []
