@@ -16,7 +16,7 @@ from fsinfer.cloud_thinning import ThinningSettings, thin_while_reading
 from fsinfer.errors import ScaleError
 from fsinfer.files import make_folder
 from fsinfer.las import read_epsg
-from fsinfer.placement import PlacedCloud, density_per_m2, place_cloud, transform_cloud
+from fsinfer.placement import PlacedCloud, density_per_m2, marker_centers, place_cloud, transform_cloud
 from fsinfer.plot_summary import package_versions, read_plot, update_plot
 from fsinfer.progress import Progress, silent
 from fsinfer.scale_request import NO_SCALE, ScaleRequest, find_scale
@@ -133,6 +133,7 @@ def measure_cloud_file(
         thinned = thin_while_reading(large, settings=thinning, progress=progress)
         cloud, points = PointCloud(xyz=thinned.xyz), thinned.total
         warnings = (*warnings, *thinned.warnings)
+    photos = _own_photos(cloud_path, origin, factor)
     result = write_tree_outputs(
         cloud,
         out,
@@ -144,7 +145,8 @@ def measure_cloud_file(
         epsg=read_epsg(cloud_path) if cloud_path.suffix.lower() in (".las", ".laz") and factor == 1.0 else None,
         write_labelled=None if large is None else partial(write_labelled, large),
         edits=corrections,
-        photos=_own_photos(cloud_path, origin, factor),
+        marker_xyz=None if photos is None else marker_centers(_scale_record(origin), photos.cloud_from_scene.tolist()),
+        photos=photos,
         progress=progress,
     )
     result["warnings"] = [*warnings, *result["warnings"]]
@@ -174,6 +176,10 @@ def _own_photos(cloud_path: Path, origin: dict[str, Any], factor: float) -> Stem
         return None
     scaled = np.diag([factor, factor, factor, 1.0]) @ np.asarray(cloud_from_scene, dtype=np.float64)
     return StemPhotos(scene=read_scene(folder / "scene"), depth_folder=folder, cloud_from_scene=scaled)
+
+
+def _scale_record(origin: dict[str, Any]) -> dict[str, Any]:
+    return {"details": origin.get("scale_details") or {}}
 
 
 def _cloud_scale(

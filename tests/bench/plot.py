@@ -40,6 +40,8 @@ def similarity(
 
 def print_sources(path: Path, measured_cm: dict[str, float]) -> None:
     """Print the errors of the points alone and of the photographs' edges alone."""
+    if not path.is_file():
+        return
     with path.open(encoding="utf-8", newline="") as stream:
         rows = [row for row in csv.DictReader(stream) if row["tree_id"] in measured_cm]
     for name in ("points", "edges"):
