@@ -25,9 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from fsinfer.depth import DepthSettings
 from fsinfer.evaluation import evaluate, read_measured
 from fsinfer.frames import select_frames
-from fsinfer.pipeline import run
+from fsinfer.pipeline import RunSettings, run
 from fsinfer.poses import PoseSettings, estimate_poses
 from fsinfer.scale_request import ScaleRequest, find_scale
 from fsinfer.scene import Camera, Scene, read_camera, read_scene, write_camera
@@ -237,6 +238,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--full", action="store_true", help="the whole pipeline, up to the report")
     parser.add_argument("--render-only", action="store_true")
     parser.add_argument("--max-features", type=int, default=PoseSettings().max_features, help="fewer are faster")
+    parser.add_argument("--max-size", type=int, default=DepthSettings().max_size_px, help="of fsinfer run")
     args = parser.parse_args(argv)
     cv2.setNumThreads(1)
     args.out.mkdir(parents=True, exist_ok=True)
@@ -247,14 +249,16 @@ def main(argv: list[str] | None = None) -> int:
         return 0
     result = args.out / "result"
     if args.full:
-        run(args.out / "video.mp4", result)
+        poses = PoseSettings(max_features=args.max_features)
+        settings = RunSettings(poses=poses, depth=DepthSettings(max_size_px=args.max_size))
+        run(args.out / "video.mp4", result, settings=settings)
     else:
         chosen = select_frames(args.out / "video.mp4", result / "frames")
         print(f"frames: {len(chosen.images)} of {len(chosen.rows)}", *chosen.warnings, sep="\n  ")
         start = time.perf_counter()
-        settings = PoseSettings(max_features=args.max_features)
-        poses = estimate_poses(result / "frames" / "images", result / "scene", settings=settings)
-        print(f"poses: {poses.registered} of {poses.photos}, {time.perf_counter() - start:.0f} s", *poses.warnings)
+        fewer = PoseSettings(max_features=args.max_features)
+        placed = estimate_poses(result / "frames" / "images", result / "scene", settings=fewer)
+        print(f"poses: {placed.registered} of {placed.photos}, {time.perf_counter() - start:.0f} s", *placed.warnings)
     scene = read_scene(result / "scene")
     scale, warnings = find_scale(ScaleRequest(), scene=scene)
     print(*warnings, sep="\n")
