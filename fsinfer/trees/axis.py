@@ -18,6 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erfcx
 
+from fsinfer.trees.products import sums_of_products, weighted_sum
+
 Floats = NDArray[np.float64]
 
 
@@ -144,10 +146,10 @@ def fit_axis(
         if total < 3.0:
             break
         weighted = jacobian * (core / (sigma * ratio) ** 2)
-        information = weighted @ jacobian.T
+        information = sums_of_products(weighted, jacobian)
         prior_information[6:] = (shape_std * p[4]) ** -2.0
         regularised = information + np.diag(prior_information) + tiny
-        gradient = weighted @ residual + prior_information * (p - prior_mean)
+        gradient = sums_of_products(weighted, residual) + prior_information * (p - prior_mean)
         step = -np.linalg.solve(regularised, gradient)
         step *= min(1.0, 0.05 / max(abs(step[0]), abs(step[1]), abs(step[4]), 1e-12))
         p = p + step
@@ -197,7 +199,7 @@ def _residuals(columns: Floats, p: Floats) -> tuple[Floats, Floats]:
     if len(p) > 6:
         # The harmonics' own change with the centre is of second order and left out of the derivatives.
         jacobian[6:] = -harmonics(nx, ny, len(p) - 6).T
-        residual += p[6:] @ jacobian[6:]
+        residual += weighted_sum(p[6:], jacobian[6:])
     return residual, jacobian
 
 

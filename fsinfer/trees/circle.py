@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fsinfer.errors import CloudError
+from fsinfer.trees.products import sums_of_products
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -126,9 +127,9 @@ def fit_geometric(points: Floats, start: Floats, weights: Floats | None = None, 
         offset = points - circle[:2]
         distance = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), 1e-12)
         residual = distance - circle[2]
-        jacobian = np.column_stack([-offset / distance[:, None], -np.ones(len(points))])
-        normal = jacobian.T @ (jacobian * weights[:, None])
-        gradient = jacobian.T @ (weights * residual)
+        jacobian = np.stack([-offset[:, 0] / distance, -offset[:, 1] / distance, -np.ones(len(points))])
+        normal = sums_of_products(jacobian, jacobian * weights)
+        gradient = sums_of_products(jacobian, weights * residual)
         step = -np.linalg.solve(normal + damping * np.trace(normal) * np.eye(3) + 1e-300 * np.eye(3), gradient)
         trial = circle + step
         trial_cost = float(weights @ residuals_to(points, trial) ** 2)

@@ -15,7 +15,7 @@ from fsinfer.trees.stem import StemSettings
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 _REACH_CELLS = 3.6  # surroundings of a cell, of which the line-likeness and the normal are taken
-_CHUNK = 100_000  # cells whose neighbours are looked up at once
+_CHUNK = 1000  # cells whose neighbours are looked up at once: in one thread, see fsinfer.trees.products
 
 
 def hough_seeds(slab: Floats, cell_m: float, s: StemSettings) -> Floats:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.trees.cells import count_cells
+from fsinfer.trees.products import sums_of_products
 
 Floats = NDArray[np.float64]
 
@@ -46,10 +47,10 @@ def fit_outline(
     near = weights * (np.abs(deviation) <= max(4.0 * sigma, 0.15 * radius))
     cells = count_cells(offsets[near > 0.1], s.patch_m)
     independent = min(1.0, 8.0 * cells / max(float(near.sum()), 1.0))
-    information = (design * near[:, None]).T @ design * independent / max(sigma, 0.002) ** 2
+    information = sums_of_products((design * near[:, None]).T, design.T) * independent / max(sigma, 0.002) ** 2
     prior = np.r_[0.0, np.repeat(1.0 / np.arange(1, s.order + 1), 2) * s.prior_of_radius * radius]
     ridge = np.r_[1e-6, prior[1:] ** -2.0]
-    gradient = design.T @ (near * deviation) * independent / max(sigma, 0.002) ** 2
+    gradient = sums_of_products(design.T, near * deviation) * independent / max(sigma, 0.002) ** 2
     coefficients = np.linalg.solve(information + np.diag(ridge), gradient)
     theta = np.linspace(-np.pi, np.pi, 361)[:-1]
     rho = radius + _harmonics(theta, s.order) @ coefficients[1:]

@@ -15,6 +15,7 @@ from fsinfer.errors import CloudError
 from fsinfer.trees.axis import AxisFit, axis_coordinates, harmonics
 from fsinfer.trees.cells import count_cells
 from fsinfer.trees.circle import CircleSettings, covered_bins, fit_circle
+from fsinfer.trees.products import weighted_sum
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -68,7 +69,7 @@ def fit_slice(
     offset, foot = axis_coordinates(near, fit.parameters, height)
     distance = np.hypot(offset[:, 0], offset[:, 1])
     unit = offset / np.maximum(distance, 1e-6)[:, None]
-    shape = harmonics(unit[:, 0], unit[:, 1], len(fit.shape_m)) @ fit.shape_m
+    shape = weighted_sum(fit.shape_m, harmonics(unit[:, 0], unit[:, 1], len(fit.shape_m)).T)
     residual = distance - fit.radius_m - taper * foot - shape
     reach = np.abs(residual) <= 0.12
     offset, foot, distance, residual = offset[reach], foot[reach], distance[reach], residual[reach]

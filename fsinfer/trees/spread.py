@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.trees.axis import AxisFit
+from fsinfer.trees.products import sums_of_products
 
 Floats = NDArray[np.float64]
 
@@ -73,7 +74,7 @@ def fit_spread(fit: AxisFit, offsets: Floats, foot: Floats, *, settings: SpreadS
             inflation *= (1.0 + rho) / (1.0 - rho)
     jacobian = fit.jacobian / fit.noise_m[:, None]
     weighted = jacobian * weight[:, None]
-    information = weighted.T @ jacobian
+    information = sums_of_products(weighted.T, jacobian.T)
     sums = np.stack([np.bincount(block, weights=weighted[:, k], minlength=size) for k in range(parameters)], axis=1)
     prior = np.diag(fit.prior_information)
     meat = information + inflation * tau2 * sums.T @ sums + prior
