@@ -23,8 +23,10 @@ from fsinfer.cli_options import (
     EqualizeHow,
     IntervalS,
     MaxSize,
+    MemoryGb,
     Model,
     Out,
+    Provider,
     ScaleFactor,
     Threads,
     Views,
@@ -94,6 +96,8 @@ def run(
     bh_rule: BreastHeightRule = BhRule.midpoint,
     edits: Edits = None,
     threads: Threads = 0,
+    memory_gb: MemoryGb = 3.0,
+    provider: Provider = "cpu",
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
@@ -103,12 +107,18 @@ def run(
     in model units and no DBH is measured; adding one later takes seconds.
     """
     request = scale_request(scale, aruco_length_m, aruco_dictionary, endpoints, length_m)
+    from fsinfer.fusion import FusionSettings
     from fsinfer.pipeline import RunSettings
     from fsinfer.pipeline import run as run_pipeline
+    from fsinfer.sfm import PoseSettings
 
     settings = RunSettings(
         frames=frame_settings(interval_s=interval_s, equalize=equalize),
-        depth=depth_settings(model=model, views=views, max_size=max_size, threads=threads),
+        poses=PoseSettings(threads=threads),
+        depth=depth_settings(
+            model=model, views=views, max_size=max_size, threads=threads, memory_gb=memory_gb, provider=provider
+        ),
+        fusion=FusionSettings(memory_gb=memory_gb),
         trees=tree_settings(bh_m=bh, bh_rule=bh_rule),
         scale=request,
     )

@@ -18,7 +18,14 @@ if TYPE_CHECKING:
 _SCALE = "Scale (one of)"
 
 Out = Annotated[Path, typer.Argument(help="Output folder; made if missing.", show_default=False)]
-Threads = Annotated[int, typer.Option("--threads", min=0, help="Processor cores to use; 0 = all.")]
+Threads = Annotated[int, typer.Option("--jobs", "-j", "--threads", min=0, help="Processor cores to use; 0 = all.")]
+MemoryGb = Annotated[
+    float, typer.Option("--memory-gb", min=0.5, help="Memory to stay within, in GB; less keeps less at hand.")
+]
+Provider = Annotated[
+    str,
+    typer.Option("--provider", help="Where depth is computed, with another build of onnxruntime: cuda, coreml ..."),
+]
 
 ScaleFactor = Annotated[
     float | None, typer.Option("--scale", help="Metres per unit of the cloud.", rich_help_panel=_SCALE)
@@ -123,11 +130,20 @@ def frame_settings(*, interval_s: float, equalize: Equalize) -> FrameSettings:
     return FrameSettings(interval_s=interval_s, equalize=equalize.value)
 
 
-def depth_settings(*, model: str, views: int, max_size: int, threads: int) -> DepthSettings:
+def depth_settings(
+    *, model: str, views: int, max_size: int, threads: int, memory_gb: float, provider: str
+) -> DepthSettings:
     """Settings of the depth stage; ``views`` counts the reference photograph too."""
     from fsinfer.depth import DepthSettings
 
-    return DepthSettings(model=model, source_views=views - 1, max_size_px=max_size, threads=threads)
+    return DepthSettings(
+        model=model,
+        source_views=views - 1,
+        max_size_px=max_size,
+        threads=threads,
+        memory_gb=memory_gb,
+        provider=provider,
+    )
 
 
 def tree_settings(*, bh_m: float, bh_rule: BhRule) -> TreeSettings:

@@ -23,8 +23,10 @@ from fsinfer.cli_options import (
     EqualizeHow,
     IntervalS,
     MaxSize,
+    MemoryGb,
     Model,
     Out,
+    Provider,
     ScaleFactor,
     Threads,
     Views,
@@ -77,14 +79,15 @@ def frames(
 def poses(
     images: Annotated[Path, typer.Argument(help="Folder of photos.", show_default=False)],
     out: Out,
+    threads: Threads = 0,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
     """Find where each photo was taken; writes a scene in MVSNet format and the COLMAP model."""
-    from fsinfer.poses import estimate_poses
+    from fsinfer.poses import PoseSettings, estimate_poses
 
     with stage_progress(quiet=quiet) as progress:
-        result = estimate_poses(images, out, progress=progress("poses"))
+        result = estimate_poses(images, out, settings=PoseSettings(threads=threads), progress=progress("poses"))
     warn(result.warnings)
     typer.echo(f"{result.registered} of {result.photos} photos placed; scene in {result.scene}")
 
@@ -97,11 +100,15 @@ def depth(
     views: Views = 5,
     max_size: MaxSize = 1280,
     threads: Threads = 0,
+    memory_gb: MemoryGb = 3.0,
+    provider: Provider = "cpu",
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
     """Estimate depth and confidence for every view of a scene. Run again to go on after a stop."""
-    settings = depth_settings(model=model, views=views, max_size=max_size, threads=threads)
+    settings = depth_settings(
+        model=model, views=views, max_size=max_size, threads=threads, memory_gb=memory_gb, provider=provider
+    )
     from fsinfer.depth import estimate_depth
     from fsinfer.scene import read_scene
 

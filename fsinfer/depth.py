@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import logging
 import time
 from collections import OrderedDict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,11 +20,15 @@ from fsinfer.errors import SceneError
 from fsinfer.files import make_folder, write_text
 from fsinfer.images import read_image
 from fsinfer.manifest import DEFAULT_MODEL
+from fsinfer.memory_plan import DepthPlan, plan_depth
 from fsinfer.pfm import read_pfm, write_pfm
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene, View
 
+_log = logging.getLogger(__name__)
+
 CACHED_VIEWS = 24  # feature maps of neighbours are asked for again within a few views; 1280x720 takes 11 MB each
+DEFAULT_MEMORY_GB = 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +47,8 @@ class DepthSettings:
         the planes to itself: from 0.2 m on they lie half a metre apart at 4 m. What is nearer is lost instead, so the
         bound must stay nearer than the trunks beside the path: 30 lost those within 1.5 m of the camera.
     threads: 0 uses every core.
+    memory_gb: limit of the resident memory, 1e9 bytes; fewer feature maps are kept where it is tight.
+    provider: of onnxruntime, see :mod:`fsinfer.providers`.
     """
 
     model: str = DEFAULT_MODEL
@@ -49,6 +57,8 @@ class DepthSettings:
     min_far_over_near: float = 7.0
     max_far_over_near: float = 100.0
     threads: int = 0
+    memory_gb: float = DEFAULT_MEMORY_GB
+    provider: str = "cpu"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,10 +105,12 @@ def estimate_depth(
     ------
     SceneError
         A view has no source view. ModelError, ImageError, OutputError as their names say.
+    InputError
+        A depth map takes more than ``settings.memory_gb``.
     """
     settings = settings or DepthSettings()
     started = time.monotonic()
-    model = DepthModel.load(settings.model, threads=settings.threads)
+    model = DepthModel.load(settings.model, threads=settings.threads, provider=settings.provider)
     usable = [view for view in scene.views if view.sources]
     if not usable:
         msg = f"{scene.folder / 'pair.txt'} gives no view a source view; the photos do not overlap"
@@ -106,6 +118,7 @@ def estimate_depth(
     make_folder(out / "depth")
     make_folder(out / "confidence")
     index = _resume(out, settings, model.manifest.sha256)
+    cached_views = _plan(usable, settings, model).cached_views
     threads_before = cv2.getNumThreads()
     cv2.setNumThreads(1)  # the volume is shared out over blocks of rows already
     cache: OrderedDict[str, _Loaded] = OrderedDict()
@@ -116,7 +129,7 @@ def estimate_depth(
             key = _fingerprint(view, sources)
             if index["views"].get(view.name, {}).get("key") == key and _complete(out, view.name):
                 continue
-            loaded = [_load(model, v, settings.max_size_px, cache) for v in (view, *sources)]
+            loaded = [_load(model, v, settings.max_size_px, cache, cached_views) for v in (view, *sources)]
             estimate = model.predict_from_features(
                 [item.features for item in loaded],
                 np.stack([item.intrinsic for item in loaded]),
@@ -166,7 +179,26 @@ def search_range(near: float, far: float, settings: DepthSettings, *, inverse_de
     return near, max(far, settings.min_far_over_near * near)
 
 
-def _load(model: DepthModel, view: View, max_size_px: int, cache: OrderedDict[str, _Loaded]) -> _Loaded:
+def _plan(views: Sequence[View], settings: DepthSettings, model: DepthModel) -> DepthPlan:
+    """Memory for the first photograph's size; those of a mixed capture are reduced to the same longer side."""
+    height, width = read_image(views[0].image_path).shape[:2]
+    factor = min(1.0, settings.max_size_px / max(height, width))
+    plan = plan_depth(
+        settings.memory_gb,
+        width=round(width * factor),
+        height=round(height * factor),
+        planes=model.manifest.planes,
+        groups=model.manifest.groups,
+        views=settings.source_views + 1,
+        most_cached=CACHED_VIEWS,
+    )
+    _log.info("depth takes about %.1f GB, %d feature maps are kept", plan.peak_bytes / 1e9, plan.cached_views)
+    return plan
+
+
+def _load(
+    model: DepthModel, view: View, max_size_px: int, cache: OrderedDict[str, _Loaded], cached_views: int
+) -> _Loaded:
     if view.name in cache:
         cache.move_to_end(view.name)
         return cache[view.name]
@@ -186,7 +218,7 @@ def _load(model: DepthModel, view: View, max_size_px: int, cache: OrderedDict[st
         intrinsic[1, 2] += 0.5 * scale_y - 0.5
     loaded = _Loaded(features=model.features(image), intrinsic=intrinsic, scale_x=scale_x, scale_y=scale_y)
     cache[view.name] = loaded
-    while len(cache) > CACHED_VIEWS:
+    while len(cache) > cached_views:
         cache.popitem(last=False)
     return loaded
 

@@ -94,6 +94,10 @@ class DepthMaps:
         if missing:
             _log.warning("%d of %d views have no depth map and are left out", missing, len(scene.views))
 
+    def keep(self, cache_maps: int) -> None:
+        """Keep so many maps from now on, at least two."""
+        self._cache_maps = max(2, cache_maps)
+
     def get(self, index: int) -> DepthMap:
         """Return the map of view ``index``; :class:`SceneError` where it cannot be read."""
         if index in self._cache:

@@ -19,6 +19,7 @@ from fsinfer.cloud import PointCloud
 from fsinfer.consistency import LEVELS, Tolerances, check_pair
 from fsinfer.depth_maps import DepthMap, DepthMaps
 from fsinfer.errors import CloudError
+from fsinfer.memory_plan import plan_fusion
 from fsinfer.pixel_surfaces import MAX_SLOPE, pixel_normals, smooth_pixels
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene
@@ -57,6 +58,9 @@ class FusionSettings:
         ``halo_cell`` voxels and faces the same way are the halo of far views; ``None`` keeps them.
     min_cell_pixels: points with fewer depth pixels in the 12-voxel neighbourhood are lone specks and removed.
     cache_maps: depth maps kept in memory.
+    batch_points: points merged at a time.
+    memory_gb: limit of the resident memory, 1e9 bytes; where it is tight fewer maps are kept, batches are smaller and,
+        with a warning, fewer points are kept (:func:`fsinfer.memory_plan.plan_fusion`).
     """
 
     min_confidence: float | None = None
@@ -77,6 +81,8 @@ class FusionSettings:
     halo_ratio: float | None = 3.0
     halo_cell: float = 6.0
     cache_maps: int = 40
+    batch_points: int = 1_500_000
+    memory_gb: float = 3.0
 
 
 def fuse(
@@ -102,11 +108,23 @@ def fuse(
     """
     settings = settings or FusionSettings()
     maps = DepthMaps(scene, depth_folder, cache_maps=settings.cache_maps)
+    plan = plan_fusion(
+        settings.memory_gb,
+        map_pixels=maps.get(maps.available[0]).inverse_depth.size,
+        cache_maps=settings.cache_maps,
+        max_points=settings.max_points,
+        batch_points=settings.batch_points,
+    )
+    maps.keep(plan.cache_maps)
+    if plan.max_points < settings.max_points:
+        _log.warning(
+            "%g GB of --memory-gb hold %d points; the cloud may be coarser", settings.memory_gb, plan.max_points
+        )
     min_confidence, voxel = _adapt(maps, settings)
     neighbours = find_neighbours(scene, maps.available, settings.max_sources)
     settings = replace(settings, tolerances=adapt_tolerances(maps, neighbours, min_confidence, settings))
     middle = np.mean([scene.views[i].camera.center for i in maps.available], axis=0)
-    merger = VoxelMerger(voxel, max_points=settings.max_points)
+    merger = VoxelMerger(voxel, max_points=plan.max_points, batch_points=plan.batch_points)
     for done, index in enumerate(maps.available):
         progress(done, len(maps.available), scene.views[index].name)
         samples = fuse_view(scene, maps, index, neighbours[index], min_confidence=min_confidence, settings=settings)

@@ -26,6 +26,7 @@ class ModelManifest:
     features, regularizer: ONNX file names; refiner: the same, or ``None``.
     volume: ``correlation`` or ``variance``; packed: the regularizer takes slabs of planes.
     planes: number of planes of the volume (192); inverse_depth: uniform in 1/depth.
+    groups: values of the volume at each plane and pixel: groups of the correlation, or channels of the variance.
     refine_planes, refine_span: the narrow volume at half resolution; span in plane intervals on each side.
     sha256: over the graphs' bytes, in the order features, regularizer, refiner.
     confidence_threshold: at which the parity check compares the confidence masks; fusion finds its own for each plot.
@@ -42,6 +43,7 @@ class ModelManifest:
     packed: bool
     packed_planes: int
     planes: int
+    groups: int
     inverse_depth: bool
     refine_planes: int
     refine_span: float
@@ -98,6 +100,7 @@ def read_manifest(name_or_path: str | Path) -> ModelManifest:
             packed=data["volume"]["packed_planes"] > 0,
             packed_planes=data["volume"]["packed_planes"],
             planes=data["volume"]["planes"],
+            groups=_groups(data),
             inverse_depth=data["volume"]["inverse_depth"],
             refine_planes=data["refine"]["planes"],
             refine_span=data["refine"]["span"],
@@ -121,6 +124,12 @@ def read_manifest(name_or_path: str | Path) -> ModelManifest:
         )
         raise ModelError(msg)
     return manifest
+
+
+def _groups(data: dict[str, Any]) -> int:
+    return int(
+        data["volume"]["groups"] if data["volume"]["kind"] == "correlation" else data["config"]["feature_channels"]
+    )
 
 
 def _calibration(entry: dict[str, list[float]] | None) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:

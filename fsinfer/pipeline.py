@@ -38,7 +38,7 @@ from fsinfer.trees import TreeSettings
 StageProgress = Callable[[str], Progress]
 
 # How the work is spread over the machine does not change what comes out.
-_SPEED_OPTIONS = frozenset({"threads", "jobs", "workers"})
+_SPEED_OPTIONS = frozenset({"threads", "memory_gb", "provider"})
 _STAGE_FOLDERS = ("frames", "scene", "depth", "confidence", "fused", "figures")
 
 

@@ -38,6 +38,10 @@ class Features:
         hwc = features_chw.transpose(1, 2, 0)
         return cls(groups=tuple(np.ascontiguousarray(hwc[..., i : i + 4]) for i in range(0, channels, 4)))
 
+    def to_chw(self) -> Float32:
+        """The (C, H, W) array that it was cut from."""
+        return np.ascontiguousarray(np.concatenate(self.groups, axis=-1).transpose(2, 0, 1))
+
     @property
     def shape(self) -> tuple[int, int]:
         """(H, W)."""

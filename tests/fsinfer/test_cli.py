@@ -223,3 +223,12 @@ def test_warnings_of_the_library_are_shown_once(call: Call, capsys: pytest.Captu
     warn(["3 points dropped"])
     logging.getLogger("fsinfer.cloud").info("not for people")
     assert capsys.readouterr().err == "Warning: 3 points dropped\n"
+
+
+def test_a_provider_that_is_not_there_is_the_users_error(call: Call, tmp_path: Path) -> None:
+    scene = tmp_path / "scene"
+    write_scene_folder(scene)
+    code, _, err = call("depth", scene, tmp_path / "out", "--provider", "nonsense", "--quiet")
+    assert code == 2
+    assert "no provider 'nonsense', only:" in err
+    assert "cpu" in err

@@ -1,0 +1,80 @@
+"""What depth and fusion take, and how they adapt to a limit."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+
+import pytest
+
+from fsinfer.errors import InputError
+from fsinfer.memory_plan import DepthPlan, FusionPlan, plan_depth, plan_fusion
+
+
+def _depth(memory_gb: float, width: int = 1280, height: int = 720) -> DepthPlan:
+    return plan_depth(memory_gb, width=width, height=height, planes=192, groups=4, views=5, most_cached=24)
+
+
+def _fusion(memory_gb: float) -> FusionPlan:
+    return plan_fusion(memory_gb, map_pixels=640 * 360, cache_maps=40, max_points=4_000_000, batch_points=1_500_000)
+
+
+def test_a_common_photo_has_everything_kept_in_three_gigabytes() -> None:
+    plan = _depth(3.0)
+    assert plan.cached_views == 24
+    assert 1.5e9 < plan.peak_bytes < 2.5e9
+
+
+def test_less_memory_keeps_fewer_maps_and_stays_within() -> None:
+    generous, tight = _depth(3.0), _depth(1.7)
+    assert 5 <= tight.cached_views < generous.cached_views
+    assert tight.peak_bytes <= 1.7e9
+
+
+def test_photos_that_do_not_fit_are_told_the_size_that_does() -> None:
+    with pytest.raises(InputError, match="--max-size") as error:
+        _depth(3.0, 4000, 3000)
+    found = re.search(r"--max-size (\d+)", str(error.value))
+    assert found is not None
+    size = int(found[1])
+    assert size > 1000
+    assert _depth(3.0, size, size * 3 // 4).peak_bytes <= 3e9
+    with pytest.raises(InputError, match=r"larger --memory-gb$"):
+        _depth(0.1)
+
+
+def test_fusion_shrinks_its_batches_before_it_drops_points() -> None:
+    assert _fusion(3.0) == FusionPlan(
+        cache_maps=40, batch_points=1_500_000, max_points=4_000_000, peak_bytes=_fusion(3.0).peak_bytes
+    )
+    smaller = _fusion(1.7)
+    assert smaller.batch_points < 1_500_000
+    assert smaller.max_points == 4_000_000
+    least = _fusion(0.8)
+    assert least.max_points < 4_000_000
+    for limit in (3.0, 1.7, 0.8):
+        assert _fusion(limit).peak_bytes <= limit * 1e9
+    with pytest.raises(InputError, match="too few"):
+        _fusion(0.25)
+
+
+_PROGRAM = """
+import resource, sys
+from fsinfer.depth_model import DepthModel
+from fsinfer.memory_plan import plan_depth
+from tests.bench.speed import make_views
+images, intrinsics, poses, depth_range = make_views(3, 256, 512)
+model = DepthModel.load(threads=2)
+for _ in range(2):
+    model.predict(images, intrinsics, poses, depth_range)
+plan = plan_depth(3.0, width=512, height=256, planes=192, groups=4, views=3, most_cached=3)
+print(plan.peak_bytes, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss has another unit elsewhere")
+def test_the_estimate_is_that_of_a_real_run() -> None:
+    done = subprocess.run([sys.executable, "-c", _PROGRAM], capture_output=True, text=True, check=True)
+    expected, found = (int(word) for word in done.stdout.split())
+    assert 0.7 * expected < found < 1.15 * expected
