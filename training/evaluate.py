@@ -21,6 +21,7 @@ from fsinfer.depth_model import DepthModel
 from fsinfer.errors import FsinferError, SceneError
 from fsinfer.images import read_image
 from fsinfer.scene import Scene, View
+from fsinfer.unsure_depth import settle_unsure
 from training.layouts import SPLITS, DepthsFolder, find_true_scenes
 from training.metrics import DepthErrors, PixelErrors, depth_errors, mean_errors, pixel_errors, pool, pooled_errors
 
@@ -39,7 +40,11 @@ def onnx_predictor(
     *,
     calibrate: bool = True,
 ) -> Predict:
-    """Predict with the deployed path; ``calibrate`` = False gives the network's own confidence."""
+    """Predict as :func:`fsinfer.depth.estimate_depth` does; ``calibrate`` = False gives the network's own confidence.
+
+    Without calibration unsure pixels are left alone: how sure they are is not known then.
+    """
+    settings = settings or DepthSettings()
     loaded = DepthModel.load(model, threads=threads, calibrate=calibrate)
     cv2.setNumThreads(1)
 
@@ -49,9 +54,12 @@ def onnx_predictor(
         cam_from_world: NDArray[np.float64],
         depth_range: tuple[float, float],
     ) -> tuple[Float32, Float32, int]:
-        searched = search_range(*depth_range, settings or DepthSettings(), inverse_depth=loaded.manifest.inverse_depth)
+        searched = search_range(*depth_range, settings, inverse_depth=loaded.manifest.inverse_depth)
         estimate = loaded.predict(images, intrinsics, cam_from_world, searched)
-        return estimate.depth, estimate.confidence, estimate.stride
+        depth = estimate.depth
+        if calibrate:
+            depth = settle_unsure(depth, estimate.confidence, settings=settings.unsure)
+        return depth, estimate.confidence, estimate.stride
 
     return predict
 
