@@ -26,6 +26,7 @@ from fsinfer.stages import as_json
 from fsinfer.tree_edits import find_edits
 from fsinfer.tree_labels import write_labelled
 from fsinfer.tree_outputs import write_tree_outputs
+from fsinfer.trees.sanity import TurnedCloudError
 
 if TYPE_CHECKING:
     from fsinfer.scale import Scale
@@ -134,21 +135,31 @@ def measure_cloud_file(
         cloud, points = PointCloud(xyz=thinned.xyz), thinned.total
         warnings = (*warnings, *thinned.warnings)
     photos = _own_photos(cloud_path, origin, factor)
-    result = write_tree_outputs(
-        cloud,
-        out,
+    measure = partial(
+        write_tree_outputs,
+        out=out,
         settings=settings,
         scale_rel_std=scale.rel_std if scale.rel_std is not None else origin.get("scale_rel_std"),
         metric=metric,
         camera_height=origin.get("camera_height"),
-        # A cloud that had to be scaled is not in the frame that its header names.
-        epsg=read_epsg(cloud_path) if cloud_path.suffix.lower() in (".las", ".laz") and factor == 1.0 else None,
         write_labelled=None if large is None else partial(write_labelled, large),
         edits=corrections,
         marker_xyz=None if photos is None else marker_centers(_scale_record(origin), photos.cloud_from_scene.tolist()),
         photos=photos,
         progress=progress,
     )
+    # A cloud that had to be scaled is not in the frame that its header names, nor is one that had to be turned.
+    epsg = read_epsg(cloud_path) if cloud_path.suffix.lower() in (".las", ".laz") and factor == 1.0 else None
+    try:
+        result = measure(cloud, epsg=epsg)
+    except TurnedCloudError as error:
+        if large is not None or photos is not None:
+            raise
+        turn = np.eye(4)
+        turn[:3, :3] = error.turn
+        cloud = transform_cloud(cloud, turn)
+        warnings = (*warnings, error.warning)
+        result = measure(cloud)
     result["warnings"] = [*warnings, *result["warnings"]]
     values = {key: result[key] for key in TREE_VALUES}
     values["trees_scale"] = {"m_per_unit": scale.m_per_unit, "source": scale.source, "rel_std": scale.rel_std}

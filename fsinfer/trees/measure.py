@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from fsinfer.errors import CloudError
 from fsinfer.progress import Progress, silent
 from fsinfer.trees.ground import Ground, find_ground
-from fsinfer.trees.sanity import TURNS, check_unit, check_upside_down, clean, turned_message
+from fsinfer.trees.sanity import TURNS, TurnedCloudError, check_unit, check_upside_down, clean, turned_message
 from fsinfer.trees.section import Section
 from fsinfer.trees.settings import TreeSettings
 from fsinfer.trees.stand import NEAR_GROUND_M, StandTable, seen_area, stand_table
@@ -82,7 +82,8 @@ def analyse_plot(
     model units and no DBH is given. No trees is a valid result: ``diagnosis`` says why. ``turned`` says that z is
     known to point up; without it a cloud with no measurable stem is looked at from its other sides.
 
-    Raises :class:`~fsinfer.errors.CloudError` for clouds that hold no plot (too few points, no ground, wrong unit).
+    Raises :class:`~fsinfer.errors.CloudError` for clouds that hold no plot (too few points, no ground, wrong unit), and
+    its subclass :class:`~fsinfer.trees.sanity.TurnedCloudError` for one that would be a plot if it were turned.
     """
     settings = settings or TreeSettings()
     if settings.bh_rule not in {"midpoint", "uphill"}:
@@ -142,17 +143,25 @@ def analyse_plot(
 
 def _check_turned(points: Floats, settings: TreeSettings) -> None:
     """Raise where stems stand along another axis than z: clouds of computer graphics are y up."""
-    few = points[:: max(len(points) // settings.sanity.turned_points, 1)]
+    sanity = settings.sanity
+    few = points[:: max(len(points) // sanity.turned_points, 1)]
+    seen: list[tuple[float, str, Floats]] = []
     for how, turn in TURNS:
         try:
             result = analyse_plot(few @ turn.T, settings=settings, turned=True)
         except CloudError:
             continue
-        if (
-            sum(tree.status == "ok" and (tree.dbh_cm or 0.0) <= settings.sanity.max_turned_cm for tree in result.trees)
-            >= 2
-        ):
-            raise CloudError(turned_message(how))
+        sound = sum(t.status == "ok" and (t.dbh_cm or 0.0) <= sanity.max_turned_cm for t in result.trees)
+        if sound >= sanity.turned_trees and result.ground is not None:
+            seen.append((result.ground.share * result.ground.reach, how, turn))
+    if not seen:
+        return
+    # Stems stand along their axis both ways; the ground lies at one end of them.
+    seen.sort(key=lambda item: -item[0])
+    (ground, how, turn), *others = seen
+    if others and ground < sanity.turned_ground * others[0][0]:
+        raise CloudError(turned_message(" or ".join(name for _, name, _ in seen)))
+    raise TurnedCloudError(how, turn)
 
 
 def _diagnosis(trees: list[Tree], search: StemSearch, stand: Floats, settings: TreeSettings) -> str:

@@ -27,7 +27,9 @@ class SanitySettings:
     head_ground: float = 0.5  # a plot whose ground is under less of it than this may be lying on its head
     little_ground: float = 0.33  # of the plot's box in plan: less is said
     turned_points: int = 300_000  # enough to find stems, few enough for a second a side
+    turned_trees: int = 2  # measured beyond doubt: one may be chance
     max_turned_cm: float = 100.0  # corners of a building measure as thicker trees
+    turned_ground: float = 1.5  # times more ground seen than the other way round, where both ways show stems
 
 
 #: Ways a cloud may lie: rotation matrices that turn it z up, with the words for the user.
@@ -45,6 +47,19 @@ def turned_message(how: str) -> str:
     return f"the cloud does not stand upright: {how} in it; turn it so that z points up, and measure it again"
 
 
+class TurnedCloudError(CloudError):
+    """The cloud does not stand upright, and ``turn`` (3, 3) would set it up; ``how`` says which way it lies."""
+
+    def __init__(self, how: str, turn: Floats) -> None:
+        super().__init__(turned_message(how))
+        self.how, self.turn = how, turn
+
+    @property
+    def warning(self) -> str:
+        """What to say where the cloud was turned for the user."""
+        return f"the cloud did not stand upright: {self.how} in it; it was turned, and so is the frame of all results"
+
+
 def check_upside_down(
     points: Floats, ground: Ground, settings: GroundSettings, sanity: SanitySettings, *, seed: int = 0
 ) -> None:
@@ -57,7 +72,7 @@ def check_upside_down(
     except CloudError:
         return
     if other.reach > 2.0 * ground.reach:
-        raise CloudError(turned_message("z points down"))
+        raise TurnedCloudError(*TURNS[-1])
 
 
 def coordinate_step(xyz: Floats) -> float:
