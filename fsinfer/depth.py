@@ -7,7 +7,7 @@ import logging
 import time
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from fsinfer.memory_plan import DepthPlan, plan_depth
 from fsinfer.pfm import read_pfm, write_pfm
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene, View
+from fsinfer.unsure_depth import UnsureSettings, settle_unsure
 
 _log = logging.getLogger(__name__)
 
@@ -46,6 +47,7 @@ class DepthSettings:
     max_far_over_near: the near bound is at least the far one divided by this. A leaf right before the lens would draw
         the planes to itself: from 0.2 m on they lie half a metre apart at 4 m. What is nearer is lost instead, so the
         bound must stay nearer than the trunks beside the path: 30 lost those within 1.5 m of the camera.
+    unsure: of the last step, in which unsure pixels follow their surroundings (:mod:`fsinfer.unsure_depth`).
     threads: 0 uses every core.
     memory_gb: limit of the resident memory, 1e9 bytes; fewer feature maps are kept where it is tight.
     provider: of onnxruntime, see :mod:`fsinfer.providers`.
@@ -56,6 +58,7 @@ class DepthSettings:
     max_size_px: int = 1280
     min_far_over_near: float = 7.0
     max_far_over_near: float = 100.0
+    unsure: UnsureSettings = field(default_factory=UnsureSettings)
     threads: int = 0
     memory_gb: float = DEFAULT_MEMORY_GB
     provider: str = "cpu"
@@ -138,7 +141,8 @@ def estimate_depth(
                     view.camera.depth_min, view.camera.depth_max, settings, inverse_depth=model.manifest.inverse_depth
                 ),
             )
-            write_pfm(out / "depth" / f"{view.name}.pfm", estimate.depth)
+            depth = settle_unsure(estimate.depth, estimate.confidence, settings=settings.unsure)
+            write_pfm(out / "depth" / f"{view.name}.pfm", depth)
             write_pfm(out / "confidence" / f"{view.name}.pfm", estimate.confidence)
             scale_x, scale_y = loaded[0].scale_x, loaded[0].scale_y
             index["views"][view.name] = {
@@ -232,6 +236,7 @@ def _resume(out: Path, settings: DepthSettings, model_sha256: str) -> dict[str, 
         "max_size_px": settings.max_size_px,
         "min_far_over_near": settings.min_far_over_near,
         "max_far_over_near": settings.max_far_over_near,
+        "unsure": [settings.unsure.below, settings.unsure.radius_px, settings.unsure.power],
     }
     try:
         index = read_depth_index(out)
