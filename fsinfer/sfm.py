@@ -7,6 +7,7 @@ kill goes on from the database.
 from __future__ import annotations
 
 import logging
+import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -70,6 +71,9 @@ class PoseSettings:
 # Pairs and photos handed to COLMAP at a time: large enough that its indices are built once for many pairs.
 _PHOTOS_PER_BATCH = 8
 _PAIRS_PER_BATCH = 120
+# Pairs that close loops, for each photo at most: their number must not grow with the square of the photos. At the
+# default stride of 5 this is reached with 200 photos.
+_LOOPS_PER_PHOTO = 4.0
 
 
 @contextmanager
@@ -186,11 +190,13 @@ def choose_pairs(count: int, settings: PoseSettings) -> list[tuple[int, int]]:
     """Pairs of photos (by rank of the name) to be matched, each ``first < second``, sorted.
 
     All of them for few photos; otherwise neighbours in the walk, neighbours at distances 2, 4, 8, ... and all pairs
-    among every ``loop_stride``-th photo, which close loops without a vocabulary to download.
+    among every ``loop_stride``-th photo (farther apart above 200 photos), which close loops without a vocabulary to
+    download. The number of pairs grows with n log n.
     """
     if count <= settings.exhaustive_up_to:
         return list(combinations(range(count), 2))
-    pairs = set(combinations(range(0, count, settings.loop_stride), 2))
+    stride = max(settings.loop_stride, math.ceil(math.sqrt(count / (2 * _LOOPS_PER_PHOTO))))
+    pairs = set(combinations(range(0, count, stride), 2))
     for first in range(count):
         steps = set(range(1, settings.overlap + 1)) | {2**power for power in range(count.bit_length())}
         pairs |= {(first, first + step) for step in steps if first + step < count}

@@ -212,6 +212,20 @@ def test_pairs() -> None:
     assert {second for first, second in pairs if first == second - 1} == set(range(1, 50))
 
 
+def test_pairs_grow_with_n_log_n_and_still_close_loops() -> None:
+    settings = PoseSettings()
+    counts = (50, 100, 200, 300, 600, 1200)
+    pairs = {count: choose_pairs(count, settings) for count in counts}
+    for count in counts[2:]:
+        # Twelve neighbours, a power of two further on, four loop pairs.
+        assert len(pairs[count]) <= count * (12 + np.log2(count) + 4.5)
+    for count in counts[1:]:
+        stride = max(5, int(np.ceil(np.sqrt(count / 8))))
+        last = (count - 1) // stride * stride
+        assert (0, last) in pairs[count]
+    assert {(0, 195), (5, 105)} <= set(pairs[200])
+
+
 @pytest.mark.skipif(not MONSTREE.is_dir(), reason="shared/data/monstree is not there")
 def test_phone_photos_lie_on_their_side_and_are_written_upright(tmp_path: Path) -> None:
     from fsinfer.images import is_upright_jpeg_or_png, list_images
