@@ -142,7 +142,11 @@ def _card(
     button = (
         f'<p class="viewer"><button type="button" data-cloud="{tree_id}">Show tree {tree_id} in the cloud</button></p>'
     )
-    figure = _section_figure(contents.out / "figures" / f"tree_{tree_id:03d}.png", tree_id, small=small)
+    folder = contents.out / "figures"
+    section = f"Section of tree {tree_id} at breast height, from above"
+    figure = _figure(folder / f"tree_{tree_id:03d}.png", section, small=small)
+    edges = f"Edges of tree {tree_id} at breast height, found in the photos (green)"
+    figure += _figure(folder / f"tree_{tree_id:03d}_edges.png", edges, small=small)
     return (
         f'<article class="card" id="tree-{tree_id}" data-tree="{tree_id}" aria-label="Tree {tree_id}">'
         f"{head}{pictures}{facts(_rows(tree, contents.metric))}{figure}{button}</article>"
@@ -172,10 +176,9 @@ def _rows(tree: Mapping[str, str], metric: bool) -> list[tuple[str, str]]:
     return rows
 
 
-def _section_figure(path: Path, tree_id: int, *, small: bool) -> str:
+def _figure(path: Path, caption: str, *, small: bool) -> str:
     if not path.is_file():
         return ""
-    caption = f"Section of tree {tree_id} at breast height, from above"
     try:
         image = read_image(path)
     except FsinferError as error:
