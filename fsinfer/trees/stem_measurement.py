@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from fsinfer.trees.section import Section
 from fsinfer.trees.settings import TreeSettings
 from fsinfer.trees.stem import Stem
 from fsinfer.trees.stems import StemSearch
-from fsinfer.trees.top import TopSettings, axis_path, tree_height
+from fsinfer.trees.top import TopSettings, axis_path, top_may_be_seen, tree_height
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
@@ -33,9 +34,7 @@ def measure_stems(
     slab = stand[(stand[:, 2] >= low - 0.5) & (stand[:, 2] <= high + 0.5)]
     index = PlanIndex(slab, settings.stems.index_cell_m)
     centers = np.array([stem.axis.center_at(settings.bh_m) for stem in search.stems]).reshape(-1, 2)
-    highest = float(stand[:, 2].max(initial=0.0))
-    crown_index = PlanIndex(_crowns(stand, search.stems, highest, settings.top), settings.top.index_cell_m)
-    pairs = []
+    measured = []
     for number, stem in enumerate(search.stems):
         near = index.near(centers[number], stem.axis.radius_m + 0.35)
         near, stem = _on_own_ground(near, stem, ground, settings)
@@ -50,16 +49,22 @@ def measure_stems(
         )
         if section.dbh_m is not None and 100.0 * section.dbh_m < settings.min_dbh_cm:
             continue
-        height = tree_height(
-            crown_index, stem, centers, number, section.dbh_m, highest_m=highest, settings=settings.top
-        )
+        measured.append((number, stem, section))
+    highest = float(stand[:, 2].max(initial=0.0))
+    tall = [(stem, s) for _, stem, s in measured if top_may_be_seen(stem, s.dbh_m, highest, settings=settings.top)]
+    crowns = PlanIndex(_crowns(stand, [stem for stem, _ in tall], highest, settings.top), settings.top.index_cell_m)
+    pairs = []
+    for number, stem, section in measured:
+        height = tree_height(crowns, stem, centers, number, section.dbh_m, highest_m=highest, settings=settings.top)
         z_ground = float(ground.height_at(section.center[None])[0])
         pairs.append((tree_of(section, z_ground, height, origin), section))
     return pairs
 
 
-def _crowns(stand: Floats, stems: tuple[Stem, ...], highest: float, settings: TopSettings) -> Floats:
+def _crowns(stand: Floats, stems: Sequence[Stem], highest: float, settings: TopSettings) -> Floats:
     """Points above 1 m that may belong to one of the stems."""
+    if not stems:
+        return stand[:0]
     paths = [axis_path(stem, highest, settings=settings) for stem in stems]
     starts = np.array([low for low, _ in paths]).reshape(-1, 2)
     ends = np.array([high for _, high in paths]).reshape(-1, 2)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from fsinfer.trees.cells import PlanIndex, thin
 from fsinfer.trees.stem import Stem
@@ -41,6 +42,13 @@ def axis_path(stem: Stem, highest_m: float, *, settings: TopSettings | None = No
     return start - 0.3 * slope, start + rise * slope
 
 
+def top_may_be_seen(stem: Stem, dbh_m: float | None, highest_m: float, *, settings: TopSettings | None = None) -> bool:
+    """Whether the cloud reaches so high that it may show the top of a tree of that diameter."""
+    s = settings or TopSettings()
+    diameter = dbh_m if dbh_m is not None else 2.0 * stem.axis.radius_m
+    return highest_m >= max(s.min_height_m, s.min_slenderness * diameter)
+
+
 def tree_height(
     stand: PlanIndex,
     stem: Stem,
@@ -57,6 +65,8 @@ def tree_height(
     are left to that one.
     """
     s = settings or TopSettings()
+    if not top_may_be_seen(stem, dbh_m, highest_m, settings=s):
+        return None
     start = stem.axis.center_at(1.3)
     slope = stem.axis.parameters[2:4] * s.lean_share
     # All that lies within the crown's radius of the continued axis and within reach, found by one disc about both.
@@ -68,9 +78,12 @@ def tree_height(
     near = thin(near, s.cell_m)
     if len(near) < 20:
         return None
-    if len(centers) > 1:
-        squared = ((near[:, None, :2] - centers[None]) ** 2).sum(axis=2)
-        near = near[np.argmin(squared, axis=1) == number]
+    own = centers[number]
+    apart = np.hypot(centers[:, 0] - own[0], centers[:, 1] - own[1])
+    rivals = centers[(apart > 0.0) & (apart <= 2.0 * (s.reach_m + s.crown_radius_m))]
+    if len(rivals):
+        nearest = cKDTree(rivals).query(near[:, :2])[0]
+        near = near[np.hypot(near[:, 0] - own[0], near[:, 1] - own[1]) <= nearest]
     layer = np.floor((near[:, 2] - 1.0) / s.layer_m).astype(np.int64)
     if len(layer) == 0:
         return None
