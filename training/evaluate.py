@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -186,11 +187,19 @@ def main(arguments: list[str] | None = None) -> int:
         default=DepthSettings().max_far_over_near,
         help="as in fsinfer depth; inf keeps the camera files' near bound",
     )
+    unsure = DepthSettings().unsure
+    parser.add_argument("--unsure-below", type=float, default=unsure.below, help="0 leaves unsure pixels alone (ONNX)")
+    parser.add_argument("--unsure-radius-px", type=int, default=unsure.radius_px)
+    parser.add_argument("--unsure-power", type=float, default=unsure.power)
     parser.add_argument("--confidence", action="store_true", help="print how the error falls with the confidence")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     args = parser.parse_args(arguments)
     try:
-        settings = DepthSettings(min_far_over_near=args.min_far_over_near, max_far_over_near=args.max_far_over_near)
+        settings = DepthSettings(
+            min_far_over_near=args.min_far_over_near,
+            max_far_over_near=args.max_far_over_near,
+            unsure=replace(unsure, below=args.unsure_below, radius_px=args.unsure_radius_px, power=args.unsure_power),
+        )
         predict = (
             torch_predictor(args.checkpoint, settings)
             if args.checkpoint
