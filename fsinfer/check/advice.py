@@ -16,6 +16,8 @@ from fsinfer.scale import Scale
 _PLACE_DEG = 20.0
 # A board is measured well from so many photos with sides of so many pixels: 0.07 px of every edge is 0.35 % of 40.
 _BOARD_VIEWS, _BOARD_SIDE_PX = 5, 40.0
+# Photos missing beyond this share are a part of the walk, not a few blurred ones.
+_TORN_SHARE = 0.15
 
 
 def advice(
@@ -35,6 +37,11 @@ def advice(
     offsets_m: for each stem, (P, 2) plan positions of the placed photos from it.
     """
     lines = _gaps_of_the_walk(given, set(left_out))
+    if len(left_out) > _TORN_SHARE * len(given):
+        lines.append(
+            f"{len(left_out)} of {len(given)} photos are missing so: mend the walk first and check again. The trees are "
+            "judged without them, and some may be named that they saw."
+        )
     for entry, offsets in zip(stems, offsets_m, strict=True):
         if entry.verdict == "one side":
             side = compass.side(entry.gap_center_deg)

@@ -213,6 +213,15 @@ def test_photos_that_did_not_join_are_told_by_stretches() -> None:
     )
     assert lines[0].startswith("Photos p2 to p4 (3) did not join the others: walk this stretch again")
     assert lines[1].startswith("Photo p8 did not join")
+    assert lines[2].startswith("4 of 10 photos are missing so: mend the walk first")
+
+
+def test_a_few_lost_photos_are_no_torn_walk() -> None:
+    given = [f"p{index:02}" for index in range(40)]
+    compass = find_compass(np.array([[0.0, -1], [0, 1]]), {})
+    lines = advice(names=[], left_out=given[7:11], given=given, stems=[], compass=compass, offsets_m=[])
+    assert len(lines) == 1
+    assert lines[0].startswith("Photos p07 to p10 (4) did not join")
 
 
 def test_boards_seen_too_seldom_or_from_far() -> None:
