@@ -110,6 +110,7 @@ def run(
     from fsinfer.fusion import FusionSettings
     from fsinfer.pipeline import RunSettings
     from fsinfer.pipeline import run as run_pipeline
+    from fsinfer.remaining import RemainingTime
     from fsinfer.sfm import PoseSettings
 
     settings = RunSettings(
@@ -122,7 +123,7 @@ def run(
         trees=tree_settings(bh_m=bh, bh_rule=bh_rule),
         scale=request,
     )
-    with stage_progress(quiet=quiet) as progress:
+    with stage_progress(quiet=quiet, whole=RemainingTime()) as progress:
         result = run_pipeline(source, out, settings=settings, edits=edits, progress=progress)
     plot = result.plot
     warn(plot["warnings"])

@@ -16,6 +16,7 @@ import typer
 
 from fsinfer.errors import FsinferError
 from fsinfer.progress import Progress, silent
+from fsinfer.remaining import RemainingTime, as_words
 
 EXIT_OUR_FAULT = 1
 EXIT_USER_ERROR = 2
@@ -98,10 +99,11 @@ def show_library_warnings() -> None:
 
 
 @contextmanager
-def stage_progress(*, quiet: bool) -> Iterator[Callable[[str], Progress]]:
+def stage_progress(*, quiet: bool, whole: RemainingTime | None = None) -> Iterator[Callable[[str], Progress]]:
     """Yield a function that gives each stage, by its name, its progress callback.
 
     On a terminal each stage is a bar with the remaining time; otherwise one line when it begins and one when it ends.
+    With ``whole`` both say how long the whole run will still take.
     """
     if quiet:
         yield lambda _stage: silent
@@ -120,30 +122,39 @@ def stage_progress(*, quiet: bool) -> Iterator[Callable[[str], Progress]]:
             TextColumn("{task.description}"),
         )
         with Bars(*columns, console=Console(stderr=True)) as bars:
-            yield lambda stage: _bar(bars.add_task("", stage=stage, total=None), bars.update)
+            yield lambda stage: _bar(stage, bars.add_task("", stage=stage, total=None), bars.update, whole)
     else:
-        yield _lines
+        yield lambda stage: _lines(stage, whole)
 
 
-def _bar(task: object, update: Callable[..., None]) -> Progress:
+def _bar(stage: str, task: object, update: Callable[..., None], whole: RemainingTime | None) -> Progress:
     def report(done: int, total: int, what: str) -> None:
         # A stage with several passes shows the bar of the pass it is in.
-        update(task, completed=done, total=total, description=what)
+        update(task, completed=done, total=total, description=what + _left(whole, stage, done, total, what))
 
     return report
 
 
-def _lines(stage: str) -> Progress:
+def _lines(stage: str, whole: RemainingTime | None) -> Progress:
     start = time.monotonic()
     say(f"{stage} ...")
     finished: set[str] = set()
 
     def report(done: int, total: int, what: str) -> None:
+        left = _left(whole, stage, done, total, what)
         if done >= total and what not in finished:
             finished.add(what)
-            say(f"{stage}: {done}/{total} {what} ({time.monotonic() - start:.0f} s)")
+            say(f"{stage}: {done}/{total} {what} ({time.monotonic() - start:.0f} s){left}")
 
     return report
+
+
+def _left(whole: RemainingTime | None, stage: str, done: int, total: int, what: str) -> str:
+    if whole is None:
+        return ""
+    whole.update(stage, done, total, what)
+    seconds = whole.seconds()
+    return "" if seconds is None or seconds < 1 else f", about {as_words(seconds)} left in all"
 
 
 def _one_line(error: Exception) -> str:

@@ -1,0 +1,100 @@
+"""The remaining time, held against recorded runs replayed on a clock of our own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from fsinfer.remaining import RemainingTime, as_words
+
+# Seconds of the stages of whole runs on rendered plots (plot.json), and how poses split on the first of them
+# (python -m tests.bench.poses PLOT --photos 100).
+RUNS = {
+    "open": (200, {"frames": 10.9, "poses": 1426.6, "depth": 550.2, "fuse": 43.5, "scale": 10.1, "cloud": 6.1}),
+    "sloped": (200, {"frames": 3.0, "poses": 768.9, "depth": 317.6, "fuse": 42.3, "scale": 5.6, "cloud": 5.2}),
+    "test": (130, {"frames": 1.6, "poses": 674.1, "depth": 275.2, "fuse": 26.7, "scale": 7.8, "cloud": 4.2}),
+}
+LATER = {"trees": 22.0, "report": 5.0}
+POSES = {
+    "reading photos": 0.005,
+    "finding features": 0.268,
+    "matching photos": 0.572,
+    "placing photos": 0.104,
+    "adjusting": 0.038,
+    "undistorting": 0.013,
+}
+
+
+class Clock:
+    """Seconds that pass when told to."""
+
+    now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def _replay(name: str, clock: Clock, remaining: RemainingTime, speed: float) -> Iterator[float]:
+    """Feed the run to ``remaining``; yields the seconds really left at each report."""
+    photos, stages = RUNS[name]
+    steps: list[tuple[str, str, float]] = []
+    for stage, seconds in {**stages, **LATER}.items():
+        if stage == "poses":
+            steps += [(stage, what, share * seconds * speed) for what, share in POSES.items()]
+        else:
+            steps.append((stage, stage, seconds * speed))
+    end = clock.now + sum(seconds for _, _, seconds in steps)
+    for stage, what, seconds in steps:
+        total = 18 * photos if what == "matching photos" else photos
+        for done in range(0, total + 1, max(1, total // 40)):
+            remaining.update(stage, done, total, what)
+            yield end - clock.now
+            clock.now += seconds / len(range(0, total + 1, max(1, total // 40)))
+
+
+@pytest.mark.parametrize("name", RUNS)
+@pytest.mark.parametrize("speed", [0.4, 1.0, 3.0])
+def test_after_the_first_tenth_it_is_right_within_30_percent(name: str, speed: float) -> None:
+    clock = Clock()
+    remaining = RemainingTime(clock=clock)
+    begin = clock.now
+    checked = 0
+    for left in _replay(name, clock, remaining, speed):
+        whole = left + clock.now - begin
+        # In the last tenth what is left is a few seconds, of which nobody asks a third.
+        if 0.1 * whole <= clock.now - begin <= 0.9 * whole:
+            told = remaining.seconds()
+            assert told is not None
+            assert abs(told / left - 1) < 0.3, (clock.now - begin, told, left)
+            checked += 1
+    assert checked > 50
+    assert remaining.seconds() == pytest.approx(0.0, abs=0.01 * (clock.now - begin))
+
+
+def test_steps_done_in_an_earlier_run_do_not_count() -> None:
+    clock = Clock()
+    remaining = RemainingTime(clock=clock)
+    for done in range(51):
+        remaining.update("depth", done, 100, f"depth of {done}")
+        clock.now += 1.0
+    # Half of depth took 51 s; as much again, and a little for what follows, is left.
+    left = remaining.seconds()
+    assert left is not None
+    assert 50 < left < 110
+
+
+def test_nothing_is_told_before_there_is_anything_to_tell_it_from() -> None:
+    clock = Clock()
+    remaining = RemainingTime(clock=clock)
+    assert remaining.seconds() is None
+    remaining.update("frames", 0, 100, "judging photos")
+    clock.now += 1
+    assert remaining.seconds() is None
+    remaining.update("unheard of", 5, 10, "anything")
+    assert remaining.seconds() is None
+
+
+@pytest.mark.parametrize(("seconds", "words"), [(2, "5 s"), (41, "40 s"), (700, "12 min"), (6600, "1 h 50 min")])
+def test_words(seconds: float, words: str) -> None:
+    assert as_words(seconds) == words
