@@ -39,7 +39,7 @@ def advice(
     lines = _gaps_of_the_walk(given, set(left_out))
     if len(left_out) > _TORN_SHARE * len(given):
         lines.append(
-            f"{len(left_out)} of {len(given)} photos are missing so: mend the walk first and check again. The trees are "
+            f"{len(left_out)} of {len(given)} photos are missing so: mend the walk first, check again. The trees are "
             "judged without them, and some may be named that they saw."
         )
     for entry, offsets in zip(stems, offsets_m, strict=True):
