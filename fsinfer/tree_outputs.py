@@ -91,6 +91,7 @@ def write_tree_outputs(
     )
     if marker_xyz is not None and metric:
         result = without_posts(result, marker_xyz)
+    found = set(result.trees)
     if edits:
         from fsinfer.tree_edits import apply_edits
 
@@ -108,6 +109,7 @@ def write_tree_outputs(
             scale_rel_std=scale_rel_std or 0.0,
             dbh=settings.dbh,
             figures=out / "figures",
+            kept={tree.tree_id for tree in result.trees if tree not in found},  # by hand: a person knows better
             progress=progress,
         )
         write_sources(out / "dbh_sources.csv", result)

@@ -313,3 +313,23 @@ def test_sources_of_a_diameter_are_written(photos: StemPhotos, tmp_path: Path) -
     assert float(row["points_cm"]) == 34.0
     assert float(row["edges_cm"]) == pytest.approx(200 * RADIUS, abs=0.3)
     assert (row["photos"], row["points_used"]) == (str(PHOTOS), "no")
+
+
+def test_a_doubtful_stem_that_many_photographs_do_not_show_is_a_shrub(photos: StemPhotos, tmp_path: Path) -> None:
+    rng = np.random.default_rng(8)
+    for view in photos.scene.views:
+        write_image(tmp_path / f"{view.name}.png", rng.integers(60, 180, (HEIGHT, WIDTH, 3), dtype=np.uint8))
+    noise = tuple(replace(view, image_path=tmp_path / f"{view.name}.png") for view in photos.scene.views)
+    shrub = replace(photos, scene=replace(photos.scene, views=noise))
+    few = SilhouetteJoinSettings(shrub_photos=PHOTOS)
+    doubtful = plot_of(section_of(None, 0.02, "surface too rough: residual 2.8 cm"))
+    gone = measure_silhouettes(doubtful, shrub, settings=few)
+    assert gone.trees == gone.sections == ()
+    assert gone.diagnosis.startswith("no trees found")
+    assert "(0.3, -0.2)" in gone.warnings[-1]
+    # One photograph too few, a sound stem of the cloud, or a person who said so: it stays.
+    assert len(measure_silhouettes(doubtful, shrub).trees) == 1
+    assert len(measure_silhouettes(plot_of(section_of(0.28, 0.004)), shrub, settings=few).trees) == 1
+    assert len(measure_silhouettes(doubtful, shrub, settings=few, kept={1}).trees) == 1
+    # And a stem that the photographs do show stays too.
+    assert len(measure_silhouettes(doubtful, photos, settings=few).trees) == 1
