@@ -183,11 +183,15 @@ def judge_scene(
     notes += marker_lines(boards, given=settings.scale.given or scale.m_per_unit is not None)
     within = [entry for entry in judged if entry.inside]
     good = sum(entry.verdict in ("good", "far") for entry in within)
-    notes.append(
-        f"{len(within)} stems within your walk, {good} of them seen all round; {len(judged) - len(within)} outside."
-    )
-    if not judged:
-        notes.append("No stem was found in the sparse points: trees cannot be judged.")
+    if judged:
+        notes.append(
+            f"{len(within)} stems within your walk, {good} of them seen all round; {len(judged) - len(within)} outside."
+        )
+    else:
+        notes.append(
+            "No stem was found in the points that photos share, so that trees cannot be judged: are the stems in the "
+            "pictures from the ground up to 2.6 m, and the ground at their feet?"
+        )
     return CheckResult(
         photos=len(given),
         registered=len(names),

@@ -256,7 +256,7 @@ def test_the_command_uses_the_scene_that_is_there(tmp_path: Path, capsys: pytest
     settings = CheckSettings(poses=PoseSettings(max_features=1500))
     result = check_capture(folder, tmp_path / "out", settings=settings)
     assert (result.registered, result.stems) == (8, ())
-    assert "No stem was found in the sparse points: trees cannot be judged." in result.notes
+    assert any(note.startswith("No stem was found") for note in result.notes)
     record = json.loads((tmp_path / "out" / "check" / "check.json").read_text(encoding="utf-8"))
     assert record["registered"] == 8
     assert (tmp_path / "out" / "check" / "check.png").is_file()
