@@ -30,6 +30,7 @@ from training.synthesize.stem_cloud import KINDS, CloudSpec, StemCloud, simulate
 
 Floats = NDArray[np.float64]
 MAX_DISTANCE_M = 0.3
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 GRID = tuple(
     {"n_points": n, "h_range": h, "section_width": w, "vert_threshold": v}
     for n in (200, 1000)
@@ -70,15 +71,18 @@ json.dump(answers, open(result, "w"))
 """
 
 
-def dendromatics(python: Path, points: Floats, settings: list[dict[str, float]]) -> list[dict[str, Any]]:
-    """Trees (x_m, y_m, dbh_cm; 0 = none), seconds and error of each setting."""
+def dendromatics(
+    python: Path, points: Floats, settings: list[dict[str, float]], threads: int = 0
+) -> list[dict[str, Any]]:
+    """Trees (x_m, y_m, dbh_cm; 0 = none), seconds and error of each setting; ``threads`` 0: as many as it likes."""
     with tempfile.TemporaryDirectory() as folder:
         data, result = Path(folder) / "cloud.npy", Path(folder) / "trees.json"
         np.save(data, points)
         command = [str(python), "-W", "ignore", "-c", WORKER, str(data), str(result), json.dumps(settings)]
-        threads = {"OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"}
-        free = {name: value for name, value in os.environ.items() if name not in threads}
-        subprocess.run(command, check=True, capture_output=True, env=free)
+        environment = {name: value for name, value in os.environ.items() if name not in THREADS}
+        if threads:
+            environment |= dict.fromkeys(THREADS, str(threads))
+        subprocess.run(command, check=True, capture_output=True, env=environment)
         return list(json.loads(result.read_text(encoding="utf-8")))
 
 
@@ -90,11 +94,13 @@ def ours(points: Floats) -> dict[str, Any]:
     return {"trees": trees, "seconds": time.process_time() - start, "wall": time.perf_counter() - wall, "error": ""}
 
 
-def in_turn(python: Path, points: Floats, setting: dict[str, float], repeats: int) -> dict[str, dict[str, Any]]:
+def in_turn(
+    python: Path, points: Floats, setting: dict[str, float], repeats: int, threads: int
+) -> dict[str, dict[str, Any]]:
     """Both on the same points, run by run in turn: the last answer of each, with the medians of its times."""
     answers: dict[str, list[dict[str, Any]]] = {"dendromatics": [], "fsinfer": []}
     for _ in range(repeats):
-        answers["dendromatics"].append(dendromatics(python, points, [setting])[0])
+        answers["dendromatics"].append(dendromatics(python, points, [setting], threads)[0])
         answers["fsinfer"].append(ours(points))
     return {
         name: {**runs[-1], **{key: float(np.median([run[key] for run in runs])) for key in ("seconds", "wall")}}
@@ -125,6 +131,19 @@ def line(name: str, rows: list[tuple[int, int, int, list[float]]], seconds: floa
     )
 
 
+def tuned(python: Path, kind: str, seed: int) -> dict[str, float]:
+    """The setting of the grid that does best on one simulated plot."""
+    tuning = simulate(seed, CloudSpec(kind=kind))
+    setting, best_score = dict(GRID[0]), (-1.0, 0, 0.0)
+    for tried, answer in zip(GRID, dendromatics(python, tuning.points, list(GRID)), strict=True):
+        _, found, false, errors = compare(tuning, answer["trees"])
+        rmse = float(np.sqrt(np.mean(np.square(errors)))) if errors else 99.0
+        score = (float(found - false), len(errors), -rmse)
+        if score > best_score:
+            setting, best_score = dict(tried), score
+    return setting
+
+
 def faster(theirs: dict[str, Any], mine: dict[str, Any]) -> str:
     """How many times less time fsinfer took."""
     return (
@@ -141,19 +160,25 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--plots", type=int, default=4)
     parser.add_argument("--first-seed", type=int, default=2000)
     parser.add_argument("--repeats", type=int, default=3, help="runs of each, in turn, of which the median time counts")
+    parser.add_argument(
+        "--setting", type=int, choices=range(len(GRID)), help="this setting of the grid, without tuning"
+    )
+    parser.add_argument("--threads", type=int, default=0, help="of dendromatics; 0: as many as it likes")
     parser.add_argument("--cloud", type=Path, help="a cloud file instead of simulated plots")
     args = parser.parse_args(argv)
     if args.cloud:
         points = read_cloud(args.cloud).xyz
         points = points - np.floor(points.min(axis=0))
-        settings = [*GRID]
-        tried = dendromatics(args.python, points, settings)
-        for setting, answer in zip(settings, tried, strict=True):
-            measured = sum(t[2] > 0 for t in answer["trees"])
-            print(setting, len(answer["trees"]), "trees,", measured, "with DBH", answer["error"])
-        best = max(range(len(settings)), key=lambda k: sum(t[2] > 0 for t in tried[k]["trees"]))
+        settings = [*GRID] if args.setting is None else [GRID[args.setting]]
+        best = 0
+        if len(settings) > 1:
+            tried = dendromatics(args.python, points, settings)
+            for setting, answer in zip(settings, tried, strict=True):
+                measured = sum(t[2] > 0 for t in answer["trees"])
+                print(setting, len(answer["trees"]), "trees,", measured, "with DBH", answer["error"])
+            best = max(range(len(settings)), key=lambda k: sum(t[2] > 0 for t in tried[k]["trees"]))
         print(f"{args.cloud}, {len(points)} points: timed with {settings[best]}")
-        both = in_turn(args.python, points, settings[best], args.repeats)
+        both = in_turn(args.python, points, settings[best], args.repeats, args.threads)
         for name, answer in both.items():
             measured = sum(t[2] > 0 for t in answer["trees"])
             print(
@@ -162,22 +187,15 @@ def main(argv: list[str] | None = None) -> int:
             )
         print(faster(both["dendromatics"], both["fsinfer"]))
         return 0
-    tuning = simulate(args.first_seed - 1, CloudSpec(kind=args.kind))
-    setting, best_score = dict(GRID[0]), (-1.0, 0, 0.0)
-    for tried_setting, answer in zip(GRID, dendromatics(args.python, tuning.points, list(GRID)), strict=True):
-        _, found, false, errors = compare(tuning, answer["trees"])
-        rmse = float(np.sqrt(np.mean(np.square(errors)))) if errors else 99.0
-        score = (float(found - false), len(errors), -rmse)
-        if score > best_score:
-            setting, best_score = dict(tried_setting), score
-    print(f"{args.kind}: tuned on seed {args.first_seed - 1}: {setting}, found - false {best_score[0]:.0f}")
+    setting = tuned(args.python, args.kind, args.first_seed - 1) if args.setting is None else GRID[args.setting]
+    print(f"{args.kind}: {setting}")
     rows: dict[str, list[tuple[int, int, int, list[float]]]] = {"dendromatics": [], "fsinfer": []}
     times = {name: {"seconds": 0.0, "wall": 0.0} for name in rows}
     points_total = 0
     for seed in range(args.first_seed, args.first_seed + args.plots):
         cloud = simulate(seed, CloudSpec(kind=args.kind))
         points_total += len(cloud.points)
-        for name, answer in in_turn(args.python, cloud.points, setting, args.repeats).items():
+        for name, answer in in_turn(args.python, cloud.points, setting, args.repeats, args.threads).items():
             if answer["error"]:
                 print(f"  seed {seed}: {name}: {answer['error']}", file=sys.stderr)
             rows[name].append(compare(cloud, answer["trees"]))
