@@ -1,7 +1,7 @@
 """Products of a few long rows, kept to one thread.
 
 From some ten thousand multiplications on BLAS wakes all its threads, which wait for each other longer than the product
-takes: on two cores the measurement of a plot cost 2.5 times the processor time. Blocks below that limit do not.
+takes; on two cores the processor was busy more than twice as long. Blocks below that limit do not.
 """
 
 from __future__ import annotations
