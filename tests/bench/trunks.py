@@ -3,6 +3,8 @@
 TRUNKS holds MVSNet scenes (``T01`` …), each with ``mask.png`` of the trunk in view 0, and ``dbh.csv`` (scene, dbh_cm).
 For every pair: the depth map of view 0 through ``fsinfer depth``, then, in five sections of the trunk, a circle
 through the points of the visible arc and tangent to the two rays that touch the trunk's sides; their median counts.
+The mask says where the trunk is, the photograph where it ends: the sides are the strongest edges near the mask's
+border.
 Beside it stands the median difference between the depth map and points triangulated from SIFT matches in the mask.
 """
 
@@ -15,6 +17,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import least_squares
 
 from fsinfer.depth import DepthSettings, estimate_depth
@@ -29,28 +32,53 @@ MATCH_RATIO = 0.75  # Lowe's ratio test, both ways
 MATCH_ERROR_PX = 1.0
 POINT_SIGMA_M = 0.01
 EDGE_SIGMA_M = 0.002
+SEARCH_PX = 5.0  # how far from the mask's border the photograph's edge may be
+EDGE_BLUR_PX = 1.0
+
+
+def band_rows(mask: NDArray[np.bool_], band: tuple[float, float]) -> list[tuple[int, NDArray[np.intp]]]:
+    """Rows of the band, each with the mask's columns."""
+    rows = np.flatnonzero(mask.any(axis=1))
+    first, last = (int(rows[0] + share * (rows[-1] - rows[0])) for share in band)
+    found = [(v, np.flatnonzero(mask[v])) for v in range(first, last + 1)]
+    # Where the mask reaches a side of the picture that silhouette is not real.
+    return [(v, c) for v, c in found if len(c) >= 8 and c[0] > 0 and c[-1] < mask.shape[1] - 1]
+
+
+def silhouette_rays(
+    image: NDArray[np.uint8], intrinsic: NDArray[np.float64], mask: NDArray[np.bool_], band: tuple[float, float]
+) -> list[NDArray[np.float64]]:
+    """Directions (M, 2) in x, z of the rays along the left and the right edge of the trunk in the photograph.
+
+    Colours are averaged along the mask's border; the strongest change across it within ``SEARCH_PX`` is the edge.
+    """
+    inverse = np.linalg.inv(intrinsic)
+    steps = np.arange(-SEARCH_PX - 4, SEARCH_PX + 4.01, 0.25)
+    sides = []
+    for end, outward in ((0, -1.0), (-1, 1.0)):
+        border = np.array([(columns[end] + 0.5 * outward, v) for v, columns in band_rows(mask, band)])
+        x = (border[:, :1] + outward * steps).astype(np.float32)
+        y = np.broadcast_to(border[:, 1:], x.shape).astype(np.float32)
+        strips = cv2.remap(image.astype(np.float32), x, np.ascontiguousarray(y), cv2.INTER_LINEAR)
+        change = gaussian_filter1d(strips.mean(axis=0), EDGE_BLUR_PX / 0.25, axis=0, order=1)
+        strength = np.where(np.abs(steps) <= SEARCH_PX, np.linalg.norm(change, axis=1), 0.0)
+        edge = border + np.array([outward * steps[strength.argmax()], 0.0])
+        sides.append((np.column_stack([edge, np.ones(len(edge))]) @ inverse.T)[:, [0, 2]])
+    return sides
 
 
 def trunk_points(
     depth: NDArray[np.float32], intrinsic: NDArray[np.float64], mask: NDArray[np.bool_], band: tuple[float, float]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Points (N, 3) of the band, and directions (M, 2) in x, z of the rays along its left and right silhouette."""
-    rows = np.flatnonzero(mask.any(axis=1))
-    first, last = (int(rows[0] + share * (rows[-1] - rows[0])) for share in band)
-    points, left, right = [], [], []
+) -> NDArray[np.float64]:
+    """Points (N, 3) of the band, metres in the camera's frame."""
+    points = []
     inverse = np.linalg.inv(intrinsic)
-    for v in range(first, last + 1):
-        columns = np.flatnonzero(mask[v])
-        # Where the mask reaches a side of the picture that silhouette is not real.
-        if len(columns) < 8 or columns[0] == 0 or columns[-1] == mask.shape[1] - 1:
-            continue
+    for v, columns in band_rows(mask, band):
         margin = EDGE_SHARE * (columns[-1] - columns[0])
         inner = columns[(columns > columns[0] + margin) & (columns < columns[-1] - margin)]
         pixels = np.stack([inner, np.full(len(inner), v), np.ones(len(inner))])
         points.append((inverse @ pixels).T * depth[v, inner, None])
-        for edge, rays in ((columns[0] - 0.5, left), (columns[-1] + 0.5, right)):
-            rays.append((inverse @ np.array([edge, v, 1.0]))[[0, 2]])
-    return np.concatenate(points), np.array(left), np.array(right)
+    return np.concatenate(points)
 
 
 def fit_arc(
@@ -128,7 +156,12 @@ def main(argv: list[str] | None = None) -> int:
             )
         )
         small = mask[np.ix_(np.clip(v, 0, mask.shape[0] - 1), np.clip(u, 0, mask.shape[1] - 1))]
-        bands = [200 * fit_arc(*trunk_points(depth, found.intrinsic, small, band))[1] for band in BANDS]
+        view = scene.views[0]
+        photo = read_image(view.image_path)
+        bands = []
+        for band in BANDS:
+            left, right = silhouette_rays(photo, view.camera.intrinsic, mask, band)
+            bands.append(200 * fit_arc(trunk_points(depth, found.intrinsic, small, band), left, right)[1])
         dbh_cm = float(np.median(bands))
         errors.append(dbh_cm - expected)
         distance = float(np.median(depth[small]))
