@@ -1,4 +1,4 @@
-"""Pixels of a depth map whose depth is rather wrong than right take over what the surer pixels round them say.
+"""Pixels of a depth map whose depth is most likely wrong take over what the surer pixels round them say.
 
 The weighted median of the inverse depths in a window, weighted by a power of the confidence (Ma et al. 2013, constant
 time weighted median filtering for stereo, use the same filter with colour weights, which brought nothing here). A
@@ -20,7 +20,7 @@ Float32 = NDArray[np.float32]
 class UnsureSettings:
     """Constants of :func:`settle_unsure`; what was compared stands in models/README.md."""
 
-    below: float = 0.5  # confidence: even odds
+    below: float = 0.35  # confidence; at 0.5 leaves lose more than walls gain
     radius_px: int = 3
     power: float = 4.0  # of the confidence
     least_weight: float = 1e-3  # where nobody is sure a plain median is left
