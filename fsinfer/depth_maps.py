@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import SceneError
 from fsinfer.pfm import read_pfm
-from fsinfer.scene import Scene
+from fsinfer.scene import Camera, Scene, project
 
 _log = logging.getLogger(__name__)
 
@@ -62,6 +62,32 @@ class DepthMap:
     def center(self) -> NDArray[np.float64]:
         """(3,) camera centre in world coordinates."""
         return np.asarray(-self.cam_from_world[:3, :3].T @ self.cam_from_world[:3, 3])
+
+
+def seen_and_hidden(
+    points: NDArray[np.float64],
+    tolerance: NDArray[np.float64],
+    camera: Camera,
+    depth_map: DepthMap,
+    *,
+    units_per_scene_unit: float = 1.0,
+) -> tuple[float, float]:
+    """Shares of points (N, 3) that the depth map shows where they are, and that something nearer hides.
+
+    ``tolerance`` (N,) is how far map and point may differ in z depth. Points, tolerance and the camera's pose are in
+    one unit; ``units_per_scene_unit`` of it make one of the depth map's. Points outside of the picture are neither.
+    """
+    pixels, depth = project(points, camera, depth_map.intrinsic)
+    cell = np.rint(np.where(depth[:, None] > 0, pixels, -1.0)).astype(np.int64)
+    rows, columns = depth_map.inverse_depth.shape
+    inside = (cell >= 0).all(axis=1) & (cell[:, 0] < columns) & (cell[:, 1] < rows)
+    inverse = np.zeros(len(depth))
+    inverse[inside] = depth_map.inverse_depth[cell[inside, 1], cell[inside, 0]]
+    known = inverse > 0
+    found = np.divide(units_per_scene_unit, inverse, out=np.zeros_like(inverse), where=known)
+    seen = known & (np.abs(found - depth) <= tolerance)
+    hidden = known & (found < depth - tolerance)
+    return float(seen.mean()), float(hidden.mean())
 
 
 class DepthMaps:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from fsinfer.depth_maps import DepthMap, DepthMaps
+from fsinfer.depth_maps import DepthMap, DepthMaps, seen_and_hidden
 from fsinfer.images import read_image
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Camera, Scene, project
@@ -190,18 +190,10 @@ def _unhidden(stem: StemAxis, camera: Camera, depth_map: DepthMap, metres: float
     height, side = np.meshgrid(np.linspace(-s.half_length_m, s.half_length_m, 9), np.linspace(-0.6, 0.6, 5))
     height, side = height.reshape(-1, 1), side.reshape(-1, 1)
     surface = stem.radius_m * (side * right + np.sqrt(1.0 - side**2) * towards)
-    pixels, depth = project(stem.breast + height * stem.along + surface, camera, depth_map.intrinsic)
-    cell = np.rint(pixels).astype(np.int64)
-    rows, columns = depth_map.inverse_depth.shape
-    inside = (cell >= 0).all(axis=1) & (cell[:, 0] < columns) & (cell[:, 1] < rows) & (depth > 0)
-    inverse = np.zeros(len(depth))
-    inverse[inside] = depth_map.inverse_depth[cell[inside, 1], cell[inside, 0]]
-    known = inverse > 0
-    found = np.divide(metres, inverse, out=np.zeros_like(inverse), where=known)
-    tolerance = np.maximum(stem.radius_m, s.tolerance_of_depth * depth)
-    seen = known & (np.abs(found - depth) <= tolerance)
-    hidden = known & (found < depth - tolerance)
-    return float(seen.mean()) >= s.min_seen and float(hidden.mean()) <= s.max_hidden
+    points = stem.breast + height * stem.along + surface
+    tolerance = np.maximum(stem.radius_m, s.tolerance_of_depth * project(points, camera)[1])
+    seen, hidden = seen_and_hidden(points, tolerance, camera, depth_map, units_per_scene_unit=metres)
+    return seen >= s.min_seen and hidden <= s.max_hidden
 
 
 def _cut(stem: StemAxis, camera: Camera, image: NDArray[np.float32], index: int, s: EdgeSettings) -> Strip | None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.depth_maps import DepthMap
+from fsinfer.depth_maps import DepthMap, seen_and_hidden
 from fsinfer.scene import Camera, project
 
 Floats = NDArray[np.float64]
@@ -141,19 +141,9 @@ def _seen_and_hidden(tree: StandingTree, camera: Camera, depth_map: DepthMap, s:
     side, height = np.meshgrid(np.linspace(-0.7, 0.7, 5), np.linspace(-s.checked_m, s.checked_m, 9))
     side, height = side.reshape(-1, 1), height.reshape(-1, 1)
     surface = tree.radius * (side * across + np.sqrt(1 - side**2) * towards)
-    exact, depth = project(tree.breast + height * tree.up + surface, camera, depth_map.intrinsic)
-    # Behind the camera, where no pixel counts, the numbers may be huge.
-    pixels = np.rint(np.where(depth[:, None] > 0, exact, -1.0)).astype(np.int64)
-    rows, columns = depth_map.inverse_depth.shape
-    inside = (pixels >= 0).all(axis=1) & (pixels[:, 0] < columns) & (pixels[:, 1] < rows) & (depth > 0)
-    found = np.zeros(len(depth))
-    found[inside] = depth_map.inverse_depth[pixels[inside, 1], pixels[inside, 0]]
-    known = found > 0
-    found[known] = 1 / found[known]
-    tolerance = np.maximum(tree.radius, s.tolerance_of_depth * depth)
-    seen = known & (np.abs(found - depth) <= tolerance)
-    hidden = known & (found < depth - tolerance)
-    return float(seen.mean()), float(hidden.mean())
+    points = tree.breast + height * tree.up + surface
+    tolerance = np.maximum(tree.radius, s.tolerance_of_depth * project(points, camera)[1])
+    return seen_and_hidden(points, tolerance, camera, depth_map)
 
 
 def _horizontal(tree: StandingTree, camera: Camera) -> tuple[Floats, Floats]:
