@@ -39,15 +39,15 @@ class SilhouetteSettings:
     place_std_m: float = 0.05  # priors: where the cloud has the axis ...
     slope_std: float = 0.03
     taper_std: float = 0.006  # ... radius per metre of height
-    shape_std: tuple[float, ...] = (0.016, 0.008, 0.004)  # harmonics 2, 3, 4, part of the radius, as in the cloud's fit
+    # Harmonics 2, 3, 4, part of the radius: half as much again as in the cloud's fit, for the hull of rough bark.
+    # Chosen with common_px so that intervals of stems seen from one side hold the truth on rendered plots.
+    shape_std: tuple[float, ...] = (0.024, 0.012, 0.006)
     edge_std_px: float = 0.5  # of one edge in one band
     background: float = 0.13  # likelihood of "none of these is the stem's edge", against an edge of strength 1
     min_contrast: float = 1.3  # votes of the best radius over those of the median one; 1.4 to 1.9 on rendered stems
     least_noise_m: float = 0.001
     sector_deg: float = 15.0  # edges seen under about the same angle err together: bark is no smooth curve
-    common_px: float = (
-        0.06  # what all edges share (blur, light from one side, undistortion), pixels of the typical photo
-    )
+    common_px: float = 0.08  # what all edges share (blur, light from one side, undistortion), typical pixels
     common_std: float = 0.003  # of the radius: what a few harmonics do not describe
     min_edges: int = 8  # rays; twice the unknowns that no prior holds
     min_share: float = 0.5  # of the rays that must agree on the stem
