@@ -181,7 +181,8 @@ def _own_photos(cloud_path: Path, origin: dict[str, Any], factor: float) -> Stem
     """Return the photographs of the run that made the cloud, if they still lie beside it."""
     folder = cloud_path.parent
     cloud_from_scene = origin.get("cloud_from_scene")
-    parts = (folder / "scene" / "cams", folder / "depth" / "depth.json", folder / "confidence")
+    scene = (folder / "scene" / part for part in ("cams", "images", "pair.txt"))
+    parts = (*scene, folder / "depth" / "depth.json", folder / "confidence")
     known = cloud_from_scene is not None and cloud_path.name in ("cloud.ply", "cloud.laz")
     if not known or not all(part.exists() for part in parts):
         return None

@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 import fsinfer.pipeline as pipeline
+import fsinfer.silhouettes as silhouettes
 from fsinfer.cloud import read_cloud
 from fsinfer.depth import DepthResult, DepthSettings
 from fsinfer.errors import CloudError, InputError
@@ -27,6 +28,7 @@ from fsinfer.images import list_images, write_image
 from fsinfer.pipeline import RunSettings, run
 from fsinfer.poses import PosesResult
 from fsinfer.scale_request import ScaleRequest
+from fsinfer.stage_commands import measure_cloud_file
 from fsinfer.trees import TreeSettings
 from fsinfer.trees.table import read_trees
 from tests.fsinfer.synthetic_plot import M_PER_UNIT, STEMS, VIEWS, write_depth_folder, write_scene_folder
@@ -280,3 +282,21 @@ def test_folder_of_other_origin_is_refused(fakes: Fakes, photos: Path, tmp_path:
     with pytest.raises(InputError, match="choose another output folder"):
         run(photos, tmp_path / "out", settings=METRIC)
     assert mine.read_text(encoding="utf-8") == "precious"
+
+
+def test_trees_of_the_runs_own_cloud_with_and_without_its_photographs(
+    fakes: Fakes, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    run(photos, out, settings=METRIC)
+    expected = dbh_cm(out)
+    looked_at = []
+    real = silhouettes.find_edges
+    monkeypatch.setattr(silhouettes, "find_edges", lambda *a, **k: looked_at.append(len(a[0])) or real(*a, **k))
+    for gone in (None, out / "scene" / "images"):
+        if gone is not None:
+            shutil.rmtree(gone)
+        measure_cloud_file(out / "cloud.ply", out, request=ScaleRequest(), settings=TreeSettings())
+        assert dbh_cm(out) == expected
+    # The photographs were looked at the first time; without them the points have to do.
+    assert looked_at == [len(STEMS)]
