@@ -23,8 +23,11 @@ from fsinfer.scene import Scene
 from fsinfer.stem_edges import EdgeSettings, StemAxis, Strip, find_edges
 from fsinfer.stem_strips import draw_strips, keep_strip
 from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
+from fsinfer.trees.dbh import too_uncertain, wide_interval
+from fsinfer.trees.measure import trees_found
 from fsinfer.trees.outline import Outline
 from fsinfer.trees.silhouette import Edges, SilhouetteFit, SilhouetteSettings, edge_contrast, fit_silhouette
+from fsinfer.trees.stem_measurement import diameter_columns
 
 Floats = NDArray[np.float64]
 
@@ -50,9 +53,7 @@ class StemPhotos:
 class SilhouetteJoinSettings:
     """Constants of :func:`measure_silhouettes`; metres. Chosen on three rendered plots (docs/accuracy.md)."""
 
-    cloud_floor_m: float = (
-        0.0015  # of the cloud's radius: its interval was calibrated on clouds without depth maps' edges
-    )
+    cloud_floor_m: float = 0.0015  # added to the error of the cloud's radius: depth maps fatten edges
     gate: float = 2.0  # standard deviations between the two beyond which the silhouette stands alone
     min_photos: int = 4
     sure_photos: int = 8  # fewer, and a stem that the cloud could not measure stays doubtful
@@ -199,14 +200,14 @@ def _status(
     section: Section, fit: SilhouetteFit, dbh_m: float, sd: float, dbh: DbhSettings, s: SilhouetteJoinSettings
 ) -> tuple[str, str]:
     """Return status and reason anew: what the cloud doubted or refused, the silhouette may know."""
-    if 2 * 1.96 * sd > dbh.max_interval * dbh_m:
-        return "unmeasured", f"too uncertain: {100 * dbh_m:.0f} cm +- {100 * 1.96 * sd:.0f} cm; walk round the stem"
+    refused = too_uncertain(dbh_m, sd, dbh)
+    if refused:
+        return "unmeasured", refused
     doubts = [part for part in section.reason.split("; ") if "breast height" in part and section.dbh_m is not None]
     few = fit.photos < s.sure_photos or fit.sectors < s.sure_sectors
     if section.dbh_m is None and few:
         doubts.append(f"only from its edges in {fit.photos} photos ({section.reason.split(';')[0]})")
-    if 2 * 1.96 * sd > dbh.doubtful_interval * dbh_m:
-        doubts.append(f"wide interval (+- {100 * 1.96 * sd:.1f} cm)")
+    doubts += wide_interval(dbh_m, sd, dbh)
     return ("doubtful", "; ".join(doubts)) if doubts else ("ok", "")
 
 
@@ -228,22 +229,7 @@ def _outline(fit: SilhouetteFit, radius: float, s: SilhouetteJoinSettings) -> Ou
 def _tree(tree: Tree, section: Section, stem: StemAxis, fit: SilhouetteFit) -> Tree:
     first, second = stem.across
     moved = stem.breast + fit.shift_m[0] * first + fit.shift_m[1] * second
-    dbh = None if section.dbh_m is None else 100.0 * section.dbh_m
-    half = 1.96 * 100.0 * section.sd_m
-    outline = section.outline
-    return replace(
-        tree,
-        x_m=float(moved[0]),
-        y_m=float(moved[1]),
-        dbh_cm=dbh,
-        dbh_lo95_cm=None if dbh is None else max(dbh - half, 0.0),
-        dbh_hi95_cm=None if dbh is None else dbh + half,
-        dbh_perimeter_cm=None if outline is None else 100.0 * outline.girth_diameter_m,
-        dbh_min_cm=None if outline is None else 100.0 * outline.min_diameter_m,
-        dbh_max_cm=None if outline is None else 100.0 * outline.max_diameter_m,
-        status=section.status,
-        reason=section.reason,
-    )
+    return replace(tree, x_m=float(moved[0]), y_m=float(moved[1]), **diameter_columns(section))
 
 
 def _is_shrub(tree: Tree, stem: StemAxis, edges: Edges, s: SilhouetteJoinSettings) -> bool:
@@ -262,5 +248,4 @@ def _shrub_warning(shrubs: Sequence[Tree]) -> tuple[str, ...]:
 def _diagnosis(trees: Sequence[Tree]) -> str:
     if not trees:
         return "no trees found: what looked like stems in the cloud are none in the photos"
-    measured = sum(tree.dbh_cm is not None for tree in trees)
-    return f"{len(trees)} trees found, {measured} with a DBH"
+    return trees_found(trees)

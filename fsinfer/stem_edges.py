@@ -234,7 +234,6 @@ def _candidates(strip: Strip, stem: StemAxis, s: EdgeSettings) -> Floats:
         strip.image, s.blur_px * samples_per_px, axis=1, order=1, mode="nearest"
     )
     band = np.floor((strip.heights_m + s.half_length_m) / s.band_m).astype(np.int64)
-    first, second = stem.across
     means, heights = [], []
     for number in np.unique(band):
         means.append(gradient[band == number].mean(axis=0))
@@ -248,13 +247,20 @@ def _candidates(strip: Strip, stem: StemAxis, s: EdgeSettings) -> Floats:
         place *= 1.0 + stem.taper * height / stem.radius_m
         side = np.where(place > 0, 1.0, -1.0)
         slant = np.hypot(strip.distance_m, place)
-        normal = (side * strip.distance_m)[:, None] * strip.right + np.abs(place)[:, None] * strip.towards
-        angle = np.arctan2(normal @ second, normal @ first)
+        angle = normal_angles(strip, stem, place, side)
         support = strip.distance_m * np.abs(place) / slant
         fixed = np.array([height, strip.pixel_m, strip.photo, number])
         of_all = np.broadcast_to(fixed, (len(peak), 4))
         rows.append(np.column_stack([support, angle, np.minimum(e[peak], s.clip), side, of_all]))
     return np.vstack(rows)
+
+
+def normal_angles(strip: Strip, stem: StemAxis, offsets_m: Floats, side: Floats | float) -> Floats:
+    """Outward normal's angle (N,) where the rays at ``offsets_m`` (N,) graze the stem on ``side`` (+1 or -1)."""
+    first, second = stem.across
+    across = np.broadcast_to(side * strip.distance_m, np.shape(offsets_m))
+    normal = across[:, None] * strip.right + np.abs(offsets_m)[:, None] * strip.towards
+    return np.asarray(np.arctan2(normal @ second, normal @ first))
 
 
 def _whitened(gradients: Floats, inner: NDArray[np.bool_], s: EdgeSettings) -> Floats:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.images import write_image
-from fsinfer.stem_edges import StemAxis, Strip
+from fsinfer.stem_edges import StemAxis, Strip, normal_angles
 from fsinfer.trees.silhouette import SilhouetteFit
 
 Floats = NDArray[np.float64]
@@ -80,11 +80,9 @@ def edge_offsets(strip: Strip, stem: StemAxis, fit: SilhouetteFit, side: float) 
     The ray at offset s in the plane through the axis has its normal at angle atan(s / distance) from the plane; the
     support function there is distance * s / hypot(distance, s). Three rounds of substitution suffice.
     """
-    first, second = stem.across
     offsets = np.full(len(strip.heights_m), side * fit.radius_m)
     for _ in range(3):
         slant = np.hypot(strip.distance_m, offsets)
-        normal = (side * strip.distance_m) * strip.right + np.abs(offsets)[:, None] * strip.towards
-        angle = np.arctan2(normal @ second, normal @ first)
+        angle = normal_angles(strip, stem, offsets, side)
         offsets = side * fit.support(angle, strip.heights_m) * slant / strip.distance_m
     return np.asarray(offsets / (1.0 + stem.taper * strip.heights_m / stem.radius_m))

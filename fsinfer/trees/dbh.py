@@ -219,9 +219,19 @@ def _refuse(fit: AxisFit, coverage: float, dbh_m: float, sd: float, gap: float, 
         return f"double wall: two surfaces {100 * gap:.1f} cm apart; the poses or scans do not agree at this stem"
     if fit.sigma_m > min(s.max_sigma_m, 0.5 * s.max_sigma_of_radius * dbh_m):
         return f"surface too rough: residual {100 * fit.sigma_m:.1f} cm; undergrowth or bad depth at breast height"
+    return too_uncertain(dbh_m, sd, s)
+
+
+def too_uncertain(dbh_m: float, sd: float, s: DbhSettings) -> str:
+    """Why a diameter with the standard deviation ``sd``, both metres, is no measurement; empty where it is one."""
     if 2 * 1.96 * sd > s.max_interval * dbh_m:
         return f"too uncertain: {100 * dbh_m:.0f} cm +- {100 * 1.96 * sd:.0f} cm; walk round the stem"
     return ""
+
+
+def wide_interval(dbh_m: float, sd: float, s: DbhSettings) -> list[str]:
+    """The doubt about a diameter with the standard deviation ``sd``, both metres, if there is one."""
+    return [f"wide interval (+- {100 * 1.96 * sd:.1f} cm)"] if 2 * 1.96 * sd > s.doubtful_interval * dbh_m else []
 
 
 def _doubt(coverage: float, dbh_m: float, sd: float, shift: float, s: DbhSettings) -> str:
@@ -230,6 +240,4 @@ def _doubt(coverage: float, dbh_m: float, sd: float, shift: float, s: DbhSetting
         doubts.append(f"measured {100 * abs(shift):.0f} cm {'above' if shift > 0 else 'below'} breast height")
     if coverage < s.doubtful_coverage:
         doubts.append(f"only {360 * coverage:.0f} degrees of the stem are seen")
-    if 2 * 1.96 * sd > s.doubtful_interval * dbh_m:
-        doubts.append(f"wide interval (+- {100 * 1.96 * sd:.1f} cm)")
-    return "; ".join(doubts)
+    return "; ".join([*doubts, *wide_interval(dbh_m, sd, s)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -164,10 +165,15 @@ def _check_turned(points: Floats, settings: TreeSettings) -> None:
     raise TurnedCloudError(how, turn)
 
 
+def trees_found(trees: Sequence[Tree]) -> str:
+    """How many there are and how many of them have a DBH."""
+    measured = sum(tree.dbh_cm is not None for tree in trees)
+    return f"{len(trees)} trees found, {measured} with a DBH"
+
+
 def _diagnosis(trees: list[Tree], search: StemSearch, stand: Floats, settings: TreeSettings) -> str:
     if trees:
-        measured = sum(tree.dbh_cm is not None for tree in trees)
-        return f"{len(trees)} trees found, {measured} with a DBH"
+        return trees_found(trees)
     low, high = settings.stems.heights_m
     slab = int(np.count_nonzero((stand[:, 2] >= low) & (stand[:, 2] <= high)))
     if slab < 20:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,26 +125,33 @@ def _surface_distance(points: Floats, stem: Stem) -> Floats:
 
 def tree_of(section: Section, z_ground: float, height: float | None, origin: Floats) -> Tree:
     """The row of ``trees.csv`` of a section about ``origin`` (3,), in metres; its number is still 0."""
-    dbh = None if section.dbh_m is None else 100.0 * section.dbh_m
-    half = 1.96 * 100.0 * section.sd_m
-    outline = section.outline if dbh is not None else None
     return Tree(
         tree_id=0,
         x_m=float(section.center[0] + origin[0]),
         y_m=float(section.center[1] + origin[1]),
         z_ground_m=z_ground,
-        dbh_cm=dbh,
-        dbh_lo95_cm=None if dbh is None else max(dbh - half, 0.0),
-        dbh_hi95_cm=None if dbh is None else dbh + half,
-        dbh_perimeter_cm=None if outline is None else 100.0 * outline.girth_diameter_m,
-        dbh_min_cm=None if outline is None else 100.0 * outline.min_diameter_m,
-        dbh_max_cm=None if outline is None else 100.0 * outline.max_diameter_m,
         bh_m=section.bh_m,
         arc_coverage=section.coverage,
         points=section.points,
         residual_cm=100.0 * section.residual_m if np.isfinite(section.residual_m) else None,
         lean_deg=section.lean_deg,
         height_m=height,
-        status=section.status,
-        reason=section.reason,
+        **diameter_columns(section),
     )
+
+
+def diameter_columns(section: Section) -> dict[str, Any]:
+    """The fields of :class:`Tree` that say what the diameter is, how sure, and why there is none."""
+    dbh = None if section.dbh_m is None else 100.0 * section.dbh_m
+    half = 1.96 * 100.0 * section.sd_m
+    outline = section.outline if dbh is not None else None
+    return {
+        "dbh_cm": dbh,
+        "dbh_lo95_cm": None if dbh is None else max(dbh - half, 0.0),
+        "dbh_hi95_cm": None if dbh is None else dbh + half,
+        "dbh_perimeter_cm": None if outline is None else 100.0 * outline.girth_diameter_m,
+        "dbh_min_cm": None if outline is None else 100.0 * outline.min_diameter_m,
+        "dbh_max_cm": None if outline is None else 100.0 * outline.max_diameter_m,
+        "status": section.status,
+        "reason": section.reason,
+    }
