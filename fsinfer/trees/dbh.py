@@ -14,16 +14,17 @@ simulated stems is published in docs/trees.md and printed by ``python -m tests.b
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.trees.axis import AxisFit, axis_coordinates, fit_axis
+from fsinfer.trees.axis import AxisFit, axis_coordinates
 from fsinfer.trees.circle import covered_bins
+from fsinfer.trees.joint_fit import JointSettings, joint_fits
 from fsinfer.trees.outline import fit_outline
 from fsinfer.trees.section import Section, unmeasured_section
-from fsinfer.trees.sides import noise_sector, relative_noise, seen_side
 from fsinfer.trees.slice import SliceSettings, fit_slice
 from fsinfer.trees.spread import Spread, SpreadSettings, fit_spread
 from fsinfer.trees.stem import Stem
@@ -34,11 +35,9 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class DbhSettings:
-    """Constants of :func:`measure_stem`."""
+    """Constants of :func:`measure_together`."""
 
-    half_window_m: tuple[float, ...] = (0.4, 0.6, 0.9)  # of the tapered cylinder: 0.9-1.7 m first
     min_points: int = 12  # four times the circle's parameters
-    max_points: int = 5000  # more do not move the fit
     max_shift_m: float = 0.3  # breast height moves at most this far before the measurement is called doubtful
     min_coverage: float = 65.0 / 360.0  # less arc than this leaves the radius open
     doubtful_coverage: float = 100.0 / 360.0
@@ -47,7 +46,6 @@ class DbhSettings:
     max_interval: float = 0.6  # a 95 % interval wider than this share of the DBH is no measurement
     doubtful_interval: float = 0.22
     outline_coverage: float = 0.8  # perimeter, least and greatest diameter need the way round
-    order: int = 4  # harmonics of the section
     local_std: float = 0.0035  # of the radius: how far a slice departs from the smooth taper (whorls, scars)
     bark_std: float = 0.0005  # of the radius: a tape spans the furrows, a smooth curve averages them
     # Where blocks of bark share more error than bark's own unevenness, the cause (edges fattened by a depth map, moss,
@@ -59,27 +57,55 @@ class DbhSettings:
     taper_std: float = 0.002  # radius per metre: what the taper near breast height may differ from the fitted one
     ground_std_m: float = 0.02  # where the ground is, between litter and mineral soil
     max_change: tuple[float, float] = (0.35, 0.03)  # share and metres by which the radius may differ from the search's
+    joint: JointSettings = field(default_factory=JointSettings)
     slice: SliceSettings = field(default_factory=SliceSettings)
     spread: SpreadSettings = field(default_factory=SpreadSettings)
 
 
-def measure_stem(
-    points: Floats,
-    stem: Stem,
+def measure_together(
+    points: Sequence[Floats],
+    stems: Sequence[Stem],
     *,
     bh_m: float = 1.3,
     ground_noise_m: float = 0.0,
     scale_rel_std: float = 0.0,
     settings: DbhSettings | None = None,
     seed: int = 0,
-) -> Section:
-    """Measure one stem among points (N, 3) of x, y, height above its own ground, in metres."""
+) -> list[Section]:
+    """Measure each stem among its points (N, 3) of x, y, height above its own ground, in metres.
+
+    Stems do not know of each other; they are taken together because their fits are faster at once.
+    """
     s = settings or DbhSettings()
-    height = float(np.clip(bh_m, stem.bottom_m + 0.1, max(stem.top_m - 0.1, stem.bottom_m + 0.1)))
-    start = stem.axis.parameters.copy()
-    start[:2] = stem.axis.center_at(height)
-    start[4] = max(stem.axis.radius_m + start[5] * (height - stem.axis.height_m), 0.01)
-    fit, used = _joint_fit(points, start, height, stem.axis.sigma_m, s, seed)
+    starts = np.zeros((len(stems), 6))
+    heights = np.zeros(len(stems))
+    for k, stem in enumerate(stems):
+        height = float(np.clip(bh_m, stem.bottom_m + 0.1, max(stem.top_m - 0.1, stem.bottom_m + 0.1)))
+        start = stem.axis.parameters.copy()
+        start[:2] = stem.axis.center_at(height)
+        start[4] = max(stem.axis.radius_m + start[5] * (height - stem.axis.height_m), 0.01)
+        starts[k], heights[k] = start, height
+    sigmas = np.array([stem.axis.sigma_m for stem in stems])
+    fits = joint_fits(points, starts, heights, sigmas, settings=s.joint, seed=seed)
+    return [
+        _section(own, stem, fit, used, bh_m, ground_noise_m, scale_rel_std, s, seed)
+        for own, stem, (fit, used) in zip(points, stems, fits, strict=True)
+    ]
+
+
+def _section(
+    points: Floats,
+    stem: Stem,
+    fit: AxisFit,
+    used: Floats | None,
+    bh_m: float,
+    ground_noise_m: float,
+    scale_rel_std: float,
+    s: DbhSettings,
+    seed: int,
+) -> Section:
+    """The section of one stem whose ``fit`` rests on the points ``used``."""
+    height = fit.height_m
     if used is None:
         return unmeasured_section(
             fit.center_at(height),
@@ -168,46 +194,6 @@ def _girth_factor(fit: AxisFit, spread: Spread) -> float:
     squares = fit.shape_m**2 + np.diag(spread.covariance)[6:]
     order = np.repeat(np.arange(2, 2 + len(squares) // 2), 2)
     return 1.0 + float((order**2 * squares).sum()) / (4.0 * fit.radius_m**2)
-
-
-def _joint_fit(
-    points: Floats, start: Floats, height: float, sigma: float, s: DbhSettings, seed: int
-) -> tuple[AxisFit, Floats | None]:
-    """Tapered cylinder through the window about ``height``, and the points it saw; wider windows when sparse."""
-    rng = np.random.default_rng(seed)
-    fit = AxisFit(
-        parameters=start,
-        height_m=height,
-        sigma_m=sigma,
-        covariance=np.eye(6),
-        core=np.zeros(0),
-        residuals_m=np.zeros(0),
-        jacobian=np.zeros((0, 6)),
-        prior_information=np.zeros(6),
-        shape_m=np.zeros(0),
-        noise_m=np.zeros(0),
-    )
-    for half in s.half_window_m:
-        window = points[np.abs(points[:, 2] - height) <= half]
-        offset, _ = axis_coordinates(window, start, height)
-        near = window[np.hypot(offset[:, 0], offset[:, 1]) <= start[4] + float(np.clip(0.8 * start[4], 0.05, 0.12))]
-        if len(near) > s.max_points:
-            near = near[rng.choice(len(near), s.max_points, replace=False)]
-        if len(near) < s.min_points:
-            continue
-        fit = fit_axis(near, start, height, sigma_m=max(1.5 * sigma, 0.006), order=s.order)
-        # A few strays on the side that nobody saw would fix the diameter if they counted as bark.
-        offset, foot = axis_coordinates(near, fit.parameters, height)
-        seen = seen_side(offset, foot, fit.core)
-        if 4 * s.min_points <= seen.sum():
-            relative = relative_noise(offset[seen], fit.residuals_m[seen])[noise_sector(offset[seen])]
-            near = near[seen]
-            wide = max(1.2 * fit.sigma_m, 0.004)
-            fit = fit_axis(near, fit.parameters, height, sigma_m=wide, order=s.order, relative=relative)
-        # The mixture forgets where a point was weighed out; enough bark means enough core.
-        if fit.core.sum() >= 4 * s.min_points or half == s.half_window_m[-1]:
-            return fit, near
-    return fit, None
 
 
 def _refuse(fit: AxisFit, coverage: float, dbh_m: float, sd: float, gap: float, count: int, s: DbhSettings) -> str:

@@ -29,6 +29,7 @@ class StemSettings:
     fit_points: int = 700
     tolerance_m: float = 5e-5  # of the last fit: finer than any limit below
     apart_m: float = 0.3  # candidates farther apart are looked at together; both may find one stem, which is resolved
+    together: int = 256  # candidates looked at at once: bounds the memory, and fills the batches of the fits
     max_lean_deg: float = 25.0
     layer_m: float = 0.10  # layers of the persistence check
     min_length_m: float = 0.7  # of supported layers; the bands span 2 m and undergrowth may hide half of them

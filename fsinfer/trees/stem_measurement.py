@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.trees.cells import PlanIndex, near_paths
-from fsinfer.trees.dbh import measure_stem
+from fsinfer.trees.dbh import measure_together
 from fsinfer.trees.ground import Ground
 from fsinfer.trees.section import Section
 from fsinfer.trees.settings import TreeSettings
@@ -20,6 +20,7 @@ from fsinfer.trees.top import TopSettings, axis_path, top_may_be_seen, tree_heig
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
+TOGETHER = 16  # stems whose points are held at once
 
 
 def measure_stems(
@@ -36,21 +37,26 @@ def measure_stems(
     index = PlanIndex(slab, settings.stems.index_cell_m)
     centers = np.array([stem.axis.center_at(settings.bh_m) for stem in search.stems]).reshape(-1, 2)
     measured = []
-    for number, stem in enumerate(search.stems):
-        near = index.near(centers[number], stem.axis.radius_m + 0.35)
-        near, stem = _on_own_ground(near, stem, ground, settings)
-        section = measure_stem(
-            _without_neighbours(near, stem, search.stems),
-            stem,
+    for first in range(0, len(search.stems), TOGETHER):
+        numbers = range(first, min(first + TOGETHER, len(search.stems)))
+        own, stems = [], []
+        for number in numbers:
+            stem = search.stems[number]
+            near, stem = _on_own_ground(index.near(centers[number], stem.axis.radius_m + 0.35), stem, ground, settings)
+            own.append(_without_neighbours(near, stem, search.stems))
+            stems.append(stem)
+        sections = measure_together(
+            own,
+            stems,
             bh_m=settings.bh_m,
             ground_noise_m=ground.noise_m / 3.0,
             scale_rel_std=scale_rel_std,
             settings=settings.dbh,
             seed=settings.seed,
         )
-        if section.dbh_m is not None and 100.0 * section.dbh_m < settings.min_dbh_cm:
-            continue
-        measured.append((number, stem, section))
+        for number, stem, section in zip(numbers, stems, sections, strict=True):
+            if section.dbh_m is None or 100.0 * section.dbh_m >= settings.min_dbh_cm:
+                measured.append((number, stem, section))
     highest = float(stand[:, 2].max(initial=0.0))
     tall = [(stem, s) for _, stem, s in measured if top_may_be_seen(stem, s.dbh_m, highest, settings=settings.top)]
     crowns = PlanIndex(_crowns(stand, [stem for stem, _ in tall], highest, settings.top), settings.top.index_cell_m)

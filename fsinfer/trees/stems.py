@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ from fsinfer.trees.verification import Candidate, verify
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,23 +53,7 @@ def find_stems(
     seeds = hough_seeds(slab, cell_m, s)
     thinned = thin(slab, max(0.5 * cell_m, 0.008))
     index = PlanIndex(thinned, s.index_cell_m)
-    rejected: dict[str, int] = {}
-    accepted: list[Stem] = []
-    done = 0
-    for chosen in _rounds(seeds[:, :2], s.apart_m):
-        progress(done, len(seeds), "looking for stems")
-        done += len(chosen)
-        # In the order of their votes: a seed inside of a stem that a stronger one has found says nothing new.
-        candidates = [
-            Candidate(near=index.near(seed[:2], s.radius_m[1] + 0.15), xy=seed[:2], height_m=float(seed[2]))
-            for seed in seeds[chosen]
-            if not _is_inside(accepted, seed[:2], float(seed[2]))
-        ]
-        for stem, why in verify(candidates, cell_m, s):
-            if stem is None:
-                rejected[why] = rejected.get(why, 0) + 1
-            else:
-                accepted.append(stem)
+    accepted, rejected = _search(seeds, index, cell_m, s, progress)
     stems = _resolve_overlaps(accepted, index, cell_m, s)
     return StemSearch(stems=tuple(stems), candidates=len(seeds), rejected=rejected, spacing_m=spacing)
 
@@ -88,14 +74,48 @@ def _rounds(xy: Floats, apart_m: float) -> Iterator[Ints]:
         yield np.flatnonzero(number == this)
 
 
-def _is_inside(stems: list[Stem], xy: Floats, height: float) -> bool:
-    """Whether the position (2,) at ``height`` lies inside one of the stems."""
-    if not stems:
-        return False
-    p = np.array([stem.axis.parameters[:5] for stem in stems])
-    at = np.array([stem.axis.height_m for stem in stems])
-    gap = p[:, :2] + p[:, 2:4] * (height - at)[:, None] - xy
-    return bool((np.hypot(gap[:, 0], gap[:, 1]) <= p[:, 4] + 0.02).any())
+def _search(
+    seeds: Floats, index: PlanIndex, cell_m: float, s: StemSettings, progress: Progress
+) -> tuple[list[Stem], dict[str, int]]:
+    """The stems at seeds (K, 3) of x, y, height, strongest first, and how many were turned down for which reason.
+
+    In rounds (:func:`_rounds`): a seed inside of a stem that an earlier round has found says nothing new. Nearly all
+    stems are found in the first round, so the later ones are looked at ahead, many seeds at a time; what an earlier
+    round's stem makes superfluous is dropped afterwards. The stems are those of one round after the other.
+    """
+    rounds = list(_rounds(seeds[:, :2], s.apart_m))
+    order = np.concatenate([np.zeros(0, dtype=np.int64), *rounds])
+    turn = np.repeat(np.arange(len(rounds)), [len(chosen) for chosen in rounds])
+    first_turn = int(np.count_nonzero(turn == 0))
+    bounds = [*range(0, first_turn, s.together), *range(first_turn, len(order), s.together), len(order)]
+    places = seeds[order]
+    covered = np.full(len(order), len(rounds))  # the first turn after which a stem stands there
+    rejected: dict[str, int] = {}
+    accepted: list[Stem] = []
+    for first, last in pairwise(bounds):
+        progress(first, len(seeds), "looking for stems")
+        rows = [row for row in range(first, last) if covered[row] >= turn[row]]
+        candidates = [
+            Candidate(near=index.near(seed[:2], s.radius_m[1] + 0.15), xy=seed[:2], height_m=float(seed[2]))
+            for seed in places[rows]
+        ]
+        for row, (stem, why) in zip(rows, verify(candidates, cell_m, s), strict=True):
+            if covered[row] < turn[row]:
+                continue
+            if stem is None:
+                rejected[why] = rejected.get(why, 0) + 1
+            else:
+                accepted.append(stem)
+                inside = _inside(stem, places)
+                covered[inside] = np.minimum(covered[inside], turn[row])
+    return accepted, rejected
+
+
+def _inside(stem: Stem, seeds: Floats) -> Bools:
+    """Which of the seeds (K, 3) of x, y, height lie inside the stem."""
+    p = stem.axis.parameters
+    gap = seeds[:, :2] - p[:2] - p[2:4] * (seeds[:, 2:] - stem.axis.height_m)
+    return np.asarray((gap**2).sum(axis=1) <= (p[4] + 0.02) ** 2)
 
 
 def _resolve_overlaps(stems: list[Stem], index: PlanIndex, cell_m: float, s: StemSettings) -> list[Stem]:

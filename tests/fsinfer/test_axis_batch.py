@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fsinfer.trees.axis import AxisSettings, _densities, fit_axis
-from fsinfer.trees.axis_batch import _tail, fit_axes
+from fsinfer.trees.axis_batch import _tail, fit_axes, fit_sections
 from tests.fsinfer.stem_clouds import wall
 
 # Single precision in the distances, times what a short arc leaves open.
@@ -51,13 +51,35 @@ def test_a_candidate_does_not_depend_on_its_company():
         np.testing.assert_allclose(axis.parameters, again.parameters, atol=TOLERANCE_M)
 
 
+@pytest.mark.parametrize("hazy", [False, True])
+def test_sections_of_a_batch_equal_those_fitted_one_by_one(hazy):
+    rng = np.random.default_rng(3)
+    points, starts = _candidates(rng)
+    points = [own if k % 5 else np.concatenate([own] * 20) for k, own in enumerate(points)]
+    relative = [1.0 + 3.0 * rng.random(len(own)) for own in points] if hazy else None
+    heights, sigma = np.full(len(points), 1.3), rng.uniform(0.005, 0.03, len(points))
+    batch = fit_sections(points, starts, heights, sigma_m=sigma, order=4, relative=relative)
+    for k, fit in enumerate(batch):
+        own = None if relative is None else relative[k]
+        alone = fit_axis(points[k], starts[k], 1.3, sigma_m=float(sigma[k]), order=4, relative=own)
+        np.testing.assert_allclose(fit.parameters, alone.parameters, atol=TOLERANCE_M)
+        np.testing.assert_allclose(fit.shape_m, alone.shape_m, atol=TOLERANCE_M)
+        np.testing.assert_allclose(fit.residuals_m, alone.residuals_m, atol=2.0 * TOLERANCE_M)
+        np.testing.assert_allclose(fit.noise_m, alone.noise_m, atol=4.0 * TOLERANCE_M)
+        np.testing.assert_allclose(fit.core, alone.core, atol=5e-3)
+        np.testing.assert_allclose(fit.jacobian, alone.jacobian, atol=1e-3)
+        if alone.core.sum() > 3.0:  # else there was no step to speak of
+            np.testing.assert_allclose(fit.prior_information, alone.prior_information, rtol=1e-3)
+            np.testing.assert_allclose(fit.covariance.diagonal(), alone.covariance.diagonal(), rtol=1e-2)
+
+
 def test_the_tail_is_that_of_one_fit():
     rng = np.random.default_rng(2)
     residual = rng.uniform(-0.12, 0.12, (2, 4000))
     sigma, tail = np.array([0.0015, 0.03]), np.array([0.06, 0.01])
     scaled = residual / sigma[:, None]
-    single = [a.astype(np.float32) for a in (residual, scaled, np.exp(-0.5 * scaled**2))]
-    fast = _tail(*single, sigma, tail)
+    single = [a.astype(np.float32) for a in (scaled, np.exp(-0.5 * scaled**2), (sigma / tail)[:, None])]
+    fast = _tail(*single) * (0.5 / tail)[:, None]
     for row in range(2):
         exact = _densities(residual[row], np.full(4000, sigma[row]), tail[row])[1]
         # A thousandth of the background, which is some four per metre, is nothing to the mixture.
@@ -65,4 +87,6 @@ def test_the_tail_is_that_of_one_fit():
 
 
 def test_nothing_gives_nothing():
-    assert fit_axes([], np.zeros((0, 6)), np.zeros(0)) == []
+    none = np.zeros((0, 6))
+    assert fit_axes([], none, np.zeros(0)) == []
+    assert fit_sections([], none, np.zeros(0), sigma_m=np.zeros(0), order=4) == []

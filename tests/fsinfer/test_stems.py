@@ -3,6 +3,7 @@ import pytest
 
 from fsinfer.trees import find_stems
 from fsinfer.trees.axis import axis_coordinates, fit_axis
+from fsinfer.trees.stem import StemSettings
 from tests.fsinfer.stem_clouds import board, post, stem_plot
 
 
@@ -15,6 +16,16 @@ def test_every_stem_is_found_between_shrubs():
     distance = np.linalg.norm(plot.xy[:, None] - centers[None], axis=2)
     assert len(found) == 16
     assert distance.min(axis=1).max() < 0.03
+
+
+def test_looking_ahead_finds_the_stems_of_one_round_after_the_other():
+    plot = stem_plot(seed=3, trees=20, sigma_m=0.012, shrubs=12, outliers=0.1, hidden=0.3)
+    ahead = find_stems(plot.points)
+    in_turn = find_stems(plot.points, settings=StemSettings(together=1))
+    assert len(ahead.stems) == len(in_turn.stems) > 15
+    assert ahead.rejected == in_turn.rejected
+    for stem, same in zip(ahead.stems, in_turn.stems, strict=True):
+        np.testing.assert_allclose(stem.axis.parameters, same.axis.parameters, atol=1e-6)
 
 
 def test_leaning_stem_keeps_its_axis():
