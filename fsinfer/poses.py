@@ -16,6 +16,7 @@ from fsinfer.camera_refinement import RefinementSettings, refine
 from fsinfer.errors import ImageError, OutputError, PosesError
 from fsinfer.files import make_folder, write_text
 from fsinfer.images import camera_exif, camera_key, is_upright_jpeg_or_png, list_images, read_image, write_image
+from fsinfer.misplaced import drop_blind_views, drop_loose_parts, drop_strays, misplaced_message
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Camera, write_camera, write_pairs
 from fsinfer.sfm import PoseSettings, choose_pairs, colmap_errors, extract_features, match_features, reconstruct
@@ -23,7 +24,6 @@ from fsinfer.sparse import sparse_of
 from fsinfer.stages import file_digest
 from fsinfer.undistort import intrinsic_of, undistort, undistort_model, undistortion_maps
 from fsinfer.view_selection import depth_range, select_views
-from fsinfer.walking_steps import strays
 
 __all__ = ["PoseSettings", "PosesResult", "estimate_poses"]
 
@@ -33,8 +33,6 @@ ADVICE = (
     "photos must overlap by two thirds or more, be sharp, and show bark, litter or other texture in good light; "
     "walk on a little between photos and do not only turn on the spot"
 )
-# A pose that hangs on fewer points than this is an accident.
-_MIN_POINTS = 10
 # Raised when scenes written before must not be taken for finished ones.
 _FORMAT = 1
 
@@ -111,12 +109,14 @@ def estimate_poses(
         raise PosesError(msg)
     with colmap_errors("finding poses", work):
         model, left_out = _structure_from_motion(photos, images, work, settings, progress)
-        astray = _drop_strays(model, photos)
+        walk = [photo.file for photo in photos]
+        misplaced = {"astray": drop_strays(model, walk), "loose": drop_loose_parts(model)}
         model = refine(model, RefinementSettings(), settings.thread_count, progress)
-    blind = _drop_blind_views(model)
-    left_out += [photo.name for photo in photos if photo.file in blind]
-    if astray:
-        warnings.append(_astray_message(astray, len(photos)))
+    names = {photo.file: photo.name for photo in photos}
+    left_out += [names[file] for file in drop_blind_views(model)]
+    for how, files in misplaced.items():
+        if files:
+            warnings.append(misplaced_message(how, sorted(names[file] for file in files), len(photos)))
     if left_out:
         warnings.append(_left_out_message(sorted(left_out), len(photos)))
     registered = _write_scene(model, photos, out, settings, progress)
@@ -232,41 +232,6 @@ def _structure_from_motion(
         raise PosesError(msg)
     registered = {models[0].images[image_id].name for image_id in models[0].reg_image_ids()}
     return models[0], [photo.name for photo in photos if photo.file not in registered]
-
-
-def _drop_strays(model: Any, photos: Sequence[_Photo]) -> list[str]:
-    """Take photos out of the model that lie at another scale than the walk; returns their names."""
-    number = {photo.file: index for index, photo in enumerate(photos)}
-    placed = sorted((number[model.images[i].name], i) for i in model.reg_image_ids())
-    centers = np.array([model.images[i].projection_center() for _, i in placed])
-    found = strays(centers, np.array([index for index, _ in placed]))
-    names = []
-    for is_stray, (index, image_id) in zip(found, placed, strict=True):
-        if is_stray:
-            model.deregister_frame(model.images[image_id].frame_id)
-            names.append(photos[index].name)
-    return names
-
-
-def _astray_message(names: Sequence[str], photos: int) -> str:
-    return (
-        f"{len(names)} of {photos} photos ({names[0]} to {names[-1]}) were left out: the steps between them do not fit "
-        "the rest of the walk, so they were joined to it by false matches; turn more slowly, with more photos between"
-    )
-
-
-def _drop_blind_views(model: Any) -> set[str]:
-    """Take photos out of the model that lost nearly all their points in the last adjustment; returns their files."""
-    blind = {}
-    for image_id in model.reg_image_ids():
-        image = model.images[image_id]
-        pose = image.cam_from_world().matrix()
-        points = np.array([model.points3D[p.point3D_id].xyz for p in image.get_observation_points2D()]).reshape(-1, 3)
-        if int((points @ pose[2, :3] + pose[2, 3] > 0).sum()) < _MIN_POINTS:
-            blind[image.frame_id] = image.name
-    for frame_id in blind:
-        model.deregister_frame(frame_id)
-    return set(blind.values())
 
 
 def _left_out_message(names: Sequence[str], photos: int) -> str:

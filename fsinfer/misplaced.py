@@ -1,0 +1,75 @@
+"""Photos that structure from motion placed, but wrongly or on too little evidence, taken out of its model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from fsinfer.loose_parts import loose_parts
+from fsinfer.walking_steps import strays
+
+# A pose that hangs on fewer points than this is an accident.
+_MIN_POINTS = 10
+
+_WHY = {
+    "astray": (
+        "the steps between them do not fit the rest of the walk, so they were joined to it by false matches; turn more "
+        "slowly, with more photos between"
+    ),
+    "loose": (
+        "they share too few points with the other photos for their place to be sure; take more photos where the view "
+        "changes, and where the walk comes back to a place"
+    ),
+}
+
+
+def drop_strays(model: Any, walk: Sequence[str]) -> list[str]:
+    """Take photos at another scale than the walk out of a ``pycolmap.Reconstruction``; returns their files.
+
+    ``walk`` holds the files of all photos in the order of walking.
+    """
+    number = {file: index for index, file in enumerate(walk)}
+    placed = sorted((number[model.images[i].name], i) for i in model.reg_image_ids())
+    centers = np.array([model.images[i].projection_center() for _, i in placed])
+    found = strays(centers, np.array([index for index, _ in placed]))
+    return _drop(model, [image_id for is_stray, (_, image_id) in zip(found, placed, strict=True) if is_stray])
+
+
+def drop_loose_parts(model: Any) -> list[str]:
+    """Take parts that hang on the rest by a few points out of the model; returns their files."""
+    image_ids = sorted(model.reg_image_ids())
+    number = {image_id: index for index, image_id in enumerate(image_ids)}
+    seen = [
+        (point, number[element.image_id])
+        for point, found in enumerate(model.points3D.values())
+        for element in found.track.elements
+    ]
+    points, photos = np.array(seen, dtype=np.intp).reshape(-1, 2).T
+    loose = loose_parts(points, photos, len(image_ids))
+    return _drop(model, [image_id for image_id, index in number.items() if loose[index]])
+
+
+def drop_blind_views(model: Any) -> list[str]:
+    """Take photos out of the model that lost nearly all their points in the last adjustment; returns their files."""
+    blind = []
+    for image_id in model.reg_image_ids():
+        image = model.images[image_id]
+        pose = image.cam_from_world().matrix()
+        points = np.array([model.points3D[p.point3D_id].xyz for p in image.get_observation_points2D()]).reshape(-1, 3)
+        if int((points @ pose[2, :3] + pose[2, 3] > 0).sum()) < _MIN_POINTS:
+            blind.append(image_id)
+    return _drop(model, blind)
+
+
+def misplaced_message(how: str, names: Sequence[str], photos: int) -> str:
+    """What to tell the user of ``names`` left out of ``photos``; ``how`` is ``astray`` or ``loose``."""
+    return f"{len(names)} of {photos} photos ({names[0]} to {names[-1]}) were left out: {_WHY[how]}"
+
+
+def _drop(model: Any, image_ids: Sequence[int]) -> list[str]:
+    files = [str(model.images[image_id].name) for image_id in image_ids]
+    for image_id in image_ids:
+        model.deregister_frame(model.images[image_id].frame_id)
+    return files
