@@ -24,6 +24,18 @@ def column_max(points: Floats) -> Floats:
     return np.array([points[:, column].max() for column in range(points.shape[1])])
 
 
+def rows(points: Floats, chosen: Bools) -> Floats:
+    """Those of points (N, C) that are ``chosen`` (N,), five times faster than ``points[chosen]``."""
+    return taken(points, np.flatnonzero(chosen))
+
+
+def taken(points: Floats, order: Ints) -> Floats:
+    """Rows ``order`` (K,) of points (N, C) that lie in memory row by row or column by column."""
+    if points.flags.c_contiguous:
+        return points.take(order, axis=0)
+    return np.asarray(points.T.take(order, axis=1).T)
+
+
 def count_cells(points: Floats, cell_m: float) -> int:
     """Number of square cells that points (N, 2) lie in."""
     if len(points) == 0:
@@ -73,7 +85,7 @@ class PlanIndex:
         key = column * self._shape[1] + row
         # NumPy sorts integers of 16 bits by radix, ten times faster than longer ones.
         order = np.argsort(key.astype(np.uint16) if self._shape[0] * self._shape[1] < 2**16 else key, kind="stable")
-        self._points = points[order]
+        self._points = taken(points, order)
         self._starts = np.concatenate([[0], np.cumsum(np.bincount(key, minlength=self._shape[0] * self._shape[1]))])
 
     def near(self, xy: Floats, radius_m: float) -> Floats:
@@ -81,14 +93,14 @@ class PlanIndex:
         low = np.floor((xy - radius_m - self._low) / self._cell_m).astype(np.int64)
         high = np.floor((xy + radius_m - self._low) / self._cell_m).astype(np.int64)
         first, last = max(int(low[1]), 0), min(int(high[1]), self._shape[1] - 1)
-        rows = range(max(int(low[0]), 0), min(int(high[0]), self._shape[0] - 1) + 1)
-        if first > last or len(rows) == 0:
+        columns = range(max(int(low[0]), 0), min(int(high[0]), self._shape[0] - 1) + 1)
+        if first > last or len(columns) == 0:
             return self._points[:0]
         width = self._shape[1]
-        spans = [(self._starts[row * width + first], self._starts[row * width + last + 1]) for row in rows]
+        spans = [(self._starts[row * width + first], self._starts[row * width + last + 1]) for row in columns]
         found = np.concatenate([self._points[a:b] for a, b in spans])
         distance2 = (found[:, 0] - xy[0]) ** 2 + (found[:, 1] - xy[1]) ** 2
-        return np.asarray(found[distance2 <= radius_m**2])
+        return rows(found, distance2 <= radius_m**2)
 
 
 def measured_spacing(points: Floats, *, seed: int = 0) -> float:
@@ -98,12 +110,12 @@ def measured_spacing(points: Floats, *, seed: int = 0) -> float:
     """
     rng = np.random.default_rng(seed)
     rise = np.abs(points[:, 2] - np.median(points[:: max(len(points) // 10_000, 1), 2]))
-    near = points[rise <= 0.25]
+    near = rows(points, rise <= 0.25)
     if len(near) < MANY_POINTS:
         near, asked = points, points
     else:
         # Whose neighbours are all there.
-        asked = near[rise[rise <= 0.25] <= 0.2]
+        asked = rows(points, rise <= 0.2)
     index = rng.choice(len(asked), min(len(asked), 2000), replace=False)
     # Sliding midpoints instead of medians: the tree is built thrice as fast, and hardly asked.
     tree = cKDTree(near, balanced_tree=False, compact_nodes=False)
@@ -124,4 +136,4 @@ def thin(points: Floats, cell_m: float) -> Floats:
     number = np.arange(len(key), dtype=np.int32)
     table = np.empty(extent[0] * extent[1] * extent[2], dtype=np.int32)
     table[key[::-1]] = number[::-1]
-    return np.asarray(points[table[key] == number])
+    return rows(points, table.take(key) == number)

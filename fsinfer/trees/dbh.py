@@ -24,6 +24,7 @@ from fsinfer.trees.axis import AxisFit, axis_coordinates
 from fsinfer.trees.circle import covered_bins
 from fsinfer.trees.joint_fit import JointSettings, joint_fits
 from fsinfer.trees.outline import fit_outline
+from fsinfer.trees.products import lengths
 from fsinfer.trees.section import Section, unmeasured_section
 from fsinfer.trees.slice import SliceSettings, fit_slice
 from fsinfer.trees.spread import Spread, SpreadSettings, fit_spread
@@ -148,9 +149,9 @@ def _section(
     circle = np.array([section.circle_m[0], section.circle_m[1], radius])
     outline = None
     if coverage >= s.outline_coverage:
-        scaled = offset * (1.0 - taper * foot / np.maximum(np.hypot(offset[:, 0], offset[:, 1]), 1e-6))[:, None]
+        scaled = offset * (1.0 - taper * foot / np.maximum(lengths(offset), 1e-6))[:, None]
         outline = fit_outline(scaled, fit.core, radius, fit.sigma_m)
-    gap = wall_gap(offset, np.hypot(offset[:, 0], offset[:, 1]) - (fit.radius_m + taper * foot), fit.sigma_m)
+    gap = wall_gap(offset, lengths(offset) - (fit.radius_m + taper * foot), fit.sigma_m)
     if gap == 0.0:
         gap = blurred_gap(offset, fit.residuals_m, fit.sigma_m)
     share, metres = s.max_change

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, uniform_filter
 
-from fsinfer.trees.cells import column_max, column_min
+from fsinfer.trees.cells import column_max, column_min, rows
 from fsinfer.trees.stem import StemSettings
 
 Floats = NDArray[np.float64]
@@ -28,7 +28,7 @@ def hough_seeds(slab: Floats, cell_m: float, s: StemSettings) -> Floats:
     bands = int(np.ceil((s.heights_m[1] - s.heights_m[0]) / s.band_m))
     votes: list[tuple[Ints, Floats]] = []
     for number in range(bands):
-        center, normal, weight = _wall_cells(slab[band == number], cell_m, s.band_m)
+        center, normal, weight = _wall_cells(rows(slab, band == number), cell_m, s.band_m)
         votes.append(_votes(center - origin, normal, weight, vote_cell, shape, s))
     per_window = max(round(s.window_m / s.band_m), 1)
     found = []

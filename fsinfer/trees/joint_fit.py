@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fsinfer.trees.axis import AxisFit, axis_coordinates
 from fsinfer.trees.axis_batch import fit_sections
+from fsinfer.trees.cells import rows
 from fsinfer.trees.products import lengths
 from fsinfer.trees.sides import noise_sector, relative_noise, seen_side
 
@@ -66,21 +67,21 @@ def _window(
     points: Floats, start: Floats, height: float, half: float, s: JointSettings, rng: np.random.Generator
 ) -> Floats:
     """Points about the height and the wall where the search has it."""
-    window = points[np.abs(points[:, 2] - height) <= half]
+    window = rows(points, np.abs(points[:, 2] - height) <= half)
     offset, _ = axis_coordinates(window, start, height)
-    near = window[lengths(offset) <= start[4] + float(np.clip(0.8 * start[4], 0.05, 0.12))]
+    near = rows(window, lengths(offset) <= start[4] + float(np.clip(0.8 * start[4], 0.05, 0.12)))
     if len(near) > s.max_points:
-        near = near[rng.choice(len(near), s.max_points, replace=False)]
-    return np.asarray(near)
+        near = near.take(rng.choice(len(near), s.max_points, replace=False), axis=0)
+    return near
 
 
 def _fits(
     near: dict[int, Floats], starts: Floats, heights_m: Floats, sigmas_m: Floats, s: JointSettings
 ) -> list[tuple[int, AxisFit, Floats]]:
     """Number, fit and points of each stem: all sides alike first, then those that were seen, the hazy ones less."""
-    rows = np.array(list(near), dtype=np.int64)
-    sigma = np.maximum(1.5 * sigmas_m[rows], 0.006)
-    first = fit_sections(list(near.values()), starts[rows], heights_m[rows], sigma_m=sigma, order=s.order)
+    those = np.array(list(near), dtype=np.int64)
+    sigma = np.maximum(1.5 * sigmas_m[those], 0.006)
+    first = fit_sections(list(near.values()), starts[those], heights_m[those], sigma_m=sigma, order=s.order)
     found = {k: (fit, own) for (k, own), fit in zip(near.items(), first, strict=True)}
     again: dict[int, tuple[Floats, Floats]] = {}
     for k, (fit, own) in found.items():
@@ -88,13 +89,13 @@ def _fits(
         offset, foot = axis_coordinates(own, fit.parameters, fit.height_m)
         seen = seen_side(offset, foot, fit.core)
         if 4 * s.min_points <= seen.sum():
-            offset = offset[seen]
-            again[k] = own[seen], relative_noise(offset, fit.residuals_m[seen])[noise_sector(offset)]
-    rows = np.array(list(again), dtype=np.int64)
+            offset = rows(offset, seen)
+            again[k] = rows(own, seen), relative_noise(offset, fit.residuals_m[seen])[noise_sector(offset)]
+    those = np.array(list(again), dtype=np.int64)
     second = fit_sections(
         [own for own, _ in again.values()],
         np.array([found[k][0].parameters for k in again]).reshape(-1, 6),
-        heights_m[rows],
+        heights_m[those],
         sigma_m=np.array([max(1.2 * found[k][0].sigma_m, 0.004) for k in again]),
         order=s.order,
         relative=[relative for _, relative in again.values()],

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fsinfer.errors import CloudError
 from fsinfer.progress import Progress, silent
+from fsinfer.trees.cells import rows
 from fsinfer.trees.ground import Ground, find_ground
 from fsinfer.trees.sanity import TURNS, TurnedCloudError, check_unit, check_upside_down, clean, turned_message
 from fsinfer.trees.section import Section
@@ -96,17 +97,21 @@ def analyse_plot(
     # Work about a local origin: map coordinates of 10^6 m would cost precision in the fits.
     few = np.ascontiguousarray(xyz[:: max(len(xyz) // settings.sanity.box_points, 1), :2].T)
     origin = np.r_[np.floor(np.median(few, axis=1)), 0.0]
-    local = xyz - origin
+    # Column by column in memory, which is how it is looked at.
+    columns = np.empty((3, len(xyz)))
+    for axis in range(3):
+        np.subtract(xyz[:, axis], origin[axis], out=columns[axis])
     box = np.percentile(few, [0.5, 99.5], axis=1) - origin[:2]
     check_unit(box, settings.sanity)
     # A single point a kilometre away must not blow up the rasters.
     margin = 0.5 * float(np.max(box[1] - box[0])) + 2.0
-    near = np.ones(len(local), dtype=bool)
+    near = np.ones(len(xyz), dtype=bool)
     for axis in range(2):
-        near &= np.abs(local[:, axis] - box[:, axis].mean()) <= 0.5 * np.ptp(box[:, axis]) + margin
+        near &= np.abs(columns[axis] - box[:, axis].mean()) <= 0.5 * np.ptp(box[:, axis]) + margin
     if not near.all():
         warnings.append(f"{int((~near).sum())} points far outside the plot were left out")
-        local = local[near]
+        columns = columns.compress(near, axis=1)
+    local = columns.T
     extent = box + origin[:2]
     plan_m2 = float(np.prod(box[1] - box[0]))
     progress(0, 3, "finding the ground")
@@ -114,9 +119,8 @@ def analyse_plot(
     check_upside_down(local, ground, settings.ground, settings.sanity, seed=settings.seed)
     if ground.share < 0.6:
         warnings.append(f"ground seen in only {100 * ground.share:.0f} % of the lowest parts of the plot")
-    stand = local.copy()
-    stand[:, 2] -= ground.height_at(local[:, :2])
-    low = stand[np.abs(stand[:, 2]) <= NEAR_GROUND_M, :2]
+    stand = np.stack([*columns[:2], columns[2] - ground.height_at(local[:, :2])]).T
+    low = rows(stand[:, :2], np.abs(stand[:, 2]) <= NEAR_GROUND_M)
     if seen_area(low, np.zeros((0, 2)), close=False) < settings.sanity.little_ground * plan_m2:
         warnings.append("little ground is seen: breast height is counted from the lowest points of the stems")
     progress(1, 3, "looking for stems")

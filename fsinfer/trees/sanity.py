@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fsinfer.errors import CloudError
-from fsinfer.trees.ground import Ground, GroundSettings, find_ground
+from fsinfer.trees.ground import Ground, GroundSettings, find_ground, reach_of
 
 Floats = NDArray[np.float64]
 _log = logging.getLogger(__name__)
@@ -66,13 +66,14 @@ def check_upside_down(
     """Raise where the points (N, 3) show much more ground with the cloud turned on its head."""
     if ground.reach >= sanity.head_ground:
         return
+    turned = points[:: max(len(points) // sanity.turned_points, 1)] * [1.0, -1.0, -1.0]
+    if reach_of(turned, settings=settings) <= 2.0 * ground.reach:
+        return
     try:
-        few = points[:: max(len(points) // sanity.turned_points, 1)]
-        other = find_ground(few * [1.0, -1.0, -1.0], settings=settings, seed=seed)
+        find_ground(turned, settings=settings, seed=seed)
     except CloudError:
         return
-    if other.reach > 2.0 * ground.reach:
-        raise TurnedCloudError(*TURNS[-1])
+    raise TurnedCloudError(*TURNS[-1])
 
 
 def coordinate_step(xyz: Floats) -> float:

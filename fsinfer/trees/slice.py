@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import CloudError
 from fsinfer.trees.axis import AxisFit, axis_coordinates, harmonics
-from fsinfer.trees.cells import count_cells
+from fsinfer.trees.cells import count_cells, rows
 from fsinfer.trees.circle import CircleSettings, covered_bins, fit_circle
-from fsinfer.trees.products import weighted_sum
+from fsinfer.trees.products import lengths, weighted_sum
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -65,14 +65,14 @@ def fit_slice(
     """
     s = settings or SliceSettings()
     taper = float(fit.parameters[5])
-    near = points[np.abs(points[:, 2] - height) <= 0.25]
+    near = rows(points, np.abs(points[:, 2] - height) <= 0.25)
     offset, foot = axis_coordinates(near, fit.parameters, height)
-    distance = np.hypot(offset[:, 0], offset[:, 1])
+    distance = lengths(offset)
     unit = offset / np.maximum(distance, 1e-6)[:, None]
     shape = weighted_sum(fit.shape_m, harmonics(unit[:, 0], unit[:, 1], len(fit.shape_m)).T)
     residual = distance - fit.radius_m - taper * foot - shape
     reach = np.abs(residual) <= 0.12
-    offset, foot, distance, residual = offset[reach], foot[reach], distance[reach], residual[reach]
+    offset, foot, distance, residual = rows(offset, reach), foot[reach], distance[reach], residual[reach]
     # Taper and shape are taken out, so that the circle meets a round section and only sees the local difference.
     excess = taper * foot + shape[reach]
     offset = offset * (1.0 - excess / np.maximum(distance, 1e-6))[:, None]

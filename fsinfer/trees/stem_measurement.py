@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.trees.cells import PlanIndex, near_paths
+from fsinfer.trees.cells import PlanIndex, near_paths, rows
 from fsinfer.trees.dbh import measure_together
 from fsinfer.trees.ground import Ground
+from fsinfer.trees.products import lengths
 from fsinfer.trees.section import Section
 from fsinfer.trees.settings import TreeSettings
 from fsinfer.trees.stem import Stem
@@ -33,7 +34,7 @@ def measure_stems(
 ) -> list[tuple[Tree, Section]]:
     """Measure the stems of a search in points (N, 3) of x, y, height above ``ground``, metres about ``origin`` (3,)."""
     low, high = settings.stems.heights_m
-    slab = stand[(stand[:, 2] >= low - 0.5) & (stand[:, 2] <= high + 0.5)]
+    slab = rows(stand, (stand[:, 2] >= low - 0.5) & (stand[:, 2] <= high + 0.5))
     index = PlanIndex(slab, settings.stems.index_cell_m)
     centers = np.array([stem.axis.center_at(settings.bh_m) for stem in search.stems]).reshape(-1, 2)
     measured = []
@@ -75,8 +76,8 @@ def _crowns(stand: Floats, stems: Sequence[Stem], highest: float, settings: TopS
     paths = [axis_path(stem, highest, settings=settings) for stem in stems]
     starts = np.array([low for low, _ in paths]).reshape(-1, 2)
     ends = np.array([high for _, high in paths]).reshape(-1, 2)
-    above = stand[stand[:, 2] > 1.0]
-    return np.asarray(above[near_paths(above, starts, ends, settings.crown_radius_m)])
+    above = rows(stand, stand[:, 2] > 1.0)
+    return rows(above, near_paths(above, starts, ends, settings.crown_radius_m))
 
 
 def doubt_the_rough(pairs: list[tuple[Tree, Section]]) -> list[tuple[Tree, Section]]:
@@ -120,13 +121,13 @@ def _without_neighbours(near: Floats, stem: Stem, stems: tuple[Stem, ...]) -> Fl
         gap = np.linalg.norm(other.axis.center_at(1.3) - stem.axis.center_at(1.3))
         if 0.05 < gap < other.axis.radius_m + stem.axis.radius_m + 0.25:
             keep &= own <= np.abs(_surface_distance(near, other))
-    return near[keep]
+    return rows(near, keep)
 
 
 def _surface_distance(points: Floats, stem: Stem) -> Floats:
     p = stem.axis.parameters
     center = p[:2] + p[2:4] * (points[:, 2:3] - stem.axis.height_m)
-    return np.asarray(np.hypot(points[:, 0] - center[:, 0], points[:, 1] - center[:, 1]) - p[4])
+    return np.asarray(lengths(points[:, :2] - center) - p[4])
 
 
 def tree_of(section: Section, z_ground: float, height: float | None, origin: Floats) -> Tree:

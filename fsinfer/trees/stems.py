@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 
 from fsinfer.progress import Progress, silent
 from fsinfer.trees.axis import axis_coordinates
-from fsinfer.trees.cells import PlanIndex, measured_spacing, thin
+from fsinfer.trees.cells import PlanIndex, measured_spacing, rows, thin
 from fsinfer.trees.hough import hough_seeds
 from fsinfer.trees.stem import Stem, StemSettings
 from fsinfer.trees.verification import Candidate, verify
@@ -45,7 +45,7 @@ def find_stems(
 ) -> StemSearch:
     """Find stems among points (N, 3) of x, y, height above ground, in metres."""
     s = settings or StemSettings()
-    slab = points[(points[:, 2] >= s.heights_m[0]) & (points[:, 2] <= s.heights_m[1])]
+    slab = rows(points, (points[:, 2] >= s.heights_m[0]) & (points[:, 2] <= s.heights_m[1]))
     if len(slab) < 20:
         return StemSearch(stems=(), candidates=0, rejected={}, spacing_m=float("nan"))
     spacing = measured_spacing(slab, seed=seed)
@@ -94,12 +94,12 @@ def _search(
     accepted: list[Stem] = []
     for first, last in pairwise(bounds):
         progress(first, len(seeds), "looking for stems")
-        rows = [row for row in range(first, last) if covered[row] >= turn[row]]
+        ahead = [row for row in range(first, last) if covered[row] >= turn[row]]
         candidates = [
             Candidate(near=index.near(seed[:2], s.radius_m[1] + 0.15), xy=seed[:2], height_m=float(seed[2]))
-            for seed in places[rows]
+            for seed in places[ahead]
         ]
-        for row, (stem, why) in zip(rows, verify(candidates, cell_m, s), strict=True):
+        for row, (stem, why) in zip(ahead, verify(candidates, cell_m, s), strict=True):
             if covered[row] < turn[row]:
                 continue
             if stem is None:

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from fsinfer.trees.axis import Axis, AxisSettings, axis_coordinates
 from fsinfer.trees.axis_batch import fit_axes
+from fsinfer.trees.cells import rows
+from fsinfer.trees.products import lengths
 from fsinfer.trees.stem import Stem, StemSettings
 
 Floats = NDArray[np.float64]
@@ -33,7 +35,7 @@ def verify(candidates: Sequence[Candidate], cell_m: float, s: StemSettings) -> l
     windows: dict[int, Floats] = {}
     radii: dict[int, list[float]] = {}
     for number, candidate in enumerate(candidates):
-        window = candidate.near[np.abs(candidate.near[:, 2] - candidate.height_m) <= 0.5 * s.window_m]
+        window = rows(candidate.near, np.abs(candidate.near[:, 2] - candidate.height_m) <= 0.5 * s.window_m)
         if len(window) >= s.min_points:
             windows[number], radii[number] = window, _start_radii(window, candidate.xy, s)
             result[number] = None, "no ring"
@@ -52,38 +54,40 @@ def _fit_rings(
     """The axis of each candidate that starts from a ring of the given radius, or why there is none."""
     result: list[Axis | str] = ["radius out of range"] * len(candidates)
 
-    def fit(rows: list[int], axes: list[Axis], points: Sequence[Floats], most: int, steps: AxisSettings) -> list[Axis]:
+    def fit(those: list[int], axes: list[Axis], points: Sequence[Floats], most: int, steps: AxisSettings) -> list[Axis]:
         return fit_axes(
-            [_around(points[row], axis, most) for row, axis in zip(rows, axes, strict=True)],
+            [_around(points[row], axis, most) for row, axis in zip(those, axes, strict=True)],
             np.array([axis.parameters for axis in axes]).reshape(-1, 6),
             np.array([axis.height_m for axis in axes]),
             sigma_m=np.array([axis.sigma_m for axis in axes]),
             settings=steps,
         )
 
-    def keep(rows: list[int], axes: list[Axis], low: float, high: float) -> tuple[list[int], list[Axis]]:
+    def keep(those: list[int], axes: list[Axis], low: float, high: float) -> tuple[list[int], list[Axis]]:
         kept = [
             (row, axis)
-            for row, axis in zip(rows, axes, strict=True)
+            for row, axis in zip(those, axes, strict=True)
             if s.radius_m[0] * low <= axis.radius_m <= s.radius_m[1] * high
         ]
         return [row for row, _ in kept], [axis for _, axis in kept]
 
-    rows = list(range(len(candidates)))
+    alive = list(range(len(candidates)))
     axes = [
         Axis(parameters=np.array([*c.xy, 0.0, 0.0, radius, 0.0]), height_m=c.height_m, sigma_m=s.start_sigma_m)
         for c, radius in zip(candidates, radii, strict=True)
     ]
     # Most candidates run away within a few steps on a few points; only the others are worth more.
-    rows, axes = keep(rows, fit(rows, axes, windows, s.few_points, AxisSettings(iterations=s.few_steps)), 0.5, 1.3)
-    rows, axes = keep(rows, fit(rows, axes, windows, s.more_points, AxisSettings(iterations=s.more_steps)), 0.75, 1.1)
-    for row in rows:
+    alive, axes = keep(alive, fit(alive, axes, windows, s.few_points, AxisSettings(iterations=s.few_steps)), 0.5, 1.3)
+    alive, axes = keep(
+        alive, fit(alive, axes, windows, s.more_points, AxisSettings(iterations=s.more_steps)), 0.75, 1.1
+    )
+    for row in alive:
         result[row] = "not round"
-    round_ = [(row, axis) for row, axis in zip(rows, axes, strict=True) if axis.sigma_m <= s.max_sigma_m]
-    rows, axes = [row for row, _ in round_], [axis for _, axis in round_]
+    round_ = [(row, axis) for row, axis in zip(alive, axes, strict=True) if axis.sigma_m <= s.max_sigma_m]
+    alive, axes = [row for row, _ in round_], [axis for _, axis in round_]
     nears = [c.near for c in candidates]
     last = AxisSettings(tolerance=s.tolerance_m)
-    for row, axis in zip(rows, fit(rows, axes, nears, s.fit_points, last), strict=True):
+    for row, axis in zip(alive, fit(alive, axes, nears, s.fit_points, last), strict=True):
         if not s.radius_m[0] * 0.75 <= axis.radius_m <= s.radius_m[1] * 1.1:
             result[row] = "radius out of range"
         elif axis.lean_deg > s.max_lean_deg:
@@ -99,8 +103,7 @@ def _judge(near: Floats, fit: Axis, cell_m: float, s: StemSettings) -> tuple[Ste
     """Whether the points show a stem about an axis: persistent, hollow, and standing out."""
     radius, sigma = fit.radius_m, fit.sigma_m
     offset, foot = axis_coordinates(near, fit.parameters, fit.height_m)
-    distance = np.hypot(offset[:, 0], offset[:, 1])
-    residual = distance - (radius + fit.parameters[5] * foot)
+    residual = lengths(offset) - (radius + fit.parameters[5] * foot)
     limit = max(2.5 * sigma, 0.6 * cell_m)
     wall = np.abs(residual) <= limit
     layer = np.floor((near[:, 2] - s.heights_m[0]) / s.layer_m).astype(np.int64)
@@ -195,4 +198,4 @@ def _around(points: Floats, axis: Axis, most: int) -> Floats:
     rise = points[:, 2] - axis.height_m
     x, y = points[:, 0] - p[0] - p[2] * rise, points[:, 1] - p[1] - p[3] * rise
     near = np.flatnonzero(x * x + y * y <= (p[4] + float(np.clip(0.8 * p[4], 0.05, 0.10))) ** 2)
-    return points[near[:: -(-len(near) // most) or 1]]
+    return points.take(near[:: -(-len(near) // most) or 1], axis=0)

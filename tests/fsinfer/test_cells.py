@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fsinfer.trees.cells import PlanIndex, column_max, column_min, count_cells, near_paths, thin
+from fsinfer.trees.cells import PlanIndex, column_max, column_min, count_cells, near_paths, rows, taken, thin
 from fsinfer.trees.hough import _REACH_CELLS, _moments
 from fsinfer.trees.stems import _rounds
 
@@ -83,9 +83,17 @@ def test_rounds_hold_every_place_once_and_none_before_its_stronger_neighbour() -
     rounds = list(_rounds(xy, 0.3))
     assert sorted(np.concatenate(rounds).tolist()) == list(range(200))
     number = np.empty(200, dtype=int)
-    for this, rows in enumerate(rounds):
-        number[rows] = this
+    for this, places in enumerate(rounds):
+        number[places] = this
     apart = np.linalg.norm(xy[:, None] - xy[None], axis=2)
     first, second = np.nonzero(np.triu(apart < 0.3, 1))
     assert (number[first] < number[second]).all()
     assert len(list(_rounds(np.zeros((0, 2)), 0.3))) == 0
+
+
+def test_rows_are_those_of_numpy_in_both_orders() -> None:
+    rng = np.random.default_rng(7)
+    points, chosen, order = rng.normal(0.0, 1.0, (100, 3)), rng.random(100) < 0.3, rng.permutation(100)
+    for same in (points, np.asfortranarray(points), np.asfortranarray(points)[:, :2], points[::2]):
+        np.testing.assert_array_equal(rows(same, chosen[: len(same)]), same[chosen[: len(same)]])
+        np.testing.assert_array_equal(taken(same, order[order < len(same)]), same[order[order < len(same)]])
