@@ -131,9 +131,23 @@ def thin(points: Floats, cell_m: float) -> Floats:
     extent = [int(cell.max()) + 1 for cell in cells]
     key = (cells[0] * extent[1] + cells[1]) * extent[2] + cells[2]
     if float(extent[0]) * float(extent[1]) * float(extent[2]) > MAX_TABLE:
-        return np.asarray(points[np.sort(np.unique(key, return_index=True)[1])])
+        return taken(points, _first_of_each(key))
     # Written from the last to the first: the first of each cell stays.
     number = np.arange(len(key), dtype=np.int32)
     table = np.empty(extent[0] * extent[1] * extent[2], dtype=np.int32)
     table[key[::-1]] = number[::-1]
     return rows(points, table.take(key) == number)
+
+
+def _first_of_each(key: Ints) -> Ints:
+    """Rows, ascending, at which each value of keys (N,) >= 0 occurs first.
+
+    Key and row in one number, because integers are sorted several times faster than they are argsorted.
+    """
+    bits = len(key).bit_length()
+    if int(key.max()) >= 2 ** (63 - bits):
+        return np.sort(np.unique(key, return_index=True)[1])
+    both = np.sort((key << bits) + np.arange(len(key)))
+    key = both >> bits
+    first = np.flatnonzero(np.r_[True, key[1:] != key[:-1]])
+    return np.sort(both.take(first) & (2**bits - 1))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fsinfer.errors import CloudError
-from fsinfer.trees.products import sums_of_products
+from fsinfer.trees.products import median, sums_of_products
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -119,22 +119,17 @@ def fit_taubin(points: Floats, weights: Floats | None = None) -> Floats:
 
 def fit_geometric(points: Floats, start: Floats, weights: Floats | None = None, iterations: int = 30) -> Floats:
     """Weighted geometric least squares from ``start`` (x, y, radius): damped Gauss-Newton, points (N, 2) -> (3,)."""
-    weights = np.ones(len(points)) if weights is None else weights
+    columns = np.ascontiguousarray(points.T)
     circle = start.astype(np.float64).copy()
     damping = 1e-9
-    cost = float(weights @ residuals_to(points, circle) ** 2)
+    sums = _sums_about(columns, circle, weights)
     for _ in range(iterations):
-        offset = points - circle[:2]
-        distance = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), 1e-12)
-        residual = distance - circle[2]
-        jacobian = np.stack([-offset[:, 0] / distance, -offset[:, 1] / distance, -np.ones(len(points))])
-        normal = sums_of_products(jacobian, jacobian * weights)
-        gradient = sums_of_products(jacobian, weights * residual)
-        step = -np.linalg.solve(normal + damping * np.trace(normal) * np.eye(3) + 1e-300 * np.eye(3), gradient)
+        normal = sums[:3, :3]
+        step = -np.linalg.solve(normal + damping * np.trace(normal) * np.eye(3) + 1e-300 * np.eye(3), sums[:3, 3])
         trial = circle + step
-        trial_cost = float(weights @ residuals_to(points, trial) ** 2)
-        if trial_cost <= cost:
-            circle, cost, damping = trial, trial_cost, max(damping * 0.1, 1e-15)
+        at_trial = _sums_about(columns, trial, weights)
+        if at_trial[3, 3] <= sums[3, 3]:
+            circle, sums, damping = trial, at_trial, max(damping * 0.1, 1e-15)
             if np.abs(step).max() <= STEP_TOLERANCE * max(1.0, circle[2]):
                 break
         else:
@@ -143,6 +138,20 @@ def fit_geometric(points: Floats, start: Floats, weights: Floats | None = None, 
                 break
     circle[2] = abs(circle[2])
     return circle
+
+
+def _sums_about(columns: Floats, circle: Floats, weights: Floats | None) -> Floats:
+    """Weighted sums (4, 4) of the products of the derivatives of the residuals and, last, the residuals themselves.
+
+    ``columns`` (2, N) are the points' x and y.
+    """
+    rows = np.empty((4, columns.shape[1]))
+    x, y = np.subtract(columns[0], circle[0], out=rows[0]), np.subtract(columns[1], circle[1], out=rows[1])
+    distance = np.maximum(np.sqrt(x * x + y * y), 1e-12)
+    rows[:2] /= -distance
+    rows[2] = -1.0
+    np.subtract(distance, circle[2], out=rows[3])
+    return sums_of_products(rows, rows if weights is None else rows * weights)
 
 
 def residuals_to(points: Floats, circle: Floats) -> Floats:
@@ -175,7 +184,7 @@ def covered_bins(offsets: Floats, *, bins: int = 72) -> Bools:
 
 
 def _drop_limit(residuals: Floats, settings: CircleSettings) -> float:
-    sigma = 1.4826 * float(np.median(np.abs(residuals)))
+    sigma = 1.4826 * median(np.abs(residuals))
     return max(settings.drop_residual_m, settings.noise_factor * sigma)
 
 

@@ -16,6 +16,7 @@ from scipy.ndimage import grey_erosion
 
 from fsinfer.errors import CloudError
 from fsinfer.trees.cells import MAX_TABLE
+from fsinfer.trees.products import median
 from fsinfer.trees.terrain import height_on, smooth_surface
 
 Floats = NDArray[np.float64]
@@ -159,14 +160,14 @@ def find_ground(points: Floats, *, settings: GroundSettings | None = None, seed:
     above = z - (plane[0] * x + plane[1] * y + plane[2])
     over = above - surface.ravel().take(index)
     band = np.flatnonzero(np.abs(over) <= max(3.0 * noise, 0.08))
-    used, median = _cell_medians(index.take(band), above.take(band))
+    used, heights = _cell_medians(index.take(band), above.take(band))
     use_raster = plane_share < settings.plane_share
     if use_raster:
-        surface = smooth_surface(used, median, shape, settings.smoothness, symmetric=True)
+        surface = smooth_surface(used, heights, shape, settings.smoothness, symmetric=True)
     elif len(used) >= 3:
         where = origin + settings.cell_m * (np.column_stack([used % shape[1], used // shape[1]]) + 0.5)
-        good = np.abs(median - np.median(median)) <= tolerance
-        plane = plane + _least_squares_plane(where[good], median[good])
+        good = np.abs(heights - np.median(heights)) <= tolerance
+        plane = plane + _least_squares_plane(where[good], heights[good])
     result = Ground(
         method="plane + raster" if use_raster else "plane",
         plane=plane,
@@ -181,7 +182,7 @@ def find_ground(points: Floats, *, settings: GroundSettings | None = None, seed:
         reach=float(reachable.mean()),
     )
     final = z.take(band) - result.height_at(np.stack([x.take(band), y.take(band)]).T)
-    noise = float(1.4826 * np.median(np.abs(final))) if len(final) else noise
+    noise = 1.4826 * median(np.abs(final)) if len(final) else noise
     tolerance = float(np.clip(2.0 * noise, *settings.tolerance_m))
     count = int(np.count_nonzero(np.abs(final) <= tolerance))
     return Ground(**{**vars(result), "noise_m": noise, "tolerance_m": tolerance, "points": count})

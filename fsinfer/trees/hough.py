@@ -69,7 +69,7 @@ def _wall_cells(points: Floats, cell_m: float, band_m: float) -> tuple[Floats, F
     occupied = np.zeros(steps * size, dtype=np.uint8)
     occupied[rise * size + column * width + row] = 1
     filled = occupied.reshape(steps, size).sum(axis=0, dtype=np.uint8)
-    key = np.flatnonzero(filled)
+    key = np.flatnonzero(filled > 0)
     share = filled[key] / steps
     center = low[:2] + (np.column_stack([key // width, key % width]) - margin + 0.5) * cell_m
     moments, count = _moments(filled, key, width)
@@ -112,7 +112,21 @@ def _votes(
 ) -> tuple[Ints, Floats]:
     radii = np.arange(s.radius_m[0] + 0.5 * vote_cell, s.radius_m[1], vote_cell)
     radii = np.concatenate([-radii, radii])
-    position = (center[:, None] + radii[None, :, None] * normal[:, None]) / vote_cell
-    column, row = position[..., 0].astype(np.int64), position[..., 1].astype(np.int64)
-    inside = (column >= 0) & (row >= 0) & (column < shape[1]) & (row < shape[0])
-    return (row * shape[1] + column)[inside], np.broadcast_to(weight[:, None], row.shape)[inside]
+    if len(center) == 0:
+        return np.zeros(0, dtype=np.int64), np.zeros(0)
+    column, row = (_steps_along(center[:, axis], normal[:, axis], radii, vote_cell) for axis in range(2))
+    index = row * shape[1]
+    index += column
+    weights = np.repeat(weight, len(radii))
+    if column.min() < 0 or row.min() < 0 or column.max() >= shape[1] or row.max() >= shape[0]:
+        inside = (column >= 0) & (row >= 0) & (column < shape[1]) & (row < shape[0])
+        return index[inside], weights[inside.ravel()]
+    return index.ravel(), weights
+
+
+def _steps_along(center: Floats, normal: Floats, radii: Floats, vote_cell: float) -> Ints:
+    """Cell numbers (C, R) along one axis of the places ``radii`` (R,) away from each of the centres (C,)."""
+    position = normal[:, None] * radii
+    position += center[:, None]
+    position /= vote_cell
+    return position.astype(np.int64)

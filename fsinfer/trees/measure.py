@@ -12,6 +12,7 @@ from fsinfer.errors import CloudError
 from fsinfer.progress import Progress, silent
 from fsinfer.trees.cells import rows
 from fsinfer.trees.ground import Ground, find_ground
+from fsinfer.trees.products import median
 from fsinfer.trees.sanity import TURNS, TurnedCloudError, check_unit, check_upside_down, clean, turned_message
 from fsinfer.trees.section import Section
 from fsinfer.trees.settings import TreeSettings
@@ -96,7 +97,7 @@ def analyse_plot(
     xyz, warnings = clean(points, settings.sanity)
     # Work about a local origin: map coordinates of 10^6 m would cost precision in the fits.
     few = np.ascontiguousarray(xyz[:: max(len(xyz) // settings.sanity.box_points, 1), :2].T)
-    origin = np.r_[np.floor(np.median(few, axis=1)), 0.0]
+    origin = np.floor([median(few[0]), median(few[1]), 0.0])
     # Column by column in memory, which is how it is looked at.
     columns = np.empty((3, len(xyz)))
     for axis in range(3):

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.trees.axis import harmonics
 from fsinfer.trees.cells import count_cells
-from fsinfer.trees.products import sums_of_products
+from fsinfer.trees.products import lengths, sums_of_products
 
 Floats = NDArray[np.float64]
 
@@ -41,7 +42,7 @@ def fit_outline(
     """Weighted ridge fit of the harmonics to offsets (N, 2) about the axis; ``radius`` fixes the mean radius."""
     s = settings or OutlineSettings()
     angle = np.arctan2(offsets[:, 1], offsets[:, 0])
-    deviation = np.hypot(offsets[:, 0], offsets[:, 1]) - radius
+    deviation = lengths(offsets) - radius
     design = _harmonics(angle, s.order)
     design = np.column_stack([np.ones(len(angle)), design])
     near = weights * (np.abs(deviation) <= max(4.0 * sigma, 0.15 * radius))
@@ -68,5 +69,5 @@ def fit_outline(
 
 
 def _harmonics(angle: Floats, order: int) -> Floats:
-    waves = [f(k * angle) for k in range(1, order + 1) for f in (np.cos, np.sin)]
-    return np.column_stack(waves)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.column_stack([cosine, sine, harmonics(cosine, sine, 2 * order - 2)])

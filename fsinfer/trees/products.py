@@ -15,12 +15,14 @@ BLOCK = 512  # times 14 parameters: below the 9,216 elements from which OpenBLAS
 
 def sums_of_products(a: Floats, b: Floats) -> Floats:
     """``a @ b.T`` for a (P, N) and b (Q, N) or (N,): (P, Q) or (P,), for P and Q of a dozen and N of thousands."""
-    return np.asarray(
-        sum(
-            (a[:, first : first + BLOCK] @ b[..., first : first + BLOCK].T for first in range(0, a.shape[1], BLOCK)),
-            start=np.zeros((len(a), *b.shape[:-1])),
-        )
-    )
+    rows = b if b.ndim == 2 else b[None]
+    whole = a.shape[1] // BLOCK * BLOCK
+    # Also the rest is a block of its own.
+    product = a[:, whole:] @ rows[:, whole:].T
+    if whole:
+        blocks = [v[:, :whole].reshape(len(v), -1, BLOCK).transpose(1, 0, 2) for v in (a, rows)]
+        product = product + (blocks[0] @ blocks[1].transpose(0, 2, 1)).sum(axis=0)
+    return np.asarray(product if b.ndim == 2 else product[:, 0])
 
 
 def weighted_sum(weights: Floats, rows: Floats) -> Floats:
@@ -29,6 +31,14 @@ def weighted_sum(weights: Floats, rows: Floats) -> Floats:
     for weight, row in zip(weights, rows, strict=True):
         total += weight * row
     return total
+
+
+def median(values: Floats) -> float:
+    """Median of values (N,), N > 0: that of NumPy, which looks at its arguments for longer than at few values."""
+    middle = len(values) // 2
+    ordered = np.partition(values, middle)
+    high = float(ordered[middle])
+    return high if len(values) % 2 else 0.5 * (float(ordered[:middle].max()) + high)
 
 
 def lengths(offsets: Floats) -> Floats:

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.trees.products import median
+
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
@@ -92,10 +94,4 @@ def noise_sector(offsets: Floats) -> NDArray[np.int64]:
 
 
 def _spread(values: Floats) -> float:
-    return 1.4826 * _median(np.abs(values - _median(values)))
-
-
-def _median(values: Floats) -> float:
-    # np.median takes longer to look at its arguments than at the few values of a sector.
-    ordered = np.sort(values)
-    return 0.5 * float(ordered[(len(values) - 1) // 2] + ordered[len(values) // 2])
+    return 1.4826 * median(np.abs(values - median(values)))

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
-from fsinfer.trees.cells import PlanIndex, thin
+from fsinfer.trees.cells import PlanIndex, rows, thin
+from fsinfer.trees.products import lengths
 from fsinfer.trees.stem import Stem
 
 Floats = NDArray[np.float64]
@@ -72,18 +72,22 @@ def tree_height(
     # All that lies within the crown's radius of the continued axis and within reach, found by one disc about both.
     low, high = axis_path(stem, highest_m, settings=s)
     disc = stand.near(0.5 * (low + high), s.crown_radius_m + 0.5 * float(np.hypot(*(high - low))))
-    offset = disc[:, :2] - (start + slope * (disc[:, 2:3] - 1.3))
-    away = np.hypot(disc[:, 0] - start[0], disc[:, 1] - start[1])
-    near = disc[(np.hypot(offset[:, 0], offset[:, 1]) <= s.crown_radius_m) & (away <= s.reach_m) & (disc[:, 2] > 1.0)]
-    near = thin(near, s.cell_m)
+    x, y, rise = disc[:, 0] - start[0], disc[:, 1] - start[1], disc[:, 2] - 1.3
+    inside = (x * x + y * y <= s.reach_m**2) & (disc[:, 2] > 1.0)
+    x -= slope[0] * rise
+    y -= slope[1] * rise
+    inside &= x * x + y * y <= s.crown_radius_m**2
+    near = thin(rows(disc, inside), s.cell_m)
     if len(near) < 20:
         return None
     own = centers[number]
-    apart = np.hypot(centers[:, 0] - own[0], centers[:, 1] - own[1])
-    rivals = centers[(apart > 0.0) & (apart <= 2.0 * (s.reach_m + s.crown_radius_m))]
-    if len(rivals):
-        nearest = cKDTree(rivals).query(near[:, :2])[0]
-        near = near[np.hypot(near[:, 0] - own[0], near[:, 1] - own[1]) <= nearest]
+    apart = lengths(centers - own)
+    own_side = np.ones(len(near), dtype=bool)
+    x, y = near[:, 0] - own[0], near[:, 1] - own[1]
+    for gap in centers[(apart > 0.0) & (apart <= 2.0 * (s.reach_m + s.crown_radius_m))] - own:
+        # Not beyond the line half way between the two stems.
+        own_side &= gap[0] * x + gap[1] * y <= 0.5 * (gap[0] ** 2 + gap[1] ** 2)
+    near = rows(near, own_side)
     layer = np.floor((near[:, 2] - 1.0) / s.layer_m).astype(np.int64)
     if len(layer) == 0:
         return None
@@ -99,9 +103,9 @@ def tree_height(
     diameter = dbh_m if dbh_m is not None else 2.0 * stem.axis.radius_m
     if height < s.min_height_m or height < s.min_slenderness * diameter:
         return None
-    upper = near[(near[:, 2] > 1.0 + (height - 1.0) * 2.0 / 3.0) & (near[:, 2] <= height)]
+    upper = rows(near, (near[:, 2] > 1.0 + (height - 1.0) * 2.0 / 3.0) & (near[:, 2] <= height))
     axis = np.median(upper[:, :2], axis=0)
-    spread = float(np.percentile(np.hypot(*(upper[:, :2] - axis).T), 80)) if len(upper) else 0.0
+    spread = float(np.percentile(lengths(upper[:, :2] - axis), 80)) if len(upper) else 0.0
     crown = count[max(top // 3, 0) : top + 1]
     tapers = count[top] <= s.thinning * crown.max()
     return height if spread > s.crown_spread * 0.5 * diameter and tapers else None
