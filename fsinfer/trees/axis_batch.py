@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.trees.axis import Axis, AxisFit, AxisSettings
+from fsinfer.trees.axis_kernels import column, residual_rows, tail_density
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -131,62 +132,55 @@ class _Batch:
 
     def run(self) -> None:
         """Iterate until all have arrived."""
-        s, xyz = self.s, self.xyz
-        inverse_ratio = self.inverse_ratio
+        s, xyz, inverse_ratio = self.s, self.xyz, self.inverse_ratio
         alive = np.arange(len(self.parameters))
         p, sigma = self.parameters.copy(), self.noise.copy()
         tail = np.full(len(p), 0.03)
         shares = np.tile([0.8, 0.12, 0.08], (len(p), 1))
-        prior_mean, prior = np.zeros(p.shape[1]), np.zeros(p.shape)
+        unknowns = p.shape[1]
+        prior_mean, prior = np.zeros(unknowns), np.zeros(p.shape)
         prior_mean[5] = s.taper_mean
         prior[:, 2:4], prior[:, 5] = s.lean_std**-2, s.taper_std**-2
+        prior_shares = s.prior_points * np.array([0.9, 0.05, 0.05])
         for turn in range(s.iterations):
-            rows = _residuals(xyz, p)
-            jacobian, residual = rows[: p.shape[1]], rows[p.shape[1]]
-            inner = np.minimum(s.window_m, np.maximum(p[:, 4], 0.02))
-            inside = np.abs(residual - _column(0.5 * (s.window_m - inner))) <= _column(0.5 * (s.window_m + inner))
-            precision = _column(1.0 / sigma)
+            rows = residual_rows(xyz, p)
+            residual = rows[unknowns]
+            precision = column(1.0 / sigma)
             if inverse_ratio is not None:
                 precision = precision * inverse_ratio
             scaled = residual * precision
-            body = scaled * scaled
-            body *= np.float32(-0.5)
-            np.exp(body, out=body)
-            outward = _tail(scaled, body, _column(1.0 / tail) / precision)
-            outward *= _column(0.5 * shares[:, 1] / tail)
-            body *= precision
-            body *= _column(shares[:, 0] / np.sqrt(2.0 * np.pi))
-            share = body + outward
-            share += _column(shares[:, 2] / (s.window_m + inner))
-            np.divide(inside, share, out=share)
-            outward *= share
-            core = np.multiply(body, share, out=body)
-            total = core.sum(axis=1).astype(np.float64)
-            weight = np.multiply(core, precision, out=share)
+            core, outward, count = _responsibilities(residual, scaled, precision, p[:, 4], tail, shares, s)
+            total, away = count[:, 0], count[:, 1]
+            weight = core * precision
             weight *= precision
             # (P, K, N) to one product a set: the equations of the step, and in the next column their right-hand sides.
-            weighted = jacobian * weight
+            weighted = rows[:unknowns] * weight
             sums = np.matmul(weighted.transpose(1, 0, 2), rows.transpose(1, 2, 0)).astype(np.float64)
             prior[:, 6:] = (self.shape_std * p[:, 4:5]) ** -2.0
-            information = sums[:, :, : p.shape[1]]
-            gradient = sums[:, :, p.shape[1]] + prior * (p - prior_mean)
-            regularised = information + (prior + 1e-9)[:, :, None] * np.eye(p.shape[1])
-            step = -np.linalg.solve(regularised, gradient[..., None])[..., 0]
-            longest = np.maximum(np.abs(step[:, [0, 1, 4]]).max(axis=1), 1e-12)
+            information = sums[:, :, :unknowns]
+            gradient = sums[:, :, unknowns] + prior * (p - prior_mean)
+            regularised = information.copy()
+            regularised.reshape(len(p), -1)[:, :: unknowns + 1] += prior + 1e-9
+            step = np.linalg.solve(regularised, -gradient[..., None])[..., 0]
+            length = np.abs(step)
+            longest = np.maximum(np.maximum(length[:, :2].max(axis=1), length[:, 4]), 1e-12)
             step *= np.minimum(1.0, 0.05 / longest)[:, None]
-            away = outward.sum(axis=1).astype(np.float64)
-            seen = np.count_nonzero(inside, axis=1)
             lost = total < 3.0
             # Who has lost the bark stays where it was before this step.
-            p = np.where(lost[:, None], p, p + step)
-            p[:, 4] = np.where(lost, p[:, 4], np.maximum(p[:, 4], 0.01))
-            shares = np.column_stack([total, away, seen - total - away]) + s.prior_points * np.array([0.9, 0.05, 0.05])
+            step[lost] = 0.0
+            p += step
+            np.maximum(p[:, 4], 0.01, out=p[:, 4], where=~lost)
+            shares = count + prior_shares
             shares /= shares.sum(axis=1, keepdims=True)
-            squares = np.einsum("kn,kn,kn->k", core, scaled, scaled) * sigma**2
+            squares = np.einsum("kn,kn->k", np.multiply(core, scaled, out=weight), scaled) * sigma**2
             new_sigma = np.sqrt((squares + 4.0 * 0.005**2) / (total + 4.0))
-            old_sigma, sigma = sigma, np.where(lost, sigma, np.clip(np.maximum(new_sigma, 0.75 * sigma), *s.sigma_m))
-            mean_tail = np.einsum("kn,kn->k", outward, np.maximum(residual, np.float32(0.0))) / np.maximum(away, 1e-9)
-            tail = np.clip(mean_tail, *s.tail_m)
+            new_sigma = np.minimum(np.maximum(np.maximum(new_sigma, 0.75 * sigma), s.sigma_m[0]), s.sigma_m[1])
+            old_sigma, sigma = sigma, np.where(lost, sigma, new_sigma)
+            # Twice the part of the residuals that lies outside, without the slower comparison with 0.
+            twice = np.abs(residual)
+            twice += residual
+            mean_tail = 0.5 * np.einsum("kn,kn->k", outward, twice) / np.maximum(away, 1e-9)
+            tail = np.minimum(np.maximum(mean_tail, s.tail_m[0]), s.tail_m[1])
             self.parameters[alive], self.noise[alive] = p, sigma
             moved = np.abs(step).max(axis=1) >= s.tolerance
             moved |= np.abs(sigma - old_sigma) >= s.sigma_tolerance * old_sigma
@@ -221,83 +215,37 @@ class _Batch:
         )
 
 
-def _residuals(xyz: Singles, p: Floats) -> Singles:
-    """Derivatives of the residuals, the residuals, and rows of zeros, for points (3, K, N) and parameters (K, P).
+def _responsibilities(
+    residual: Singles,
+    scaled: Singles,
+    precision: Singles,
+    radius: Floats,
+    tail: Floats,
+    shares: Floats,
+    s: AxisSettings,
+) -> tuple[Singles, Singles, Floats]:
+    """Probabilities (K, N) of points to be bark and to be of the tail outward of it, and the sums (K, 3) of all three.
 
-    Together (Q, K, N) with Q a multiple of eight above P, of which BLAS makes products twice as fast as of others.
-    Points are about the heights of the axes.
+    ``residual`` (K, N) is ``scaled`` over ``precision``, which are one over the noise; ``radius`` and the mean ``tail``
+    (K,) in metres, ``shares`` (K, 3) those of bark, tail and background.
     """
-    x, y, z = xyz[0] - _column(p[:, 0]), xyz[1] - _column(p[:, 1]), xyz[2]
-    u, v = _column(p[:, 2]), _column(p[:, 3])
-    foot, other = x * u, y * v
-    foot += other
-    foot += z
-    foot *= _column(1.0 / (1.0 + p[:, 2] ** 2 + p[:, 3] ** 2))
-    x -= np.multiply(foot, u, out=other)
-    y -= np.multiply(foot, v, out=other)
-    rows = np.empty(((p.shape[1] // 8 + 1) * 8, *foot.shape), dtype=np.float32)
-    rows[p.shape[1] + 1 :] = 0.0
-    residual = np.multiply(x, x, out=rows[p.shape[1]])
-    residual += np.multiply(y, y, out=other)
-    np.subtract(z, foot, out=other)
-    other *= other
-    residual += other
-    np.maximum(residual, np.float32(1e-18), out=residual)
-    np.sqrt(residual, out=residual)
-    np.divide(np.float32(-1.0), residual, out=other)
-    cosine, sine = np.multiply(x, other, out=rows[0]), np.multiply(y, other, out=rows[1])
-    np.multiply(cosine, foot, out=rows[2])
-    np.multiply(sine, foot, out=rows[3])
-    rows[4] = -1.0
-    np.negative(foot, out=rows[5])
-    residual -= np.multiply(foot, _column(p[:, 5]), out=other)
-    residual -= _column(p[:, 4])
-    # -cos ka and -sin ka from those of k - 1.
-    c, s = cosine, sine
-    for column in range(6, p.shape[1], 2):
-        np.multiply(s, sine, out=rows[column])
-        rows[column] -= np.multiply(c, cosine, out=other)
-        np.multiply(c, sine, out=rows[column + 1])
-        rows[column + 1] += np.multiply(s, cosine, out=other)
-        np.negative(rows[column + 1], out=rows[column + 1])
-        c, s = rows[column], rows[column + 1]
-        residual += np.multiply(c, _column(p[:, column]), out=other)
-        residual += np.multiply(s, _column(p[:, column + 1]), out=other)
-    return rows
-
-
-# Abramowitz & Stegun (1964), 7.1.26: erfc(x) = (a1 t + ... + a5 t^5) exp(-x^2) to 1.5e-7, t = 1 / (1 + p x), x >= 0.
-_ERFC_P = np.float32(0.3275911 * np.sqrt(0.5))
-_ERFC_A = tuple(np.float32(a) for a in (1.061405429, -1.453152027, 1.421413741, -0.284496736, 0.254829592))
-
-
-def _tail(scaled: Singles, body: Singles, ratio: Singles) -> Singles:
-    """Density (K, N) of a Gaussian plus an outward exponential, times twice the latter's mean, to 2e-6.
-
-    ``scaled`` are the residuals over sigma, ``body`` exp(-scaled^2 / 2), ``ratio`` (K, 1) or (K, N) sigma over the
-    exponential's mean. With a = (ratio - scaled) / sqrt(2) it is body erfcx(a); for a < 0, where erfcx grows without
-    bound, erfcx(a) = 2 exp(a^2) - erfcx(-a), and body exp(a^2) is a plain exponential.
-    """
-    argument = ratio - scaled
-    t = np.abs(argument)
-    t *= _ERFC_P
-    t += np.float32(1.0)
-    np.divide(np.float32(1.0), t, out=t)
-    value = _ERFC_A[0] * t
-    for factor in _ERFC_A[1:]:
-        value += factor
-        value *= t
-    value *= body
-    # The background has won long before the exponential of a point far inside would overflow.
-    plain = np.float32(0.5) * ratio - scaled
-    plain *= ratio
-    np.minimum(plain, np.float32(80.0), out=plain)
-    np.exp(plain, out=plain)
-    plain *= np.float32(2.0)
-    plain -= value
-    return np.where(argument < 0, plain, value)
-
-
-def _column(values: Floats) -> Singles:
-    """Values (K,) for an array (K, N)."""
-    return values.astype(np.float32)[:, None]
+    inner = np.minimum(s.window_m, np.maximum(radius, 0.02))
+    off_middle = residual - column(0.5 * (s.window_m - inner))
+    np.abs(off_middle, out=off_middle)
+    inside = off_middle <= column(0.5 * (s.window_m + inner))
+    core = np.multiply(scaled, scaled, out=off_middle)
+    core *= np.float32(-0.5)
+    np.exp(core, out=core)
+    outward = tail_density(scaled, core, column(1.0 / tail) / precision)
+    outward *= column(0.5 * shares[:, 1] / tail)
+    core *= precision
+    core *= column(shares[:, 0] / np.sqrt(2.0 * np.pi))
+    background = shares[:, 2] / (s.window_m + inner)
+    share = core + outward
+    share += column(background)
+    np.divide(inside, share, out=share)
+    outward *= share
+    core *= share
+    sums = np.array([core.sum(axis=1), outward.sum(axis=1), share.sum(axis=1)], dtype=np.float64).T
+    sums[:, 2] *= background
+    return core, outward, sums

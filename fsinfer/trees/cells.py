@@ -117,8 +117,8 @@ def measured_spacing(points: Floats, *, seed: int = 0) -> float:
         # Whose neighbours are all there.
         asked = rows(points, rise <= 0.2)
     index = rng.choice(len(asked), min(len(asked), 2000), replace=False)
-    # Sliding midpoints instead of medians: the tree is built thrice as fast, and hardly asked.
-    tree = cKDTree(near, balanced_tree=False, compact_nodes=False)
+    # Sliding midpoints instead of medians, and large leaves: the tree is built thrice as fast, and hardly asked.
+    tree = cKDTree(near, balanced_tree=False, compact_nodes=False, leafsize=64)
     return float(np.median(tree.query(asked[index], k=2)[0][:, 1]))
 
 

@@ -164,25 +164,25 @@ def _start_radii(window: Floats, xy: Floats, s: StemSettings) -> list[float]:
     step = 0.01
     window = window[:: max(len(window) // s.ring_points, 1)]
     x, y = window[:, 0] - xy[0], window[:, 1] - xy[1]
-    distance = np.sqrt(x * x + y * y)
     bins = int(np.ceil((s.radius_m[1] + 0.05) / step))
-    ring = np.floor(distance / step).astype(np.int64)
-    sector = np.floor((np.arctan2(y, x) / (2.0 * np.pi) + 0.5) * 16).astype(np.int64) % 16
-    layer = np.floor((window[:, 2] - window[:, 2].min()) / s.layer_m).astype(np.int64)
+    # The last ring takes all that lies beyond.
+    ring = np.minimum((np.sqrt(x * x + y * y) / step).astype(np.int64), bins)
+    sector = ((np.arctan2(y, x) / (2.0 * np.pi) + 0.5) * 16).astype(np.int64) % 16
+    layer = ((window[:, 2] - window[:, 2].min()) / s.layer_m).astype(np.int64)
     layers = int(layer.max()) + 1
-    use = ring < bins
-    occupied = np.zeros((bins, 16, layers), dtype=bool)
-    occupied[ring[use], sector[use], layer[use]] = True
+    table = np.zeros((layers, bins + 1, 16), dtype=bool)
+    table.ravel()[(layer * (bins + 1) + ring) * 16 + sector] = True
+    occupied = table[:, :bins]
     wide = occupied.copy()
     for shift in (1, 2):
-        wide[shift:] |= occupied[:-shift]
-        wide[:-shift] |= occupied[shift:]
+        wide[:, shift:] |= occupied[:, :-shift]
+        wide[:, :-shift] |= occupied[:, shift:]
     # Sectors that persist over the layers, not scattered hits.
-    persistent = wide.mean(axis=2)
+    persistent = wide.sum(axis=0, dtype=np.uint8) / layers
     score = np.where(persistent >= 0.3, persistent, 0.0).mean(axis=1)
-    count = np.bincount(ring[use], minlength=bins).astype(np.float64)
-    inside = np.concatenate([np.zeros(3), np.cumsum(count)[:-3]])
-    upto = np.concatenate([np.cumsum(count)[2:], np.full(2, count.sum())])
+    count = np.cumsum(np.bincount(ring, minlength=bins + 1)[:bins]).astype(np.float64)
+    inside = np.concatenate([np.zeros(3), count[:-3]])
+    upto = np.concatenate([count[2:], np.full(2, count[-1])])
     score *= 1.0 - np.minimum(inside / np.maximum(upto, 1.0), 1.0)
     score[: int(s.radius_m[0] / step)] = 0.0
     best = int(np.argmax(score))

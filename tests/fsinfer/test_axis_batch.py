@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from fsinfer.trees.axis import AxisSettings, _densities, fit_axis
-from fsinfer.trees.axis_batch import _tail, fit_axes, fit_sections
+from fsinfer.trees.axis_batch import fit_axes, fit_sections
+from fsinfer.trees.axis_kernels import tail_density
 from tests.fsinfer.stem_clouds import wall
 
 # Single precision in the distances, times what a short arc leaves open.
@@ -79,7 +80,7 @@ def test_the_tail_is_that_of_one_fit():
     sigma, tail = np.array([0.0015, 0.03]), np.array([0.06, 0.01])
     scaled = residual / sigma[:, None]
     single = [a.astype(np.float32) for a in (scaled, np.exp(-0.5 * scaled**2), (sigma / tail)[:, None])]
-    fast = _tail(*single) * (0.5 / tail)[:, None]
+    fast = tail_density(*single) * (0.5 / tail)[:, None]
     for row in range(2):
         exact = _densities(residual[row], np.full(4000, sigma[row]), tail[row])[1]
         # A thousandth of the background, which is some four per metre, is nothing to the mixture.
