@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.trees.axis import Axis, AxisFit, AxisSettings
-from fsinfer.trees.axis_kernels import column, residual_rows, tail_density
+from fsinfer.trees.axis_kernels import blocked, column, residual_rows, sums_of_sets, tail_density
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -96,7 +96,7 @@ def _chunks(counts: Sequence[int]) -> Iterator[Ints]:
 
 def _padded(points: Sequence[Floats], starts: Floats, heights_m: Floats, rows: Ints) -> Singles:
     """Points (3, K, N) of the sets ``rows`` about their starts, padded with far ones."""
-    most = max(len(points[k]) for k in rows)
+    most = blocked(max(len(points[k]) for k in rows))
     xyz = np.full((3, len(rows), most), _FAR_M)
     for row, k in enumerate(rows):
         for axis, origin in enumerate((starts[k, 0], starts[k, 1], heights_m[k])):
@@ -153,9 +153,8 @@ class _Batch:
             total, away = count[:, 0], count[:, 1]
             weight = core * precision
             weight *= precision
-            # (P, K, N) to one product a set: the equations of the step, and in the next column their right-hand sides.
-            weighted = rows[:unknowns] * weight
-            sums = np.matmul(weighted.transpose(1, 0, 2), rows.transpose(1, 2, 0)).astype(np.float64)
+            # The equations of the step, and in the next column their right-hand sides.
+            sums = sums_of_sets(rows[:unknowns] * weight, rows)
             prior[:, 6:] = (self.shape_std * p[:, 4:5]) ** -2.0
             information = sums[:, :, :unknowns]
             gradient = sums[:, :, unknowns] + prior * (p - prior_mean)

@@ -8,6 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.trees.products import BLOCK
+
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
@@ -91,6 +93,24 @@ def tail_density(scaled: Singles, body: Singles, ratio: Singles) -> Singles:
     plain *= argument < 0
     plain -= value
     return np.asarray(np.abs(plain, out=plain), np.float32)
+
+
+def blocked(count: int) -> int:
+    """The least number from ``count`` on that falls into equal blocks for :func:`sums_of_sets`."""
+    blocks = max(-(-count // BLOCK), 1)
+    return -(-count // blocks) * blocks
+
+
+def sums_of_sets(a: Singles, b: Singles) -> Floats:
+    """Sums (K, P, Q) of products over the points of each set, of a (P, K, N) and b (Q, K, N); N is ``blocked``.
+
+    In blocks, so that BLAS keeps to one thread (:mod:`fsinfer.trees.products`).
+    """
+    sets, count = a.shape[1:]
+    blocks = max(-(-count // BLOCK), 1)
+    left, right = (v.reshape(len(v), sets * blocks, count // blocks) for v in (a, b))
+    sums = np.matmul(left.transpose(1, 0, 2), right.transpose(1, 2, 0)).astype(np.float64)
+    return np.asarray(sums.reshape(sets, blocks, len(a), len(b)).sum(axis=1), np.float64)
 
 
 def column(values: Floats) -> Singles:

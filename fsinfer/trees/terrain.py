@@ -6,13 +6,16 @@ the surface hardly pulls.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.linalg import solveh_banded
+from scipy.sparse.linalg import splu
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+_SYMMETRIC: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 BLOCK = 16_384  # points at once: what is computed on the way stays in the processor's cache
 
 
@@ -62,16 +65,9 @@ def smooth_surface(
 
     ``cell`` (C,) are numbers of cells by row, ``smoothness`` the weight of squared second differences against a cell.
     """
-    if shape[0] < shape[1]:
-        # The equations' band is as wide as two rows: let the rows be the shorter side.
-        turned = (cell % shape[1]) * shape[0] + cell // shape[1]
-        return smooth_surface(turned, height, (shape[1], shape[0]), smoothness, symmetric=symmetric).T
-    size = shape[0] * shape[1]
-    rows, columns = (_second_difference(n) for n in shape)
-    penalty = sparse.kron(rows.T @ rows, sparse.eye(shape[1])) + sparse.kron(sparse.eye(shape[0]), columns.T @ columns)
-    band = _lower_band((smoothness * penalty + 1e-4 * sparse.eye(size)), 2 * shape[1])
+    equations = _Equations(shape, smoothness)
     # Coarse to fine: a stiff first surface cannot climb onto shrubs, later ones follow the terrain.
-    surface = np.zeros(size)
+    surface = np.zeros(shape[0] * shape[1])
     stiffness = (100.0, 30.0, 10.0, 3.0, 1.0, 1.0)
     for step, stiff in enumerate(stiffness if not symmetric else (1.0, 1.0, 1.0)):
         residual = height - surface[cell]
@@ -81,20 +77,39 @@ def smooth_surface(
             limit_above, limit_below = max(0.6 * 0.6**step, 0.06), max(1.2 * 0.7**step, 0.15)
             weight = np.where(residual > 0, np.exp(-((residual / limit_above) ** 2)), 1.0)
             weight = np.where(residual < -limit_below, (limit_below / np.maximum(-residual, 1e-9)) ** 2, weight)
-        equations = stiff * band
-        equations[0, cell] += weight
-        target = np.zeros(size)
-        target[cell] = weight * height
-        surface = solveh_banded(equations, target, lower=True, overwrite_ab=True, overwrite_b=True, check_finite=False)
-    return np.asarray(surface.reshape(shape))
+        surface = equations.solve(stiff, cell, weight, weight * height)
+    return surface.reshape(shape)
 
 
-def _lower_band(matrix: sparse.spmatrix, width: int) -> Floats:
-    """A symmetric matrix (N, N) as its diagonal and the ``width`` ones below, (width + 1, N), as LAPACK takes it."""
-    lower = sparse.tril(matrix).tocoo()
-    band = np.zeros((width + 1, matrix.shape[0]))
-    band[lower.row - lower.col, lower.col] = lower.data
-    return band
+class _Equations:
+    """(diag(w) + stiffness * penalty) x = b on a raster, for many w and b: ordered once, then only factorised.
+
+    Not by LAPACK's banded solver, which is faster alone but wakes BLAS's threads (:mod:`fsinfer.trees.products`).
+    """
+
+    def __init__(self, shape: tuple[int, int], smoothness: float) -> None:
+        rows, columns = (_second_difference(n) for n in shape)
+        penalty = sparse.kron(rows.T @ rows, sparse.eye(shape[1]))
+        penalty = penalty + sparse.kron(sparse.eye(shape[0]), columns.T @ columns)
+        penalty = (smoothness * penalty + 1e-4 * sparse.eye(shape[0] * shape[1])).tocsc()
+        first = splu(penalty + sparse.eye(penalty.shape[0], format="csc"), permc_spec="MMD_AT_PLUS_A", **_SYMMETRIC)
+        self._order = np.argsort(first.perm_c)
+        self._place = first.perm_c.astype(np.int64)
+        self._matrix = penalty[self._order][:, self._order].tocsc()
+        self._matrix.sort_indices()
+        self._penalty = self._matrix.data.copy()
+        column = np.repeat(np.arange(penalty.shape[0]), np.diff(self._matrix.indptr))
+        self._diagonal = np.flatnonzero(self._matrix.indices == column)
+
+    def solve(self, stiffness: float, cell: Ints, weight: Floats, target: Floats) -> Floats:
+        """Surface (N,) for weights and targets (C,) at cells (C,), 0 elsewhere."""
+        at = self._place[cell]
+        self._matrix.data = stiffness * self._penalty
+        self._matrix.data[self._diagonal[at]] += weight
+        right = np.zeros(len(self._order))
+        right[at] = target
+        solution = splu(self._matrix, permc_spec="NATURAL", **_SYMMETRIC).solve(right)
+        return np.asarray(solution[self._place])
 
 
 def _second_difference(n: int) -> sparse.spmatrix:

@@ -7,7 +7,7 @@ import pytest
 
 from fsinfer.trees.axis import AxisSettings, _densities, fit_axis
 from fsinfer.trees.axis_batch import fit_axes, fit_sections
-from fsinfer.trees.axis_kernels import tail_density
+from fsinfer.trees.axis_kernels import blocked, sums_of_sets, tail_density
 from tests.fsinfer.stem_clouds import wall
 
 # Single precision in the distances, times what a short arc leaves open.
@@ -85,6 +85,15 @@ def test_the_tail_is_that_of_one_fit():
         exact = _densities(residual[row], np.full(4000, sigma[row]), tail[row])[1]
         # A thousandth of the background, which is some four per metre, is nothing to the mixture.
         np.testing.assert_allclose(fast[row], exact, rtol=1e-5, atol=4e-3)
+
+
+@pytest.mark.parametrize("count", [1, 100, 513, 1700])
+def test_sums_in_blocks_are_those_of_the_whole(count):
+    rng = np.random.default_rng(count)
+    length = blocked(count)
+    assert count <= length < count + 4
+    a, b = (rng.normal(0.0, 1.0, (rows, 3, length)).astype(np.float32) for rows in (6, 8))
+    np.testing.assert_allclose(sums_of_sets(a, b), np.einsum("pkn,qkn->kpq", a, b), rtol=1e-4, atol=1e-3)
 
 
 def test_nothing_gives_nothing():
