@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fsinfer.loose_parts import loose_parts
+from fsinfer.pair_votes import contradicted, pair_votes
 from fsinfer.walking_steps import strays
 
 # A pose that hangs on fewer points than this is an accident.
@@ -17,6 +19,10 @@ _WHY = {
     "astray": (
         "the steps between them do not fit the rest of the walk, so they were joined to it by false matches; turn more "
         "slowly, with more photos between"
+    ),
+    "contradicted": (
+        "most of their matches with other photos speak against where the rest put them; places that look alike were "
+        "mixed up; take more photos where the view changes"
     ),
     "loose": (
         "they share too few points with the other photos for their place to be sure; take more photos where the view "
@@ -35,6 +41,13 @@ def drop_strays(model: Any, walk: Sequence[str]) -> list[str]:
     centers = np.array([model.images[i].projection_center() for _, i in placed])
     found = strays(centers, np.array([index for index, _ in placed]))
     return _drop(model, [image_id for is_stray, (_, image_id) in zip(found, placed, strict=True) if is_stray])
+
+
+def drop_contradicted(model: Any, database: Path) -> list[str]:
+    """Take photos whose own matches speak against their place out of the model; returns their files."""
+    image_ids, votes = pair_votes(model, database)
+    wrong = contradicted(votes, len(image_ids))
+    return _drop(model, [image_id for image_id, is_wrong in zip(image_ids, wrong, strict=True) if is_wrong])
 
 
 def drop_loose_parts(model: Any) -> list[str]:
@@ -64,7 +77,7 @@ def drop_blind_views(model: Any) -> list[str]:
 
 
 def misplaced_message(how: str, names: Sequence[str], photos: int) -> str:
-    """What to tell the user of ``names`` left out of ``photos``; ``how`` is ``astray`` or ``loose``."""
+    """What to tell the user of ``names`` left out of ``photos``; ``how`` is a key of the reasons above."""
     return f"{len(names)} of {photos} photos ({names[0]} to {names[-1]}) were left out: {_WHY[how]}"
 
 

@@ -16,10 +16,10 @@ from fsinfer.camera_refinement import RefinementSettings, refine
 from fsinfer.errors import ImageError, OutputError, PosesError
 from fsinfer.files import make_folder, write_text
 from fsinfer.images import camera_exif, camera_key, is_upright_jpeg_or_png, list_images, read_image, write_image
-from fsinfer.misplaced import drop_blind_views, drop_loose_parts, drop_strays, misplaced_message
+from fsinfer.misplaced import drop_blind_views, drop_contradicted, drop_loose_parts, drop_strays, misplaced_message
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Camera, write_camera, write_pairs
-from fsinfer.sfm import PoseSettings, choose_pairs, colmap_errors, extract_features, match_features, reconstruct
+from fsinfer.sfm import PoseSettings, colmap_errors, extract_features, match_features, reconstruct
 from fsinfer.sparse import sparse_of
 from fsinfer.stages import file_digest
 from fsinfer.undistort import intrinsic_of, undistort, undistort_model, undistortion_maps
@@ -75,7 +75,7 @@ def estimate_poses(
 
     Parameters
     ----------
-    images: folder of photos; above ``settings.exhaustive_up_to`` of them the order of names is the order of walking.
+    images: folder of photos; above ``settings.pairs.exhaustive_up_to`` of them in the order of walking, by name.
     out: folder for ``images``, ``cams``, ``pair.txt``, ``sparse`` and ``poses.json``.
 
     Raises
@@ -110,7 +110,11 @@ def estimate_poses(
     with colmap_errors("finding poses", work):
         model, left_out = _structure_from_motion(photos, images, work, settings, progress)
         walk = [photo.file for photo in photos]
-        misplaced = {"astray": drop_strays(model, walk), "loose": drop_loose_parts(model)}
+        misplaced = {
+            "astray": drop_strays(model, walk),
+            "contradicted": drop_contradicted(model, work / "database.db"),
+            "loose": drop_loose_parts(model),
+        }
         model = refine(model, RefinementSettings(), settings.thread_count, progress)
     names = {photo.file: photo.name for photo in photos}
     left_out += [names[file] for file in drop_blind_views(model)]
@@ -222,8 +226,7 @@ def _structure_from_motion(
     grouped = {" ".join(key): files for key, files in cameras.items()}
     database = work / "database.db"
     extract_features(database, work / "images", grouped, settings, progress)
-    files = [photo.file for photo in photos]
-    match_features(database, files, choose_pairs(len(files), settings), settings, progress)
+    match_features(database, [photo.file for photo in photos], settings, progress)
     models = reconstruct(database, work / "images", work / "models", settings, progress)
     placed = models[0].num_reg_images() if models else 0
     if placed < settings.min_registered:

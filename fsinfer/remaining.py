@@ -28,9 +28,9 @@ def _each(cost: float) -> Callable[[int], float]:
 
 @lru_cache
 def _pairs_per_photo(photos: int) -> float:
-    from fsinfer.sfm import PoseSettings, choose_pairs
+    from fsinfer.photo_pairs import PairSettings, most_pairs
 
-    return len(choose_pairs(photos, PoseSettings())) / photos
+    return most_pairs(photos, PairSettings()) / photos
 
 
 #: For each photo of 1280x720, in any unit: only their proportions matter. Medians of the runs in test_remaining.py,

@@ -7,16 +7,15 @@ kill goes on from the database.
 from __future__ import annotations
 
 import logging
-import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from itertools import combinations
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from fsinfer.errors import PosesError
+from fsinfer.photo_pairs import PairSettings, first_pairs, most_pairs, pairs_beside
 from fsinfer.progress import Progress
 
 _log = logging.getLogger(__name__)
@@ -32,12 +31,11 @@ class PoseSettings:
     Attributes
     ----------
     max_image_size: longer side at which features are found, pixels. 23 photos of 2016x1512 at 1600: all registered.
-    first_octave: -1 doubles the photo before looking for features (COLMAP's default), 0 does not.
-    max_features: per photo; COLMAP's default is 8192, and matching time grows with its square.
-    exhaustive_up_to: with at most this many photos every pair is matched; above, photos are taken to be in the order
-        of walking (names).
-    overlap: above that, each photo is matched with this many next ones, and with those 2, 4, 8, ... further on.
-    loop_stride: and every so many-th photo with every other such photo, so that a walk round a tree or plot closes.
+    double_below_px: photos whose longer side is shorter are doubled before looking for features, as COLMAP does with
+        all. Doubled photos of 1280x720 give four times the features, the smallest of them: matching takes 15 times as
+        long, and the walk through a video of which most is blurred tore in two places, which it did not without.
+    max_features: per photo, about; the smallest features go first. COLMAP's default is 8192.
+    pairs: which photos are matched with which.
     default_focal_factor: focal length over longer side where the photo does not tell; 0.9 is a phone's main camera
         (26-28 mm equivalent is 0.72-0.78, video is cropped). It is refined from the photos.
     mapper: ``incremental`` (robust) or ``global`` (GLOMAP; as good and as fast on 23 photos).
@@ -49,11 +47,9 @@ class PoseSettings:
     """
 
     max_image_size: int = 1600
-    first_octave: int = -1
+    double_below_px: int = 1000
     max_features: int = 6000
-    exhaustive_up_to: int = 60
-    overlap: int = 12
-    loop_stride: int = 5
+    pairs: PairSettings = field(default_factory=PairSettings)
     default_focal_factor: float = 0.9
     mapper: str = "incremental"
     min_registered: int = 3
@@ -71,9 +67,6 @@ class PoseSettings:
 # Pairs and photos handed to COLMAP at a time: large enough that its indices are built once for many pairs.
 _PHOTOS_PER_BATCH = 8
 _PAIRS_PER_BATCH = 120
-# Pairs that close loops, for each photo at most: their number must not grow with the square of the photos. At the
-# default stride of 5 this is reached with 200 photos.
-_LOOPS_PER_PHOTO = 4.0
 
 
 @contextmanager
@@ -114,7 +107,6 @@ def extract_features(
     options.num_threads = settings.thread_count
     options.max_image_size = settings.max_image_size
     options.sift.max_num_features = settings.max_features
-    options.sift.first_octave = settings.first_octave
     total = sum(len(names) for names in cameras.values())
     done = 0
     for names in cameras.values():
@@ -130,10 +122,12 @@ def extract_features(
                 image_names=list(names),
                 options=_reader(settings),
             )
+        camera_id = _camera_of(database, names)
+        doubled = camera_id is not None and _longer_side_px(database, camera_id, settings) < settings.double_below_px
+        options.sift.first_octave = -1 if doubled else 0
         for start in range(0, len(names), _PHOTOS_PER_BATCH):
             batch = list(names[start : start + _PHOTOS_PER_BATCH])
             progress(done, total, "finding features")
-            camera_id = _camera_of(database, names)
             missing = [name for name in batch if not _has_features(database, name)]
             if missing:
                 reader = _reader(settings)
@@ -174,6 +168,15 @@ def _camera_of(database: Path, names: Sequence[str]) -> int | None:
     return None
 
 
+def _longer_side_px(database: Path, camera_id: int, settings: PoseSettings) -> int:
+    """Of the photos as features are looked for in them."""
+    import pycolmap
+
+    with pycolmap.Database.open(database) as opened:
+        camera = opened.read_camera(camera_id)
+    return min(max(int(camera.width), int(camera.height)), settings.max_image_size)
+
+
 def _has_features(database: Path, name: str) -> bool:
     import pycolmap
 
@@ -186,27 +189,50 @@ def _has_features(database: Path, name: str) -> bool:
         return bool(opened.exists_keypoints(image.image_id) and opened.exists_descriptors(image.image_id))
 
 
-def choose_pairs(count: int, settings: PoseSettings) -> list[tuple[int, int]]:
-    """Pairs of photos (by rank of the name) to be matched, each ``first < second``, sorted.
+def match_features(database: Path, names: Sequence[str], settings: PoseSettings, progress: Progress) -> None:
+    """Match the photos and check the matches geometrically; pairs that the database has are not matched again.
 
-    All of them for few photos; otherwise neighbours in the walk, neighbours at distances 2, 4, 8, ... and all pairs
-    among every ``loop_stride``-th photo (farther apart above 200 photos), which close loops without a vocabulary to
-    download. The number of pairs grows with n log n.
+    ``names`` are those of the photos in the order of walking, and hold no spaces.
     """
-    if count <= settings.exhaustive_up_to:
-        return list(combinations(range(count), 2))
-    stride = max(settings.loop_stride, math.ceil(math.sqrt(count / (2 * _LOOPS_PER_PHOTO))))
-    pairs = set(combinations(range(0, count, stride), 2))
-    for first in range(count):
-        steps = set(range(1, settings.overlap + 1)) | {2**power for power in range(count.bit_length())}
-        pairs |= {(first, first + step) for step in steps if first + step < count}
-    return sorted(pairs)
+    count = len(names)
+    pairs = first_pairs(count, settings.pairs)
+    rounds = settings.pairs.rounds if count > settings.pairs.exhaustive_up_to else 0
+    total = most_pairs(count, settings.pairs)
+    _match(database, names, pairs, settings, progress, 0, total)
+    tried = pairs
+    for _ in range(rounds):
+        # Only what was matched before this round decides, so that a run that was killed in it goes on to the same end.
+        found = _inliers(database, names)
+        pairs = pairs_beside({pair: found.get(pair, 0) for pair in tried}, count, settings.pairs)
+        _match(database, names, pairs, settings, progress, len(tried), total)
+        tried = tried + pairs
+    progress(total, total, "matching photos")
 
 
-def match_features(
-    database: Path, names: Sequence[str], pairs: Sequence[tuple[int, int]], settings: PoseSettings, progress: Progress
+def _inliers(database: Path, names: Sequence[str]) -> dict[tuple[int, int], int]:
+    """Matches of each pair of photos, by their ranks, that passed the geometric check."""
+    import pycolmap
+
+    rank = {name: index for index, name in enumerate(names)}
+    with pycolmap.Database.open(database) as opened:
+        number = {image.image_id: rank[image.name] for image in opened.read_all_images()}
+        pair_ids, counts = opened.read_two_view_geometry_num_inliers()
+    found = {}
+    for pair_id, inliers in zip(pair_ids, counts, strict=True):
+        first, second = sorted(number[i] for i in pycolmap.pair_id_to_image_pair(pair_id))
+        found[first, second] = int(inliers)
+    return found
+
+
+def _match(
+    database: Path,
+    names: Sequence[str],
+    pairs: Sequence[tuple[int, int]],
+    settings: PoseSettings,
+    progress: Progress,
+    done: int,
+    total: int,
 ) -> None:
-    """Match and check geometrically the pairs that the database has not; ``names`` must hold no spaces."""
     import pycolmap
 
     options = pycolmap.FeatureMatchingOptions()
@@ -217,7 +243,7 @@ def match_features(
     verification.ransac.random_seed = SEED
     listed = database.parent / "pairs.txt"
     for start in range(0, len(pairs), _PAIRS_PER_BATCH):
-        progress(start, len(pairs), "matching photos")
+        progress(done + start, total, "matching photos")
         batch = pairs[start : start + _PAIRS_PER_BATCH]
         listed.write_text("".join(f"{names[i]} {names[j]}\n" for i, j in batch), encoding="utf-8")
         pairing = pycolmap.ImportedPairingOptions()
@@ -229,7 +255,6 @@ def match_features(
             verification_options=verification,
             device=pycolmap.Device.cpu,
         )
-    progress(len(pairs), len(pairs), "matching photos")
 
 
 def reconstruct(database: Path, images: Path, out: Path, settings: PoseSettings, progress: Progress) -> list[Any]:

@@ -42,7 +42,7 @@ def quick_poses() -> PoseSettings:
 
     Matching goes with the number of pairs and the square of the features: a quarter of the work for 300 photos.
     """
-    return PoseSettings(max_image_size=1200, max_features=3500, overlap=8, loop_stride=7)
+    return PoseSettings(max_image_size=1200)
 
 
 @dataclass(frozen=True, kw_only=True)

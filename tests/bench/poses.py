@@ -1,6 +1,6 @@
 """Structure from motion on a rendered plot: seconds of each step and error of the cameras, for any settings.
 
-python -m tests.bench.poses PLOT --set max_features=4000 --photos 80
+python -m tests.bench.poses PLOT --set max_features=4000 pairs.overlap=6 --photos 80
 python -m tests.bench.poses PLOT --photos 40 --equalize clahe      evened out first, as ``fsinfer frames`` does
 
 ``PLOT`` is a scene of ``training.synthesize --kind plot`` (or any scene in MVSNet format whose cameras are true).
@@ -13,16 +13,20 @@ import json
 import shutil
 import tempfile
 import time
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from fsinfer.frame_quality import EQUALIZERS, equalize
 from fsinfer.images import read_image, write_image
+from fsinfer.photo_pairs import PairSettings
 from fsinfer.poses import PoseSettings, estimate_poses
 from fsinfer.scene import Scene, read_scene
 from tests.bench.plot import similarity
+
+Settings = TypeVar("Settings", PoseSettings, PairSettings)
 
 
 class Stopwatch:
@@ -60,11 +64,18 @@ def camera_errors(found: Scene, truth: Scene) -> dict[str, float]:
 def parse_settings(pairs: list[str]) -> PoseSettings:
     """``name=value`` pairs to :class:`PoseSettings`."""
     settings = PoseSettings()
-    kinds = {field.name: type(getattr(settings, field.name)) for field in fields(settings)}
     for pair in pairs:
         name, _, value = pair.partition("=")
-        settings = replace(settings, **{name: kinds[name](value)})
+        if name.startswith("pairs."):
+            settings = replace(settings, pairs=changed(settings.pairs, name.removeprefix("pairs."), value))
+        else:
+            settings = changed(settings, name, value)
     return settings
+
+
+def changed(settings: Settings, name: str, value: str) -> Settings:
+    """A copy of a dataclass with one field read from a string."""
+    return replace(settings, **{name: type(getattr(settings, name))(value)})
 
 
 def main() -> None:
@@ -72,7 +83,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.bench.poses", description=__doc__)
     parser.add_argument("plot", type=Path)
     parser.add_argument("--photos", type=int, default=0, help="only the first so many; 0 = all")
-    parser.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="fields of PoseSettings")
+    parser.add_argument(
+        "--set",
+        nargs="*",
+        default=[],
+        metavar="NAME=VALUE",
+        help="fields of PoseSettings; pairs.NAME of its PairSettings",
+    )
     parser.add_argument("--equalize", choices=EQUALIZERS, default="none", help="of fsinfer frames")
     parser.add_argument("--out", type=Path, help="keep the scene here")
     arguments = parser.parse_args()

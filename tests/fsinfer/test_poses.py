@@ -12,7 +12,6 @@ from fsinfer.errors import FsinferError, ImageError, OutputError, PosesError
 from fsinfer.images import image_size, read_image, write_image
 from fsinfer.poses import PoseSettings, PosesResult, estimate_poses
 from fsinfer.scene import Scene, read_scene
-from fsinfer.sfm import choose_pairs
 from fsinfer.sparse import read_sparse
 from tests.fsinfer.rendered_room import photographs, poses
 
@@ -198,32 +197,6 @@ def test_unknown_mapper(tmp_path: Path) -> None:
     settings = PoseSettings(mapper="magic", threads=1)
     with pytest.raises(FsinferError, match="magic"):
         estimate_poses(noise_photos(tmp_path / "photos", 3), tmp_path / "out", settings=settings)
-
-
-def test_pairs() -> None:
-    settings = PoseSettings(exhaustive_up_to=20, overlap=3, loop_stride=10)
-    assert len(choose_pairs(20, settings)) == 190
-    pairs = choose_pairs(50, settings)
-    assert len(set(pairs)) == len(pairs) < 50 * 49 / 4
-    assert all(0 <= first < second < 50 for first, second in pairs)
-    assert {(0, 1), (0, 3), (10, 14), (5, 37), (0, 40), (10, 30)} <= set(pairs)
-    assert (1, 48) not in pairs
-    # Every photo hangs together with the rest through its neighbours.
-    assert {second for first, second in pairs if first == second - 1} == set(range(1, 50))
-
-
-def test_pairs_grow_with_n_log_n_and_still_close_loops() -> None:
-    settings = PoseSettings()
-    counts = (50, 100, 200, 300, 600, 1200)
-    pairs = {count: choose_pairs(count, settings) for count in counts}
-    for count in counts[2:]:
-        # Twelve neighbours, a power of two further on, four loop pairs.
-        assert len(pairs[count]) <= count * (12 + np.log2(count) + 4.5)
-    for count in counts[1:]:
-        stride = max(5, int(np.ceil(np.sqrt(count / 8))))
-        last = (count - 1) // stride * stride
-        assert (0, last) in pairs[count]
-    assert {(0, 195), (5, 105)} <= set(pairs[200])
 
 
 @pytest.mark.skipif(not MONSTREE.is_dir(), reason="shared/data/monstree is not there")

@@ -1,0 +1,86 @@
+"""A photo placed against its own matches is found, also where several vouch for each other."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from fsinfer.misplaced import drop_contradicted
+from fsinfer.pair_votes import PairVote, contradicted, pair_votes, sampson_error
+
+
+def ring_of_votes(count: int, wrong: set[int], rng: np.random.Generator) -> list[PairVote]:
+    """Each photo is matched with six next ones; pairs across the border of the wrong part mostly contradict."""
+    votes = []
+    for first in range(count):
+        for step in range(1, 7):
+            second = (first + step) % count
+            agrees = (first in wrong) == (second in wrong)
+            votes.append(PairVote(first=first, second=second, matches=int(rng.integers(30, 200)), agrees=agrees))
+    return votes
+
+
+@given(st.integers(30, 80), st.integers(1, 3), st.integers(0, 999))
+def test_a_wrong_block_is_found_and_nothing_else(count: int, size: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    start = int(rng.integers(0, count - size))
+    wrong = set(range(start, start + size))
+    found = contradicted(ring_of_votes(count, wrong, rng), count)
+    assert wrong <= set(np.flatnonzero(found))
+    assert found.sum() <= size + 2  # a neighbour on the border may go with them
+
+
+def test_those_who_vouch_for_each_other_fall_one_after_the_other() -> None:
+    # 1 and 2 support each other, all others contradict 1; once 1 is gone, nobody speaks for 2.
+    others = [PairVote(first=0, second=k, matches=500, agrees=True) for k in range(3, 8)]
+    votes = [
+        *others,
+        PairVote(first=1, second=2, matches=100, agrees=True),
+        PairVote(first=0, second=1, matches=90, agrees=False),
+        PairVote(first=2, second=3, matches=40, agrees=False),
+    ]
+    assert list(np.flatnonzero(contradicted(votes, 8))) == [1, 2]
+
+
+def test_without_votes_nobody_is_wrong() -> None:
+    assert not contradicted([], 4).any()
+
+
+def test_sampson_error_of_true_matches_is_zero_and_grows_with_the_distance() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.uniform([-1, -1, 3], [1, 1, 6], (50, 3))
+    motion = np.eye(4)
+    motion[:3, :3] = Rotation.from_rotvec([0.1, -0.2, 0.05]).as_matrix()
+    motion[:3, 3] = [0.5, 0.1, -0.2]
+    moved = points @ motion[:3, :3].T + motion[:3, 3]
+    one, other = points / points[:, 2:], moved / moved[:, 2:]
+    assert sampson_error(one, other, motion).max() < 1e-12
+    # Across the epipolar line (baseline along x, roughly) by 0.01: two rays share the error.
+    shifted = sampson_error(one, other + np.array([0, 0.01, 0]), motion)
+    assert 0.003 < np.median(shifted) < 0.01
+
+
+def test_a_moved_photo_leaves_the_model(tmp_path: Path) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig = 1, 1, 7
+    options.num_points3D = 300
+    with pycolmap.Database.open(tmp_path / "database.db") as database:
+        model = pycolmap.synthesize_dataset(options, database)
+    image_ids, votes = pair_votes(model, tmp_path / "database.db")
+    assert len(image_ids) == 7
+    assert len(votes) == 21
+    assert all(vote.agrees for vote in votes)
+    assert drop_contradicted(model, tmp_path / "database.db") == []
+    image = model.images[image_ids[3]]
+    pose = image.cam_from_world()
+    turn = pycolmap.Rotation3d(Rotation.from_rotvec([0.0, 0.2, 0.1]).as_quat())
+    model.frame(image.frame_id).set_cam_from_world(
+        image.camera_id, pycolmap.Rigid3d(turn, np.array([0.3, 0, 0])) * pose
+    )
+    assert drop_contradicted(model, tmp_path / "database.db") == [image.name]
