@@ -127,8 +127,9 @@ def _steps(values: Floats, low: float, size: float) -> Ints:
 
 
 def reach_of(points: Floats, *, settings: GroundSettings | None = None) -> float:
-    """The ``reach`` of :func:`find_ground` alone, for a fraction of its time."""
-    return float(_lowest_cells(points, settings or GroundSettings()).reachable.mean())
+    """The ``reach`` of :func:`find_ground` alone, for a fraction of its time; 0 where no cell is dense."""
+    reachable = _lowest_cells(points, settings or GroundSettings()).reachable
+    return float(reachable.mean()) if len(reachable) else 0.0
 
 
 def find_ground(points: Floats, *, settings: GroundSettings | None = None, seed: int = 0) -> Ground:

@@ -65,3 +65,4 @@ def test_the_reach_alone_is_that_of_the_ground() -> None:
     reach = find_ground(points).reach
     assert reach_of(points) == reach
     assert 0.3 < reach < 1.0
+    assert reach_of(np.arange(9.0).reshape(3, 3)) == 0.0
