@@ -88,7 +88,8 @@ def check(
 ) -> None:
     """Say, while you are still in the forest, which trees to walk round again. Minutes, no depth is computed.
 
-    Draws a map: your walk, the stems, from where each was seen and from where it was not.
+    Draws a map: your walk, the stems, from where each was seen and from where it was not. What it has worked out
+    fsinfer run does not work out again, given the same OUT.
     """
     request = scale_request(None, aruco_length_m, aruco_dictionary, None, None)
     from fsinfer.check import CheckSettings, check_capture
@@ -96,7 +97,7 @@ def check(
 
     settings = CheckSettings(scale=request, margin_m=margin_m, frames=FrameSettings(interval_s=interval_s))
     with stage_progress(quiet=quiet) as progress:
-        result = check_capture(source, out, settings=settings, progress=progress("check"))
+        result = check_capture(source, out, settings=settings, progress=progress)
     for line in result.notes:
         typer.echo(line)
     for line in result.lines:

@@ -15,7 +15,8 @@ from fsinfer.depth import DepthSettings
 from fsinfer.errors import InputError
 from fsinfer.evaluation import Evaluation, MeasuredTree, evaluate, read_measured
 from fsinfer.files import atomic_path, make_folder
-from fsinfer.pipeline import RunResult, RunSettings, StageProgress, run, silent_stages
+from fsinfer.pipeline import RunResult, RunSettings, run
+from fsinfer.progress import StageProgress, silent_stages
 from fsinfer.scale_request import ScaleRequest
 from fsinfer.trees import Tree
 from fsinfer.trees.table import read_trees

@@ -6,7 +6,7 @@ that depend on it and no others: another scale or other tree options never repea
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,36 +15,24 @@ import numpy as np
 
 from fsinfer.cloud import read_cloud, write_cloud
 from fsinfer.depth import DepthSettings, estimate_depth
-from fsinfer.errors import CloudError, InputError
+from fsinfer.errors import CloudError
 from fsinfer.files import make_folder
-from fsinfer.frames import FrameSettings, list_captures, select_frames
+from fsinfer.frames import FrameSettings
 from fsinfer.fusion import FusionSettings, fuse
-from fsinfer.images import list_images
 from fsinfer.manifest import read_manifest
+from fsinfer.photo_stages import choose_frames, place_photos, source_files, speedless
 from fsinfer.placement import density_per_m2, marker_centers, place_cloud
 from fsinfer.plot_summary import package_versions, summarize, write_plot
-from fsinfer.poses import PoseSettings, estimate_poses
-from fsinfer.progress import Progress, silent
+from fsinfer.progress import StageProgress, silent_stages
 from fsinfer.scale_request import ScaleRequest, find_scale
 from fsinfer.scene import Scene, read_scene
+from fsinfer.sfm import PoseSettings
 from fsinfer.silhouettes import StemPhotos
 from fsinfer.sparse import depth_vs_sfm, read_sparse
-from fsinfer.stages import StageBook, StageRecord, as_json, file_digest
+from fsinfer.stages import StageBook, StageRecord, as_json
 from fsinfer.tree_edits import TreeEdit, find_edits
 from fsinfer.tree_outputs import write_no_trees, write_tree_outputs
 from fsinfer.trees import TreeSettings
-
-#: Gives the progress callback of a stage by its name.
-StageProgress = Callable[[str], Progress]
-
-# How the work is spread over the machine does not change what comes out.
-_SPEED_OPTIONS = frozenset({"threads", "memory_gb", "provider"})
-_STAGE_FOLDERS = ("frames", "scene", "depth", "confidence", "fused", "figures")
-
-
-def silent_stages(_stage: str) -> Progress:
-    """Report nothing for any stage."""
-    return silent
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,7 +103,7 @@ def run(
     """
     source, out = Path(source), Path(out)
     settings = settings or RunSettings()
-    files = _source_files(source, out)
+    files = source_files(source, out)
     # A wrong model name must not show after an hour of structure from motion.
     model_sha256 = read_manifest(settings.depth.model).sha256
     corrections = find_edits(out, edits)
@@ -139,62 +127,12 @@ def run(
     return RunResult(out=out, plot=plot, stages=tuple(records.values()))
 
 
-def _source_files(source: Path, out: Path) -> list[Path]:
-    """The photographs, or the video; refuses a source that the run itself would delete."""
-    if not source.exists():
-        msg = f"{source} does not exist; give a folder of photos or a video file"
-        raise InputError(msg)
-    inside = [name for name in _STAGE_FOLDERS if source.resolve().is_relative_to((out / name).resolve())]
-    if inside:
-        msg = f"{source} lies in {out / inside[0]}, which the run empties and fills; choose another output folder"
-        raise InputError(msg)
-    return list_captures(source)
-
-
 def _frames(job: _Job) -> None:
-    def work() -> Mapping[str, Any]:
-        result = select_frames(
-            job.source, job.out / "frames", settings=job.settings.frames, progress=job.progress("frames")
-        )
-        rejected = [{"name": row.name, "reason": row.reason} for row in result.rows if not row.kept]
-        return {
-            "chosen": len(result.images),
-            "given": len(result.rows),
-            "rejected": rejected,
-            "warnings": result.warnings,
-        }
-
-    digests = [file_digest(path) for path in job.files]
-    job.book.run(
-        "frames", work, inputs={"source": digests, "settings": _speedless(job.settings.frames)}, outputs=["frames"]
-    )
+    choose_frames(job.book, job.source, job.files, settings=job.settings.frames, progress=job.progress)
 
 
 def _poses(job: _Job) -> None:
-    def work() -> Mapping[str, Any]:
-        result = estimate_poses(
-            job.out / "frames" / "images",
-            job.out / "scene",
-            settings=job.settings.poses,
-            progress=job.progress("poses"),
-        )
-        names = {path.stem for path in list_images(job.out / "frames" / "images")}
-        left_out = sorted(names - {view.name for view in job.scene().views})
-        return {
-            "photos": result.photos,
-            "registered": result.registered,
-            "left_out": left_out,
-            "warnings": result.warnings,
-        }
-
-    job.book.run(
-        "poses",
-        work,
-        inputs={"settings": _speedless(job.settings.poses)},
-        after=["frames"],
-        outputs=["scene"],
-        keeps_partial=True,
-    )
+    place_photos(job.book, settings=job.settings.poses, progress=job.progress)
 
 
 def _depth(job: _Job) -> None:
@@ -205,7 +143,7 @@ def _depth(job: _Job) -> None:
     job.book.run(
         "depth",
         work,
-        inputs={"settings": _speedless(job.settings.depth), "model_sha256": job.model_sha256},
+        inputs={"settings": speedless(job.settings.depth), "model_sha256": job.model_sha256},
         after=["poses"],
         outputs=["depth", "confidence"],
         keeps_partial=True,
@@ -229,7 +167,7 @@ def _fuse(job: _Job) -> None:
     job.book.run(
         "fuse",
         work,
-        inputs={"settings": _speedless(job.settings.fusion)},
+        inputs={"settings": speedless(job.settings.fusion)},
         after=["poses", "depth"],
         outputs=["fused"],
     )
@@ -296,7 +234,7 @@ def _trees(job: _Job) -> None:
         "trees",
         work,
         inputs={
-            "settings": _speedless(job.settings.trees),
+            "settings": speedless(job.settings.trees),
             "rel_std": scale["rel_std"],
             "edits": job.edits,
             "versions": package_versions()["fsinfer"],
@@ -330,10 +268,6 @@ def _report(job: _Job) -> None:
 
     timeless = {key: value for key, value in plot.items() if key not in ("seconds", "peak_rss_mb")}
     job.book.run("report", work, inputs={"plot": timeless}, after=["trees"], outputs=["report.html"])
-
-
-def _speedless(settings: Any) -> dict[str, Any]:
-    return {key: value for key, value in as_json(settings).items() if key not in _SPEED_OPTIONS}
 
 
 def _settings_json(settings: RunSettings) -> dict[str, Any]:

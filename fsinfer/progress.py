@@ -10,3 +10,12 @@ Progress = Callable[[int, int, str], None]
 
 def silent(done: int, total: int, what: str) -> None:
     """Report nothing; the default of every stage."""
+
+
+#: Gives the progress callback of a stage by its name.
+StageProgress = Callable[[str], Progress]
+
+
+def silent_stages(_stage: str) -> Progress:
+    """Report nothing for any stage."""
+    return silent

@@ -1,4 +1,4 @@
-"""Photos to advice: poses of small photos, stems in the sparse points, and who saw them from where."""
+"""Photos to advice: their poses, stems in the sparse points, and who saw them from where."""
 
 from __future__ import annotations
 
@@ -19,30 +19,24 @@ from fsinfer.check.north import Compass, find_compass, gnss_places
 from fsinfer.check.sparse_stems import SparseStemSettings, find_sparse_stems
 from fsinfer.errors import CloudError, ScaleError
 from fsinfer.files import make_folder, write_text
-from fsinfer.frames import FrameSettings, select_frames
+from fsinfer.frames import FrameSettings
 from fsinfer.images import list_images
 from fsinfer.markers import scale_from_aruco
+from fsinfer.photo_stages import choose_frames, is_placed, is_placed_so, place_photos, source_files
 from fsinfer.placement import CAMERA_HEIGHT_M, level_scene
 from fsinfer.plan_area import in_hull
-from fsinfer.poses import PoseSettings, estimate_poses
-from fsinfer.progress import Progress, silent
+from fsinfer.progress import Progress, StageProgress, silent_stages
 from fsinfer.scale import Scale
 from fsinfer.scale_request import ScaleRequest, find_scale
 from fsinfer.scene import Scene, read_scene
+from fsinfer.sfm import PoseSettings
 from fsinfer.sparse import SparseModel, read_sparse
+from fsinfer.stages import RECORDS_FOLDER, StageBook
 from fsinfer.trees.ground import find_ground
 
 _log = logging.getLogger(__name__)
 
 Floats = NDArray[np.float64]
-
-
-def quick_poses() -> PoseSettings:
-    """Smaller photos, fewer features and pairs than for a run: who saw what does not take the last pixel.
-
-    Matching goes with the number of pairs and the square of the features: a quarter of the work for 300 photos.
-    """
-    return PoseSettings(max_image_size=1200)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,13 +45,14 @@ class CheckSettings:
 
     Attributes
     ----------
+    frames, poses: of the stages that a run shares; with a run's settings it does not repeat them.
     margin_m: stems are judged up to so far outside the walk; farther ones cannot be seen from all sides.
     camera_height_m: people hold a phone about so high; gives the size of things where no board does.
     max_reach_m: points farther from the middle of the walk are left out.
     """
 
     frames: FrameSettings = field(default_factory=FrameSettings)
-    poses: PoseSettings = field(default_factory=quick_poses)
+    poses: PoseSettings = field(default_factory=PoseSettings)
     stems: SparseStemSettings = field(default_factory=SparseStemSettings)
     coverage: CoverageSettings = field(default_factory=CoverageSettings)
     scale: ScaleRequest = field(default_factory=ScaleRequest)
@@ -95,42 +90,59 @@ class CheckResult:
 
 
 def check_capture(
-    source: Path, out: Path, *, settings: CheckSettings | None = None, progress: Progress = silent
+    source: Path, out: Path, *, settings: CheckSettings | None = None, progress: StageProgress = silent_stages
 ) -> CheckResult:
     """Say which trees to photograph again; writes ``out/check/check.png`` and ``check.json``.
 
-    A scene that ``fsinfer run`` left in ``out/scene`` is used; else the photos are placed quickly into
-    ``out/check/scene``, where a second check finds them.
+    The photos are placed by the first two stages of a run, in ``out/frames`` and ``out/scene``: a run with the same
+    settings goes on from there, and what a run has placed is not placed again, unless the source has changed.
 
     Raises
     ------
     ImageError, PosesError
         The photos cannot be read, or no two of them fit together.
+    InputError
+        The source does not exist, or ``out`` holds a scene of other origin.
     """
     settings = settings or CheckSettings()
     source, out = Path(source), Path(out)
+    files = source_files(source, out)
     make_folder(out)
     start = time.monotonic()
     seconds: dict[str, float] = {}
-    if (out / "scene" / "poses.json").is_file():
-        folder = out / "scene"
-        given = _given(folder, out / "frames" / "images", source)
+    notes = []
+    if _belongs_to_run(files, out):
+        if not is_placed_so(out, frames=settings.frames, poses=settings.poses):
+            notes.append(
+                f"{out} holds what a run made of these photos with other settings; its poses are used. For a check "
+                "with the settings given here choose another output folder."
+            )
     else:
-        frames = select_frames(source, out / "check" / "frames", settings=settings.frames, progress=progress)
+        book = StageBook(out)
+        choose_frames(book, source, files, settings=settings.frames, progress=progress)
         seconds["frames"] = time.monotonic() - start
-        folder = out / "check" / "scene"
-        estimate_poses(out / "check" / "frames" / "images", folder, settings=settings.poses, progress=progress)
-        given = list(frames.images)
+        place_photos(book, settings=settings.poses, progress=progress)
     seconds["poses"] = time.monotonic() - start - sum(seconds.values())
+    folder = out / "scene"
     photos = {path.stem: path for path in (list_images(source) if source.is_dir() else [])}
     # Frames that were coded again lost their place; the photos themselves have it.
-    originals = [photos.get(path.stem, path) for path in given]
+    originals = [photos.get(path.stem, path) for path in list_images(out / "frames" / "images")]
     scene, sparse = read_scene(folder), read_sparse(folder / "sparse")
-    scale, visible = _scale(settings.scale, scene, progress)
+    scale, visible = _scale(settings.scale, scene, progress("check"))
     seconds["boards"] = time.monotonic() - start - sum(seconds.values())
     result = judge_scene(scene, sparse, originals, scale, visible, settings=settings)
     seconds["stems"] = time.monotonic() - start - sum(seconds.values())
-    return _write(result, out / "check", seconds)
+    return _write(replace(result, notes=(*result.notes, *notes)), out / "check", seconds)
+
+
+def _belongs_to_run(files: Sequence[Path], out: Path) -> bool:
+    """Whether there are poses of these photos that the check must not make anew, whatever its settings.
+
+    Those that only an earlier check has made may go: no depth hangs on them.
+    """
+    records = out / RECORDS_FOLDER
+    made_by_check = (records / "poses.json").is_file() and not (records / "depth.json").is_file()
+    return not made_by_check and is_placed(files, out)
 
 
 def judge_scene(
@@ -204,13 +216,6 @@ def judge_scene(
         map_path=None,
         seconds={},
     )
-
-
-def _given(scene: Path, frames: Path, source: Path) -> list[Path]:
-    """The photos that a finished scene was made of."""
-    if frames.is_dir() and any(frames.iterdir()):
-        return list_images(frames)
-    return list_images(source) if source.is_dir() else list_images(scene / "images")
 
 
 def _scale(request: ScaleRequest, scene: Scene, progress: Progress) -> tuple[Scale, Scale]:

@@ -14,7 +14,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from fsinfer import pipeline
+from fsinfer import photo_stages, pipeline
 from fsinfer.depth import DepthResult
 from fsinfer.files import make_folder, write_text
 from fsinfer.images import list_images
@@ -25,8 +25,8 @@ from tests.fsinfer.synthetic_plot import M_PER_UNIT, VIEWS, write_depth_folder, 
 
 def main(source: Path, out: Path, stage: str, writes: int) -> None:
     kill_after(out / ".fsinfer" / f"{stage}.json", writes)
-    pipeline.select_frames = select_frames
-    pipeline.estimate_poses = estimate_poses
+    photo_stages.select_frames = select_frames
+    photo_stages.estimate_poses = estimate_poses
     pipeline.estimate_depth = estimate_depth
     pipeline.read_manifest = lambda _: SimpleNamespace(sha256="0" * 64)
     pipeline.read_sparse = lambda _: None

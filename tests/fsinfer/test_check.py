@@ -3,23 +3,31 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from fsinfer import photo_stages, pipeline
+from fsinfer.check import CheckSettings, check_capture
 from fsinfer.check.advice import advice, marker_lines
 from fsinfer.check.capture import CheckResult, judge_scene
 from fsinfer.check.coverage import CoverageSettings, judge_stems, widest_gap
 from fsinfer.check.map import draw_map, seen_arcs
 from fsinfer.check.north import COMPASS_WORDS, MAP_WORDS, find_compass
-from fsinfer.check.sparse_stems import find_sparse_stems
-from fsinfer.images import read_image
+from fsinfer.check.sparse_stems import SparseStemSettings, find_sparse_stems
+from fsinfer.errors import InputError
+from fsinfer.frames import FrameSettings
+from fsinfer.images import read_image, write_image
+from fsinfer.poses import PoseSettings, PosesResult, estimate_poses
 from fsinfer.scale import Scale
 from fsinfer.scene import Camera, Scene, View
+from fsinfer.sfm import reconstruct
 from fsinfer.sparse import SparseModel
-from tests.fsinfer.rendered_room import look_at
+from tests.fsinfer.rendered_room import look_at, photographs
 
 # Plan position and radius, metres; the last stands outside the walk.
 STEMS = [(1.5, 0.0, 0.12), (-2.0, 1.5, 0.2), (0.0, -2.5, 0.06), (-1.0, -1.0, 0.15), (2.0, 2.5, 0.1), (9.0, 0.0, 0.15)]
@@ -101,6 +109,16 @@ def test_a_plot_walked_all_round_has_nothing_to_do_again() -> None:
     assert truth_of(result) == {**dict.fromkeys(range(5), "good"), 5: "outside"}
     assert result.lines == ()
     assert any("5 stems within your walk, 5 of them seen all round; 1 outside" in note for note in result.notes)
+
+
+def test_a_plot_without_stems_says_that_it_cannot_judge() -> None:
+    scene, sparse = make({})
+    settings = CheckSettings(stems=SparseStemSettings(min_points=10_000))
+    result = judge_scene(
+        scene, sparse, [view.image_path for view in scene.views], NO_SCALE, NO_SCALE, settings=settings
+    )
+    assert (result.stems, result.lines) == ((), ())
+    assert any(note.startswith("No stem was found") for note in result.notes)
 
 
 @pytest.mark.parametrize("hidden", [{1: 40.0}, {0: 200.0, 3: 310.0}])
@@ -243,25 +261,93 @@ def test_boards_seen_too_seldom_or_from_far() -> None:
     assert "--aruco-length-m" in marker_lines(scale, given=False)[-1]
 
 
-def test_the_command_uses_the_scene_that_is_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from fsinfer.check import check_capture
-    from fsinfer.check.capture import CheckSettings
-    from fsinfer.images import write_image
-    from fsinfer.poses import PoseSettings
-    from tests.fsinfer.rendered_room import photographs
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+    """How often photos were placed; depth is never computed."""
+    calls: Counter[str] = Counter()
 
-    folder = tmp_path / "photos"
+    def place(*args: Any, **kwargs: Any) -> PosesResult:
+        calls["poses"] += 1
+        return estimate_poses(*args, **kwargs)
+
+    def no_depth(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(photo_stages, "estimate_poses", place)
+    monkeypatch.setattr(pipeline, "estimate_depth", no_depth)
+    return calls
+
+
+def test_check_and_run_place_the_photos_once(tmp_path: Path, calls: Counter[str]) -> None:
+    folder, out = tmp_path / "photos", tmp_path / "out"
+    images = photographs(9)
+    for index in range(8):
+        write_image(folder / f"r{index}.jpg", images[index])
+    poses = PoseSettings(max_features=1500)
+    result = check_capture(folder, out, settings=CheckSettings(poses=poses))
+    assert result.registered == 8
+    assert not any(entry.inside for entry in result.stems)
+    record = json.loads((out / "check" / "check.json").read_text(encoding="utf-8"))
+    assert record["registered"] == 8
+    assert (out / "check" / "check.png").is_file()
+    # A run, here one that dies in its third stage, finds the first two done.
+    with pytest.raises(KeyboardInterrupt):
+        pipeline.run(folder, out, settings=pipeline.RunSettings(poses=poses))
+    again = check_capture(folder, out, settings=CheckSettings(poses=poses))
+    assert (again.registered, calls["poses"]) == (8, 1)
+    assert not any("other settings" in note for note in again.notes)
+    # What hangs on the run's poses is not thrown away for a check with other settings.
+    other = check_capture(folder, out, settings=CheckSettings(poses=poses, frames=FrameSettings(interval_s=1.0)))
+    assert (other.registered, calls["poses"]) == (8, 1)
+    assert any("other settings" in note for note in other.notes)
+    # The photos that a check asked for are placed with the rest.
+    write_image(folder / "r8.jpg", images[8])
+    more = check_capture(folder, out, settings=CheckSettings(poses=poses))
+    assert (more.photos, more.registered, calls["poses"]) == (9, 9, 2)
+    assert not any("other settings" in note for note in more.notes)
+
+
+def test_a_check_that_was_stopped_goes_on(tmp_path: Path, calls: Counter[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, out = tmp_path / "photos", tmp_path / "out"
     for index, image in enumerate(photographs()):
         write_image(folder / f"r{index}.jpg", image)
     settings = CheckSettings(poses=PoseSettings(max_features=1500))
-    result = check_capture(folder, tmp_path / "out", settings=settings)
-    assert (result.registered, result.stems) == (8, ())
-    assert any(note.startswith("No stem was found") for note in result.notes)
-    record = json.loads((tmp_path / "out" / "check" / "check.json").read_text(encoding="utf-8"))
-    assert record["registered"] == 8
-    assert (tmp_path / "out" / "check" / "check.png").is_file()
-    # A run's scene is taken before anything is computed again.
-    (tmp_path / "out" / "check" / "scene").rename(tmp_path / "out" / "scene")
-    again = check_capture(folder, tmp_path / "out", settings=settings)
-    assert again.registered == 8
-    assert not (tmp_path / "out" / "check" / "scene").exists()
+
+    def stop(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("fsinfer.poses.reconstruct", stop)
+        with pytest.raises(KeyboardInterrupt):
+            check_capture(folder, out, settings=settings)
+    database = out / "scene" / "work" / "database.db"
+    inode, size = database.stat().st_ino, database.stat().st_size
+    seen: list[tuple[int, int]] = []
+
+    def look(path: Path, *args: Any) -> Any:
+        seen.append((path.stat().st_ino, path.stat().st_size))
+        return reconstruct(path, *args)
+
+    monkeypatch.setattr("fsinfer.poses.reconstruct", look)
+    assert check_capture(folder, out, settings=settings).registered == 8
+    # Features and matches of the first attempt were kept.
+    assert seen == [(inode, size)]
+
+
+def test_a_check_with_other_settings_replaces_an_earlier_check(tmp_path: Path, calls: Counter[str]) -> None:
+    folder, out = tmp_path / "photos", tmp_path / "out"
+    for index, image in enumerate(photographs()):
+        write_image(folder / f"r{index}.jpg", image)
+    for features in (1500, 1400):
+        check_capture(folder, out, settings=CheckSettings(poses=PoseSettings(max_features=features)))
+    assert calls["poses"] == 2
+
+
+def test_a_scene_of_other_origin_is_refused(tmp_path: Path) -> None:
+    write_image(tmp_path / "photos" / "r0.jpg", photographs()[0])
+    theirs = tmp_path / "out" / "frames" / "notes.txt"
+    theirs.parent.mkdir(parents=True)
+    theirs.write_text("precious", encoding="utf-8")
+    with pytest.raises(InputError, match="choose another output folder"):
+        check_capture(tmp_path / "photos", tmp_path / "out")
+    assert theirs.read_text(encoding="utf-8") == "precious"

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import fsinfer.photo_stages as photo_stages
 import fsinfer.pipeline as pipeline
 import fsinfer.silhouettes as silhouettes
 from fsinfer.cloud import read_cloud
@@ -82,8 +83,8 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> Fakes:
         return real_trees(*args, **kwargs)
 
     real_fuse, real_trees = pipeline.fuse, pipeline.write_tree_outputs
-    monkeypatch.setattr(pipeline, "select_frames", select_frames)
-    monkeypatch.setattr(pipeline, "estimate_poses", estimate_poses)
+    monkeypatch.setattr(photo_stages, "select_frames", select_frames)
+    monkeypatch.setattr(photo_stages, "estimate_poses", estimate_poses)
     monkeypatch.setattr(pipeline, "estimate_depth", estimate_depth)
     monkeypatch.setattr(pipeline, "fuse", fuse)
     monkeypatch.setattr(pipeline, "write_tree_outputs", write_trees)
