@@ -28,9 +28,8 @@ class PairSettings:
     Notes
     -----
     Chosen on 200 photos of a rendered plot, walked round outside and inside, all 19,900 pairs of which were matched:
-    3,320 pairs more than 12 apart hold 15 matches or more. A net of every fifth photo, twelve neighbours and those 16,
-    32, 64 and 128 further on found 242 of them with 3,585 pairs; with a net of every sixth, eight neighbours and two
-    rounds it is 1,180 with 3,300.
+    3,505 pairs more than 12 apart hold 15 matches or more. A net of every fifth photo, twelve neighbours and those 16,
+    32, 64 and 128 further on found 242 of them with 3,585 pairs; these settings find 1,162 with 3,292.
     """
 
     exhaustive_up_to: int = 60
