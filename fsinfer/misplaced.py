@@ -15,7 +15,10 @@ from fsinfer.walking_steps import strays
 # A pose that hangs on fewer points than this is an accident.
 _MIN_POINTS = 10
 
+_MOST_NAMES = 20
+
 _WHY = {
+    "unplaced": "they could not be placed with the others; more photos between would help",
     "astray": (
         "the steps between them do not fit the rest of the walk, so they were joined to it by false matches; turn more "
         "slowly, with more photos between"
@@ -78,7 +81,8 @@ def drop_blind_views(model: Any) -> list[str]:
 
 def misplaced_message(how: str, names: Sequence[str], photos: int) -> str:
     """What to tell the user of ``names`` left out of ``photos``; ``how`` is a key of the reasons above."""
-    return f"{len(names)} of {photos} photos ({names[0]} to {names[-1]}) were left out: {_WHY[how]}"
+    shown = ", ".join(sorted(names)[:_MOST_NAMES]) + (", ..." if len(names) > _MOST_NAMES else "")
+    return f"{len(names)} of {photos} photos left out ({shown}): {_WHY[how]}"
 
 
 def _drop(model: Any, image_ids: Sequence[int]) -> list[str]:

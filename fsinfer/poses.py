@@ -108,21 +108,23 @@ def estimate_poses(
         msg = f"{images} holds {len(photos)} photos that can be used, {settings.min_registered} are needed: {ADVICE}"
         raise PosesError(msg)
     with colmap_errors("finding poses", work):
-        model, left_out = _structure_from_motion(photos, images, work, settings, progress)
+        model, unplaced = _structure_from_motion(photos, images, work, settings, progress)
         walk = [photo.file for photo in photos]
         misplaced = {
+            "unplaced": unplaced,
             "astray": drop_strays(model, walk),
             "contradicted": drop_contradicted(model, work / "database.db"),
             "loose": drop_loose_parts(model),
         }
+        if model.num_reg_images() < settings.min_registered:
+            msg = f"the {len(photos)} photos in {images} match in ways that contradict each other: {ADVICE}"
+            raise PosesError(msg)
         model = refine(model, RefinementSettings(), settings.thread_count, progress)
+    misplaced["unplaced"] += drop_blind_views(model)
     names = {photo.file: photo.name for photo in photos}
-    left_out += [names[file] for file in drop_blind_views(model)]
     for how, files in misplaced.items():
         if files:
-            warnings.append(misplaced_message(how, sorted(names[file] for file in files), len(photos)))
-    if left_out:
-        warnings.append(_left_out_message(sorted(left_out), len(photos)))
+            warnings.append(misplaced_message(how, [names[file] for file in files], len(photos)))
     registered = _write_scene(model, photos, out, settings, progress)
     for warning in warnings:
         _log.warning(warning)
@@ -219,7 +221,7 @@ def _prepare(paths: Sequence[Path], folder: Path, warnings: list[str], progress:
 def _structure_from_motion(
     photos: Sequence[_Photo], images: Path, work: Path, settings: PoseSettings, progress: Progress
 ) -> tuple[Any, list[str]]:
-    """The largest model and the names of the photos that it leaves out."""
+    """The largest model and the files of the photos that it leaves out."""
     cameras: dict[tuple[str, ...], list[str]] = {}
     for photo in photos:
         cameras.setdefault(camera_key(photo.source), []).append(photo.file)
@@ -234,14 +236,7 @@ def _structure_from_motion(
         msg = f"{found} of the {len(photos)} in {images} could be placed together: {ADVICE}"
         raise PosesError(msg)
     registered = {models[0].images[image_id].name for image_id in models[0].reg_image_ids()}
-    return models[0], [photo.name for photo in photos if photo.file not in registered]
-
-
-def _left_out_message(names: Sequence[str], photos: int) -> str:
-    shown = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
-    return (
-        f"{len(names)} of {photos} photos could not be placed with the others: {shown}; more photos between would help"
-    )
+    return models[0], [photo.file for photo in photos if photo.file not in registered]
 
 
 def _write_scene(model: Any, photos: Sequence[_Photo], out: Path, settings: PoseSettings, progress: Progress) -> int:
