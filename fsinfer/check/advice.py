@@ -8,8 +8,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.check.coverage import StemCoverage
+from fsinfer.check.coverage import CoverageSettings, StemCoverage
 from fsinfer.check.north import Compass
+from fsinfer.check.open_sides import OpenSide
 from fsinfer.scale import Scale
 
 # Photos in directions so near to the middle of the unseen side are named as places to stand.
@@ -28,6 +29,8 @@ def advice(
     stems: Sequence[StemCoverage],
     compass: Compass,
     offsets_m: Sequence[NDArray[np.float64]],
+    sides: Sequence[OpenSide] = (),
+    far_m: float = CoverageSettings.far_m,
 ) -> list[str]:
     """Sentences, what matters most first; empty when nothing has to be done again.
 
@@ -35,6 +38,8 @@ def advice(
     ----------
     names: of the placed photos in the order of walking; ``left_out``: of the others; ``given``: of all, in order.
     offsets_m: for each stem, (P, 2) plan positions of the placed photos from it.
+    sides: along which no photo was placed.
+    far_m: photos farther than this from a stem show little of it.
     """
     lines = _gaps_of_the_walk(given, set(left_out))
     if len(left_out) > _TORN_SHARE * len(given):
@@ -42,12 +47,13 @@ def advice(
             f"{len(left_out)} of {len(given)} photos are missing so: mend the walk first, check again. The trees are "
             "judged without them, and some may be named that they saw."
         )
+    lines += _sides_left_open(names, stems, sides)
     for entry, offsets in zip(stems, offsets_m, strict=True):
         if entry.verdict == "one side":
             side = compass.side(entry.gap_center_deg)
             lines.append(
-                f"Walk round tree {entry.number} again, from {side}: it was seen from one side only "
-                f"({_place(entry, names, offsets)})."
+                f"Walk round tree {entry.number} again, from {side}: it was seen from one side only"
+                f"{_from_far(entry, offsets, far_m)} ({_place(entry, names, offsets)})."
             )
     for entry in stems:
         if entry.verdict == "hardly seen":
@@ -58,8 +64,7 @@ def advice(
             )
     far = [str(entry.number) for entry in stems if entry.verdict == "far"]
     if far:
-        which = f"trees {', '.join(far)}" if len(far) > 1 else f"tree {far[0]}"
-        lines.append(f"Seen all round, but from far: {which}. Pass at 3 to 6 m if their diameter matters to you.")
+        lines.append(f"Seen all round, but from far: {_trees(far)}. Pass at 3 to 6 m if their diameter matters to you.")
     return lines
 
 
@@ -72,6 +77,35 @@ def _place(entry: StemCoverage, names: Sequence[str], offsets_m: NDArray[np.floa
         return text
     nearest = int(np.where(there, np.linalg.norm(offsets_m, axis=1), np.inf).argmin())
     return f"{text}; the missing side faces the place of photo {names[nearest]}"
+
+
+def _from_far(entry: StemCoverage, offsets_m: NDArray[np.float64], far_m: float) -> str:
+    """Added where photos do stand on the missing side, but all of them too far away."""
+    azimuths = np.degrees(np.arctan2(offsets_m[:, 1], offsets_m[:, 0]))
+    there = np.abs((azimuths - entry.gap_center_deg + 180) % 360 - 180) < entry.gap_deg / 2 - _PLACE_DEG
+    if not there.any() or np.linalg.norm(offsets_m[there], axis=1).min() < far_m:
+        return ""
+    return f", or from more than {far_m:g} m"
+
+
+def _sides_left_open(names: Sequence[str], stems: Sequence[StemCoverage], sides: Sequence[OpenSide]) -> list[str]:
+    """One sentence for each side along which no photo stands."""
+    lines = []
+    for side in sides:
+        there = [
+            str(entry.number) for entry in stems if entry.verdict == "beyond" and side.beyond(entry.stem.center)[0]
+        ]
+        first, last = (names[photo] for photo in side.photos)
+        which = f"{_trees(there)} beyond it, seen from one side only," if there else "trees beyond it"
+        lines.append(
+            f"Between the places of photos {first} and {last} no photo was placed for {side.length_m:.0f} m. Walk "
+            f"there if {which} belong{'s' if len(there) == 1 else ''} to your plot."
+        )
+    return lines
+
+
+def _trees(numbers: Sequence[str]) -> str:
+    return f"trees {', '.join(numbers)}" if len(numbers) > 1 else f"tree {numbers[0]}"
 
 
 def _gaps_of_the_walk(given: Sequence[str], left_out: set[str]) -> list[str]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from fsinfer.check.advice import advice, marker_lines
 from fsinfer.check.coverage import CoverageSettings, StemCoverage, judge_stems
 from fsinfer.check.north import Compass, find_compass, gnss_places
+from fsinfer.check.open_sides import OpenSide, open_sides
 from fsinfer.check.sparse_stems import SparseStemSettings, find_sparse_stems
 from fsinfer.errors import CloudError, ScaleError
 from fsinfer.files import make_folder, write_text
@@ -180,6 +181,8 @@ def judge_scene(
     inside = in_hull(cameras[:, :2], np.array([stem.center for stem in stems]).reshape(-1, 2), settings.margin_m)
     observations = [sparse.observations.get(name, np.zeros(0, np.int64)) for name in names]
     judged = judge_stems(stems, observations, cameras[:, :2], inside, settings=settings.coverage)
+    sides = open_sides(cameras[:, :2])
+    judged = [_beyond(entry, sides) for entry in judged]
     by_name = {path.stem: path for path in given}
     compass = find_compass(cameras[:, :2], gnss_places([by_name.get(name, Path(name)) for name in names]))
     lines = advice(
@@ -188,6 +191,7 @@ def judge_scene(
         given=[path.stem for path in given],
         stems=judged,
         compass=compass,
+        sides=sides,
         offsets_m=[cameras[:, :2] - entry.stem.center for entry in judged],
     )
     if scale.m_per_unit is None:
@@ -216,6 +220,12 @@ def judge_scene(
         map_path=None,
         seconds={},
     )
+
+
+def _beyond(entry: StemCoverage, sides: Sequence[OpenSide]) -> StemCoverage:
+    """A stem outside the walk, on its open side and seen from the walk's side alone, is one to be named."""
+    there = any(side.beyond(entry.stem.center)[0] for side in sides)
+    return replace(entry, verdict="beyond") if there and not entry.inside and entry.one_sided else entry
 
 
 def _scale(request: ScaleRequest, scene: Scene, progress: Progress) -> tuple[Scale, Scale]:

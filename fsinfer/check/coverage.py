@@ -56,7 +56,8 @@ class StemCoverage:
     nearest: index of the photo that stands nearest to the stem, whether it sees it or not.
     one_sided: whether the gap is as wide as that of a stem seen from one side, however few photos say so.
     inside: whether the stem stands within the walk, or near it.
-    verdict: ``good``, ``one side``, ``far``, ``hardly seen`` or ``outside``.
+    verdict: ``good``, ``one side``, ``far``, ``hardly seen``, ``outside``, or ``beyond`` for one outside that a walk
+        with an open side may have been meant to pass.
     """
 
     number: int

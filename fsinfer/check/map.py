@@ -40,7 +40,8 @@ def draw_map(result: CheckResult, path: Path) -> None:
     _name_photos(axes, cameras, result.names)
     for entry in result.stems:
         _draw_stem(axes, entry, rotation @ entry.stem.center, result.compass.turn_deg)
-    corners = np.concatenate([cameras, *[(rotation @ entry.stem.center)[None] for entry in inside]])
+    shown = [entry for entry in result.stems if entry.inside or entry.verdict == "beyond"]
+    corners = np.concatenate([cameras, *[(rotation @ entry.stem.center)[None] for entry in shown]])
     low, high = corners.min(axis=0) - 1.5, corners.max(axis=0) + 1.5
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
@@ -63,7 +64,10 @@ def _draw_stem(axes: Any, entry: StemCoverage, place: Floats, turn_deg: float) -
 
     at = (float(place[0]), float(place[1]))
     if not entry.inside:
-        axes.add_patch(Circle(at, 0.1, color=_OUTSIDE, zorder=2, linewidth=0))
+        named = entry.verdict == "beyond"
+        axes.add_patch(Circle(at, 0.1, color=_MISSING if named else _OUTSIDE, zorder=2, linewidth=0))
+        if named:
+            axes.annotate(str(entry.number), place, (5, 5), textcoords="offset points", fontsize=8, zorder=5)
         return
     axes.add_patch(Wedge(at, 0.38, 0, 360, width=0.06, color="0.88", zorder=2, linewidth=0))
     for first, last in seen_arcs(entry.azimuths_deg + turn_deg):

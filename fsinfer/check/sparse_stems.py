@@ -36,7 +36,8 @@ class SparseStemSettings:
     min_track, max_error_px: points that are trusted.
     reach_m: points this near in plan belong together; a stem leaning by 5 degrees shifts by 0.1 m over a metre.
     slice_m, min_slices: a point is part of something upright when its neighbours fill so many slices of this height.
-    min_points: fewer points on the circle are no stem.
+    min_points: fewer points on the circle are no stem. On five rendered plots 15 find one stem of 8 cm more than 20,
+        and nothing that is no tree.
     max_radius_m: of a stem.
     tolerance_m: distance from the circle of a point on it; sparse points of a stem scatter by 1 to 3 cm.
     min_inlier_share: of the cluster's points; shrubs and stacks of wood stay below.
@@ -50,7 +51,7 @@ class SparseStemSettings:
     reach_m: float = 0.13
     slice_m: float = 0.25
     min_slices: int = 5
-    min_points: int = 20
+    min_points: int = 15
     max_radius_m: float = 0.6
     tolerance_m: float = 0.03
     min_inlier_share: float = 0.5

@@ -4,6 +4,8 @@ python -m tests.bench.check PLOT OUT --trials 10           curtains on the spars
 python -m tests.bench.check PLOT OUT --leave-out 6:0,10:225
                                                            a real run without the photos that see tree 6 from 0 degrees
                                                            (the positive x axis) and tree 10 from 225; OUT is made
+python -m tests.bench.check PLOT OUT --keep 0.2-1          a real run of a walk that began late: without the first fifth
+                                                           of the photos (0-0.6: that stopped early; 0-1: all photos)
 
 PLOT is a scene of ``training.synthesize --kind plot``; its exact depth maps tell which photo sees which stem. A stem is
 one-sided in truth when the photos that see it leave a fan of 180 degrees or more empty, and seen all round when they
@@ -25,7 +27,7 @@ from numpy.typing import NDArray
 
 from fsinfer.check import CheckResult, check_capture
 from fsinfer.check.capture import judge_scene
-from fsinfer.check.coverage import widest_gap
+from fsinfer.check.coverage import CoverageSettings, widest_gap
 from fsinfer.pfm import read_pfm
 from fsinfer.scale import Scale
 from fsinfer.scene import Scene, read_scene
@@ -33,6 +35,8 @@ from fsinfer.sparse import SparseModel, read_sparse
 from tests.bench.plot import similarity
 
 ONE_SIDED_DEG, ALL_ROUND_DEG = 180.0, 150.0
+FAR_M = CoverageSettings.far_m
+NAMED = ("one side", "beyond")
 _NO_SCALE = Scale(m_per_unit=None, source="none", rel_std=None)
 
 
@@ -49,11 +53,17 @@ class Truth:
     azimuths_deg: NDArray[np.float64]
     seen: NDArray[np.bool_]
 
-    def gaps(self, photos: NDArray[np.bool_], curtains: dict[int, float]) -> NDArray[np.float64]:
-        """Widest empty fan of each tree, given which photos there are, and the curtains (tree: direction)."""
+    def gaps(
+        self, photos: NDArray[np.bool_], curtains: dict[int, float], within_m: float = np.inf
+    ) -> NDArray[np.float64]:
+        """Widest empty fan of each tree, given which photos there are, and the curtains (tree: direction).
+
+        Photos farther than ``within_m`` from the tree do not count.
+        """
         gaps = []
         for tree in range(len(self.ids)):
-            seen = self.seen[tree] & photos
+            near = np.linalg.norm(self.centers[:, :2] - self.xy[tree], axis=1) < within_m
+            seen = self.seen[tree] & photos & near
             if tree in curtains:
                 seen = seen & ~behind(self.azimuths_deg[tree], curtains[tree])
             gaps.append(widest_gap(self.azimuths_deg[tree][seen])[0])
@@ -122,14 +132,19 @@ def curtained(sparse: SparseModel, scene: Scene, truth: Truth, curtains: dict[in
     return replace(sparse, observations=observations, track_lengths=sparse.track_lengths - lost)
 
 
+#: What may come of a tree, in the order of :func:`compare`.
+OUTCOMES = ("named rightly", "named, other side seen from far", "named wrongly", "not named", "without points")
+
+
 def compare(
-    result: CheckResult, truth: Truth, gaps: NDArray[np.float64]
-) -> tuple[list[str], list[str], list[str], list[str]]:
-    """Trees named rightly, named wrongly, missed though visible, and one-sided but without points; by truth's id."""
+    result: CheckResult, truth: Truth, photos: NDArray[np.bool_], curtains: dict[int, float]
+) -> tuple[list[str], ...]:
+    """Trees by truth's id for each of ``OUTCOMES``; the second: its other side was seen only from beyond ``FAR_M``."""
+    gaps, near_gaps = truth.gaps(photos, curtains), truth.gaps(photos, curtains, FAR_M)
     expected = np.array([truth.centers[truth.names.index(name)][:2] for name in result.names])
     plan, world = result.cameras @ [1, 1j], expected @ [1, 1j]
     factor = ((plan - plan.mean()).conj() * (world - world.mean())).sum() / (np.abs(plan - plan.mean()) ** 2).sum()
-    right, wrong, found = [], [], {}
+    right, far, wrong, found = [], [], [], {}
     for entry in result.stems:
         place = factor * (entry.stem.center @ [1, 1j] - plan.mean()) + world.mean()
         distance = np.hypot(truth.xy[:, 0] - place.real, truth.xy[:, 1] - place.imag)
@@ -137,15 +152,20 @@ def compare(
         known = distance[tree] < truth.radius_m[tree] + 0.4
         if known:
             found[tree] = entry.verdict
-        if entry.verdict == "one side":
+        if entry.verdict in NAMED:
             if known and gaps[tree] >= ONE_SIDED_DEG:
                 right.append(truth.ids[tree])
-            elif not known or gaps[tree] < ALL_ROUND_DEG:
+            elif known and gaps[tree] >= ALL_ROUND_DEG:
+                continue
+            elif known and near_gaps[tree] >= ALL_ROUND_DEG:
+                far.append(truth.ids[tree])
+            # Those that stand outside truth's plot are behind its edge.
+            elif known or entry.verdict == "one side":
                 wrong.append(truth.ids[tree] if known else "no tree")
     one_sided = [tree for tree in range(len(truth.ids)) if gaps[tree] >= ONE_SIDED_DEG]
-    missed = [f"{truth.ids[tree]} ({found[tree]})" for tree in one_sided if found.get(tree, "one side") != "one side"]
+    missed = [f"{truth.ids[tree]} ({found[tree]})" for tree in one_sided if found.get(tree, NAMED[0]) not in NAMED]
     without = [truth.ids[tree] for tree in one_sided if tree not in found]
-    return right, wrong, missed, without
+    return right, far, wrong, missed, without
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -159,11 +179,12 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument(
         "--leave-out", metavar="TREE:DEG,...", help="leave out the photos that see these trees from this side"
     )
+    parser.add_argument("--keep", metavar="FROM-TO", help="keep only this stretch of the walk, as shares of its photos")
     args = parser.parse_args(argv)
     truth = read_truth(args.plot)
-    totals = np.zeros(4, dtype=int)
-    if args.leave_out:
-        return leave_out(args, truth)
+    totals = np.zeros(len(OUTCOMES), dtype=int)
+    if args.leave_out or args.keep:
+        return check_photos(args, truth)
     scene = read_scene(args.out / "scene")
     sparse = read_sparse(args.out / "scene" / "sparse")
     photos = np.isin(truth.names, [view.name for view in scene.views])
@@ -174,23 +195,21 @@ def main(argv: list[str] | None = None) -> int:
         chosen = rng.choice(thick, args.per_trial, replace=False) if trial else []
         curtains = {int(tree): float(rng.uniform(0, 360)) for tree in chosen}
         result = judge_scene(scene, curtained(sparse, scene, truth, curtains), given, _NO_SCALE, _NO_SCALE)
-        outcome = compare(result, truth, truth.gaps(photos, curtains))
+        outcome = compare(result, truth, photos, curtains)
         totals += [len(part) for part in outcome]
-        right, wrong, missed, without = (", ".join(part) or "-" for part in outcome)
         behind_curtains = ", ".join(truth.ids[tree] for tree in curtains) or "-"
-        print(
-            f"trial {trial}: behind curtains {behind_curtains}; named rightly {right}; wrongly {wrong}; "
-            f"missed {missed}; without points {without}",
-            flush=True,
-        )
-    print(f"named rightly {totals[0]}, wrongly {totals[1]}, missed {totals[2]}, without points {totals[3]}")
+        told = "; ".join(f"{label} {', '.join(part) or '-'}" for label, part in zip(OUTCOMES, outcome, strict=True))
+        print(f"trial {trial}: behind curtains {behind_curtains}; {told}", flush=True)
+    print(", ".join(f"{label} {total}" for label, total in zip(OUTCOMES, totals, strict=True)))
     return 0
 
 
-def leave_out(args: argparse.Namespace, truth: Truth) -> int:
-    """Structure from motion of the photos that are left, as the check does it."""
-    gone = np.zeros(len(truth.names), dtype=bool)
-    for part in args.leave_out.split(","):
+def check_photos(args: argparse.Namespace, truth: Truth) -> int:
+    """The check itself on the photos that are left."""
+    rank = np.arange(len(truth.names))
+    first, last = (round(float(share) * len(rank)) for share in (args.keep or "0-1").split("-"))
+    gone = (rank < first) | (rank >= last)
+    for part in filter(None, (args.leave_out or "").split(",")):
         number, side_deg = part.split(":")
         tree = truth.ids.index(number)
         gone |= truth.seen[tree] & behind(truth.azimuths_deg[tree], float(side_deg))
@@ -203,12 +222,12 @@ def leave_out(args: argparse.Namespace, truth: Truth) -> int:
     start = time.monotonic()
     result = check_capture(folder, args.out)
     print(f"{time.monotonic() - start:.0f} s", result.seconds, *result.notes, *result.lines, sep="\n  ")
-    gaps = truth.gaps(np.isin(truth.names, result.names), {})
-    for label, part in zip(
-        ("named rightly", "named wrongly", "missed", "without points"), compare(result, truth, gaps), strict=True
-    ):
+    placed = np.isin(truth.names, result.names)
+    for label, part in zip(OUTCOMES, compare(result, truth, placed, {}), strict=True):
         print(f"{label}: {', '.join(part) or '-'}")
-    print("true fans:", ", ".join(f"{number} {gap:.0f}" for number, gap in zip(truth.ids, gaps, strict=True)))
+    for label, within_m in (("true fans", np.inf), (f"within {FAR_M:g} m", FAR_M)):
+        gaps = truth.gaps(placed, {}, within_m)
+        print(f"{label}:", ", ".join(f"{number} {gap:.0f}" for number, gap in zip(truth.ids, gaps, strict=True)))
     return 0
 
 

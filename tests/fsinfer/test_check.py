@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from fsinfer.check.capture import CheckResult, judge_scene
 from fsinfer.check.coverage import CoverageSettings, judge_stems, widest_gap
 from fsinfer.check.map import draw_map, seen_arcs
 from fsinfer.check.north import COMPASS_WORDS, MAP_WORDS, find_compass
+from fsinfer.check.open_sides import open_sides
 from fsinfer.check.sparse_stems import SparseStemSettings, find_sparse_stems
 from fsinfer.errors import InputError
 from fsinfer.frames import FrameSettings
@@ -137,6 +139,68 @@ def test_the_stems_behind_curtains_are_named_and_no_others(hidden: dict[int, flo
         angle = 2 * np.pi * int(line.split("photo p")[-1][:2]) / PHOTOS
         seen_from = np.degrees(np.arctan2(5 * np.sin(angle) - STEMS[number][1], 5 * np.cos(angle) - STEMS[number][0]))
         assert abs((seen_from - hidden[number] + 180) % 360 - 180) < 35
+
+
+def test_trees_beyond_the_open_side_of_a_walk_that_stopped_early_are_named() -> None:
+    scene, sparse = make({})
+    # From 0 to 195 degrees: what lies below the chord back to the start was meant to be passed, too.
+    views = scene.views[:27]
+    observations = {view.name: sparse.observations[view.name] for view in views}
+    tracks = np.bincount(np.concatenate([*observations.values()]), minlength=len(sparse.points))
+    sparse = replace(sparse, observations=observations, track_lengths=tracks)
+    result = judge_scene(replace(scene, views=views), sparse, [view.image_path for view in views], NO_SCALE, NO_SCALE)
+    own = [view.camera.center[:2] * UNIT @ [1, 1j] for view in views]
+    plan, true = result.cameras @ [1, 1j], np.array(own)
+    factor = ((plan - plan.mean()).conj() * (true - true.mean())).sum() / (np.abs(plan - plan.mean()) ** 2).sum()
+    beyond = {}
+    for entry in (entry for entry in result.stems if entry.verdict == "beyond"):
+        place = complex(factor * (entry.stem.center @ [1, 1j] - plan.mean()) + true.mean())
+        beyond[int(np.argmin([abs(complex(x, y) - place) for x, y, _ in STEMS]))] = entry.number
+    # The others stand inside, or within the margin; the last is too far out to have been meant.
+    assert set(beyond) == {2}
+    assert result.lines[0].startswith("Between the places of photos p00 and p26 no photo was placed for 10 m.")
+    assert f"if tree {beyond[2]} beyond it, seen from one side only, belongs to your plot" in result.lines[0]
+
+
+def test_open_sides() -> None:
+    angles = np.radians(np.arange(0, 360, 4))
+    circle = 8 * np.column_stack([np.cos(angles), np.sin(angles)])
+    assert open_sides(circle) == []
+    # A quarter left out; photos of a second, smaller round do not close it.
+    side = open_sides(np.concatenate([circle[:68], circle[::5] / 2]))
+    assert [entry.photos for entry in side] == [(0, 67)]
+    assert side[0].length_m == pytest.approx(2 * 8 * np.sin(np.radians(46)), rel=1e-6)
+    np.testing.assert_array_equal(
+        side[0].beyond(np.array([[5.0, -5.0], [0.0, 0.0], [20.0, -20.0]])), [True, False, False]
+    )
+    # There and back on a line, and too few photos: no inside, no side.
+    line = np.column_stack([np.arange(0, 20, 0.5), np.zeros(40)])
+    assert open_sides(line) == open_sides(line[:2]) == []
+    # A walk along the sides of a square, its corners cut: photos on every side.
+    step = np.arange(0.5, 10, 0.5)
+    zero = np.zeros_like(step)
+    square = np.concatenate(
+        [np.column_stack(pair) for pair in ((step, zero), (zero + 10, step), (10 - step, zero + 10), (zero, 10 - step))]
+    )
+    assert open_sides(square) == []
+
+
+def test_the_other_side_seen_from_too_far_is_said() -> None:
+    _, sparse = make({})
+    points = sparse.points * UNIT
+    stem = find_sparse_stems(points, points[:, 2], np.ones(len(points), bool))[:1]
+    turns = np.radians(np.arange(0, 360, 10))
+    seen = [stem[0].members[:20] if index < 19 else stem[0].members[:0] for index in range(36)]
+    told = []
+    for other_side_m in (5.0, 12.0):
+        reach = np.where(np.arange(36) < 19, 4.0, other_side_m)
+        cameras = stem[0].center + reach[:, None] * np.column_stack([np.cos(turns), np.sin(turns)])
+        judged = judge_stems(stem, seen, cameras, np.array([True]))
+        compass = find_compass(cameras, {})
+        names = [f"p{index:02d}" for index in range(36)]
+        offsets = [cameras - judged[0].stem.center]
+        told += advice(names=names, left_out=[], given=names, stems=judged, compass=compass, offsets_m=offsets)
+    assert ["or from more than 9 m" in line for line in told] == [False, True]
 
 
 def _true_place(result: CheckResult, center: NDArray[np.float64]) -> complex:
