@@ -62,9 +62,9 @@ def open_sides(cameras: Floats) -> list[OpenSide]:
         along = edge / length
         offsets = cameras - start
         passed = offsets @ along
-        on_hull = np.flatnonzero((np.abs(offsets @ [-along[1], along[0]]) < _ON_HULL_M) & (passed >= 0))
-        on_hull = on_hull[passed[on_hull] <= length]
-        ordered = on_hull[np.argsort(passed[on_hull])]
+        on_hull = (np.abs(offsets @ [-along[1], along[0]]) < _ON_HULL_M) & (passed > 0) & (passed < length)
+        on_hull[[corner, following]] = True  # whatever rounding says of the corners themselves
+        ordered = np.flatnonzero(on_hull)[np.argsort(passed[on_hull])]
         widest = int(np.diff(passed[ordered]).argmax())
         ends = ordered[widest], ordered[widest + 1]
         length = float(passed[ends[1]] - passed[ends[0]])

@@ -173,6 +173,10 @@ def test_open_sides() -> None:
     np.testing.assert_array_equal(
         side[0].beyond(np.array([[5.0, -5.0], [0.0, 0.0], [20.0, -20.0]])), [True, False, False]
     )
+    # However the plan is turned: rounding may put a corner beyond the end of its own edge.
+    for turn in np.linspace(0.0, 6.0, 50):
+        rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+        assert [entry.photos for entry in open_sides(circle[:68] @ rotation.T)] == [(0, 67)]
     # There and back on a line, and too few photos: no inside, no side.
     line = np.column_stack([np.arange(0, 20, 0.5), np.zeros(40)])
     assert open_sides(line) == open_sides(line[:2]) == []
