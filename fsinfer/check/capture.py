@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.check.advice import advice, marker_lines
+from fsinfer.check.advice import advice, boards_at_two_places, marker_lines
 from fsinfer.check.coverage import CoverageSettings, StemCoverage, judge_stems
 from fsinfer.check.north import Compass, find_compass, gnss_places
 from fsinfer.check.open_sides import OpenSide, open_sides
@@ -185,7 +185,8 @@ def judge_scene(
     judged = [_beyond(entry, sides) for entry in judged]
     by_name = {path.stem: path for path in given}
     compass = find_compass(cameras[:, :2], gnss_places([by_name.get(name, Path(name)) for name in names]))
-    lines = advice(
+    lines = boards_at_two_places(boards, float(np.cbrt(np.linalg.det(level_from_scene[:3, :3]))))
+    lines += advice(
         names=names,
         left_out=left_out,
         given=[path.stem for path in given],

@@ -329,6 +329,23 @@ def test_boards_seen_too_seldom_or_from_far() -> None:
     assert "--aruco-length-m" in marker_lines(scale, given=False)[-1]
 
 
+def test_a_board_at_two_places_tells_of_photos_placed_wrongly() -> None:
+    scene, sparse = make({})
+    names = [view.image_path for view in scene.views]
+
+    def entry(number: int, x_m: float, views: list[str]) -> dict[str, Any]:
+        return {"id": number, "center": [x_m / UNIT, 0.0, 1.0], "views": views, "near_side_px": 80.0}
+
+    first, again = entry(40, 3.0, ["p01", "p02", "p03", "p04"]), entry(40, -1.5, ["p31", "p30", "p32"])
+    for markers, told in (([first, entry(41, 0.0, ["p05", "p06", "p07"])], 0), ([again, first], 1)):
+        boards = Scale(m_per_unit=UNIT, source="aruco", rel_std=0.01, details={"markers": markers})
+        lines = judge_scene(scene, sparse, names, boards, boards).lines
+        assert len(lines) == told
+        if told:
+            assert lines[0].startswith("Board 40 was found at two places 4.5 m apart.")
+            assert "perhaps p30 to p32" in lines[0]
+
+
 @pytest.fixture
 def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     """How often photos were placed; depth is never computed."""
