@@ -26,6 +26,8 @@ from fsinfer.cli_options import (
     MemoryGb,
     Model,
     Out,
+    Precision,
+    PrecisionHow,
     Provider,
     ScaleFactor,
     Threads,
@@ -98,6 +100,7 @@ def run(
     threads: Threads = 0,
     memory_gb: MemoryGb = 3.0,
     provider: Provider = "cpu",
+    precision: PrecisionHow = Precision.auto,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
@@ -117,7 +120,13 @@ def run(
         frames=frame_settings(interval_s=interval_s, equalize=equalize),
         poses=PoseSettings(threads=threads),
         depth=depth_settings(
-            model=model, views=views, max_size=max_size, threads=threads, memory_gb=memory_gb, provider=provider
+            model=model,
+            views=views,
+            max_size=max_size,
+            threads=threads,
+            memory_gb=memory_gb,
+            provider=provider,
+            precision=precision,
         ),
         fusion=FusionSettings(memory_gb=memory_gb),
         trees=tree_settings(bh_m=bh, bh_rule=bh_rule),

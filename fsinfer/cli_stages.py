@@ -26,6 +26,8 @@ from fsinfer.cli_options import (
     MemoryGb,
     Model,
     Out,
+    Precision,
+    PrecisionHow,
     Provider,
     ScaleFactor,
     Threads,
@@ -102,12 +104,19 @@ def depth(
     threads: Threads = 0,
     memory_gb: MemoryGb = 3.0,
     provider: Provider = "cpu",
+    precision: PrecisionHow = Precision.auto,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
     """Estimate depth and confidence for every view of a scene. Run again to go on after a stop."""
     settings = depth_settings(
-        model=model, views=views, max_size=max_size, threads=threads, memory_gb=memory_gb, provider=provider
+        model=model,
+        views=views,
+        max_size=max_size,
+        threads=threads,
+        memory_gb=memory_gb,
+        provider=provider,
+        precision=precision,
     )
     from fsinfer.depth import estimate_depth
     from fsinfer.scene import read_scene

@@ -22,6 +22,7 @@ from fsinfer.images import read_image
 from fsinfer.manifest import DEFAULT_MODEL
 from fsinfer.memory_plan import DepthPlan, plan_depth
 from fsinfer.pfm import read_pfm, write_pfm
+from fsinfer.precision import AUTO
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene, View
 from fsinfer.unsure_depth import UnsureSettings, settle_unsure
@@ -51,6 +52,7 @@ class DepthSettings:
     threads: 0 uses every core.
     memory_gb: limit of the resident memory, 1e9 bytes; fewer feature maps are kept where it is tight.
     provider: of onnxruntime, see :mod:`fsinfer.providers`.
+    precision: of the regularizer: ``auto``, ``float32`` or ``int8``, see :mod:`fsinfer.precision`.
     """
 
     model: str = DEFAULT_MODEL
@@ -62,16 +64,21 @@ class DepthSettings:
     threads: int = 0
     memory_gb: float = DEFAULT_MEMORY_GB
     provider: str = "cpu"
+    precision: str = AUTO
 
 
 @dataclass(frozen=True, kw_only=True)
 class DepthResult:
-    """What the stage wrote: ``depth_folder/depth/*.pfm`` and ``depth_folder/confidence/*.pfm``."""
+    """What the stage wrote: ``depth_folder/depth/*.pfm`` and ``depth_folder/confidence/*.pfm``.
+
+    ``precision`` is the one that was used; ``model_sha256`` is over the graphs of that precision.
+    """
 
     depth_folder: Path
     views: int
     model: str
     model_sha256: str
+    precision: str
     seconds: float
 
 
@@ -89,7 +96,9 @@ def read_depth_index(depth_folder: Path) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Loaded:
+class LoadedView:
+    """Feature maps of a photograph reduced by ``scale_x``, ``scale_y``, and its (3, 3) intrinsics after that."""
+
     features: ViewFeatures
     intrinsic: NDArray[np.float64]
     scale_x: float
@@ -113,18 +122,20 @@ def estimate_depth(
     """
     settings = settings or DepthSettings()
     started = time.monotonic()
-    model = DepthModel.load(settings.model, threads=settings.threads, provider=settings.provider)
+    model = DepthModel.load(
+        settings.model, threads=settings.threads, provider=settings.provider, precision=settings.precision
+    )
     usable = [view for view in scene.views if view.sources]
     if not usable:
         msg = f"{scene.folder / 'pair.txt'} gives no view a source view; the photos do not overlap"
         raise SceneError(msg)
     make_folder(out / "depth")
     make_folder(out / "confidence")
-    index = _resume(out, settings, model.manifest.sha256)
+    index = _resume(out, settings, model.sha256)
     cached_views = _plan(usable, settings, model).cached_views
     threads_before = cv2.getNumThreads()
     cv2.setNumThreads(1)  # the volume is shared out over blocks of rows already
-    cache: OrderedDict[str, _Loaded] = OrderedDict()
+    cache: OrderedDict[str, LoadedView] = OrderedDict()
     try:
         for done, view in enumerate(usable):
             progress(done, len(usable), f"depth of {view.name}")
@@ -132,7 +143,7 @@ def estimate_depth(
             key = _fingerprint(view, sources)
             if index["views"].get(view.name, {}).get("key") == key and _complete(out, view.name):
                 continue
-            loaded = [_load(model, v, settings.max_size_px, cache, cached_views) for v in (view, *sources)]
+            loaded = [_recall(model, v, settings.max_size_px, cache, cached_views) for v in (view, *sources)]
             estimate = model.predict_from_features(
                 [item.features for item in loaded],
                 np.stack([item.intrinsic for item in loaded]),
@@ -167,7 +178,8 @@ def estimate_depth(
         depth_folder=out,
         views=len(usable),
         model=model.manifest.name,
-        model_sha256=model.manifest.sha256,
+        model_sha256=model.sha256,
+        precision=model.precision,
         seconds=time.monotonic() - started,
     )
 
@@ -200,12 +212,20 @@ def _plan(views: Sequence[View], settings: DepthSettings, model: DepthModel) -> 
     return plan
 
 
-def _load(
-    model: DepthModel, view: View, max_size_px: int, cache: OrderedDict[str, _Loaded], cached_views: int
-) -> _Loaded:
+def _recall(
+    model: DepthModel, view: View, max_size_px: int, cache: OrderedDict[str, LoadedView], cached_views: int
+) -> LoadedView:
     if view.name in cache:
         cache.move_to_end(view.name)
         return cache[view.name]
+    loaded = cache[view.name] = load_view(model, view, max_size_px)
+    while len(cache) > cached_views:
+        cache.popitem(last=False)
+    return loaded
+
+
+def load_view(model: DepthModel, view: View, max_size_px: int) -> LoadedView:
+    """Read a photograph, reduce it to ``max_size_px`` on its longer side, and compute its feature maps."""
     image = read_image(view.image_path)
     height, width = image.shape[:2]
     factor = min(1.0, max_size_px / max(height, width))
@@ -220,15 +240,11 @@ def _load(
         intrinsic[1] *= scale_y
         intrinsic[0, 2] += 0.5 * scale_x - 0.5
         intrinsic[1, 2] += 0.5 * scale_y - 0.5
-    loaded = _Loaded(features=model.features(image), intrinsic=intrinsic, scale_x=scale_x, scale_y=scale_y)
-    cache[view.name] = loaded
-    while len(cache) > cached_views:
-        cache.popitem(last=False)
-    return loaded
+    return LoadedView(features=model.features(image), intrinsic=intrinsic, scale_x=scale_x, scale_y=scale_y)
 
 
 def _resume(out: Path, settings: DepthSettings, model_sha256: str) -> dict[str, Any]:
-    # The model's hash stands for its name too: two manifests of the same graphs give the same maps.
+    # The model's hash stands for its name and its precision too: two manifests of the same graphs give the same maps.
     wanted: dict[str, Any] = {
         "model": settings.model,
         "model_sha256": model_sha256,

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import InputError, ModelError
 from fsinfer.manifest import DEFAULT_MODEL, ModelManifest, read_manifest
+from fsinfer.precision import AUTO, INT8, choose_precision
 from fsinfer.providers import find_providers
 from fsinfer.volume import (
     Features,
@@ -60,13 +61,17 @@ class DepthModel:
     --------
     >>> model = DepthModel.load("field")  # doctest: +SKIP
     >>> estimate = model.predict(images, intrinsics, cam_from_world, (1.0, 20.0))  # doctest: +SKIP
+
+    ``precision`` is that of the regularizer, ``float32`` or ``int8``; ``sha256`` is over the graphs in use.
     """
 
     def __init__(
-        self, manifest: ModelManifest, sessions: dict[str, Any], threads: int, *, calibrate: bool = True
+        self, manifest: ModelManifest, sessions: dict[str, Any], threads: int, precision: str, *, calibrate: bool = True
     ) -> None:
         self.manifest = manifest
         self.threads = threads
+        self.precision = precision
+        self.sha256 = manifest.sha256_of(int8=precision == INT8)
         self._calibration = manifest.calibration if calibrate else None
         self._sessions = sessions
 
@@ -78,17 +83,20 @@ class DepthModel:
         threads: int = 0,
         calibrate: bool = True,
         provider: str = "cpu",
+        precision: str = AUTO,
     ) -> DepthModel:
         """Load a shipped model by name, or any model by the path of its manifest.
 
         ``threads`` = 0 uses every core; ``calibrate`` = False leaves the network's confidence as it is; ``provider``
-        see :func:`fsinfer.providers.find_providers`. Raises :class:`ModelError` where a file is missing, damaged or
-        not ONNX, or the provider is not there.
+        see :func:`fsinfer.providers.find_providers`; ``precision`` see :func:`fsinfer.precision.choose_precision`.
+        Raises :class:`ModelError` where a file is missing, damaged or not ONNX, or the provider is not there, and
+        :class:`InputError` for an unknown precision.
         """
         import onnxruntime
 
         providers = find_providers(provider, onnxruntime.get_available_providers())
         manifest = read_manifest(name_or_path)
+        precision = choose_precision(precision, manifest, provider=provider)
         threads = threads or os.cpu_count() or 1
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads
@@ -98,13 +106,14 @@ class DepthModel:
         # Threads that wait by spinning take the cores from those that build the cost volume.
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         sessions = {}
-        for role, file in zip(("features", "regularizer", "refiner"), manifest.files, strict=False):
+        files = manifest.files_of(int8=precision == INT8)
+        for role, file in zip(("features", "regularizer", "refiner"), files, strict=False):
             try:
                 sessions[role] = onnxruntime.InferenceSession(file, options, providers=providers)
             except Exception as error:  # onnxruntime raises its own family of exceptions
                 msg = f"{file} cannot be loaded by onnxruntime ({error}); install fsinfer again or re-export the model"
                 raise ModelError(msg) from error
-        return cls(manifest, sessions, threads, calibrate=calibrate)
+        return cls(manifest, sessions, threads, precision, calibrate=calibrate)
 
     def features(self, image: NDArray[np.uint8]) -> ViewFeatures:
         """Feature maps of one (H, W, 3) RGB uint8 image; they can be kept and given to several reference views."""
@@ -157,6 +166,27 @@ class DepthModel:
         """Do the same from feature maps already computed (:meth:`features`)."""
         intrinsics, cam_from_world = np.asarray(intrinsics, np.float64), np.asarray(cam_from_world, np.float64)
         near, far = depth_range
+        volume, weights = self.cost_volume(features, intrinsics, cam_from_world, depth_range)
+        index, confidence = self.regularize(volume)
+        reference = features[0]
+        if reference.half is None or weights is None:
+            return DepthEstimate(depth=self._depth(index, near, far), confidence=self.calibrated(confidence), stride=4)
+        return self._refine(features, intrinsics, cam_from_world, (near, far), index, confidence, weights)
+
+    def cost_volume(
+        self,
+        features: Sequence[ViewFeatures],
+        intrinsics: Float64,
+        cam_from_world: Float64,
+        depth_range: tuple[float, float],
+    ) -> tuple[Float32, Float32 | None]:
+        """What the regularizer is given at a quarter of the resolution, and the weights (S, h, w) of the sources.
+
+        The shape of the volume stands in the manifest; ``None`` for weights where the model knows none. Arguments and
+        errors are those of :meth:`predict`.
+        """
+        intrinsics, cam_from_world = np.asarray(intrinsics, np.float64), np.asarray(cam_from_world, np.float64)
+        near, far = depth_range
         if intrinsics.shape != (len(features), 3, 3) or cam_from_world.shape != (len(features), 4, 4):
             msg = f"{len(features)} views need (N,3,3) and (N,4,4), got {intrinsics.shape=}, {cam_from_world.shape=}"
             raise InputError(msg)
@@ -167,22 +197,19 @@ class DepthModel:
         planes = plane_inverse_depths(near, far, manifest.planes, inverse=manifest.inverse_depth)[:, None, None]
         quarter = [view.quarter for view in features]
         projections = self._projections(intrinsics, cam_from_world, 4)
-        weights: Float32 | None = None
         if manifest.volume == "variance":
-            volume = variance_volume(quarter[0], quarter[1:], projections, planes, threads=self.threads)[None]
-        else:
-            volume, weights = correlation_volume(quarter[0], quarter[1:], projections, planes, threads=self.threads)
-            if manifest.packed:
-                depth, groups, height, width = volume.shape
-                packed = manifest.packed_planes
-                volume = volume.reshape(depth // packed, packed * groups, height, width)
-            else:
-                volume = np.ascontiguousarray(volume.transpose(1, 0, 2, 3))[None]
+            return variance_volume(quarter[0], quarter[1:], projections, planes, threads=self.threads)[None], None
+        volume, weights = correlation_volume(quarter[0], quarter[1:], projections, planes, threads=self.threads)
+        if not manifest.packed:
+            return np.ascontiguousarray(volume.transpose(1, 0, 2, 3))[None], weights
+        depth, groups, height, width = volume.shape
+        packed = manifest.packed_planes
+        return volume.reshape(depth // packed, packed * groups, height, width), weights
+
+    def regularize(self, volume: Float32) -> tuple[Float32, Float32]:
+        """Plane index, with fraction, and the network's own confidence (h, w) of a volume of :meth:`cost_volume`."""
         index, confidence = self._sessions["regularizer"].run(None, {"volume": volume})
-        reference = features[0]
-        if reference.half is None or weights is None:
-            return DepthEstimate(depth=self._depth(index, near, far), confidence=self.calibrated(confidence), stride=4)
-        return self._refine(features, intrinsics, cam_from_world, (near, far), index, confidence, weights)
+        return index, confidence
 
     def _refine(
         self,

@@ -29,6 +29,8 @@ class ModelManifest:
     groups: values of the volume at each plane and pixel: groups of the correlation, or channels of the variance.
     refine_planes, refine_span: the narrow volume at half resolution; span in plane intervals on each side.
     sha256: over the graphs' bytes, in the order features, regularizer, refiner.
+    int8_regularizer, int8_sha256: the regularizer in 8-bit integers, and the hash with it in place of the other one;
+        ``None`` where the model has none.
     confidence_threshold: at which the parity check compares the confidence masks; fusion finds its own for each plot.
     calibration: raw confidences and the share of pixels within 1 % of the true depth at each of them, both rising;
         ``None`` where the model was not calibrated.
@@ -48,14 +50,25 @@ class ModelManifest:
     refine_planes: int
     refine_span: float
     sha256: str
+    int8_regularizer: str | None
+    int8_sha256: str | None
     confidence_threshold: float
     calibration: tuple[NDArray[np.float32], NDArray[np.float32]] | None
     details: dict[str, Any]
 
     @property
     def files(self) -> list[Path]:
-        """Paths of the graphs, in the order of the hash."""
-        return [self.folder / name for name in (self.features, self.regularizer, self.refiner) if name is not None]
+        """Paths of the float32 graphs, in the order of the hash."""
+        return self.files_of(int8=False)
+
+    def files_of(self, *, int8: bool) -> list[Path]:
+        """Paths of the graphs with the regularizer of that precision, in the order of the hash."""
+        regularizer = self.int8_regularizer if int8 else self.regularizer
+        return [self.folder / name for name in (self.features, regularizer, self.refiner) if name is not None]
+
+    def sha256_of(self, *, int8: bool) -> str:
+        """SHA-256 over the bytes of :meth:`files_of`, which tells results of the two precisions apart."""
+        return self.int8_sha256 if int8 and self.int8_sha256 is not None else self.sha256
 
 
 def hash_files(paths: list[Path]) -> str:
@@ -105,6 +118,8 @@ def read_manifest(name_or_path: str | Path) -> ModelManifest:
             refine_planes=data["refine"]["planes"],
             refine_span=data["refine"]["span"],
             sha256=data["sha256"],
+            int8_regularizer=data["int8"]["regularizer"] if "int8" in data else None,
+            int8_sha256=data["int8"]["sha256"] if "int8" in data else None,
             confidence_threshold=data["confidence_threshold"],
             calibration=_calibration(data.get("confidence_calibration")),
             details=data,
@@ -112,18 +127,25 @@ def read_manifest(name_or_path: str | Path) -> ModelManifest:
     except (OSError, ValueError, KeyError, TypeError) as error:
         msg = f"{path} is not a model manifest ({type(error).__name__}: {error}); install fsinfer again or re-export"
         raise ModelError(msg) from error
-    missing = [file.name for file in manifest.files if not file.is_file()]
+    precisions = (False, True) if manifest.int8_regularizer is not None else (False,)
+    for int8 in precisions:
+        _check_files(manifest, manifest.files_of(int8=int8), manifest.sha256_of(int8=int8))
+    return manifest
+
+
+def _check_files(manifest: ModelManifest, files: list[Path], sha256: str) -> None:
+    missing = [file.name for file in files if not file.is_file()]
     if missing:
-        msg = f"model {manifest.name}: {missing} missing in {path.parent}; install fsinfer again or re-export the model"
+        where = f"missing in {manifest.folder}"
+        msg = f"model {manifest.name}: {missing} {where}; install fsinfer again or re-export the model"
         raise ModelError(msg)
-    found = hash_files(manifest.files)
-    if found != manifest.sha256:
+    found = hash_files(files)
+    if found != sha256:
         msg = (
-            f"model {manifest.name} in {path.parent} is damaged or was changed: SHA-256 {found[:12]}…, manifest "
-            f"{manifest.sha256[:12]}…; install fsinfer again or re-export the model"
+            f"model {manifest.name} in {manifest.folder} is damaged or was changed: SHA-256 {found[:12]}…, manifest "
+            f"{sha256[:12]}…; install fsinfer again or re-export the model"
         )
         raise ModelError(msg)
-    return manifest
 
 
 def _groups(data: dict[str, Any]) -> int:

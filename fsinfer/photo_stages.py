@@ -21,8 +21,9 @@ from fsinfer.stages import StageBook, as_json, file_digest
 
 #: Folders that a run empties and fills.
 STAGE_FOLDERS = ("frames", "scene", "depth", "confidence", "fused", "figures")
-# How the work is spread over the machine does not change what comes out.
-_SPEED_OPTIONS = frozenset({"threads", "memory_gb", "provider"})
+# How the work is spread over the machine does not change what comes out. The precision asked for may, but the hash of
+# the graphs that it led to on this machine says so better.
+_SPEED_OPTIONS = frozenset({"threads", "memory_gb", "provider", "precision"})
 
 
 def source_files(source: Path, out: Path) -> list[Path]:

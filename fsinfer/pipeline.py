@@ -23,6 +23,7 @@ from fsinfer.manifest import read_manifest
 from fsinfer.photo_stages import choose_frames, place_photos, source_files, speedless
 from fsinfer.placement import density_per_m2, marker_centers, place_cloud
 from fsinfer.plot_summary import package_versions, summarize, write_plot
+from fsinfer.precision import INT8, choose_precision
 from fsinfer.progress import StageProgress, silent_stages
 from fsinfer.scale_request import ScaleRequest, find_scale
 from fsinfer.scene import Scene, read_scene
@@ -105,7 +106,8 @@ def run(
     settings = settings or RunSettings()
     files = source_files(source, out)
     # A wrong model name must not show after an hour of structure from motion.
-    model_sha256 = read_manifest(settings.depth.model).sha256
+    manifest = read_manifest(settings.depth.model)
+    precision = choose_precision(settings.depth.precision, manifest, provider=settings.depth.provider)
     corrections = find_edits(out, edits)
     make_folder(out)
     job = _Job(
@@ -113,7 +115,7 @@ def run(
         files=files,
         out=out,
         settings=settings,
-        model_sha256=model_sha256,
+        model_sha256=manifest.sha256_of(int8=precision == INT8),
         book=StageBook(out),
         progress=progress,
         edits=corrections,
@@ -138,7 +140,12 @@ def _poses(job: _Job) -> None:
 def _depth(job: _Job) -> None:
     def work() -> Mapping[str, Any]:
         result = estimate_depth(job.scene(), job.out, settings=job.settings.depth, progress=job.progress("depth"))
-        return {"views": result.views, "model": result.model, "model_sha256": result.model_sha256}
+        return {
+            "views": result.views,
+            "model": result.model,
+            "model_sha256": result.model_sha256,
+            "precision": result.precision,
+        }
 
     job.book.run(
         "depth",

@@ -72,6 +72,7 @@ def summarize(records: Mapping[str, StageRecord], *, settings: Mapping[str, Any]
         "versions": package_versions(),
         "model": value("depth", "model"),
         "model_sha256": value("depth", "model_sha256"),
+        "model_precision": value("depth", "precision"),
         "warnings": _warnings(results),
         "settings": dict(settings),
     }

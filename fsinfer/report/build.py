@@ -118,6 +118,8 @@ def _provenance_section(contents: Contents) -> str:
         return section("How it was made", paragraph("plot.json is not in this folder.", "missing"), anchor="made")
     rows = [("Depth model", str(plot.get("model") or "not known"))]
     rows.append(("SHA-256 of the model", str(plot.get("model_sha256") or "not known")))
+    if plot.get("model_precision"):
+        rows.append(("Numbers of the regularizer", str(plot["model_precision"])))
     peak = number(plot.get("peak_rss_mb"))
     if peak is not None:
         rows.append(("Largest memory", f"{peak:,.0f} MB"))

@@ -28,7 +28,7 @@ def main(source: Path, out: Path, stage: str, writes: int) -> None:
     photo_stages.select_frames = select_frames
     photo_stages.estimate_poses = estimate_poses
     pipeline.estimate_depth = estimate_depth
-    pipeline.read_manifest = lambda _: SimpleNamespace(sha256="0" * 64)
+    pipeline.read_manifest = lambda _: SimpleNamespace(int8_regularizer=None, sha256_of=lambda *, int8: "0" * 64)
     pipeline.read_sparse = lambda _: None
     pipeline.depth_vs_sfm = lambda *_: 0.0025
     import fsinfer.report
@@ -75,7 +75,9 @@ def estimate_poses(images: Path, out: Path, **_: Any) -> PosesResult:
 
 def estimate_depth(scene: Any, out: Path, **_: Any) -> DepthResult:
     write_depth_folder(scene, out)
-    return DepthResult(depth_folder=out, views=VIEWS, model="exact", model_sha256="0" * 64, seconds=1.0)
+    return DepthResult(
+        depth_folder=out, views=VIEWS, model="exact", model_sha256="0" * 64, precision="float32", seconds=1.0
+    )
 
 
 if __name__ == "__main__":

@@ -38,6 +38,15 @@ METRIC = RunSettings(scale=ScaleRequest(factor=M_PER_UNIT))
 ALL = ["frames", "poses", "depth", "check", "fuse", "scale", "cloud", "trees", "report"]
 
 
+class FakeManifest:
+    """Of a model in float32 alone; with an int8 regularizer, its graphs have another hash."""
+
+    int8_regularizer: str | None = None
+
+    def sha256_of(self, *, int8: bool) -> str:
+        return ("1" if int8 else "0") * 64
+
+
 @dataclass
 class Fakes:
     """Counts the calls of the replaced stages; ``fail_in`` makes one of them raise."""
@@ -72,7 +81,14 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> Fakes:
     def estimate_depth(scene: Any, out: Path, *, settings: DepthSettings, **_: Any) -> DepthResult:
         fakes.enter("depth")
         write_depth_folder(scene, out)
-        return DepthResult(depth_folder=out, views=VIEWS, model=settings.model, model_sha256="0" * 64, seconds=1.0)
+        return DepthResult(
+            depth_folder=out,
+            views=VIEWS,
+            model=settings.model,
+            model_sha256="0" * 64,
+            precision="float32",
+            seconds=1.0,
+        )
 
     def fuse(*args: Any, **kwargs: Any) -> Any:
         fakes.enter("fuse")
@@ -88,7 +104,7 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> Fakes:
     monkeypatch.setattr(pipeline, "estimate_depth", estimate_depth)
     monkeypatch.setattr(pipeline, "fuse", fuse)
     monkeypatch.setattr(pipeline, "write_tree_outputs", write_trees)
-    monkeypatch.setattr(pipeline, "read_manifest", lambda _: SimpleNamespace(sha256="0" * 64))
+    monkeypatch.setattr(pipeline, "read_manifest", lambda _: FakeManifest())
     # The fake scene has no COLMAP model to compare with.
     monkeypatch.setattr(pipeline, "read_sparse", lambda _: None)
     monkeypatch.setattr(pipeline, "depth_vs_sfm", lambda *_: 0.0025)
@@ -146,6 +162,7 @@ def test_plot_json(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
     assert set(ALL) | {"total"} == set(plot["seconds"])
     assert plot["peak_rss_mb"] is None or plot["peak_rss_mb"] > 10
     assert plot["model_sha256"] == "0" * 64
+    assert plot["model_precision"] == "float32"
     assert plot["settings"]["trees"]["bh_m"] == 1.3
     assert plot["versions"]["numpy"] == np.__version__
     similarity = np.array(plot["cloud_from_scene"])
@@ -184,6 +201,22 @@ def test_other_depth_settings_repeat_depth_and_what_follows(fakes: Fakes, photos
     again = run(photos, tmp_path / "out", settings=replace(METRIC, depth=DepthSettings(source_views=2)))
     assert {"depth", "fuse", "cloud", "trees", "report"} <= {*ran(again)}
     assert not {"frames", "poses"} & {*ran(again)}
+
+
+def test_depth_is_repeated_where_the_precision_in_use_changes_and_not_the_wish(
+    fakes: Fakes, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def settings(precision: str) -> RunSettings:
+        return replace(METRIC, depth=DepthSettings(precision=precision))
+
+    monkeypatch.setattr(FakeManifest, "int8_regularizer", "int8.onnx")
+    run(photos, tmp_path / "out", settings=settings("float32"))
+    monkeypatch.setattr("fsinfer.precision._this_machine_is_fast", lambda: False)
+    assert not {"depth", "fuse"} & {*ran(run(photos, tmp_path / "out", settings=settings("auto")))}
+    monkeypatch.setattr("fsinfer.precision._this_machine_is_fast", lambda: True)
+    assert {"depth", "fuse"} <= {*ran(run(photos, tmp_path / "out", settings=settings("auto")))}
+    assert not {"depth", "fuse"} & {*ran(run(photos, tmp_path / "out", settings=settings("int8")))}
+    assert {"depth", "fuse"} <= {*ran(run(photos, tmp_path / "out", settings=settings("float32")))}
 
 
 def test_killed_run_goes_on(fakes: Fakes, photos: Path, tmp_path: Path) -> None:

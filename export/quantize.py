@@ -1,0 +1,246 @@
+"""Regularizer in 8-bit integers: ``python -m export.quantize models/field.json --scene SCENE --scene SCENE``.
+
+Static quantization in ONNX's QDQ form: weights symmetric with a scale for each output channel, activations with a scale
+and a zero point for each tensor (Jacob et al. 2018, "Quantization and Training of Neural Networks for Efficient
+Integer-Arithmetic-Only Inference"). The scales come from the cost volumes of real views, so no training is needed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import onnx
+from numpy.typing import NDArray
+from onnxruntime.quantization import CalibrationDataReader, CalibrationMethod, QuantFormat, QuantType, quantize_static
+from onnxruntime.quantization.shape_inference import quant_pre_process
+
+from fsinfer.depth import DepthSettings, load_view, search_range
+from fsinfer.depth_model import DepthEstimate, DepthModel, ViewFeatures
+from fsinfer.errors import FsinferError, SceneError
+from fsinfer.manifest import hash_files, read_manifest
+from fsinfer.scene import Scene, View, read_scene
+
+Float32 = NDArray[np.float32]
+
+METHODS = {
+    "minmax": CalibrationMethod.MinMax,
+    "percentile": CalibrationMethod.Percentile,
+    "entropy": CalibrationMethod.Entropy,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class QuantizeSettings:
+    """How the graph is quantized.
+
+    Attributes
+    ----------
+    method: key of :data:`METHODS`: how a tensor's range is taken from the calibration.
+    operators: kinds of nodes that are computed in int8, or only hand int8 on.
+    keep_float: convolutions whose weights' names hold one of these stay in float32.
+    window_px: rows and columns of the middle of each volume that are looked at, at a quarter of the image's resolution.
+    """
+
+    method: str = "minmax"
+    operators: tuple[str, ...] = ("Conv", "Add", "Concat", "Relu")
+    keep_float: tuple[str, ...] = ()
+    window_px: tuple[int, int] = (64, 96)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Difference:
+    """int8 against float32 over the pixels of some views.
+
+    index_median, index_beyond_1: |difference| of the plane index, and the share of pixels beyond one plane.
+    depth_median_rel, depth_beyond_1pct: the same of the finished depth where the confidence exceeds 0.5.
+    """
+
+    views: int
+    index_median: float
+    index_beyond_1: float
+    depth_median_rel: float
+    depth_beyond_1pct: float
+
+
+class _Windows(CalibrationDataReader):  # type: ignore[misc]
+    def __init__(self, windows: Sequence[Float32]) -> None:
+        self._windows = iter(windows)
+
+    def get_next(self) -> dict[str, Float32] | None:
+        window = next(self._windows, None)
+        return None if window is None else {"volume": window}
+
+
+def quantize(model: Path, target: Path, windows: Sequence[Float32], settings: QuantizeSettings) -> None:
+    """Write the graph ``model`` in int8 to ``target``, with the ranges that ``windows`` of its input give.
+
+    The same windows give the same file.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        prepared = Path(folder) / "prepared.onnx"
+        # Shapes of every tensor; those that depend on the picture stay open.
+        quant_pre_process(str(model), str(prepared), skip_symbolic_shape=True)
+        graph = onnx.load(prepared).graph
+        quantize_static(
+            str(prepared),
+            str(target),
+            _Windows(windows),
+            quant_format=QuantFormat.QDQ,
+            per_channel=True,
+            activation_type=QuantType.QUInt8,
+            weight_type=QuantType.QInt8,
+            op_types_to_quantize=list(settings.operators),
+            nodes_to_exclude=[
+                node.name
+                for node in graph.node
+                if any(part in name for part in settings.keep_float for name in node.input[1:2])
+            ],
+            calibrate_method=METHODS[settings.method],
+        )
+    onnx.checker.check_model(onnx.load(target), full_check=True)
+
+
+def choose_views(scene: Scene, count: int, *, between: bool = False) -> list[View]:
+    """Views with sources, spread evenly over the scene; ``between`` gives those in the gaps of the others."""
+    usable = [view for view in scene.views if view.sources]
+    if len(usable) < 2 * count:
+        msg = f"{scene.folder} has {len(usable)} views with sources, {2 * count} are needed to calibrate and to compare"
+        raise SceneError(msg)
+    step = len(usable) / count
+    return [usable[int((i + (0.5 if between else 0.0)) * step)] for i in range(count)]
+
+
+def window_of(volume: Float32, window_px: tuple[int, int]) -> Float32:
+    """The middle of a volume (slabs, channels, h, w)."""
+    starts = [max(0, (size - wanted) // 2) for size, wanted in zip(volume.shape[-2:], window_px, strict=True)]
+    rows, columns = (slice(start, start + wanted) for start, wanted in zip(starts, window_px, strict=True))
+    return np.ascontiguousarray(volume[..., rows, columns])
+
+
+def volumes(model: DepthModel, scene: Scene, views: Sequence[View]) -> Iterator[Float32]:
+    """The cost volumes of the views, made as the depth stage does."""
+    for view in views:
+        yield model.cost_volume(*_inputs(model, scene, view))[0]
+
+
+def compare(manifest: Path, scenes: Sequence[Scene], count: int) -> Difference:
+    """Difference between the two precisions on views that did not calibrate."""
+    models = [DepthModel.load(manifest, precision=precision, calibrate=False) for precision in ("float32", "int8")]
+    index: list[Float32] = []
+    depth: list[Float32] = []
+    views = 0
+    for scene in scenes:
+        for view in choose_views(scene, count, between=True):
+            inputs = _inputs(models[0], scene, view)
+            volume, _ = models[0].cost_volume(*inputs)
+            planes = [model.regularize(volume)[0] for model in models]
+            index.append(np.abs(planes[1] - planes[0]).ravel())
+            exact, quick = (model.predict_from_features(*inputs) for model in models)
+            depth.append(_relative(exact, quick))
+            views += 1
+    all_index, all_depth = np.concatenate(index), np.concatenate(depth)
+    return Difference(
+        views=views,
+        index_median=float(np.median(all_index)),
+        index_beyond_1=float((all_index > 1).mean()),
+        depth_median_rel=float(np.median(all_depth)),
+        depth_beyond_1pct=float((all_depth > 0.01).mean()),
+    )
+
+
+def add_to_manifest(path: Path, file: Path, settings: QuantizeSettings, scenes: Sequence[str], views: int) -> None:
+    """Enter the int8 graph, the hash with it, and how it was made."""
+    manifest = read_manifest(path)
+    data = json.loads(path.read_text(encoding="utf-8"))
+    files = [file if f.name == manifest.regularizer else f for f in manifest.files]
+    data["int8"] = {
+        "regularizer": file.name,
+        "sha256": hash_files(files),
+        "method": settings.method,
+        "operators": list(settings.operators),
+        "keep_float": list(settings.keep_float),
+        "window_px": list(settings.window_px),
+        "calibration": {"scenes": list(scenes), "views": views},
+    }
+    path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+
+
+def drop_from_manifest(path: Path) -> None:
+    """Take the entry of an int8 graph out, so that the model can be read while that is made anew."""
+    data = json.loads(path.read_text(encoding="utf-8"))
+    if data.pop("int8", None) is not None:
+        path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+
+
+def _inputs(
+    model: DepthModel, scene: Scene, view: View
+) -> tuple[list[ViewFeatures], NDArray[np.float64], NDArray[np.float64], tuple[float, float]]:
+    """Features, intrinsics, poses and depth range of a view and its sources, as in the depth stage."""
+    settings = DepthSettings()
+    group = [view, *(scene.views[i] for i in view.sources[: settings.source_views])]
+    loaded = [load_view(model, v, settings.max_size_px) for v in group]
+    searched = search_range(
+        view.camera.depth_min, view.camera.depth_max, settings, inverse_depth=model.manifest.inverse_depth
+    )
+    intrinsics = np.stack([item.intrinsic for item in loaded])
+    return [item.features for item in loaded], intrinsics, np.stack([v.camera.cam_from_world for v in group]), searched
+
+
+def _relative(wanted: DepthEstimate, found: DepthEstimate) -> Float32:
+    sure = wanted.confidence > 0.5
+    return np.asarray(np.abs(found.depth[sure] / wanted.depth[sure] - 1), np.float32)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line."""
+    default = QuantizeSettings()
+    parser = argparse.ArgumentParser(prog="python -m export.quantize", description=__doc__)
+    parser.add_argument("manifest", type=Path, help="manifest of an exported model; the int8 graph is put beside it")
+    parser.add_argument("--scene", type=Path, action="append", required=True, help="in MVSNet format; may be repeated")
+    parser.add_argument(
+        "--views", type=int, default=4, help="views of each scene that calibrate; as many others compare"
+    )
+    parser.add_argument("--method", choices=sorted(METHODS), default=default.method)
+    parser.add_argument("--operators", nargs="+", default=list(default.operators))
+    parser.add_argument("--keep-float", nargs="*", default=list(default.keep_float), help="parts of weights' names")
+    args = parser.parse_args(arguments)
+    settings = QuantizeSettings(method=args.method, operators=tuple(args.operators), keep_float=tuple(args.keep_float))
+    logging.getLogger().setLevel(logging.ERROR)  # onnxruntime's tools warn of their own defaults
+    cv2.setNumThreads(1)
+    try:
+        drop_from_manifest(args.manifest)
+        model = DepthModel.load(args.manifest, precision="float32")
+        scenes = [read_scene(path) for path in args.scene]
+        windows = [
+            window_of(volume, settings.window_px)
+            for scene in scenes
+            for volume in volumes(model, scene, choose_views(scene, args.views))
+        ]
+        regularizer = model.manifest.folder / model.manifest.regularizer
+        target = regularizer.with_name(f"{regularizer.stem}_int8.onnx")
+        quantize(regularizer, target, windows, settings)
+        names = [scene.folder.name for scene in scenes]
+        add_to_manifest(args.manifest, target, settings, names, len(windows))
+        difference = compare(args.manifest, scenes, args.views)
+    except FsinferError as error:
+        print(f"Error: {error}")
+        return 2
+    print(f"{target.name}: {target.stat().st_size} bytes, calibrated on {len(windows)} views")
+    print(
+        f"against float32 on {difference.views} other views: plane index median {difference.index_median:.3f} planes, "
+        f"{100 * difference.index_beyond_1:.2f} % beyond one plane; depth with confidence > 0.5: median "
+        f"{100 * difference.depth_median_rel:.3f} %, {100 * difference.depth_beyond_1pct:.2f} % beyond 1 %"
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
