@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.check.coverage import StemCoverage
+from fsinfer.check.open_sides import open_sides
 from fsinfer.files import atomic_path
 
 if TYPE_CHECKING:
@@ -37,6 +38,8 @@ def draw_map(result: CheckResult, path: Path) -> None:
     axes = figure.add_subplot()
     axes.plot(*cameras.T, "-", color=_PATH, linewidth=1, zorder=1)
     axes.plot(*cameras.T, ".", color=_PATH, markersize=4, zorder=1, label="photos, in order")
+    for side in open_sides(cameras):
+        axes.plot(*cameras[list(side.photos)].T, ":", color=_MISSING, linewidth=2, zorder=1)
     _name_photos(axes, cameras, result.names)
     for entry in result.stems:
         _draw_stem(axes, entry, rotation @ entry.stem.center, result.compass.turn_deg)
@@ -50,7 +53,7 @@ def draw_map(result: CheckResult, path: Path) -> None:
     _legend(axes)
     up = "north is up" if result.compass.known else "the first photo is at the bottom, north is not known"
     again = sum(entry.verdict in ("one side", "hardly seen") for entry in inside)
-    axes.set_title(
+    figure.suptitle(
         f"{result.registered} of {result.photos} photos placed, {len(inside)} stems within the walk, "
         f"{again} to photograph again\n{up}",
         fontsize=11,
@@ -127,18 +130,20 @@ def _legend(axes: Any) -> None:
     def spot(marker: str, color: str, label: str) -> Line2D:
         return Line2D([], [], linestyle="none", marker=marker, color=color, markersize=8, label=label)
 
-    axes.legend(
+    # Outside the axes as the layout counts them: where the plot is high, the title would be cut off otherwise.
+    axes.figure.legend(
         handles=[
             Line2D([], [], color=_PATH, marker=".", label="photos, in order of walking"),
             spot(">", "black", "first photo"),
             spot("o", _SEEN, "seen from there"),
             spot("s", _MISSING, "not seen: stand here next time"),
             Line2D([], [], color=_WEAK, linestyle="--", label="hardly seen"),
+            Line2D([], [], color=_MISSING, linestyle=":", linewidth=2, label="side left open"),
+            spot("o", _MISSING, "beyond it"),
             spot("o", _OUTSIDE, "outside the walk, not judged"),
         ],
-        loc="upper center",
-        bbox_to_anchor=(0.5, -0.06),
-        ncols=3,
+        loc="outside lower center",
+        ncols=4,
         fontsize=8,
         frameon=False,
     )
