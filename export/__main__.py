@@ -46,7 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
                 print(f"{graph['file']}: {role}, difference to PyTorch {graph['max_abs_difference']:.1e}")
         if args.parity is None:
             return 0
-        deployed = DepthModel.load(manifest)
+        deployed = DepthModel.load(manifest, precision="float32")
         cv2.setNumThreads(1)
         parity = whole_parity(model, deployed, read_scene(args.parity), views=args.views)
     except FsinferError as error:

@@ -45,7 +45,8 @@ class QuantizeSettings:
     ----------
     method: key of :data:`METHODS`: how a tensor's range is taken from the calibration.
     operators: kinds of nodes that are computed in int8, or only hand int8 on.
-    keep_float: convolutions whose weights' names hold one of these stay in float32.
+    keep_float: convolutions whose weights' names hold one of these stay in float32. The sum that gives the scores of
+        the planes always does: the depth is read off their differences.
     window_px: rows and columns of the middle of each volume that are looked at, at a quarter of the image's resolution.
     """
 
@@ -99,13 +100,29 @@ def quantize(model: Path, target: Path, windows: Sequence[Float32], settings: Qu
             weight_type=QuantType.QInt8,
             op_types_to_quantize=list(settings.operators),
             nodes_to_exclude=[
-                node.name
-                for node in graph.node
-                if any(part in name for part in settings.keep_float for name in node.input[1:2])
+                *_scores(graph),
+                *(
+                    node.name
+                    for node in graph.node
+                    if any(part in name for part in settings.keep_float for name in node.input[1:2])
+                ),
             ],
             calibrate_method=METHODS[settings.method],
         )
     onnx.checker.check_model(onnx.load(target), full_check=True)
+
+
+def _scores(graph: onnx.GraphProto) -> list[str]:
+    """Name of the node whose result, reshaped, the best plane is looked up in."""
+    makers = {output: node for node in graph.node for output in node.output}
+    found = []
+    for node in graph.node:
+        if node.op_type == "ArgMax":
+            maker = makers[node.input[0]]
+            while maker.op_type == "Reshape":
+                maker = makers[maker.input[0]]
+            found.append(maker.name)
+    return found
 
 
 def choose_views(scene: Scene, count: int, *, between: bool = False) -> list[View]:

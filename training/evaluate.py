@@ -21,6 +21,7 @@ from fsinfer.depth import DepthSettings, search_range
 from fsinfer.depth_model import DepthModel
 from fsinfer.errors import FsinferError, SceneError
 from fsinfer.images import read_image
+from fsinfer.precision import FLOAT32, PRECISIONS
 from fsinfer.scene import Scene, View
 from fsinfer.unsure_depth import settle_unsure
 from training.layouts import SPLITS, DepthsFolder, find_true_scenes
@@ -40,13 +41,15 @@ def onnx_predictor(
     settings: DepthSettings | None = None,
     *,
     calibrate: bool = True,
+    precision: str = FLOAT32,
 ) -> Predict:
     """Predict as :func:`fsinfer.depth.estimate_depth` does; ``calibrate`` = False gives the network's own confidence.
 
+    ``precision`` is float32 unless asked for, so that figures of models do not depend on the machine.
     Without calibration unsure pixels are left alone: how sure they are is not known then.
     """
     settings = settings or DepthSettings()
-    loaded = DepthModel.load(model, threads=threads, calibrate=calibrate)
+    loaded = DepthModel.load(model, threads=threads, calibrate=calibrate, precision=precision)
     cv2.setNumThreads(1)
 
     def predict(
@@ -171,6 +174,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--split", choices=SPLITS, default="validation", help="scenes of DTU or BlendedMVS to take")
     parser.add_argument("--model", default="field", help="name of a shipped model or path of a manifest")
+    parser.add_argument("--precision", choices=PRECISIONS, default=FLOAT32, help="of the ONNX regularizer")
     parser.add_argument("--checkpoint", type=Path, help="evaluate this checkpoint in PyTorch instead")
     parser.add_argument("--source-views", type=int, default=4)
     parser.add_argument("--every", type=int, default=1, help="every so-manieth view of a scene")
@@ -203,7 +207,7 @@ def main(arguments: list[str] | None = None) -> int:
         predict = (
             torch_predictor(args.checkpoint, settings)
             if args.checkpoint
-            else onnx_predictor(args.model, settings=settings)
+            else onnx_predictor(args.model, settings=settings, precision=args.precision)
         )
         scenes = find_true_scenes(args.scenes, args.split)
         if not scenes:

@@ -21,6 +21,7 @@ from fsinfer.evaluation import evaluate, read_measured
 from fsinfer.evaluation_figure import plot_evaluation
 from fsinfer.fusion import FusionSettings
 from fsinfer.pipeline import RunSettings, run
+from fsinfer.precision import AUTO, PRECISIONS
 from fsinfer.scale_request import ScaleRequest
 from fsinfer.scene import read_scene
 from fsinfer.trees.table import read_trees
@@ -59,10 +60,11 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--aruco-length-m", type=float, default=0.25)
     parser.add_argument("--source-views", type=int, default=DepthSettings().source_views)
     parser.add_argument("--halo-ratio", type=float, default=FusionSettings().halo_ratio, help="0 = no halo filter")
+    parser.add_argument("--precision", choices=PRECISIONS, default=AUTO, help="of the depth network")
     parser.add_argument("--judge", action="store_true", help="compare what OUT holds, and run nothing")
     args = parser.parse_args(argv)
     settings = RunSettings(
-        depth=DepthSettings(source_views=args.source_views),
+        depth=DepthSettings(source_views=args.source_views, precision=args.precision),
         fusion=FusionSettings(halo_ratio=args.halo_ratio or None),
         scale=ScaleRequest(aruco_length_m=args.aruco_length_m),
     )

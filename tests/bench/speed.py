@@ -5,7 +5,8 @@ python -m tests.bench.speed --ours --runs 9  only ours, with its split by stage
 
 Vanilla is the ``mvsnet`` preset of ``training`` (variance volume of 32 channels, 192 planes, 3D U-Net, soft-argmin) in
 PyTorch eager; weights do not matter for the time. Each side is a process of its own, so that its peak memory is its
-own; they work in turns, never at the same time. Beside the clock stand the processor seconds of all threads, which
+own; they work in turns, never at the same time. ``fsinfer`` takes part twice, with its regularizer in float32 and in
+int8 where the model has it. Beside the clock stand the processor seconds of all threads, which
 other programs on the machine disturb less. The photographs are noise, the cameras stand 0.3 m apart in a row.
 """
 
@@ -25,7 +26,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.manifest import read_manifest
+
 GEMM_SIZE = 2048
+OURS = ("float32", "int8")  # precisions of the regularizer
 
 
 def make_views(
@@ -79,7 +83,7 @@ class Timed:
     run = __call__  # stands for a session too
 
 
-def ours(args: argparse.Namespace) -> Callable[[], dict[str, float]]:
+def ours(args: argparse.Namespace, precision: str) -> Callable[[], dict[str, float]]:
     """One whole depth map by fsinfer; ``all`` counts the features of all views, ``cached`` those of one."""
     import cv2
 
@@ -87,7 +91,7 @@ def ours(args: argparse.Namespace) -> Callable[[], dict[str, float]]:
 
     cv2.setNumThreads(1)  # as the depth stage does
     seconds: dict[str, float] = {}
-    model = depth_model.DepthModel.load(args.model, threads=args.threads)
+    model = depth_model.DepthModel.load(args.model, threads=args.threads, precision=precision)
     sessions = model._sessions
     model._sessions = {
         name: Timed(session.run, seconds, name) if name != "features" else session for name, session in sessions.items()
@@ -183,7 +187,7 @@ def regularizer_speed(args: argparse.Namespace) -> dict[str, float]:
     """The regularizer by itself: seconds, GFLOP, and its share of the peak of a matrix product."""
     from fsinfer.depth_model import DepthModel
 
-    model = DepthModel.load(args.model, threads=args.threads)
+    model = DepthModel.load(args.model, threads=args.threads, precision="float32")
     manifest = model.manifest
     channels = manifest.packed_planes * manifest.details["volume"]["groups"]
     shape = (manifest.planes // manifest.packed_planes, channels, -(-args.height // 4), -(-args.width // 4))
@@ -207,7 +211,7 @@ def regularizer_speed(args: argparse.Namespace) -> dict[str, float]:
 
 def serve(args: argparse.Namespace) -> int:
     """The worker: one run for each line on stdin, one line of JSON for each run."""
-    run = {"vanilla": vanilla, "ours": ours}[args.worker](args)
+    run = vanilla(args) if args.worker == "vanilla" else ours(args, args.worker)
     for _ in sys.stdin:
         found = run()
         peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
@@ -247,6 +251,23 @@ def median_of(runs: list[dict[str, Any]], key: str) -> float:
     return float(np.median([run["seconds"][key] for run in runs]))
 
 
+def peak_of(runs: list[dict[str, Any]]) -> float:
+    """Largest resident memory of a side, MiB."""
+    return max(float(run["peak_rss_mib"]) for run in runs)
+
+
+def print_ratios(side: str, theirs: list[dict[str, Any]], mine: list[dict[str, Any]]) -> None:
+    """How many times faster, pair by pair: median, least and most."""
+    for theirs_key, key, what in (
+        ("all", "all", "features of all views"),
+        ("all", "cached", "features of one view, as in a plot"),
+        ("processor", "processor", "processor seconds, features of all views"),
+    ):
+        ratios = [a["seconds"][theirs_key] / b["seconds"][key] for a, b in zip(theirs, mine, strict=True)]
+        print(f"  vanilla / {side}, {what}: {np.median(ratios):.1f} ({min(ratios):.1f} to {max(ratios):.1f})")
+    print(f"  peak memory of {side}: {peak_of(mine) / peak_of(theirs):.2f} of vanilla's")
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run and print."""
     parser = argparse.ArgumentParser(
@@ -259,13 +280,15 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--height", type=int, default=704)
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--model", default="field")
-    parser.add_argument("--worker", choices=("vanilla", "ours"), help=argparse.SUPPRESS)
+    parser.add_argument("--worker", choices=("vanilla", *OURS), help=argparse.SUPPRESS)
     args = parser.parse_args(argv)
     if args.worker:
         return serve(args)
-    sides = ["ours"] if args.ours else ["vanilla", "ours"]
+    precisions = [name for name in OURS if name == "float32" or read_manifest(args.model).int8_regularizer]
+    sides = precisions if args.ours else ["vanilla", *precisions]
     workers = {side: Worker(side, args) for side in sides}
-    workers["ours"].run()  # warm-up: onnxruntime plans its memory in the first run
+    for side in precisions:
+        workers[side].run()  # warm-up: onnxruntime plans its memory in the first run
     runs: dict[str, list[dict[str, Any]]] = {side: [] for side in sides}
     for _ in range(args.pairs):
         for side in sides:
@@ -275,28 +298,16 @@ def main(argv: list[str] | None = None) -> int:
     for worker in workers.values():
         worker.close()
     print(f"{args.width}x{args.height}, {args.views} views, {args.threads} threads, {args.pairs} runs, medians")
-    peaks = {side: max(run["peak_rss_mib"] for run in runs[side]) for side in sides}
-    for stage in runs["ours"][0]["seconds"]:
-        print(f"  ours, {stage:22s} {median_of(runs['ours'], stage):7.3f} s")
+    for side in precisions:
+        for stage in runs[side][0]["seconds"]:
+            print(f"  {side}, {stage:22s} {median_of(runs[side], stage):7.3f} s")
+        print(f"  {side}, peak memory: {peak_of(runs[side]):.0f} MiB")
     if not args.ours:
-        theirs = median_of(runs["vanilla"], "all")
-        print(f"  vanilla MVSNet              {theirs:7.3f} s")
+        print(f"  vanilla MVSNet              {median_of(runs['vanilla'], 'all'):7.3f} s")
         print(f"  vanilla MVSNet, processor   {median_of(runs['vanilla'], 'processor'):7.3f} s")
-        for theirs_key, key, what in (
-            ("all", "all", "features of all views"),
-            ("all", "cached", "features of one view, as in a plot"),
-            ("processor", "processor", "processor seconds, features of all views"),
-        ):
-            ratios = [
-                a["seconds"][theirs_key] / b["seconds"][key] for a, b in zip(runs["vanilla"], runs["ours"], strict=True)
-            ]
-            print(f"  vanilla / ours, {what}: {np.median(ratios):.1f} ({min(ratios):.1f} to {max(ratios):.1f})")
-        print(
-            f"  peak memory: vanilla {peaks['vanilla']:.0f} MiB, ours {peaks['ours']:.0f} MiB "
-            f"({peaks['ours'] / peaks['vanilla']:.2f} of it)"
-        )
-    else:
-        print(f"  peak memory: {peaks['ours']:.0f} MiB")
+        print(f"  vanilla MVSNet, peak memory: {peak_of(runs['vanilla']):.0f} MiB")
+        for side in precisions:
+            print_ratios(side, runs["vanilla"], runs[side])
     found = regularizer_speed(args)
     print(
         f"  regularizer: {found['gflop']:.1f} GFLOP in {found['seconds']:.3f} s = {found['gflop_per_s']:.0f} GFLOP/s, "

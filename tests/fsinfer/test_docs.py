@@ -39,7 +39,8 @@ def test_the_example_without_fsinfer_computes_the_same_depth(tmp_path: Path, mon
     intrinsics = np.stack([view.camera.intrinsic for view in views])
     poses = np.stack([view.camera.cam_from_world for view in views])
     depth, confidence = names["depth_of"](images, intrinsics, poses, 1.5, 12.0)  # type: ignore[operator]
-    expected = DepthModel.load("field", threads=1).predict(images, intrinsics, poses, (1.5, 12.0))
+    model = DepthModel.load("field", threads=1, precision="float32")
+    expected = model.predict(images, intrinsics, poses, (1.5, 12.0))
     assert depth.shape == expected.depth.shape == (38, 45)
     # Where two hypotheses are equally good, rounding decides between them.
     close = np.abs(depth - expected.depth) < 1e-3 * expected.depth
