@@ -191,7 +191,7 @@ def add_to_manifest(path: Path, file: Path, settings: QuantizeSettings, scenes: 
 
 
 def drop_from_manifest(path: Path) -> None:
-    """Take the entry of an int8 graph out, so that the model can be read while that is made anew."""
+    """Take the entry of an int8 graph out, so that the model can be read while that is replaced."""
     data = json.loads(path.read_text(encoding="utf-8"))
     if data.pop("int8", None) is not None:
         path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
@@ -222,9 +222,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m export.quantize", description=__doc__)
     parser.add_argument("manifest", type=Path, help="manifest of an exported model; the int8 graph is put beside it")
     parser.add_argument("--scene", type=Path, action="append", required=True, help="in MVSNet format; may be repeated")
-    parser.add_argument(
-        "--views", type=int, default=4, help="views of each scene that calibrate; as many others compare"
-    )
+    parser.add_argument("--views", type=int, default=4, help="views of each scene that calibrate")
+    parser.add_argument("--compare-views", type=int, help="other views of each that compare; as many, 0 for none")
     parser.add_argument("--method", choices=sorted(METHODS), default=default.method)
     parser.add_argument("--operators", nargs="+", default=list(default.operators))
     parser.add_argument("--keep-float", nargs="*", default=list(default.keep_float), help="parts of weights' names")
@@ -233,7 +232,6 @@ def main(arguments: list[str] | None = None) -> int:
     logging.getLogger().setLevel(logging.ERROR)  # onnxruntime's tools warn of their own defaults
     cv2.setNumThreads(1)
     try:
-        drop_from_manifest(args.manifest)
         model = DepthModel.load(args.manifest, precision="float32")
         scenes = [read_scene(path) for path in args.scene]
         windows = [
@@ -243,14 +241,22 @@ def main(arguments: list[str] | None = None) -> int:
         ]
         regularizer = model.manifest.folder / model.manifest.regularizer
         target = regularizer.with_name(f"{regularizer.stem}_int8.onnx")
-        quantize(regularizer, target, windows, settings)
-        names = [scene.folder.name for scene in scenes]
+        fresh = target.with_suffix(".new")
+        quantize(regularizer, fresh, windows, settings)
+        # Without the entry first: the model can be read at any moment.
+        drop_from_manifest(args.manifest)
+        fresh.replace(target)
+        # Those that fsinfer made are all called "scene".
+        names = [path.parent.name if path.name == "scene" else path.name for path in args.scene]
         add_to_manifest(args.manifest, target, settings, names, len(windows))
-        difference = compare(args.manifest, scenes, args.views)
+        print(f"{target.name}: {target.stat().st_size} bytes, calibrated on {len(windows)} views")
+        compared = args.views if args.compare_views is None else args.compare_views
+        if compared == 0:
+            return 0
+        difference = compare(args.manifest, scenes, compared)
     except FsinferError as error:
         print(f"Error: {error}")
         return 2
-    print(f"{target.name}: {target.stat().st_size} bytes, calibrated on {len(windows)} views")
     print(
         f"against float32 on {difference.views} other views: plane index median {difference.index_median:.3f} planes, "
         f"{100 * difference.index_beyond_1:.2f} % beyond one plane; depth with confidence > 0.5: median "

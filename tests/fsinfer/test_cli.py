@@ -6,6 +6,7 @@ import csv
 import errno
 import json
 import logging
+import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +20,7 @@ from fsinfer.cli import main
 from fsinfer.cli_console import explain, reports_errors, stage_progress, warn
 from fsinfer.cloud import read_cloud
 from fsinfer.errors import CloudError
+from fsinfer.manifest import models_folder
 from fsinfer.plot_summary import read_plot
 from fsinfer.scene import read_scene
 from tests.fsinfer.synthetic_plot import M_PER_UNIT, STEMS, write_depth_folder, write_scene_folder
@@ -232,3 +234,23 @@ def test_a_provider_that_is_not_there_is_the_users_error(call: Call, tmp_path: P
     assert code == 2
     assert "no provider 'nonsense', only:" in err
     assert "cpu" in err
+
+
+def test_a_precision_that_is_not_there_is_the_users_error(call: Call, tmp_path: Path) -> None:
+    scene = tmp_path / "scene"
+    write_scene_folder(scene)
+    code, _, err = call("depth", scene, tmp_path / "out", "--precision", "half", "--quiet")
+    assert code == 2
+    assert "'half' is not one of" in err
+    for file in models_folder().glob("field*"):
+        shutil.copy(file, tmp_path)
+    manifest = tmp_path / "field.json"
+    data = json.loads(manifest.read_text(encoding="utf-8"))
+    data.pop("int8", None)
+    manifest.write_text(json.dumps(data), encoding="utf-8")
+    for command in ("depth", "run"):
+        source = scene if command == "depth" else scene / "images"
+        code, _, err = call(command, source, tmp_path / "out", "--model", manifest, "--precision", "int8", "--quiet")
+        assert code == 2
+        assert "has no int8 regularizer" in err
+        assert len(err.strip().splitlines()) == 1

@@ -5,12 +5,17 @@ from __future__ import annotations
 from importlib import resources
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fsinfer.cli_tables import demo_rows
 from fsinfer.demo import DemoResult, run_demo
+from fsinfer.depth_model import DepthModel
 from fsinfer.evaluation import evaluate, read_measured
-from fsinfer.manifest import models_folder
+from fsinfer.images import read_image
+from fsinfer.manifest import models_folder, read_manifest
+from fsinfer.precision import choose_precision
+from fsinfer.scene import read_scene
 
 HAS_DEMO = (resources.files("fsinfer") / "demo_data" / "truth.csv").is_file()
 HAS_MODEL = (models_folder() / "field.json").is_file()
@@ -70,3 +75,26 @@ def test_table_names_every_tree_of_the_truth(tmp_path: Path) -> None:
     assert "too narrow" in rows[2]
     assert "not found" in rows[3]
     assert any(row.startswith("RMSE") and "1.20 cm" in row for row in rows)
+
+
+def test_int8_gives_the_depth_of_float32(demo: DemoResult) -> None:
+    if choose_precision("auto", read_manifest("field")) != "int8":
+        pytest.skip("this processor has no dot products of 8-bit integers")
+    scene = read_scene(demo.run.out / "scene")
+    models = [DepthModel.load("field", precision=precision) for precision in ("float32", "int8")]
+    planes, depths = [], []
+    for view in scene.views[5:30:12]:
+        group = [view, *(scene.views[i] for i in view.sources[:4])]
+        features = [models[0].features(read_image(v.image_path)) for v in group]
+        cameras = np.stack([v.camera.intrinsic for v in group]), np.stack([v.camera.cam_from_world for v in group])
+        depth_range = (view.camera.depth_min, view.camera.depth_max)
+        volume, _ = models[0].cost_volume(features, *cameras, depth_range)
+        exact_index, quick_index = (model.regularize(volume)[0] for model in models)
+        planes.append(np.abs(quick_index - exact_index).ravel())
+        exact, quick = (model.predict_from_features(features, *cameras, depth_range) for model in models)
+        depths.append(np.abs(quick.depth / exact.depth - 1)[exact.confidence > 0.5])
+    index, depth = np.concatenate(planes), np.concatenate(depths)
+    assert 0 < np.median(index) < 0.1
+    assert (index > 1).mean() < 0.05
+    assert np.median(depth) < 0.001
+    assert (depth > 0.01).mean() < 0.02
