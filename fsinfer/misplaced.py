@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fsinfer.loose_parts import loose_parts
-from fsinfer.pair_votes import contradicted, pair_votes
+from fsinfer.pair_votes import contradicted, false_pairs, pair_votes
 from fsinfer.walking_steps import strays
 
 # A pose that hangs on fewer points than this is an accident.
@@ -46,11 +48,34 @@ def drop_strays(model: Any, walk: Sequence[str]) -> list[str]:
     return _drop(model, [image_id for is_stray, (_, image_id) in zip(found, placed, strict=True) if is_stray])
 
 
-def drop_contradicted(model: Any, database: Path) -> list[str]:
-    """Take photos whose own matches speak against their place out of the model; returns their files."""
+def drop_contradicted(model: Any, database: Path, *, lenient: bool = False) -> tuple[list[str], list[tuple[int, int]]]:
+    """Take photos whose own matches speak against their place out of the model.
+
+    Returns their files, and the pairs of image ids whose matches were found false by it. ``lenient``: see
+    :func:`fsinfer.pair_votes.contradicted`.
+    """
     image_ids, votes = pair_votes(model, database)
-    wrong = contradicted(votes, len(image_ids))
-    return _drop(model, [image_id for image_id, is_wrong in zip(image_ids, wrong, strict=True) if is_wrong])
+    wrong = contradicted(votes, len(image_ids), lenient=lenient)
+    false = [(image_ids[vote.first], image_ids[vote.second]) for vote in false_pairs(votes, wrong)]
+    return _drop(model, [image_id for image_id, is_wrong in zip(image_ids, wrong, strict=True) if is_wrong]), false
+
+
+def agreeing_matches(model: Any, database: Path) -> int:
+    """Matches that agree with the places of the photos: of two models of the same photos the better one has more."""
+    return sum(vote.matches for vote in pair_votes(model, database)[1] if vote.agrees)
+
+
+def without_pairs(database: Path, pairs: Sequence[tuple[int, int]], copy: Path) -> Path:
+    """A copy of the database that has forgotten what matches these pairs of images have; returns ``copy``."""
+    import pycolmap
+
+    copy.unlink(missing_ok=True)
+    with closing(sqlite3.connect(database)) as source, closing(sqlite3.connect(copy)) as target:
+        source.backup(target)
+    with pycolmap.Database.open(copy) as opened:
+        for first, second in pairs:
+            opened.delete_two_view_geometry(first, second)
+    return copy
 
 
 def drop_loose_parts(model: Any) -> list[str]:

@@ -6,13 +6,15 @@ another, are enough. The true matches with other photos are then left over, and 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 #: Share of a photo's matches that must speak for its place. On 200 photos of a rendered plot, whose trees share their
 #: bark, 95 of 100 rightly placed photos have 0.8 and more, and those placed metres away 0.1 to 0.7.
@@ -32,11 +34,19 @@ class PairVote:
     agrees: bool
 
 
-def contradicted(votes: list[PairVote], count: int, *, min_share: float = MIN_SHARE) -> NDArray[np.bool_]:
+def contradicted(
+    votes: Sequence[PairVote], count: int, *, min_share: float = MIN_SHARE, lenient: bool = False
+) -> NDArray[np.bool_]:
     """Whether the matches of each of ``count`` photos speak against its place, (count,) bool.
 
-    Photos that were placed wrongly together vouch for each other: votes are counted again without the ones found,
-    until no more are. A photo without any vote is left alone.
+    Photos that were placed wrongly together vouch for each other, and speak against their right neighbours. So parts
+    that hang together are judged by their matches with the rest: those into which the maximum spanning tree of the
+    agreeing matches falls when one of its edges is cut. The smaller side of the most contradicted cut is wrong; where
+    no part is, the most contradicted photo; then votes are counted again without them, until no more are found. A
+    photo without any vote is left alone.
+
+    A wrong part may take right photos with it: ``lenient`` lets those come back who agree with the photos that are
+    left. Photos that false matches tie to them come back as well.
     """
     ends = np.array([(vote.first, vote.second) for vote in votes], dtype=np.intp).reshape(-1, 2)
     weight = np.array([vote.matches for vote in votes], dtype=np.float64)
@@ -44,14 +54,81 @@ def contradicted(votes: list[PairVote], count: int, *, min_share: float = MIN_SH
     wrong = np.zeros(count, dtype=bool)
     while True:
         counts = ~wrong[ends].any(axis=1)
-        cast, for_it = np.zeros(count), np.zeros(count)
-        for end in ends[counts].T:
-            cast += np.bincount(end, weights=weight[counts], minlength=count)
-            for_it += np.bincount(end, weights=(weight * agrees)[counts], minlength=count)
-        more = (for_it < min_share * cast) & ~wrong
+        more = _outvoted_part(ends[counts], weight[counts], agrees[counts], ~wrong, min_share)
         if not more.any():
-            return wrong
+            more = _outvoted_photo(ends[counts], weight[counts], agrees[counts], count, min_share)
+        if not more.any():
+            break
         wrong |= more
+    while lenient:
+        border = wrong[ends].sum(axis=1) == 1
+        share = _shares(ends[border], weight[border], agrees[border], count)
+        back = wrong & (share >= min_share)
+        if not back.any():
+            return wrong
+        wrong &= ~back
+    return wrong
+
+
+def _outvoted_photo(
+    ends: NDArray[np.intp], weight: NDArray[np.float64], agrees: NDArray[np.bool_], count: int, min_share: float
+) -> NDArray[np.bool_]:
+    """The photo whose own matches speak against it most; none where no photo is outvoted."""
+    share = _shares(ends, weight, agrees, count)
+    lowest = np.where(np.isnan(share), 1.0, share)
+    return np.asarray((share < min_share) & (np.arange(count) == lowest.argmin()))
+
+
+def _shares(
+    ends: NDArray[np.intp], weight: NDArray[np.float64], agrees: NDArray[np.bool_], count: int
+) -> NDArray[np.float64]:
+    """Share of each photo's matches that speak for its place, (count,); NaN for a photo without any."""
+    cast, for_it = np.zeros(count), np.zeros(count)
+    for end in ends.T:
+        cast += np.bincount(end, weights=weight, minlength=count)
+        for_it += np.bincount(end, weights=weight * agrees, minlength=count)
+    return np.where(cast > 0, for_it / np.maximum(cast, 1.0), np.nan)
+
+
+def _outvoted_part(
+    ends: NDArray[np.intp],
+    weight: NDArray[np.float64],
+    agrees: NDArray[np.bool_],
+    trusted: NDArray[np.bool_],
+    min_share: float,
+) -> NDArray[np.bool_]:
+    """The photos of the part whose matches with the rest speak against it most; none where no part is outvoted."""
+    count = len(trusted)
+    good = ends[agrees]
+    edges = csr_array((1.0 / weight[agrees], (good[:, 0], good[:, 1])), shape=(count, count))
+    _, label = connected_components(edges, directed=False)
+    apart = trusted & (label != np.bincount(label[trusted], minlength=count).argmax())
+    apart &= np.bincount(ends.ravel(), minlength=count) > 0
+    if apart.any():
+        return np.asarray(apart)  # not one match ties it to the largest part
+    tree = minimum_spanning_tree(edges).tocoo()
+    worst, part = min_share, np.zeros(count, dtype=bool)
+    for edge in range(len(tree.data)):
+        kept = np.arange(len(tree.data)) != edge
+        halves = csr_array((tree.data[kept], (tree.row[kept], tree.col[kept])), shape=(count, count))
+        _, label = connected_components(halves, directed=False)
+        one, other = (trusted & (label == label[end[edge]]) for end in (tree.row, tree.col))
+        across = (one[ends[:, 0]] & other[ends[:, 1]]) | (other[ends[:, 0]] & one[ends[:, 1]])
+        share = weight[across & agrees].sum() / weight[across].sum()
+        if share < worst:
+            worst, part = share, one if one.sum() <= other.sum() else other
+    return part
+
+
+def false_pairs(votes: Sequence[PairVote], wrong: NDArray[np.bool_]) -> list[PairVote]:
+    """Pairs whose matches must be false: they put a wrong photo where it was, or contradict two right ones."""
+    return [vote for vote in votes if _is_false(vote, wrong)]
+
+
+def _is_false(vote: PairVote, wrong: NDArray[np.bool_]) -> bool:
+    if wrong[vote.first] and wrong[vote.second]:
+        return False  # of two wrong photos nothing is known
+    return vote.agrees == bool(wrong[vote.first] or wrong[vote.second])
 
 
 def pair_votes(model: Any, database: Path) -> tuple[list[int], list[PairVote]]:

@@ -16,7 +16,8 @@ from fsinfer.camera_refinement import RefinementSettings, refine
 from fsinfer.errors import ImageError, OutputError, PosesError
 from fsinfer.files import make_folder, write_text
 from fsinfer.images import camera_exif, camera_key, is_upright_jpeg_or_png, list_images, read_image, write_image
-from fsinfer.misplaced import drop_blind_views, drop_contradicted, drop_loose_parts, drop_strays, misplaced_message
+from fsinfer.misplaced import drop_blind_views, misplaced_message
+from fsinfer.model_repair import repair
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Camera, write_camera, write_pairs
 from fsinfer.sfm import PoseSettings, colmap_errors, extract_features, match_features, reconstruct
@@ -108,19 +109,12 @@ def estimate_poses(
         msg = f"{images} holds {len(photos)} photos that can be used, {settings.min_registered} are needed: {ADVICE}"
         raise PosesError(msg)
     with colmap_errors("finding poses", work):
-        model, unplaced = _structure_from_motion(photos, images, work, settings, progress)
-        walk = [photo.file for photo in photos]
-        misplaced = {
-            "unplaced": unplaced,
-            "astray": drop_strays(model, walk),
-            "contradicted": drop_contradicted(model, work / "database.db"),
-            "loose": drop_loose_parts(model),
-        }
-        if model.num_reg_images() < settings.min_registered:
-            msg = f"the {len(photos)} photos in {images} match in ways that contradict each other: {ADVICE}"
-            raise PosesError(msg)
+        model, misplaced = _structure_from_motion(photos, images, work, settings, progress)
         model = refine(model, RefinementSettings(), settings.thread_count, progress)
-    misplaced["unplaced"] += drop_blind_views(model)
+    drop_blind_views(model)
+    placed = {model.images[i].name for i in model.reg_image_ids()}
+    named = {file for files in misplaced.values() for file in files}
+    misplaced["unplaced"] = [file for file in (photo.file for photo in photos) if file not in placed | named]
     names = {photo.file: photo.name for photo in photos}
     for how, files in misplaced.items():
         if files:
@@ -220,23 +214,27 @@ def _prepare(paths: Sequence[Path], folder: Path, warnings: list[str], progress:
 
 def _structure_from_motion(
     photos: Sequence[_Photo], images: Path, work: Path, settings: PoseSettings, progress: Progress
-) -> tuple[Any, list[str]]:
-    """The largest model and the files of the photos that it leaves out."""
+) -> tuple[Any, dict[str, list[str]]]:
+    """The largest model, and by reason the files of photos that were placed wrongly and taken out of it."""
     cameras: dict[tuple[str, ...], list[str]] = {}
     for photo in photos:
         cameras.setdefault(camera_key(photo.source), []).append(photo.file)
     grouped = {" ".join(key): files for key, files in cameras.items()}
+    walk = [photo.file for photo in photos]
     database = work / "database.db"
     extract_features(database, work / "images", grouped, settings, progress)
-    match_features(database, [photo.file for photo in photos], settings, progress)
+    match_features(database, walk, settings, progress)
     models = reconstruct(database, work / "images", work / "models", settings, progress)
     placed = models[0].num_reg_images() if models else 0
     if placed < settings.min_registered:
         found = "no two photos" if placed == 0 else f"only {placed} photos"
         msg = f"{found} of the {len(photos)} in {images} could be placed together: {ADVICE}"
         raise PosesError(msg)
-    registered = {models[0].images[image_id].name for image_id in models[0].reg_image_ids()}
-    return models[0], [photo.file for photo in photos if photo.file not in registered]
+    model, misplaced = repair(models[0], database, walk, work, settings, progress)
+    if model.num_reg_images() < settings.min_registered:
+        msg = f"the {len(photos)} photos in {images} match in ways that contradict each other: {ADVICE}"
+        raise PosesError(msg)
+    return model, misplaced
 
 
 def _write_scene(model: Any, photos: Sequence[_Photo], out: Path, settings: PoseSettings, progress: Progress) -> int:

@@ -257,8 +257,18 @@ def _match(
         )
 
 
-def reconstruct(database: Path, images: Path, out: Path, settings: PoseSettings, progress: Progress) -> list[Any]:
-    """Map the photos; returns the ``pycolmap.Reconstruction`` of each connected part, the largest first."""
+def reconstruct(
+    database: Path,
+    images: Path,
+    out: Path,
+    settings: PoseSettings,
+    progress: Progress,
+    start: Any = None,
+) -> list[Any]:
+    """Map the photos; returns the ``pycolmap.Reconstruction`` of each connected part, the largest first.
+
+    With a model to ``start`` from, the incremental mapper goes on with the photos that it has not placed.
+    """
     import pycolmap
 
     out.mkdir(parents=True, exist_ok=True)
@@ -274,7 +284,7 @@ def reconstruct(database: Path, images: Path, out: Path, settings: PoseSettings,
         options.random_seed = SEED
         models = pycolmap.global_mapping(database, images, out, options=options)
     elif settings.mapper == "incremental":
-        placed = 0
+        placed = 0 if start is None else int(start.num_reg_images())
 
         def step() -> None:
             nonlocal placed
@@ -288,7 +298,19 @@ def reconstruct(database: Path, images: Path, out: Path, settings: PoseSettings,
         incremental.max_num_models = 5
         # Colours are taken from the photographs at fusion.
         incremental.extract_colors = False
-        models = pycolmap.incremental_mapping(database, images, out, options=incremental, next_image_callback=step)
+        known = out / "start"
+        if start is not None:
+            known.mkdir(exist_ok=True)
+            start.write_binary(known)
+            incremental.multiple_models = False
+        models = pycolmap.incremental_mapping(
+            database,
+            images,
+            out,
+            options=incremental,
+            input_path="" if start is None else known,
+            next_image_callback=step,
+        )
     else:
         msg = f"there is no mapper {settings.mapper!r}; choose incremental or global"
         raise PosesError(msg)

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from fsinfer.misplaced import drop_contradicted
-from fsinfer.pair_votes import PairVote, contradicted, pair_votes, sampson_error
+from fsinfer.pair_votes import PairVote, contradicted, false_pairs, pair_votes, sampson_error
 
 
 def ring_of_votes(count: int, wrong: set[int], rng: np.random.Generator) -> list[PairVote]:
@@ -25,7 +25,8 @@ def ring_of_votes(count: int, wrong: set[int], rng: np.random.Generator) -> list
     return votes
 
 
-@given(st.integers(30, 80), st.integers(1, 3), st.integers(0, 999))
+@settings(max_examples=30)
+@given(st.integers(40, 80), st.integers(1, 18), st.integers(0, 999))
 def test_a_wrong_block_is_found_and_nothing_else(count: int, size: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     start = int(rng.integers(0, count - size))
@@ -33,6 +34,19 @@ def test_a_wrong_block_is_found_and_nothing_else(count: int, size: int, seed: in
     found = contradicted(ring_of_votes(count, wrong, rng), count)
     assert wrong <= set(np.flatnonzero(found))
     assert found.sum() <= size + 2  # a neighbour on the border may go with them
+
+
+def test_a_part_tied_in_by_false_matches_is_found_and_the_false_pairs_named() -> None:
+    rng = np.random.default_rng(1)
+    wrong = set(range(20, 38))
+    votes = ring_of_votes(120, wrong, rng)
+    # Two pairs of look-alikes share as many matches as poor neighbours do.
+    votes.append(PairVote(first=30, second=90, matches=120, agrees=True))
+    votes.append(PairVote(first=31, second=91, matches=90, agrees=True))
+    votes.append(PairVote(first=60, second=100, matches=40, agrees=False))
+    found = contradicted(votes, 120)
+    assert set(np.flatnonzero(found)) == wrong
+    assert {(vote.first, vote.second) for vote in false_pairs(votes, found)} == {(30, 90), (31, 91), (60, 100)}
 
 
 def test_those_who_vouch_for_each_other_fall_one_after_the_other() -> None:
@@ -76,11 +90,14 @@ def test_a_moved_photo_leaves_the_model(tmp_path: Path) -> None:
     assert len(image_ids) == 7
     assert len(votes) == 21
     assert all(vote.agrees for vote in votes)
-    assert drop_contradicted(model, tmp_path / "database.db") == []
+    assert drop_contradicted(model, tmp_path / "database.db") == ([], [])
     image = model.images[image_ids[3]]
     pose = image.cam_from_world()
     turn = pycolmap.Rotation3d(Rotation.from_rotvec([0.0, 0.2, 0.1]).as_quat())
     model.frame(image.frame_id).set_cam_from_world(
         image.camera_id, pycolmap.Rigid3d(turn, np.array([0.3, 0, 0])) * pose
     )
-    assert drop_contradicted(model, tmp_path / "database.db") == [image.name]
+    files, false = drop_contradicted(model, tmp_path / "database.db")
+    assert files == [image.name]
+    # None of its true matches agreed with where it was, so that none is forgotten.
+    assert false == []
