@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fsinfer.loose_parts import loose_parts
-from fsinfer.pair_votes import contradicted, false_pairs, pair_votes
+from fsinfer.pair_votes import contradicted, false_pairs, pair_votes, weight_of
 from fsinfer.walking_steps import strays
 
 # A pose that hangs on fewer points than this is an accident.
@@ -48,21 +48,23 @@ def drop_strays(model: Any, walk: Sequence[str]) -> list[str]:
     return _drop(model, [image_id for is_stray, (_, image_id) in zip(found, placed, strict=True) if is_stray])
 
 
-def drop_contradicted(model: Any, database: Path, *, lenient: bool = False) -> tuple[list[str], list[tuple[int, int]]]:
+def drop_contradicted(
+    model: Any, database: Path, *, neighbours: int = 0, stretches: str = "after", lenient: bool = False
+) -> tuple[list[str], list[tuple[int, int]]]:
     """Take photos whose own matches speak against their place out of the model.
 
-    Returns their files, and the pairs of image ids whose matches were found false by it. ``lenient``: see
-    :func:`fsinfer.pair_votes.contradicted`.
+    Returns their files, and the pairs of image ids whose matches were found false by it. ``neighbours``,
+    ``stretches`` and ``lenient``: see :func:`fsinfer.pair_votes.contradicted`.
     """
     image_ids, votes = pair_votes(model, database)
-    wrong = contradicted(votes, len(image_ids), lenient=lenient)
+    wrong = contradicted(votes, len(image_ids), neighbours=neighbours, stretches=stretches, lenient=lenient)
     false = [(image_ids[vote.first], image_ids[vote.second]) for vote in false_pairs(votes, wrong)]
     return _drop(model, [image_id for image_id, is_wrong in zip(image_ids, wrong, strict=True) if is_wrong]), false
 
 
-def agreeing_matches(model: Any, database: Path) -> int:
+def agreeing_matches(model: Any, database: Path, neighbours: int = 0) -> float:
     """Matches that agree with the places of the photos: of two models of the same photos the better one has more."""
-    return sum(vote.matches for vote in pair_votes(model, database)[1] if vote.agrees)
+    return sum(weight_of(vote, neighbours) for vote in pair_votes(model, database)[1] if vote.agrees)
 
 
 def without_pairs(database: Path, pairs: Sequence[tuple[int, int]], copy: Path) -> Path:

@@ -17,6 +17,10 @@ from fsinfer.misplaced import (
 from fsinfer.progress import Progress
 from fsinfer.sfm import PoseSettings, reconstruct
 
+# How photos are judged before they are mapped again, see :func:`fsinfer.pair_votes.contradicted`: none of these ways
+# was the best on all plots.
+_WAYS = (("never", False), ("before", False), ("never", True))
+
 
 def repair(
     model: Any, database: Path, walk: Sequence[str], work: Path, settings: PoseSettings, progress: Progress
@@ -32,12 +36,17 @@ def repair(
     Notes
     -----
     Rendered plots whose trees share their bark: of 300 photos 24 lay 6.4 m off, all 300 are right afterwards; of 200
-    with a quick turn 12 were wrong, six are left out afterwards and the others right.
+    with a quick turn 12 were wrong, ten are left out afterwards and the others right.
     """
     return max(
         _candidates(model, database, walk, work, settings, progress),
-        key=lambda candidate: agreeing_matches(candidate[0], database),
+        key=lambda candidate: agreeing_matches(candidate[0], database, _neighbours(walk, settings)),
     )
+
+
+def _neighbours(walk: Sequence[str], settings: PoseSettings) -> int:
+    """Few photos may be in any order."""
+    return settings.pairs.overlap if len(walk) > settings.pairs.exhaustive_up_to else 0
 
 
 def _candidates(
@@ -46,29 +55,32 @@ def _candidates(
     """The mapper's model and, where photos were placed against their matches, what becomes of it without them.
 
     Without the false matches that misled the mapper it finds their true place, or none. Which matches were false is
-    judged in two ways, strictly and leniently. Each comes with the files of the photos that were taken out of it.
+    judged in several ways. Each comes with the files of the photos that were taken out of it.
     """
-    for lenient in (False, True):
+    neighbours = _neighbours(walk, settings)
+    for stretches, lenient in _WAYS:
         start = deepcopy(model)
-        wrong, false = drop_contradicted(start, database, lenient=lenient)
-        if not wrong or settings.mapper != "incremental" or start.num_reg_images() < settings.min_registered:
+        wrong, false = drop_contradicted(start, database, neighbours=neighbours, stretches=stretches, lenient=lenient)
+        if settings.mapper != "incremental" or start.num_reg_images() < settings.min_registered:
             break
+        if not wrong:
+            continue
         clean = without_pairs(database, false, work / "without_false.db")
-        folder = work / ("again_leniently" if lenient else "again")
+        folder = work / f"again_{stretches}_{'lenient' if lenient else 'strict'}"
         mapped = reconstruct(clean, work / "images", folder, settings, progress, start=start)
         if mapped:
-            misplaced = _drop_misplaced(mapped[0], database, walk)
+            misplaced = _drop_misplaced(mapped[0], database, walk, neighbours)
             yield mapped[0], misplaced
             if mapped[0].num_reg_images() == len(walk) and not any(misplaced.values()):
                 return  # nothing can be better
-    yield model, _drop_misplaced(model, database, walk)
+    yield model, _drop_misplaced(model, database, walk, neighbours)
 
 
-def _drop_misplaced(model: Any, database: Path, walk: Sequence[str]) -> dict[str, list[str]]:
+def _drop_misplaced(model: Any, database: Path, walk: Sequence[str], neighbours: int) -> dict[str, list[str]]:
     """Take photos that are placed wrongly out of the model; returns their files by reason."""
     return {
         "astray": drop_strays(model, walk),
         # All matches vote, so that no photo comes back whose true matches were taken for false ones.
-        "contradicted": drop_contradicted(model, database)[0],
+        "contradicted": drop_contradicted(model, database, neighbours=neighbours)[0],
         "loose": drop_loose_parts(model),
     }

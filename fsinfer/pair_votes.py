@@ -21,6 +21,9 @@ from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 MIN_SHARE = 0.6
 #: A pair agrees with two places when this share of its matches lies within so many pixels of the epipolar lines.
 AGREEING_SHARE, MAX_ERROR_PX = 0.6, 3.0
+#: Neighbours in a walk look at the same trees, while look-alikes stand apart. With 1 the 20 wrong photos of a rendered
+#: plot of 300 had 0.51 of their matches for them and the same photos rightly placed 0.49; with 6 it is 0.29 and 0.66.
+NEIGHBOUR_WEIGHT = 6.0
 _MIN_INLIERS = 15
 
 
@@ -35,26 +38,41 @@ class PairVote:
 
 
 def contradicted(
-    votes: Sequence[PairVote], count: int, *, min_share: float = MIN_SHARE, lenient: bool = False
+    votes: Sequence[PairVote],
+    count: int,
+    *,
+    min_share: float = MIN_SHARE,
+    stretches: str = "after",
+    lenient: bool = False,
+    neighbours: int = 0,
 ) -> NDArray[np.bool_]:
     """Whether the matches of each of ``count`` photos speak against its place, (count,) bool.
 
     Photos that were placed wrongly together vouch for each other, and speak against their right neighbours. So parts
-    that hang together are judged by their matches with the rest: those into which the maximum spanning tree of the
-    agreeing matches falls when one of its edges is cut. The smaller side of the most contradicted cut is wrong; where
-    no part is, the most contradicted photo; then votes are counted again without them, until no more are found. A
-    photo without any vote is left alone.
+    are judged by their matches with the rest: those into which the maximum spanning tree of the agreeing matches falls
+    when one of its edges is cut, and stretches of photos that follow each other in the walk (their numbers), which
+    false ties may hold more firmly than true ones. The most contradicted part is wrong; where no part is, the most
+    contradicted photo; then votes are counted again without them, until no more are found. A photo without any vote
+    is left alone. ``stretches`` are looked at ``before`` the parts of the tree, ``after`` them, or ``never``.
+
+    Matches between photos that follow each other within ``neighbours`` count more, see ``NEIGHBOUR_WEIGHT``; 0 where
+    photos are in no order.
 
     A wrong part may take right photos with it: ``lenient`` lets those come back who agree with the photos that are
     left. Photos that false matches tie to them come back as well.
     """
     ends = np.array([(vote.first, vote.second) for vote in votes], dtype=np.intp).reshape(-1, 2)
-    weight = np.array([vote.matches for vote in votes], dtype=np.float64)
+    weight = np.array([weight_of(vote, neighbours) for vote in votes], dtype=np.float64)
     agrees = np.array([vote.agrees for vote in votes], dtype=bool)
     wrong = np.zeros(count, dtype=bool)
     while True:
         counts = ~wrong[ends].any(axis=1)
-        more = _outvoted_part(ends[counts], weight[counts], agrees[counts], ~wrong, min_share)
+        left = (ends[counts], weight[counts], agrees[counts])
+        looks = {"before": (outvoted_stretch, _outvoted_part), "after": (_outvoted_part, outvoted_stretch)}
+        for look in looks.get(stretches, (_outvoted_part,)):
+            more = look(*left, ~wrong, min_share)
+            if more.any():
+                break
         if not more.any():
             more = _outvoted_photo(ends[counts], weight[counts], agrees[counts], count, min_share)
         if not more.any():
@@ -68,6 +86,11 @@ def contradicted(
             return wrong
         wrong &= ~back
     return wrong
+
+
+def weight_of(vote: PairVote, neighbours: int) -> float:
+    """How much the matches of a pair count; photos are numbered in the order of walking, if ``neighbours`` > 0."""
+    return vote.matches * (NEIGHBOUR_WEIGHT if abs(vote.first - vote.second) <= neighbours else 1.0)
 
 
 def _outvoted_photo(
@@ -117,6 +140,44 @@ def _outvoted_part(
         share = weight[across & agrees].sum() / weight[across].sum()
         if share < worst:
             worst, part = share, one if one.sum() <= other.sum() else other
+    return part
+
+
+def outvoted_stretch(
+    ends: NDArray[np.intp],
+    weight: NDArray[np.float64],
+    agrees: NDArray[np.bool_],
+    trusted: NDArray[np.bool_],
+    min_share: float,
+) -> NDArray[np.bool_]:
+    """That stretch of the walk, of half of the photos or less, whose matches with the rest speak against it most.
+
+    None, where no stretch has a lower share of matches for it than ``min_share``, nor than a half: a place is
+    right or wrong, and where false matches are many the majority must do.
+    """
+    kept = np.flatnonzero(trusted)
+    count = len(kept)
+    rank = np.cumsum(trusted) - 1
+    first, second = np.sort(rank[ends], axis=1).T
+
+    def across(matches: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Matches that leave the stretch from photo i to before photo j, (count + 1, count + 1) [i, j]."""
+        table = np.zeros((count + 1, count + 1))
+        np.add.at(table, (first + 1, second + 1), matches)
+        summed = table.cumsum(axis=0).cumsum(axis=1)
+        # Pairs are stored once, first < second: those inside are all below j without those that begin below i.
+        inside = np.diag(summed)[None, :] - summed
+        degree = np.concatenate([[0.0], np.cumsum(table.sum(axis=0)[1:] + table.sum(axis=1)[1:])])
+        return np.asarray(degree[None, :] - degree[:, None] - 2 * inside)
+
+    total, agreeing = across(weight), across(weight * agrees)
+    start, end = np.indices(total.shape)
+    candidate = (end > start) & (end - start <= count // 2) & (total > 0)
+    share = np.where(candidate, agreeing / np.where(candidate, total, 1.0), np.inf)
+    part = np.zeros(len(trusted), dtype=bool)
+    if share.min() < min(min_share, 0.5):
+        start_at, end_at = np.unravel_index(share.argmin(), share.shape)
+        part[kept[start_at:end_at]] = True
     return part
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from fsinfer.misplaced import drop_contradicted
-from fsinfer.pair_votes import PairVote, contradicted, false_pairs, pair_votes, sampson_error
+from fsinfer.pair_votes import PairVote, contradicted, false_pairs, outvoted_stretch, pair_votes, sampson_error
 
 
 def ring_of_votes(count: int, wrong: set[int], rng: np.random.Generator) -> list[PairVote]:
@@ -47,6 +47,36 @@ def test_a_part_tied_in_by_false_matches_is_found_and_the_false_pairs_named() ->
     found = contradicted(votes, 120)
     assert set(np.flatnonzero(found)) == wrong
     assert {(vote.first, vote.second) for vote in false_pairs(votes, found)} == {(30, 90), (31, 91), (60, 100)}
+
+
+@given(st.integers(3, 7), st.integers(0, 9999))
+@settings(max_examples=30)
+def test_the_worst_stretch_is_that_of_a_search_by_hand(count: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    ends = np.array([(a, b) for a in range(count) for b in range(count) if a < b and rng.random() < 0.8], int)
+    ends = ends.reshape(-1, 2)
+    weight, agrees = rng.integers(15, 200, len(ends)).astype(float), rng.random(len(ends)) < 0.6
+    best, shares = 0.5, {}
+    for start in range(count):
+        for end in range(start + 1, min(start + count // 2, count) + 1):
+            inside = (ends >= start) & (ends < end)
+            leaving = inside.sum(axis=1) == 1
+            if leaving.any():
+                shares[start, end] = weight[leaving & agrees].sum() / weight[leaving].sum()
+                best = min(best, shares[start, end])
+    found = np.flatnonzero(outvoted_stretch(ends, weight, agrees, np.ones(count, dtype=bool), 0.5))
+    assert bool(len(found)) == (best < 0.5)
+    if len(found):
+        assert shares[found[0], found[-1] + 1] == pytest.approx(best)
+        assert len(found) == found[-1] + 1 - found[0]
+
+
+def test_a_stretch_is_found_though_its_false_ties_are_stronger_than_its_true_ones() -> None:
+    rng = np.random.default_rng(2)
+    wrong = set(range(20, 38))
+    votes = ring_of_votes(120, wrong, rng)
+    votes += [PairVote(first=30 + k, second=90 + k, matches=400, agrees=True) for k in range(3)]
+    assert set(np.flatnonzero(contradicted(votes, 120, stretches="before"))) == wrong
 
 
 def test_those_who_vouch_for_each_other_fall_one_after_the_other() -> None:
