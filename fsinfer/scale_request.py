@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from fsinfer.board_places import boards_at_two_places
 from fsinfer.errors import InputError, ScaleError
 from fsinfer.progress import Progress, silent
 
@@ -135,7 +136,7 @@ def find_scale(
         return scale_from_endpoints(*request.endpoints, request.length_m), ()
     if request.aruco_length_m is None:
         boards = _from_printed_boards(scene, progress) if request.printed_boards and scene is not None else None
-        return (nothing, (NO_SCALE,)) if boards is None else (boards, _few_boards(boards))
+        return (nothing, (NO_SCALE,)) if boards is None else (boards, (*_few_boards(boards), *_twice(boards)))
     if scene is None:
         msg = (
             "--aruco-length-m looks for the markers in the photographs, and there is no scene here; use it with "
@@ -146,7 +147,7 @@ def find_scale(
         scale = scale_from_aruco(scene, request.aruco_length_m, dictionary=request.aruco_dictionary, progress=progress)
     except ScaleError as error:
         return nothing, (f"no scale from ArUco markers, the result is in model units and no DBH is measured: {error}",)
-    return scale, ()
+    return scale, _twice(scale)
 
 
 def _from_printed_boards(scene: Scene, progress: Progress) -> Scale | None:
@@ -160,6 +161,10 @@ def _from_printed_boards(scene: Scene, progress: Progress) -> Scale | None:
         # No board, or none that is seen well enough: nobody asked for boards, so that this is no warning of its own.
         _log.info("no scale from printed boards: %s", error)
         return None
+
+
+def _twice(scale: Scale) -> tuple[str, ...]:
+    return tuple(line.removesuffix(".") for line in boards_at_two_places(scale, scale.m_per_unit or 1.0))
 
 
 def _few_boards(scale: Scale) -> tuple[str, ...]:

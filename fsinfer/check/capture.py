@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.check.advice import advice, boards_at_two_places, marker_lines
+from fsinfer.board_places import boards_at_two_places
+from fsinfer.check.advice import advice, marker_lines
 from fsinfer.check.coverage import CoverageSettings, StemCoverage, judge_stems
 from fsinfer.check.north import Compass, find_compass, gnss_places
 from fsinfer.check.open_sides import OpenSide, open_sides
