@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
+
+from fsinfer.spanning_tree import cut, strongest_ties, tie_graph
 
 #: Points that a part must share with the rest. In models that were right no part of two photos or more shared fewer
 #: than 124 (two rendered videos, five rendered plots, 23 real photos); the turned parts of three wrong ones 45 to 84.
@@ -47,18 +48,12 @@ def loose_parts(
     sees.data[:] = 1.0  # a photo may see a point twice
     shared = (sees.T @ sees).tocoo()
     off = shared.row != shared.col
-    edges = csr_array((1.0 / shared.data[off], (shared.row[off], shared.col[off])), shape=(count, count))
-    tree = minimum_spanning_tree(edges).tocoo()
+    tree = strongest_ties(tie_graph(shared.row[off], shared.col[off], shared.data[off], count))
     loose = np.zeros(count, dtype=bool)
     for edge in np.argsort(-tree.data, kind="stable"):
         if 1.0 / tree.data[edge] >= min_points:
             break  # this pair alone is joint enough
-        kept = np.arange(len(tree.data)) != edge
-        halves = csr_array((tree.data[kept], (tree.row[kept], tree.col[kept])), shape=(count, count))
-        _, label = connected_components(halves, directed=False)
-        side = label == label[tree.row[edge]]
-        side &= ~loose
-        other = (label == label[tree.col[edge]]) & ~loose
+        side, other = (part & ~loose for part in cut(tree, edge))
         small = side if side.sum() <= other.sum() else other
         large = other if small is side else side
         if small.sum() < min_photos:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fsinfer.loose_parts import loose_parts
-from fsinfer.pair_votes import contradicted, false_pairs, pair_votes, weight_of
+from fsinfer.pair_votes import contradicted, pair_votes, weight_of
 from fsinfer.walking_steps import strays
 
 # A pose that hangs on fewer points than this is an accident.
@@ -45,21 +45,17 @@ def drop_strays(model: Any, walk: Sequence[str]) -> list[str]:
     placed = sorted((number[model.images[i].name], i) for i in model.reg_image_ids())
     centers = np.array([model.images[i].projection_center() for _, i in placed])
     found = strays(centers, np.array([index for index, _ in placed]))
-    return _drop(model, [image_id for is_stray, (_, image_id) in zip(found, placed, strict=True) if is_stray])
+    return drop(model, [image_id for is_stray, (_, image_id) in zip(found, placed, strict=True) if is_stray])
 
 
-def drop_contradicted(
-    model: Any, database: Path, *, neighbours: int = 0, stretches: str = "after", lenient: bool = False
-) -> tuple[list[str], list[tuple[int, int]]]:
-    """Take photos whose own matches speak against their place out of the model.
+def drop_contradicted(model: Any, database: Path, neighbours: int = 0) -> list[str]:
+    """Take photos whose own matches speak against their place out of the model; returns their files.
 
-    Returns their files, and the pairs of image ids whose matches were found false by it. ``neighbours``,
-    ``stretches`` and ``lenient``: see :func:`fsinfer.pair_votes.contradicted`.
+    ``neighbours``: see :func:`fsinfer.pair_votes.contradicted`.
     """
     image_ids, votes = pair_votes(model, database)
-    wrong = contradicted(votes, len(image_ids), neighbours=neighbours, stretches=stretches, lenient=lenient)
-    false = [(image_ids[vote.first], image_ids[vote.second]) for vote in false_pairs(votes, wrong)]
-    return _drop(model, [image_id for image_id, is_wrong in zip(image_ids, wrong, strict=True) if is_wrong]), false
+    wrong = contradicted(votes, len(image_ids), neighbours=neighbours)
+    return drop(model, [image_id for image_id, is_wrong in zip(image_ids, wrong, strict=True) if is_wrong])
 
 
 def agreeing_matches(model: Any, database: Path, neighbours: int = 0) -> float:
@@ -91,7 +87,7 @@ def drop_loose_parts(model: Any) -> list[str]:
     ]
     points, photos = np.array(seen, dtype=np.intp).reshape(-1, 2).T
     loose = loose_parts(points, photos, len(image_ids))
-    return _drop(model, [image_id for image_id, index in number.items() if loose[index]])
+    return drop(model, [image_id for image_id, index in number.items() if loose[index]])
 
 
 def drop_blind_views(model: Any) -> list[str]:
@@ -103,7 +99,7 @@ def drop_blind_views(model: Any) -> list[str]:
         points = np.array([model.points3D[p.point3D_id].xyz for p in image.get_observation_points2D()]).reshape(-1, 3)
         if int((points @ pose[2, :3] + pose[2, 3] > 0).sum()) < _MIN_POINTS:
             blind.append(image_id)
-    return _drop(model, blind)
+    return drop(model, blind)
 
 
 def misplaced_message(how: str, names: Sequence[str], photos: int) -> str:
@@ -112,7 +108,8 @@ def misplaced_message(how: str, names: Sequence[str], photos: int) -> str:
     return f"{len(names)} of {photos} photos left out ({shown}): {_WHY[how]}"
 
 
-def _drop(model: Any, image_ids: Sequence[int]) -> list[str]:
+def drop(model: Any, image_ids: Sequence[int]) -> list[str]:
+    """Take photos out of the model; returns their files."""
     files = [str(model.images[image_id].name) for image_id in image_ids]
     for image_id in image_ids:
         model.deregister_frame(model.images[image_id].frame_id)

@@ -9,11 +9,13 @@ from typing import Any
 
 from fsinfer.misplaced import (
     agreeing_matches,
+    drop,
     drop_contradicted,
     drop_loose_parts,
     drop_strays,
     without_pairs,
 )
+from fsinfer.pair_votes import contradicted, false_pairs, pair_votes
 from fsinfer.progress import Progress
 from fsinfer.sfm import PoseSettings, reconstruct
 
@@ -58,13 +60,16 @@ def _candidates(
     judged in several ways. Each comes with the files of the photos that were taken out of it.
     """
     neighbours = _neighbours(walk, settings)
-    for stretches, lenient in _WAYS:
-        start = deepcopy(model)
-        wrong, false = drop_contradicted(start, database, neighbours=neighbours, stretches=stretches, lenient=lenient)
-        if settings.mapper != "incremental" or start.num_reg_images() < settings.min_registered:
-            break
-        if not wrong:
+    image_ids, votes = pair_votes(model, database)
+    for stretches, lenient in _WAYS if settings.mapper == "incremental" else ():
+        wrong = contradicted(votes, len(image_ids), neighbours=neighbours, stretches=stretches, lenient=lenient)
+        if not wrong.any():
             continue
+        start = deepcopy(model)
+        drop(start, [image_id for image_id, is_wrong in zip(image_ids, wrong, strict=True) if is_wrong])
+        if start.num_reg_images() < settings.min_registered:
+            break
+        false = [(image_ids[vote.first], image_ids[vote.second]) for vote in false_pairs(votes, wrong)]
         clean = without_pairs(database, false, work / "without_false.db")
         folder = work / f"again_{stretches}_{'lenient' if lenient else 'strict'}"
         mapped = reconstruct(clean, work / "images", folder, settings, progress, start=start)
@@ -81,6 +86,6 @@ def _drop_misplaced(model: Any, database: Path, walk: Sequence[str], neighbours:
     return {
         "astray": drop_strays(model, walk),
         # All matches vote, so that no photo comes back whose true matches were taken for false ones.
-        "contradicted": drop_contradicted(model, database, neighbours=neighbours)[0],
+        "contradicted": drop_contradicted(model, database, neighbours),
         "loose": drop_loose_parts(model),
     }

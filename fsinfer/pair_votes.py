@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
+from scipy.sparse.csgraph import connected_components
+
+from fsinfer.spanning_tree import cut, strongest_ties, tie_graph
 
 #: Share of a photo's matches that must speak for its place. On 200 photos of a rendered plot, whose trees share their
 #: bark, 95 of 100 rightly placed photos have 0.8 and more, and those placed metres away 0.1 to 0.7.
@@ -35,6 +36,36 @@ class PairVote:
     second: int
     matches: int
     agrees: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ballot:
+    """Votes as arrays: (K, 2) numbers of the photos, (K,) what each vote counts, (K,) whether it is for the places."""
+
+    ends: NDArray[np.intp]
+    weight: NDArray[np.float64]
+    agrees: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, votes: Sequence[PairVote], neighbours: int = 0) -> Ballot:
+        """The votes; ``neighbours`` see :func:`weight_of`."""
+        return cls(
+            ends=np.array([(vote.first, vote.second) for vote in votes], dtype=np.intp).reshape(-1, 2),
+            weight=np.array([weight_of(vote, neighbours) for vote in votes], dtype=np.float64),
+            agrees=np.array([vote.agrees for vote in votes], dtype=bool),
+        )
+
+    def only(self, chosen: NDArray[np.bool_]) -> Ballot:
+        """Those of the votes."""
+        return Ballot(ends=self.ends[chosen], weight=self.weight[chosen], agrees=self.agrees[chosen])
+
+    def shares(self, count: int) -> NDArray[np.float64]:
+        """Share of each photo's matches that speak for its place, (count,); NaN for a photo without any."""
+        cast, for_it = np.zeros(count), np.zeros(count)
+        for end in self.ends.T:
+            cast += np.bincount(end, weights=self.weight, minlength=count)
+            for_it += np.bincount(end, weights=self.weight * self.agrees, minlength=count)
+        return np.where(cast > 0, for_it / np.maximum(cast, 1.0), np.nan)
 
 
 def contradicted(
@@ -61,29 +92,25 @@ def contradicted(
     A wrong part may take right photos with it: ``lenient`` lets those come back who agree with the photos that are
     left. Photos that false matches tie to them come back as well.
     """
-    ends = np.array([(vote.first, vote.second) for vote in votes], dtype=np.intp).reshape(-1, 2)
-    weight = np.array([weight_of(vote, neighbours) for vote in votes], dtype=np.float64)
-    agrees = np.array([vote.agrees for vote in votes], dtype=bool)
+    ballot = Ballot.of(votes, neighbours)
+    looks = {"before": (outvoted_stretch, _outvoted_part), "after": (_outvoted_part, outvoted_stretch)}.get(
+        stretches, (_outvoted_part,)
+    )
     wrong = np.zeros(count, dtype=bool)
     while True:
-        counts = ~wrong[ends].any(axis=1)
-        left = (ends[counts], weight[counts], agrees[counts])
-        looks = {"before": (outvoted_stretch, _outvoted_part), "after": (_outvoted_part, outvoted_stretch)}
-        for look in looks.get(stretches, (_outvoted_part,)):
-            more = look(*left, ~wrong, min_share)
+        left = ballot.only(np.asarray(~wrong[ballot.ends].any(axis=1)))
+        for look in (*looks, _outvoted_photo):
+            more = look(left, ~wrong, min_share)
             if more.any():
                 break
-        if not more.any():
-            more = _outvoted_photo(ends[counts], weight[counts], agrees[counts], count, min_share)
-        if not more.any():
+        else:
             break
         wrong |= more
     while lenient:
-        border = wrong[ends].sum(axis=1) == 1
-        share = _shares(ends[border], weight[border], agrees[border], count)
-        back = wrong & (share >= min_share)
+        border = ballot.only(np.asarray(wrong[ballot.ends].sum(axis=1) == 1))
+        back = wrong & (border.shares(count) >= min_share)
         if not back.any():
-            return wrong
+            break
         wrong &= ~back
     return wrong
 
@@ -93,49 +120,27 @@ def weight_of(vote: PairVote, neighbours: int) -> float:
     return vote.matches * (NEIGHBOUR_WEIGHT if abs(vote.first - vote.second) <= neighbours else 1.0)
 
 
-def _outvoted_photo(
-    ends: NDArray[np.intp], weight: NDArray[np.float64], agrees: NDArray[np.bool_], count: int, min_share: float
-) -> NDArray[np.bool_]:
+def _outvoted_photo(ballot: Ballot, trusted: NDArray[np.bool_], min_share: float) -> NDArray[np.bool_]:
     """The photo whose own matches speak against it most; none where no photo is outvoted."""
-    share = _shares(ends, weight, agrees, count)
+    share = ballot.shares(len(trusted))
     lowest = np.where(np.isnan(share), 1.0, share)
-    return np.asarray((share < min_share) & (np.arange(count) == lowest.argmin()))
+    return np.asarray((share < min_share) & (np.arange(len(trusted)) == lowest.argmin()))
 
 
-def _shares(
-    ends: NDArray[np.intp], weight: NDArray[np.float64], agrees: NDArray[np.bool_], count: int
-) -> NDArray[np.float64]:
-    """Share of each photo's matches that speak for its place, (count,); NaN for a photo without any."""
-    cast, for_it = np.zeros(count), np.zeros(count)
-    for end in ends.T:
-        cast += np.bincount(end, weights=weight, minlength=count)
-        for_it += np.bincount(end, weights=weight * agrees, minlength=count)
-    return np.where(cast > 0, for_it / np.maximum(cast, 1.0), np.nan)
-
-
-def _outvoted_part(
-    ends: NDArray[np.intp],
-    weight: NDArray[np.float64],
-    agrees: NDArray[np.bool_],
-    trusted: NDArray[np.bool_],
-    min_share: float,
-) -> NDArray[np.bool_]:
+def _outvoted_part(ballot: Ballot, trusted: NDArray[np.bool_], min_share: float) -> NDArray[np.bool_]:
     """The photos of the part whose matches with the rest speak against it most; none where no part is outvoted."""
+    ends, weight, agrees = ballot.ends, ballot.weight, ballot.agrees
     count = len(trusted)
-    good = ends[agrees]
-    edges = csr_array((1.0 / weight[agrees], (good[:, 0], good[:, 1])), shape=(count, count))
-    _, label = connected_components(edges, directed=False)
+    graph = tie_graph(ends[agrees, 0], ends[agrees, 1], weight[agrees], count)
+    _, label = connected_components(graph, directed=False)
     apart = trusted & (label != np.bincount(label[trusted], minlength=count).argmax())
     apart &= np.bincount(ends.ravel(), minlength=count) > 0
     if apart.any():
         return np.asarray(apart)  # not one match ties it to the largest part
-    tree = minimum_spanning_tree(edges).tocoo()
+    tree = strongest_ties(graph)
     worst, part = min_share, np.zeros(count, dtype=bool)
     for edge in range(len(tree.data)):
-        kept = np.arange(len(tree.data)) != edge
-        halves = csr_array((tree.data[kept], (tree.row[kept], tree.col[kept])), shape=(count, count))
-        _, label = connected_components(halves, directed=False)
-        one, other = (trusted & (label == label[end[edge]]) for end in (tree.row, tree.col))
+        one, other = (trusted & side for side in cut(tree, edge))
         across = (one[ends[:, 0]] & other[ends[:, 1]]) | (other[ends[:, 0]] & one[ends[:, 1]])
         share = weight[across & agrees].sum() / weight[across].sum()
         if share < worst:
@@ -143,13 +148,7 @@ def _outvoted_part(
     return part
 
 
-def outvoted_stretch(
-    ends: NDArray[np.intp],
-    weight: NDArray[np.float64],
-    agrees: NDArray[np.bool_],
-    trusted: NDArray[np.bool_],
-    min_share: float,
-) -> NDArray[np.bool_]:
+def outvoted_stretch(ballot: Ballot, trusted: NDArray[np.bool_], min_share: float) -> NDArray[np.bool_]:
     """That stretch of the walk, of half of the photos or less, whose matches with the rest speak against it most.
 
     None, where no stretch has a lower share of matches for it than ``min_share``, nor than a half: a place is
@@ -158,7 +157,7 @@ def outvoted_stretch(
     kept = np.flatnonzero(trusted)
     count = len(kept)
     rank = np.cumsum(trusted) - 1
-    first, second = np.sort(rank[ends], axis=1).T
+    first, second = np.sort(rank[ballot.ends], axis=1).T
 
     def across(matches: NDArray[np.float64]) -> NDArray[np.float64]:
         """Matches that leave the stretch from photo i to before photo j, (count + 1, count + 1) [i, j]."""
@@ -170,7 +169,7 @@ def outvoted_stretch(
         degree = np.concatenate([[0.0], np.cumsum(table.sum(axis=0)[1:] + table.sum(axis=1)[1:])])
         return np.asarray(degree[None, :] - degree[:, None] - 2 * inside)
 
-    total, agreeing = across(weight), across(weight * agrees)
+    total, agreeing = across(ballot.weight), across(ballot.weight * ballot.agrees)
     start, end = np.indices(total.shape)
     candidate = (end > start) & (end - start <= count // 2) & (total > 0)
     share = np.where(candidate, agreeing / np.where(candidate, total, 1.0), np.inf)
