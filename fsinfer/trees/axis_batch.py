@@ -121,7 +121,7 @@ class _Batch:
         order: int = 1,
         ratio: Singles | None = None,
     ) -> None:
-        self.s, self.xyz, self.ratio = settings, xyz, ratio
+        self.s, self.xyz = settings, xyz
         self.inverse_ratio = None if ratio is None else np.float32(1.0) / ratio
         self.shape_std = np.repeat(settings.shape_std[: order - 1], 2)
         self.origin = starts[:, :2]
