@@ -86,7 +86,7 @@ def check(
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
-    """Say, while you are still in the forest, which trees to walk round again. Minutes, no depth is computed.
+    """Say, while you are still in the forest, which trees to walk round again. Minutes.
 
     Draws a map: your walk, the stems, from where each was seen and from where it was not. What it has worked out
     fsinfer run does not work out again, given the same OUT.

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
     from fsinfer.cloud import PointCloud
@@ -111,7 +111,7 @@ def density_per_m2(xyz: NDArray[np.float64]) -> float | None:
     return float(len(xyz) / (len(cells) * DENSITY_CELL_M**2))
 
 
-def marker_centers(scale: Mapping[str, Any], cloud_from_scene: Sequence[Sequence[float]]) -> NDArray[np.float64]:
+def marker_centers(scale: Mapping[str, Any], cloud_from_scene: ArrayLike) -> NDArray[np.float64]:
     """Centres of the markers of a scale record in the frame of the cloud: (M, 3), M = 0 without markers.
 
     Parameters

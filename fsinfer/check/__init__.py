@@ -1,4 +1,4 @@
-"""Minutes after capture, from poses and sparse points alone: what has to be photographed again."""
+"""Minutes after capture, from poses and a quick look at the depth: what has to be photographed again."""
 
 from fsinfer.check.capture import CheckResult, CheckSettings, check_capture
 

@@ -60,7 +60,7 @@ def advice(
             side = f", above all from {compass.side(entry.gap_center_deg)}" if entry.one_sided else ""
             lines.append(
                 f"Photograph tree {entry.number} again from nearer, all round{side}: only {len(entry.views)} photos "
-                f"share points on it (nearest photo {names[entry.nearest]})."
+                f"show it (nearest photo {names[entry.nearest]})."
             )
     far = [str(entry.number) for entry in stems if entry.verdict == "far"]
     if far:

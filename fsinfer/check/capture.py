@@ -1,12 +1,12 @@
-"""Photos to advice: their poses, stems in the sparse points, and who saw them from where."""
+"""Photos to advice: their poses, a quick look at the depth, the stems, and who saw them from where."""
 
 from __future__ import annotations
 
 import json
-import logging
+import shutil
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,29 +16,30 @@ from numpy.typing import NDArray
 from fsinfer.board_places import boards_at_two_places
 from fsinfer.check.advice import advice, marker_lines
 from fsinfer.check.coverage import CoverageSettings, StemCoverage, judge_stems
+from fsinfer.check.glance import GlanceSettings, take_glance
 from fsinfer.check.north import Compass, find_compass, gnss_places
 from fsinfer.check.open_sides import OpenSide, open_sides
-from fsinfer.check.sparse_stems import SparseStemSettings, find_sparse_stems
-from fsinfer.errors import CloudError, ScaleError
+from fsinfer.check.survey import Survey, SurveySettings, survey_scene
+from fsinfer.errors import ScaleError
 from fsinfer.files import make_folder, write_text
 from fsinfer.frames import FrameSettings
 from fsinfer.images import list_images
 from fsinfer.markers import scale_from_aruco
 from fsinfer.photo_stages import choose_frames, is_placed, is_placed_so, place_photos, source_files
-from fsinfer.placement import CAMERA_HEIGHT_M, level_scene
+from fsinfer.placement import marker_centers
 from fsinfer.plan_area import in_hull
 from fsinfer.progress import Progress, StageProgress, silent_stages
 from fsinfer.scale import Scale
 from fsinfer.scale_request import ScaleRequest, find_scale
 from fsinfer.scene import Scene, read_scene
 from fsinfer.sfm import PoseSettings
-from fsinfer.sparse import SparseModel, read_sparse
+from fsinfer.sparse import read_sparse
 from fsinfer.stages import RECORDS_FOLDER, StageBook
-from fsinfer.trees.ground import find_ground
-
-_log = logging.getLogger(__name__)
 
 Floats = NDArray[np.float64]
+
+# A board's middle lies so near to its post.
+_POST_M = 0.35
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,18 +50,15 @@ class CheckSettings:
     ----------
     frames, poses: of the stages that a run shares; with a run's settings it does not repeat them.
     margin_m: stems are judged up to so far outside the walk; farther ones cannot be seen from all sides.
-    camera_height_m: people hold a phone about so high; gives the size of things where no board does.
-    max_reach_m: points farther from the middle of the walk are left out.
     """
 
     frames: FrameSettings = field(default_factory=FrameSettings)
     poses: PoseSettings = field(default_factory=PoseSettings)
-    stems: SparseStemSettings = field(default_factory=SparseStemSettings)
+    glance: GlanceSettings = field(default_factory=GlanceSettings)
+    survey: SurveySettings = field(default_factory=SurveySettings)
     coverage: CoverageSettings = field(default_factory=CoverageSettings)
     scale: ScaleRequest = field(default_factory=ScaleRequest)
     margin_m: float = 0.5
-    camera_height_m: float = CAMERA_HEIGHT_M
-    max_reach_m: float = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,11 +128,18 @@ def check_capture(
     # Frames that were coded again lost their place; the photos themselves have it.
     originals = [photos.get(path.stem, path) for path in list_images(out / "frames" / "images")]
     scene, sparse = read_scene(folder), read_sparse(folder / "sparse")
-    scale, visible = _scale(settings.scale, scene, progress("check"))
+    report = progress("check")
+    scale, visible = _scale(settings.scale, scene, report)
     seconds["boards"] = time.monotonic() - start - sum(seconds.values())
-    result = judge_scene(scene, sparse, originals, scale, visible, settings=settings)
+    work = out / "check" / "work"
+    glance = take_glance(scene, work, settings=settings.glance, progress=report)
+    seconds["depth"] = time.monotonic() - start - sum(seconds.values())
+    survey = survey_scene(scene, sparse, glance, m_per_unit=scale.m_per_unit, settings=settings.survey)
+    result = judge_survey(survey, originals, scale, visible, settings=settings)
     seconds["stems"] = time.monotonic() - start - sum(seconds.values())
-    return _write(replace(result, notes=(*result.notes, *notes)), out / "check", seconds)
+    result = _write(replace(result, notes=(*result.notes, *notes)), out / "check", seconds)
+    shutil.rmtree(work, ignore_errors=True)
+    return result
 
 
 def _belongs_to_run(files: Sequence[Path], out: Path) -> bool:
@@ -147,16 +152,15 @@ def _belongs_to_run(files: Sequence[Path], out: Path) -> bool:
     return not made_by_check and is_placed(files, out)
 
 
-def judge_scene(
-    scene: Scene,
-    sparse: SparseModel,
+def judge_survey(
+    survey: Survey,
     given: Sequence[Path],
     scale: Scale,
     boards: Scale,
     *,
     settings: CheckSettings | None = None,
 ) -> CheckResult:
-    """The check without its files: from a scene and its sparse points to the result.
+    """The check without its files: from the stems and who saw them to the result.
 
     Parameters
     ----------
@@ -165,28 +169,25 @@ def judge_scene(
     boards: how the boards were seen, whatever their length; its ``details`` are empty where none was.
     """
     settings = settings or CheckSettings()
-    names = [view.name for view in scene.views]
+    names, cameras = survey.names, survey.cameras
     notes = [f"{len(names)} of {len(given)} photos placed."]
     left_out = sorted({path.stem for path in given} - set(names))
-    level_from_scene, heights, points, cameras = _plan(scene, sparse, scale, settings)
-    trusted = (sparse.track_lengths >= settings.stems.min_track) & (sparse.errors_px < settings.stems.max_error_px)
-    centers = [entry["center"] for entry in boards.details.get("markers", [])]
-    at_boards = [level_from_scene[:2, :3] @ np.array(center) + level_from_scene[:2, 3] for center in centers]
-    stems = [
-        stem
-        for stem in find_sparse_stems(points, heights, trusted, settings=settings.stems)
-        # The post of a board is upright and round, too.
-        if all(np.linalg.norm(stem.center - place) > 0.35 for place in at_boards)
+    at_boards = marker_centers(asdict(boards), survey.plot_from_scene)[:, :2]
+    # The post of a board is upright and round, too.
+    kept = [
+        row
+        for row, stem in enumerate(survey.stems)
+        if all(np.linalg.norm(stem.center - place) > _POST_M for place in at_boards)
     ]
+    stems = [survey.stems[row] for row in kept]
     # A straight walk has no inside: everything beside it can be walked round as well.
-    inside = in_hull(cameras[:, :2], np.array([stem.center for stem in stems]).reshape(-1, 2), settings.margin_m)
-    observations = [sparse.observations.get(name, np.zeros(0, np.int64)) for name in names]
-    judged = judge_stems(stems, observations, cameras[:, :2], inside, settings=settings.coverage)
-    sides = open_sides(cameras[:, :2])
+    inside = in_hull(cameras, np.array([stem.center for stem in stems]).reshape(-1, 2), settings.margin_m)
+    judged = judge_stems(stems, survey.seen[kept], cameras, inside, settings=settings.coverage)
+    sides = open_sides(cameras)
     judged = [_beyond(entry, sides) for entry in judged]
     by_name = {path.stem: path for path in given}
-    compass = find_compass(cameras[:, :2], gnss_places([by_name.get(name, Path(name)) for name in names]))
-    lines = boards_at_two_places(boards, float(np.cbrt(np.linalg.det(level_from_scene[:3, :3]))))
+    compass = find_compass(cameras, gnss_places([by_name.get(name, Path(name)) for name in names]))
+    lines = boards_at_two_places(boards, float(np.cbrt(np.linalg.det(survey.plot_from_scene[:3, :3]))))
     lines += advice(
         names=names,
         left_out=left_out,
@@ -194,10 +195,10 @@ def judge_scene(
         stems=judged,
         compass=compass,
         sides=sides,
-        offsets_m=[cameras[:, :2] - entry.stem.center for entry in judged],
+        offsets_m=[cameras - entry.stem.center for entry in judged],
     )
     if scale.m_per_unit is None:
-        notes.append(f"No scale: lengths are guessed from a phone held {settings.camera_height_m:g} m high.")
+        notes.append(f"No scale: lengths are guessed from a phone held {settings.survey.camera_height_m:g} m high.")
     notes += marker_lines(boards, given=settings.scale.given or scale.m_per_unit is not None)
     within = [entry for entry in judged if entry.inside]
     good = sum(entry.verdict in ("good", "far") for entry in within)
@@ -207,8 +208,8 @@ def judge_scene(
         )
     else:
         notes.append(
-            "No stem was found in the points that photos share, so that trees cannot be judged: are the stems in the "
-            "pictures from the ground up to 2.6 m, and the ground at their feet?"
+            "No stem was found, so that trees cannot be judged: are the stems in the pictures from the ground up to "
+            "2.5 m, the ground at their feet, and each photo's view for the most part in the next?"
         )
     return CheckResult(
         photos=len(given),
@@ -216,8 +217,8 @@ def judge_scene(
         lines=tuple(lines),
         notes=tuple(notes),
         stems=tuple(judged),
-        cameras=cameras[:, :2],
-        names=tuple(names),
+        cameras=cameras,
+        names=names,
         compass=compass,
         map_path=None,
         seconds={},
@@ -240,28 +241,6 @@ def _scale(request: ScaleRequest, scene: Scene, progress: Progress) -> tuple[Sca
         return scale, scale_from_aruco(scene, 1.0, dictionary=request.aruco_dictionary, progress=progress)
     except ScaleError:
         return scale, Scale(m_per_unit=None, source="none", rel_std=None)
-
-
-def _plan(
-    scene: Scene, sparse: SparseModel, scale: Scale, settings: CheckSettings
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """(4, 4) similarity to metres with z up, heights of the points above the ground, the points and the cameras."""
-    motion, height = level_scene(sparse.points, scene, m_per_unit=scale.m_per_unit)
-    if scale.m_per_unit is None:
-        m_per_unit = settings.camera_height_m / max(height, 1e-9)
-        motion = np.diag([m_per_unit, m_per_unit, m_per_unit, 1.0]) @ motion
-    centers = np.array([view.camera.center for view in scene.views])
-    points = sparse.points @ motion[:3, :3].T + motion[:3, 3]
-    cameras = centers @ motion[:3, :3].T + motion[:3, 3]
-    near = np.hypot(*points[:, :2].T) < settings.max_reach_m
-    ground_points = points[near & (sparse.track_lengths >= settings.stems.min_track)]
-    try:
-        ground = find_ground(ground_points).height_at(points[:, :2])
-    except CloudError as error:
-        _log.info("no ground in the sparse points (%s); z = 0 stands for it", error)
-        ground = np.zeros(len(points))
-    heights = np.where(near, points[:, 2] - ground, 1e6)  # too high for a stem
-    return motion, heights, points, cameras
 
 
 def _write(result: CheckResult, folder: Path, seconds: dict[str, float]) -> CheckResult:
@@ -287,7 +266,6 @@ def _as_json(result: CheckResult) -> dict[str, Any]:
                 "tree": entry.number,
                 "x_m": round(float(entry.stem.center[0]), 3),
                 "y_m": round(float(entry.stem.center[1]), 3),
-                "points": len(entry.stem.members),
                 "photos": [result.names[index] for index in entry.views],
                 "widest_gap_deg": round(entry.gap_deg, 1),
                 "nearest_m": round(float(entry.distances_m.min()), 2) if len(entry.views) else None,

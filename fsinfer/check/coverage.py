@@ -1,4 +1,4 @@
-"""From which directions and how far each stem was seen, by the photos that truly share points on it."""
+"""From which directions, and from how far, each stem was seen."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.check.sparse_stems import SparseStem
+from fsinfer.check.visible_stems import VisibleStem
 
 Floats = NDArray[np.float64]
 
@@ -19,9 +19,6 @@ class CoverageSettings:
 
     Attributes
     ----------
-    min_shared: points on the stem that a photo must share; two are rarely an accident.
-    support_deg, min_support: photos within this angle must share so many points together (each counts at most
-        ``max_support``), so that one stray match does not hide a whole unseen side.
     one_sided_deg: a stem is called seen from one side where no photo sees it in so wide a fan of directions. On two
         rendered plots, walked all round, the widest fans were 161 and 147 degrees (both stems of 10 cm, in a corner
         of the plot), the next 130; a half-plane has 180.
@@ -30,10 +27,6 @@ class CoverageSettings:
         directions mean little.
     """
 
-    min_shared: int = 2
-    support_deg: float = 12.0
-    min_support: int = 5
-    max_support: int = 5
     one_sided_deg: float = 165.0
     far_m: float = 9.0
     few_photos: int = 10
@@ -47,7 +40,7 @@ class StemCoverage:
     Attributes
     ----------
     number: counted in the order in which the walk passes the stems.
-    stem: position, radius, points.
+    stem: position and radius.
     views: (V,) int64, indices of the photos that see it.
     azimuths_deg: (V,) directions from the stem to these photos, counter-clockwise from the x axis of the plan.
     distances_m: (V,) plan distances.
@@ -61,7 +54,7 @@ class StemCoverage:
     """
 
     number: int
-    stem: SparseStem
+    stem: VisibleStem
     views: NDArray[np.int64]
     azimuths_deg: Floats
     distances_m: Floats
@@ -74,8 +67,8 @@ class StemCoverage:
 
 
 def judge_stems(
-    stems: Sequence[SparseStem],
-    observations: Sequence[NDArray[np.int64]],
+    stems: Sequence[VisibleStem],
+    seen: NDArray[np.bool_],
     cameras: Floats,
     inside: NDArray[np.bool_],
     *,
@@ -85,18 +78,17 @@ def judge_stems(
 
     Parameters
     ----------
-    observations: for each photo, in the order of walking, the sorted indices of the points that it shares.
+    seen: (K, P) bool, which photo, in the order of walking, sees which stem.
     cameras: (P, 2) plan positions of the photos, metres.
-    inside: for each stem, whether it stands within the walk.
+    inside: (K,) bool, whether the stem stands within the walk.
     """
     settings = settings or CoverageSettings()
     found = []
-    for stem, within in zip(stems, inside, strict=True):
-        shared = np.array([np.isin(stem.members, seen, assume_unique=True).sum() for seen in observations])
+    for stem, by, within in zip(stems, seen, inside, strict=True):
         offsets = cameras - stem.center
         azimuths = np.degrees(np.arctan2(offsets[:, 1], offsets[:, 0]))
         distances = np.linalg.norm(offsets, axis=1)
-        views = _supported(shared, azimuths, settings)
+        views = np.flatnonzero(by)
         gap_deg, middle_deg = widest_gap(azimuths[views])
         few = min(settings.few_photos, max(4, round(settings.few_share * len(cameras))))
         if not within:
@@ -125,7 +117,7 @@ def judge_stems(
             )
         )
     # People look for "the tree after this one" on their way; those outside come last.
-    found.sort(key=lambda entry: (not entry.inside, entry.nearest, -len(entry.stem.members)))
+    found.sort(key=lambda entry: (not entry.inside, entry.nearest, -len(entry.views)))
     return [replace(entry, number=rank + 1) for rank, entry in enumerate(found)]
 
 
@@ -137,12 +129,3 @@ def widest_gap(azimuths_deg: Floats) -> tuple[float, float]:
     widths = np.diff(np.append(ordered, ordered[0] + 360))
     widest = int(widths.argmax())
     return float(widths[widest]), float((ordered[widest] + widths[widest] / 2) % 360)
-
-
-def _supported(shared: NDArray[np.int64], azimuths: Floats, settings: CoverageSettings) -> NDArray[np.int64]:
-    """Photos that see the stem, without those that hang on a stray match."""
-    seeing = np.flatnonzero(shared >= settings.min_shared)
-    between = np.abs((azimuths[seeing, None] - azimuths[None, seeing] + 180) % 360 - 180)
-    weight = np.minimum(shared[seeing], settings.max_support)
-    support = ((between <= settings.support_deg) * weight[None]).sum(axis=1)
-    return np.asarray(seeing[support >= settings.min_support])

@@ -66,11 +66,13 @@ class SparseStem:
     ----------
     center: (2,) float64, plan position at 1.3 m.
     radius: of the circle; from one side only it is a rough guess.
+    lean: (2,) metres sideways for each metre up.
     members: (M,) int64, indices of the points on it.
     """
 
     center: Floats
     radius: float
+    lean: Floats
     members: Ints
 
 
@@ -87,7 +89,7 @@ def find_sparse_stems(
     Parameters
     ----------
     points: (N, 3) metres, z up. heights: (N,) above the ground.
-    trusted: (N,) bool, what may make a stem; its other points count as members later.
+    trusted: (N,) bool, what may make a stem; its other points count as members later. Those out of reach are not.
 
     Returns
     -------
@@ -174,7 +176,7 @@ def _fit(
     band = np.flatnonzero((heights > 0.5 * settings.min_height_m) & (heights < 1.15 * settings.max_height_m))
     axis = best[:2] + (heights[band, None] - 1.3) * best[3:]
     near = np.abs(np.linalg.norm(points[band, :2] - axis, axis=1) - best[2]) < 2 * settings.tolerance_m
-    return SparseStem(center=best[:2], radius=float(best[2]), members=band[near])
+    return SparseStem(center=best[:2], radius=float(best[2]), lean=best[3:], members=band[near])
 
 
 def _lean(plan: Floats, heights: Floats, settings: SparseStemSettings) -> Floats:

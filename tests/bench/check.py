@@ -1,6 +1,6 @@
 """Does ``fsinfer check`` name the stems that were seen from one side only, and no others?
 
-python -m tests.bench.check PLOT OUT --trials 10           curtains on the sparse model of OUT/scene
+python -m tests.bench.check PLOT OUT --trials 10           curtains on the scene in OUT/scene
 python -m tests.bench.check PLOT OUT --leave-out 6:0,10:225
                                                            a real run without the photos that see tree 6 from 0 degrees
                                                            (the positive x axis) and tree 10 from 225; OUT is made
@@ -9,8 +9,8 @@ python -m tests.bench.check PLOT OUT --keep 0.2-1          a real run of a walk 
 
 PLOT is a scene of ``training.synthesize --kind plot``; its exact depth maps tell which photo sees which stem. A stem is
 one-sided in truth when the photos that see it leave a fan of 180 degrees or more empty, and seen all round when they
-leave less than 150. A curtain takes every observation of a stem's points by the photos on one side of it out of the
-sparse model.
+leave less than 150. A curtain takes a stem out of the depth maps of the photos on one side of it, and its points out of
+what they share.
 """
 
 from __future__ import annotations
@@ -26,9 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.check import CheckResult, check_capture
-from fsinfer.check.capture import judge_scene
+from fsinfer.check.capture import judge_survey
 from fsinfer.check.coverage import CoverageSettings, widest_gap
-from fsinfer.pfm import read_pfm
+from fsinfer.check.glance import read_glance, take_glance
+from fsinfer.check.survey import survey_scene
+from fsinfer.depth_maps import DepthMaps
+from fsinfer.pfm import read_pfm, write_pfm
 from fsinfer.scale import Scale
 from fsinfer.scene import Scene, read_scene
 from fsinfer.sparse import SparseModel, read_sparse
@@ -112,24 +115,62 @@ def read_truth(plot: Path) -> Truth:
     )
 
 
-def curtained(sparse: SparseModel, scene: Scene, truth: Truth, curtains: dict[int, float]) -> SparseModel:
-    """The sparse model as it would be without the observations that the curtains hide."""
-    centers = np.array([view.camera.center for view in scene.views])
-    expected = np.array([truth.centers[truth.names.index(view.name)] for view in scene.views])
-    scale, rotation, shift = similarity(centers, expected)
-    points = scale * sparse.points @ rotation.T + shift
-    observations = {name: seen.copy() for name, seen in sparse.observations.items()}
-    lost = np.zeros(len(points), dtype=np.int64)
-    for tree, direction in curtains.items():
-        away = np.linalg.norm(points[:, :2] - truth.xy[tree], axis=1)
-        low = (points[:, 2] > truth.z_m[tree]) & (points[:, 2] < truth.z_m[tree] + 5)
-        on = low & (away < truth.radius_m[tree] + 0.25)
-        for view in scene.views:
-            if behind(truth.azimuths_deg[tree][[truth.names.index(view.name)]], direction)[0]:
-                seen = observations[view.name]
-                lost[seen[on[seen]]] += 1
-                observations[view.name] = seen[~on[seen]]
-    return replace(sparse, observations=observations, track_lengths=sparse.track_lengths - lost)
+@dataclass(frozen=True, kw_only=True)
+class Curtains:
+    """Directions from which trees are hidden, by their rank in truth; and how the scene lies in truth's frame."""
+
+    directions: dict[int, float]
+    truth: Truth
+    scene: Scene
+    motion: tuple[float, NDArray[np.float64], NDArray[np.float64]]
+
+    def hides(self, tree: int, name: str) -> bool:
+        """Whether the photo of this name stands behind the tree's curtain."""
+        return bool(behind(self.truth.azimuths_deg[tree][[self.truth.names.index(name)]], self.directions[tree])[0])
+
+    def on(self, tree: int, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which points (..., 3) of the scene lie on the tree, up to 5 m."""
+        scale, rotation, shift = self.motion
+        placed = scale * points @ rotation.T + shift
+        away = np.linalg.norm(placed[..., :2] - self.truth.xy[tree], axis=-1)
+        ground = self.truth.z_m[tree]
+        low = (placed[..., 2] > ground) & (placed[..., 2] < ground + 5)
+        return np.asarray(low & (away < self.truth.radius_m[tree] + 0.25))
+
+    def over_points(self, sparse: SparseModel) -> SparseModel:
+        """The sparse model without the observations that are hidden."""
+        observations = {name: seen.copy() for name, seen in sparse.observations.items()}
+        lost = np.zeros(len(sparse.points), dtype=np.int64)
+        for tree in self.directions:
+            on = self.on(tree, sparse.points)
+            for view in self.scene.views:
+                if self.hides(tree, view.name):
+                    seen = observations[view.name]
+                    lost[seen[on[seen]]] += 1
+                    observations[view.name] = seen[~on[seen]]
+        return replace(sparse, observations=observations, track_lengths=sparse.track_lengths - lost)
+
+    def over_maps(self, maps: DepthMaps, folder: Path) -> None:
+        """Write the depth maps without what is hidden into ``folder``; those where nothing is are linked."""
+        shutil.rmtree(folder, ignore_errors=True)
+        for part in ("depth", "confidence"):
+            shutil.copytree(maps.folder / part, folder / part, copy_function=lambda a, b: Path(b).symlink_to(a))
+        for index in maps.available:
+            name = self.scene.views[index].name
+            hidden = [tree for tree in self.directions if self.hides(tree, name)]
+            if not hidden:
+                continue
+            found = maps.get(index)
+            depth = np.divide(
+                1, found.inverse_depth, out=np.zeros_like(found.inverse_depth), where=found.inverse_depth > 0
+            )
+            v, u = np.indices(depth.shape)
+            rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(found.intrinsic).T
+            points = (rays * depth[..., None] - found.cam_from_world[:3, 3]) @ found.cam_from_world[:3, :3]
+            for tree in hidden:
+                depth[self.on(tree, points)] = 0
+            (folder / "depth" / f"{name}.pfm").unlink()
+            write_pfm(folder / "depth" / f"{name}.pfm", depth)
 
 
 #: What may come of a tree, in the order of :func:`compare`.
@@ -189,15 +230,24 @@ def main(argv: list[str] | None = None) -> int:
     sparse = read_sparse(args.out / "scene" / "sparse")
     photos = np.isin(truth.names, [view.name for view in scene.views])
     given = [view.image_path for view in scene.views]
+    centers = np.array([view.camera.center for view in scene.views])
+    expected = np.array([truth.centers[truth.names.index(view.name)] for view in scene.views])
+    motion = similarity(centers, expected)
+    look = take_glance(scene, args.out / "check" / "bench")
+    assert look is not None
     rng = np.random.default_rng(0)
     thick = np.flatnonzero(truth.radius_m >= args.min_dbh_cm / 200)
     for trial in range(args.trials + 1):
         chosen = rng.choice(thick, args.per_trial, replace=False) if trial else []
-        curtains = {int(tree): float(rng.uniform(0, 360)) for tree in chosen}
-        result = judge_scene(scene, curtained(sparse, scene, truth, curtains), given, _NO_SCALE, _NO_SCALE)
-        outcome = compare(result, truth, photos, curtains)
+        directions = {int(tree): float(rng.uniform(0, 360)) for tree in chosen}
+        curtains = Curtains(directions=directions, truth=truth, scene=scene, motion=motion)
+        curtains.over_maps(look.maps, args.out / "check" / "curtains")
+        glance = read_glance(scene, args.out / "check" / "curtains")
+        survey = survey_scene(scene, curtains.over_points(sparse), glance, m_per_unit=motion[0])
+        result = judge_survey(survey, given, _NO_SCALE, _NO_SCALE)
+        outcome = compare(result, truth, photos, directions)
         totals += [len(part) for part in outcome]
-        behind_curtains = ", ".join(truth.ids[tree] for tree in curtains) or "-"
+        behind_curtains = ", ".join(truth.ids[tree] for tree in directions) or "-"
         told = "; ".join(f"{label} {', '.join(part) or '-'}" for label, part in zip(OUTCOMES, outcome, strict=True))
         print(f"trial {trial}: behind curtains {behind_curtains}; {told}", flush=True)
     print(", ".join(f"{label} {total}" for label, total in zip(OUTCOMES, totals, strict=True)))

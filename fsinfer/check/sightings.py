@@ -1,0 +1,93 @@
+"""Which photo sees which stem: its own depth map shows a surface where the stem's is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.check.visible_stems import VisibleStem
+from fsinfer.depth_maps import DepthMaps
+from fsinfer.scene import Scene, project
+from fsinfer.trees.ground import Ground
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SightingSettings:
+    """When a photo counts as seeing a stem; metres.
+
+    Attributes
+    ----------
+    heights_m: lowest and highest of the places on the stem that are looked up, ``step_m`` apart.
+    tolerance_m, of_radius, of_distance: how far the depth may be off, in all. Small depth maps are off by 2 % of the
+        distance; stems seldom have something else so near behind them.
+    min_share: of the places. A photo from nearby shows only some of them.
+    near: what is nearer than so many times the nearest depth that was searched has none, and counts as seen: a photo
+        taken an arm's length from a stem.
+    """
+
+    heights_m: tuple[float, float] = (0.5, 2.4)
+    step_m: float = 0.1
+    tolerance_m: float = 0.1
+    of_radius: float = 0.5
+    of_distance: float = 0.02
+    min_share: float = 0.2
+    near: float = 1.25
+
+
+def find_sightings(
+    stems: Sequence[VisibleStem],
+    ground: Ground | None,
+    scene: Scene,
+    maps: DepthMaps,
+    plot_from_scene: Floats,
+    *,
+    settings: SightingSettings | None = None,
+) -> NDArray[np.bool_]:
+    """Look every stem up in every photo.
+
+    Parameters
+    ----------
+    stems: in the plot's frame, metres, z up; ``ground`` gives the height they stand on (None: z = 0).
+    plot_from_scene: (4, 4) similarity.
+
+    Returns
+    -------
+    (K, P) bool, stems by photos in the order of ``scene.views``. Photos without a depth map see nothing.
+    """
+    s = settings or SightingSettings()
+    seen = np.zeros((len(stems), len(scene.views)), dtype=bool)
+    if not stems:
+        return seen
+    m_per_unit = float(np.cbrt(np.linalg.det(plot_from_scene[:3, :3])))
+    scene_from_plot = np.linalg.inv(plot_from_scene)
+    heights = np.arange(s.heights_m[0], s.heights_m[1] + s.step_m / 2, s.step_m)
+    plans = np.array([stem.center + (heights[:, None] - 1.3) * stem.lean for stem in stems])
+    foot = (
+        np.zeros(plans.shape[:2]) if ground is None else ground.height_at(plans.reshape(-1, 2)).reshape(plans.shape[:2])
+    )
+    axes = np.concatenate([plans, (foot + heights)[..., None]], axis=2)
+    radii = np.array([stem.radius for stem in stems])[:, None]
+    for index in maps.available:
+        camera, found = scene.views[index].camera, maps.get(index)
+        place = plot_from_scene[:3, :3] @ camera.center + plot_from_scene[:3, 3]
+        towards = place[:2] - axes[..., :2]
+        distance = np.linalg.norm(towards, axis=2)
+        front = axes.copy()
+        front[..., :2] += towards * (np.minimum(radii, distance) / np.maximum(distance, 1e-9))[..., None]
+        points = (front @ scene_from_plot[:3, :3].T + scene_from_plot[:3, 3]).reshape(-1, 3)
+        pixels, depth = project(points, camera, found.intrinsic)
+        cell = np.rint(np.where(depth[:, None] > 0, pixels, -1.0)).astype(np.int64)
+        rows, columns = found.inverse_depth.shape
+        inside = (cell >= 0).all(axis=1) & (cell[:, 0] < columns) & (cell[:, 1] < rows)
+        inverse = np.zeros(len(depth))
+        inverse[inside] = found.inverse_depth[cell[inside, 1], cell[inside, 0]]
+        tolerance = (s.tolerance_m + s.of_radius * radii + s.of_distance * distance).ravel() / m_per_unit
+        there = (inverse > 0) & (np.abs(1 / np.where(inverse > 0, inverse, 1.0) - depth) <= tolerance)
+        there |= inside & (depth < s.near * camera.depth_min)
+        seen[:, index] = there.reshape(distance.shape).mean(axis=1) >= s.min_share
+    return seen
