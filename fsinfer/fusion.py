@@ -19,7 +19,7 @@ from fsinfer.cloud import PointCloud
 from fsinfer.consistency import LEVELS, Tolerances, check_pair
 from fsinfer.depth_maps import DepthMap, DepthMaps
 from fsinfer.errors import CloudError
-from fsinfer.memory_plan import plan_fusion
+from fsinfer.memory_plan import FusionPlan, plan_fusion
 from fsinfer.pixel_surfaces import MAX_SLOPE, pixel_normals, smooth_pixels
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene
@@ -108,13 +108,7 @@ def fuse(
     """
     settings = settings or FusionSettings()
     maps = DepthMaps(scene, depth_folder, cache_maps=settings.cache_maps)
-    plan = plan_fusion(
-        settings.memory_gb,
-        map_pixels=maps.get(maps.available[0]).inverse_depth.size,
-        cache_maps=settings.cache_maps,
-        max_points=settings.max_points,
-        batch_points=settings.batch_points,
-    )
+    plan = _plan(maps, settings)
     maps.keep(plan.cache_maps)
     if plan.max_points < settings.max_points:
         _log.warning(
@@ -150,6 +144,21 @@ def fuse(
         rgb=np.clip(np.rint(merged.rgb), 0, 255).astype(np.uint8),
         normals=merged.normals,
         extra={"views": merged.views.astype(np.int32), "confidence": merged.confidence},
+    )
+
+
+def most_points(scene: Scene, depth_folder: Path, *, settings: FusionSettings | None = None) -> int:
+    """Points that a cloud of these depth maps may have within ``settings.memory_gb``; errors as :func:`fuse`."""
+    return _plan(DepthMaps(scene, depth_folder), settings or FusionSettings()).max_points
+
+
+def _plan(maps: DepthMaps, settings: FusionSettings) -> FusionPlan:
+    return plan_fusion(
+        settings.memory_gb,
+        map_pixels=maps.get(maps.available[0]).inverse_depth.size,
+        cache_maps=settings.cache_maps,
+        max_points=settings.max_points,
+        batch_points=settings.batch_points,
     )
 
 

@@ -18,7 +18,7 @@ from fsinfer.depth import DepthSettings, estimate_depth
 from fsinfer.errors import CloudError
 from fsinfer.files import make_folder
 from fsinfer.frames import FrameSettings
-from fsinfer.fusion import FusionSettings, fuse
+from fsinfer.fusion import FusionSettings, fuse, most_points
 from fsinfer.manifest import read_manifest
 from fsinfer.photo_stages import choose_frames, place_photos, source_files, speedless
 from fsinfer.placement import density_per_m2, marker_centers, place_cloud
@@ -174,7 +174,11 @@ def _fuse(job: _Job) -> None:
     job.book.run(
         "fuse",
         work,
-        inputs={"settings": speedless(job.settings.fusion)},
+        # Of the memory only this shows in the cloud.
+        inputs={
+            "settings": speedless(job.settings.fusion),
+            "most_points": most_points(job.scene(), job.out, settings=job.settings.fusion),
+        },
         after=["poses", "depth"],
         outputs=["fused"],
     )

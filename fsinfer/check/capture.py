@@ -73,6 +73,7 @@ class CheckResult:
     stems: every stem with how it was seen, plan coordinates in metres.
     cameras: (P, 2) plan positions of the placed photos, in the order of ``names``.
     compass: how the map is turned.
+    sides: along which no photo was placed.
     map_path: the picture; None where no stem was found.
     seconds: by step.
     """
@@ -85,6 +86,7 @@ class CheckResult:
     cameras: Floats
     names: tuple[str, ...]
     compass: Compass
+    sides: tuple[OpenSide, ...]
     map_path: Path | None
     seconds: dict[str, float]
 
@@ -220,6 +222,7 @@ def judge_survey(
         cameras=cameras,
         names=names,
         compass=compass,
+        sides=tuple(sides),
         map_path=None,
         seconds={},
     )

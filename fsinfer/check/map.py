@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.check.coverage import StemCoverage
-from fsinfer.check.open_sides import open_sides
 from fsinfer.files import atomic_path
 
 if TYPE_CHECKING:
@@ -38,7 +37,7 @@ def draw_map(result: CheckResult, path: Path) -> None:
     axes = figure.add_subplot()
     axes.plot(*cameras.T, "-", color=_PATH, linewidth=1, zorder=1)
     axes.plot(*cameras.T, ".", color=_PATH, markersize=4, zorder=1, label="photos, in order")
-    for side in open_sides(cameras):
+    for side in result.sides:
         axes.plot(*cameras[list(side.photos)].T, ":", color=_MISSING, linewidth=2, zorder=1)
     _name_photos(axes, cameras, result.names)
     for entry in result.stems:

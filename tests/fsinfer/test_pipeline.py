@@ -25,6 +25,7 @@ from fsinfer.cloud import read_cloud
 from fsinfer.depth import DepthResult, DepthSettings
 from fsinfer.errors import CloudError, InputError
 from fsinfer.files import make_folder, write_text
+from fsinfer.fusion import FusionSettings
 from fsinfer.images import list_images, write_image
 from fsinfer.pipeline import RunSettings, run
 from fsinfer.poses import PosesResult
@@ -194,6 +195,18 @@ def test_threads_change_nothing(fakes: Fakes, photos: Path, tmp_path: Path) -> N
     run(photos, tmp_path / "out", settings=METRIC)
     again = run(photos, tmp_path / "out", settings=replace(METRIC, depth=DepthSettings(threads=7)))
     assert not {"frames", "poses", "depth", "fuse", "cloud", "trees"} & {*ran(again)}
+
+
+def test_memory_repeats_the_fusion_only_where_it_makes_the_cloud_coarser(
+    fakes: Fakes, photos: Path, tmp_path: Path
+) -> None:
+    def fused(memory_gb: float) -> int:
+        settings = replace(METRIC, fusion=FusionSettings(memory_gb=memory_gb), depth=DepthSettings(memory_gb=memory_gb))
+        run(photos, tmp_path / "out", settings=settings)
+        return fakes.calls["fuse"]
+
+    assert [fused(3.0), fused(8.0), fused(0.5), fused(3.0)] == [1, 1, 2, 3]
+    assert fakes.calls["depth"] == 1
 
 
 def test_other_depth_settings_repeat_depth_and_what_follows(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
