@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
+from statistics import median
 
 Pair = tuple[int, int]
 
@@ -24,6 +25,8 @@ class PairSettings:
     rounds, pairs_per_round: beside pairs that did match, others are tried: so many rounds, so many pairs a photo each.
     reach: at most so many photos beside, on both sides.
     min_inliers: matches of a pair that make others beside it worth trying.
+    order_ratio, order_share: few photos are in the order of walking if, of those that follow each other, this share
+        match, and their median is so many times that of photos farther apart.
 
     Notes
     -----
@@ -40,6 +43,8 @@ class PairSettings:
     pairs_per_round: float = 3.0
     reach: int = 3
     min_inliers: int = 15
+    order_ratio: float = 3.0
+    order_share: float = 0.8
 
 
 def first_pairs(count: int, settings: PairSettings) -> list[Pair]:
@@ -65,6 +70,27 @@ def most_pairs(count: int, settings: PairSettings) -> int:
 
 def _budget(count: int, settings: PairSettings) -> int:
     return math.ceil(settings.pairs_per_round * count)
+
+
+def in_walking_order(inliers: Mapping[Pair, int], count: int, settings: PairSettings) -> bool:
+    """Whether photos that follow each other by name were taken one after the other.
+
+    More than ``exhaustive_up_to`` are taken to be; fewer are judged by what they share.
+
+    Parameters
+    ----------
+    inliers: of the pairs that matched, the matches that passed the geometric check.
+    """
+    if count > settings.exhaustive_up_to:
+        return True
+    following = [inliers.get((first, first + 1), 0) for first in range(count - 1)]
+    apart = [inliers.get(pair, 0) for pair in combinations(range(count), 2) if pair[1] - pair[0] > settings.overlap]
+    if not apart:
+        return False
+    matching = sum(found >= settings.min_inliers for found in following)
+    return matching >= settings.order_share * len(following) and median(following) >= settings.order_ratio * max(
+        1.0, median(apart)
+    )
 
 
 def pairs_beside(inliers: Mapping[Pair, int], count: int, settings: PairSettings) -> list[Pair]:

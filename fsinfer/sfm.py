@@ -202,14 +202,14 @@ def match_features(database: Path, names: Sequence[str], settings: PoseSettings,
     tried = pairs
     for _ in range(rounds):
         # Only what was matched before this round decides, so that a run that was killed in it goes on to the same end.
-        found = _inliers(database, names)
+        found = inliers_by_rank(database, names)
         pairs = pairs_beside({pair: found.get(pair, 0) for pair in tried}, count, settings.pairs)
         _match(database, names, pairs, settings, progress, len(tried), total)
         tried = tried + pairs
     progress(total, total, "matching photos")
 
 
-def _inliers(database: Path, names: Sequence[str]) -> dict[tuple[int, int], int]:
+def inliers_by_rank(database: Path, names: Sequence[str]) -> dict[tuple[int, int], int]:
     """Matches of each pair of photos, by their ranks, that passed the geometric check."""
     import pycolmap
 

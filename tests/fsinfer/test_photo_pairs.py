@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fsinfer.photo_pairs import PairSettings, first_pairs, most_pairs, pairs_beside
+from fsinfer.photo_pairs import PairSettings, first_pairs, in_walking_order, most_pairs, pairs_beside
 
 
 def test_few_photos_are_all_matched() -> None:
@@ -76,3 +78,19 @@ def test_a_loop_is_found_all_along_from_a_few_hits_of_the_net() -> None:
     after = sum(value > 0 for (i, j), value in known.items() if j - i > 8)
     assert after > 10 * before
     assert len(known) <= most_pairs(count, settings)
+
+
+def test_few_photos_are_in_the_order_of_walking_or_not() -> None:
+    rng = np.random.default_rng(0)
+    count, settings = 30, PairSettings()
+    # A walk: what two photos share falls off with the steps between them, and one step is blurred.
+    walk = {(i, j): int(600 / (j - i) ** 2) for i, j in combinations(range(count), 2)} | {(7, 8): 3}
+    assert in_walking_order(walk, count, settings)
+    shuffled = rng.permutation(count)
+    mixed = {tuple(sorted((int(shuffled[i]), int(shuffled[j])))): found for (i, j), found in walk.items()}
+    assert not in_walking_order(mixed, count, settings)
+    # All photos look at one trunk: names tell nothing that the matches would not.
+    assert not in_walking_order(dict.fromkeys(combinations(range(count), 2), 200), count, settings)
+    assert not in_walking_order({(0, 1): 500, (1, 2): 500}, 3, settings)
+    # Too many to match all: only their order says which.
+    assert in_walking_order({}, settings.exhaustive_up_to + 1, settings)
