@@ -30,6 +30,7 @@ from fsinfer.check.capture import judge_survey
 from fsinfer.check.coverage import CoverageSettings, widest_gap
 from fsinfer.check.glance import read_glance, take_glance
 from fsinfer.check.survey import survey_scene
+from fsinfer.cli_console import stage_progress
 from fsinfer.depth_maps import DepthMaps
 from fsinfer.pfm import read_pfm, write_pfm
 from fsinfer.scale import Scale
@@ -270,7 +271,8 @@ def check_photos(args: argparse.Namespace, truth: Truth) -> int:
             shutil.copy(args.plot / "images" / f"{name}.jpg", folder)
     print(f"{int(gone.sum())} of {len(gone)} photos left out", flush=True)
     start = time.monotonic()
-    result = check_capture(folder, args.out)
+    with stage_progress(quiet=False) as progress:
+        result = check_capture(folder, args.out, progress=progress)
     print(f"{time.monotonic() - start:.0f} s", result.seconds, *result.notes, *result.lines, sep="\n  ")
     placed = np.isin(truth.names, result.names)
     for label, part in zip(OUTCOMES, compare(result, truth, placed, {}), strict=True):
