@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from fsinfer.check.visible_stems import VisibleStem
-from fsinfer.depth_maps import DepthMaps
-from fsinfer.scene import Scene, project
+from fsinfer.depth_maps import DepthMap, DepthMaps
+from fsinfer.scene import Camera, Scene, project
 from fsinfer.trees.ground import Ground
 
 Floats = NDArray[np.float64]
@@ -28,6 +29,8 @@ class SightingSettings:
     min_share: of the places. A photo from nearby shows only some of them.
     near: what is nearer than so many times the nearest depth that was searched has none, and counts as seen: a photo
         taken an arm's length from a stem.
+    together_m: a photo counts where another one, not farther off than this, sees the stem too: one alone may be
+        mistaken, and gives no depth.
     """
 
     heights_m: tuple[float, float] = (0.5, 2.4)
@@ -37,6 +40,7 @@ class SightingSettings:
     of_distance: float = 0.02
     min_share: float = 0.2
     near: float = 1.25
+    together_m: float = 1.5
 
 
 def find_sightings(
@@ -63,6 +67,7 @@ def find_sightings(
     seen = np.zeros((len(stems), len(scene.views)), dtype=bool)
     if not stems:
         return seen
+
     m_per_unit = float(np.cbrt(np.linalg.det(plot_from_scene[:3, :3])))
     scene_from_plot = np.linalg.inv(plot_from_scene)
     heights = np.arange(s.heights_m[0], s.heights_m[1] + s.step_m / 2, s.step_m)
@@ -70,24 +75,41 @@ def find_sightings(
     foot = (
         np.zeros(plans.shape[:2]) if ground is None else ground.height_at(plans.reshape(-1, 2)).reshape(plans.shape[:2])
     )
+    places = np.array([plot_from_scene[:3, :3] @ v.camera.center + plot_from_scene[:3, 3] for v in scene.views])
     axes = np.concatenate([plans, (foot + heights)[..., None]], axis=2)
     radii = np.array([stem.radius for stem in stems])[:, None]
     for index in maps.available:
         camera, found = scene.views[index].camera, maps.get(index)
-        place = plot_from_scene[:3, :3] @ camera.center + plot_from_scene[:3, 3]
-        towards = place[:2] - axes[..., :2]
+        towards = places[index, :2] - axes[..., :2]
         distance = np.linalg.norm(towards, axis=2)
         front = axes.copy()
         front[..., :2] += towards * (np.minimum(radii, distance) / np.maximum(distance, 1e-9))[..., None]
         points = (front @ scene_from_plot[:3, :3].T + scene_from_plot[:3, 3]).reshape(-1, 3)
-        pixels, depth = project(points, camera, found.intrinsic)
-        cell = np.rint(np.where(depth[:, None] > 0, pixels, -1.0)).astype(np.int64)
-        rows, columns = found.inverse_depth.shape
-        inside = (cell >= 0).all(axis=1) & (cell[:, 0] < columns) & (cell[:, 1] < rows)
-        inverse = np.zeros(len(depth))
-        inverse[inside] = found.inverse_depth[cell[inside, 1], cell[inside, 0]]
         tolerance = (s.tolerance_m + s.of_radius * radii + s.of_distance * distance).ravel() / m_per_unit
-        there = (inverse > 0) & (np.abs(1 / np.where(inverse > 0, inverse, 1.0) - depth) <= tolerance)
-        there |= inside & (depth < s.near * camera.depth_min)
+        there = _shown(points, tolerance, camera, found, s.near * camera.depth_min)
         seen[:, index] = there.reshape(distance.shape).mean(axis=1) >= s.min_share
-    return seen
+    return seen & _accompanied(seen, places, s.together_m)
+
+
+def _shown(points: Floats, tolerance: Floats, camera: Camera, found: DepthMap, near: float) -> NDArray[np.bool_]:
+    """Whether the depth map has a surface at the points (N, 3), within their tolerance (N,) of z depth, scene units.
+
+    Points in the picture that are nearer than ``near`` are shown as well.
+    """
+    pixels, depth = project(points, camera, found.intrinsic)
+    cell = np.rint(np.where(depth[:, None] > 0, pixels, -1.0)).astype(np.int64)
+    rows, columns = found.inverse_depth.shape
+    inside = (cell >= 0).all(axis=1) & (cell[:, 0] < columns) & (cell[:, 1] < rows)
+    inverse = np.zeros(len(depth))
+    inverse[inside] = found.inverse_depth[cell[inside, 1], cell[inside, 0]]
+    agrees = (inverse > 0) & (np.abs(1 / np.where(inverse > 0, inverse, 1.0) - depth) <= tolerance)
+    return np.asarray(agrees | (inside & (depth < near)))
+
+
+def _accompanied(seen: NDArray[np.bool_], places: Floats, within_m: float) -> NDArray[np.bool_]:
+    """Whether another photo within reach sees the stem, (K, P); ``places`` (P, 3)."""
+    pairs = cKDTree(places).query_pairs(within_m, output_type="ndarray")
+    others = np.zeros(seen.shape, dtype=bool)
+    for one, other in (pairs.T, pairs.T[::-1]):
+        np.logical_or.at(others.T, one, seen.T[other])
+    return others

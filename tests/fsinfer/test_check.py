@@ -18,6 +18,7 @@ from fsinfer.check import CheckResult, CheckSettings, check_capture
 from fsinfer.check.capture import judge_survey
 from fsinfer.check.glance import read_glance
 from fsinfer.check.map import draw_map
+from fsinfer.check.sightings import SightingSettings
 from fsinfer.check.sparse_stems import SparseStemSettings, find_sparse_stems
 from fsinfer.check.survey import Survey, SurveySettings, survey_scene
 from fsinfer.errors import InputError
@@ -134,6 +135,16 @@ def test_a_photo_an_arms_length_away_sees_the_stem(plot: Plot) -> None:
     # The same maps, but searched from beyond the stem on: it is nearer than any depth could be.
     far = [replace(view, camera=replace(view.camera, depth_min=30.0)) for view in scene.views]
     assert check((replace(scene, views=tuple(far)), sparse), METRIC).lines == ()
+
+
+def test_one_photo_alone_does_not_see(plot: Plot) -> None:
+    scene, sparse = plot({1: 40.0})
+    # All photos an arm's length away, but none within half a metre of another.
+    far = [replace(view, camera=replace(view.camera, depth_min=30.0)) for view in scene.views]
+    settings = SurveySettings(sightings=SightingSettings(together_m=0.5))
+    alone = survey((replace(scene, views=tuple(far)), sparse), METRIC, settings)
+    assert len(alone.stems) >= len(STEMS)
+    assert not alone.seen.any()
 
 
 def test_trees_beyond_the_open_side_of_a_walk_that_stopped_early_are_named(plot: Plot) -> None:
