@@ -38,7 +38,7 @@ from fsinfer.stages import RECORDS_FOLDER, StageBook
 
 Floats = NDArray[np.float64]
 
-# A board's middle lies so near to its post.
+# A board's middle lies so near to the wall of its post, which a few points put a little off.
 _POST_M = 0.35
 
 
@@ -179,7 +179,7 @@ def judge_survey(
     kept = [
         row
         for row, stem in enumerate(survey.stems)
-        if all(np.linalg.norm(stem.center - place) > _POST_M for place in at_boards)
+        if all(np.linalg.norm(stem.center - place) - stem.radius > _POST_M for place in at_boards)
     ]
     stems = [survey.stems[row] for row in kept]
     # A straight walk has no inside: everything beside it can be walked round as well.
