@@ -25,9 +25,9 @@ AGREEING_SHARE, MAX_ERROR_PX = 0.6, 3.0
 #: Neighbours in a walk look at the same trees, while look-alikes stand apart. With 1 the 20 wrong photos of a rendered
 #: plot of 300 had 0.51 of their matches for them and the same photos rightly placed 0.49; with 6 it was 0.29 and 0.66.
 NEIGHBOUR_WEIGHT = 6.0
-#: Those next to each other cannot stand metres apart, whatever looks alike. Of 20 of the first 100 of these photos, at the
-#: end of the walk, 0.52 were for the right places without this; with 24 for all neighbours two of the demo's 36 photos,
-#: rightly placed, were outvoted by look-alikes six photos away.
+#: Those next to each other cannot stand metres apart, whatever looks alike. Of 20 of the first 100 of these photos, at
+#: the end of the walk, 0.52 were for the right places without this; with 24 for all neighbours two of the demo's 36
+#: photos, rightly placed, were outvoted by look-alikes six photos away.
 CLOSE_WEIGHT, _CLOSE = 24.0, 3
 _MIN_INLIERS = 15
 
@@ -90,8 +90,8 @@ def contradicted(
     contradicted photo; then votes are counted again without them, until no more are found. A photo without any vote
     is left alone. ``stretches`` are looked at ``before`` the parts of the tree, ``after`` them, or ``never``.
 
-    Matches between photos that follow each other within ``neighbours`` count more, see ``NEIGHBOUR_WEIGHT`` and ``CLOSE_WEIGHT``; 0 where
-    photos are in no order.
+    Matches between photos that follow each other within ``neighbours`` count more, see ``NEIGHBOUR_WEIGHT`` and
+    ``CLOSE_WEIGHT``; 0 where photos are in no order.
 
     A wrong part may take right photos with it: ``lenient`` lets those come back who agree with the photos that are
     left. Photos that false matches tie to them come back as well.
