@@ -33,22 +33,21 @@ def _pairs_per_photo(photos: int) -> float:
     return most_pairs(photos, PairSettings()) / photos
 
 
-#: For each photo of 1280x720, in any unit: only their proportions matter. Medians of the runs in test_remaining.py,
-#: with depth as it has been since it was made faster.
+#: For each photo of 1280x720, in any unit: only their proportions matter. From the runs in test_remaining.py.
 STEPS = (
     Step(stage="frames", what="", cost=_each(0.02)),
-    Step(stage="poses", what="reading photos", cost=_each(0.02)),
-    Step(stage="poses", what="finding features", cost=_each(0.5)),
-    Step(stage="poses", what="matching photos", cost=lambda photos: 0.06 * _pairs_per_photo(photos)),
-    Step(stage="poses", what="placing photos", cost=_each(0.25)),
-    Step(stage="poses", what="adjusting", cost=_each(0.09)),
-    Step(stage="poses", what="undistorting", cost=_each(0.04)),
-    Step(stage="depth", what="", cost=_each(0.65)),
-    Step(stage="fuse", what="", cost=_each(0.085)),
-    Step(stage="scale", what="", cost=_each(0.02)),
-    Step(stage="cloud", what="", cost=_each(0.015)),
-    Step(stage="trees", what="", cost=_each(0.045)),
-    Step(stage="report", what="", cost=_each(0.015)),
+    Step(stage="poses", what="reading photos", cost=_each(0.01)),
+    Step(stage="poses", what="finding features", cost=_each(0.14)),
+    Step(stage="poses", what="matching photos", cost=lambda photos: 0.035 * _pairs_per_photo(photos)),
+    Step(stage="poses", what="placing photos", cost=_each(0.28)),
+    Step(stage="poses", what="adjusting", cost=_each(0.25)),
+    Step(stage="poses", what="undistorting", cost=_each(0.05)),
+    Step(stage="depth", what="", cost=_each(1.55)),
+    Step(stage="fuse", what="", cost=_each(0.24)),
+    Step(stage="scale", what="", cost=_each(0.035)),
+    Step(stage="cloud", what="", cost=_each(0.02)),
+    Step(stage="trees", what="", cost=_each(0.11)),
+    Step(stage="report", what="", cost=_each(0.035)),
 )
 # Before this share of the cost is done an estimate would be a guess.
 _LEAST_SHARE = 0.02
