@@ -26,6 +26,16 @@ def _each(cost: float) -> Callable[[int], float]:
     return lambda _photos: cost
 
 
+def _growing(cost: float) -> Callable[[int], float]:
+    """Cost among 300 photos; where there are more, each takes a little longer."""
+    return lambda photos: cost * (photos / 300) ** 0.4
+
+
+def _besides(once: float, cost: float) -> Callable[[int], float]:
+    """Cost of each photo besides what is paid once: trees are no more for more photos."""
+    return lambda photos: cost + once / photos
+
+
 @lru_cache
 def _pairs_per_photo(photos: int) -> float:
     from fsinfer.photo_pairs import PairSettings, most_pairs
@@ -39,15 +49,15 @@ STEPS = (
     Step(stage="poses", what="reading photos", cost=_each(0.01)),
     Step(stage="poses", what="finding features", cost=_each(0.14)),
     Step(stage="poses", what="matching photos", cost=lambda photos: 0.035 * _pairs_per_photo(photos)),
-    Step(stage="poses", what="placing photos", cost=_each(0.28)),
-    Step(stage="poses", what="adjusting", cost=_each(0.25)),
+    Step(stage="poses", what="placing photos", cost=_growing(0.28)),
+    Step(stage="poses", what="adjusting", cost=_growing(0.25)),
     Step(stage="poses", what="undistorting", cost=_each(0.05)),
     Step(stage="depth", what="", cost=_each(1.55)),
     Step(stage="fuse", what="", cost=_each(0.24)),
     Step(stage="scale", what="", cost=_each(0.035)),
-    Step(stage="cloud", what="", cost=_each(0.02)),
-    Step(stage="trees", what="", cost=_each(0.11)),
-    Step(stage="report", what="", cost=_each(0.035)),
+    Step(stage="cloud", what="", cost=_besides(3.5, 0.01)),
+    Step(stage="trees", what="", cost=_besides(8.5, 0.07)),
+    Step(stage="report", what="", cost=_besides(4.3, 0.015)),
 )
 # Before this share of the cost is done an estimate would be a guess.
 _LEAST_SHARE = 0.02
