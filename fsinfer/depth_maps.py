@@ -64,6 +64,22 @@ class DepthMap:
         return np.asarray(-self.cam_from_world[:3, :3].T @ self.cam_from_world[:3, 3])
 
 
+def look_up(
+    points: NDArray[np.float64], camera: Camera, depth_map: DepthMap
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Z depth of points (N, 3), the inverse depth that the map has there, and whether they lie in the picture.
+
+    Each is (N,). The inverse depth is 0 outside of the picture and where the map knows none.
+    """
+    pixels, depth = project(points, camera, depth_map.intrinsic)
+    cell = np.rint(np.where(depth[:, None] > 0, pixels, -1.0)).astype(np.int64)
+    rows, columns = depth_map.inverse_depth.shape
+    inside = (cell >= 0).all(axis=1) & (cell[:, 0] < columns) & (cell[:, 1] < rows)
+    inverse = np.zeros(len(depth))
+    inverse[inside] = depth_map.inverse_depth[cell[inside, 1], cell[inside, 0]]
+    return depth, inverse, inside
+
+
 def seen_and_hidden(
     points: NDArray[np.float64],
     tolerance: NDArray[np.float64],
@@ -77,12 +93,7 @@ def seen_and_hidden(
     ``tolerance`` (N,) is how far map and point may differ in z depth. Points, tolerance and the camera's pose are in
     one unit; ``units_per_scene_unit`` of it make one of the depth map's. Points outside of the picture are neither.
     """
-    pixels, depth = project(points, camera, depth_map.intrinsic)
-    cell = np.rint(np.where(depth[:, None] > 0, pixels, -1.0)).astype(np.int64)
-    rows, columns = depth_map.inverse_depth.shape
-    inside = (cell >= 0).all(axis=1) & (cell[:, 0] < columns) & (cell[:, 1] < rows)
-    inverse = np.zeros(len(depth))
-    inverse[inside] = depth_map.inverse_depth[cell[inside, 1], cell[inside, 0]]
+    depth, inverse, _ = look_up(points, camera, depth_map)
     known = inverse > 0
     found = np.divide(units_per_scene_unit, inverse, out=np.zeros_like(inverse), where=known)
     seen = known & (np.abs(found - depth) <= tolerance)

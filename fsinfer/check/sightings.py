@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fsinfer.check.visible_stems import VisibleStem
-from fsinfer.depth_maps import DepthMap, DepthMaps
-from fsinfer.scene import Camera, Scene, project
+from fsinfer.depth_maps import DepthMap, DepthMaps, look_up
+from fsinfer.scene import Camera, Scene
 from fsinfer.trees.ground import Ground
 
 Floats = NDArray[np.float64]
@@ -96,12 +96,7 @@ def _shown(points: Floats, tolerance: Floats, camera: Camera, found: DepthMap, n
 
     Points in the picture that are nearer than ``near`` are shown as well.
     """
-    pixels, depth = project(points, camera, found.intrinsic)
-    cell = np.rint(np.where(depth[:, None] > 0, pixels, -1.0)).astype(np.int64)
-    rows, columns = found.inverse_depth.shape
-    inside = (cell >= 0).all(axis=1) & (cell[:, 0] < columns) & (cell[:, 1] < rows)
-    inverse = np.zeros(len(depth))
-    inverse[inside] = found.inverse_depth[cell[inside, 1], cell[inside, 0]]
+    depth, inverse, inside = look_up(points, camera, found)
     agrees = (inverse > 0) & (np.abs(1 / np.where(inverse > 0, inverse, 1.0) - depth) <= tolerance)
     return np.asarray(agrees | (inside & (depth < near)))
 
