@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+import typer.core
 
 from fsinfer import __version__
 from fsinfer.cli_console import Debug, Quiet, explain, reports_errors, say, show_library_warnings, stage_progress, warn
@@ -38,10 +39,40 @@ from fsinfer.cli_options import (
     tree_settings,
 )
 from fsinfer.cli_stages import register_stages
-from fsinfer.cli_tables import demo_rows
+from fsinfer.cli_tables import demo_rows, unmeasured_rows
+
+EXAMPLES = {
+    "run": "photos my-plot",
+    "check": "photos my-plot",
+    "demo": "demo-plot",
+    "frames": "walk.mp4 my-frames",
+    "poses": "photos my-scene",
+    "depth": "my-scene my-depth",
+    "fuse": "my-scene my-depth",
+    "trees": "plot.laz my-trees",
+    "evaluate": "measured.csv my-plot/trees.csv",
+    "report": "my-plot",
+}
+
+
+class _Commands(typer.core.TyperGroup):
+    """Shows an example where an argument is missing."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command that was named."""
+        try:
+            return super().invoke(ctx)
+        except typer.BadParameter as error:
+            command = ctx.invoked_subcommand or ""
+            # The class of a missing parameter is one that typer does not show.
+            if type(error).__name__ == "MissingParameter" and command in EXAMPLES:
+                error.message = f"For example: fsinfer {command} {EXAMPLES[command]}"
+            raise
+
 
 app = typer.Typer(
     name="fsinfer",
+    cls=_Commands,
     help="Forest plots from photographs: point cloud, stem map and DBH with intervals. Offline, on a laptop.",
     no_args_is_help=True,
     add_completion=False,
@@ -75,6 +106,7 @@ def demo(out: Out, threads: Threads = 0, quiet: Quiet = False, debug: Debug = Fa
         result = run_demo(out, threads=threads, progress=progress)
     for row in demo_rows(result):
         typer.echo(row)
+    typer.echo("")
     warn(result.run.plot["warnings"])
     typer.echo(f"Report: {out / 'report.html'}")
 
@@ -115,6 +147,7 @@ def run(
     from fsinfer.pipeline import run as run_pipeline
     from fsinfer.remaining import RemainingTime
     from fsinfer.sfm import PoseSettings
+    from fsinfer.trees.table import read_trees
 
     settings = RunSettings(
         frames=frame_settings(interval_s=interval_s, equalize=equalize),
@@ -141,6 +174,9 @@ def run(
     typer.echo(f"Photos: {plot['registered']} of {plot['photos']} placed")
     typer.echo(f"Cloud: {plot['points']} points in {plot['units']}, {out / 'cloud.ply'}")
     typer.echo(f"Trees: {plot['trees']}, with DBH {plot['trees_with_dbh']}, {out / 'trees.csv'}")
+    if plot["units"] == "m":
+        for row in unmeasured_rows(read_trees(out / "trees.csv")):
+            typer.echo(row)
     typer.echo(f"Report: {out / 'report.html'}")
 
 

@@ -28,6 +28,9 @@ Debug = Annotated[bool, typer.Option("--debug", help="Show the full technical tr
 # Errors of the operating system that the user can do something about.
 _USER_ERRNOS = frozenset({errno.ENOSPC, errno.EACCES, errno.EPERM, errno.EROFS, errno.EDQUOT})
 
+# Stage, counts, time, step, what is left in all: "poses     300/300 0:07:12 matching photos, about 12 min left in all".
+_WIDTH_OF_WORDS = 76
+
 P = ParamSpec("P")
 
 
@@ -112,16 +115,18 @@ def stage_progress(*, quiet: bool, whole: RemainingTime | None = None) -> Iterat
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
         from rich.progress import Progress as Bars
 
+        console = Console(stderr=True)
+        # What is left of the width after the numbers and the words, which matter more.
+        bar = min(max(console.width - _WIDTH_OF_WORDS, 4), 40)
         columns = (
             TextColumn("{task.fields[stage]:<7}"),
-            BarColumn(),
+            BarColumn(bar_width=bar),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
+            *((TextColumn("left"), TimeRemainingColumn()) if whole is None else ()),
             TextColumn("{task.description}"),
         )
-        with Bars(*columns, console=Console(stderr=True)) as bars:
+        with Bars(*columns, console=console) as bars:
             yield lambda stage: _bar(stage, bars.add_task("", stage=stage, total=None), bars.update, whole)
     else:
         yield lambda stage: _lines(stage, whole)

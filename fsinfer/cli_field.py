@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from fsinfer.cli_console import Debug, Quiet, reports_errors, stage_progress
-from fsinfer.cli_options import ArucoDictionary, ArucoLength, IntervalS, Out, scale_request
+from fsinfer.cli_options import ArucoDictionary, ArucoLength, IntervalS, Out, decimal, scale_request
 
 
 class Paper(StrEnum):
@@ -34,6 +34,7 @@ def marker(
         float | None,
         typer.Option(
             "--length-m",
+            parser=decimal,
             help="Side of the black square in metres. Default: 0.15, on A3 0.25.",
             show_default=False,
         ),

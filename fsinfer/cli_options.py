@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,6 +17,18 @@ if TYPE_CHECKING:
     from fsinfer.trees import TreeSettings
 
 _SCALE = "Scale (one of)"
+
+
+def decimal(text: str) -> float:
+    """Read a number; raises ``typer.BadParameter``, which tells who writes it with a comma how."""
+    try:
+        return float(text)
+    except ValueError:
+        comma = re.fullmatch(r"\s*[+-]?\d+,\d+\s*", text)
+        hint = f"write a point, not a comma: {text.strip().replace(',', '.')}" if comma else "it is no number"
+        msg = f"{text!r}: {hint}"
+        raise typer.BadParameter(msg) from None
+
 
 Out = Annotated[Path, typer.Argument(help="Output folder; made if missing.", show_default=False)]
 Threads = Annotated[int, typer.Option("--jobs", "-j", "--threads", min=0, help="Processor cores to use; 0 = all.")]
@@ -42,12 +55,14 @@ PrecisionHow = Annotated[
 ]
 
 ScaleFactor = Annotated[
-    float | None, typer.Option("--scale", help="Metres per unit of the cloud.", rich_help_panel=_SCALE)
+    float | None,
+    typer.Option("--scale", parser=decimal, help="Metres per unit of the cloud.", rich_help_panel=_SCALE),
 ]
 ArucoLength = Annotated[
     float | None,
     typer.Option(
         "--aruco-length-m",
+        parser=decimal,
         help="Side of the black square of the ArUco markers in the photos, in metres, for example 0.25.",
         rich_help_panel=_SCALE,
     ),
@@ -67,7 +82,12 @@ Endpoints = Annotated[
 ]
 EndpointsLength = Annotated[
     float | None,
-    typer.Option("--length-m", help="Distance between the two --endpoints, in metres.", rich_help_panel=_SCALE),
+    typer.Option(
+        "--length-m",
+        parser=decimal,
+        help="Distance between the two --endpoints, in metres.",
+        rich_help_panel=_SCALE,
+    ),
 ]
 
 

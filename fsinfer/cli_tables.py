@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from fsinfer.demo import DemoResult
     from fsinfer.evaluation import Evaluation
+    from fsinfer.trees import Tree
+
+# Of more trees than this without a DBH, the table tells the rest.
+_MOST_REASONS = 8
 
 
 def evaluation_rows(evaluation: Evaluation) -> list[str]:
@@ -36,11 +41,19 @@ def evaluation_rows(evaluation: Evaluation) -> list[str]:
     ]
 
 
+def unmeasured_rows(trees: Sequence[Tree]) -> list[str]:
+    """Why trees have no DBH, one a line; the first of them where there are many."""
+    missing = [tree for tree in trees if tree.dbh_cm is None]
+    rows = [f"  tree {tree.tree_id} has no DBH: {tree.reason}" for tree in missing[:_MOST_REASONS]]
+    more = len(missing) - len(rows)
+    return [*rows, f"  and {more} more: see the column reason of trees.csv"] if more else rows
+
+
 def demo_rows(result: DemoResult) -> list[str]:
-    """Each tree of the truth with what was measured of it, then the metrics."""
+    """Each tree of the truth with what was measured of it, then the metrics; the numbers are those of the truth."""
     extracted = {str(tree.tree_id): tree for tree in result.trees}
     pairs = {pair.measured_id: pair for pair in result.evaluation.pairs}
-    rows = ["Tree   Truth     Measured DBH [95 % interval]     Error"]
+    rows = ["Tree   Truth     Measured DBH [95 % interval]     Error   In the report"]
     for truth in result.truth:
         pair = pairs.get(truth.tree_id)
         start = f"{truth.tree_id:>4}  {truth.dbh_cm:5.1f} cm  "
@@ -52,5 +65,12 @@ def demo_rows(result: DemoResult) -> list[str]:
             rows.append(start + f"found, not measured: {tree.reason}")
             continue
         interval = f"[{tree.dbh_lo95_cm:.1f} - {tree.dbh_hi95_cm:.1f}]"
-        rows.append(start + f"{tree.dbh_cm:5.1f} cm  {interval:<22} {tree.dbh_cm - pair.measured_cm:+6.1f} cm")
-    return [*rows, "", *evaluation_rows(result.evaluation)]
+        error = f"{tree.dbh_cm - pair.measured_cm:+6.1f} cm"
+        rows.append(start + f"{tree.dbh_cm:5.1f} cm  {interval:<22} {error}   tree {tree.tree_id}")
+    rows += ["", *evaluation_rows(result.evaluation)]
+    if result.evaluation.outside:
+        rows.append(
+            f"The report shows {len(result.trees)} trees: {result.evaluation.outside} stand outside the plot, where "
+            "the photos see them too and nobody measured them."
+        )
+    return rows

@@ -100,7 +100,10 @@ def level(
     ground = ground_plane(upright, cameras, settings=settings)
     if ground is None:
         height = float(np.percentile(upright[:, 2], 5))
-        _log.warning("no ground plane found; the lowest points stand for the ground")
+        _log.warning(
+            "no ground plane found: the lowest points stand for the ground, and breast height may be off; photograph "
+            "the ground between the trees as well"
+        )
     else:
         height = float(ground[0] * center[0] + ground[1] * center[1] + ground[2])
     _log.info("up from %s, cameras %.3g above the ground", method, float(np.median(cameras[:, 2])) - height)

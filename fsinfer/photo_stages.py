@@ -32,10 +32,14 @@ def source_files(source: Path, out: Path) -> list[Path]:
     Raises
     ------
     InputError
-        It does not exist, or lies in a folder of ``out`` that the stages would empty.
+        It does not exist, is ``out`` itself, or lies in a folder of ``out`` that the stages would empty.
     """
     if not source.exists():
         msg = f"{source} does not exist; give a folder of photos or a video file"
+        raise InputError(msg)
+    if source.resolve() == out.resolve():
+        beside = f"{out.resolve().name}-plot"
+        msg = f"the results would be written among the photos in {source}; give a folder of their own, like {beside}"
         raise InputError(msg)
     inside = [name for name in STAGE_FOLDERS if source.resolve().is_relative_to((out / name).resolve())]
     if inside:
@@ -68,12 +72,17 @@ def choose_frames(
     book.run("frames", work, inputs={"source": digests, "settings": speedless(settings)}, outputs=["frames"])
 
 
-def place_photos(book: StageBook, *, settings: PoseSettings, progress: StageProgress = silent_stages) -> None:
-    """Stage ``poses``, after ``frames``: where each photo was taken into ``OUT/scene``, unless that was done before."""
+def place_photos(
+    book: StageBook, source: Path, *, settings: PoseSettings, progress: StageProgress = silent_stages
+) -> None:
+    """Stage ``poses``, after ``frames``: where each photo was taken into ``OUT/scene``, unless that was done before.
+
+    ``source`` is what messages call the photos.
+    """
     images, folder = book.out / "frames" / "images", book.out / "scene"
 
     def work() -> Mapping[str, Any]:
-        result = estimate_poses(images, folder, settings=settings, progress=progress("poses"))
+        result = estimate_poses(images, folder, settings=settings, origin=source, progress=progress("poses"))
         names = {path.stem for path in list_images(images)}
         left_out = sorted(names - {view.name for view in read_scene(folder).views})
         return {

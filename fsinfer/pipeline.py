@@ -15,16 +15,17 @@ import numpy as np
 
 from fsinfer.cloud import read_cloud, write_cloud
 from fsinfer.depth import DepthSettings, estimate_depth
-from fsinfer.errors import CloudError
+from fsinfer.errors import CloudError, InputError
 from fsinfer.files import make_folder
 from fsinfer.frames import FrameSettings
 from fsinfer.fusion import FusionSettings, fuse, most_points
 from fsinfer.manifest import read_manifest
 from fsinfer.photo_stages import choose_frames, place_photos, source_files, speedless
 from fsinfer.placement import density_per_m2, marker_centers, place_cloud
-from fsinfer.plot_summary import package_versions, summarize, write_plot
+from fsinfer.plot_summary import package_versions, read_plot, summarize, write_plot
 from fsinfer.precision import INT8, choose_precision
 from fsinfer.progress import StageProgress, silent_stages
+from fsinfer.scale_doubt import doubt_endpoints, doubt_height, unknown_error
 from fsinfer.scale_request import ScaleRequest, find_scale
 from fsinfer.scene import Scene, read_scene
 from fsinfer.sfm import PoseSettings
@@ -134,7 +135,7 @@ def _frames(job: _Job) -> None:
 
 
 def _poses(job: _Job) -> None:
-    place_photos(job.book, settings=job.settings.poses, progress=job.progress)
+    place_photos(job.book, job.source, settings=job.settings.poses, progress=job.progress)
 
 
 def _depth(job: _Job) -> None:
@@ -186,10 +187,20 @@ def _fuse(job: _Job) -> None:
 
 def _scale(job: _Job) -> None:
     def work() -> Mapping[str, Any]:
-        scale, warnings = find_scale(job.settings.scale, scene=job.scene(), progress=job.progress("scale"))
-        return {**as_json(scale), "warnings": warnings}
+        request = job.settings.scale
+        scale, warnings = find_scale(request, scene=job.scene(), progress=job.progress("scale"))
+        doubts = doubt_endpoints(request, _plot_before(job.out)) + unknown_error(scale.source, scale.rel_std)
+        return {**as_json(scale), "warnings": [*warnings, *doubts]}
 
     job.book.run("scale", work, inputs={"request": job.settings.scale}, after=["poses"])
+
+
+def _plot_before(out: Path) -> dict[str, Any]:
+    """``plot.json`` as an earlier run left it; {} where there is none, or a damaged one, which this run replaces."""
+    try:
+        return read_plot(out)
+    except InputError:
+        return {}
 
 
 def _cloud(job: _Job) -> None:
@@ -209,6 +220,7 @@ def _cloud(job: _Job) -> None:
             "density_per_m2": density,
             "cloud_from_scene": placed.cloud_from_scene,
             "camera_height": placed.camera_height,
+            "warnings": () if m_per_unit is None else doubt_height(placed.camera_height),
         }
 
     job.book.run(

@@ -66,7 +66,12 @@ class _Photo:
 
 
 def estimate_poses(
-    images: Path | str, out: Path | str, *, settings: PoseSettings | None = None, progress: Progress = silent
+    images: Path | str,
+    out: Path | str,
+    *,
+    settings: PoseSettings | None = None,
+    origin: Path | None = None,
+    progress: Progress = silent,
 ) -> PosesResult:
     """Find where each photo was taken and write ``out`` as a scene.
 
@@ -78,6 +83,7 @@ def estimate_poses(
     ----------
     images: folder of photos; above ``settings.pairs.exhaustive_up_to`` of them in the order of walking, by name.
     out: folder for ``images``, ``cams``, ``pair.txt``, ``sparse`` and ``poses.json``.
+    origin: what messages call the photos: the folder or video that the user gave and ``images`` were chosen from.
 
     Raises
     ------
@@ -89,13 +95,15 @@ def estimate_poses(
         ``out`` cannot be written.
     """
     images, out, settings = Path(images), Path(out), settings or PoseSettings()
+    given = origin or images
     paths = list_images(images)
     if images.resolve().is_relative_to((out / "images").resolve()):
         msg = f"{images} would be overwritten by the scene; choose another output folder than {out}"
         raise ImageError(msg)
     if len(paths) == 1:
         msg = (
-            f"{images} holds one photo; depth needs at least {settings.min_registered} from different places: {ADVICE}"
+            f"{given} holds one photo that can be used; depth needs at least {settings.min_registered} from different "
+            f"places: {ADVICE}"
         )
         raise PosesError(msg)
     key = _key(paths, settings)
@@ -106,10 +114,10 @@ def estimate_poses(
     warnings: list[str] = []
     photos = _prepare(paths, work / "images", warnings, progress)
     if len(photos) < settings.min_registered:
-        msg = f"{images} holds {len(photos)} photos that can be used, {settings.min_registered} are needed: {ADVICE}"
+        msg = f"{given} holds {len(photos)} photos that can be used, {settings.min_registered} are needed: {ADVICE}"
         raise PosesError(msg)
     with colmap_errors("finding poses", work):
-        model, misplaced = _structure_from_motion(photos, images, work, settings, progress)
+        model, misplaced = _structure_from_motion(photos, given, work, settings, progress)
         model = refine(model, RefinementSettings(), settings.thread_count, progress)
     drop_blind_views(model)
     placed = {model.images[i].name for i in model.reg_image_ids()}
@@ -213,7 +221,7 @@ def _prepare(paths: Sequence[Path], folder: Path, warnings: list[str], progress:
 
 
 def _structure_from_motion(
-    photos: Sequence[_Photo], images: Path, work: Path, settings: PoseSettings, progress: Progress
+    photos: Sequence[_Photo], given: Path, work: Path, settings: PoseSettings, progress: Progress
 ) -> tuple[Any, dict[str, list[str]]]:
     """The largest model, and by reason the files of photos that were placed wrongly and taken out of it."""
     cameras: dict[tuple[str, ...], list[str]] = {}
@@ -228,11 +236,11 @@ def _structure_from_motion(
     placed = models[0].num_reg_images() if models else 0
     if placed < settings.min_registered:
         found = "no two photos" if placed == 0 else f"only {placed} photos"
-        msg = f"{found} of the {len(photos)} in {images} could be placed together: {ADVICE}"
+        msg = f"{found} of the {len(photos)} in {given} could be placed together: {ADVICE}"
         raise PosesError(msg)
     model, misplaced = repair(models[0], database, walk, work, settings, progress)
     if model.num_reg_images() < settings.min_registered:
-        msg = f"the {len(photos)} photos in {images} match in ways that contradict each other: {ADVICE}"
+        msg = f"the {len(photos)} photos in {given} match in ways that contradict each other: {ADVICE}"
         raise PosesError(msg)
     return model, misplaced
 

@@ -29,6 +29,8 @@ __all__ = [
 
 # A click on a photograph shown full screen lands within about two pixels of what was meant.
 CLICK_SIGMA_PX = 2.0
+# Picked in a viewer, the end of a stick in a cloud from photographs is hit to about a centimetre.
+PICK_SIGMA_M = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +71,10 @@ def scale_from_endpoints(first: Sequence[float], second: Sequence[float], length
     first, second: (3,) points in scene units.
     length_m: their real distance, metres.
 
+    Returns
+    -------
+    Source ``endpoints``; ``rel_std`` is that of two points picked in a cloud, a centimetre each.
+
     Raises
     ------
     ScaleError
@@ -84,7 +90,8 @@ def scale_from_endpoints(first: Sequence[float], second: Sequence[float], length
         msg = f"the end points {first} and {second} are the same; give the two ends of the {length_m} m length"
         raise ScaleError(msg)
     details = {"endpoints": points.tolist(), "length_units": length_units, "length_m": float(length_m)}
-    return Scale(m_per_unit=length_m / length_units, source="endpoints", rel_std=None, details=details)
+    rel_std = math.sqrt(2) * PICK_SIGMA_M / length_m
+    return Scale(m_per_unit=length_m / length_units, source="endpoints", rel_std=rel_std, details=details)
 
 
 def scale_from_clicks(scene: Scene, clicks: Mapping[str, Sequence[tuple[float, float]]], length_m: float) -> Scale:

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 Point = tuple[float, float, float]
-
+# Larger squares than this are a length in centimetres or millimetres.
+LONGEST_BOARD_M = 2.0
 NO_SCALE = (
     "no scale was given: the cloud is in model units and no DBH is measured; photograph boards printed by fsinfer "
     "marker, or ArUco markers of your own and give --aruco-length-m, or give --endpoints with --length-m (two points "
@@ -79,6 +80,13 @@ class ScaleRequest:
                 msg = f"{option} is {length}; it must be a number above 0"
                 raise InputError(msg)
         if self.aruco_length_m is not None:
+            if self.aruco_length_m > LONGEST_BOARD_M:
+                centimetres = self.aruco_length_m / 100
+                msg = (
+                    f"--aruco-length-m {self.aruco_length_m:g}: no marker is so large; the side of the black square is "
+                    f"given in metres ({self.aruco_length_m:g} cm are {centimetres:g})"
+                )
+                raise InputError(msg)
             _check_dictionary(self.aruco_dictionary)
         if self.endpoints is not None:
             distance = math.dist(*self.endpoints)

@@ -138,7 +138,10 @@ def marker_lines(scale: Scale, *, given: bool) -> list[str]:
     for entry in (entry for entry in scale.details.get("rejected", []) if entry["id"] not in usable):
         lines.append(f"Board {entry['id']} cannot be used ({entry['reason']}): pass it again at 2 to 3 m, facing it.")
     if not found:
-        lines.append("No board can be used: without one the plot has no scale, and no diameter is measured.")
+        lines.append(
+            "No board can be used: no diameter is measured, unless something else of known length is in the photos, "
+            "whose two ends you give to fsinfer run later (--endpoints)."
+        )
     elif len(found) < 3:
         lines.append(f"{len(found)} board{'s' if len(found) > 1 else ''}: three or more, spread out, show a wrong one.")
     if found and not given:

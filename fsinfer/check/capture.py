@@ -73,6 +73,7 @@ class CheckResult:
     stems: every stem with how it was seen, plan coordinates in metres.
     cameras: (P, 2) plan positions of the placed photos, in the order of ``names``.
     compass: how the map is turned.
+    metric: lengths are known, not guessed from the height at which people hold a phone.
     sides: along which no photo was placed.
     map_path: the picture; None where no stem was found.
     seconds: by step.
@@ -86,6 +87,7 @@ class CheckResult:
     cameras: Floats
     names: tuple[str, ...]
     compass: Compass
+    metric: bool
     sides: tuple[OpenSide, ...]
     map_path: Path | None
     seconds: dict[str, float]
@@ -123,7 +125,7 @@ def check_capture(
         book = StageBook(out)
         choose_frames(book, source, files, settings=settings.frames, progress=progress)
         seconds["frames"] = time.monotonic() - start
-        place_photos(book, settings=settings.poses, progress=progress)
+        place_photos(book, source, settings=settings.poses, progress=progress)
     seconds["poses"] = time.monotonic() - start - sum(seconds.values())
     folder = out / "scene"
     photos = {path.stem: path for path in (list_images(source) if source.is_dir() else [])}
@@ -205,9 +207,8 @@ def judge_survey(
     within = [entry for entry in judged if entry.inside]
     good = sum(entry.verdict in ("good", "far") for entry in within)
     if judged:
-        notes.append(
-            f"{len(within)} stems within your walk, {good} of them seen all round; {len(judged) - len(within)} outside."
-        )
+        stem, outside = "stem" if len(within) == 1 else "stems", len(judged) - len(within)
+        notes.append(f"{len(within)} {stem} within your walk, {good} of them seen all round; {outside} outside.")
     else:
         notes.append(
             "No stem was found, so that trees cannot be judged: are the stems in the pictures from the ground up to "
@@ -222,6 +223,7 @@ def judge_survey(
         cameras=cameras,
         names=names,
         compass=compass,
+        metric=scale.m_per_unit is not None,
         sides=tuple(sides),
         map_path=None,
         seconds={},

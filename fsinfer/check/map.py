@@ -48,12 +48,13 @@ def draw_map(result: CheckResult, path: Path) -> None:
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
     axes.set_aspect("equal")
-    axes.set_xlabel("metres")
+    axes.set_xlabel("metres" if result.metric else "metres, guessed: no scale is known")
     _legend(axes)
+    stems = "stem" if len(inside) == 1 else "stems"
     up = "north is up" if result.compass.known else "the first photo is at the bottom, north is not known"
     again = sum(entry.verdict in ("one side", "hardly seen") for entry in inside)
     figure.suptitle(
-        f"{result.registered} of {result.photos} photos placed, {len(inside)} stems within the walk, "
+        f"{result.registered} of {result.photos} photos placed, {len(inside)} {stems} within the walk, "
         f"{again} to photograph again\n{up}",
         fontsize=11,
     )

@@ -19,8 +19,10 @@ LEAST_RADIUS = 6.0
 HALO = 16.0
 # The side of the map in metres is at least this, so that a single tree does not fill it.
 LEAST_SPAN_M = 4.0
-# Cameras farther outside the trees than this share of the map are not drawn: one stray pose must not shrink it.
+# Cameras farther outside the trees than this share of the map, or this distance, are not drawn: one stray pose must not
+# shrink it.
 STRAY_SHARE = 0.6
+NEAR_M = 8.0
 
 
 def stem_map(contents: Contents) -> str:
@@ -37,8 +39,9 @@ def stem_map(contents: Contents) -> str:
     stems = np.array([[x, y] for _, x, y, _ in trees])
     low, high = stems.min(axis=0), stems.max(axis=0)
     cameras = camera_places(contents)
-    span = max(float((high - low).max()), LEAST_SPAN_M if contents.metric else 1e-6)
-    near = cameras[((cameras >= low - STRAY_SHARE * span) & (cameras <= high + STRAY_SHARE * span)).all(axis=1)]
+    span = max(float((high - low).max()), LEAST_SPAN_M * contents.metre)
+    reach = max(STRAY_SHARE * span, NEAR_M * contents.metre)
+    near = cameras[((cameras >= low - reach) & (cameras <= high + reach)).all(axis=1)]
     if len(near):
         low, high = np.minimum(low, near.min(axis=0)), np.maximum(high, near.max(axis=0))
     short = np.maximum(0.35 * span - (high - low), 0) / 2

@@ -138,7 +138,8 @@ def _card(
         )
         pictures = f'<div class="photos">{pictures}</div>' + paragraph(what, "note")
     elif photos:
-        pictures = paragraph("No photo shows this stem unhidden at breast height.", "note")
+        guess = "" if contents.metric else " (its height is guessed: no scale is known)"
+        pictures = paragraph(f"No photo shows this stem unhidden at breast height{guess}.", "note")
     button = (
         f'<p class="viewer"><button type="button" data-cloud="{tree_id}">Show tree {tree_id} in the cloud</button></p>'
     )

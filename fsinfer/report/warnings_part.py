@@ -18,11 +18,14 @@ LEAST_PLACED = 0.8
 LARGE_DIFFERENCE = 0.01
 # A scale less certain than this adds 0.3 cm and more to a stem of 30 cm.
 LARGE_SCALE_STD = 0.01
+# The reasons of more trees than these are left to their cards.
+MOST_REASONS = 3
 # Less of the girth than this was seen from one side only.
 ONE_SIDE = 0.45
 # Said by a stage, of use to those who look closely, but nothing to act upon.
 _REMARKS = re.compile(
-    r"points far outside the plot|no finite coordinates|was taken for the post of a marker|corrected by hand"
+    r"error of a scale given as a number|points far outside the plot|no finite coordinates|"
+    r"was taken for the post of a marker|corrected by hand"
 )
 
 
@@ -87,6 +90,7 @@ def _tree_warnings(contents: Contents) -> list[str]:
     trees = [(i, tree) for tree in contents.trees or () if (i := tree_number(tree)) is not None]
     doubtful = [i for i, tree in trees if tree.get("status") == "doubtful"]
     missing = [i for i, tree in trees if tree.get("status") == "unmeasured"]
+    reasons = {i: tree.get("reason", "") for i, tree in trees}
     one_side = [
         i
         for i, tree in trees
@@ -99,8 +103,11 @@ def _tree_warnings(contents: Contents) -> list[str]:
             "a tape before you use the diameter."
         )
     if missing and contents.metric:
+        said = [escape(reasons[i]) for i in missing if reasons[i]]
+        few = 0 < len(missing) <= MOST_REASONS and len(said) == len(missing)
+        why = ": " + "; ".join(said) if few else "; the card says why"
         items.append(
-            f"{_trees(missing)} {'has' if len(missing) == 1 else 'have'} no diameter; the card says why. Mostly it "
+            f"{_trees(missing)} {'has' if len(missing) == 1 else 'have'} no diameter{why}. Mostly it "
             "helps to walk round the stem again, within three to six metres."
         )
     if one_side:

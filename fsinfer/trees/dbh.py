@@ -108,6 +108,7 @@ def _section(
     """The section of one stem whose ``fit`` rests on the points ``used``."""
     height = fit.height_m
     if used is None:
+        beside = points[np.abs(points[:, 2] - height) <= s.slice.half_slices_m[-1]]
         return unmeasured_section(
             fit.center_at(height),
             height,
@@ -117,6 +118,8 @@ def _section(
             slope=fit.parameters[2:4],
             taper=float(fit.parameters[5]),
             top_m=stem.top_m,
+            offsets_m=beside[:, :2] - fit.center_at(height),
+            half_slice_m=s.slice.half_slices_m[-1],
         )
     offset, foot = axis_coordinates(used, fit.parameters, height)
     spread = fit_spread(fit, offset, foot, settings=s.spread)

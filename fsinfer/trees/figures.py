@@ -37,28 +37,30 @@ def write_figures(
     plot_stem_map(result, paths[0])
     for number, (tree, section) in enumerate(zip(result.trees, result.sections, strict=True), start=1):
         path = Path(folder) / f"tree_{tree.tree_id:03d}.png"
-        plot_section(tree, section, path, curve=(curves or {}).get(tree.tree_id, ()))
+        curve = (curves or {}).get(tree.tree_id, ())
+        plot_section(tree, section, path, curve=curve, guessed=result.units_per_m is not None)
         paths.append(path)
         progress(number, len(result.trees), "drawing sections")
     return paths
 
 
 def plot_stem_map(result: PlotResult, path: Path) -> None:
-    """Stems to scale at their positions with ids and DBH; axes are the cloud's x and y in metres."""
+    """Stems to scale at their positions with ids and DBH; axes are the cloud's x and y, in metres or model units."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Circle, Rectangle
 
+    metre = result.units_per_m or 1.0
     x0, y0, x1, y1 = result.extent_m
     for tree in result.trees:
         x0, y0, x1, y1 = min(x0, tree.x_m), min(y0, tree.y_m), max(x1, tree.x_m), max(y1, tree.y_m)
-    width, height = max(x1 - x0, 1.0), max(y1 - y0, 1.0)
+    width, height = max(x1 - x0, metre), max(y1 - y0, metre)
     scale = 8.5 / max(width, height)
     figure = _figure(max(width * scale, 4.5) + 1.0, max(height * scale, 3.2) + 1.4)
     axes = figure.add_subplot()
     axes.add_patch(Rectangle((x0, y0), width, height, fill=False, edgecolor="0.75", linestyle="--", linewidth=1.0))
     for tree in result.trees:
         # Where no diameter is known, a small ring only marks the place.
-        radius = 0.1 if tree.dbh_cm is None else tree.dbh_cm / 200.0
+        radius = 0.1 * metre if tree.dbh_cm is None else tree.dbh_cm / 200.0
         colour = STATUS_COLOURS.get(tree.status, "0.5")
         hollow = tree.dbh_cm is None
         face = "none" if hollow else colour
@@ -75,9 +77,12 @@ def plot_stem_map(result: PlotResult, path: Path) -> None:
         )
     margin = 0.06 * max(width, height)
     axes.set(xlim=(x0 - margin, x1 + margin), ylim=(y0 - margin, y1 + margin), aspect="equal")
-    axes.set(xlabel="x (m)", ylabel="y (m)")
+    unit = "m" if result.units_per_m is None else "model units"
+    axes.set(xlabel=f"x ({unit})", ylabel=f"y ({unit})")
+    found = f"{len(result.trees)} tree{'' if len(result.trees) == 1 else 's'}"
     measured = sum(tree.dbh_cm is not None for tree in result.trees)
-    axes.set_title(f"Stem map: {len(result.trees)} trees, {measured} with a DBH (circles to scale)", fontsize=11)
+    told = f"{measured} with a DBH (circles to scale)" if result.units_per_m is None else "no scale, no DBH"
+    axes.set_title(f"Stem map: {found}, {told}", fontsize=11)
     axes.grid(color="0.94")
     axes.set_axisbelow(True)
     present = [status for status in STATUS_COLOURS if any(tree.status == status for tree in result.trees)]
@@ -93,8 +98,13 @@ def plot_stem_map(result: PlotResult, path: Path) -> None:
     _save(figure, path)
 
 
-def plot_section(tree: Tree, section: Section, path: Path, *, curve: Sequence[CurvePoint] = ()) -> None:
-    """One tree's section at breast height, in centimetres about the circle's centre, and its stem curve beside it."""
+def plot_section(
+    tree: Tree, section: Section, path: Path, *, curve: Sequence[CurvePoint] = (), guessed: bool = False
+) -> None:
+    """One tree's section at breast height, in centimetres about the circle's centre, and its stem curve beside it.
+
+    ``guessed`` says that no scale is known, so that the centimetres are a guess as well.
+    """
     from matplotlib.patches import Annulus, Circle
 
     measured = [point for point in curve if point.diameter_cm is not None]
@@ -125,7 +135,10 @@ def plot_section(tree: Tree, section: Section, path: Path, *, curve: Sequence[Cu
     axes.plot(0, 0, marker="+", color=_CIRCLE, markersize=9)
     reach = 1.3 * max(radius, float(np.percentile(np.abs(offsets), 98)) if len(offsets) else 0.0, 3.0)
     reach = min(reach, 2.2 * max(radius, 3.0))
-    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal", xlabel="x' (cm)", ylabel="y' (cm)")
+    if not len(offsets):
+        axes.text(0.5, 0.55, "no points at this height", transform=axes.transAxes, ha="center", color="0.4")
+    unit = "cm, guessed" if guessed else "cm"
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal", xlabel=f"x' ({unit})", ylabel=f"y' ({unit})")
     axes.grid(color="0.93")
     axes.set_axisbelow(True)
     if tree.dbh_cm is None:
@@ -134,15 +147,17 @@ def plot_section(tree: Tree, section: Section, path: Path, *, curve: Sequence[Cu
         title = (
             f"Tree {tree.tree_id}: DBH {tree.dbh_cm:.1f} cm  (95 %: {tree.dbh_lo95_cm:.1f} to {tree.dbh_hi95_cm:.1f})"
         )
-    details = (
-        f"{tree.bh_m:.2f} m above ground · slice ± {100 * section.half_slice_m:.1f} cm · "
-        f"{round(360 * tree.arc_coverage)}° of the stem seen"
-    )
+    details = f"{tree.bh_m:.2f} m above ground{' by the guess' if guessed else ''}"
+    if section.half_slice_m > 0:
+        details += f" · slice ± {100 * section.half_slice_m:.1f} cm"
+    details += f" · {round(360 * tree.arc_coverage)}° of the stem seen"
+    if guessed:
+        details += "\nno scale is known: a metre is guessed from a phone held 1.5 m high"
     if tree.residual_cm is not None:
         details += f" · residual {tree.residual_cm:.1f} cm"
     if section.silhouette is not None:
         details += f"\n{_sources(section)}"
-    if tree.reason:
+    if tree.reason and not guessed:
         details += f"\n{tree.status}: {_wrapped(tree.reason)}"
     axes.set_title(f"{title}\n", fontsize=12, fontweight="bold", pad=10 + 12 * details.count("\n"))
     axes.text(0.5, 1.015, details, transform=axes.transAxes, ha="center", va="bottom", fontsize=8.5, color="0.25")

@@ -29,6 +29,8 @@ class PlotResult:
     """Trees with their sections (same order), the ground, and what the forester should know.
 
     ``diagnosis`` is one sentence on what was found, or why nothing was. ``extent_m`` is x_min, y_min, x_max, y_max.
+    With ``units_per_m`` the scale is unknown: positions and ``extent_m`` are in model units, of which so many are
+    guessed to make a metre, and the sections are in metres by that guess.
     """
 
     trees: tuple[Tree, ...]
@@ -39,6 +41,7 @@ class PlotResult:
     extent_m: tuple[float, float, float, float]
     spacing_m: float
     plot_area_m2: float = 0.0
+    units_per_m: float | None = None
 
     @property
     def stand(self) -> StandTable:
@@ -222,4 +225,12 @@ def _without_scale(
         for tree in result.trees
     ]
     warning = "no scale: positions are in model units and no diameter is given"
-    return replace(result, trees=tuple(trees), warnings=(*result.warnings, warning), plot_area_m2=0.0)
+    x_min, y_min, x_max, y_max = (units * value for value in result.extent_m)
+    return replace(
+        result,
+        trees=tuple(trees),
+        warnings=(*result.warnings, warning),
+        extent_m=(x_min, y_min, x_max, y_max),
+        plot_area_m2=0.0,
+        units_per_m=units,
+    )

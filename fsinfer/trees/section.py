@@ -61,8 +61,14 @@ def unmeasured_section(
     slope: Floats | None = None,
     taper: float = 0.0,
     top_m: float | None = None,
+    offsets_m: Floats | None = None,
+    half_slice_m: float = 0.0,
 ) -> Section:
-    """A stem at ``center`` (2,) without a diameter; ``radius_m`` only says how large to draw it on a map."""
+    """A stem at ``center`` (2,) without a diameter; ``radius_m`` only says how large to draw it on a map.
+
+    ``offsets_m`` (M, 2) are what points there are within ``half_slice_m`` of breast height, to be looked at.
+    """
+    offsets = np.zeros((0, 2)) if offsets_m is None else offsets_m
     return Section(
         center=center,
         bh_m=bh_m,
@@ -79,9 +85,9 @@ def unmeasured_section(
         top_m=bh_m if top_m is None else top_m,
         status="unmeasured",
         reason=reason,
-        offsets_m=np.zeros((0, 2)),
-        kept=np.zeros(0, dtype=bool),
+        offsets_m=offsets,
+        kept=np.zeros(len(offsets), dtype=bool),
         circle_m=np.array([0.0, 0.0, radius_m]),
-        half_slice_m=0.0,
+        half_slice_m=half_slice_m,
         outline=None,
     )

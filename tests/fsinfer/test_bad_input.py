@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsinfer.cli import main
+from fsinfer.cli import EXAMPLES, main
 from fsinfer.cloud import PointCloud, write_cloud
 from fsinfer.images import write_image
 from fsinfer.scene import read_scene
@@ -202,3 +202,33 @@ def test_source_inside_the_output(call: Call, scene: Path, tmp_path: Path) -> No
     message = errors_of(call("run", scene / "images", tmp_path))[0]
     assert "choose another output folder" in message
     assert (scene / "images" / "view_00.jpg").is_file()
+
+
+def test_the_photos_are_no_output_folder(call: Call, tmp_path: Path) -> None:
+    photos = tmp_path / "photos"
+    write_image(photos / "a.jpg", np.zeros((120, 160, 3), np.uint8))
+    for command in ("run", "check"):
+        assert "photos-plot" in errors_of(call(command, photos, photos / "."))[0]
+    assert [path.name for path in photos.iterdir()] == ["a.jpg"]
+
+
+def test_a_marker_in_centimetres(call: Call, tmp_path: Path) -> None:
+    message = errors_of(call("run", tmp_path, tmp_path / "out", "--aruco-length-m", 25))[0]
+    assert "25 cm are 0.25" in message
+
+
+def test_a_comma_in_a_number(call: Call, tmp_path: Path) -> None:
+    for command in ("run", "trees"):
+        code, _, err = call(command, tmp_path, tmp_path / "out", "--length-m", "2,05")
+        assert code == 2
+        assert "2.05" in err
+    code, _, err = call("trees", tmp_path, tmp_path / "out", "--scale", "two")
+    assert code == 2
+    assert "'two'" in err
+
+
+def test_a_missing_argument_is_shown_by_an_example(call: Call) -> None:
+    for command, example in EXAMPLES.items():
+        code, _, err = call(command)
+        assert code == 2
+        assert f"fsinfer {command} {example}" in " ".join(err.replace("│", " ").split())

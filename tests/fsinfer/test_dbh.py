@@ -3,6 +3,8 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 
 from fsinfer.trees import PlotResult, TreeSettings, analyse_plot
+from fsinfer.trees.dbh import measure_together
+from fsinfer.trees.stems import find_stems
 from tests.fsinfer.stem_clouds import StemPlot, stem_plot, wall
 
 
@@ -68,6 +70,29 @@ def test_a_sliver_is_found_but_not_measured():
     assert tree.dbh_lo95_cm is None
     assert tree.status == "unmeasured"
     assert "degrees" in tree.reason
+
+
+def test_a_stem_that_cannot_be_measured_shows_what_points_there_are():
+    cloud = _single()
+    (stem,) = find_stems(cloud).stems
+    there = cloud[np.abs(cloud[:, 2] - 1.3) < 0.08][:7]
+    above = cloud[np.abs(cloud[:, 2] - 1.5) < 0.05][:4]
+    (section,) = measure_together([np.concatenate([there, above])], [stem])
+    assert section.dbh_m is None
+    assert "too few points" in section.reason
+    np.testing.assert_allclose(section.offsets_m + section.center, there[:, :2], atol=1e-9)
+    assert not section.kept.any()
+    assert len(section.kept) == len(there)
+
+
+def test_without_a_scale_positions_and_extent_are_in_the_clouds_units():
+    cloud = _single()
+    metric = analyse_plot(cloud)
+    units = analyse_plot(cloud * 0.2, metric=False, units_per_m_hint=0.2)
+    assert metric.units_per_m is None
+    assert units.units_per_m == 0.2
+    np.testing.assert_allclose(units.extent_m, 0.2 * np.array(metric.extent_m), rtol=1e-6)
+    assert units.trees[0].x_m == pytest.approx(0.2 * metric.trees[0].x_m, abs=1e-3)
 
 
 def test_half_a_stem_is_measured_with_a_wider_interval():

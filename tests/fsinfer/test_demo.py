@@ -34,6 +34,7 @@ def test_demo_finds_the_trees(demo: DemoResult) -> None:
     assert demo.evaluation.false <= 1
     assert demo.evaluation.rmse_cm is not None
     assert demo.evaluation.rmse_cm < 2.0
+    assert demo.run.plot["registered"] == demo.run.plot["photos"] == 36
 
 
 def test_demo_writes_everything(demo: DemoResult) -> None:
@@ -71,7 +72,7 @@ def test_table_names_every_tree_of_the_truth(tmp_path: Path) -> None:
         evaluation=evaluate(measured, (found, bare), align="never"),
     )
     rows = demo_rows(result)
-    assert rows[1].split() == ["1", "30.0", "cm", "31.2", "cm", "[30.1", "-", "32.3]", "+1.2", "cm"]
+    assert rows[1].split() == ["1", "30.0", "cm", "31.2", "cm", "[30.1", "-", "32.3]", "+1.2", "cm", "tree", "7"]
     assert "too narrow" in rows[2]
     assert "not found" in rows[3]
     assert any(row.startswith("RMSE") and "1.20 cm" in row for row in rows)

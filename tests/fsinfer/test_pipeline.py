@@ -191,6 +191,34 @@ def test_scale_and_tree_options_repeat_nothing_dear(fakes: Fakes, photos: Path, 
     assert fakes.calls == {"frames": 1, "poses": 1, "depth": 1, "fuse": 1, "trees": 3}
 
 
+def test_end_points_read_off_a_metric_cloud_are_doubted(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
+    def endpoints(length_units: float, length_m: float) -> RunSettings:
+        ends = ((0.0, 0.0, 0.0), (length_units, 0.0, 0.0))
+        return RunSettings(scale=ScaleRequest(endpoints=ends, length_m=length_m))
+
+    out = tmp_path / "out"
+    run(photos, out)
+    # Off the cloud in model units, then the length corrected: nothing to doubt.
+    for length_m in (1.05, 1.0):
+        plot = run(photos, out, settings=endpoints(1.0 / M_PER_UNIT, length_m)).plot
+        assert not [text for text in plot["warnings"] if "end points" in text or "above the ground" in text]
+    # The same metre off the cloud that is in metres now.
+    doubted = run(photos, out, settings=endpoints(1.0, 1.0)).plot
+    (way_out,) = [text for text in doubted["warnings"] if "end points" in text]
+    factor = float(way_out.split("--scale ")[1].split()[0])
+    assert factor == pytest.approx(M_PER_UNIT, rel=1e-4)
+    mended = run(photos, out, settings=RunSettings(scale=ScaleRequest(factor=factor))).plot
+    assert not [text for text in mended["warnings"] if "end points" in text or "above the ground" in text]
+    assert any("not in the intervals" in text for text in mended["warnings"])
+
+
+def test_a_scale_that_has_the_phone_in_the_tree_tops_is_doubted(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
+    for factor, doubted in ((1.0, False), (6.0, True), (0.1, True)):
+        settings = RunSettings(scale=ScaleRequest(factor=factor * M_PER_UNIT))
+        warnings = run(photos, tmp_path / "out", settings=settings).plot["warnings"]
+        assert any("above the ground (a phone" in text for text in warnings) is doubted
+
+
 def test_threads_change_nothing(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
     run(photos, tmp_path / "out", settings=METRIC)
     again = run(photos, tmp_path / "out", settings=replace(METRIC, depth=DepthSettings(threads=7)))

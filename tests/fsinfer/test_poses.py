@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -175,6 +178,24 @@ def test_too_few_photos(tmp_path: Path) -> None:
         estimate_poses(noise_photos(tmp_path / "one", 1), tmp_path / "out", settings=SETTINGS)
     with pytest.raises(PosesError, match="2 photos"):
         estimate_poses(noise_photos(tmp_path / "two", 2), tmp_path / "out", settings=SETTINGS)
+
+
+def test_messages_name_the_folder_of_the_user(tmp_path: Path) -> None:
+    for count in (1, 2, 4):
+        chosen = noise_photos(tmp_path / f"chosen{count}", count)
+        with pytest.raises(PosesError, match=r"walk\.mp4") as caught:
+            estimate_poses(chosen, tmp_path / f"out{count}", settings=SETTINGS, origin=tmp_path / "walk.mp4")
+        assert "chosen" not in str(caught.value)
+
+
+def test_a_program_that_is_told_to_end_ends_without_a_trace(tmp_path: Path) -> None:
+    code = (
+        "import os, signal; from pathlib import Path; from fsinfer.sfm import colmap_errors\n"
+        "with colmap_errors('x', Path('.')): os.kill(os.getpid(), signal.SIGTERM)"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, check=False)
+    assert ended.returncode == -signal.SIGTERM
+    assert ended.stdout + ended.stderr == b""
 
 
 def test_folder_without_photos(tmp_path: Path) -> None:

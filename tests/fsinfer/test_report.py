@@ -41,8 +41,8 @@ def small_cloud(count=4000):
     return PointCloud(xyz=xyz, rgb=rng.integers(0, 255, (count, 3), dtype=np.uint8))
 
 
-def full_folder(out, *, plot=PLOT):
-    trees = [
+def full_folder(out, *, plot=PLOT, trees=None):
+    trees = trees or [
         TREE,
         TREE | {"tree_id": 2, "dbh_cm": 40.0, "dbh_lo95_cm": 38, "dbh_hi95_cm": 42, "status": "doubtful"},
         TREE | {"tree_id": 3, "dbh_cm": "", "dbh_lo95_cm": "", "dbh_hi95_cm": "", "status": "unmeasured"}
@@ -157,6 +157,23 @@ def test_without_a_scale_the_units_are_said(tmp_path):
     assert "no scale was given" not in page
     assert "x (units)" in page
     assert "x (m)" not in page
+
+
+def test_a_single_tree_without_a_scale_has_a_map_that_can_be_read(tmp_path):
+    plot = PLOT | {"units": "model units", "scale_m_per_unit": None, "scale_source": "none", "camera_height": 0.3}
+    full_folder(tmp_path, plot=plot, trees=[TREE])
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    ticks = {float(text) for text in re.findall(r'class="axis"[^>]*>(-?[\d.]+)<', page)}
+    # Four metres, of which each is a fifth of a unit.
+    assert max(ticks) - min(ticks) + 0.2 >= 0.8
+    assert len(ticks) >= 4
+
+
+def test_the_reasons_of_few_trees_without_a_diameter_are_said_at_once(tmp_path):
+    none = TREE | {"dbh_cm": "", "status": "unmeasured"}
+    rows = [none | {"tree_id": number, "reason": f"why {number}"} for number in (1, 2, 3)]
+    full_folder(tmp_path, trees=rows)
+    assert "no diameter: why 1; why 2; why 3." in make_report(tmp_path).read_text(encoding="utf-8")
 
 
 def test_empty_folder_gives_a_page_that_says_what_is_missing(tmp_path):

@@ -33,6 +33,9 @@ def test_endpoints_follow_the_papers_equation() -> None:
     assert scale.m_per_unit == pytest.approx(0.2)
     assert scale.source == "endpoints"
     assert scale.details["length_units"] == pytest.approx(5)
+    # A centimetre at either end.
+    assert scale.rel_std == pytest.approx(0.01414, abs=1e-5)
+    assert scale_from_endpoints((1, 2, 3), (1, 5, 7), 4.0).rel_std == pytest.approx(0.003536, abs=1e-6)
 
 
 @pytest.mark.parametrize("second", [(1, 2, 3), (float("nan"), 0, 0), (1, 2)])

@@ -1,0 +1,54 @@
+"""Where a scale can hardly be right, or its error is not known: said in warnings, each with the way out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from fsinfer.placement import CAMERA_HEIGHT_M
+from fsinfer.scale_request import ScaleRequest
+
+# Nobody holds a phone lower or higher than this, all through a plot: kneeling, or on a stick.
+LIKELY_HEIGHTS_M = (0.4, 3.5)
+
+
+def doubt_endpoints(request: ScaleRequest, plot: Mapping[str, Any]) -> tuple[str, ...]:
+    """Warn where end points may have been read off a cloud that was in metres already.
+
+    Parameters
+    ----------
+    plot: ``plot.json`` of the output folder as the run found it; {} where there is none.
+    """
+    m_per_unit = plot.get("scale_m_per_unit")
+    if request.endpoints is None or request.length_m is None or not m_per_unit:
+        return ()
+    before = (plot.get("scale_details") or {}).get("endpoints")
+    if before is not None and [tuple(map(float, point)) for point in before] == [*request.endpoints]:
+        return ()
+    factor = float(m_per_unit) * request.length_m / math.dist(*request.endpoints)
+    return (
+        "the end points count in the model units of the cloud without a scale, and cloud.ply was in metres before this "
+        f"run; if they were read off that cloud, the scale is wrong now: give --scale {factor:.6g} instead",
+    )
+
+
+def doubt_height(camera_height_m: float | None) -> tuple[str, ...]:
+    """Warn where the scale would have the photographs taken from a height at which nobody holds a camera."""
+    low, high = LIKELY_HEIGHTS_M
+    if camera_height_m is None or low <= camera_height_m <= high:
+        return ()
+    return (
+        f"with this scale the photos were taken {camera_height_m:.2g} m above the ground (a phone is held at about "
+        f"{CAMERA_HEIGHT_M:g} m): the scale, and with it every DBH, is probably wrong; look at the length given",
+    )
+
+
+def unknown_error(source: str, rel_std: float | None) -> tuple[str, ...]:
+    """Say that the intervals do not contain the error of a scale of which none is known."""
+    if source != "factor" or rel_std is not None:
+        return ()
+    return (
+        "the error of a scale given as a number is not known: it is not in the intervals, and one per cent of it is "
+        "one per cent of every DBH",
+    )
