@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from fsinfer.progress import Progress
+from fsinfer.sfm import ENOUGH
 
 _log = logging.getLogger(__name__)
 
@@ -94,6 +95,7 @@ def _adjust(model: Any, threads: int) -> None:
     options.print_summary = False
     options.ceres.solver_options.num_threads = threads
     options.ceres.solver_options.max_num_iterations = 40
+    options.ceres.solver_options.function_tolerance = ENOUGH
     # Leaves move: a robust loss keeps the wrong matches that passed the mapper from pulling.
     options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
     config = pycolmap.BundleAdjustmentConfig()
