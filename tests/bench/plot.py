@@ -20,11 +20,22 @@ from fsinfer.depth import DepthSettings
 from fsinfer.evaluation import evaluate, read_measured
 from fsinfer.evaluation_figure import plot_evaluation
 from fsinfer.fusion import FusionSettings
+from fsinfer.photo_pairs import PairSettings
 from fsinfer.pipeline import RunSettings, run
-from fsinfer.precision import AUTO, PRECISIONS
+from fsinfer.poses import PoseSettings
+from fsinfer.precision import AUTO, FLOAT32, PRECISIONS
 from fsinfer.scale_request import ScaleRequest
 from fsinfer.scene import read_scene
 from fsinfer.trees.table import read_trees
+
+# Photos doubled before looking for features, as COLMAP does, and its number of them; half as many pairs again; six
+# source views in float32.
+SLOW_POSES = PoseSettings(
+    double_below_px=100_000,
+    max_features=8192,
+    pairs=PairSettings(overlap=12, net_pairs_per_photo=5.0, pairs_per_round=5.0),
+)
+SLOW_DEPTH = DepthSettings(source_views=6, precision=FLOAT32)
 
 
 def similarity(
@@ -61,6 +72,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--source-views", type=int, default=DepthSettings().source_views)
     parser.add_argument("--halo-ratio", type=float, default=FusionSettings().halo_ratio, help="0 = no halo filter")
     parser.add_argument("--precision", choices=PRECISIONS, default=AUTO, help="of the depth network")
+    parser.add_argument("--slow", action="store_true", help="spare no time: what the fast settings are held against")
     parser.add_argument("--judge", action="store_true", help="compare what OUT holds, and run nothing")
     args = parser.parse_args(argv)
     settings = RunSettings(
@@ -68,6 +80,8 @@ def main(argv: list[str] | None = None) -> int:
         fusion=FusionSettings(halo_ratio=args.halo_ratio or None),
         scale=ScaleRequest(aruco_length_m=args.aruco_length_m),
     )
+    if args.slow:
+        settings = replace(settings, poses=SLOW_POSES, depth=SLOW_DEPTH)
     if not args.judge:
         run(args.plot / "images", args.out, settings=settings)
     summary = json.loads((args.out / "plot.json").read_text(encoding="utf-8"))
