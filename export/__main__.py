@@ -10,7 +10,7 @@ from pathlib import Path
 
 import cv2
 
-from export.onnx_export import export_model, load_checkpoint
+from export.onnx_export import add_tiles, export_model, load_checkpoint
 from export.parity import whole_parity
 from fsinfer.depth_model import DepthModel
 from fsinfer.errors import FsinferError
@@ -26,12 +26,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--parity", type=Path, metavar="SCENE", help="compare whole depth maps on this scene")
     parser.add_argument("--views", type=int, default=3, help="reference views of the comparison")
     parser.add_argument("--only-parity", action="store_true", help="compare with the files already in --out")
+    parser.add_argument("--only-tiles", action="store_true", help="add the regularizer for tiles to those in --out")
     args = parser.parse_args(arguments)
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)
     try:
         model, state = load_checkpoint(args.checkpoint)
         manifest = args.out / f"{model.config.name}.json"
-        if not args.only_parity:
+        if args.only_tiles:
+            add_tiles(model, manifest)
+        elif not args.only_parity:
             provenance = {
                 **state.get("training", {}),
                 "preset": model.config.name,

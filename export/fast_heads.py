@@ -13,6 +13,7 @@ tests hold these:
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 
 import torch
 import torch.nn.functional as F
@@ -111,10 +112,14 @@ class FastPlaneHead(nn.Module):
 
     def forward(self, volume: Tensor) -> tuple[Tensor, Tensor]:
         """Return index and confidence."""
+        return self.read(volume, self.regularizer.excite)
+
+    def read(self, volume: Tensor, excite: Callable[[int, Tensor], Tensor]) -> tuple[Tensor, Tensor]:
+        """Return index and confidence; ``excite`` (level, slabs) scales the channels of a level."""
         net = self.regularizer
-        c0 = net.excite(0, net.enter(volume))
-        c1 = net.excite(1, net.down1(c0))
-        c2 = net.excite(2, net.down2(c1))
+        c0 = excite(0, net.enter(volume))
+        c1 = excite(1, net.down1(c0))
+        c2 = excite(2, net.down2(c1))
         u1 = net.up1(c1 + upsample_like(net.reduce1(c2), c1))
         u0 = net.up0(c0 + upsample_like(net.reduce0(u1), c0))
         scores = net.head(u0) + self.residual(volume)
@@ -122,6 +127,27 @@ class FastPlaneHead(nn.Module):
         index, mass = read_peak(scores.reshape(DEPTH_PLANES, 4, rows, columns), WINDOW_RADIUS, CONFIDENCE_RADIUS)
         height, width = volume.shape[-2:]
         return tuple(F.pixel_shuffle(part[None], 2)[0, 0, :height, :width] for part in (index, mass))  # type: ignore[return-value]
+
+
+class TilePlaneHead(FastPlaneHead):
+    """:class:`FastPlaneHead` for a part of a volume: squeeze-and-excitation takes the means of the whole.
+
+    forward: volume (S, k*G, h, w) of the part and the means (C_i,) of the three levels over the whole volume → index
+    and confidence (h, w), and of each level the mean over its slabs (C_i, h / 2^(i+1), w / 2^(i+1)), from which the
+    caller makes the mean of the whole for the next.
+    """
+
+    def forward(self, volume: Tensor, mean0: Tensor, mean1: Tensor, mean2: Tensor) -> tuple[Tensor, ...]:  # type: ignore[override]
+        """Return index, confidence and the three levels."""
+        levels: list[Tensor] = []
+
+        def excite(level: int, slabs_schw: Tensor) -> Tensor:
+            levels.append(slabs_schw.mean(dim=0))
+            weights = self.regularizer.se[level].fc((mean0, mean1, mean2)[level][None])
+            return slabs_schw * weights[..., None, None]
+
+        index, confidence = self.read(volume, excite)
+        return index, confidence, *levels
 
 
 class FastRefineHead(nn.Module):

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from export.fast_heads import FastPlaneHead, FastRefineHead
+from export.fast_heads import FastPlaneHead, FastRefineHead, TilePlaneHead
 from training.model import FSMVSNet
 from training.model.config import DEPTH_PLANES
 from training.model.fsmvsnet import REFINE_GROUPS
@@ -113,3 +113,28 @@ def graphs(model: FSMVSNet) -> list[Graph]:
             )
         )
     return result
+
+
+#: Tiles begin at multiples of 8 quarter-resolution pixels, the coarsest stride of the packed regularizer. Its levels
+#: see 3, 9 and 29 of them far (a convolution of stride 2 and one or two more at each of the strides 2, 4 and 8); with
+#: the enlarged levels coming up and the head the result sees 49. The refiner sees 21 half-resolution pixels.
+TILE_ALIGN, TILE_LEVEL_HALOS, TILE_HALO = 8, (8, 16, 32), 56
+
+
+def tile_graph(model: FSMVSNet) -> Graph | None:
+    """The regularizer for parts of a volume; ``None`` for a model that is not cut into tiles."""
+    config = model.config
+    if not (config.regularizer == "packed" and config.loss == "plane" and config.se):
+        return None
+    head = TilePlaneHead(fold_batch_norm(model.plane_head))
+    height, width = EXAMPLE_SIZE
+    packed = config.packed_planes
+    volume = torch.randn(DEPTH_PLANES // packed, packed * config.groups, height // 4, width // 4)
+    channels = [int(excitation.fc[0].in_features) for excitation in head.regularizer.se]
+    return Graph(
+        role="tile_regularizer",
+        module=head,
+        inputs={"volume": volume, **{f"mean{level}": torch.rand(count) for level, count in enumerate(channels)}},
+        outputs=["index", "confidence", *(f"level{level}" for level in range(len(channels)))],
+        free={"volume": {2: "rows", 3: "columns"}},
+    )

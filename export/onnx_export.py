@@ -12,7 +12,7 @@ import onnx
 import onnxruntime
 import torch
 
-from export.graphs import Graph, graphs
+from export.graphs import TILE_ALIGN, TILE_HALO, TILE_LEVEL_HALOS, Graph, graphs, tile_graph
 from fsinfer.errors import ModelError
 from fsinfer.manifest import hash_files
 from training.model import FSMVSNet, ModelConfig
@@ -75,13 +75,33 @@ def export_model(
     }
     path = folder / f"{name}.json"
     path.write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
+    add_tiles(model, path)
     return path
+
+
+def add_tiles(model: FSMVSNet, manifest: Path) -> None:
+    """Write the regularizer for tiles beside a manifest and name it there, if the model can be cut into tiles."""
+    graph = tile_graph(model)
+    if graph is None:
+        return
+    path = manifest.parent / f"{model.config.name}_{graph.role}.onnx"
+    write_graph(graph, path)
+    data = json.loads(manifest.read_text(encoding="utf-8"))
+    data["tiles"] = {
+        "regularizer": path.name,
+        "halo": TILE_HALO,
+        "level_halos": list(TILE_LEVEL_HALOS),
+        "align": TILE_ALIGN,
+        "max_abs_difference": compare_graph(graph, path),
+        "sha256": hash_files([path]),
+    }
+    manifest.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
 
 
 def write_graph(graph: Graph, path: Path) -> None:
     """Export one graph with the dynamo exporter and check it."""
     dimension = torch.export.Dim
-    shapes = {key: dict.fromkeys(free, dimension.DYNAMIC) for key, free in graph.free.items()}
+    shapes = {key: dict.fromkeys(graph.free.get(key, {}), dimension.DYNAMIC) for key in graph.inputs}
     program = torch.onnx.export(
         graph.module.eval(),
         kwargs=graph.inputs,
@@ -110,7 +130,8 @@ def compare_graph(graph: Graph, path: Path) -> float:
     inputs = {}
     for key, example in graph.inputs.items():
         # Odd multiples and odd remainders: sizes that the trace has not seen.
-        shape = [size + 22 if i in graph.free[key] and size > 8 else size for i, size in enumerate(example.shape)]
+        free = graph.free.get(key, {})
+        shape = [size + 22 if i in free and size > 8 else size for i, size in enumerate(example.shape)]
         inputs[key] = torch.rand(shape, generator=generator) * float(example.abs().max())
     with torch.no_grad():
         expected = graph.module(**inputs)

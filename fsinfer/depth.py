@@ -22,7 +22,7 @@ from fsinfer.images import read_image
 from fsinfer.manifest import DEFAULT_MODEL
 from fsinfer.memory_plan import DepthPlan, plan_depth
 from fsinfer.pfm import read_pfm, write_pfm
-from fsinfer.precision import AUTO
+from fsinfer.precision import AUTO, FLOAT32, INT8
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene, View
 from fsinfer.unsure_depth import UnsureSettings, settle_unsure
@@ -50,7 +50,8 @@ class DepthSettings:
         bound must stay nearer than the trunks beside the path: 30 lost those within 1.5 m of the camera.
     unsure: of the last step, in which unsure pixels follow their surroundings (:mod:`fsinfer.unsure_depth`).
     threads: 0 uses every core.
-    memory_gb: limit of the resident memory, 1e9 bytes; fewer feature maps are kept where it is tight.
+    memory_gb: limit of the resident memory, 1e9 bytes; fewer feature maps are kept where it is tight, and depth is
+        computed in tiles where a whole map does not fit.
     provider: of onnxruntime, see :mod:`fsinfer.providers`.
     precision: of the regularizer: ``auto``, ``float32`` or ``int8``, see :mod:`fsinfer.precision`.
     """
@@ -129,10 +130,18 @@ def estimate_depth(
     if not usable:
         msg = f"{scene.folder / 'pair.txt'} gives no view a source view; the photos do not overlap"
         raise SceneError(msg)
+    plan = _plan(usable, settings, model)
+    if plan.tile_size:
+        if model.precision == INT8:
+            # Tiles are computed in float32 alone; what is written says so.
+            model = DepthModel.load(
+                settings.model, threads=settings.threads, provider=settings.provider, precision=FLOAT32
+            )
+        model.cut_into_tiles(plan.tile_size, keeps_volume=plan.keeps_volume)
     make_folder(out / "depth")
     make_folder(out / "confidence")
     index = _resume(out, settings, model.sha256)
-    cached_views = _plan(usable, settings, model).cached_views
+    cached_views = plan.cached_views
     threads_before = cv2.getNumThreads()
     cv2.setNumThreads(1)  # the volume is shared out over blocks of rows already
     cache: OrderedDict[str, LoadedView] = OrderedDict()
@@ -207,7 +216,16 @@ def _plan(views: Sequence[View], settings: DepthSettings, model: DepthModel) -> 
         groups=model.manifest.groups,
         views=settings.source_views + 1,
         most_cached=CACHED_VIEWS,
+        tile_halo=None if model.manifest.tiles is None else model.manifest.tiles.halo,
     )
+    if plan.tile_size:
+        _log.warning(
+            "depth of %dx%d photos as a whole takes more than the %g GB of --memory-gb: it is computed in tiles, to "
+            "the same result but in two to four times the time; a larger --memory-gb or a smaller --max-size avoids that",
+            round(width * factor),
+            round(height * factor),
+            settings.memory_gb,
+        )
     _log.info("depth takes about %.1f GB, %d feature maps are kept", plan.peak_bytes / 1e9, plan.cached_views)
     return plan
 

@@ -15,6 +15,7 @@ from fsinfer.errors import InputError, ModelError
 from fsinfer.manifest import DEFAULT_MODEL, ModelManifest, read_manifest
 from fsinfer.precision import AUTO, INT8, choose_precision
 from fsinfer.providers import find_providers
+from fsinfer.tiles import Tiling, predict_in_tiles
 from fsinfer.volume import (
     Features,
     correlation_volume,
@@ -66,7 +67,14 @@ class DepthModel:
     """
 
     def __init__(
-        self, manifest: ModelManifest, sessions: dict[str, Any], threads: int, precision: str, *, calibrate: bool = True
+        self,
+        manifest: ModelManifest,
+        sessions: dict[str, Any],
+        threads: int,
+        precision: str,
+        *,
+        calibrate: bool = True,
+        providers: Sequence[str] = ("CPUExecutionProvider",),
     ) -> None:
         self.manifest = manifest
         self.threads = threads
@@ -74,6 +82,8 @@ class DepthModel:
         self.sha256 = manifest.sha256_of(int8=precision == INT8)
         self._calibration = manifest.calibration if calibrate else None
         self._sessions = sessions
+        self._providers = providers
+        self._tiling: Tiling | None = None
 
     @classmethod
     def load(
@@ -98,22 +108,10 @@ class DepthModel:
         manifest = read_manifest(name_or_path)
         precision = choose_precision(precision, manifest, provider=provider)
         threads = threads or os.cpu_count() or 1
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = threads
-        options.log_severity_level = 3
-        # A plan of the memory makes onnxruntime keep one block for all of a run: 2.2 instead of 1.4 GB, and no faster.
-        options.enable_mem_pattern = False
-        # Threads that wait by spinning take the cores from those that build the cost volume.
-        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-        sessions = {}
         files = manifest.files_of(int8=precision == INT8)
-        for role, file in zip(("features", "regularizer", "refiner"), files, strict=False):
-            try:
-                sessions[role] = onnxruntime.InferenceSession(file, options, providers=providers)
-            except Exception as error:  # onnxruntime raises its own family of exceptions
-                msg = f"{file} cannot be loaded by onnxruntime ({error}); install fsinfer again or re-export the model"
-                raise ModelError(msg) from error
-        return cls(manifest, sessions, threads, precision, calibrate=calibrate)
+        roles = ("features", "regularizer", "refiner")
+        sessions = {role: _load_graph(file, threads, providers) for role, file in zip(roles, files, strict=False)}
+        return cls(manifest, sessions, threads, precision, calibrate=calibrate, providers=providers)
 
     def features(self, image: NDArray[np.uint8]) -> ViewFeatures:
         """Feature maps of one (H, W, 3) RGB uint8 image; they can be kept and given to several reference views."""
@@ -165,11 +163,25 @@ class DepthModel:
     ) -> DepthEstimate:
         """Do the same from feature maps already computed (:meth:`features`)."""
         intrinsics, cam_from_world = np.asarray(intrinsics, np.float64), np.asarray(cam_from_world, np.float64)
-        near, far = depth_range
+        if self._tiling is not None:
+            return self._in_tiles(features, intrinsics, cam_from_world, depth_range)
         volume, weights = self.cost_volume(features, intrinsics, cam_from_world, depth_range)
         index, confidence = self.regularize(volume)
-        reference = features[0]
-        if reference.half is None or weights is None:
+        return self.finish(features, intrinsics, cam_from_world, depth_range, index, confidence, weights)
+
+    def finish(
+        self,
+        features: Sequence[ViewFeatures],
+        intrinsics: Float64,
+        cam_from_world: Float64,
+        depth_range: tuple[float, float],
+        index: Float32,
+        confidence: Float32,
+        weights: Float32 | None,
+    ) -> DepthEstimate:
+        """Refine what :meth:`regularize` gave where the model does so, and turn plane indices into depth."""
+        near, far = depth_range
+        if features[0].half is None or weights is None:
             return DepthEstimate(depth=self._depth(index, near, far), confidence=self.calibrated(confidence), stride=4)
         return self._refine(features, intrinsics, cam_from_world, (near, far), index, confidence, weights)
 
@@ -210,6 +222,63 @@ class DepthModel:
         """Plane index, with fraction, and the network's own confidence (h, w) of a volume of :meth:`cost_volume`."""
         index, confidence = self._sessions["regularizer"].run(None, {"volume": volume})
         return index, confidence
+
+    def cut_into_tiles(self, size: int, *, keeps_volume: bool = True) -> None:
+        """From now on compute depth in tiles of ``size`` quarter pixels (:mod:`fsinfer.tiles`), for less memory.
+
+        ``keeps_volume`` is for a volume that does fit as a whole: without it tiles take less memory and more time.
+
+        Raises
+        ------
+        ModelError
+            The model has no graph for tiles, or it cannot be loaded.
+        """
+        tiles = self.manifest.tiles
+        if tiles is None or self.precision == INT8:
+            msg = f"model {self.manifest.name} cannot be cut into tiles in {self.precision}; give a larger --memory-gb"
+            raise ModelError(msg)
+        self._sessions["tiles"] = _load_graph(self.manifest.folder / tiles.regularizer, self.threads, self._providers)
+        self._tiling = Tiling(
+            size=size,
+            halo=tiles.halo,
+            level_halos=tiles.level_halos,
+            align=tiles.align,
+            keeps_volume=keeps_volume,
+        )
+
+    @property
+    def tile_channels(self) -> list[int]:
+        """Channels of the levels whose means over the whole volume the regularizer for tiles is given."""
+        inputs = {item.name: item.shape for item in self._sessions["tiles"].get_inputs()}
+        return [int(inputs[name][0]) for name in sorted(inputs) if name.startswith("mean")]
+
+    def _in_tiles(
+        self,
+        features: Sequence[ViewFeatures],
+        intrinsics: Float64,
+        cam_from_world: Float64,
+        depth_range: tuple[float, float],
+    ) -> DepthEstimate:
+        import onnxruntime
+
+        # Without this the whole graph runs, whatever output is asked for.
+        options = onnxruntime.RunOptions()
+        options.only_execute_path_to_fetches = True
+
+        def regularizer(volume: Float32, means: Sequence[Float32], wanted: Sequence[str]) -> list[Float32]:
+            feeds = {"volume": volume} | {f"mean{level}": mean for level, mean in enumerate(means)}
+            return list(self._sessions["tiles"].run(list(wanted), feeds, options))
+
+        assert self._tiling is not None
+        return predict_in_tiles(
+            self,
+            regularizer,
+            features,
+            intrinsics,
+            cam_from_world,
+            depth_range,
+            tiling=self._tiling,
+        )
 
     def _refine(
         self,
@@ -269,3 +338,21 @@ class DepthModel:
             inverse = np.float32(1 / far) + fraction * np.float32(1 / near - 1 / far)
             return np.asarray(1 / np.maximum(inverse, np.float32(1e-6)), np.float32)
         return np.asarray(np.float32(near) + fraction * np.float32(far - near), np.float32)
+
+
+def _load_graph(file: Path, threads: int, providers: Sequence[str]) -> Any:
+    """A session of onnxruntime; raises :class:`ModelError`."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.log_severity_level = 3
+    # A plan of the memory makes onnxruntime keep one block for all of a run: 2.2 instead of 1.4 GB, and no faster.
+    options.enable_mem_pattern = False
+    # Threads that wait by spinning take the cores from those that build the cost volume.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    try:
+        return onnxruntime.InferenceSession(file, options, providers=list(providers))
+    except Exception as error:  # onnxruntime raises its own family of exceptions
+        msg = f"{file} cannot be loaded by onnxruntime ({error}); install fsinfer again or re-export the model"
+        raise ModelError(msg) from error

@@ -17,6 +17,23 @@ DEFAULT_MODEL = "field"
 
 
 @dataclass(frozen=True, kw_only=True)
+class TileGraph:
+    """The regularizer for parts of a volume.
+
+    Attributes
+    ----------
+    regularizer: ONNX file.
+    halo: how far its result sees, quarter pixels, rounded up to ``align``; level_halos: the same of its levels.
+    align: parts begin at multiples of so many quarter pixels.
+    """
+
+    regularizer: str
+    halo: int
+    level_halos: tuple[int, ...]
+    align: int
+
+
+@dataclass(frozen=True, kw_only=True)
 class ModelManifest:
     """A depth model made of ONNX graphs.
 
@@ -31,6 +48,7 @@ class ModelManifest:
     sha256: over the graphs' bytes, in the order features, regularizer, refiner.
     int8_regularizer, int8_sha256: the regularizer in 8-bit integers, and the hash with it in place of the other one;
         ``None`` where the model has none.
+    tiles: the float32 regularizer for parts of a volume, ``None`` where the model cannot be cut into tiles.
     confidence_threshold: at which the parity check compares the confidence masks; fusion finds its own for each plot.
     calibration: raw confidences and the share of pixels within 1 % of the true depth at each of them, both rising;
         ``None`` where the model was not calibrated.
@@ -52,6 +70,7 @@ class ModelManifest:
     sha256: str
     int8_regularizer: str | None
     int8_sha256: str | None
+    tiles: TileGraph | None
     confidence_threshold: float
     calibration: tuple[NDArray[np.float32], NDArray[np.float32]] | None
     details: dict[str, Any]
@@ -120,6 +139,7 @@ def read_manifest(name_or_path: str | Path) -> ModelManifest:
             sha256=data["sha256"],
             int8_regularizer=data["int8"]["regularizer"] if "int8" in data else None,
             int8_sha256=data["int8"]["sha256"] if "int8" in data else None,
+            tiles=_tiles(data.get("tiles")),
             confidence_threshold=data["confidence_threshold"],
             calibration=_calibration(data.get("confidence_calibration")),
             details=data,
@@ -130,6 +150,8 @@ def read_manifest(name_or_path: str | Path) -> ModelManifest:
     precisions = (False, True) if manifest.int8_regularizer is not None else (False,)
     for int8 in precisions:
         _check_files(manifest, manifest.files_of(int8=int8), manifest.sha256_of(int8=int8))
+    if manifest.tiles is not None:
+        _check_files(manifest, [manifest.folder / manifest.tiles.regularizer], data["tiles"]["sha256"])
     return manifest
 
 
@@ -151,6 +173,17 @@ def _check_files(manifest: ModelManifest, files: list[Path], sha256: str) -> Non
 def _groups(data: dict[str, Any]) -> int:
     return int(
         data["volume"]["groups"] if data["volume"]["kind"] == "correlation" else data["config"]["feature_channels"]
+    )
+
+
+def _tiles(entry: dict[str, Any] | None) -> TileGraph | None:
+    if entry is None:
+        return None
+    return TileGraph(
+        regularizer=entry["regularizer"],
+        halo=int(entry["halo"]),
+        level_halos=tuple(int(halo) for halo in entry["level_halos"]),
+        align=int(entry["align"]),
     )
 
 

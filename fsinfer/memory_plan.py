@@ -18,6 +18,10 @@ _BASE_BYTES = 150 * MEGABYTE
 #: Peak of a depth map over the cost volume itself: the volume, what the regularizer holds at once, the narrow volume.
 #: 7.3 to 7.9 times at 960x540 to 1920x1080.
 _PEAK_OVER_VOLUME = 8.2
+#: The same in tiles, of which the volume is a copy, and bytes a pixel that the feature network leaves behind.
+#: 1600x1200 and 2400x1800 in tiles of 128: 2.13 and 3.06 GB.
+_PEAK_OVER_TILE, _FEATURES_BYTES = 9.2, 105
+_TILE_SIZES = range(512, 56, -8)
 #: A point while it is merged: itself (68 bytes), its joined, sorted and averaged copies. 312 bytes for 5.5 million.
 _BYTES_PER_MERGED_POINT = 320
 _LEAST_BATCH_POINTS = 250_000
@@ -26,10 +30,20 @@ _LEAST_POINTS = 250_000
 
 @dataclass(frozen=True, kw_only=True)
 class DepthPlan:
-    """Feature maps kept for the neighbouring photos, and the peak memory expected with them, bytes."""
+    """How depth keeps within the limit.
+
+    Attributes
+    ----------
+    cached_views: feature maps kept for the neighbouring photos.
+    peak_bytes: memory expected with them.
+    tile_size: quarter pixels of a tile (:mod:`fsinfer.tiles`); 0 where a depth map is computed as a whole.
+    keeps_volume: in tiles, whether the cost volume is kept as a whole.
+    """
 
     cached_views: int
     peak_bytes: int
+    tile_size: int = 0
+    keeps_volume: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,9 +57,17 @@ class FusionPlan:
 
 
 def plan_depth(
-    memory_gb: float, *, width: int, height: int, planes: int, groups: int, views: int, most_cached: int
+    memory_gb: float,
+    *,
+    width: int,
+    height: int,
+    planes: int,
+    groups: int,
+    views: int,
+    most_cached: int,
+    tile_halo: int | None = None,
 ) -> DepthPlan:
-    """Cache as many feature maps as the limit allows, at least those of one depth map.
+    """Cache as many feature maps as the limit allows, at least those of one depth map; in tiles where that is too much.
 
     Parameters
     ----------
@@ -53,6 +75,7 @@ def plan_depth(
     width, height: of the image given to the network, pixels.
     planes, groups: of the cost volume at a quarter of that.
     views: photographs compared at a time, the reference among them.
+    tile_halo: of the model's tiles, quarter pixels; None where it cannot be cut into tiles.
 
     Raises
     ------
@@ -66,6 +89,18 @@ def plan_depth(
     fixed = _BASE_BYTES + _PEAK_OVER_VOLUME * volume
     limit = memory_gb * GIGABYTE
     least = fixed + views * of_view
+    if least > limit and tile_halo is not None:
+        tiles = _largest_tiles(
+            limit - _BASE_BYTES - views * of_view - _FEATURES_BYTES * width * height,
+            shape=(-(-height // 4), -(-width // 4)),
+            bytes_per_pixel=4 * planes * groups,
+            halo=tile_halo,
+        )
+        if tiles is not None:
+            size, keeps_volume, spare = tiles
+            return DepthPlan(
+                cached_views=views, peak_bytes=int(limit - spare), tile_size=size, keeps_volume=keeps_volume
+            )
     if least > limit:
         share = max(0.0, (limit - _BASE_BYTES) / (least - _BASE_BYTES))
         size = 32 * int(max(width, height) * share**0.5 / 32)
@@ -77,6 +112,20 @@ def plan_depth(
         raise InputError(msg)
     cached = max(views, min(most_cached, int((limit - fixed) / of_view)))
     return DepthPlan(cached_views=cached, peak_bytes=int(fixed + cached * of_view))
+
+
+def _largest_tiles(
+    left: float, *, shape: tuple[int, int], bytes_per_pixel: int, halo: int
+) -> tuple[int, bool, float] | None:
+    """Size of the largest tiles that fit into what is left, whether the volume does too, and the bytes to spare."""
+    for keeps_volume in (True, False):
+        whole = bytes_per_pixel * shape[0] * shape[1] if keeps_volume else 0
+        for size in _TILE_SIZES:
+            rows, columns = (min(length, size + 2 * halo) for length in shape)
+            spare = left - whole - _PEAK_OVER_TILE * bytes_per_pixel * rows * columns
+            if spare >= 0:
+                return size, keeps_volume, spare
+    return None
 
 
 def plan_fusion(

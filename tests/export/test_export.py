@@ -45,6 +45,18 @@ def test_graphs_hold_192_planes_and_no_batch_norm(exported: tuple[FSMVSNet, Path
     assert shape[0] * packed == 192 if packed else shape[2] == 192
 
 
+def test_only_a_regularizer_with_means_over_the_whole_has_a_graph_for_tiles(exported: tuple[FSMVSNet, Path]) -> None:
+    model, manifest = exported
+    tiles = json.loads(manifest.read_text()).get("tiles")
+    assert (tiles is not None) is (model.config.regularizer == "packed" and model.config.loss == "plane")
+    if tiles is not None:
+        assert tiles["max_abs_difference"] < 1e-4
+        levels = onnx.load(manifest.parent / tiles["regularizer"]).graph
+        assert [item.name for item in levels.input] == ["volume", "mean0", "mean1", "mean2"]
+        assert [item.name for item in levels.output] == ["index", "confidence", "level0", "level1", "level2"]
+    assert (DepthModel.load(manifest, precision="float32").manifest.tiles is None) is (tiles is None)
+
+
 def test_whole_depth_map_agrees_with_pytorch(exported: tuple[FSMVSNet, Path], tmp_path: Path) -> None:
     model, manifest = exported
     parity = whole_parity(
@@ -61,16 +73,21 @@ def test_a_changed_file_is_refused(exported: tuple[FSMVSNet, Path], tmp_path: Pa
     for file in manifest.parent.iterdir():
         (tmp_path / file.name).write_bytes(file.read_bytes())
     copy = tmp_path / manifest.name
-    graph = tmp_path / json.loads(copy.read_text())["graphs"]["features"]["file"]
-    graph.write_bytes(graph.read_bytes() + b"x")
-    with pytest.raises(ModelError, match="damaged or was changed"):
-        DepthModel.load(copy)
-    graph.write_bytes(graph.read_bytes()[:100])
-    with pytest.raises(ModelError, match="damaged"):
-        DepthModel.load(copy)
-    graph.unlink()
-    with pytest.raises(ModelError, match="missing"):
-        DepthModel.load(copy)
+    data = json.loads(copy.read_text())
+    tiles = [data["tiles"]["regularizer"]] if "tiles" in data else []
+    for name in (data["graphs"]["features"]["file"], *tiles):
+        graph = tmp_path / name
+        whole = graph.read_bytes()
+        graph.write_bytes(whole + b"x")
+        with pytest.raises(ModelError, match="damaged or was changed"):
+            DepthModel.load(copy)
+        graph.write_bytes(whole[:100])
+        with pytest.raises(ModelError, match="damaged"):
+            DepthModel.load(copy)
+        graph.unlink()
+        with pytest.raises(ModelError, match="missing"):
+            DepthModel.load(copy)
+        graph.write_bytes(whole)
 
 
 def test_a_file_that_is_no_onnx_is_refused_even_with_its_hash(exported: tuple[FSMVSNet, Path], tmp_path: Path) -> None:
@@ -78,6 +95,7 @@ def test_a_file_that_is_no_onnx_is_refused_even_with_its_hash(exported: tuple[FS
 
     _, manifest = exported
     data = json.loads(manifest.read_text())
+    data.pop("tiles", None)
     files = []
     for graph in data["graphs"].values():
         (tmp_path / graph["file"]).write_bytes(b"not onnx")

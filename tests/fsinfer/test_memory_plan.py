@@ -44,6 +44,28 @@ def test_photos_that_do_not_fit_are_told_the_size_that_does() -> None:
         _depth(0.1)
 
 
+def test_photos_that_do_not_fit_are_cut_into_the_largest_tiles_that_do() -> None:
+    def tiled(memory_gb: float, width: int = 1600, height: int = 1200) -> DepthPlan:
+        return plan_depth(
+            memory_gb, width=width, height=height, planes=192, groups=4, views=5, most_cached=24, tile_halo=56
+        )
+
+    assert tiled(4.0).tile_size == 0
+    sizes = []
+    for memory_gb in (3.0, 2.5, 2.0):
+        plan = tiled(memory_gb)
+        sizes.append(plan.tile_size)
+        assert plan.peak_bytes <= memory_gb * 1e9
+        assert plan.keeps_volume
+    assert sizes == sorted(sizes, reverse=True)
+    assert len(set(sizes)) == len(sizes)
+    assert sizes[-1] >= 64
+    # A volume too large to be kept.
+    assert not tiled(4.0, 4000, 3000).keeps_volume
+    with pytest.raises(InputError, match="--memory-gb"):
+        tiled(1.0)
+
+
 def test_fusion_shrinks_its_batches_before_it_drops_points() -> None:
     assert _fusion(3.0) == FusionPlan(
         cache_maps=40, batch_points=1_500_000, max_points=4_000_000, peak_bytes=_fusion(3.0).peak_bytes
@@ -59,8 +81,7 @@ def test_fusion_shrinks_its_batches_before_it_drops_points() -> None:
         _fusion(0.25)
 
 
-_PROGRAM = """
-import pathlib
+_WHOLE = """
 from fsinfer.depth_model import DepthModel
 from fsinfer.memory_plan import plan_depth
 from tests.bench.speed import make_views
@@ -69,15 +90,32 @@ model = DepthModel.load(threads=2, precision="float32")  # int8 takes less
 for _ in range(2):
     model.predict(images, intrinsics, poses, depth_range)
 plan = plan_depth(3.0, width=512, height=256, planes=192, groups=4, views=3, most_cached=3)
+"""
+_PEAK = """
 # Not ru_maxrss, which begins at what the program that started this one had at that time.
+import pathlib
 status = pathlib.Path("/proc/self/status").read_text()
 peak_kib = next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM"))
 print(plan.peak_bytes, peak_kib * 1024)
 """
 
 
+_TILED = """
+from fsinfer.depth_model import DepthModel
+from fsinfer.memory_plan import plan_depth
+from tests.bench.speed import make_views
+images, intrinsics, poses, depth_range = make_views(3, 800, 1280)
+model = DepthModel.load(threads=2, precision="float32")
+plan = plan_depth(1.4, width=1280, height=800, planes=192, groups=4, views=3, most_cached=3, tile_halo=56)
+assert plan.tile_size and plan.keeps_volume
+model.cut_into_tiles(plan.tile_size)
+model.predict(images, intrinsics, poses, depth_range)
+"""
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-def test_the_estimate_is_that_of_a_real_run() -> None:
-    done = subprocess.run([sys.executable, "-c", _PROGRAM], capture_output=True, text=True, check=True)
+@pytest.mark.parametrize("program", [_WHOLE, _TILED])
+def test_the_estimate_is_that_of_a_real_run(program: str) -> None:
+    done = subprocess.run([sys.executable, "-c", program + _PEAK], capture_output=True, text=True, check=True)
     expected, found = (int(word) for word in done.stdout.split())
     assert 0.7 * expected < found < 1.15 * expected
