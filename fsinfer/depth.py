@@ -221,7 +221,7 @@ def _plan(views: Sequence[View], settings: DepthSettings, model: DepthModel) -> 
     if plan.tile_size:
         _log.warning(
             "depth of %dx%d photos as a whole takes more than the %g GB of --memory-gb: it is computed in tiles, to "
-            "the same result but in two to four times the time; a larger --memory-gb or a smaller --max-size avoids that",
+            "the same result in two to four times the time; a larger --memory-gb or a smaller --max-size avoids that",
             round(width * factor),
             round(height * factor),
             settings.memory_gb,
