@@ -25,6 +25,7 @@ from fsinfer.pfm import read_pfm, write_pfm
 from fsinfer.precision import AUTO, FLOAT32, INT8
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene, View
+from fsinfer.tiles import TiledDepth
 from fsinfer.unsure_depth import UnsureSettings, settle_unsure
 
 _log = logging.getLogger(__name__)
@@ -131,13 +132,10 @@ def estimate_depth(
         msg = f"{scene.folder / 'pair.txt'} gives no view a source view; the photos do not overlap"
         raise SceneError(msg)
     plan = _plan(usable, settings, model)
-    if plan.tile_size:
-        if model.precision == INT8:
-            # Tiles are computed in float32 alone; what is written says so.
-            model = DepthModel.load(
-                settings.model, threads=settings.threads, provider=settings.provider, precision=FLOAT32
-            )
-        model.cut_into_tiles(plan.tile_size, keeps_volume=plan.keeps_volume)
+    if plan.tile_size and model.precision == INT8:
+        # Tiles are computed in float32 alone; what is written says so.
+        model = DepthModel.load(settings.model, threads=settings.threads, provider=settings.provider, precision=FLOAT32)
+    predictor = TiledDepth(model, plan.tile_size, keeps_volume=plan.keeps_volume) if plan.tile_size else model
     make_folder(out / "depth")
     make_folder(out / "confidence")
     index = _resume(out, settings, model.sha256)
@@ -153,7 +151,7 @@ def estimate_depth(
             if index["views"].get(view.name, {}).get("key") == key and _complete(out, view.name):
                 continue
             loaded = [_recall(model, v, settings.max_size_px, cache, cached_views) for v in (view, *sources)]
-            estimate = model.predict_from_features(
+            estimate = predictor.predict_from_features(
                 [item.features for item in loaded],
                 np.stack([item.intrinsic for item in loaded]),
                 np.stack([v.camera.cam_from_world for v in (view, *sources)]),

@@ -15,7 +15,6 @@ from fsinfer.errors import InputError, ModelError
 from fsinfer.manifest import DEFAULT_MODEL, ModelManifest, read_manifest
 from fsinfer.precision import AUTO, INT8, choose_precision
 from fsinfer.providers import find_providers
-from fsinfer.tiles import Tiling, predict_in_tiles
 from fsinfer.volume import (
     Features,
     correlation_volume,
@@ -82,8 +81,7 @@ class DepthModel:
         self.sha256 = manifest.sha256_of(int8=precision == INT8)
         self._calibration = manifest.calibration if calibrate else None
         self._sessions = sessions
-        self._providers = providers
-        self._tiling: Tiling | None = None
+        self.providers = tuple(providers)
 
     @classmethod
     def load(
@@ -110,7 +108,7 @@ class DepthModel:
         threads = threads or os.cpu_count() or 1
         files = manifest.files_of(int8=precision == INT8)
         roles = ("features", "regularizer", "refiner")
-        sessions = {role: _load_graph(file, threads, providers) for role, file in zip(roles, files, strict=False)}
+        sessions = {role: load_graph(file, threads, providers) for role, file in zip(roles, files, strict=False)}
         return cls(manifest, sessions, threads, precision, calibrate=calibrate, providers=providers)
 
     def features(self, image: NDArray[np.uint8]) -> ViewFeatures:
@@ -163,8 +161,6 @@ class DepthModel:
     ) -> DepthEstimate:
         """Do the same from feature maps already computed (:meth:`features`)."""
         intrinsics, cam_from_world = np.asarray(intrinsics, np.float64), np.asarray(cam_from_world, np.float64)
-        if self._tiling is not None:
-            return self._in_tiles(features, intrinsics, cam_from_world, depth_range)
         volume, weights = self.cost_volume(features, intrinsics, cam_from_world, depth_range)
         index, confidence = self.regularize(volume)
         return self.finish(features, intrinsics, cam_from_world, depth_range, index, confidence, weights)
@@ -222,63 +218,6 @@ class DepthModel:
         """Plane index, with fraction, and the network's own confidence (h, w) of a volume of :meth:`cost_volume`."""
         index, confidence = self._sessions["regularizer"].run(None, {"volume": volume})
         return index, confidence
-
-    def cut_into_tiles(self, size: int, *, keeps_volume: bool = True) -> None:
-        """From now on compute depth in tiles of ``size`` quarter pixels (:mod:`fsinfer.tiles`), for less memory.
-
-        ``keeps_volume`` is for a volume that does fit as a whole: without it tiles take less memory and more time.
-
-        Raises
-        ------
-        ModelError
-            The model has no graph for tiles, or it cannot be loaded.
-        """
-        tiles = self.manifest.tiles
-        if tiles is None or self.precision == INT8:
-            msg = f"model {self.manifest.name} cannot be cut into tiles in {self.precision}; give a larger --memory-gb"
-            raise ModelError(msg)
-        self._sessions["tiles"] = _load_graph(self.manifest.folder / tiles.regularizer, self.threads, self._providers)
-        self._tiling = Tiling(
-            size=size,
-            halo=tiles.halo,
-            level_halos=tiles.level_halos,
-            align=tiles.align,
-            keeps_volume=keeps_volume,
-        )
-
-    @property
-    def tile_channels(self) -> list[int]:
-        """Channels of the levels whose means over the whole volume the regularizer for tiles is given."""
-        inputs = {item.name: item.shape for item in self._sessions["tiles"].get_inputs()}
-        return [int(inputs[name][0]) for name in sorted(inputs) if name.startswith("mean")]
-
-    def _in_tiles(
-        self,
-        features: Sequence[ViewFeatures],
-        intrinsics: Float64,
-        cam_from_world: Float64,
-        depth_range: tuple[float, float],
-    ) -> DepthEstimate:
-        import onnxruntime
-
-        # Without this the whole graph runs, whatever output is asked for.
-        options = onnxruntime.RunOptions()
-        options.only_execute_path_to_fetches = True
-
-        def regularizer(volume: Float32, means: Sequence[Float32], wanted: Sequence[str]) -> list[Float32]:
-            feeds = {"volume": volume} | {f"mean{level}": mean for level, mean in enumerate(means)}
-            return list(self._sessions["tiles"].run(list(wanted), feeds, options))
-
-        assert self._tiling is not None
-        return predict_in_tiles(
-            self,
-            regularizer,
-            features,
-            intrinsics,
-            cam_from_world,
-            depth_range,
-            tiling=self._tiling,
-        )
 
     def _refine(
         self,
@@ -340,7 +279,7 @@ class DepthModel:
         return np.asarray(np.float32(near) + fraction * np.float32(far - near), np.float32)
 
 
-def _load_graph(file: Path, threads: int, providers: Sequence[str]) -> Any:
+def load_graph(file: Path, threads: int, providers: Sequence[str]) -> Any:
     """A session of onnxruntime; raises :class:`ModelError`."""
     import onnxruntime
 

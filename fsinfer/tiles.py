@@ -9,22 +9,19 @@ each time.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.depth_model import DepthEstimate, DepthModel, ViewFeatures, load_graph
+from fsinfer.errors import ModelError
+from fsinfer.precision import INT8
 from fsinfer.volume import Features
-
-if TYPE_CHECKING:
-    from fsinfer.depth_model import DepthEstimate, DepthModel, ViewFeatures
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
-#: Volume (S, k*G, h, w), means (C_i,) of three levels, names of the outputs wanted → those outputs.
-TileRegularizer = Callable[[Float32, Sequence[Float32], Sequence[str]], list[Float32]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,89 +78,91 @@ def cut(length: int, *, size: int, halo: int, align: int) -> list[Span]:
     ]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Tiling:
-    """How depth is cut into tiles; lengths in pixels at a quarter of the resolution.
-
-    Attributes
-    ----------
-    size: of a tile's own part; a multiple of ``align``, which is where tiles may begin.
-    halo: round it, for the result; level_halos: for the levels whose means are found first.
-    keeps_volume: the cost volume is there as a whole.
-    """
-
-    size: int
-    halo: int
-    level_halos: tuple[int, ...]
-    align: int
-    keeps_volume: bool
-
-
-def predict_in_tiles(
-    model: DepthModel,
-    regularizer: TileRegularizer,
-    features: Sequence[ViewFeatures],
-    intrinsics: Float64,
-    cam_from_world: Float64,
-    depth_range: tuple[float, float],
-    *,
-    tiling: Tiling,
-) -> DepthEstimate:
-    """Depth of the first view, as :meth:`DepthModel.predict_from_features`, in tiles.
+class TiledDepth:
+    """A depth model whose maps are computed in tiles; it gives what the model gives, for less memory.
 
     Parameters
     ----------
-    regularizer: of a part of the volume, see :data:`TileRegularizer`.
+    model: in float32, with a graph for tiles.
+    size: of a tile's own part, pixels at a quarter of the resolution.
+    keeps_volume: the cost volume is there as a whole; without it tiles take less memory and much more time.
+
+    Raises
+    ------
+    ModelError
+        The model has no graph for tiles, or it cannot be loaded.
     """
-    from fsinfer.depth_model import DepthEstimate
 
-    height, width = features[0].quarter.shape
-    whole = model.cost_volume(features, intrinsics, cam_from_world, depth_range) if tiling.keeps_volume else None
+    def __init__(self, model: DepthModel, size: int, *, keeps_volume: bool = True) -> None:
+        graph = model.manifest.tiles
+        if graph is None or model.precision == INT8:
+            msg = f"model {model.manifest.name} has no tiles in {model.precision}; give a larger --memory-gb"
+            raise ModelError(msg)
+        self._model, self._size, self._keeps_volume, self._graph = model, size, keeps_volume, graph
+        self._session = load_graph(model.manifest.folder / graph.regularizer, model.threads, model.providers)
+        shapes = {item.name: item.shape for item in self._session.get_inputs()}
+        self._channels = [int(shapes[f"mean{level}"][0]) for level in range(len(graph.level_halos))]
 
-    def tiles(halo: int) -> Iterator[tuple[Span, Span, Float32, Float32 | None]]:
-        """Rows, columns, volume and weights of each tile."""
-        for rows in cut(height, size=tiling.size, halo=halo, align=tiling.align):
-            for columns in cut(width, size=tiling.size, halo=halo, align=tiling.align):
-                if whole is None:
-                    part = cropped(features, intrinsics, rows, columns)
-                    yield rows, columns, *model.cost_volume(*part, cam_from_world, depth_range)
-                else:
-                    own = (..., rows.outer, columns.outer)
-                    weights = None if whole[1] is None else whole[1][own]
-                    yield rows, columns, np.ascontiguousarray(whole[0][own]), weights
+    def predict_from_features(
+        self,
+        features: Sequence[ViewFeatures],
+        intrinsics: Float64,
+        cam_from_world: Float64,
+        depth_range: tuple[float, float],
+    ) -> DepthEstimate:
+        """Depth of the first view; see :meth:`DepthModel.predict_from_features`."""
+        model, rest = self._model, (np.asarray(cam_from_world, np.float64), depth_range)
+        intrinsics = np.asarray(intrinsics, np.float64)
+        height, width = features[0].quarter.shape
+        whole = model.cost_volume(features, intrinsics, *rest) if self._keeps_volume else None
 
-    means = [np.zeros(channels, np.float32) for channels in model.tile_channels]
-    for level, halo in enumerate(tiling.level_halos):
-        stride = 2 ** (level + 1)
-        total = np.zeros(len(means[level]))
-        for rows, columns, volume, _ in tiles(halo):
-            (found,) = regularizer(volume, means, [f"level{level}"])
-            total += found[:, rows.own(stride), columns.own(stride)].sum(axis=(1, 2), dtype=np.float64)
-        means[level] = (total / (-(-height // stride) * -(-width // stride))).astype(np.float32)
-    depth = confidence = np.empty((0, 0), np.float32)
-    stride = 4
-    for rows, columns, volume, weights in tiles(tiling.halo):
-        index, certainty = regularizer(volume, means, ["index", "confidence"])
-        part = cropped(features, intrinsics, rows, columns)
-        estimate = model.finish(*part, cam_from_world, depth_range, index, certainty, weights)
-        if not depth.size:
-            stride = estimate.stride
-            half = features[0].half
-            shape = (height, width) if stride == 4 or half is None else half.shape
-            depth, confidence = np.empty(shape, np.float32), np.empty(shape, np.float32)
-        finer = 4 // stride
-        there = rows.of_whole(finer, shape[0]), columns.of_whole(finer, shape[1])
-        own = rows.of_tile(finer, shape[0]), columns.of_tile(finer, shape[1])
-        depth[there], confidence[there] = estimate.depth[own], estimate.confidence[own]
-    return DepthEstimate(depth=depth, confidence=confidence, stride=stride)
+        def tiles(halo: int) -> Iterator[tuple[Span, Span, Float32, Float32 | None]]:
+            """Rows, columns, volume and weights of each tile."""
+            for rows in cut(height, size=self._size, halo=halo, align=self._graph.align):
+                for columns in cut(width, size=self._size, halo=halo, align=self._graph.align):
+                    if whole is None:
+                        part = cropped(features, intrinsics, rows, columns)
+                        yield rows, columns, *model.cost_volume(*part, *rest)
+                    else:
+                        own = (..., rows.outer, columns.outer)
+                        weights = None if whole[1] is None else whole[1][own]
+                        yield rows, columns, np.ascontiguousarray(whole[0][own]), weights
+
+        means = [np.zeros(channels, np.float32) for channels in self._channels]
+        for level, halo in enumerate(self._graph.level_halos):
+            step = 2 ** (level + 1)
+            total = np.zeros(len(means[level]))
+            for rows, columns, volume, _ in tiles(halo):
+                (found,) = self._regularize(volume, means, f"level{level}")
+                total += found[:, rows.own(step), columns.own(step)].sum(axis=(1, 2), dtype=np.float64)
+            means[level] = (total / (-(-height // step) * -(-width // step))).astype(np.float32)
+        half = features[0].half
+        shape, stride = ((height, width), 4) if half is None else (half.shape, 2)
+        depth, confidence = np.empty(shape, np.float32), np.empty(shape, np.float32)
+        for rows, columns, volume, weights in tiles(self._graph.halo):
+            index, certainty = self._regularize(volume, means, "index", "confidence")
+            part = cropped(features, intrinsics, rows, columns)
+            estimate = model.finish(*part, *rest, index, certainty, weights)
+            there = rows.of_whole(4 // stride, shape[0]), columns.of_whole(4 // stride, shape[1])
+            own = rows.of_tile(4 // stride, shape[0]), columns.of_tile(4 // stride, shape[1])
+            depth[there], confidence[there] = estimate.depth[own], estimate.confidence[own]
+        return DepthEstimate(depth=depth, confidence=confidence, stride=stride)
+
+    def _regularize(self, volume: Float32, means: Sequence[Float32], *wanted: str) -> list[Float32]:
+        """Outputs of the graph for a part of the volume, and the means of its levels as far as they are known."""
+        import onnxruntime
+
+        # Without this all of the graph runs, whatever output is asked for.
+        options = onnxruntime.RunOptions()
+        options.only_execute_path_to_fetches = True
+        feeds = {"volume": volume} | {f"mean{level}": mean for level, mean in enumerate(means)}
+        return list(self._session.run(list(wanted), feeds, options))
 
 
 def cropped(
     features: Sequence[ViewFeatures], intrinsics: Float64, rows: Span, columns: Span
 ) -> tuple[list[ViewFeatures], Float64]:
     """The views with the reference cut to a tile, and their (N, 3, 3) intrinsics with its principal point moved."""
-    from fsinfer.depth_model import ViewFeatures
-
     reference = features[0]
     half = reference.half
     cut_reference = ViewFeatures(

@@ -107,9 +107,10 @@ from tests.bench.speed import make_views
 images, intrinsics, poses, depth_range = make_views(3, 800, 1280)
 model = DepthModel.load(threads=2, precision="float32")
 plan = plan_depth(1.4, width=1280, height=800, planes=192, groups=4, views=3, most_cached=3, tile_halo=56)
+from fsinfer.tiles import TiledDepth
 assert plan.tile_size and plan.keeps_volume
-model.cut_into_tiles(plan.tile_size)
-model.predict(images, intrinsics, poses, depth_range)
+tiled = TiledDepth(model, plan.tile_size)
+tiled.predict_from_features([model.features(image) for image in images], intrinsics, poses, depth_range)
 """
 
 

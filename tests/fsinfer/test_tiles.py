@@ -18,7 +18,7 @@ from fsinfer.manifest import models_folder, read_manifest
 from fsinfer.memory_plan import DepthPlan
 from fsinfer.pfm import read_pfm
 from fsinfer.scene import read_scene
-from fsinfer.tiles import cut
+from fsinfer.tiles import TiledDepth, cut
 from tests.bench.speed import make_views
 from tests.plane_scene import write_plane_scene
 
@@ -63,8 +63,9 @@ def in_tiles(*, keeps_volume: bool = True, halo: int | None = None) -> DepthEsti
     if halo is not None:
         assert model.manifest.tiles is not None
         model.manifest = replace(model.manifest, tiles=replace(model.manifest.tiles, halo=halo))
-    model.cut_into_tiles(64, keeps_volume=keeps_volume)
-    return model.predict(*make_views(3, 534, 618))
+    images, *cameras = make_views(3, 534, 618)
+    tiled = TiledDepth(model, 64, keeps_volume=keeps_volume)
+    return tiled.predict_from_features([model.features(image) for image in images], *cameras)
 
 
 def differing(a: DepthEstimate, b: DepthEstimate) -> float:
@@ -90,7 +91,7 @@ def test_int8_has_no_tiles() -> None:
     if read_manifest("field").int8_regularizer is None:
         pytest.skip("the shipped model has no int8 regularizer")
     with pytest.raises(ModelError, match="int8"):
-        DepthModel.load(threads=1, precision="int8").cut_into_tiles(64)
+        TiledDepth(DepthModel.load(threads=1, precision="int8"), 64)
 
 
 def test_the_depth_stage_cuts_what_does_not_fit(
