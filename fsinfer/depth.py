@@ -214,6 +214,7 @@ def _plan(views: Sequence[View], settings: DepthSettings, model: DepthModel) -> 
         groups=model.manifest.groups,
         views=settings.source_views + 1,
         most_cached=CACHED_VIEWS,
+        int8=model.precision == INT8,
         tile_halo=None if model.manifest.tiles is None else model.manifest.tiles.halo,
     )
     if plan.tile_size:

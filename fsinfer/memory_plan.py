@@ -16,8 +16,8 @@ GIGABYTE = 1_000_000_000
 #: Python, NumPy, OpenCV, onnxruntime and the model before any work.
 _BASE_BYTES = 150 * MEGABYTE
 #: Peak of a depth map over the cost volume itself: the volume, what the regularizer holds at once, the narrow volume.
-#: 7.3 to 7.9 times at 960x540 to 1920x1080.
-_PEAK_OVER_VOLUME = 8.2
+#: 7.3 to 7.9 times at 960x540 to 1920x1080 in float32, 3.8 to 4.1 in int8 at 960x540 to 2400x1800.
+_PEAK_OVER_VOLUME, _INT8_PEAK_OVER_VOLUME = 8.2, 4.4
 #: The same in tiles, of which the volume is a copy, and bytes a pixel that the feature network leaves behind.
 #: 1600x1200 and 2400x1800 in tiles of 128: 2.13 and 3.06 GB.
 _PEAK_OVER_TILE, _FEATURES_BYTES = 9.2, 105
@@ -65,6 +65,7 @@ def plan_depth(
     groups: int,
     views: int,
     most_cached: int,
+    int8: bool = False,
     tile_halo: int | None = None,
 ) -> DepthPlan:
     """Cache as many feature maps as the limit allows, at least those of one depth map; in tiles where that is too much.
@@ -75,6 +76,7 @@ def plan_depth(
     width, height: of the image given to the network, pixels.
     planes, groups: of the cost volume at a quarter of that.
     views: photographs compared at a time, the reference among them.
+    int8: the regularizer is in 8-bit integers; in tiles it never is.
     tile_halo: of the model's tiles, quarter pixels; None where it cannot be cut into tiles.
 
     Raises
@@ -86,7 +88,7 @@ def plan_depth(
     volume = 4 * planes * groups * quarter
     # 16 channels at a quarter, 8 at half resolution, float32.
     of_view = 4 * quarter * (16 + 4 * 8)
-    fixed = _BASE_BYTES + _PEAK_OVER_VOLUME * volume
+    fixed = _BASE_BYTES + (_INT8_PEAK_OVER_VOLUME if int8 else _PEAK_OVER_VOLUME) * volume
     limit = memory_gb * GIGABYTE
     least = fixed + views * of_view
     if least > limit and tile_halo is not None:

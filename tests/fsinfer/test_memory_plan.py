@@ -26,6 +26,13 @@ def test_a_common_photo_has_everything_kept_in_three_gigabytes() -> None:
     assert 1.5e9 < plan.peak_bytes < 2.5e9
 
 
+def test_int8_takes_less() -> None:
+    whole = plan_depth(3.0, width=1920, height=1080, planes=192, groups=4, views=5, most_cached=24, int8=True)
+    assert whole.tile_size == 0
+    with pytest.raises(InputError):
+        _depth(3.0, 1920, 1080)
+
+
 def test_less_memory_keeps_fewer_maps_and_stays_within() -> None:
     generous, tight = _depth(3.0), _depth(1.7)
     assert 5 <= tight.cached_views < generous.cached_views
@@ -86,7 +93,7 @@ from fsinfer.depth_model import DepthModel
 from fsinfer.memory_plan import plan_depth
 from tests.bench.speed import make_views
 images, intrinsics, poses, depth_range = make_views(3, 256, 512)
-model = DepthModel.load(threads=2, precision="float32")  # int8 takes less
+model = DepthModel.load(threads=2, precision="float32")
 for _ in range(2):
     model.predict(images, intrinsics, poses, depth_range)
 plan = plan_depth(3.0, width=512, height=256, planes=192, groups=4, views=3, most_cached=3)
@@ -100,6 +107,15 @@ print(plan.peak_bytes, peak_kib * 1024)
 """
 
 
+_INT8 = """
+from fsinfer.depth_model import DepthModel
+from fsinfer.memory_plan import plan_depth
+from tests.bench.speed import make_views
+images, intrinsics, poses, depth_range = make_views(3, 512, 960)
+model = DepthModel.load(threads=2, precision="int8")
+model.predict(images, intrinsics, poses, depth_range)
+plan = plan_depth(3.0, width=960, height=512, planes=192, groups=4, views=3, most_cached=3, int8=True)
+"""
 _TILED = """
 from fsinfer.depth_model import DepthModel
 from fsinfer.memory_plan import plan_depth
@@ -115,7 +131,7 @@ tiled.predict_from_features([model.features(image) for image in images], intrins
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-@pytest.mark.parametrize("program", [_WHOLE, _TILED])
+@pytest.mark.parametrize("program", [_WHOLE, _INT8, _TILED])
 def test_the_estimate_is_that_of_a_real_run(program: str) -> None:
     done = subprocess.run([sys.executable, "-c", program + _PEAK], capture_output=True, text=True, check=True)
     expected, found = (int(word) for word in done.stdout.split())
