@@ -9,7 +9,17 @@ import typer
 import typer.core
 
 from fsinfer import __version__
-from fsinfer.cli_console import Debug, Quiet, explain, reports_errors, say, show_library_warnings, stage_progress, warn
+from fsinfer.cli_console import (
+    Debug,
+    Quiet,
+    explain,
+    reports_errors,
+    say,
+    show_library_warnings,
+    stage_progress,
+    stop_on_signals,
+    warn,
+)
 from fsinfer.cli_field import register_field
 from fsinfer.cli_options import (
     ArucoDictionary,
@@ -174,9 +184,8 @@ def run(
     typer.echo(f"Photos: {plot['registered']} of {plot['photos']} placed")
     typer.echo(f"Cloud: {plot['points']} points in {plot['units']}, {out / 'cloud.ply'}")
     typer.echo(f"Trees: {plot['trees']}, with DBH {plot['trees_with_dbh']}, {out / 'trees.csv'}")
-    if plot["units"] == "m":
-        for row in unmeasured_rows(read_trees(out / "trees.csv")):
-            typer.echo(row)
+    for row in unmeasured_rows(read_trees(out / "trees.csv")):
+        typer.echo(row)
     typer.echo(f"Report: {out / 'report.html'}")
 
 
@@ -187,6 +196,7 @@ register_stages(app)
 def main() -> None:
     """Entry point of the ``fsinfer`` command."""
     show_library_warnings()
+    stop_on_signals()
     try:
         app()
     except Exception as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import functools
 import logging
+import signal
 import sys
 import time
 import traceback
@@ -75,6 +76,14 @@ def explain(error: Exception) -> tuple[str, int]:
 def say(message: str) -> None:
     """Show a message for people (stderr; results go to stdout)."""
     typer.echo(message, err=True)
+
+
+def stop_on_signals() -> None:
+    """Let whoever ends the program or closes its window stop it as Ctrl-C does."""
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)  # Windows has no SIGHUP
+        if number is not None and signal.getsignal(number) == signal.SIG_DFL:
+            signal.signal(number, signal.default_int_handler)
 
 
 _warned: set[str] = set()

@@ -37,7 +37,7 @@ from fsinfer.cli_options import (
     scale_request,
     tree_settings,
 )
-from fsinfer.cli_tables import evaluation_rows
+from fsinfer.cli_tables import evaluation_rows, unmeasured_rows
 
 SceneFolder = Annotated[
     Path, typer.Argument(help="Scene in MVSNet format: images/, cams/, pair.txt.", show_default=False)
@@ -170,6 +170,7 @@ def trees(
     """
     request = scale_request(scale, aruco_length_m, aruco_dictionary, endpoints, length_m)
     from fsinfer.stage_commands import measure_cloud_file
+    from fsinfer.trees.table import read_trees
 
     with stage_progress(quiet=quiet) as progress:
         result = measure_cloud_file(
@@ -181,7 +182,10 @@ def trees(
             progress=progress("trees"),
         )
     warn(result["warnings"])
-    typer.echo(f"{result['trees']} trees, {result['trees_with_dbh']} with DBH, in {out / 'trees.csv'}")
+    trees = "tree" if result["trees"] == 1 else "trees"
+    typer.echo(f"{result['trees']} {trees}, {result['trees_with_dbh']} with DBH, in {out / 'trees.csv'}")
+    for row in unmeasured_rows(read_trees(out / "trees.csv")):
+        typer.echo(row)
 
 
 @reports_errors

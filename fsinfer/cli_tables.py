@@ -43,7 +43,8 @@ def evaluation_rows(evaluation: Evaluation) -> list[str]:
 
 def unmeasured_rows(trees: Sequence[Tree]) -> list[str]:
     """Why trees have no DBH, one a line; the first of them where there are many."""
-    missing = [tree for tree in trees if tree.dbh_cm is None]
+    # That no scale is known is said by itself.
+    missing = [tree for tree in trees if tree.dbh_cm is None and tree.reason != "no scale"]
     rows = [f"  tree {tree.tree_id} has no DBH: {tree.reason}" for tree in missing[:_MOST_REASONS]]
     more = len(missing) - len(rows)
     return [*rows, f"  and {more} more: see the column reason of trees.csv"] if more else rows
@@ -70,7 +71,7 @@ def demo_rows(result: DemoResult) -> list[str]:
     rows += ["", *evaluation_rows(result.evaluation)]
     if result.evaluation.outside:
         rows.append(
-            f"The report shows {len(result.trees)} trees: {result.evaluation.outside} stand outside the plot, where "
-            "the photos see them too and nobody measured them."
+            f"The report shows {len(result.trees)} stems: {result.evaluation.outside} stand outside the plot, where "
+            "the photos show trees and shrubs too, from one side mostly, that the truth says nothing of."
         )
     return rows

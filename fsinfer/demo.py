@@ -62,6 +62,9 @@ def run_demo(
         msg = "this installation of fsinfer has no demo plot; install fsinfer again"
         raise InputError(msg)
     out = Path(out)
+    if out.is_dir() and any(path.suffix.lower() in (".jpg", ".jpeg", ".png", ".heic") for path in out.iterdir()):
+        msg = f"{out} holds photos; give the demo a folder of its own, like {out.resolve().name}-demo"
+        raise InputError(msg)
     photos = make_folder(out / "photos")
     for photo in (data / "photos").iterdir():
         _copy(photo, photos / photo.name)

@@ -108,7 +108,8 @@ def read_measured(path: Path, *, need_dbh: bool = True, need_position: bool = Tr
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        msg = f"cannot read {path}: {error}; give a CSV file with the columns tree_id, x_m, y_m, dbh_cm"
+        why = "there is no such file" if isinstance(error, FileNotFoundError) else str(error)
+        msg = f"cannot read {path}: {why}; give a CSV file with the columns tree_id, x_m, y_m, dbh_cm"
         raise InputError(msg) from error
     lines = text.splitlines()
     semicolon = bool(lines) and lines[0].count(";") > lines[0].count(",")
@@ -134,6 +135,9 @@ def read_measured(path: Path, *, need_dbh: bool = True, need_position: bool = Tr
             msg = f"{path}, row {number}: tree_id {tree_id} was used in row {seen[tree_id]} already; make it unique"
             raise InputError(msg)
         seen[tree_id] = number
+        if cells.get("reason") == "no scale":
+            msg = f"{path} was made without a scale: its positions are no metres; give fsinfer run a scale first"
+            raise InputError(msg)
         dbh = _number(path, number, "dbh_cm", cells["dbh_cm"], semicolon, optional=not need_dbh)
         if dbh is not None and not 0.0 < dbh < 1000.0:
             msg = f"{path}, row {number}: dbh_cm is {dbh:g}; it must lie between 0 and 1000 cm (0 is not 'unmeasured')"

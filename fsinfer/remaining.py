@@ -43,7 +43,7 @@ def _pairs_per_photo(photos: int) -> float:
     return most_pairs(photos, PairSettings()) / photos
 
 
-#: For each photo of 1280x720, in any unit: only their proportions matter. From the runs in test_remaining.py.
+#: For each photo of 1280x720, about seconds on two cores; their proportions matter. From the runs in test_remaining.py.
 STEPS = (
     Step(stage="frames", what="", cost=_each(0.02)),
     Step(stage="poses", what="reading photos", cost=_each(0.01)),
@@ -59,6 +59,8 @@ STEPS = (
     Step(stage="trees", what="", cost=_besides(8.5, 0.07)),
     Step(stage="report", what="", cost=_besides(4.3, 0.015)),
 )
+# What goes so many times faster than on the machine of the costs, which are about seconds there, was there already.
+_SKIPPED = 50.0
 # Before this share of the cost is done an estimate would be a guess.
 _LEAST_SHARE = 0.02
 
@@ -79,6 +81,8 @@ class RemainingTime:
         self._ran: set[int] = set()
         self._at = -1
         self._part = 0.0
+        self._reported = self._started
+        self._there_before = 0.0
 
     def update(self, stage: str, done: int, total: int, what: str) -> None:
         """Take one report of a stage's progress callback; steps that are not known are passed over."""
@@ -92,7 +96,14 @@ class RemainingTime:
         self._ran.add(self._at)
         if what in ("reading photos", "finding features", "placing photos") or stage == "depth":
             self._photos = total
-        self._part = max(self._part, min(1.0, done / total))
+        before, self._part = self._part, max(self._part, min(1.0, done / total))
+        now = self._clock()
+        photos = max(2, self._photos)
+        cost = (self._part - before) * STEPS[self._at].cost(photos)
+        if cost * photos > _SKIPPED * (now - self._reported):
+            # A stage that goes on after a stop counts quickly through what it did before.
+            self._there_before += cost
+        self._reported = now
 
     def seconds(self) -> float | None:
         """Seconds left of the whole run, or None as long as nothing can be said."""
@@ -100,7 +111,7 @@ class RemainingTime:
             return None
         photos = max(2, self._photos)
         costs = [step.cost(photos) for step in STEPS]
-        done = sum(costs[i] for i in self._ran if i < self._at) + self._part * costs[self._at]
+        done = sum(costs[i] for i in self._ran if i < self._at) + self._part * costs[self._at] - self._there_before
         left = (1 - self._part) * costs[self._at] + sum(costs[self._at + 1 :])
         if done < _LEAST_SHARE * (done + left):
             return None

@@ -27,20 +27,37 @@ def doubt_endpoints(request: ScaleRequest, plot: Mapping[str, Any]) -> tuple[str
     if before is not None and [tuple(map(float, point)) for point in before] == [*request.endpoints]:
         return ()
     factor = float(m_per_unit) * request.length_m / math.dist(*request.endpoints)
+    height_m = plot.get("camera_height")
+    if height_m and height_m > 0:
+        # Which of the two has the photos taken nearer to the height at which people hold a phone?
+        metric = float(height_m) / float(m_per_unit) * factor
+        units = float(height_m) / float(m_per_unit) * request.length_m / math.dist(*request.endpoints)
+        if not _likely(metric) or _oddness(units) < _oddness(metric):
+            return ()
     return (
         "the end points count in the model units of the cloud without a scale, and cloud.ply was in metres before this "
         f"run; if they were read off that cloud, the scale is wrong now: give --scale {factor:.6g} instead",
     )
 
 
+def _oddness(camera_height_m: float) -> float:
+    return abs(math.log(camera_height_m / CAMERA_HEIGHT_M))
+
+
+def _likely(camera_height_m: float) -> bool:
+    low, high = LIKELY_HEIGHTS_M
+    return low <= camera_height_m <= high
+
+
 def doubt_height(camera_height_m: float | None) -> tuple[str, ...]:
     """Warn where the scale would have the photographs taken from a height at which nobody holds a camera."""
-    low, high = LIKELY_HEIGHTS_M
-    if camera_height_m is None or low <= camera_height_m <= high:
+    if camera_height_m is None or _likely(camera_height_m):
         return ()
+    shown = f"{camera_height_m:.0f}" if camera_height_m >= 10 else f"{camera_height_m:.2g}"
+    hint = "; was the length given in centimetres?" if _likely(camera_height_m / 100) else ""
     return (
-        f"with this scale the photos were taken {camera_height_m:.2g} m above the ground (a phone is held at about "
-        f"{CAMERA_HEIGHT_M:g} m): the scale, and with it every DBH, is probably wrong; look at the length given",
+        f"with this scale the photos were taken {shown} m above the ground (a phone is held at about "
+        f"{CAMERA_HEIGHT_M:g} m): the scale, and with it every DBH, is probably wrong; look at the length given{hint}",
     )
 
 

@@ -143,8 +143,12 @@ def find_scale(
     if request.endpoints is not None and request.length_m is not None:
         return scale_from_endpoints(*request.endpoints, request.length_m), ()
     if request.aruco_length_m is None:
-        boards = _from_printed_boards(scene, progress) if request.printed_boards and scene is not None else None
-        return (nothing, (NO_SCALE,)) if boards is None else (boards, (*_few_boards(boards), *_twice(boards)))
+        if scene is None or not request.printed_boards:
+            return nothing, (NO_SCALE,)
+        boards = scale_from_printed_boards(scene, progress)
+        if boards is not None:
+            return boards, (*_few_boards(boards), *_twice(boards))
+        return nothing, (_of_unknown_length(request, scene, progress) or NO_SCALE,)
     if scene is None:
         msg = (
             "--aruco-length-m looks for the markers in the photographs, and there is no scene here; use it with "
@@ -158,7 +162,7 @@ def find_scale(
     return scale, _twice(scale)
 
 
-def _from_printed_boards(scene: Scene, progress: Progress) -> Scale | None:
+def scale_from_printed_boards(scene: Scene, progress: Progress) -> Scale | None:
     """The scale by boards that tell their length, or None where no such board can be used."""
     from fsinfer.printed_boards import DICTIONARY, board_lengths
     from fsinfer.scale import scale_from_aruco
@@ -169,6 +173,23 @@ def _from_printed_boards(scene: Scene, progress: Progress) -> Scale | None:
         # No board, or none that is seen well enough: nobody asked for boards, so that this is no warning of its own.
         _log.info("no scale from printed boards: %s", error)
         return None
+
+
+def _of_unknown_length(request: ScaleRequest, scene: Scene, progress: Progress) -> str:
+    """What to say where markers are seen whose numbers do not tell their length; empty where there are none."""
+    from fsinfer.scale import scale_from_aruco
+
+    try:
+        # Which ones are seen does not depend on the length.
+        seen = scale_from_aruco(scene, 1.0, dictionary=request.aruco_dictionary, progress=progress)
+    except ScaleError:
+        return ""
+    numbers = ", ".join(str(marker["id"]) for marker in seen.details["markers"])
+    return (
+        f"no scale was given, but ArUco markers are seen (number {numbers}) whose length is not known: measure the "
+        "side of the black square and run again with --aruco-length-m, in metres; until then the cloud is in model "
+        "units and no DBH is measured"
+    )
 
 
 def _twice(scale: Scale) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ import numpy as np
 from fsinfer.cloud import PointCloud, read_cloud, write_cloud
 from fsinfer.cloud_chunks import open_chunks
 from fsinfer.cloud_thinning import ThinningSettings, thin_while_reading
-from fsinfer.errors import ScaleError
+from fsinfer.errors import CloudError, ScaleError
 from fsinfer.files import make_folder
 from fsinfer.las import read_epsg
 from fsinfer.placement import PlacedCloud, density_per_m2, marker_centers, place_cloud, transform_cloud
@@ -22,7 +22,7 @@ from fsinfer.progress import Progress, silent
 from fsinfer.scale_request import NO_SCALE, ScaleRequest, find_scale
 from fsinfer.scene import read_scene
 from fsinfer.silhouettes import StemPhotos
-from fsinfer.stages import as_json
+from fsinfer.stages import RECORDS_FOLDER, as_json
 from fsinfer.tree_edits import find_edits
 from fsinfer.tree_labels import write_labelled
 from fsinfer.tree_outputs import write_tree_outputs
@@ -114,6 +114,10 @@ def measure_cloud_file(
         ArUco markers were asked for, and ``out`` has no scene that the cloud came from.
     """
     start = time.perf_counter()
+    if cloud_path.parent.name == "fused" and (cloud_path.parent.parent / RECORDS_FOLDER).is_dir():
+        finished = cloud_path.parent.parent / "cloud.ply"
+        msg = f"{cloud_path} is what a run made before it knew what is up and how long a metre is; give {finished}"
+        raise CloudError(msg)
     thinning = thinning or ThinningSettings()
     corrections = find_edits(out, edits)
     chunked = open_chunks(cloud_path)
@@ -160,7 +164,11 @@ def measure_cloud_file(
         cloud = transform_cloud(cloud, turn)
         warnings = (*warnings, error.warning)
         result = measure(cloud)
-    result["warnings"] = [*warnings, *result["warnings"]]
+    # That there is no scale is said once.
+    told = any(text.startswith("no scale") for text in warnings)
+    result["warnings"] = [
+        *warnings, *(text for text in result["warnings"] if not (told and text.startswith("no scale")))
+    ]  # fmt: skip
     values = {key: result[key] for key in TREE_VALUES}
     values["trees_scale"] = {"m_per_unit": scale.m_per_unit, "source": scale.source, "rel_std": scale.rel_std}
     before = read_plot(out)

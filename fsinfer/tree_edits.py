@@ -58,6 +58,8 @@ class TreeEdit:
 def read_edits(path: Path | str) -> tuple[TreeEdit, ...]:
     """Read an edits file: ``action, tree_id, other_id, x_m, y_m``, of which each action needs its own.
 
+    Commas between the cells, or semicolons, and then decimal commas are understood too.
+
     Raises
     ------
     InputError
@@ -70,14 +72,19 @@ def read_edits(path: Path | str) -> tuple[TreeEdit, ...]:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else error
         msg = f"cannot read the edits {path}: {reason}; give a CSV with the column action (see docs/trees.md)"
         raise InputError(msg) from error
-    reader = csv.DictReader(text.splitlines(), skipinitialspace=True)
+    lines = text.splitlines()
+    # Spreadsheets of countries with a decimal comma write semicolons.
+    semicolon = bool(lines) and lines[0].count(";") > lines[0].count(",")
+    reader = csv.DictReader(lines, delimiter=";" if semicolon else ",", skipinitialspace=True)
     columns = [name.strip() for name in reader.fieldnames or []]
     reader.fieldnames = columns
     if "action" not in columns:
         msg = f"{path} has no column action; its first line must be: action,tree_id,other_id,x_m,y_m"
         raise InputError(msg)
     edits = tuple(
-        _read_row(path, row, cells, columns) for row, cells in enumerate(reader, start=2) if any(cells.values())
+        _read_row(path, row, _with_points(cells) if semicolon else cells, columns)
+        for row, cells in enumerate(reader, start=2)
+        if any(cells.values())
     )
     given = Counter(edit.tree_id for edit in edits if edit.action == "add" and edit.tree_id is not None)
     for number, count in given.items():
@@ -85,6 +92,11 @@ def read_edits(path: Path | str) -> tuple[TreeEdit, ...]:
             msg = f"{path}: {count} added trees have the tree_id {number}; give each its own, or leave the cell empty"
             raise InputError(msg)
     return edits
+
+
+def _with_points(cells: dict[str, str]) -> dict[str, str]:
+    """The cells of a row with decimal points for decimal commas."""
+    return {key: value.replace(",", ".") if key in ("x_m", "y_m") and value else value for key, value in cells.items()}
 
 
 def find_edits(out: Path, given: Path | None) -> tuple[TreeEdit, ...]:

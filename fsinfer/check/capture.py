@@ -30,7 +30,7 @@ from fsinfer.placement import marker_centers
 from fsinfer.plan_area import in_hull
 from fsinfer.progress import Progress, StageProgress, silent_stages
 from fsinfer.scale import Scale
-from fsinfer.scale_request import ScaleRequest, find_scale
+from fsinfer.scale_request import ScaleRequest, find_scale, scale_from_printed_boards
 from fsinfer.scene import Scene, read_scene
 from fsinfer.sfm import PoseSettings
 from fsinfer.sparse import read_sparse
@@ -238,14 +238,18 @@ def _beyond(entry: StemCoverage, sides: Sequence[OpenSide]) -> StemCoverage:
 
 def _scale(request: ScaleRequest, scene: Scene, progress: Progress) -> tuple[Scale, Scale]:
     """The metric scale, and how the boards are seen where their length is not known."""
-    scale, _ = find_scale(request, scene=scene, progress=progress)
+    unknown = Scale(m_per_unit=None, source="none", rel_std=None)
+    if request.given:
+        scale, _ = find_scale(request, scene=scene, progress=progress)
+    else:
+        scale = scale_from_printed_boards(scene, progress) or unknown
     if scale.source == "aruco":
         return scale, scale
     try:
         # The length does not matter for how well a board is seen.
         return scale, scale_from_aruco(scene, 1.0, dictionary=request.aruco_dictionary, progress=progress)
     except ScaleError:
-        return scale, Scale(m_per_unit=None, source="none", rel_std=None)
+        return scale, unknown
 
 
 def _write(result: CheckResult, folder: Path, seconds: dict[str, float]) -> CheckResult:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from fsinfer.report.contents import Contents, number, tree_number
 from fsinfer.report.html import bullets, escape, paragraph, section
@@ -38,8 +38,8 @@ def warnings_section(contents: Contents) -> str:
     given = plot.get("warnings")
     said = [str(text) for text in given] if isinstance(given, list) else [str(given)] if given else []
     if parts:
-        # The alarm above says it already.
-        said = [text for text in said if not text.startswith("no scale")]
+        # The alarm above says it already, unless markers were seen.
+        said = [text for text in said if not text.startswith("no scale") or "markers are seen" in text]
     remarks = [text for text in said if _REMARKS.search(text)]
     texts = [text for text in said if text not in remarks]
     diagnosis = plot.get("diagnosis")
@@ -80,9 +80,15 @@ def _measurement_warnings(contents: Contents) -> list[str]:
     if contents.metric and spread is not None and spread > LARGE_SCALE_STD:
         texts.append(
             f"The scale is only known to ± {100 * spread:.1f} %: a stem of 30 cm may be {30 * 1.96 * spread:.1f} cm "
-            "thicker or thinner for that alone. Put up more markers, and photograph each from several places."
+            f"thicker or thinner for that alone. {_better_scale(plot)}"
         )
     return texts
+
+
+def _better_scale(plot: Mapping[str, object]) -> str:
+    if plot.get("scale_source") == "endpoints":
+        return "Boards are better (fsinfer marker), or the two ends of something longer."
+    return "Put up more markers, and photograph each from several places."
 
 
 def _tree_warnings(contents: Contents) -> list[str]:
@@ -106,10 +112,13 @@ def _tree_warnings(contents: Contents) -> list[str]:
         said = [escape(reasons[i]) for i in missing if reasons[i]]
         few = 0 < len(missing) <= MOST_REASONS and len(said) == len(missing)
         why = ": " + "; ".join(said) if few else "; the card says why"
-        items.append(
-            f"{_trees(missing)} {'has' if len(missing) == 1 else 'have'} no diameter{why}. Mostly it "
-            "helps to walk round the stem again, within three to six metres."
+        # Where the reason says it already, not twice.
+        advice = (
+            ""
+            if few and any("walk round" in text for text in said)
+            else (" Mostly it helps to walk round the stem again, within three to six metres.")
         )
+        items.append(f"{_trees(missing)} {'has' if len(missing) == 1 else 'have'} no diameter{why}.{advice}")
     if one_side:
         items.append(
             f"{_trees(one_side)} {'was' if len(one_side) == 1 else 'were'} seen from one side only (less than "

@@ -82,7 +82,8 @@ def plot_stem_map(result: PlotResult, path: Path) -> None:
     found = f"{len(result.trees)} tree{'' if len(result.trees) == 1 else 's'}"
     measured = sum(tree.dbh_cm is not None for tree in result.trees)
     told = f"{measured} with a DBH (circles to scale)" if result.units_per_m is None else "no scale, no DBH"
-    axes.set_title(f"Stem map: {found}, {told}", fontsize=11)
+    # The layout keeps room for it, which it does not always for a title of the axes.
+    figure.suptitle(f"Stem map: {found}, {told}", fontsize=11)
     axes.grid(color="0.94")
     axes.set_axisbelow(True)
     present = [status for status in STATUS_COLOURS if any(tree.status == status for tree in result.trees)]
@@ -91,9 +92,9 @@ def plot_stem_map(result: PlotResult, path: Path) -> None:
                markerfacecolor="none" if status == "unmeasured" else STATUS_COLOURS[status])
         for status in present
     ]  # fmt: skip
-    if handles:
-        figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=9, frameon=False)
-    else:
+    handles.append(Line2D([], [], color="0.75", linestyle="--", linewidth=1.0, label="where the cloud lies"))
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=9, frameon=False)
+    if not result.trees:
         axes.text(0.5, 0.5, "no trees found", transform=axes.transAxes, ha="center", color="0.4")
     _save(figure, path)
 
@@ -120,7 +121,7 @@ def plot_section(
     kept = section.kept
     size = float(np.clip(900.0 / max(len(offsets), 1), 2.0, 22.0))
     axes.scatter(*offsets[~kept].T, s=size, color=_DROPPED, alpha=0.6, linewidth=0, label="dropped points")
-    axes.scatter(*offsets[kept].T, s=size, color=_KEPT, alpha=0.8, linewidth=0, label="points of the circle")
+    axes.scatter(*offsets[kept].T, s=size, color=_KEPT, alpha=0.8, linewidth=0, label="points used")
     if tree.dbh_cm is not None:
         half = 1.96 * 100.0 * section.sd_m / 2.0
         band = Annulus(

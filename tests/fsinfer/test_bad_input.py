@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -232,3 +233,45 @@ def test_a_missing_argument_is_shown_by_an_example(call: Call) -> None:
         code, _, err = call(command)
         assert code == 2
         assert f"fsinfer {command} {example}" in " ".join(err.replace("│", " ").split())
+
+
+def test_the_demo_is_not_put_among_photos(call: Call, tmp_path: Path) -> None:
+    write_image(tmp_path / "a.jpg", np.zeros((120, 160, 3), np.uint8))
+    assert "folder of its own" in errors_of(call("demo", tmp_path))[0]
+    assert [path.name for path in tmp_path.iterdir()] == ["a.jpg"]
+
+
+def test_the_cloud_before_its_scale_is_not_measured(call: Call, tmp_path: Path) -> None:
+    for folder in (".fsinfer", "fused"):
+        (tmp_path / folder).mkdir()
+    write_cloud(tmp_path / "fused" / "cloud.ply", PointCloud(xyz=np.zeros((500, 3))))
+    message = errors_of(call("trees", tmp_path / "fused" / "cloud.ply", tmp_path / "out"))[0]
+    assert str(tmp_path / "cloud.ply") in message
+
+
+def test_trees_without_a_scale_are_not_evaluated(call: Call, tmp_path: Path) -> None:
+    (tmp_path / "measured.csv").write_text("tree_id,x_m,y_m,dbh_cm\n1,0,0,30\n", encoding="utf-8")
+    (tmp_path / "trees.csv").write_text("tree_id,x_m,y_m,dbh_cm,reason\n1,0,0,,no scale\n", encoding="utf-8")
+    message = errors_of(call("evaluate", tmp_path / "measured.csv", tmp_path / "trees.csv"))[0]
+    assert "made without a scale" in message
+    assert "there is no such file" in errors_of(call("evaluate", tmp_path / "gone.csv", tmp_path / "trees.csv"))[0]
+
+
+def test_a_program_told_to_end_says_that_it_stopped(tmp_path: Path) -> None:
+    code = """
+import os, signal, time, typer
+from fsinfer.cli_console import reports_errors, stop_on_signals
+
+@reports_errors
+def wait() -> None:
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(5)
+
+stop_on_signals()
+app = typer.Typer()
+app.command()(wait)
+app()
+"""
+    ended = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert ended.returncode == 130
+    assert ended.stderr == "Stopped. What is finished is kept: run the same command again to go on.\n"

@@ -146,5 +146,5 @@ def test_boards_seen_too_seldom_or_from_far() -> None:
         "Board 43 cannot be used (1 views)",
     ]
     assert [line.endswith("good.") for line in lines] == [True, False, False, False]
-    assert "no scale" in marker_lines(NO_SCALE, given=False)[0]
+    assert "--endpoints" in marker_lines(NO_SCALE, given=False)[0]
     assert "--aruco-length-m" in marker_lines(scale, given=False)[-1]

@@ -229,6 +229,11 @@ def test_printed_boards_need_no_option(tmp_path: Path) -> None:
     assert "one board (number 23, 0.15 m" in warnings[0]
     anybodys = make_scene(tmp_path / "other", {0: 7})
     scale, warnings = find_scale(ScaleRequest(), scene=anybodys)
+    assert (scale.m_per_unit, scale.source) == (None, "none")
+    # A marker of the user's own, whose length was forgotten.
+    assert "markers are seen (number 7)" in warnings[0]
+    assert "--aruco-length-m" in warnings[0]
+    scale, warnings = find_scale(ScaleRequest(), scene=make_scene(tmp_path / "none", {}))
     assert (scale.m_per_unit, scale.source, warnings) == (None, "none", (NO_SCALE,))
 
 

@@ -202,6 +202,15 @@ def test_end_points_read_off_a_metric_cloud_are_doubted(fakes: Fakes, photos: Pa
     for length_m in (1.05, 1.0):
         plot = run(photos, out, settings=endpoints(1.0 / M_PER_UNIT, length_m)).plot
         assert not [text for text in plot["warnings"] if "end points" in text or "above the ground" in text]
+    # Another length, read off a copy of the cloud in model units: the phone's height tells that it is right.
+    plot = run(photos, out, settings=endpoints(2.0 / M_PER_UNIT, 2.0)).plot
+    assert not [text for text in plot["warnings"] if "end points" in text or "above the ground" in text]
+    # In centimetres.
+    plot = run(photos, out, settings=endpoints(2.0 / M_PER_UNIT, 200.0)).plot
+    (height,) = [text for text in plot["warnings"] if "end points" in text or "above the ground" in text]
+    assert "150 m above the ground" in height
+    assert "in centimetres?" in height
+    run(photos, out, settings=endpoints(1.0 / M_PER_UNIT, 1.0))
     # The same metre off the cloud that is in metres now.
     doubted = run(photos, out, settings=endpoints(1.0, 1.0)).plot
     (way_out,) = [text for text in doubted["warnings"] if "end points" in text]

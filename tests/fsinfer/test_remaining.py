@@ -87,6 +87,22 @@ def test_steps_done_in_an_earlier_run_do_not_count() -> None:
     assert 50 < left < 110
 
 
+def test_what_a_stopped_stage_had_done_does_not_make_it_look_fast() -> None:
+    clock = Clock()
+    remaining = RemainingTime(clock=clock)
+    # Sixty of a hundred depth maps are there already, and are looked at quickly.
+    for done in range(61):
+        remaining.update("depth", done, 100, f"depth of {done}")
+        clock.now += 0.01
+    for done in range(60, 81):
+        remaining.update("depth", done, 100, f"depth of {done}")
+        clock.now += 2.0
+    left = remaining.seconds()
+    assert left is not None
+    # Twenty maps at 2 s, and what follows in proportion.
+    assert 40 < left < 130
+
+
 def test_nothing_is_told_before_there_is_anything_to_tell_it_from() -> None:
     clock = Clock()
     remaining = RemainingTime(clock=clock)

@@ -121,6 +121,8 @@ def test_reading(tmp_path) -> None:
         TreeEdit(action="add", row=3, x_m=1.5, y_m=-2.0),
         TreeEdit(action="merge", row=4, tree_id=4, other_id=5),
     )
+    spreadsheet = "action;tree_id;x_m;y_m;note\nadd;;1,5;-2;a, b\n"
+    assert edits_of(tmp_path, spreadsheet) == (TreeEdit(action="add", row=2, x_m=1.5, y_m=-2.0),)
     assert edits_of(tmp_path, "action\n") == ()
     assert find_edits(tmp_path, None) == ()
     assert find_edits(tmp_path / "none", None) == ()
