@@ -160,9 +160,10 @@ def plot_section(
         details += f"\n{_sources(section)}"
     if tree.reason and not guessed:
         details += f"\n{tree.status}: {_wrapped(tree.reason)}"
-    axes.set_title(f"{title}\n", fontsize=12, fontweight="bold", pad=10 + 12 * details.count("\n"))
-    axes.text(0.5, 1.015, details, transform=axes.transAxes, ha="center", va="bottom", fontsize=8.5, color="0.25")
-    figure.legend(loc="outside lower center", ncols=3, fontsize=8.5, frameon=False)
+    figure.suptitle(title, fontsize=12, fontweight="bold")
+    axes.set_title(details, fontsize=8.5, color="0.25")
+    # Of many points each is drawn small; in the legend all are as large as those of few.
+    figure.legend(loc="outside lower center", ncols=3, fontsize=8.5, frameon=False, markerscale=(22.0 / size) ** 0.5)
     _save(figure, path)
 
 
