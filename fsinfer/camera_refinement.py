@@ -37,8 +37,11 @@ class RefinementSettings:
     min_angle_deg: float = 1.5
 
 
-def refine(model: Any, settings: RefinementSettings, threads: int, progress: Progress) -> Any:
-    """Return the adjusted copy of a ``pycolmap.Reconstruction`` whose cameras are SIMPLE_RADIAL."""
+def refine(model: Any, settings: RefinementSettings, progress: Progress) -> Any:
+    """Return the adjusted copy of a ``pycolmap.Reconstruction`` whose cameras are SIMPLE_RADIAL.
+
+    In one thread, so that two runs give the same to the last bit: 32 instead of 23 s for 300 photos on two cores.
+    """
     import copy
 
     import pycolmap
@@ -46,11 +49,11 @@ def refine(model: Any, settings: RefinementSettings, threads: int, progress: Pro
     progress(0, 3, "adjusting")
     best = copy.deepcopy(model)
     _enrich(best, "RADIAL", settings)
-    _adjust(best, threads)
+    _adjust(best)
     progress(1, 3, "adjusting")
     rich = copy.deepcopy(best)
     if _enrich(rich, "FULL_OPENCV", settings):
-        _adjust(rich, threads)
+        _adjust(rich)
         gain = 1 - rich.compute_mean_reprojection_error() / best.compute_mean_reprojection_error()
         _log.info("rational lens: mean error falls by %.1f %%", 100 * gain)
         if gain >= settings.min_gain and all(is_monotone(camera) for camera in rich.cameras.values()):
@@ -59,7 +62,7 @@ def refine(model: Any, settings: RefinementSettings, threads: int, progress: Pro
     longest = max(max(camera.width, camera.height) for camera in best.cameras.values())
     manager = pycolmap.ObservationManager(best)
     manager.filter_all_points3D(settings.max_error_px * max(longest, 1600) / 1600, settings.min_angle_deg)
-    _adjust(best, threads)
+    _adjust(best)
     progress(3, 3, "adjusting")
     return best
 
@@ -88,12 +91,12 @@ def _enrich(model: Any, lens: str, settings: RefinementSettings) -> bool:
     return changed
 
 
-def _adjust(model: Any, threads: int) -> None:
+def _adjust(model: Any) -> None:
     import pycolmap
 
     options = pycolmap.BundleAdjustmentOptions()
     options.print_summary = False
-    options.ceres.solver_options.num_threads = threads
+    options.ceres.solver_options.num_threads = 1
     options.ceres.solver_options.max_num_iterations = 40
     options.ceres.solver_options.function_tolerance = ENOUGH
     # Leaves move: a robust loss keeps the wrong matches that passed the mapper from pulling.

@@ -118,7 +118,7 @@ def estimate_poses(
         raise PosesError(msg)
     with colmap_errors("finding poses", work):
         model, misplaced = _structure_from_motion(photos, given, work, settings, progress)
-        model = refine(model, RefinementSettings(), settings.thread_count, progress)
+        model = refine(model, RefinementSettings(), progress)
     drop_blind_views(model)
     placed = {model.images[i].name for i in model.reg_image_ids()}
     named = {file for files in misplaced.values() for file in files}

@@ -6,6 +6,7 @@ import json
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -113,6 +114,16 @@ def test_a_second_call_does_nothing(result: PosesResult, room: Path) -> None:
     assert again == result
     assert not told
     assert before == {path: path.stat().st_mtime_ns for path in result.scene.rglob("*") if path.is_file()}
+
+
+def test_threads_do_not_change_the_poses(result: PosesResult, room: Path, tmp_path: Path) -> None:
+    estimate_poses(room / "photos", tmp_path / "scene", settings=replace(SETTINGS, threads=2))
+    for name in ("cams", "sparse"):
+        files = sorted((result.scene / name).iterdir())
+        assert len(files) >= 3
+        assert [path.read_bytes() for path in files] == [
+            (tmp_path / "scene" / name / path.name).read_bytes() for path in files
+        ]
 
 
 def test_goes_on_from_the_features_after_a_kill(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
