@@ -15,6 +15,7 @@ from fsinfer.depth import DepthSettings
 from fsinfer.errors import InputError
 from fsinfer.evaluation import Evaluation, MeasuredTree, evaluate, read_measured
 from fsinfer.files import atomic_path, make_folder
+from fsinfer.images import PHOTO_SUFFIXES
 from fsinfer.pipeline import RunResult, RunSettings, run
 from fsinfer.progress import StageProgress, silent_stages
 from fsinfer.scale_request import ScaleRequest
@@ -62,7 +63,7 @@ def run_demo(
         msg = "this installation of fsinfer has no demo plot; install fsinfer again"
         raise InputError(msg)
     out = Path(out)
-    if out.is_dir() and any(path.suffix.lower() in (".jpg", ".jpeg", ".png", ".heic") for path in out.iterdir()):
+    if out.is_dir() and any(path.suffix.lower() in PHOTO_SUFFIXES for path in out.iterdir()):
         msg = f"{out} holds photos; give the demo a folder of its own, like {out.resolve().name}-demo"
         raise InputError(msg)
     photos = make_folder(out / "photos")

@@ -25,6 +25,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.csv_cells import has_semicolons
 from fsinfer.errors import InputError
 from fsinfer.plan_area import in_hull
 from fsinfer.plan_registration import apply, assign, register
@@ -112,7 +113,7 @@ def read_measured(path: Path, *, need_dbh: bool = True, need_position: bool = Tr
         msg = f"cannot read {path}: {why}; give a CSV file with the columns tree_id, x_m, y_m, dbh_cm"
         raise InputError(msg) from error
     lines = text.splitlines()
-    semicolon = bool(lines) and lines[0].count(";") > lines[0].count(",")
+    semicolon = has_semicolons(lines)
     reader = csv.DictReader(lines, delimiter=";" if semicolon else ",")
     names = {(name or "").strip().lower(): name for name in reader.fieldnames or []}
     required = ("tree_id", "x_m", "y_m", "dbh_cm") if need_position else ("tree_id", "dbh_cm")

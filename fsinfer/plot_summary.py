@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -81,13 +81,18 @@ def summarize(records: Mapping[str, StageRecord], *, settings: Mapping[str, Any]
 
 def _warnings(results: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """What all stages warn of; that there is no scale is said once, by the stage that looked for one."""
-    missing = any(text.startswith("no scale") for text in results.get("scale", {}).get("warnings") or ())
-    return [
-        text
-        for name, result in results.items()
-        for text in result.get("warnings") or ()
-        if not (missing and name == "trees" and text.startswith("no scale"))
-    ]
+    said = results.get("scale", {}).get("warnings") or ()
+    texts: list[str] = []
+    for name, result in results.items():
+        own = result.get("warnings") or ()
+        texts += no_scale_once(said, own) if name == "trees" else own
+    return texts
+
+
+def no_scale_once(said: Iterable[str], more: Iterable[str]) -> list[str]:
+    """Warnings ``more``, without that there is no scale where it was ``said`` already."""
+    told = any(text.startswith("no scale") for text in said)
+    return [text for text in more if not (told and text.startswith("no scale"))]
 
 
 def write_plot(out: Path, plot: Mapping[str, Any]) -> Path:

@@ -26,14 +26,14 @@ def doubt_endpoints(request: ScaleRequest, plot: Mapping[str, Any]) -> tuple[str
     before = (plot.get("scale_details") or {}).get("endpoints")
     if before is not None and [tuple(map(float, point)) for point in before] == [*request.endpoints]:
         return ()
-    factor = float(m_per_unit) * request.length_m / math.dist(*request.endpoints)
+    stretch = request.length_m / math.dist(*request.endpoints)
     height_m = plot.get("camera_height")
     if height_m and height_m > 0:
         # Which of the two has the photos taken nearer to the height at which people hold a phone?
-        metric = float(height_m) / float(m_per_unit) * factor
-        units = float(height_m) / float(m_per_unit) * request.length_m / math.dist(*request.endpoints)
+        metric, units = height_m * stretch, height_m / m_per_unit * stretch
         if not _likely(metric) or _oddness(units) < _oddness(metric):
             return ()
+    factor = m_per_unit * stretch
     return (
         "the end points count in the model units of the cloud without a scale, and cloud.ply was in metres before this "
         f"run; if they were read off that cloud, the scale is wrong now: give --scale {factor:.6g} instead",

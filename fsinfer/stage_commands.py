@@ -17,7 +17,7 @@ from fsinfer.errors import CloudError, ScaleError
 from fsinfer.files import make_folder
 from fsinfer.las import read_epsg
 from fsinfer.placement import PlacedCloud, density_per_m2, marker_centers, place_cloud, transform_cloud
-from fsinfer.plot_summary import package_versions, read_plot, update_plot
+from fsinfer.plot_summary import no_scale_once, package_versions, read_plot, update_plot
 from fsinfer.progress import Progress, silent
 from fsinfer.scale_request import NO_SCALE, ScaleRequest, find_scale
 from fsinfer.scene import read_scene
@@ -164,11 +164,7 @@ def measure_cloud_file(
         cloud = transform_cloud(cloud, turn)
         warnings = (*warnings, error.warning)
         result = measure(cloud)
-    # That there is no scale is said once.
-    told = any(text.startswith("no scale") for text in warnings)
-    result["warnings"] = [
-        *warnings, *(text for text in result["warnings"] if not (told and text.startswith("no scale")))
-    ]  # fmt: skip
+    result["warnings"] = [*warnings, *no_scale_once(warnings, result["warnings"])]
     values = {key: result[key] for key in TREE_VALUES}
     values["trees_scale"] = {"m_per_unit": scale.m_per_unit, "source": scale.source, "rel_std": scale.rel_std}
     before = read_plot(out)

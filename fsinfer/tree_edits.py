@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.csv_cells import has_semicolons
 from fsinfer.errors import InputError
 from fsinfer.trees.measure import PlotResult
 from fsinfer.trees.section import Section, unmeasured_section
@@ -73,8 +74,7 @@ def read_edits(path: Path | str) -> tuple[TreeEdit, ...]:
         msg = f"cannot read the edits {path}: {reason}; give a CSV with the column action (see docs/trees.md)"
         raise InputError(msg) from error
     lines = text.splitlines()
-    # Spreadsheets of countries with a decimal comma write semicolons.
-    semicolon = bool(lines) and lines[0].count(";") > lines[0].count(",")
+    semicolon = has_semicolons(lines)
     reader = csv.DictReader(lines, delimiter=";" if semicolon else ",", skipinitialspace=True)
     columns = [name.strip() for name in reader.fieldnames or []]
     reader.fieldnames = columns

@@ -96,7 +96,7 @@ def _tree_warnings(contents: Contents) -> list[str]:
     trees = [(i, tree) for tree in contents.trees or () if (i := tree_number(tree)) is not None]
     doubtful = [i for i, tree in trees if tree.get("status") == "doubtful"]
     missing = [i for i, tree in trees if tree.get("status") == "unmeasured"]
-    reasons = {i: tree.get("reason", "") for i, tree in trees}
+    reasons = [escape(tree["reason"]) for _, tree in trees if tree.get("status") == "unmeasured" and tree.get("reason")]
     one_side = [
         i
         for i, tree in trees
@@ -109,16 +109,13 @@ def _tree_warnings(contents: Contents) -> list[str]:
             "a tape before you use the diameter."
         )
     if missing and contents.metric:
-        said = [escape(reasons[i]) for i in missing if reasons[i]]
-        few = 0 < len(missing) <= MOST_REASONS and len(said) == len(missing)
-        why = ": " + "; ".join(said) if few else "; the card says why"
-        # Where the reason says it already, not twice.
-        advice = (
-            ""
-            if few and any("walk round" in text for text in said)
-            else (" Mostly it helps to walk round the stem again, within three to six metres.")
-        )
-        items.append(f"{_trees(missing)} {'has' if len(missing) == 1 else 'have'} no diameter{why}.{advice}")
+        shown = reasons if len(reasons) == len(missing) <= MOST_REASONS else []
+        why = ": " + "; ".join(shown) if shown else "; the card says why"
+        text = f"{_trees(missing)} {'has' if len(missing) == 1 else 'have'} no diameter{why}."
+        # Where a reason says it already, not twice.
+        if not any("walk round" in reason for reason in shown):
+            text += " Mostly it helps to walk round the stem again, within three to six metres."
+        items.append(text)
     if one_side:
         items.append(
             f"{_trees(one_side)} {'was' if len(one_side) == 1 else 'were'} seen from one side only (less than "

@@ -20,5 +20,8 @@ class SqueezeExcitation(nn.Module):
 
     def over_slabs(self, slabs_schw: Tensor) -> Tensor:
         """Scale slabs of ONE volume by weights from the mean over all of them: (S, C, H, W)."""
-        weights = self.fc(slabs_schw.mean(dim=(0, 2, 3))[None])
-        return slabs_schw * weights[..., None, None]
+        return self.by_mean(slabs_schw, slabs_schw.mean(dim=(0, 2, 3)))
+
+    def by_mean(self, slabs_schw: Tensor, mean_c: Tensor) -> Tensor:
+        """Scale slabs of a volume, or of a part of one, by weights from the mean (C,) over the whole."""
+        return slabs_schw * self.fc(mean_c[None])[..., None, None]
