@@ -12,14 +12,13 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from fsinfer._version import __version__
 from fsinfer.errors import FsinferError
 
 if TYPE_CHECKING:
     from fsinfer.cloud import PointCloud, read_cloud, write_cloud
     from fsinfer.depth_model import DepthEstimate, DepthModel
     from fsinfer.trees import Tree, measure_trees
-
-__version__ = "0.1.0"
 
 _HOME = {
     "DepthEstimate": "fsinfer.depth_model",

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 import typer.core
 
-from fsinfer import __version__
+from fsinfer._version import __version__
 from fsinfer.cli_console import (
     Debug,
     Quiet,

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.depth_maps import read_depth_index
 from fsinfer.depth_model import DepthModel, ViewFeatures
 from fsinfer.errors import SceneError
 from fsinfer.files import make_folder, write_text
@@ -82,19 +83,6 @@ class DepthResult:
     model_sha256: str
     precision: str
     seconds: float
-
-
-def read_depth_index(depth_folder: Path) -> dict[str, Any]:
-    """``depth/depth.json`` of a folder that the stage wrote; :class:`SceneError` where there is none."""
-    path = depth_folder / "depth" / "depth.json"
-    try:
-        index = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(index["views"], dict):
-            raise TypeError
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        msg = f"{depth_folder} holds no finished depth maps ({path} is missing or damaged); run: fsinfer depth"
-        raise SceneError(msg) from error
-    return dict(index)
 
 
 @dataclass(frozen=True, kw_only=True)

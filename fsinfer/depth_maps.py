@@ -7,6 +7,7 @@ import logging
 from collections import OrderedDict
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -192,3 +193,16 @@ def _read_grid(entry: dict[str, float]) -> PixelGrid:
         msg = f"pixel steps must be positive, not {grid.step_x}, {grid.step_y}"
         raise ValueError(msg)
     return grid
+
+
+def read_depth_index(depth_folder: Path) -> dict[str, Any]:
+    """``depth/depth.json`` of a folder that the stage wrote; :class:`SceneError` where there is none."""
+    path = depth_folder / "depth" / "depth.json"
+    try:
+        index = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(index["views"], dict):
+            raise TypeError
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        msg = f"{depth_folder} holds no finished depth maps ({path} is missing or damaged); run: fsinfer depth"
+        raise SceneError(msg) from error
+    return dict(index)

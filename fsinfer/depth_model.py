@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.errors import InputError, ModelError
+from fsinfer.errors import InputError
 from fsinfer.manifest import DEFAULT_MODEL, ModelManifest, read_manifest
 from fsinfer.precision import AUTO, INT8, choose_precision
-from fsinfer.providers import find_providers
+from fsinfer.providers import find_providers, load_graph
 from fsinfer.volume import (
     Features,
     correlation_volume,
@@ -208,7 +208,7 @@ class DepthModel:
         if manifest.volume == "variance":
             return variance_volume(quarter[0], quarter[1:], projections, planes, threads=self.threads)[None], None
         volume, weights = correlation_volume(quarter[0], quarter[1:], projections, planes, threads=self.threads)
-        if not manifest.packed:
+        if not manifest.packed_planes:
             return np.ascontiguousarray(volume.transpose(1, 0, 2, 3))[None], weights
         depth, groups, height, width = volume.shape
         packed = manifest.packed_planes
@@ -277,21 +277,3 @@ class DepthModel:
             inverse = np.float32(1 / far) + fraction * np.float32(1 / near - 1 / far)
             return np.asarray(1 / np.maximum(inverse, np.float32(1e-6)), np.float32)
         return np.asarray(np.float32(near) + fraction * np.float32(far - near), np.float32)
-
-
-def load_graph(file: Path, threads: int, providers: Sequence[str]) -> Any:
-    """A session of onnxruntime; raises :class:`ModelError`."""
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.log_severity_level = 3
-    # A plan of the memory makes onnxruntime keep one block for all of a run: 2.2 instead of 1.4 GB, and no faster.
-    options.enable_mem_pattern = False
-    # Threads that wait by spinning take the cores from those that build the cost volume.
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    try:
-        return onnxruntime.InferenceSession(file, options, providers=list(providers))
-    except Exception as error:  # onnxruntime raises its own family of exceptions
-        msg = f"{file} cannot be loaded by onnxruntime ({error}); install fsinfer again or re-export the model"
-        raise ModelError(msg) from error

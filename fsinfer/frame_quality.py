@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import ImageError
+from fsinfer.images import luminance
 
 # Longer side at which scores are taken, so that photos of 48 megapixels and video frames are judged alike.
 SCORE_SIZE_PX = 1000
@@ -83,11 +84,6 @@ def score_frame(image: NDArray[np.uint8]) -> FrameScore:
         bright_share=float((grey >= BRIGHT_LEVEL).mean()),
         thumbnail=np.asarray(cv2.resize(values, _THUMBNAIL, interpolation=cv2.INTER_AREA), dtype=np.float32),
     )
-
-
-def luminance(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """(H, W) uint8 luminance of an RGB image (ITU-R BT.601)."""
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
 
 
 def reasons_to_drop(scores: Sequence[FrameScore], limits: QualityLimits) -> list[str]:

@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from fsinfer.contact_sheet import Tile, thumbnail, write_contact_sheet
+from fsinfer.digest import file_digest
 from fsinfer.errors import ImageError, OutputError
+from fsinfer.exif import camera_exif, named_camera_exif
 from fsinfer.files import make_folder, write_text
 from fsinfer.frame_quality import (
     EQUALIZERS,
@@ -22,17 +24,8 @@ from fsinfer.frame_quality import (
     score_frame,
 )
 from fsinfer.frame_table import FrameRow, frames_csv, read_frames_csv
-from fsinfer.images import (
-    PHOTO_SUFFIXES,
-    camera_exif,
-    is_upright_jpeg_or_png,
-    list_images,
-    named_camera_exif,
-    read_image,
-    write_image,
-)
+from fsinfer.images import PHOTO_SUFFIXES, is_upright_jpeg_or_png, list_images, read_image, write_image
 from fsinfer.progress import Progress, silent
-from fsinfer.stages import file_digest
 from fsinfer.video import VIDEO_SUFFIXES, VideoSettings, sharpest_frames
 
 __all__ = ["FrameRow", "FrameSettings", "FramesResult", "list_captures", "select_frames"]

@@ -19,7 +19,7 @@ from fsinfer.cloud import PointCloud
 from fsinfer.consistency import LEVELS, Tolerances, check_pair
 from fsinfer.depth_maps import DepthMap, DepthMaps
 from fsinfer.errors import CloudError
-from fsinfer.memory_plan import FusionPlan, plan_fusion
+from fsinfer.fusion_memory import FusionPlan, plan_fusion
 from fsinfer.pixel_surfaces import MAX_SLOPE, pixel_normals, smooth_pixels
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene
@@ -60,7 +60,7 @@ class FusionSettings:
     cache_maps: depth maps kept in memory.
     batch_points: points merged at a time.
     memory_gb: limit of the resident memory, 1e9 bytes; where it is tight fewer maps are kept, batches are smaller and,
-        with a warning, fewer points are kept (:func:`fsinfer.memory_plan.plan_fusion`).
+        with a warning, fewer points are kept (:func:`fsinfer.fusion_memory.plan_fusion`).
     """
 
     min_confidence: float | None = None

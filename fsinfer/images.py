@@ -10,6 +10,7 @@ import importlib.util
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,20 +18,15 @@ from fsinfer.errors import ImageError
 from fsinfer.files import atomic_path
 
 if TYPE_CHECKING:
-    from PIL.Image import Exif, Image
+    from PIL.Image import Image
+
 
 #: What :func:`list_images` takes for a photograph, lower case.
 PHOTO_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".heic", ".heif"})
 _HEIF_SUFFIXES = frozenset({".heic", ".heif"})
-_TIFF_SUFFIXES = frozenset({".tif", ".tiff"})
 
 # EXIF tags (Exif 2.32, CIPA DC-008): what structure from motion needs, without place, time, owner and thumbnail.
 _ORIENTATION = 0x0112
-_EXIF_IFD = 0x8769
-_MAKE, _MODEL = 0x010F, 0x0110
-_FOCAL_LENGTH, _FOCAL_LENGTH_35MM = 0x920A, 0xA405
-_GNSS_IFD = 0x8825
-_LATITUDE_REF, _LATITUDE, _LONGITUDE_REF, _LONGITUDE = 1, 2, 3, 4
 
 
 def list_images(folder: Path | str) -> list[Path]:
@@ -128,64 +124,10 @@ def write_image(path: Path | str, image: NDArray[np.uint8], quality: int = 95, *
         Image.fromarray(np.ascontiguousarray(image)).save(temporary, format=formats[suffix], **options)
 
 
-def camera_exif(path: Path | str) -> bytes | None:
-    """Metadata for a copy that is written upright: maker, model and focal length, nothing about the place.
-
-    Returns
-    -------
-    Encoded EXIF for :func:`write_image`, or None where the photo says nothing about its camera.
-
-    Raises
-    ------
-    ImageError
-        The file cannot be read.
-    """
-    from PIL import Image
-
-    tags, lens = _read_exif(Path(path))
-    kept = Image.Exif()
-    for tag in (_MAKE, _MODEL):
-        if tag in tags:
-            kept[tag] = tags[tag]
-    kept_lens = {tag: lens[tag] for tag in (_FOCAL_LENGTH, _FOCAL_LENGTH_35MM) if tag in lens}
-    if kept_lens:
-        kept.get_ifd(_EXIF_IFD).update(kept_lens)
-    return kept.tobytes() if len(kept) or kept_lens else None
-
-
-def named_camera_exif(model: str) -> bytes:
-    """Metadata for frames of one video: a camera model of their own, so that they share no lens with other frames."""
-    from PIL import Image
-
-    kept = Image.Exif()
-    kept[_MODEL] = model
-    return kept.tobytes()
-
-
-def camera_key(path: Path | str) -> tuple[str, ...]:
-    """Name the camera and lens of a photo: equal keys mean that the photos can share a calibration.
-
-    Returns
-    -------
-    Upright width and height, maker, model and focal lengths as text; size alone for photos without metadata.
-
-    Raises
-    ------
-    ImageError
-        The file cannot be read.
-    """
-    path = Path(path)
-    tags, lens = _read_exif(path)
-    width, height = image_size(path)
-    names = [str(tags.get(tag, "")).strip("\x00 ") for tag in (_MAKE, _MODEL)]
-    lengths = [str(lens.get(tag, "")) for tag in (_FOCAL_LENGTH, _FOCAL_LENGTH_35MM)]
-    return (str(width), str(height), *names, *lengths)
-
-
 def image_size(path: Path | str) -> tuple[int, int]:
     """(width, height) of the upright photo, from its header alone; :class:`ImageError` where it cannot be read."""
     path = Path(path)
-    image = _open_header(path)
+    image = open_header(path)
     with image:
         width, height = image.size
         turned = int(image.getexif().get(_ORIENTATION, 1)) in (5, 6, 7, 8)
@@ -194,29 +136,14 @@ def image_size(path: Path | str) -> tuple[int, int]:
 
 def is_upright_jpeg_or_png(path: Path | str) -> bool:
     """Whether every reader sees the same pixels: JPEG or PNG in 8 bits, without an orientation to apply."""
-    image = _open_header(Path(path))
+    image = open_header(Path(path))
     with image:
         plain = image.format in ("JPEG", "PNG") and image.mode in ("RGB", "L")
         return plain and int(image.getexif().get(_ORIENTATION, 1)) in (0, 1)
 
 
-def gnss_degrees(path: Path | str) -> tuple[float, float] | None:
-    """(latitude, longitude) in degrees that the phone noted, None where it noted none that can be read."""
-    try:
-        with _open_header(Path(path)) as image:
-            tags = dict(image.getexif().get_ifd(_GNSS_IFD))
-        values = []
-        for value, reference, negative in ((_LATITUDE, _LATITUDE_REF, "S"), (_LONGITUDE, _LONGITUDE_REF, "W")):
-            degrees, minutes, seconds = (float(part) for part in tags[value])
-            sign = -1 if str(tags.get(reference, "")).upper().startswith(negative) else 1
-            values.append(sign * (degrees + minutes / 60 + seconds / 3600))
-    except (ImageError, OSError, KeyError, ValueError, TypeError, ZeroDivisionError):
-        # Broken metadata costs a direction and nothing else.
-        return None
-    return (values[0], values[1]) if np.isfinite(values).all() else None
-
-
-def _open_header(path: Path) -> Image:
+def open_header(path: Path) -> Image:
+    """Open a photograph without decoding it; :class:`ImageError` where its header cannot be read."""
     if path.suffix.lower() in _HEIF_SUFFIXES:
         _register_heif(path)
     from PIL import Image, UnidentifiedImageError
@@ -229,18 +156,6 @@ def _open_header(path: Path) -> Image:
     except (OSError, Image.DecompressionBombError) as error:
         msg = f"cannot read {path} ({error}); copy it again from the camera or delete it"
         raise ImageError(msg) from error
-
-
-def _read_exif(path: Path) -> tuple[Exif, dict[int, object]]:
-    image = _open_header(path)
-    with image:
-        tags = image.getexif()
-        try:
-            lens = dict(tags.get_ifd(_EXIF_IFD))
-        except (KeyError, ValueError, TypeError, OSError):
-            # Broken metadata is common after editing, and only costs the focal length prior.
-            lens = {}
-    return tags, lens
 
 
 def _register_heif(path: Path) -> None:
@@ -259,3 +174,8 @@ def _as_rgb(image: Image) -> NDArray[np.uint8]:
         grey = np.clip(values / 257.0, 0, 255).round().astype(np.uint8)
         return np.repeat(grey[:, :, None], 3, axis=2)
     return np.array(image.convert("RGB"), dtype=np.uint8)
+
+
+def luminance(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(H, W) uint8 luminance of an RGB image (ITU-R BT.601)."""
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)

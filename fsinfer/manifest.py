@@ -41,7 +41,8 @@ class ModelManifest:
     ----------
     name: of the preset. folder: where the files lie.
     features, regularizer: ONNX file names; refiner: the same, or ``None``.
-    volume: ``correlation`` or ``variance``; packed: the regularizer takes slabs of planes.
+    volume: ``correlation`` or ``variance``; packed_planes: planes of a slab
+        that the regularizer takes as channels; 0 where it takes the whole volume.
     planes: number of planes of the volume (192); inverse_depth: uniform in 1/depth.
     groups: values of the volume at each plane and pixel: groups of the correlation, or channels of the variance.
     refine_planes, refine_span: the narrow volume at half resolution; span in plane intervals on each side.
@@ -60,7 +61,6 @@ class ModelManifest:
     regularizer: str
     refiner: str | None
     volume: str
-    packed: bool
     packed_planes: int
     planes: int
     groups: int
@@ -129,7 +129,6 @@ def read_manifest(name_or_path: str | Path) -> ModelManifest:
             regularizer=data["graphs"]["regularizer"]["file"],
             refiner=data["graphs"]["refiner"]["file"] if "refiner" in data["graphs"] else None,
             volume=data["volume"]["kind"],
-            packed=data["volume"]["packed_planes"] > 0,
             packed_planes=data["volume"]["packed_planes"],
             planes=data["volume"]["planes"],
             groups=_groups(data),

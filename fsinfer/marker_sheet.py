@@ -12,7 +12,7 @@ import numpy as np
 
 from fsinfer.errors import InputError
 from fsinfer.files import atomic_path
-from fsinfer.markers import predefined_dictionary
+from fsinfer.marker_detection import predefined_dictionary
 from fsinfer.printed_boards import DICTIONARY, board_lengths, numbers_of_length
 
 if TYPE_CHECKING:

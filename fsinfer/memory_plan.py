@@ -1,7 +1,7 @@
-"""How much memory depth and fusion will take, told before they begin, and how they keep within a limit.
+"""How much memory depth will take, told before it begins, and how it keeps within a limit.
 
-The constants were measured as peak resident memory (docs/speed.md). Depth follows the size of the images, not the
-number of photographs; fusion follows the number of points kept, which has a limit of its own.
+The constants were measured as peak resident memory (docs/speed.md). It follows the size of the images, not the number
+of photographs.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ MEGABYTE = 1_000_000
 GIGABYTE = 1_000_000_000
 
 #: Python, NumPy, OpenCV, onnxruntime and the model before any work.
-_BASE_BYTES = 150 * MEGABYTE
+BASE_BYTES = 150 * MEGABYTE
 #: Peak of a depth map over the cost volume itself: the volume, what the regularizer holds at once, the narrow volume.
 #: 7.3 to 7.9 times at 960x540 to 1920x1080 in float32, 3.8 to 4.1 in int8 at 960x540 to 2400x1800.
 _PEAK_OVER_VOLUME, _INT8_PEAK_OVER_VOLUME = 8.2, 4.4
@@ -22,10 +22,6 @@ _PEAK_OVER_VOLUME, _INT8_PEAK_OVER_VOLUME = 8.2, 4.4
 #: 1600x1200 and 2400x1800 in tiles of 128: 2.13 and 3.06 GB.
 _PEAK_OVER_TILE, _FEATURES_BYTES = 9.2, 105
 _TILE_SIZES = range(512, 56, -8)
-#: A point while it is merged: itself (68 bytes), its joined, sorted and averaged copies. 312 bytes for 5.5 million.
-_BYTES_PER_MERGED_POINT = 320
-_LEAST_BATCH_POINTS = 250_000
-_LEAST_POINTS = 250_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,16 +40,6 @@ class DepthPlan:
     peak_bytes: int
     tile_size: int = 0
     keeps_volume: bool = True
-
-
-@dataclass(frozen=True, kw_only=True)
-class FusionPlan:
-    """Depth maps kept, points merged at a time and kept at most, and the peak memory expected, bytes."""
-
-    cache_maps: int
-    batch_points: int
-    max_points: int
-    peak_bytes: int
 
 
 def plan_depth(
@@ -88,12 +74,12 @@ def plan_depth(
     volume = 4 * planes * groups * quarter
     # 16 channels at a quarter, 8 at half resolution, float32.
     of_view = 4 * quarter * (16 + 4 * 8)
-    fixed = _BASE_BYTES + (_INT8_PEAK_OVER_VOLUME if int8 else _PEAK_OVER_VOLUME) * volume
+    fixed = BASE_BYTES + (_INT8_PEAK_OVER_VOLUME if int8 else _PEAK_OVER_VOLUME) * volume
     limit = memory_gb * GIGABYTE
     least = fixed + views * of_view
     if least > limit and tile_halo is not None:
         tiles = _largest_tiles(
-            limit - _BASE_BYTES - views * of_view - _FEATURES_BYTES * width * height,
+            limit - BASE_BYTES - views * of_view - _FEATURES_BYTES * width * height,
             shape=(-(-height // 4), -(-width // 4)),
             bytes_per_pixel=4 * planes * groups,
             halo=tile_halo,
@@ -104,7 +90,7 @@ def plan_depth(
                 cached_views=views, peak_bytes=int(limit - spare), tile_size=size, keeps_volume=keeps_volume
             )
     if least > limit:
-        share = max(0.0, (limit - _BASE_BYTES) / (least - _BASE_BYTES))
+        share = max(0.0, (limit - BASE_BYTES) / (least - BASE_BYTES))
         size = 32 * int(max(width, height) * share**0.5 / 32)
         way_out = f"give a larger --memory-gb, or --max-size {size}" if size >= 160 else "give a larger --memory-gb"
         msg = (
@@ -128,31 +114,3 @@ def _largest_tiles(
             if spare >= 0:
                 return size, keeps_volume, spare
     return None
-
-
-def plan_fusion(
-    memory_gb: float, *, map_pixels: int, cache_maps: int, max_points: int, batch_points: int
-) -> FusionPlan:
-    """Keep fewer depth maps and merge smaller batches where the limit asks for it, then fewer points.
-
-    Parameters
-    ----------
-    map_pixels: pixels of one depth map; it and its confidence are kept.
-    cache_maps, max_points, batch_points: what fusion would like.
-
-    Raises
-    ------
-    InputError
-        Less than the least that a cloud takes.
-    """
-    limit = memory_gb * GIGABYTE - _BASE_BYTES
-    # Comparing two views takes about as much as ten maps.
-    maps = min(cache_maps, max(4, int(0.2 * limit / (8 * map_pixels)) - 10))
-    points = int((limit - (maps + 10) * 8 * map_pixels) / _BYTES_PER_MERGED_POINT)
-    if points < _LEAST_POINTS + _LEAST_BATCH_POINTS:
-        msg = f"{memory_gb:g} GB of --memory-gb are too few for a cloud; give 1 or more"
-        raise InputError(msg)
-    batch = min(batch_points, max(_LEAST_BATCH_POINTS, points - max_points))
-    kept = min(max_points, points - batch)
-    peak = _BASE_BYTES + (maps + 10) * 8 * map_pixels + (kept + batch) * _BYTES_PER_MERGED_POINT
-    return FusionPlan(cache_maps=maps, batch_points=batch, max_points=kept, peak_bytes=int(peak))

@@ -11,13 +11,15 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from fsinfer.digest import file_digest
 from fsinfer.errors import InputError
 from fsinfer.frames import FrameSettings, list_captures, select_frames
 from fsinfer.images import list_images
+from fsinfer.json_values import as_json
 from fsinfer.poses import PoseSettings, estimate_poses
 from fsinfer.progress import StageProgress, silent_stages
 from fsinfer.scene import read_scene
-from fsinfer.stages import StageBook, as_json, file_digest
+from fsinfer.stages import StageBook
 
 #: Folders that a run empties and fills.
 STAGE_FOLDERS = ("frames", "scene", "depth", "confidence", "fused", "figures")

@@ -17,21 +17,26 @@ from fsinfer.cloud import read_cloud, write_cloud
 from fsinfer.depth import DepthSettings, estimate_depth
 from fsinfer.errors import CloudError, InputError
 from fsinfer.files import make_folder
+from fsinfer.find_scale import find_scale
 from fsinfer.frames import FrameSettings
 from fsinfer.fusion import FusionSettings, fuse, most_points
+from fsinfer.json_values import as_json
 from fsinfer.manifest import read_manifest
 from fsinfer.photo_stages import choose_frames, place_photos, source_files, speedless
-from fsinfer.placement import density_per_m2, marker_centers, place_cloud
-from fsinfer.plot_summary import package_versions, read_plot, summarize, write_plot
+from fsinfer.placement import density_per_m2, place_cloud
+from fsinfer.plot_json import package_versions, read_plot, write_plot
+from fsinfer.plot_summary import summarize
 from fsinfer.precision import INT8, choose_precision
 from fsinfer.progress import StageProgress, silent_stages
+from fsinfer.scale import marker_centers
 from fsinfer.scale_doubt import doubt_endpoints, doubt_height, unknown_error
-from fsinfer.scale_request import ScaleRequest, find_scale
+from fsinfer.scale_request import ScaleRequest
 from fsinfer.scene import Scene, read_scene
 from fsinfer.sfm import PoseSettings
+from fsinfer.sfm_check import check_depth
 from fsinfer.silhouettes import StemPhotos
-from fsinfer.sparse import depth_vs_sfm, read_sparse
-from fsinfer.stages import StageBook, StageRecord, as_json
+from fsinfer.sparse import read_sparse
+from fsinfer.stages import StageBook, StageRecord
 from fsinfer.tree_edits import TreeEdit, find_edits
 from fsinfer.tree_outputs import write_no_trees, write_tree_outputs
 from fsinfer.trees import TreeSettings
@@ -161,7 +166,7 @@ def _depth(job: _Job) -> None:
 def _check(job: _Job) -> None:
     def work() -> Mapping[str, Any]:
         scene = job.scene()
-        return {"depth_vs_sfm_median_rel": depth_vs_sfm(scene, read_sparse(scene.folder / "sparse"), job.out)}
+        return {"depth_vs_sfm_median_rel": check_depth(scene, read_sparse(scene.folder / "sparse"), job.out).median_rel}
 
     job.book.run("check", work, inputs={}, after=["poses", "depth"])
 

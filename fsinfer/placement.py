@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from fsinfer.cloud import PointCloud
@@ -16,8 +15,6 @@ if TYPE_CHECKING:
 # Side of the cells whose area counts as covered for the density, metres: wide against the point spacing of a cloud
 # from photographs (1-2 cm), narrow against a plot. The paper gives points per square metre without saying of what.
 DENSITY_CELL_M = 0.25
-#: Where a standing person holds a phone: the guess at a metre while the scale is unknown.
-CAMERA_HEIGHT_M = 1.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,16 +106,3 @@ def density_per_m2(xyz: NDArray[np.float64]) -> float | None:
         return None
     cells = np.unique(np.floor(xyz[:, :2] / DENSITY_CELL_M).astype(np.int64), axis=0)
     return float(len(xyz) / (len(cells) * DENSITY_CELL_M**2))
-
-
-def marker_centers(scale: Mapping[str, Any], cloud_from_scene: ArrayLike) -> NDArray[np.float64]:
-    """Centres of the markers of a scale record in the frame of the cloud: (M, 3), M = 0 without markers.
-
-    Parameters
-    ----------
-    scale: the record of the scale stage; ``details["markers"][i]["center"]`` is in scene units.
-    cloud_from_scene: (4, 4) similarity.
-    """
-    centers = np.array([marker["center"] for marker in scale.get("details", {}).get("markers", [])]).reshape(-1, 3)
-    similarity = np.asarray(cloud_from_scene, dtype=np.float64)
-    return np.asarray(centers @ similarity[:3, :3].T + similarity[:3, 3])

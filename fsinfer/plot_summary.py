@@ -2,21 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import math
-import platform
 from collections.abc import Iterable, Mapping
-from functools import cache
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from fsinfer.errors import InputError
-from fsinfer.files import write_text
-from fsinfer.stages import StageRecord, as_json
-
-PLOT_FILE = "plot.json"
-_PACKAGES = ("fsinfer", "numpy", "scipy", "onnxruntime", "opencv-python-headless", "pycolmap", "laspy")
+from fsinfer.json_values import as_json
+from fsinfer.plot_json import finite, package_versions, read_plot, write_plot
+from fsinfer.stages import StageRecord
 
 
 def summarize(records: Mapping[str, StageRecord], *, settings: Mapping[str, Any], source: str) -> dict[str, Any]:
@@ -76,7 +68,7 @@ def summarize(records: Mapping[str, StageRecord], *, settings: Mapping[str, Any]
         "warnings": _warnings(results),
         "settings": dict(settings),
     }
-    return dict(_finite(as_json(plot)))
+    return dict(finite(as_json(plot)))
 
 
 def _warnings(results: Mapping[str, Mapping[str, Any]]) -> list[str]:
@@ -95,15 +87,6 @@ def no_scale_once(said: Iterable[str], more: Iterable[str]) -> list[str]:
     return [text for text in more if not (told and text.startswith("no scale"))]
 
 
-def write_plot(out: Path, plot: Mapping[str, Any]) -> Path:
-    """Write ``plot.json`` into ``out`` unless it holds the same already."""
-    path = out / PLOT_FILE
-    text = json.dumps(_finite(as_json(plot)), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    if not path.is_file() or path.read_bytes() != text.encode():
-        write_text(path, text)
-    return path
-
-
 def update_plot(out: Path, *, source: str, stage: str, seconds: float, values: Mapping[str, Any]) -> dict[str, Any]:
     """Put what a single command found into ``plot.json``, which need not exist yet; return its new content."""
     plot = read_plot(out) or summarize({}, settings={}, source=source)
@@ -112,46 +95,3 @@ def update_plot(out: Path, *, source: str, stage: str, seconds: float, values: M
     plot |= dict(values) | {"seconds": times | {"total": round(sum(times.values()), 3)}}
     write_plot(out, plot)
     return plot
-
-
-def read_plot(out: Path) -> dict[str, Any]:
-    """Read ``plot.json`` of ``out``; an empty dict when there is none.
-
-    Raises :class:`InputError` when it is damaged.
-    """
-    path = out / PLOT_FILE
-    try:
-        plot = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return {}
-    except (OSError, ValueError) as error:
-        msg = f"{path} cannot be read ({error}); delete it and run the command that wrote it again"
-        raise InputError(msg) from error
-    if not isinstance(plot, dict):
-        msg = f"{path} is no plot summary; delete it and run the command that wrote it again"
-        raise InputError(msg)
-    return plot
-
-
-@cache
-def package_versions() -> dict[str, str | None]:
-    """Versions of Python and of the packages that decide the result; None for one that is not installed."""
-    versions: dict[str, str | None] = {"python": platform.python_version()}
-    for package in _PACKAGES:
-        try:
-            versions[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            versions[package] = None
-    from fsinfer import __version__
-
-    # In a source tree that is not installed there are no metadata of fsinfer itself.
-    return versions | {"fsinfer": __version__}
-
-
-def _finite(value: Any) -> Any:
-    """Replace NaN and infinities, which JSON does not have, by None."""
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

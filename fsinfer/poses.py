@@ -13,16 +13,17 @@ from typing import Any
 import numpy as np
 
 from fsinfer.camera_refinement import RefinementSettings, refine
+from fsinfer.digest import file_digest
 from fsinfer.errors import ImageError, OutputError, PosesError
+from fsinfer.exif import camera_exif, camera_key
 from fsinfer.files import make_folder, write_text
-from fsinfer.images import camera_exif, camera_key, is_upright_jpeg_or_png, list_images, read_image, write_image
+from fsinfer.images import is_upright_jpeg_or_png, list_images, read_image, write_image
 from fsinfer.misplaced import drop_blind_views, misplaced_message
 from fsinfer.model_repair import repair
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Camera, write_camera, write_pairs
 from fsinfer.sfm import PoseSettings, colmap_errors, extract_features, match_features, reconstruct
 from fsinfer.sparse import sparse_of
-from fsinfer.stages import file_digest
 from fsinfer.undistort import intrinsic_of, undistort, undistort_model, undistortion_maps
 from fsinfer.view_selection import depth_range, select_views
 

@@ -8,20 +8,21 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fsinfer.errors import ScaleError
 from fsinfer.triangulation import triangulate
 
 if TYPE_CHECKING:
-    from fsinfer.progress import Progress
+    from fsinfer.scene import Scene
+
+
+if TYPE_CHECKING:
     from fsinfer.scene import Scene
 
 __all__ = [
     "Scale",
-    "apply_scale",
     "check_length",
-    "scale_from_aruco",
     "scale_from_clicks",
     "scale_from_endpoints",
     "scale_from_factor",
@@ -142,20 +143,6 @@ def scale_from_clicks(scene: Scene, clicks: Mapping[str, Sequence[tuple[float, f
     return Scale(m_per_unit=scale.m_per_unit, source="endpoints", rel_std=rel_std, details=details)
 
 
-def scale_from_aruco(
-    scene: Scene,
-    length_m: float | Mapping[int, float],
-    *,
-    dictionary: str = "4X4_50",
-    progress: Progress | None = None,
-) -> Scale:
-    """Scale from ArUco markers in the photographs; see :func:`fsinfer.markers.scale_from_aruco`."""
-    from fsinfer import markers
-    from fsinfer import progress as progress_module
-
-    return markers.scale_from_aruco(scene, length_m, dictionary=dictionary, progress=progress or progress_module.silent)
-
-
 def check_length(value: float, what: str) -> None:
     """Raise :class:`ScaleError` unless ``value`` is a positive number; ``what`` names it."""
     if not (math.isfinite(value) and value > 0):
@@ -163,9 +150,18 @@ def check_length(value: float, what: str) -> None:
         raise ScaleError(msg)
 
 
-def apply_scale(points: NDArray[np.float64], scale: Scale) -> NDArray[np.float64]:
-    """(N, 3) scene units to metres; :class:`ScaleError` where the scale is not known."""
-    if scale.m_per_unit is None:
-        msg = "the scale is not known; photograph a marker or give two end points and their distance"
-        raise ScaleError(msg)
-    return points * scale.m_per_unit
+#: Where a standing person holds a phone: the guess at a metre while the scale is unknown.
+CAMERA_HEIGHT_M = 1.5
+
+
+def marker_centers(scale: Mapping[str, Any], cloud_from_scene: ArrayLike) -> NDArray[np.float64]:
+    """Centres of the markers of a scale record in the frame of the cloud: (M, 3), M = 0 without markers.
+
+    Parameters
+    ----------
+    scale: the record of the scale stage; ``details["markers"][i]["center"]`` is in scene units.
+    cloud_from_scene: (4, 4) similarity.
+    """
+    centers = np.array([marker["center"] for marker in scale.get("details", {}).get("markers", [])]).reshape(-1, 3)
+    similarity = np.asarray(cloud_from_scene, dtype=np.float64)
+    return np.asarray(centers @ similarity[:3, :3].T + similarity[:3, 3])

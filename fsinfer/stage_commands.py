@@ -15,14 +15,18 @@ from fsinfer.cloud_chunks import open_chunks
 from fsinfer.cloud_thinning import ThinningSettings, thin_while_reading
 from fsinfer.errors import CloudError, ScaleError
 from fsinfer.files import make_folder
+from fsinfer.find_scale import NO_SCALE, find_scale
+from fsinfer.json_values import as_json
 from fsinfer.las import read_epsg
-from fsinfer.placement import PlacedCloud, density_per_m2, marker_centers, place_cloud, transform_cloud
-from fsinfer.plot_summary import no_scale_once, package_versions, read_plot, update_plot
+from fsinfer.placement import PlacedCloud, density_per_m2, place_cloud, transform_cloud
+from fsinfer.plot_json import package_versions, read_plot
+from fsinfer.plot_summary import no_scale_once, update_plot
 from fsinfer.progress import Progress, silent
-from fsinfer.scale_request import NO_SCALE, ScaleRequest, find_scale
+from fsinfer.scale import marker_centers
+from fsinfer.scale_request import ScaleRequest
 from fsinfer.scene import read_scene
 from fsinfer.silhouettes import StemPhotos
-from fsinfer.stages import RECORDS_FOLDER, as_json
+from fsinfer.stages import RECORDS_FOLDER
 from fsinfer.tree_edits import find_edits
 from fsinfer.tree_labels import write_labelled
 from fsinfer.tree_outputs import write_tree_outputs

@@ -16,21 +16,19 @@ import secrets
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
-from enum import Enum
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from fsinfer.digest import file_digest
 from fsinfer.errors import InputError, OutputError
 from fsinfer.files import make_folder, write_text
+from fsinfer.json_values import as_json
 from fsinfer.memory import MemoryPeak
 
 RECORDS_FOLDER = ".fsinfer"
 # Raised when a record of an older layout must not be trusted any more.
 RECORD_FORMAT = 1
-# Bytes read at either end of a file for its digest: photographs and videos that differ do so in their headers or
-# their last blocks, and a plot of 500 photographs is still checked in a second.
-DIGEST_BYTES = 65536
 
 _log = logging.getLogger(__name__)
 
@@ -159,46 +157,6 @@ class StageBook:
                 msg = f"cannot empty {folder} for stage {name} ({error.strerror or error}); delete it by hand"
                 raise OutputError(msg) from error
             make_folder(folder)
-
-
-def file_digest(path: Path) -> str:
-    """Digest of a file's name, size and both ends; independent of its folder and its dates.
-
-    Raises :class:`InputError` when the file cannot be read.
-    """
-    try:
-        size = path.stat().st_size
-        with path.open("rb") as stream:
-            content = stream.read(DIGEST_BYTES)
-            if size > DIGEST_BYTES:
-                stream.seek(max(DIGEST_BYTES, size - DIGEST_BYTES))
-                content += stream.read(DIGEST_BYTES)
-    except OSError as error:
-        msg = f"cannot read {path}: {error.strerror or error}"
-        raise InputError(msg) from error
-    return hashlib.sha256(f"{path.name}\n{size}\n".encode() + content).hexdigest()[:24]
-
-
-def as_json(value: Any) -> Any:
-    """Turn settings (frozen dataclasses, enums, paths, tuples, NumPy scalars and arrays) into JSON values."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return {field.name: as_json(getattr(value, field.name)) for field in fields(value)}
-    if isinstance(value, Mapping):
-        return {str(key): as_json(item) for key, item in value.items()}
-    if isinstance(value, Enum):
-        return as_json(value.value)
-    if isinstance(value, Path):
-        return str(value)
-    if hasattr(value, "tolist"):
-        return as_json(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [as_json(item) for item in value]
-    if isinstance(value, (set, frozenset)):
-        return sorted(as_json(item) for item in value)
-    if value is None or isinstance(value, (str, int, float, bool)):
-        return value
-    msg = f"cannot write a {type(value).__name__} into a stage record"
-    raise TypeError(msg)
 
 
 def _digest(value: Any) -> str:

@@ -15,9 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.depth_model import DepthEstimate, DepthModel, ViewFeatures, load_graph
+from fsinfer.depth_model import DepthEstimate, DepthModel, ViewFeatures
 from fsinfer.errors import ModelError
 from fsinfer.precision import INT8
+from fsinfer.providers import load_graph
 from fsinfer.volume import Features
 
 Float32 = NDArray[np.float32]

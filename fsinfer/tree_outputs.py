@@ -11,20 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import OutputError
-from fsinfer.placement import CAMERA_HEIGHT_M
+from fsinfer.posts import without_posts
 from fsinfer.progress import Progress, silent
+from fsinfer.scale import CAMERA_HEIGHT_M
+from fsinfer.tree_workbook import write_tables
 
 if TYPE_CHECKING:
     from fsinfer.cloud import PointCloud
     from fsinfer.silhouettes import StemPhotos
     from fsinfer.tree_edits import TreeEdit
     from fsinfer.trees import PlotResult, TreeSettings
-    from fsinfer.trees.stem_curve import CurvePoint
 
 # Everything but trees.csv and the figures: what an earlier measurement in metres may have left.
 MAPS = ("trees.gpkg", "trees.geojson", "trees.laz", "trees.xlsx", "stem_curve.csv", "dbh_sources.csv")
-# A marker's board and the post behind it lie within this of the marker's centre.
-MARKER_REACH_M = 0.25
 
 
 def write_tree_outputs(
@@ -135,46 +134,6 @@ def write_tree_outputs(
         "plot_area_m2": result.plot_area_m2 or None,
         "warnings": [*result.warnings, *(() if result.trees else (result.diagnosis,))],
     }
-
-
-def write_tables(path: Path, result: PlotResult, curves: dict[int, tuple[CurvePoint, ...]]) -> None:
-    """Write the trees, the stand table and the stem curves as sheets of one XLSX workbook."""
-    from fsinfer.spreadsheet import write_workbook
-    from fsinfer.trees.stem_curve import COLUMNS as CURVE_COLUMNS
-    from fsinfer.trees.stem_curve import curve_row
-    from fsinfer.trees.table import COLUMNS, table_row
-
-    stand = [("figure", "value"), *asdict(result.stand).items()]
-    write_workbook(
-        path,
-        {
-            "trees": [COLUMNS, *map(table_row, result.trees)],
-            "stand": stand,
-            "stem curve": [CURVE_COLUMNS, *(curve_row(point) for curve in curves.values() for point in curve)],
-        },
-    )
-
-
-def without_posts(result: PlotResult, marker_xyz: NDArray[np.float64]) -> PlotResult:
-    """Take out what stands where a marker is and does not measure as a sound stem: the marker's post or board.
-
-    A marker pinned to a tree stays with its tree, as long as the tree's DBH is beyond doubt. What was taken out is said
-    in the warnings, because it might have been a tree after all. ``marker_xyz``: (M, 3) metres, the cloud's frame.
-    """
-    kept, warnings = [], []
-    for index, tree in enumerate(result.trees):
-        apart = np.hypot(*(marker_xyz[:, :2] - [tree.x_m, tree.y_m]).T) if len(marker_xyz) else np.array([np.inf])
-        if tree.status == "ok" or apart.min() > MARKER_REACH_M:
-            kept.append(index)
-            continue
-        where = f"({tree.x_m:.1f}, {tree.y_m:.1f})"
-        warnings.append(f"an object at {where} was taken for the post of a marker, not for a tree")
-    return replace(
-        result,
-        trees=tuple(result.trees[i] for i in kept),
-        sections=tuple(result.sections[i] for i in kept),
-        warnings=(*result.warnings, *warnings),
-    )
 
 
 def write_no_trees(out: Path, *, reason: str) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from export.onnx_export import export_model, load_checkpoint
+from export.onnx_export import export_model
 from fsinfer.depth import DepthSettings, estimate_depth
 from fsinfer.errors import CloudError, FsinferError
 from fsinfer.evaluation import evaluate, read_measured
@@ -27,6 +27,7 @@ from fsinfer.fusion import fuse
 from fsinfer.placement import density_per_m2
 from fsinfer.scene import read_scene
 from fsinfer.trees import measure_trees
+from training.checkpoint import load_checkpoint
 from training.evaluate import evaluate_scene, onnx_predictor
 from training.layouts import find_true_scenes
 from training.metrics import mean_errors

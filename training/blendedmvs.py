@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from fsinfer.errors import SceneError
 from fsinfer.pfm import read_pfm
 from fsinfer.scene import Scene, View, read_camera, read_pairs
-from training.layouts import Split
+from training.true_scene import Split
 
 TRAINING_LISTS = ("BlendedMVS_training.txt", "training_list.txt", "BlendedMVG_training.txt")
 VALIDATION_LISTS = ("validation_list.txt",)

@@ -16,7 +16,8 @@ from torch.utils.data import IterableDataset
 from fsinfer.errors import SceneError
 from fsinfer.pfm import read_pfm
 from fsinfer.scene import Scene
-from training.layouts import TrueScene, find_true_scenes
+from training.layouts import find_true_scenes
+from training.true_scene import TrueScene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +58,7 @@ class SamplingSettings:
 def load_sample(scene: Scene, index: int, sources: Sequence[int], depth: NDArray[np.float32] | None = None) -> Sample:
     """Read view ``index`` with the given source views; a smaller depth map is spread by its integer factor.
 
-    ``depth`` is that of :meth:`training.layouts.TrueScene.true_depth`; without it ``depths/NAME.pfm`` is read.
+    ``depth`` is that of :meth:`training.true_scene.TrueScene.true_depth`; without it ``depths/NAME.pfm`` is read.
     """
     views = [scene.views[i] for i in (index, *sources)]
     images = []

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from fsinfer.errors import SceneError
 from fsinfer.pfm import read_pfm
 from fsinfer.scene import Camera, Scene, View, read_camera, read_pairs
-from training.layouts import Split
+from training.true_scene import Split
 
 Float32 = NDArray[np.float32]
 

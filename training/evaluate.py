@@ -24,8 +24,9 @@ from fsinfer.images import read_image
 from fsinfer.precision import FLOAT32, PRECISIONS
 from fsinfer.scene import Scene, View
 from fsinfer.unsure_depth import settle_unsure
-from training.layouts import SPLITS, DepthsFolder, find_true_scenes
+from training.layouts import find_true_scenes
 from training.metrics import DepthErrors, PixelErrors, depth_errors, mean_errors, pixel_errors, pool, pooled_errors
+from training.true_scene import SPLITS, DepthsFolder
 
 Float32 = NDArray[np.float32]
 #: (images, intrinsics, cam_from_world, depth_range) → depth, confidence, stride
@@ -70,7 +71,7 @@ def onnx_predictor(
 
 def torch_predictor(checkpoint: Path, settings: DepthSettings | None = None) -> Predict:
     """Predict with PyTorch from a checkpoint."""
-    from export.onnx_export import load_checkpoint
+    from training.checkpoint import load_checkpoint
 
     model, _ = load_checkpoint(checkpoint)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
@@ -114,7 +115,7 @@ def evaluate_scene(
     """Errors of every ``every``-th view of a scene, by view name.
 
     ``pixels`` is given those of each view, to be pooled (:func:`training.metrics.pool`).
-    ``true_depth`` is that of a :class:`training.layouts.TrueScene`; without it ``depths/NAME.pfm`` is read.
+    ``true_depth`` is that of a :class:`training.true_scene.TrueScene`; without it ``depths/NAME.pfm`` is read.
     """
     true_depth = true_depth or DepthsFolder(folder=scene.folder).true_depth
     rows = {}

@@ -11,32 +11,30 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fsinfer.board_places import boards_at_two_places
 from fsinfer.check.advice import advice, marker_lines
 from fsinfer.check.coverage import CoverageSettings, StemCoverage, judge_stems
 from fsinfer.check.glance import GlanceSettings, take_glance
-from fsinfer.check.north import Compass, find_compass, gnss_places
+from fsinfer.check.north import find_compass, gnss_places
 from fsinfer.check.open_sides import OpenSide, open_sides
+from fsinfer.check.result import CheckResult
 from fsinfer.check.survey import Survey, SurveySettings, survey_scene
 from fsinfer.errors import ScaleError
 from fsinfer.files import make_folder, write_text
+from fsinfer.find_scale import find_scale, scale_from_printed_boards
 from fsinfer.frames import FrameSettings
 from fsinfer.images import list_images
 from fsinfer.markers import scale_from_aruco
 from fsinfer.photo_stages import choose_frames, is_placed, is_placed_so, place_photos, source_files
-from fsinfer.placement import marker_centers
 from fsinfer.plan_area import in_hull
 from fsinfer.progress import Progress, StageProgress, silent_stages
-from fsinfer.scale import Scale
-from fsinfer.scale_request import ScaleRequest, find_scale, scale_from_printed_boards
+from fsinfer.scale import Scale, marker_centers
+from fsinfer.scale_doubt import boards_at_two_places
+from fsinfer.scale_request import ScaleRequest
 from fsinfer.scene import Scene, read_scene
 from fsinfer.sfm import PoseSettings
 from fsinfer.sparse import read_sparse
 from fsinfer.stages import RECORDS_FOLDER, StageBook
-
-Floats = NDArray[np.float64]
 
 # A board's middle lies so near to the wall of its post, which a few points put a little off.
 _POST_M = 0.35
@@ -59,38 +57,6 @@ class CheckSettings:
     coverage: CoverageSettings = field(default_factory=CoverageSettings)
     scale: ScaleRequest = field(default_factory=ScaleRequest)
     margin_m: float = 0.5
-
-
-@dataclass(frozen=True, kw_only=True)
-class CheckResult:
-    """What was found.
-
-    Attributes
-    ----------
-    photos, registered: given and placed.
-    lines: what to do again, most important first; empty when nothing.
-    notes: what was found otherwise: photos, boards, stems.
-    stems: every stem with how it was seen, plan coordinates in metres.
-    cameras: (P, 2) plan positions of the placed photos, in the order of ``names``.
-    compass: how the map is turned.
-    metric: lengths are known, not guessed from the height at which people hold a phone.
-    sides: along which no photo was placed.
-    map_path: the picture; None where no stem was found.
-    seconds: by step.
-    """
-
-    photos: int
-    registered: int
-    lines: tuple[str, ...]
-    notes: tuple[str, ...]
-    stems: tuple[StemCoverage, ...]
-    cameras: Floats
-    names: tuple[str, ...]
-    compass: Compass
-    metric: bool
-    sides: tuple[OpenSide, ...]
-    map_path: Path | None
-    seconds: dict[str, float]
 
 
 def check_capture(

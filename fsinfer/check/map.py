@@ -12,7 +12,7 @@ from fsinfer.check.coverage import StemCoverage
 from fsinfer.files import atomic_path
 
 if TYPE_CHECKING:
-    from fsinfer.check.capture import CheckResult
+    from fsinfer.check.result import CheckResult
 
 Floats = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.images import gnss_degrees
+from fsinfer.exif import gnss_degrees
 
 Floats = NDArray[np.float64]
 

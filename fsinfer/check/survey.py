@@ -13,7 +13,8 @@ from fsinfer.check.sightings import SightingSettings, find_sightings
 from fsinfer.check.sparse_stems import SparseStemSettings, find_sparse_stems
 from fsinfer.check.visible_stems import VisibleStem, join_stems
 from fsinfer.errors import CloudError
-from fsinfer.placement import CAMERA_HEIGHT_M, level_scene
+from fsinfer.placement import level_scene
+from fsinfer.scale import CAMERA_HEIGHT_M
 from fsinfer.scene import Scene
 from fsinfer.sparse import SparseModel
 from fsinfer.trees.ground import Ground, find_ground

@@ -39,7 +39,6 @@ class DbhSettings:
     """Constants of :func:`measure_together`."""
 
     min_points: int = 12  # four times the circle's parameters
-    max_shift_m: float = 0.3  # breast height moves at most this far before the measurement is called doubtful
     min_coverage: float = 65.0 / 360.0  # less arc than this leaves the radius open
     doubtful_coverage: float = 100.0 / 360.0
     max_sigma_m: float = 0.026

@@ -27,10 +27,11 @@ from scipy.spatial.transform import Rotation
 
 from fsinfer.depth import DepthSettings
 from fsinfer.evaluation import evaluate, read_measured
+from fsinfer.find_scale import find_scale
 from fsinfer.frames import select_frames
 from fsinfer.pipeline import RunSettings, run
 from fsinfer.poses import PoseSettings, estimate_poses
-from fsinfer.scale_request import ScaleRequest, find_scale
+from fsinfer.scale_request import ScaleRequest
 from fsinfer.scene import Camera, Scene, read_camera, read_scene, write_camera
 from fsinfer.trees.table import read_trees
 from tests.bench.plot import similarity

@@ -11,13 +11,14 @@ import onnx
 import pytest
 import torch
 
-from export.onnx_export import export_model, load_checkpoint
+from export.onnx_export import export_model
 from export.parity import whole_parity
 from fsinfer.depth import DepthSettings, search_range
 from fsinfer.depth_model import DepthModel
 from fsinfer.errors import InputError, ModelError
 from fsinfer.scene import read_scene
 from tests.plane_scene import write_plane_scene
+from training.checkpoint import load_checkpoint
 from training.model import PRESETS, FSMVSNet
 
 

@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
+from fsinfer.find_scale import find_scale
 from fsinfer.scale import Scale
-from fsinfer.scale_request import ScaleRequest, find_scale
+from fsinfer.scale_request import ScaleRequest
 from fsinfer.scene import Scene
 
 
@@ -22,7 +23,7 @@ def test_a_run_warns_of_a_board_at_two_places(monkeypatch: pytest.MonkeyPatch, t
     if twice:
         markers.append(board(1, [0.0, 2.0, 0.0], ["q", "p"]))
     scale = Scale(m_per_unit=1.5, source="aruco", rel_std=0.001, details={"markers": markers})
-    monkeypatch.setattr("fsinfer.scale.scale_from_aruco", lambda *_args, **_kwargs: scale)
+    monkeypatch.setattr("fsinfer.markers.scale_from_aruco", lambda *_args, **_kwargs: scale)
     scene = Scene(folder=Path("scene"), views=())
     for request in (ScaleRequest(aruco_length_m=0.25), ScaleRequest()):
         found, warnings = find_scale(request, scene=scene)

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from fsinfer.errors import ImageError
+from fsinfer.exif import camera_key, gnss_degrees
 from fsinfer.frame_quality import QualityLimits, reasons_to_drop, score_frame
 from fsinfer.frames import CONTACT_SHEET, FrameSettings, list_captures, select_frames
-from fsinfer.images import camera_key, gnss_degrees, read_image, write_image
+from fsinfer.images import read_image, write_image
 from fsinfer.video import VideoSettings, _choose
 from fsinfer.view_change import ViewChange
 from tests.fsinfer.rendered_room import texture

@@ -21,7 +21,7 @@ from fsinfer.cli_console import explain, reports_errors, stage_progress, warn
 from fsinfer.cloud import read_cloud
 from fsinfer.errors import CloudError
 from fsinfer.manifest import models_folder
-from fsinfer.plot_summary import read_plot
+from fsinfer.plot_json import read_plot
 from fsinfer.scene import read_scene
 from tests.fsinfer.synthetic_plot import M_PER_UNIT, STEMS, write_depth_folder, write_scene_folder
 

@@ -10,7 +10,8 @@ import pytest
 from PIL import Image
 
 from fsinfer.errors import ImageError
-from fsinfer.images import camera_exif, camera_key, image_size, list_images, read_image, write_image
+from fsinfer.exif import camera_exif, camera_key
+from fsinfer.images import image_size, list_images, read_image, write_image
 
 
 def picture(width: int = 60, height: int = 40) -> np.ndarray:

@@ -74,10 +74,12 @@ def test_unknown_name_is_an_attribute_error() -> None:
     assert {"DepthModel", "measure_trees", "trees"} <= set(dir(fsinfer))
 
 
-def test_version_agrees_with_pyproject() -> None:
+def test_the_build_reads_the_version_that_the_package_tells() -> None:
     import tomllib
 
     import fsinfer
 
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    assert fsinfer.__version__ == project["version"]
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    assert "version" in settings["project"]["dynamic"]
+    source = ROOT / settings["tool"]["hatch"]["version"]["path"]
+    assert f'__version__ = "{fsinfer.__version__}"' in source.read_text(encoding="utf-8")

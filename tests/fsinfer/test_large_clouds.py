@@ -14,7 +14,7 @@ from fsinfer.cloud import PointCloud, read_cloud, write_cloud
 from fsinfer.cloud_chunks import ChunkSettings, open_chunks
 from fsinfer.cloud_thinning import ThinningSettings, thin_while_reading
 from fsinfer.errors import CloudError
-from fsinfer.plot_summary import read_plot
+from fsinfer.plot_json import read_plot
 from fsinfer.scale_request import ScaleRequest
 from fsinfer.stage_commands import measure_cloud_file
 from fsinfer.trees import TreeSettings, analyse_plot

@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from fsinfer.errors import InputError, ScaleError
+from fsinfer.marker_detection import detect_markers, make_detector
 from fsinfer.marker_sheet import PAPERS_MM, Board, draw_board, square_place_mm, write_marker_pdf
-from fsinfer.markers import detect_markers, make_detector
 from fsinfer.printed_boards import RANGES, board_lengths, numbers_of_length
 
 DPI = 150

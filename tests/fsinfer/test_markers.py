@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import ScaleError
 from fsinfer.images import write_image
+from fsinfer.marker_detection import detect_markers, make_detector
 from fsinfer.marker_fit import MarkerSettings, Sighting, find_markers
-from fsinfer.markers import detect_markers, make_detector, weighted_median
-from fsinfer.scale import scale_from_aruco
+from fsinfer.markers import scale_from_aruco, weighted_median
 from fsinfer.scene import Camera, Scene, View
 from tests.fsinfer.rendered_room import SIZE, WALL, draw, intrinsic, poses, texture
 
@@ -220,7 +220,8 @@ def test_weighted_median() -> None:
 
 def test_printed_boards_need_no_option(tmp_path: Path) -> None:
     """Numbers 23 and 41 tell 0.15 and 0.25 m; 7 tells nothing and is left alone."""
-    from fsinfer.scale_request import NO_SCALE, ScaleRequest, find_scale
+    from fsinfer.find_scale import NO_SCALE, find_scale
+    from fsinfer.scale_request import ScaleRequest
 
     only = make_scene(tmp_path / "one", {1: 23})
     scale, warnings = find_scale(ScaleRequest(), scene=only)

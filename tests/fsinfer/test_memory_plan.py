@@ -9,7 +9,8 @@ import sys
 import pytest
 
 from fsinfer.errors import InputError
-from fsinfer.memory_plan import DepthPlan, FusionPlan, plan_depth, plan_fusion
+from fsinfer.fusion_memory import FusionPlan, plan_fusion
+from fsinfer.memory_plan import DepthPlan, plan_depth
 
 
 def _depth(memory_gb: float, width: int = 1280, height: int = 720) -> DepthPlan:
@@ -105,8 +106,6 @@ status = pathlib.Path("/proc/self/status").read_text()
 peak_kib = next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM"))
 print(plan.peak_bytes, peak_kib * 1024)
 """
-
-
 _INT8 = """
 from fsinfer.depth_model import DepthModel
 from fsinfer.memory_plan import plan_depth

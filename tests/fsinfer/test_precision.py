@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from fsinfer import precision
-from fsinfer.depth import DepthSettings, estimate_depth, read_depth_index
+from fsinfer.depth import DepthSettings, estimate_depth
+from fsinfer.depth_maps import read_depth_index
 from fsinfer.depth_model import DepthModel
 from fsinfer.errors import InputError, ModelError
 from fsinfer.manifest import hash_files, models_folder, read_manifest

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fsinfer.errors import ScaleError
-from fsinfer.scale import apply_scale, scale_from_clicks, scale_from_endpoints, scale_from_factor
+from fsinfer.scale import scale_from_clicks, scale_from_endpoints, scale_from_factor
 from fsinfer.scene import Camera, Scene, View
 from fsinfer.triangulation import triangulate
 from tests.fsinfer.rendered_room import intrinsic, poses
@@ -17,7 +17,6 @@ from tests.fsinfer.rendered_room import intrinsic, poses
 def test_factor() -> None:
     scale = scale_from_factor(0.4)
     assert (scale.m_per_unit, scale.source, scale.rel_std) == (0.4, "factor", None)
-    assert np.allclose(apply_scale(np.array([[1.0, 2, 3]]), scale), [[0.4, 0.8, 1.2]], rtol=1e-12)
 
 
 @pytest.mark.parametrize("value", [0.0, -2.0, float("nan"), float("inf")])
@@ -92,10 +91,3 @@ def test_clicks_that_do_not_fit(scene: Scene) -> None:
 def test_triangulation_of_parallel_rays_is_none() -> None:
     matrix = intrinsic() @ poses(4)[0][:3]
     assert triangulate([matrix, matrix], np.array([[200.0, 100.0], [200.0, 100.0]])) is None
-
-
-def test_scale_that_is_not_known_cannot_be_applied() -> None:
-    from fsinfer.scale import Scale
-
-    with pytest.raises(ScaleError, match="not known"):
-        apply_scale(np.zeros((1, 3)), Scale(m_per_unit=None, source="none", rel_std=None))

@@ -12,7 +12,9 @@ from fsinfer.depth_maps import PixelGrid
 from fsinfer.errors import SceneError
 from fsinfer.pfm import read_pfm, write_pfm
 from fsinfer.scene import Scene, read_scene
-from fsinfer.sparse import CheckSettings, SparseModel, check_depth, compare_depth, depth_vs_sfm, read_sparse
+from fsinfer.sfm_check import SfmCheckSettings as CheckSettings
+from fsinfer.sfm_check import check_depth, compare_depth
+from fsinfer.sparse import SparseModel, read_sparse
 from tests.fsinfer.synthetic_plot import depth_map, write_depth_folder, write_scene_folder
 
 
@@ -66,7 +68,6 @@ def test_exact_depth_differs_by_nothing(scene: Scene, sparse: SparseModel, tmp_p
     assert check.median_rel is not None
     assert check.median_rel < 1e-5
     assert (check.compared, check.asked, check.relaxed) == (120, 120, False)
-    assert depth_vs_sfm(scene, sparse, tmp_path) == check.median_rel
 
 
 def test_wrong_depth_is_seen_where_it_is(scene: Scene, sparse: SparseModel, tmp_path: Path) -> None:

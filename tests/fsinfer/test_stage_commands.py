@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import fsinfer.stage_commands as stage_commands
-from fsinfer.plot_summary import read_plot, update_plot
+from fsinfer.plot_json import read_plot
+from fsinfer.plot_summary import update_plot
 from fsinfer.scale import Scale
 from fsinfer.scale_request import ScaleRequest
 from tests.fsinfer.synthetic_plot import write_scene_folder

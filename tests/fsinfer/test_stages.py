@@ -12,8 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fsinfer.digest import file_digest
 from fsinfer.errors import InputError, PosesError
-from fsinfer.stages import StageBook, as_json, file_digest
+from fsinfer.json_values import as_json
+from fsinfer.stages import StageBook
 
 
 class Counter:

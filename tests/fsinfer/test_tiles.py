@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import fsinfer.depth as depth_stage
-from fsinfer.depth import DepthSettings, estimate_depth, read_depth_index
+from fsinfer.depth import DepthSettings, estimate_depth
+from fsinfer.depth_maps import read_depth_index
 from fsinfer.depth_model import DepthEstimate, DepthModel
 from fsinfer.errors import ModelError
 from fsinfer.manifest import models_folder, read_manifest

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from fsinfer.placement import marker_centers
-from fsinfer.tree_outputs import without_posts
+from fsinfer.posts import without_posts
+from fsinfer.scale import marker_centers
 from fsinfer.trees import analyse_plot
 from tests.fsinfer.stem_clouds import stem_plot
 

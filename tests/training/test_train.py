@@ -260,8 +260,7 @@ def test_command_line_defaults_are_the_papers() -> None:
 
 
 def test_a_slim_checkpoint_exports_the_same_weights(scenes: Path, tmp_path: Path) -> None:
-    from export.onnx_export import load_checkpoint
-    from training.checkpoint import slim
+    from training.checkpoint import load_checkpoint, slim
 
     checkpoint = train(TrainSettings(data=(scenes,), out=tmp_path, steps=1, crop=(16, 12), max_sources=2))
     slim(checkpoint, tmp_path / "slim.pt")
