@@ -12,8 +12,8 @@ import onnxruntime
 import torch
 
 from export.graphs import TILE_ALIGN, TILE_HALO, TILE_LEVEL_HALOS, Graph, graphs, tile_graph
+from fsinfer.depth.manifest import hash_files
 from fsinfer.errors import ModelError
-from fsinfer.manifest import hash_files
 from training.model import FSMVSNet
 from training.model.config import DEPTH_PLANES
 

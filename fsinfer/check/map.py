@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.check.coverage import StemCoverage
-from fsinfer.files import atomic_path
+from fsinfer.io.files import atomic_path
 
 if TYPE_CHECKING:
     from fsinfer.check.result import CheckResult

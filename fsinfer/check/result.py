@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.check.compass import Compass
 from fsinfer.check.coverage import StemCoverage
-from fsinfer.check.north import Compass
 from fsinfer.check.open_sides import OpenSide
 
 Floats = NDArray[np.float64]

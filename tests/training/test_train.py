@@ -11,10 +11,10 @@ import pytest
 import torch
 
 from fsinfer.errors import SceneError
-from fsinfer.pfm import read_pfm, write_pfm
+from fsinfer.io.pfm import read_pfm, write_pfm
 from fsinfer.scene import read_scene
-from tests.plane_scene import PLANE_DEPTH, write_plane_scene
-from training.datasets import (
+from tests.support.plane_scene import PLANE_DEPTH, write_plane_scene
+from training.data.samples import (
     Sample,
     SamplingSettings,
     SceneSamples,
