@@ -21,7 +21,7 @@ from fsinfer.depth.cost_volume import (
 )
 from fsinfer.depth.manifest import DEFAULT_MODEL, ModelManifest, read_manifest
 from fsinfer.depth.precision import AUTO, INT8, choose_precision
-from fsinfer.depth.session import find_providers, load_graph
+from fsinfer.depth.session import available_providers, find_providers, load_graph
 from fsinfer.depth.warping import relative_projection
 from fsinfer.errors import InputError
 
@@ -100,9 +100,7 @@ class DepthModel:
         :func:`fsinfer.depth.precision.choose_precision`. Raises :class:`ModelError` where a file is missing, damaged or
         not ONNX, or the provider is not there, and :class:`InputError` for an unknown precision.
         """
-        import onnxruntime
-
-        providers = find_providers(provider, onnxruntime.get_available_providers())
+        providers = find_providers(provider, available_providers())
         manifest = read_manifest(name_or_path)
         precision = choose_precision(precision, manifest, provider=provider)
         threads = threads or os.cpu_count() or 1

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from fsinfer.errors import ModelError
 
@@ -20,6 +23,13 @@ PROVIDERS = {
     "directml": "DmlExecutionProvider",
     "openvino": "OpenVINOExecutionProvider",
 }
+
+
+def available_providers() -> list[str]:
+    """Execution providers of the installed onnxruntime, by their full names."""
+    import onnxruntime
+
+    return list(onnxruntime.get_available_providers())
 
 
 def find_providers(name: str, available: list[str]) -> list[str]:
@@ -63,3 +73,14 @@ def load_graph(file: Path, threads: int, providers: Sequence[str]) -> Any:
     except Exception as error:  # onnxruntime raises its own family of exceptions
         msg = f"{file} cannot be loaded by onnxruntime ({error}); install fsinfer again or re-export the model"
         raise ModelError(msg) from error
+
+
+def run_for(
+    session: Any, outputs: Sequence[str], feeds: Mapping[str, NDArray[np.float32]]
+) -> list[NDArray[np.float32]]:
+    """Run only that part of a graph which the named outputs need; onnxruntime runs all of it otherwise."""
+    import onnxruntime
+
+    options = onnxruntime.RunOptions()
+    options.only_execute_path_to_fetches = True
+    return list(session.run(list(outputs), dict(feeds), options))

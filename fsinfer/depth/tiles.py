@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from fsinfer.depth.cost_volume import Features
 from fsinfer.depth.model import DepthEstimate, DepthModel, ViewFeatures
 from fsinfer.depth.precision import INT8
-from fsinfer.depth.session import load_graph
+from fsinfer.depth.session import load_graph, run_for
 from fsinfer.errors import ModelError
 
 Float32 = NDArray[np.float32]
@@ -151,13 +151,8 @@ class TiledDepth:
 
     def _regularize(self, volume: Float32, means: Sequence[Float32], *wanted: str) -> list[Float32]:
         """Outputs of the graph for a part of the volume, and the means of its levels as far as they are known."""
-        import onnxruntime
-
-        # Without this all of the graph runs, whatever output is asked for.
-        options = onnxruntime.RunOptions()
-        options.only_execute_path_to_fetches = True
         feeds = {"volume": volume} | {f"mean{level}": mean for level, mean in enumerate(means)}
-        return list(self._session.run(list(wanted), feeds, options))
+        return run_for(self._session, wanted, feeds)
 
 
 def cropped(
