@@ -15,6 +15,7 @@ from fsinfer.io.chunks import open_chunks
 from fsinfer.io.cloud import PointCloud, read_cloud, write_cloud
 from fsinfer.io.files import make_folder
 from fsinfer.io.las import read_epsg
+from fsinfer.notices.sentences import sentence, sentences
 from fsinfer.output.json_values import as_json
 from fsinfer.output.plot_json import package_versions, read_plot
 from fsinfer.placement.place import PlacedCloud, density_per_m2, place_cloud, transform_cloud
@@ -141,7 +142,7 @@ def measure_cloud_file(
         large = replace(large, factor=factor)
         thinned = thin_while_reading(large, settings=thinning, progress=progress)
         cloud, points = PointCloud(xyz=thinned.xyz), thinned.total
-        warnings = (*warnings, *thinned.warnings)
+        warnings = (*warnings, *sentences(thinned.warnings))
     photos = _own_photos(cloud_path, origin, factor)
     measure = partial(
         write_tree_outputs,
@@ -166,7 +167,7 @@ def measure_cloud_file(
         turn = np.eye(4)
         turn[:3, :3] = error.turn
         cloud = transform_cloud(cloud, turn)
-        warnings = (*warnings, error.warning)
+        warnings = (*warnings, sentence(error.warning))
         result = measure(cloud)
     result["warnings"] = [*warnings, *no_scale_once(warnings, result["warnings"])]
     values = {key: result[key] for key in TREE_VALUES}

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import OutputError
+from fsinfer.notices.sentences import sentence, sentences
 from fsinfer.progress import Progress, silent
 from fsinfer.scale.scale import CAMERA_HEIGHT_M
 from fsinfer.trees.outputs.workbook import write_tables
@@ -46,10 +47,10 @@ def write_tree_outputs(
     Parameters
     ----------
     cloud: z up; metres, or model units with ``metric=False``: then the trees get positions and no DBH.
-    out: receives ``trees.csv`` and ``figures/*.png``, and in metres ``trees.gpkg`` (``trees.geojson`` too where the
-        frame is of WGS84) and ``trees.laz``, the cloud with a ``TreeID``, ``stem_curve.csv`` and ``trees.xlsx`` (all
-        tables as sheets), with ``photos`` also ``dbh_sources.csv`` and ``figures/*_edges.png``; what an earlier
-        measurement left is removed.
+    out: receives ``trees.csv``, ``trees.json`` (the reasons as codes) and ``figures/*.png``, and in metres
+        ``trees.gpkg`` (``trees.geojson`` too where the frame is of WGS84) and ``trees.laz``, the cloud with a
+        ``TreeID``, ``stem_curve.csv`` and ``trees.xlsx`` (all tables as sheets), with ``photos`` also
+        ``dbh_sources.csv`` and ``figures/*_edges.png``; what an earlier measurement left is removed.
     settings: of the measurement.
     scale_rel_std: relative standard deviation of the scale, if known; it widens every interval.
     camera_height: median height of the cameras above the ground, in units of the cloud; a person holds a camera at
@@ -75,6 +76,7 @@ def write_tree_outputs(
     from fsinfer.trees.outputs.figures import write_figures
     from fsinfer.trees.outputs.labels import label_points
     from fsinfer.trees.outputs.maps import write_maps
+    from fsinfer.trees.outputs.reasons import write_reasons
     from fsinfer.trees.outputs.table import write_trees
     from fsinfer.trees.stem_curve import stem_curves, write_curves
 
@@ -113,6 +115,7 @@ def write_tree_outputs(
         )
         write_sources(out / "dbh_sources.csv", result)
     write_trees(out / "trees.csv", result.trees)
+    write_reasons(out / "trees.json", result.trees)
     curves = stem_curves(cloud.xyz, result) if metric else {}
     write_figures(out / "figures", result, curves=curves)
     if metric:
@@ -129,18 +132,20 @@ def write_tree_outputs(
         "trees_with_dbh": sum(tree.dbh_cm is not None for tree in result.trees),
         "trees_with_silhouette": sum(section.silhouette is not None for section in result.sections),
         "ground_method": None if result.ground is None else result.ground.method,
-        "diagnosis": result.diagnosis,
+        "diagnosis": sentence(result.diagnosis),
         "stand": asdict(result.stand),
         "plot_area_m2": result.plot_area_m2 or None,
-        "warnings": [*result.warnings, *(() if result.trees else (result.diagnosis,))],
+        "warnings": [*sentences(result.warnings), *(() if result.trees else (sentence(result.diagnosis),))],
     }
 
 
 def write_no_trees(out: Path, *, reason: str) -> dict[str, Any]:
     """Write an empty ``trees.csv`` where measuring is impossible; returns what :func:`write_tree_outputs` does."""
+    from fsinfer.trees.outputs.reasons import write_reasons
     from fsinfer.trees.outputs.table import write_trees
 
     write_trees(out / "trees.csv", [])
+    write_reasons(out / "trees.json", [])
     _clear_figures(out)
     _clear_maps(out)
     nothing = {"ground_method": None, "stand": None, "plot_area_m2": None}

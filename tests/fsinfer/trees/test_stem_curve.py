@@ -12,6 +12,7 @@ import pytest
 
 from fsinfer.io.cloud import PointCloud
 from fsinfer.io.workbook import write_workbook
+from fsinfer.notices.stems import StemCode
 from fsinfer.trees import PlotResult, TreeSettings, analyse_plot
 from fsinfer.trees.outputs.table import COLUMNS as TREE_COLUMNS
 from fsinfer.trees.stem_curve import COLUMNS, stem_curves, write_curves
@@ -57,7 +58,8 @@ def test_where_too_little_is_seen_there_is_a_reason(plot: StemPlot, result: Plot
     curve = stem_curves(cut, result)[tree.tree_id]
     assert [p.height_m for p in curve if p.diameter_cm is not None][-1] <= 2.5
     assert curve[-1].diameter_cm is None
-    assert "degrees" in curve[-1].reason or "too few" in curve[-1].reason
+    assert curve[-1].why is not None
+    assert curve[-1].why.code in {StemCode.little_seen, StemCode.few_at_height, StemCode.few_on_bark_at_height}
 
 
 def test_curves_far_from_the_origin_are_the_same(plot: StemPlot, result: PlotResult) -> None:

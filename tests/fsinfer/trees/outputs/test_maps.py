@@ -14,6 +14,8 @@ import pytest
 
 from fsinfer.io.cloud import PointCloud, read_cloud, write_cloud
 from fsinfer.io.las import read_epsg
+from fsinfer.notices.notice import notice
+from fsinfer.notices.stems import StemCode
 from fsinfer.trees import PlotResult, TreeSettings, analyse_plot, stand_table
 from fsinfer.trees.outputs.labels import label_points
 from fsinfer.trees.outputs.maps import to_wgs84, write_maps
@@ -33,7 +35,8 @@ def result(plot: StemPlot) -> PlotResult:
 
 
 def test_geopackage_holds_every_tree_in_a_local_frame(tmp_path: Path, result: PlotResult) -> None:
-    unmeasured = replace(result.trees[0], tree_id=9, dbh_cm=None, reason="for the test, with a comma")
+    why = (notice(StemCode.as_written, text="for the test, with a comma"),)
+    unmeasured = replace(result.trees[0], tree_id=9, dbh_cm=None, reasons=why)
     paths = write_maps(tmp_path, [*result.trees, unmeasured])
     assert [path.name for path in paths] == ["trees.gpkg"]
     with closing(sqlite3.connect(paths[0])) as base:
