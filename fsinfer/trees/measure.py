@@ -33,7 +33,7 @@ from fsinfer.trees.stem_measurement import doubt_the_rough, measure_stems
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
-#: What is said of how high a cloud reaches: this percentile, for the sake of strays. Source: not recorded.
+#: Drawing: what is said of how high a cloud reaches: this percentile, for the sake of strays.
 TOP_PERCENTILE = 99.9
 
 

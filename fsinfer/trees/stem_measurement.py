@@ -17,15 +17,14 @@ from fsinfer.trees.height import FOOT_M, axis_path, top_may_be_seen, tree_height
 from fsinfer.trees.height import INDEX_CELL_M as TOP_CELL_M
 from fsinfer.trees.points.cells import PlanIndex, near_paths, rows
 from fsinfer.trees.points.sums import Z95, lengths
-from fsinfer.trees.search.find import StemSearch
+from fsinfer.trees.search.find import INDEX_CELL_M, StemSearch
 from fsinfer.trees.search.stem import Stem
 from fsinfer.trees.settings import TreeSettings
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
-#: Numerics: stems whose points are held at once; cell of the index of points at stem height, metres; and directions in
-#: which the ground at a stem's foot is looked up.
-TOGETHER, INDEX_CELL_M, FOOT_DIRECTIONS = 16, 0.375, 16
+#: Numerics: stems whose points are held at once, and directions in which the ground at a stem's foot is looked up.
+TOGETHER, FOOT_DIRECTIONS = 16, 16
 #: Above and below the heights of the search, metres, points are used too: a stem is measured on its own ground.
 #: Source: not recorded.
 SLAB_MARGIN_M = 0.5

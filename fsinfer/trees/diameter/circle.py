@@ -31,7 +31,7 @@ DROP_ROUNDS = 25
 #: Numerics: fused random subsamples, of at most so many points, each in so many steps; the spread of the mean is stable
 #: to 10 % from about 60, and more points do not move the mean.
 SUBSAMPLES, MOST_OF_SUBSAMPLE, SUBSAMPLE_STEPS = 96, 400, 3
-#: Delete-half jackknife: the spread of half samples estimates the standard error. Source: statistics.
+#: Mathematics: delete-half jackknife; the spread of half samples estimates the standard error.
 SUBSAMPLE_SHARE = 0.5
 #: Numerics: guards against collinear points, metres.
 MOST_RADIUS_M = 1e6

@@ -20,8 +20,7 @@ from fsinfer.trees.points.surface import LAYER_M, SECTORS, sector_of
 Floats = NDArray[np.float64]
 
 
-#: Least number of blocks, beside as many as unknowns, and of pairs of them, that tell what blocks share.
-#: Source: not recorded.
+#: Numerics: least number of blocks, beside as many as unknowns, and of pairs of them, that tell what blocks share.
 LEAST_FREE, LEAST_PAIRS = 4, 6
 
 

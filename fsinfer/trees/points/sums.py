@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 #: Numerics: times 14 parameters, below the 9,216 elements from which OpenBLAS spreads a matrix-vector product.
 BLOCK = 512
-#: Standard deviation of a Gaussian over its median absolute deviation. Source: statistics.
+#: Mathematics: standard deviation of a Gaussian over its median absolute deviation.
 MAD_TO_SIGMA = 1.4826
-#: Standard deviations to either side that hold 95 % of a Gaussian. Source: statistics.
+#: Mathematics: standard deviations to either side that hold 95 % of a Gaussian.
 Z95 = 1.96
 
 

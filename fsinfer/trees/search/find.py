@@ -40,11 +40,10 @@ APART_M = 0.3
 INDEX_CELL_M = 0.375
 #: Points this far outside the widest stem are looked at, metres: what it has to stand out from. Source: not recorded.
 BESIDE_M = 0.15
-#: Cells grow with the spacing of a sparse cloud, and points are thinned to half a cell, but not below so many metres.
-#: Source: not recorded.
-CELL_OF_SPACING, LEAST_THINNING_M = 1.2, 0.008
-#: A seed so little outside of a stem's radius is inside, metres. Source: not recorded.
-INSIDE_M = 0.02
+#: Cells grow with the spacing of a sparse cloud. Source: not recorded.
+CELL_OF_SPACING = 1.2
+#: Numerics: points are thinned to half a cell, but not below so many metres.
+LEAST_THINNING_M = 0.008
 #: The wall of a stem that another touches: its noise, and cells, whichever is more. Source: not recorded.
 OWN_SIGMAS, OWN_CELLS = 4.0, 1.5
 #: A weaker stem that touches another must keep this share of its quality without the other's points, stay within this
@@ -133,16 +132,16 @@ def _search(
                 rejected[found] = rejected.get(found, 0) + 1
             else:
                 accepted.append(found)
-                inside = _inside(found, places)
+                inside = _inside(found, places, s.radius_m[0])
                 covered[inside] = np.minimum(covered[inside], turn[row])
     return accepted, rejected
 
 
-def _inside(stem: Stem, seeds: Floats) -> Bools:
-    """Which of the seeds (K, 3) of x, y, height lie inside the stem."""
+def _inside(stem: Stem, seeds: Floats, least_radius_m: float) -> Bools:
+    """Which of the seeds (K, 3) of x, y, height lie inside the stem, or within the least radius of it."""
     p = stem.axis.parameters
     gap = seeds[:, :2] - p[:2] - p[2:4] * (seeds[:, 2:] - stem.axis.height_m)
-    return np.asarray((gap**2).sum(axis=1) <= (p[4] + INSIDE_M) ** 2)
+    return np.asarray((gap**2).sum(axis=1) <= (p[4] + least_radius_m) ** 2)
 
 
 def _resolve_overlaps(stems: list[Stem], index: PlanIndex, cell_m: float, bh_m: float, s: StemSettings) -> list[Stem]:

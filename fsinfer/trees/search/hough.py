@@ -14,7 +14,7 @@ from fsinfer.trees.search.stem import StemSettings
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-#: Surroundings of a cell, of which the line-likeness and the normal are taken, in cells. Source: not recorded.
+#: Numerics: surroundings of a cell, of which the line-likeness and the normal are taken, in cells.
 _REACH_CELLS = 3.6
 #: Numerics: cells whose neighbours are looked up at once: in one thread, see fsinfer.trees.points.sums.
 _CHUNK = 1000
@@ -24,7 +24,7 @@ _MOST_VOTES = 12e6
 _STEPS = 5
 #: Numerics: candidates, beside a few on a small plot; 30,000 a hectare bound the time in a thicket.
 _SEEDS_PER_M2, _SEEDS = 3.0, 50
-#: Cells of votes that are added up, and that a peak must exceed, to either side and itself. Source: not recorded.
+#: Numerics: width in cells of the squares over which votes are added up, and over which a peak is the highest.
 _BLUR_CELLS, _PEAK_CELLS = 3, 5
 
 

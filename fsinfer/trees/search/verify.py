@@ -38,11 +38,9 @@ WINDOW_M = 0.10
 #: Numerics: points of which rings are looked for, some twenty in each sector and layer of a stem; width of a ring in
 #: metres, sectors, and rings beyond the greatest radius.
 RING_POINTS, RING_M, RING_SECTORS, RINGS_BEYOND = 3000, 0.01, 16, 5
-#: A sector of a ring counts that is seen in this share of the layers. Source: not recorded.
-RING_LAYERS = 0.3
-#: A second ring is looked for so many rings away, or this share of the radius, and needs this share of the first one's
-#: score. Source: not recorded.
-RINGS_APART, RINGS_APART_SHARE, SECOND_RING = 3, 0.3, 0.5
+#: Numerics: where fits start: from sectors of a ring that are seen in this share of the layers, and from a second ring,
+#: so many rings or this share of the radius away, that has this share of the first one's score.
+RING_LAYERS, RINGS_APART, RINGS_APART_SHARE, SECOND_RING = 0.3, 3, 0.3, 0.5
 #: Width of a sector about an axis, in cells. Source: not recorded.
 SECTOR_CELLS = 2.5
 #: The wall is at least so wide to either side, and the inside begins at least so far from it, in cells.
