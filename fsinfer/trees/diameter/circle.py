@@ -31,6 +31,9 @@ DROP_ROUNDS = 25
 #: Numerics: fused random subsamples, of at most so many points, each in so many steps; the spread of the mean is stable
 #: to 10 % from about 60, and more points do not move the mean.
 SUBSAMPLES, MOST_OF_SUBSAMPLE, SUBSAMPLE_STEPS = 96, 400, 3
+#: Numerics: points of a subsample, at least; those whose mean square is so many times the median one are not fused; and
+#: what keeps the weights of the others finite, of the support and of the drop limit's square.
+LEAST_OF_SUBSAMPLE, RUNAWAY, LEAST_SUPPORT, LEAST_SQUARE = 8, 4.0, 1e-3, 1e-4
 #: Mathematics: delete-half jackknife; the spread of half samples estimates the standard error.
 SUBSAMPLE_SHARE = 0.5
 #: Numerics: guards against collinear points, metres.
@@ -227,7 +230,7 @@ def _fuse_subsamples(
 ) -> tuple[Floats, float]:
     """Mean of the geometric fits of random half samples, weighted by support over squared residual, and its error."""
     size = min(int(len(points) * SUBSAMPLE_SHARE), MOST_OF_SUBSAMPLE)
-    if size < 8:
+    if size < LEAST_OF_SUBSAMPLE:
         return circle, float("nan")
     keys = rng.random((SUBSAMPLES, len(points)), dtype=np.float32)
     index = np.argpartition(keys, size - 1, axis=1)[:, :size]
@@ -248,10 +251,10 @@ def _fuse_subsamples(
     residuals = residuals_to(points[None], fits[:, None, :])
     squared = (residuals**2).mean(axis=1)
     support = (np.abs(residuals) <= settings.drop_residual_m).mean(axis=1)
-    usable = np.isfinite(fits).all(axis=1) & (squared <= 4.0 * np.median(squared) + 1e-18)
+    usable = np.isfinite(fits).all(axis=1) & (squared <= RUNAWAY * np.median(squared) + 1e-18)
     if not usable.any():
         return circle, float("nan")
-    weight = np.where(usable, (support + 1e-3) / (squared + 1e-4 * settings.drop_residual_m**2), 0.0)
+    weight = np.where(usable, (support + LEAST_SUPPORT) / (squared + LEAST_SQUARE * settings.drop_residual_m**2), 0.0)
     weight /= weight.sum()
     fused = weight @ np.where(usable[:, None], fits, 0.0)
     # A sample of a share f of n points without replacement scatters about the full fit with

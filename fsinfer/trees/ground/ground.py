@@ -30,6 +30,10 @@ MOST_CELLS = 60_000.0
 TRIALS = 400
 #: Numerics: rounds of least squares on the points near the best of them.
 PLANE_ROUNDS = 5
+#: A cell far below a plane speaks against it as much as this share of one on it speaks for it. Source: not recorded.
+AGAINST = 0.5
+#: Without any plane the ground lies at this percentile of the lowest cells. Source: not recorded.
+LOW_PERCENTILE = 10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -274,7 +278,7 @@ def _ransac_plane(xy: Floats, z: Floats, settings: GroundSettings, rng: np.rando
     index = rng.integers(0, len(z), size=(TRIALS, 3))
     matrix = np.concatenate([xy[index] - middle, np.ones((TRIALS, 3, 1))], axis=2)
     usable = np.abs(np.linalg.det(matrix)) > 1e-6
-    best, best_score = np.array([0.0, 0.0, float(np.percentile(z, 10))]), -1.0
+    best, best_score = np.array([0.0, 0.0, float(np.percentile(z, LOW_PERCENTILE))]), -1.0
     if usable.any():
         planes = np.linalg.solve(matrix[usable], z[index][usable][..., None])[..., 0]
         planes = planes[np.hypot(planes[:, 0], planes[:, 1]) <= np.tan(np.radians(settings.max_slope_deg))]
@@ -282,7 +286,9 @@ def _ransac_plane(xy: Floats, z: Floats, settings: GroundSettings, rng: np.rando
         for plane in planes:
             residual = z - ((xy - middle) @ plane[:2] + plane[2])
             # Truncated squares reward closeness; what lies well below the plane speaks against it being the ground.
-            score = np.maximum(1.0 - (residual / limit) ** 2, 0.0).sum() - 0.5 * np.count_nonzero(residual < -2 * limit)
+            score = np.maximum(1.0 - (residual / limit) ** 2, 0.0).sum() - AGAINST * np.count_nonzero(
+                residual < -2 * limit
+            )
             if score > best_score:
                 best, best_score = plane, float(score)
     for _ in range(PLANE_ROUNDS):
