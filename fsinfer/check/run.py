@@ -24,7 +24,7 @@ from fsinfer.frames.select import FrameSettings
 from fsinfer.geometry.hull import in_hull
 from fsinfer.io.files import make_folder, write_text
 from fsinfer.io.images import list_images
-from fsinfer.poses.colmap import PoseSettings
+from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.sparse import read_sparse
 from fsinfer.progress import Progress, StageProgress, silent_stages
 from fsinfer.scale.aruco import scale_from_aruco

@@ -154,7 +154,7 @@ def run(
     request = scale_request(scale, aruco_length_m, aruco_dictionary, endpoints, length_m)
     from fsinfer.cli.remaining import RemainingTime
     from fsinfer.fusion.fuse import FusionSettings
-    from fsinfer.poses.colmap import PoseSettings
+    from fsinfer.poses.settings import PoseSettings
     from fsinfer.trees.outputs.table import read_trees
     from fsinfer.workflow.pipeline import RunSettings
     from fsinfer.workflow.pipeline import run as run_pipeline

@@ -86,7 +86,8 @@ def poses(
     debug: Debug = False,
 ) -> None:
     """Find where each photo was taken; writes a scene in MVSNet format and the COLMAP model."""
-    from fsinfer.poses.estimate import PoseSettings, estimate_poses
+    from fsinfer.poses.estimate import estimate_poses
+    from fsinfer.poses.settings import PoseSettings
 
     with stage_progress(quiet=quiet) as progress:
         result = estimate_poses(images, out, settings=PoseSettings(threads=threads), progress=progress("poses"))
