@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fsinfer.errors import ScaleError
+from fsinfer.geometry.similarity import apply
 from fsinfer.geometry.triangulation import triangulate
 from fsinfer.scale.request import Point
 
@@ -257,4 +258,4 @@ def marker_centers(scale: Scale, cloud_from_scene: ArrayLike) -> NDArray[np.floa
     """
     centers = np.array([marker.center for marker in scale.markers], dtype=np.float64).reshape(-1, 3)
     similarity = np.asarray(cloud_from_scene, dtype=np.float64)
-    return np.asarray(centers @ similarity[:3, :3].T + similarity[:3, 3])
+    return apply(similarity, centers)
