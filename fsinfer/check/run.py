@@ -6,7 +6,7 @@ import json
 import shutil
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +25,9 @@ from fsinfer.geometry.hull import in_hull
 from fsinfer.geometry.similarity import scale_of
 from fsinfer.io.files import make_folder, write_text
 from fsinfer.io.images import list_images
+from fsinfer.notices.sentences import sentences
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.sparse import read_sparse
-from fsinfer.notices.sentences import sentences
 from fsinfer.progress import Progress, StageProgress, silent_stages
 from fsinfer.scale.aruco import scale_from_aruco
 from fsinfer.scale.doubts import boards_at_two_places
@@ -77,9 +77,7 @@ class CoarseDepth:
 
 #: Where the quick look keeps its maps until the check is done.
 WORK = Path("check") / "work"
-COARSE_DEPTH = Stage(
-    name="check_depth", version=1, result=CoarseDepth, outputs=(WORK.as_posix(),), keeps_partial=True
-)
+COARSE_DEPTH = Stage(name="check_depth", version=1, result=CoarseDepth, outputs=(WORK.as_posix(),), keeps_partial=True)
 
 
 def check_capture(
@@ -146,15 +144,15 @@ def _coarse_depth(ledger: Ledger, scene: Scene, settings: GlanceSettings, progre
     """The quick look at the depth; one that was stopped goes on, and its maps go when the check is done."""
 
     def work(resume: bool) -> CoarseDepth:
-        nonlocal glance
         glance = take_glance(scene, ledger.out / WORK, settings=settings, resume=resume, progress=progress)
+        taken.append(glance)
         return CoarseDepth(points=0 if glance is None else len(glance.points))
 
-    glance: Glance | None = None
+    taken: list[Glance | None] = []
     inputs = {"scene": scene_digest(scene), "settings": settings}
-    record = ledger.run(COARSE_DEPTH, work, inputs=inputs)
-    # Done, but stopped before the rest of the check was.
-    return glance if record.ran else read_glance(scene, ledger.out / WORK, settings=settings, progress=progress)
+    ledger.run(COARSE_DEPTH, work, inputs=inputs)
+    # Done before, where the check was stopped after it.
+    return taken[0] if taken else read_glance(scene, ledger.out / WORK, settings=settings, progress=progress)
 
 
 def judge_survey(

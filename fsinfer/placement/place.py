@@ -86,9 +86,7 @@ def level_scene(
     # People tilt a phone up or down more than they roll it: its horizontal axis tells what is level.
     right = np.array([view.camera.cam_from_world[0, :3] for view in scene.views])
     scale = 1.0 if m_per_unit is None else m_per_unit
-    plot_from_scene = compose(
-        scaling(scale), level(points, centers, down, camera_right=right, settings=settings)
-    )
+    plot_from_scene = compose(scaling(scale), level(points, centers, down, camera_right=right, settings=settings))
     return plot_from_scene, float(np.median(centers @ plot_from_scene[2, :3] + plot_from_scene[2, 3]))
 
 

@@ -89,9 +89,7 @@ def _of_unknown_length(
     """What to say without a scale: the numbers of markers where some are seen that do not tell their length."""
     try:
         # Which ones are seen does not depend on the length.
-        seen = scale_from_aruco(
-            scene, 1.0, dictionary=request.aruco_dictionary, settings=settings, progress=progress
-        )
+        seen = scale_from_aruco(scene, 1.0, dictionary=request.aruco_dictionary, settings=settings, progress=progress)
     except ScaleError:
         return notice(CaptureCode.no_scale_given)
     numbers = tuple(str(marker.id) for marker in seen.markers)

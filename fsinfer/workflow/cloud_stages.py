@@ -80,9 +80,7 @@ def compute_depth(
     """Stage ``depth``: ``OUT/depth`` and ``OUT/confidence``. It hangs on what the scene holds, not on who made it."""
     return ledger.run(
         DEPTH,
-        lambda resume: estimate_depth(
-            scene, ledger.out, settings=settings, resume=resume, progress=progress("depth")
-        ),
+        lambda resume: estimate_depth(scene, ledger.out, settings=settings, resume=resume, progress=progress("depth")),
         inputs={
             "scene": scene_digest(scene),
             "settings": speedless(settings),
