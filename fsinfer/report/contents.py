@@ -157,7 +157,7 @@ def _read_plot(path: Path) -> dict[str, Any]:
 
 
 def _read_revisit_advised(path: Path) -> frozenset[int]:
-    """Numbers of the trees one of whose reasons carries ``advises_revisit``; entries of another shape are passed over."""
+    """Numbers of the trees with a reason that carries ``advises_revisit``; entries of another shape are passed over."""
     trees = json.loads(path.read_text(encoding="utf-8"))
     if not isinstance(trees, list):
         msg = "it is no JSON list"
