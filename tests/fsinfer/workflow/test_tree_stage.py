@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from fsinfer.scale.scale import marker_centers
+from fsinfer.scale.scale import UNKNOWN, marker_centers
 from fsinfer.trees import analyse_plot
 from fsinfer.trees.posts import without_posts
+from tests.support.boards import board, scale_of_boards
 from tests.support.stem_clouds import stem_plot
 
 
@@ -16,9 +17,9 @@ def test_markers_are_placed_in_the_cloud() -> None:
     similarity = np.eye(4)
     similarity[:3] *= 2.0
     similarity[:3, 3] = [1, 0, -1]
-    record = {"details": {"markers": [{"center": [1.0, 2.0, 3.0]}, {"center": [0.0, 0.0, 0.0]}]}}
-    np.testing.assert_allclose(marker_centers(record, similarity.tolist()), [[3, 4, 5], [1, 0, -1]])
-    assert marker_centers({"details": {}}, similarity.tolist()).shape == (0, 3)
+    scale = scale_of_boards([board(1, (1.0, 2.0, 3.0), "abc"), board(2, (0.0, 0.0, 0.0), "abc")])
+    np.testing.assert_allclose(marker_centers(scale, similarity), [[3, 4, 5], [1, 0, -1]])
+    assert marker_centers(UNKNOWN, similarity).shape == (0, 3)
 
 
 def test_a_doubtful_stem_at_a_marker_is_taken_for_its_post() -> None:
