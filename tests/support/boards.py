@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from fsinfer.scale.scale import MarkerDetails, MarkerScale, Scale
+from fsinfer.scale.scale import MarkerDetails, MarkerScale, RejectedMarker, Scale
 
 
 def board(
@@ -35,14 +35,20 @@ def board(
     )
 
 
-def scale_of_boards(boards: Sequence[MarkerScale], *, m_per_unit: float | None = 1.0, rel_std: float = 0.01) -> Scale:
+def scale_of_boards(
+    boards: Sequence[MarkerScale],
+    *,
+    m_per_unit: float | None = 1.0,
+    rel_std: float = 0.01,
+    rejected: tuple[RejectedMarker, ...] = (),
+) -> Scale:
     """The scale that these markers give."""
     details = MarkerDetails(
         photos_searched=40,
         photos_with_markers=20,
         dictionary="4X4_50",
         length_m=None,
-        rejected=(),
+        rejected=rejected,
         mean_side_px=60.0,
         edge_rel_std=0.002,
         markers=tuple(boards),

@@ -10,6 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
+from fsinfer.notices.capture import CaptureCode
+from fsinfer.notices.notice import notice
 from fsinfer.errors import ImageError
 from fsinfer.frames.quality import QualityLimits, reasons_to_drop, score_frame
 from fsinfer.frames.select import CONTACT_SHEET, FrameSettings, list_captures, select_frames
@@ -215,4 +217,4 @@ def test_a_repetition_is_one_whatever_its_exposure() -> None:
     image = photo(0)
     darker = (image * 0.7).astype(np.uint8)
     scores = [score_frame(one) for one in (image, darker, photo(1))]
-    assert reasons_to_drop(scores, QualityLimits()) == ["", "same as the one before", ""]
+    assert reasons_to_drop(scores, QualityLimits()) == [None, notice(CaptureCode.repeated), None]

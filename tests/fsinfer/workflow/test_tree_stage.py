@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from fsinfer.notices.notice import notice
+from fsinfer.notices.stems import StemCode
 from fsinfer.scale.scale import UNKNOWN, marker_centers
 from fsinfer.trees import analyse_plot
 from fsinfer.trees.posts import without_posts
@@ -26,8 +28,8 @@ def test_a_doubtful_stem_at_a_marker_is_taken_for_its_post() -> None:
     plot = stem_plot(trees=4, seed=3)
     result = analyse_plot(plot.points)
     assert len(result.trees) >= 3
-    doubtful = replace(result.trees[0], status="doubtful", reason="for the test")
-    sound = replace(result.trees[1], status="ok", reason="")
+    doubtful = replace(result.trees[0], status="doubtful", reasons=(notice(StemCode.edges_alone, photos=5, refused=notice(StemCode.not_round)),))
+    sound = replace(result.trees[1], status="ok", reasons=())
     unmeasured = replace(result.trees[2], status="unmeasured", dbh_cm=None)
     changed = replace(result, trees=(doubtful, sound, unmeasured, *result.trees[3:]))
     markers = np.array([[t.x_m + 0.1, t.y_m, 1.0] for t in (doubtful, sound)])
