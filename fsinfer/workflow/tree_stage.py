@@ -105,10 +105,10 @@ def measure_plot(
 ) -> TreesResult:
     """Measure the trees of a cloud and write table, maps, labelled points and figures into ``out``.
 
-    ``out`` receives ``trees.csv``, ``trees.json`` (the reasons as codes) and ``figures/*.png``, and in metres ``trees.gpkg`` (``trees.geojson`` too where the
-    frame's place on earth is known) and ``trees.laz``, the cloud with a ``TreeID``, ``stem_curve.csv`` and
-    ``trees.xlsx`` (all tables as sheets), with photographs also ``dbh_sources.csv`` and ``figures/*_edges.png``; what
-    an earlier measurement left is removed.
+    ``out`` receives ``trees.csv``, ``trees.json`` (the reasons as codes) and ``figures/*.png``, and in metres
+    ``trees.gpkg`` (``trees.geojson`` too where the frame's place on earth is known) and ``trees.laz``, the cloud with a
+    ``TreeID``, ``stem_curve.csv`` and ``trees.xlsx`` (all tables as sheets), with photographs also ``dbh_sources.csv``
+    and ``figures/*_edges.png``; what an earlier measurement left is removed.
 
     Raises
     ------

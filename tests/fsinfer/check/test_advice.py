@@ -12,9 +12,9 @@ from fsinfer.check.map import seen_arcs
 from fsinfer.check.sparse_stems import SparseStem
 from fsinfer.check.visible_stems import VisibleStem, join_stems
 from fsinfer.scale.scale import MarkerScale, RejectedMarker, Scale
-from tests.support.boards import board, scale_of_boards
 from fsinfer.trees.cylinder.axis import Axis
 from fsinfer.trees.search.stem import Stem
+from tests.support.boards import board, scale_of_boards
 
 NO_SCALE = Scale(m_per_unit=None, source="none", rel_std=None)
 STEM = VisibleStem(center=np.array([2.0, 1.0]), radius=0.15, lean=np.zeros(2))

@@ -14,9 +14,9 @@ from fsinfer.depth.maps import read_depth_index
 from fsinfer.depth.model import DepthModel
 from fsinfer.depth.precision import choose_precision, has_int8_dot_products
 from fsinfer.depth.stage import DepthSettings
-from fsinfer.workflow.single_stages import depth_of
 from fsinfer.errors import InputError, ModelError
 from fsinfer.scene import read_scene
+from fsinfer.workflow.single_stages import depth_of
 from tests.support.plane_scene import write_plane_scene
 
 X86 = "processor\t: {core}\nmodel name\t: Some CPU\nflags\t\t: fpu sse2 avx2 {flags}\nbugs\t\t:\n\n"

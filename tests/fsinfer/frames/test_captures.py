@@ -10,8 +10,6 @@ import cv2
 import numpy as np
 import pytest
 
-from fsinfer.notices.capture import CaptureCode
-from fsinfer.notices.notice import notice
 from fsinfer.errors import ImageError
 from fsinfer.frames.quality import QualityLimits, reasons_to_drop, score_frame
 from fsinfer.frames.select import CONTACT_SHEET, FrameSettings, list_captures, select_frames
@@ -19,6 +17,8 @@ from fsinfer.frames.video import VideoSettings, _choose
 from fsinfer.frames.view_shift import ViewChange
 from fsinfer.io.exif import camera_key, gnss_degrees
 from fsinfer.io.images import read_image, write_image
+from fsinfer.notices.capture import CaptureCode
+from fsinfer.notices.notice import notice
 from tests.support.rendered_room import texture
 
 

@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsinfer.notices.notice import notice
-from fsinfer.notices.stems import StemCode
 from fsinfer.io.cloud import PointCloud
 from fsinfer.io.workbook import write_workbook
+from fsinfer.notices.notice import notice
 from fsinfer.notices.stems import StemCode
-from fsinfer.trees import PlotResult, TreeSettings, analyse_plot
+from fsinfer.trees import PlotResult, analyse_plot
 from fsinfer.trees.outputs.table import COLUMNS as TREE_COLUMNS
 from fsinfer.trees.stem_curve import COLUMNS, stem_curves, write_curves
 from fsinfer.workflow.tree_stage import PlotCloudInput, measure_plot, no_trees

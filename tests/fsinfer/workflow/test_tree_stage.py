@@ -28,7 +28,12 @@ def test_a_doubtful_stem_at_a_marker_is_taken_for_its_post() -> None:
     plot = stem_plot(trees=4, seed=3)
     result = analyse_plot(plot.points)
     assert len(result.trees) >= 3
-    doubtful = replace(result.trees[0], status="doubtful", reasons=(notice(StemCode.edges_alone, photos=5, refused=notice(StemCode.not_round)),))
+    doubt = notice(StemCode.edges_alone, photos=5, refused=notice(StemCode.not_round))
+    doubtful = replace(
+        result.trees[0],
+        status="doubtful",
+        reasons=(doubt,),
+    )
     sound = replace(result.trees[1], status="ok", reasons=())
     unmeasured = replace(result.trees[2], status="unmeasured", dbh_cm=None)
     changed = replace(result, trees=(doubtful, sound, unmeasured, *result.trees[3:]))

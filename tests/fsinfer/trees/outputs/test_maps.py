@@ -12,13 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsinfer.notices.notice import notice
-from fsinfer.notices.stems import StemCode
 from fsinfer.io.cloud import PointCloud, read_cloud, write_cloud
 from fsinfer.io.las import read_epsg
 from fsinfer.notices.notice import notice
 from fsinfer.notices.stems import StemCode
-from fsinfer.trees import PlotResult, TreeSettings, analyse_plot, stand_table
+from fsinfer.trees import PlotResult, analyse_plot, stand_table
 from fsinfer.trees.outputs.labels import label_points
 from fsinfer.trees.outputs.maps import to_wgs84, write_maps
 from fsinfer.trees.stand import AREA_METHOD, NO_AREA
@@ -98,8 +96,10 @@ def test_labels_follow_the_stems_and_nothing_else(plot: StemPlot, result: PlotRe
 
 def test_outputs_are_written_and_taken_away_again(tmp_path: Path, plot: StemPlot) -> None:
     values = measure_plot(PlotCloudInput(cloud=PointCloud(xyz=plot.points)), tmp_path)
-    assert values["stand"]["stems"] == 4
-    assert values["plot_area_m2"] > 10.0
+    assert values.stand is not None
+    assert values.stand.stems == 4
+    assert values.plot_area_m2 is not None
+    assert values.plot_area_m2 > 10.0
     labelled = read_cloud(tmp_path / "trees.laz")
     assert len(labelled) == len(plot.points)
     assert set(np.unique(labelled.extra["TreeID"])) == {0, 1, 2, 3, 4}
@@ -109,8 +109,8 @@ def test_outputs_are_written_and_taken_away_again(tmp_path: Path, plot: StemPlot
 
 def test_without_a_scale_there_are_no_maps(tmp_path: Path, plot: StemPlot) -> None:
     values = measure_plot(PlotCloudInput(cloud=PointCloud(xyz=plot.points), metric=False), tmp_path)
-    assert values["trees"] == 4
-    assert values["plot_area_m2"] is None
+    assert values.trees == 4
+    assert values.plot_area_m2 is None
     assert not any((tmp_path / name).exists() for name in MAPS)
 
 
