@@ -14,6 +14,7 @@ from fsinfer.errors import ImageError, OutputError
 from fsinfer.frames.quality import QualityLimits, equalize, reasons_to_drop, score_frame
 from fsinfer.frames.select import FrameSettings, select_frames
 from fsinfer.io.images import read_image, write_image
+from fsinfer.notices.sentences import sentence
 from tests.support.rendered_room import texture
 
 
@@ -69,7 +70,7 @@ def test_each_bad_photo_has_its_reason(photos: Path, tmp_path: Path) -> None:
         "p0.png": "same name as p0.jpg",
     }
     assert {path.stem for path in (tmp_path / "out" / "images").iterdir()} == {f"p{i}" for i in range(8)} | {"q_good"}
-    assert "6 of 15 frames were not used" in result.warnings[0]
+    assert "6 of 15 frames were not used" in sentence(result.warnings[0])
 
 
 def test_never_more_than_a_share_is_called_blurred() -> None:
