@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 
 from fsinfer.cloud import PointCloud
@@ -12,7 +14,7 @@ from fsinfer.previews import (
 )
 
 
-def test_depth_colours_go_from_red_near_to_blue_far(tmp_path):
+def test_depth_colours_go_from_red_near_to_blue_far(tmp_path: Path) -> None:
     depth = np.tile(np.linspace(1, 8, 50, dtype=np.float32), (10, 1))
     depth[0] = 0
     depth[1] = np.nan
@@ -27,7 +29,7 @@ def test_depth_colours_go_from_red_near_to_blue_far(tmp_path):
     assert (depth_preview(np.zeros((4, 5), np.float32)) == NO_DEPTH_RGB).all()
 
 
-def test_nearer_points_hide_farther_ones_and_axes_point_where_they_should():
+def test_nearer_points_hide_farther_ones_and_axes_point_where_they_should() -> None:
     side = np.linspace(0, 1, 60)
     x, y = (a.ravel() for a in np.meshgrid(side, side))
     low = np.column_stack([x, y, np.zeros_like(x)])
@@ -45,7 +47,7 @@ def test_nearer_points_hide_farther_ones_and_axes_point_where_they_should():
         assert (view[20:30] == BACKGROUND_RGB).all()
 
 
-def test_cloud_without_colours_and_single_point(tmp_path):
+def test_cloud_without_colours_and_single_point(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     paths = write_cloud_views(tmp_path, PointCloud(xyz=rng.uniform(0, 3, (2000, 3)) * [1, 1, 0.3]))
     assert [p.name for p in paths] == ["cloud_top.png", "cloud_side.png"]

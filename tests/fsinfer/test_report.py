@@ -1,6 +1,8 @@
 import csv
 import json
 import re
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +29,7 @@ PLOT = {
 }  # fmt: skip
 
 
-def write_csv(path, rows, columns=None):
+def write_csv(path: Path, rows: list[dict[str, Any]], columns: list[str] | None = None) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("w", newline="") as stream:
         writer = csv.DictWriter(stream, columns or list(rows[0]))
@@ -35,13 +37,13 @@ def write_csv(path, rows, columns=None):
         writer.writerows(rows)
 
 
-def small_cloud(count=4000):
+def small_cloud(count: int = 4000) -> PointCloud:
     rng = np.random.default_rng(0)
     xyz = rng.uniform([-5, -5, 0], [5, 5, 4], (count, 3))
     return PointCloud(xyz=xyz, rgb=rng.integers(0, 255, (count, 3), dtype=np.uint8))
 
 
-def full_folder(out, *, plot=PLOT, trees=None):
+def full_folder(out: Path, *, plot: dict[str, Any] = PLOT, trees: list[dict[str, Any]] | None = None) -> Path:
     trees = trees or [
         TREE,
         TREE | {"tree_id": 2, "dbh_cm": 40.0, "dbh_lo95_cm": 38, "dbh_hi95_cm": 42, "status": "doubtful"},
@@ -64,7 +66,7 @@ def full_folder(out, *, plot=PLOT, trees=None):
     return out
 
 
-def test_everything_is_in_one_file_without_any_outside_reference(tmp_path):
+def test_everything_is_in_one_file_without_any_outside_reference(tmp_path: Path) -> None:
     path = make_report(full_folder(tmp_path))
     page = path.read_text(encoding="utf-8")
     assert path == tmp_path / "report.html"
@@ -81,7 +83,7 @@ def test_everything_is_in_one_file_without_any_outside_reference(tmp_path):
     assert page.index("What to look out for") < page.index("Stem map and trees") < page.index("How it was made")
 
 
-def test_warnings_name_the_trees_to_visit_again(tmp_path):
+def test_warnings_name_the_trees_to_visit_again(tmp_path: Path) -> None:
     write_csv(
         tmp_path / "trees.csv",
         [
@@ -104,13 +106,13 @@ def test_warnings_name_the_trees_to_visit_again(tmp_path):
     assert "<li>3 points far outside the plot were left out.</li>" in remarks
 
 
-def test_a_plot_without_fault_says_so(tmp_path):
+def test_a_plot_without_fault_says_so(tmp_path: Path) -> None:
     write_csv(tmp_path / "trees.csv", [TREE])
     (tmp_path / "plot.json").write_text(json.dumps(PLOT | {"registered": 40, "warnings": []}))
     assert "photos, scale and stems are as they should be" in make_report(tmp_path).read_text(encoding="utf-8")
 
 
-def test_text_from_outside_is_escaped(tmp_path):
+def test_text_from_outside_is_escaped(tmp_path: Path) -> None:
     page = make_report(full_folder(tmp_path)).read_text(encoding="utf-8")
     assert "<script>alert" not in page
     assert "&lt;script&gt;alert(1)&lt;/script&gt;" in page
@@ -119,7 +121,7 @@ def test_text_from_outside_is_escaped(tmp_path):
     assert "<b>plot</b>" not in page
 
 
-def test_stand_table(tmp_path):
+def test_stand_table(tmp_path: Path) -> None:
     full_folder(tmp_path, plot=PLOT | {"plot_area_m2": 500})
     stand = stand_of(read_contents(tmp_path))
     assert (stand.stems, stand.measured) == (3, 2)
@@ -134,7 +136,7 @@ def test_stand_table(tmp_path):
     assert "3.9 m²/ha" in page
 
 
-def test_markers_and_photos_left_out_are_shown(tmp_path):
+def test_markers_and_photos_left_out_are_shown(tmp_path: Path) -> None:
     board = {"id": 21, "views": ["a", "b", "c"], "residual_rel": 0.0012, "leave_one_out_rel": -0.0004, "error_px": 0.3}
     full_folder(tmp_path, plot=PLOT | {"scale_details": {"markers": [board, {"id": 22}]}})
     write_image(tmp_path / "frames" / "frames_contact.jpg", np.full((60, 1200, 3), 90, np.uint8))
@@ -149,7 +151,7 @@ def test_markers_and_photos_left_out_are_shown(tmp_path):
     assert "frames_contact.jpg could not be read" in page
 
 
-def test_without_a_scale_the_units_are_said(tmp_path):
+def test_without_a_scale_the_units_are_said(tmp_path: Path) -> None:
     plot = PLOT | {"units": "model units", "scale_m_per_unit": None, "scale_source": "none", "density_per_m2": None}
     full_folder(tmp_path, plot=plot | {"warnings": ["no scale was given: the cloud is in model units"]})
     page = make_report(tmp_path).read_text(encoding="utf-8")
@@ -159,7 +161,7 @@ def test_without_a_scale_the_units_are_said(tmp_path):
     assert "x (m)" not in page
 
 
-def test_a_single_tree_without_a_scale_has_a_map_that_can_be_read(tmp_path):
+def test_a_single_tree_without_a_scale_has_a_map_that_can_be_read(tmp_path: Path) -> None:
     plot = PLOT | {"units": "model units", "scale_m_per_unit": None, "scale_source": "none", "camera_height": 0.3}
     full_folder(tmp_path, plot=plot, trees=[TREE])
     page = make_report(tmp_path).read_text(encoding="utf-8")
@@ -169,20 +171,20 @@ def test_a_single_tree_without_a_scale_has_a_map_that_can_be_read(tmp_path):
     assert len(ticks) >= 4
 
 
-def test_the_reasons_of_few_trees_without_a_diameter_are_said_at_once(tmp_path):
+def test_the_reasons_of_few_trees_without_a_diameter_are_said_at_once(tmp_path: Path) -> None:
     none = TREE | {"dbh_cm": "", "status": "unmeasured"}
     rows = [none | {"tree_id": number, "reason": f"why {number}"} for number in (1, 2, 3)]
     full_folder(tmp_path, trees=rows)
     assert "no diameter: why 1; why 2; why 3." in make_report(tmp_path).read_text(encoding="utf-8")
 
 
-def test_empty_folder_gives_a_page_that_says_what_is_missing(tmp_path):
+def test_empty_folder_gives_a_page_that_says_what_is_missing(tmp_path: Path) -> None:
     page = make_report(tmp_path).read_text(encoding="utf-8")
     for text in ("plot.json is not", "trees.csv is not", "no point cloud", "no depth maps", "frames.csv is not"):
         assert text in page, text
 
 
-def test_damaged_parts_are_notes(tmp_path):
+def test_damaged_parts_are_notes(tmp_path: Path) -> None:
     full_folder(tmp_path)
     (tmp_path / "plot.json").write_text("{")
     (tmp_path / "trees.csv").write_bytes(b"\xff\xfe\x00tree")
@@ -196,7 +198,7 @@ def test_damaged_parts_are_notes(tmp_path):
     assert "Depth of v2" in page
 
 
-def test_no_trees_is_a_result_with_a_diagnosis(tmp_path):
+def test_no_trees_is_a_result_with_a_diagnosis(tmp_path: Path) -> None:
     write_csv(tmp_path / "trees.csv", [], columns=list(TREE))
     (tmp_path / "plot.json").write_text(json.dumps(PLOT | {"diagnosis": "no stem reaches breast height"}))
     page = make_report(tmp_path).read_text(encoding="utf-8")
@@ -204,11 +206,11 @@ def test_no_trees_is_a_result_with_a_diagnosis(tmp_path):
     assert "no stem reaches breast height" in page
 
 
-def test_not_a_folder_is_a_user_error(tmp_path):
+def test_not_a_folder_is_a_user_error(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not a folder"):
         make_report(tmp_path / "none")
 
 
 @pytest.mark.parametrize(("text", "value"), [("1.5", 1.5), ("", None), ("nan", None), ("inf", None), (None, None)])
-def test_number(text, value):
+def test_number(text: str | None, value: float | None) -> None:
     assert number(text) == value

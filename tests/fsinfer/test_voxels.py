@@ -1,9 +1,12 @@
 import numpy as np
+from numpy.typing import NDArray
 
 from fsinfer.voxels import Samples, VoxelMerger, join, merge_voxels, much_worse_than_nearby, sum_within
 
 
-def make_samples(xyz, weight=None):
+def make_samples(
+    xyz: list[list[float]] | NDArray[np.float64], weight: list[float] | NDArray[np.float64] | None = None
+) -> Samples:
     count = len(xyz)
     return Samples(
         xyz=np.asarray(xyz, float),
@@ -16,7 +19,7 @@ def make_samples(xyz, weight=None):
     )
 
 
-def test_points_of_a_voxel_become_their_weighted_mean():
+def test_points_of_a_voxel_become_their_weighted_mean() -> None:
     merged = merge_voxels(make_samples([[0.1, 0.1, 0.1], [0.9, 0.1, 0.1], [-0.1, 0.1, 0.1]], [1, 3, 5]), 1.0)
     order = np.argsort(merged.xyz[:, 0])
     np.testing.assert_allclose(merged.xyz[order], [[-0.1, 0.1, 0.1], [0.7, 0.1, 0.1]])
@@ -26,7 +29,7 @@ def test_points_of_a_voxel_become_their_weighted_mean():
     np.testing.assert_allclose(merged.confidence[order], [1, 0.25])
 
 
-def test_batches_give_the_same_as_all_at_once():
+def test_batches_give_the_same_as_all_at_once() -> None:
     rng = np.random.default_rng(0)
     parts = [make_samples(rng.normal(0, 3, (400, 3)), rng.uniform(0.1, 2, 400)) for _ in range(6)]
     merger = VoxelMerger(0.7, max_points=10_000, batch_points=700)
@@ -37,7 +40,7 @@ def test_batches_give_the_same_as_all_at_once():
     np.testing.assert_array_equal(batched.count, at_once.count)
 
 
-def test_size_stays_bounded_and_nothing_is_nothing():
+def test_size_stays_bounded_and_nothing_is_nothing() -> None:
     rng = np.random.default_rng(0)
     merger = VoxelMerger(1e-3, max_points=500, batch_points=1000)
     assert merger.result() is None
@@ -49,7 +52,7 @@ def test_size_stays_bounded_and_nothing_is_nothing():
     assert merger.voxel > 0.02
 
 
-def test_lone_specks_have_few_neighbours():
+def test_lone_specks_have_few_neighbours() -> None:
     rng = np.random.default_rng(0)
     xyz = np.concatenate([rng.uniform(0, 1, (500, 3)), [[9.0, -7, 2]], [[9.2, -7, 2]]])
     near = sum_within(xyz, 0.5, np.ones(len(xyz), np.int32))
@@ -62,7 +65,7 @@ def test_lone_specks_have_few_neighbours():
     ]
 
 
-def test_the_halo_of_far_views_goes_and_a_side_seen_only_from_far_stays():
+def test_the_halo_of_far_views_goes_and_a_side_seen_only_from_far_stays() -> None:
     rng = np.random.default_rng(1)
 
     def wall(count: int, normal: tuple[float, float, float], sigma: float, y: float) -> Samples:
