@@ -28,6 +28,7 @@ from scipy.spatial.transform import Rotation
 from fsinfer.depth import DepthSettings
 from fsinfer.evaluation import evaluate, read_measured
 from fsinfer.frames import select_frames
+from fsinfer.images import read_image
 from fsinfer.pipeline import RunSettings, run
 from fsinfer.poses import PoseSettings, estimate_poses
 from fsinfer.scale_request import ScaleRequest, find_scale
@@ -167,9 +168,9 @@ def make_video(out: Path, *, places: int, seed: int) -> Path:
     path = out / "video.mp4"
     rng = np.random.default_rng([seed, 4])
     part = out / "part.mp4"
-    writer = cv2.VideoWriter(str(part), cv2.VideoWriter_fourcc(*"mp4v"), RATE, (HEIGHT, WIDTH))
+    writer = cv2.VideoWriter(str(part), cv2.VideoWriter.fourcc(*"mp4v"), RATE, (HEIGHT, WIDTH))
     for index in range(places):
-        image = cv2.imread(str(out / "places" / f"{index:03d}.png"))
+        image = np.ascontiguousarray(read_image(out / "places" / f"{index:03d}.png")[..., ::-1])
         intrinsic = read_camera(out / "places" / f"{index:03d}_cam.txt").intrinsic
         # Clouds move: the exposure swings by two thirds of a stop each way during the walk.
         gain = 2 ** (0.67 * np.sin(2 * np.pi * index / places * 2.5) / 2.2)
@@ -268,7 +269,9 @@ def main(argv: list[str] | None = None) -> int:
     print(f"cameras rms {1000 * np.sqrt((residual_m**2).mean()):.1f} mm")
     if scale.m_per_unit is None:
         return 1
-    print(f"scale error {100 * (scale.m_per_unit / true_scale - 1):+.3f} % (given +- {100 * scale.rel_std:.3f} %)")
+    print(
+        f"scale error {100 * (scale.m_per_unit / true_scale - 1):+.3f} % (given +- {100 * (scale.rel_std or 0):.3f} %)"
+    )
     for marker in scale.details["markers"]:
         print(
             f"  board {marker['id']}: {len(marker['views'])} views, residual {marker['residual_mm']:+.2f} mm, "

@@ -13,8 +13,9 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import patch
 
-from fsinfer import photo_stages, pipeline
+from fsinfer import pipeline
 from fsinfer.depth import DepthResult
 from fsinfer.files import make_folder, write_text
 from fsinfer.images import list_images
@@ -25,17 +26,19 @@ from tests.fsinfer.synthetic_plot import M_PER_UNIT, VIEWS, write_depth_folder, 
 
 def main(source: Path, out: Path, stage: str, writes: int) -> None:
     kill_after(out / ".fsinfer" / f"{stage}.json", writes)
-    photo_stages.select_frames = select_frames
-    photo_stages.estimate_poses = estimate_poses
-    pipeline.estimate_depth = estimate_depth
-    pipeline.read_manifest = lambda _: SimpleNamespace(int8_regularizer=None, sha256_of=lambda *, int8: "0" * 64)
-    pipeline.read_sparse = lambda _: None
-    pipeline.depth_vs_sfm = lambda *_: 0.0025
-    import fsinfer.report
-    import fsinfer.trees.figures
-
-    fsinfer.report.make_report = lambda folder: write_text(folder / "report.html", "<html>")
-    fsinfer.trees.figures.write_figures = lambda folder, *_, **__: make_folder(folder)
+    manifest = SimpleNamespace(int8_regularizer=None, sha256_of=lambda *, int8: "0" * 64)
+    stand_ins = {
+        "fsinfer.photo_stages.select_frames": select_frames,
+        "fsinfer.photo_stages.estimate_poses": estimate_poses,
+        "fsinfer.pipeline.estimate_depth": estimate_depth,
+        "fsinfer.pipeline.read_manifest": lambda _: manifest,
+        "fsinfer.pipeline.read_sparse": lambda _: None,
+        "fsinfer.pipeline.depth_vs_sfm": lambda *_: 0.0025,
+        "fsinfer.report.make_report": lambda folder: write_text(folder / "report.html", "<html>"),
+        "fsinfer.trees.figures.write_figures": lambda folder, *_, **__: make_folder(folder),
+    }
+    for name, stand_in in stand_ins.items():
+        patch(name, stand_in).start()
     settings = pipeline.RunSettings(scale=ScaleRequest(factor=M_PER_UNIT))
     result = pipeline.run(source, out, settings=settings)
     print(*(record.name for record in result.stages if record.ran))

@@ -36,6 +36,8 @@ def test_round_trip_keeps_points_colours_normals_and_extra_values(
     back = read_cloud(path)
     np.testing.assert_allclose(back.xyz, cloud.xyz, rtol=0, atol=0.51e-4)
     np.testing.assert_array_equal(back.rgb, cloud.rgb)
+    assert back.normals is not None
+    assert cloud.normals is not None
     np.testing.assert_allclose(back.normals, cloud.normals, atol=1e-6)
     assert set(back.extra) == set(cloud.extra)
     for name, values in cloud.extra.items():
@@ -51,6 +53,7 @@ def test_las_stores_sixteen_bit_colour_and_reads_eight_bit_colour(tmp_path: Path
     cloud = make_cloud(20)
     write_cloud(tmp_path / "c.laz", cloud)
     raw = laspy.read(tmp_path / "c.laz")
+    assert cloud.rgb is not None
     np.testing.assert_array_equal(np.asarray(raw.red), cloud.rgb[:, 0].astype(np.uint16) * 257)
     assert pytest.approx(raw.header.scales[0]) == 1e-4
     raw.red, raw.green, raw.blue = cloud.rgb.T.astype(np.uint16)

@@ -14,7 +14,7 @@ from fsinfer.evaluation_figure import plot_evaluation
 
 @dataclass(frozen=True)
 class Found:
-    tree_id: int
+    tree_id: int | str
     x_m: float
     y_m: float
     dbh_cm: float | None
@@ -40,7 +40,7 @@ def _moved(
     xy: NDArray[np.float64],
     dbh: NDArray[np.float64],
     angle_deg: float,
-    shift: list[float],
+    shift: NDArray[np.float64],
     scale: float = 1.0,
     noise: float = 0.05,
     seed: int = 1,
@@ -49,7 +49,7 @@ def _moved(
     a = np.radians(angle_deg)
     rotation = np.array([[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]])
     moved = scale * xy @ rotation + shift + rng.normal(0.0, noise, xy.shape)
-    return [Found(100 + k, *moved[k], dbh[k] + rng.normal(0.0, 0.8)) for k in range(len(xy))]
+    return [Found(100 + k, x, y, dbh[k] + rng.normal(0.0, 0.8)) for k, (x, y) in enumerate(moved)]
 
 
 def test_metrics_by_hand() -> None:
@@ -57,6 +57,8 @@ def test_metrics_by_hand() -> None:
     assert (e.n, e.extracted, e.detected, e.matched, e.omitted, e.false) == (4, 4, 3, 2, 1, 1)
     assert e.r == 0.5
     assert e.rmse_cm == pytest.approx(np.sqrt((1 + 4) / 2))
+    assert e.rmse_cm is not None
+    assert e.rrmse is not None
     assert e.rrmse == pytest.approx(e.rmse_cm / 25.0)
     assert e.ae == pytest.approx(1.0 - e.rrmse)
     assert e.bias_cm == pytest.approx(-0.5)

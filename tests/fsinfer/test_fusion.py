@@ -82,8 +82,8 @@ def make_scene(
         )
         depth, is_stem = exact_depth(camera, WIDTH, HEIGHT, np.diag([1 / STEP, 1 / STEP, 1]) @ image_intrinsic)
         image = np.where(is_stem[..., None], STEM_RGB, GROUND_RGB).astype(np.uint8)
-        image = cv2.resize(image, (WIDTH * STEP, HEIGHT * STEP), interpolation=cv2.INTER_NEAREST)
-        cv2.imwrite(str(folder / "images" / f"{i:03d}.png"), image[..., ::-1])
+        larger = cv2.resize(image, (WIDTH * STEP, HEIGHT * STEP), interpolation=cv2.INTER_NEAREST)
+        cv2.imwrite(str(folder / "images" / f"{i:03d}.png"), larger[..., ::-1])
         smooth = cv2.GaussianBlur(rng.normal(size=depth.shape), (0, 0), 2)
         depth = depth * (1 + noise * smooth / smooth.std())
         # Outliers in blobs of a few pixels that look smooth inside, as those of a network do.
@@ -124,6 +124,7 @@ def test_clean_maps_give_the_surface_with_normals_and_colours(tmp_path: Path) ->
     assert np.mean(cosine > 0.97) > 0.9
     far = np.abs(cloud.xyz[:, 2]) > 0.15
     # Colours mix over one depth pixel at the silhouettes; the stem is 17 depth pixels wide.
+    assert cloud.rgb is not None
     assert np.mean(np.all(cloud.rgb[far & is_stem] == STEM_RGB, axis=1)) > 0.7
     assert np.mean(np.abs(cloud.rgb[far & is_stem].astype(int) - STEM_RGB).max(axis=1) < 40) > 0.95
     assert cloud.extra["views"].min() >= 3
@@ -214,7 +215,7 @@ def test_fast_check_equals_the_plain_one(tmp_path: Path) -> None:
     rows, columns = np.nonzero(reference.inverse_depth)
     chosen = np.random.default_rng(1).choice(len(rows), 800, replace=False)
     u, v = columns[chosen].astype(np.float32), rows[chosen].astype(np.float32)
-    depth = 1 / reference.inverse_depth[rows[chosen], columns[chosen]]
+    depth = np.float32(1) / reference.inverse_depth[rows[chosen], columns[chosen]]
     tolerances = Tolerances()
     fast = check_pair(reference, source, u, v, depth, tolerances=tolerances, min_confidence=0.0)
     plain = [
@@ -234,12 +235,12 @@ def test_points_that_others_look_through_are_found(tmp_path: Path) -> None:
     maps = DepthMaps(scene, tmp_path)
     reference, source = maps.get(0), maps.get(1)
     rows, columns = np.mgrid[80:110:3, 100:150:3].reshape(2, -1)
-    depth = 1 / reference.inverse_depth[rows, columns]
-    args = {"tolerances": Tolerances(), "min_confidence": 0.5}
+    depth = np.float32(1) / reference.inverse_depth[rows, columns]
     u, v = columns.astype(np.float32), rows.astype(np.float32)
-    floating = check_pair(reference, source, u, v, 0.7 * depth, **args)
-    true = check_pair(reference, source, u, v, depth, **args)
-    behind = check_pair(reference, source, u, v, 1.4 * depth, **args)
+    floating, true, behind = (
+        check_pair(reference, source, u, v, np.float32(share) * depth, tolerances=Tolerances(), min_confidence=0.5)
+        for share in (0.7, 1.0, 1.4)
+    )
     inside = floating.depth > 0
     assert inside.mean() > 0.5
     assert floating.seen_through[inside].all()

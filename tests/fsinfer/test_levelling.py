@@ -14,7 +14,7 @@ Plot = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDAr
 
 
 def angle_deg(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    return np.degrees(np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1)))
+    return float(np.degrees(np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1))))
 
 
 def make_plot(
@@ -156,6 +156,7 @@ def test_ground_plane_ignores_bushes_and_points_below() -> None:
     rng = np.random.default_rng(0)
     below = points[rng.choice(15_000, 150)] - [0, 0, 1.0]
     plane = ground_plane(np.concatenate([points, below]), centers)
+    assert plane is not None
     np.testing.assert_allclose(plane, [np.tan(np.radians(12)), 0, 0], atol=0.06)
     assert ground_plane(points + np.array([0, 0, 50]), centers) is None
 

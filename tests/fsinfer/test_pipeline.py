@@ -10,6 +10,7 @@ import csv
 import json
 import shutil
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -26,11 +27,14 @@ from fsinfer.depth import DepthResult, DepthSettings
 from fsinfer.errors import CloudError, InputError
 from fsinfer.files import make_folder, write_text
 from fsinfer.fusion import FusionSettings
+from fsinfer.fusion import fuse as real_fuse
 from fsinfer.images import list_images, write_image
 from fsinfer.pipeline import RunSettings, run
 from fsinfer.poses import PosesResult
 from fsinfer.scale_request import ScaleRequest
 from fsinfer.stage_commands import measure_cloud_file
+from fsinfer.stem_edges import find_edges
+from fsinfer.tree_outputs import write_tree_outputs as real_trees
 from fsinfer.trees import TreeSettings
 from fsinfer.trees.table import read_trees
 from tests.fsinfer.synthetic_plot import M_PER_UNIT, STEMS, VIEWS, write_depth_folder, write_scene_folder
@@ -99,7 +103,6 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> Fakes:
         fakes.enter("trees")
         return real_trees(*args, **kwargs)
 
-    real_fuse, real_trees = pipeline.fuse, pipeline.write_tree_outputs
     monkeypatch.setattr(photo_stages, "select_frames", select_frames)
     monkeypatch.setattr(photo_stages, "estimate_poses", estimate_poses)
     monkeypatch.setattr(pipeline, "estimate_depth", estimate_depth)
@@ -375,8 +378,12 @@ def test_trees_of_the_runs_own_cloud_with_and_without_its_photographs(
     run(photos, out, settings=METRIC)
     expected = dbh_cm(out)
     looked_at = []
-    real = silhouettes.find_edges
-    monkeypatch.setattr(silhouettes, "find_edges", lambda *a, **k: looked_at.append(len(a[0])) or real(*a, **k))
+
+    def looking(trees: Sequence[Any], *args: Any, **kwargs: Any) -> Any:
+        looked_at.append(len(trees))
+        return find_edges(trees, *args, **kwargs)
+
+    monkeypatch.setattr(silhouettes, "find_edges", looking)
     for gone in (None, out / "scene" / "images"):
         if gone is not None:
             shutil.rmtree(gone)

@@ -90,6 +90,7 @@ def pixels(page: Page) -> NDArray[np.int_]:
     import cv2
 
     picture = cv2.imdecode(np.frombuffer(page.locator("#viewer canvas").screenshot(), np.uint8), cv2.IMREAD_COLOR)
+    assert picture is not None
     return picture.reshape(-1, 3).astype(int)
 
 

@@ -137,6 +137,7 @@ def test_a_photo_from_very_near_fills_its_crop(plot: Path) -> None:
 
 def test_trees_measured_with_another_scale_are_found_in_the_photos(plot: Path, tmp_path: Path) -> None:
     contents = read_contents(plot)
+    assert contents.trees is not None
     rows = [{**row, "x_m": str(2 * float(row["x_m"])), "y_m": str(2 * float(row["y_m"]))} for row in contents.trees]
     changed = type(contents)(
         **{**vars(contents), "trees": rows, "plot": {**contents.plot, "trees_scale": {"m_per_unit": 2.0}}}
@@ -183,6 +184,7 @@ def test_encoded_points_are_where_they_were() -> None:
     distance, nearest = cKDTree(cloud.xyz).query(xyz)
     assert distance.max() < data.step
     np.testing.assert_array_equal(tree, cloud.extra["TreeID"][nearest])
+    assert cloud.rgb is not None
     np.testing.assert_array_equal(rgb, cloud.rgb[nearest])
     assert data.step < 0.0003
 
@@ -203,6 +205,7 @@ def test_a_very_large_cloud_is_read_in_part(tmp_path: Path, monkeypatch: pytest.
     assert set(part.extra) == {"confidence", "TreeID"}
     np.testing.assert_allclose(np.ptp(part.xyz, axis=0), np.ptp(cloud.xyz, axis=0), atol=0.1)
     assert part.rgb is not None
+    assert cloud.rgb is not None
     assert int(part.rgb.max()) == int(cloud.rgb.max())
 
 
@@ -211,6 +214,7 @@ def test_trees_without_scale_get_crops_by_the_height_of_the_cameras(plot: Path) 
     similarity = np.array(contents.plot["cloud_from_scene"])
     similarity[:3] /= M_PER_UNIT
     larger = dict.fromkeys(("x_m", "y_m"), 1 / M_PER_UNIT)
+    assert contents.trees is not None
     rows = [
         {**row, "dbh_cm": "", **{name: str(factor * float(row[name])) for name, factor in larger.items()}}
         for row in contents.trees

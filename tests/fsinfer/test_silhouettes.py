@@ -146,7 +146,7 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> StemPhotos:
         write_camera(
             folder / "cams" / f"p{index}_cam.txt", replace(cam, cam_from_world=pose, depth_min=2.0, depth_max=120.0)
         )
-        write_pfm(folder / "depth" / f"p{index}.pfm", 2.0 * depth)
+        write_pfm(folder / "depth" / f"p{index}.pfm", np.float32(2) * depth)
         write_pfm(folder / "confidence" / f"p{index}.pfm", np.ones_like(depth))
     write_pairs(folder / "pair.txt", {i: [((i + 1) % PHOTOS, 1.0)] for i in range(PHOTOS)})
     (folder / "depth" / "depth.json").write_text(json.dumps({"pixel_step": 1.0}), encoding="utf-8")
@@ -275,7 +275,8 @@ def test_refused_by_the_cloud_and_hardly_seen_stays_doubtful() -> None:
     refused = section_of(None, 0.01, "double wall: two surfaces 3 cm apart; the poses do not agree")
     assert joined(refused, fit_of(0.15, 0.002)).status == "ok"
     few = joined(refused, fit_of(0.15, 0.002, photos=5))
-    assert (few.status, few.dbh_m) == ("doubtful", pytest.approx(0.30))
+    assert few.status == "doubtful"
+    assert few.dbh_m == pytest.approx(0.30)
     assert "5 photos" in few.reason
     assert joined(refused, fit_of(0.15, 0.05)).dbh_m is None
 
@@ -324,7 +325,8 @@ def test_a_doubtful_stem_that_many_photographs_do_not_show_is_a_shrub(photos: St
     few = SilhouetteJoinSettings(shrub_photos=PHOTOS)
     doubtful = plot_of(section_of(None, 0.02, "surface too rough: residual 2.8 cm"))
     gone = measure_silhouettes(doubtful, shrub, settings=few)
-    assert gone.trees == gone.sections == ()
+    assert gone.trees == ()
+    assert gone.sections == ()
     assert gone.diagnosis.startswith("no trees found")
     assert "(0.3, -0.2)" in gone.warnings[-1]
     # One photograph too few, a sound stem of the cloud, or a person who said so: it stays.

@@ -52,15 +52,16 @@ def test_a_deleted_tree_is_gone_and_the_others_keep_their_numbers(plot: StemPlot
 def test_a_tree_the_search_missed_is_measured_where_it_was_set(
     plot: StemPlot, result: PlotResult, moved: NDArray[np.float64]
 ) -> None:
-    missing = result.trees[1]
+    missing, ground = result.trees[1], result.ground
+    assert ground is not None
     rest = replace(
         result,
         trees=tuple(replace(t, x_m=t.x_m + moved[0], y_m=t.y_m + moved[1]) for t in result.trees if t != missing),
         sections=tuple(s for t, s in zip(result.trees, result.sections, strict=True) if t != missing),
         ground=replace(
-            result.ground,
-            origin=result.ground.origin + moved[:2],
-            plane=result.ground.plane - np.array([0, 0, result.ground.plane[:2] @ moved[:2]]),
+            ground,
+            origin=ground.origin + moved[:2],
+            plane=ground.plane - np.array([0, 0, ground.plane[:2] @ moved[:2]]),
         ),
     )
     add = TreeEdit(action="add", row=2, x_m=missing.x_m + 0.2 + moved[0], y_m=missing.y_m - 0.1 + moved[1])

@@ -10,8 +10,8 @@ def make_samples(
     count = len(xyz)
     return Samples(
         xyz=np.asarray(xyz, float),
-        rgb=np.tile(np.float32([10, 20, 30]), (count, 1)),
-        normals=np.tile(np.float32([0, 0, 1]), (count, 1)),
+        rgb=np.tile(np.array([10, 20, 30], np.float32), (count, 1)),
+        normals=np.tile(np.array([0, 0, 1], np.float32), (count, 1)),
         weight=np.ones(count) if weight is None else np.asarray(weight, float),
         confidence=np.linspace(0, 1, count, dtype=np.float32),
         views=np.arange(count, dtype=np.int32),
@@ -36,6 +36,7 @@ def test_batches_give_the_same_as_all_at_once() -> None:
     for part in parts:
         merger.add(part)
     at_once, batched = merge_voxels(join(parts), 0.7), merger.result()
+    assert batched is not None
     np.testing.assert_allclose(batched.xyz, at_once.xyz, atol=1e-12)
     np.testing.assert_array_equal(batched.count, at_once.count)
 
@@ -47,6 +48,7 @@ def test_size_stays_bounded_and_nothing_is_nothing() -> None:
     for _ in range(5):
         merger.add(make_samples(rng.uniform(0, 1, (900, 3)) * [1, 1, 0]))
     result = merger.result()
+    assert result is not None
     assert 250 < len(result) <= 500
     assert result.count.sum() == 4500
     assert merger.voxel > 0.02

@@ -1,11 +1,13 @@
 """The simulator of stem clouds: its truth is what its points say."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from training.synthesize.stem_cloud import CloudSpec, simulate
 
-PLAIN = {
+PLAIN: dict[str, Any] = {
     "trees": 4, "slope_deg": (0.0, 0.0), "bumps_m": (0.0, 0.0), "shrubs_per_tree": 0.0, "branchy": 0.0,
     "forked_low": 0.0, "forked_high": 0.0, "double_wall": 0.0, "spacing_m": (0.01, 0.01),
 }  # fmt: skip
