@@ -54,5 +54,5 @@ def test_nothing_dropped_leaves_no_sheet_of_an_earlier_run(tmp_path: Path) -> No
 
 def test_thumbnails_fit_and_small_pictures_stay_as_they_are() -> None:
     assert thumbnail(np.zeros((1200, 900, 3), np.uint8)).shape == (TILE_PX, 180, 3)
-    small = np.random.default_rng(0).integers(0, 255, (100, TILE_PX, 3), dtype=np.uint8)
+    small = np.random.default_rng(0).integers(0, 255, (100, 130, 3), dtype=np.uint8)
     np.testing.assert_array_equal(thumbnail(small), small)

@@ -53,7 +53,10 @@ def test_a_turned_and_shifted_map_with_losses_is_laid_back(away: tuple[float, fl
     motion = register(truth, found, truth_cm, found_cm, 0.5)
     assert motion is not None
     laid = apply(motion, found)
-    assert np.linalg.norm(laid[:12] - truth[2:], axis=1).max() < 0.2
+    off = laid[:12] - truth[2:]
+    assert np.linalg.norm(off, axis=1).max() < 0.15
+    # All partners together decide, not the pair that was tried first.
+    np.testing.assert_allclose(off.mean(axis=0), 0.0, atol=1e-6)
     assert {(i, i - 2) for i in range(2, 14)} <= set(assign(truth, laid, 0.5))
 
 
