@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fsinfer.check.advice import advice, marker_lines
 from fsinfer.check.coverage import CoverageSettings, judge_stems, widest_gap
@@ -22,9 +23,9 @@ TURNS = np.radians(np.arange(0, 360, 10))
 HALF = np.arange(36) < 19
 
 
-def ring(reach_m: float | np.ndarray = 4.0) -> np.ndarray:
+def ring(reach_m: float | NDArray[np.float64] = 4.0) -> NDArray[np.float64]:
     toward = np.column_stack([np.cos(TURNS), np.sin(TURNS)])
-    circle: np.ndarray = STEM.center + np.broadcast_to(reach_m, 36)[:, None] * toward
+    circle: NDArray[np.float64] = STEM.center + np.broadcast_to(reach_m, 36)[:, None] * toward
     return circle
 
 

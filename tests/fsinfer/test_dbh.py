@@ -11,7 +11,7 @@ from fsinfer.trees.stems import find_stems
 from tests.fsinfer.stem_clouds import StemPlot, stem_plot, wall
 
 
-def _compare(plot: StemPlot, result: PlotResult) -> tuple[np.ndarray, np.ndarray, int, int]:
+def _compare(plot: StemPlot, result: PlotResult) -> tuple[NDArray[np.float64], NDArray[np.float64], int, int]:
     """Errors (cm), half widths of the intervals (cm), trees found, false trees."""
     xy = np.array([[tree.x_m, tree.y_m] for tree in result.trees])
     distance = np.linalg.norm(xy[:, None] - plot.xy[None], axis=2)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from fsinfer.images import read_image, write_image
 from fsinfer.pfm import write_pfm
@@ -108,7 +109,7 @@ def camera(angle: float, distance: float) -> Camera:
     return Camera(intrinsic=intrinsic, cam_from_world=pose, depth_min=1.0, depth_max=60.0)
 
 
-def render(cam: Camera, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def render(cam: Camera, rng: np.random.Generator) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
     """Photograph (H, W, 3) and depth map (H, W) of a leaning, tapering stem before a mottled background."""
     fine = 3
     u, v = np.meshgrid(np.arange(WIDTH * fine), np.arange(HEIGHT * fine))

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fsinfer.cloud import PointCloud, read_cloud, write_cloud
 from fsinfer.scale_request import ScaleRequest
@@ -17,7 +18,7 @@ from tests.fsinfer.stem_clouds import stem_plot
 
 
 @pytest.mark.parametrize(("how", "turn"), TURNS, ids=[how for how, _ in TURNS])
-def test_a_cloud_that_does_not_stand_upright_is_turned(tmp_path: Path, how: str, turn: np.ndarray) -> None:
+def test_a_cloud_that_does_not_stand_upright_is_turned(tmp_path: Path, how: str, turn: NDArray[np.float64]) -> None:
     plot = stem_plot(seed=1, trees=4, spacing_m=0.02, top_m=3.5)
     # turn @ lying = upright, so the plot lies as turn.T leaves it.
     write_cloud(tmp_path / "cloud.ply", PointCloud(xyz=plot.points @ turn))

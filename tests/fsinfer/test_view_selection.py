@@ -10,7 +10,7 @@ from fsinfer.sparse import SparseModel
 from fsinfer.view_selection import SelectionSettings, choose_sources, depth_range, score_pairs
 
 
-def cameras_on_a_line(angles_deg: list[float], distance: float) -> np.ndarray:
+def cameras_on_a_line(angles_deg: list[float], distance: float) -> NDArray[np.float64]:
     return np.array([[distance * np.tan(np.radians(angle)), 0, 0] for angle in angles_deg])
 
 
@@ -49,16 +49,16 @@ def test_number_of_sources_is_limited() -> None:
     assert all(len(found) == 10 and view not in dict(found) for view, found in choose_sources(scores, 10).items())
 
 
-def model(points: np.ndarray, tracks: np.ndarray | None = None) -> SparseModel:
+def model(points: NDArray[np.float64], tracks: NDArray[np.int64] | None = None) -> SparseModel:
     count = len(points)
-    tracks = np.full(count, 4) if tracks is None else tracks
+    tracks = np.full(count, 4, np.int64) if tracks is None else tracks
     return SparseModel(points=points, errors_px=np.full(count, 0.3), track_lengths=tracks, observations={})
 
 
 K = np.array([[400.0, 0, 319.5], [0, 400, 239.5], [0, 0, 1]])
 
 
-def in_view(depths: np.ndarray) -> np.ndarray:
+def in_view(depths: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([0.1 * depths, 0.1 * depths, depths], axis=1)
 
 
