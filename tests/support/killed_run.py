@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import patch
 
 from fsinfer.depth.sfm_check import DepthCheck
 from fsinfer.depth.stage import DepthResult
@@ -22,25 +23,27 @@ from fsinfer.io.files import make_folder, write_text
 from fsinfer.io.images import list_images
 from fsinfer.poses.estimate import PosesResult
 from fsinfer.scale.request import ScaleRequest
-from fsinfer.workflow import cloud_stages, photo_stages, pipeline
+from fsinfer.workflow import pipeline
 from fsinfer.workflow.settings import RunSettings
 from tests.support.synthetic_plot import M_PER_UNIT, VIEWS, write_depth_folder, write_scene_folder
 
 
 def main(source: Path, out: Path, stage: str, writes: int) -> None:
     kill_after(out / ".fsinfer" / f"{stage}.json", writes)
-    photo_stages.select_frames = select_frames
-    photo_stages.estimate_poses = estimate_poses
-    cloud_stages.estimate_depth = estimate_depth
-    cloud_stages.read_manifest = lambda _: SimpleNamespace(int8_regularizer=None, sha256_of=lambda *, int8: "0" * 64)
-    cloud_stages.read_sparse = lambda _: None
+    manifest = SimpleNamespace(int8_regularizer=None, sha256_of=lambda *, int8: "0" * 64)
     checked = DepthCheck(median_rel=0.0025, per_view_rel={}, compared=1, asked=1, relaxed=False)
-    cloud_stages.check_depth = lambda *_, **__: checked
-    import fsinfer.report
-    import fsinfer.trees.outputs.figures
-
-    fsinfer.report.make_report = report
-    fsinfer.trees.outputs.figures.write_figures = lambda folder, *_, **__: make_folder(folder)
+    stand_ins = {
+        "fsinfer.workflow.photo_stages.select_frames": select_frames,
+        "fsinfer.workflow.photo_stages.estimate_poses": estimate_poses,
+        "fsinfer.workflow.cloud_stages.estimate_depth": estimate_depth,
+        "fsinfer.workflow.cloud_stages.read_manifest": lambda _: manifest,
+        "fsinfer.workflow.cloud_stages.read_sparse": lambda _: None,
+        "fsinfer.workflow.cloud_stages.check_depth": lambda *_, **__: checked,
+        "fsinfer.report.make_report": report,
+        "fsinfer.trees.outputs.figures.write_figures": lambda folder, *_, **__: make_folder(folder),
+    }
+    for name, stand_in in stand_ins.items():
+        patch(name, stand_in).start()
     settings = RunSettings(scale=ScaleRequest(factor=M_PER_UNIT))
     result = pipeline.run(source, out, settings=settings)
     print(*(record.name for record in result.stages if record.ran))

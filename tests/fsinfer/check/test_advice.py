@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fsinfer.check.advice import advice, marker_lines
 from fsinfer.check.compass import COMPASS_WORDS, MAP_WORDS, find_compass
@@ -23,13 +24,16 @@ TURNS = np.radians(np.arange(0, 360, 10))
 HALF = np.arange(36) < 19
 
 
-def ring(reach_m: float | np.ndarray = 4.0) -> np.ndarray:
-    return STEM.center + np.broadcast_to(reach_m, 36)[:, None] * np.column_stack([np.cos(TURNS), np.sin(TURNS)])
+def ring(reach_m: float | NDArray[np.float64] = 4.0) -> NDArray[np.float64]:
+    toward = np.column_stack([np.cos(TURNS), np.sin(TURNS)])
+    circle: NDArray[np.float64] = STEM.center + np.broadcast_to(reach_m, 36)[:, None] * toward
+    return circle
 
 
 def test_a_stem_seen_from_half_of_the_ring_is_one_sided() -> None:
     judged = judge_stems([STEM], HALF[None], ring(), np.array([True]))[0]
-    assert (judged.verdict, judged.gap_deg) == ("one side", pytest.approx(180))
+    assert judged.verdict == "one side"
+    assert judged.gap_deg == pytest.approx(180)
     assert judged.gap_center_deg == pytest.approx(270)
     assert judged.one_sided
     # One photo from the other side is enough to see it by halves of a half.
@@ -81,7 +85,7 @@ def _surface(x_m: float) -> Stem:
 def test_widest_gap_and_arcs() -> None:
     assert widest_gap(np.array([])) == (360.0, 0.0)
     assert widest_gap(np.array([10.0])) == (360.0, 190.0)
-    assert widest_gap(np.array([350.0, 10.0, 100.0])) == (250.0, pytest.approx(225.0))
+    assert widest_gap(np.array([350.0, 10.0, 100.0])) == pytest.approx((250.0, 225.0))
     assert seen_arcs(np.arange(0, 360, 20.0)) == [(0.0, 360.0)]
     assert seen_arcs(np.array([350.0, 0.0, 10.0])) == [(335.0, 385.0)]
     assert seen_arcs(np.array([0.0, 10.0, 180.0])) == [(165.0, 195.0), (-15.0, 25.0)]

@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fsinfer.errors import ImageError
 from fsinfer.frames.quality import QualityLimits, reasons_to_drop, score_frame
@@ -22,11 +23,11 @@ from fsinfer.notices.notice import notice
 from tests.support.rendered_room import texture
 
 
-def photo(seed: int) -> np.ndarray:
+def photo(seed: int) -> NDArray[np.uint8]:
     return texture(seed, 300)[:150, :200]
 
 
-def write_video(path: Path, frames: list[np.ndarray], codec: str = "mp4v") -> None:
+def write_video(path: Path, frames: list[NDArray[np.uint8]], codec: str = "mp4v") -> None:
     height, width = frames[0].shape[:2]
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), 10.0, (width, height))
     if not writer.isOpened():
@@ -126,7 +127,7 @@ class UnevenClip:
             return 1000 * self.times_s[min(max(self.at, 0), len(self.times_s) - 1)]
         return {cv2.CAP_PROP_FPS: 30.0, cv2.CAP_PROP_FRAME_COUNT: float(len(self.times_s))}[what]
 
-    def retrieve(self) -> tuple[bool, np.ndarray]:
+    def retrieve(self) -> tuple[bool, NDArray[np.uint8]]:
         return True, texture(0, 300)[:150, self.at // 2 : self.at // 2 + 200]
 
 

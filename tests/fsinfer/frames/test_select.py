@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from PIL import Image
 
 from fsinfer.errors import ImageError, OutputError
@@ -18,13 +19,13 @@ from fsinfer.notices.sentences import sentence
 from tests.support.rendered_room import texture
 
 
-def photo(seed: int, width: int = 200, height: int = 150) -> np.ndarray:
+def photo(seed: int, width: int = 200, height: int = 150) -> NDArray[np.uint8]:
     return texture(seed, 300)[:height, :width]
 
 
-def blurred(image: np.ndarray, pixels: int) -> np.ndarray:
+def blurred(image: NDArray[np.uint8], pixels: int) -> NDArray[np.uint8]:
     """Motion blur along the rows."""
-    return cv2.filter2D(image, -1, np.full((1, pixels), 1 / pixels, np.float32))
+    return np.asarray(cv2.filter2D(image, -1, np.full((1, pixels), 1 / pixels, np.float32)), np.uint8)
 
 
 @pytest.fixture
@@ -184,7 +185,7 @@ def test_sources_that_are_none(tmp_path: Path) -> None:
         select_frames(tmp_path / "walk.mp4", tmp_path / "out")
 
 
-def write_video(path: Path, frames: list[np.ndarray], rate: float) -> None:
+def write_video(path: Path, frames: list[NDArray[np.uint8]], rate: float) -> None:
     height, width = frames[0].shape[:2]
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), rate, (width, height))
     if not writer.isOpened():

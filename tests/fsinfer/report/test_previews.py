@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 
 from fsinfer.io.cloud import PointCloud
@@ -9,7 +11,7 @@ from fsinfer.report.previews import (
 )
 
 
-def test_depth_colours_go_from_red_near_to_blue_far():
+def test_depth_colours_go_from_red_near_to_blue_far(tmp_path: Path) -> None:
     depth = np.tile(np.linspace(1, 8, 50, dtype=np.float32), (10, 1))
     depth[0] = 0
     depth[1] = np.nan
@@ -22,7 +24,7 @@ def test_depth_colours_go_from_red_near_to_blue_far():
     assert (depth_preview(np.zeros((4, 5), np.float32)) == NO_DEPTH_RGB).all()
 
 
-def test_nearer_points_hide_farther_ones_and_axes_point_where_they_should():
+def test_nearer_points_hide_farther_ones_and_axes_point_where_they_should() -> None:
     side = np.linspace(0, 1, 60)
     x, y = (a.ravel() for a in np.meshgrid(side, side))
     low = np.column_stack([x, y, np.zeros_like(x)])
@@ -40,7 +42,7 @@ def test_nearer_points_hide_farther_ones_and_axes_point_where_they_should():
         assert (view[20:30] == BACKGROUND_RGB).all()
 
 
-def test_cloud_without_colours_and_single_point():
+def test_cloud_without_colours_and_single_point(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     picture = cloud_view(PointCloud(xyz=rng.uniform(0, 3, (2000, 3)) * [1, 1, 0.3]), "side")
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 50

@@ -1,6 +1,8 @@
 import csv
 import json
 import re
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +29,7 @@ PLOT = {
 }  # fmt: skip
 
 
-def write_csv(path, rows, columns=None):
+def write_csv(path: Path, rows: list[dict[str, Any]], columns: list[str] | None = None) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("w", newline="") as stream:
         writer = csv.DictWriter(stream, columns or list(rows[0]))
@@ -35,13 +37,13 @@ def write_csv(path, rows, columns=None):
         writer.writerows(rows)
 
 
-def small_cloud(count=4000):
+def small_cloud(count: int = 4000) -> PointCloud:
     rng = np.random.default_rng(0)
     xyz = rng.uniform([-5, -5, 0], [5, 5, 4], (count, 3))
     return PointCloud(xyz=xyz, rgb=rng.integers(0, 255, (count, 3), dtype=np.uint8))
 
 
-def full_folder(out, *, plot=PLOT, trees=None):
+def full_folder(out: Path, *, plot: dict[str, Any] = PLOT, trees: list[dict[str, Any]] | None = None) -> Path:
     trees = trees or [
         TREE,
         TREE | {"tree_id": 2, "dbh_cm": 40.0, "dbh_lo95_cm": 38, "dbh_hi95_cm": 42, "status": "doubtful"},
@@ -64,7 +66,7 @@ def full_folder(out, *, plot=PLOT, trees=None):
     return out
 
 
-def test_everything_is_in_one_file_without_any_outside_reference(tmp_path):
+def test_everything_is_in_one_file_without_any_outside_reference(tmp_path: Path) -> None:
     path = make_report(full_folder(tmp_path))
     page = path.read_text(encoding="utf-8")
     assert path == tmp_path / "report.html"
@@ -81,7 +83,7 @@ def test_everything_is_in_one_file_without_any_outside_reference(tmp_path):
     assert page.index("What to look out for") < page.index("Stem map and trees") < page.index("How it was made")
 
 
-def test_warnings_name_the_trees_to_visit_again(tmp_path):
+def test_warnings_name_the_trees_to_visit_again(tmp_path: Path) -> None:
     write_csv(
         tmp_path / "trees.csv",
         [
@@ -102,11 +104,11 @@ def test_warnings_name_the_trees_to_visit_again(tmp_path):
     assert "Remarks" not in page
 
 
-def coded(code, text, *, remark=False, **values):
+def coded(code: str, text: str, *, remark: bool = False, **values: object) -> dict[str, object]:
     return {"code": code, "values": values, "text": text, "remark": remark}
 
 
-def test_remarks_are_those_that_say_so_whatever_their_words(tmp_path):
+def test_remarks_are_those_that_say_so_whatever_their_words(tmp_path: Path) -> None:
     write_csv(tmp_path / "trees.csv", [TREE])
     codes = [
         coded("board_flat", "a board lies flat beside points far outside the plot"),
@@ -127,7 +129,7 @@ def test_remarks_are_those_that_say_so_whatever_their_words(tmp_path):
     assert "photos, scale and stems are as they should be" in make_report(tmp_path).read_text(encoding="utf-8")
 
 
-def test_sentences_without_codes_are_all_warnings(tmp_path):
+def test_sentences_without_codes_are_all_warnings(tmp_path: Path) -> None:
     write_csv(tmp_path / "trees.csv", [TREE])
     sentences = ["3 points far outside the plot were left out", "tree 4 was corrected by hand"]
     (tmp_path / "plot.json").write_text(json.dumps(PLOT | {"warnings": sentences}))
@@ -137,7 +139,7 @@ def test_sentences_without_codes_are_all_warnings(tmp_path):
     assert "Remarks" not in page
 
 
-def test_a_sentence_that_stands_twice_is_said_once(tmp_path):
+def test_a_sentence_that_stands_twice_is_said_once(tmp_path: Path) -> None:
     write_csv(tmp_path / "trees.csv", [], columns=list(TREE))
     codes = [coded("no_trees", "no stem reaches breast height")]
     plot = PLOT | {"diagnosis": "no stem reaches breast height", "warning_codes": codes}
@@ -145,13 +147,13 @@ def test_a_sentence_that_stands_twice_is_said_once(tmp_path):
     assert make_report(tmp_path).read_text(encoding="utf-8").count("<li>No stem reaches breast height.</li>") == 1
 
 
-def test_a_plot_without_fault_says_so(tmp_path):
+def test_a_plot_without_fault_says_so(tmp_path: Path) -> None:
     write_csv(tmp_path / "trees.csv", [TREE])
     (tmp_path / "plot.json").write_text(json.dumps(PLOT | {"registered": 40, "warnings": []}))
     assert "photos, scale and stems are as they should be" in make_report(tmp_path).read_text(encoding="utf-8")
 
 
-def test_stand_table(tmp_path):
+def test_stand_table(tmp_path: Path) -> None:
     full_folder(tmp_path, plot=PLOT | {"plot_area_m2": 500})
     stand = stand_of(read_contents(tmp_path))
     assert (stand.stems, stand.measured) == (3, 2)
@@ -166,7 +168,7 @@ def test_stand_table(tmp_path):
     assert "3.9 m²/ha" in page
 
 
-def test_figures_of_the_stand_are_those_of_the_run(tmp_path):
+def test_figures_of_the_stand_are_those_of_the_run(tmp_path: Path) -> None:
     given = {"stems": 3, "measured": 2, "plot_area_m2": 500.0, "area_method": "given", "stems_per_ha": 61.0}
     given |= {"basal_area_m2_per_ha": 7.7, "quadratic_mean_dbh_cm": 35.4, "mean_dbh_cm": 35.1}
     full_folder(tmp_path, plot=PLOT | {"stand": given})
@@ -180,7 +182,7 @@ def test_figures_of_the_stand_are_those_of_the_run(tmp_path):
     assert '<th scope="row">Stems per hectare</th><td>60</td>' in page
 
 
-def test_markers_and_photos_left_out_are_shown(tmp_path):
+def test_markers_and_photos_left_out_are_shown(tmp_path: Path) -> None:
     board = {"id": 21, "views": ["a", "b", "c"], "residual_rel": 0.0012, "leave_one_out_rel": -0.0004, "error_px": 0.3}
     full_folder(tmp_path, plot=PLOT | {"scale_details": {"markers": [board, {"id": 22}]}})
     write_image(tmp_path / "frames" / "frames_contact.jpg", np.full((60, 1200, 3), 90, np.uint8))
@@ -195,7 +197,7 @@ def test_markers_and_photos_left_out_are_shown(tmp_path):
     assert "frames_contact.jpg could not be read" in page
 
 
-def test_without_a_scale_the_units_are_said(tmp_path):
+def test_without_a_scale_the_units_are_said(tmp_path: Path) -> None:
     plot = PLOT | {"units": "model units", "scale_m_per_unit": None, "scale_source": "none", "density_per_m2": None}
     codes = [
         coded("no_scale_given", "no scale was given: the cloud is in model units"),
@@ -210,7 +212,7 @@ def test_without_a_scale_the_units_are_said(tmp_path):
     assert "x (m)" not in page
 
 
-def test_a_single_tree_without_a_scale_has_a_map_that_can_be_read(tmp_path):
+def test_a_single_tree_without_a_scale_has_a_map_that_can_be_read(tmp_path: Path) -> None:
     plot = PLOT | {"units": "model units", "scale_m_per_unit": None, "scale_source": "none", "camera_height": 0.3}
     full_folder(tmp_path, plot=plot, trees=[TREE])
     page = make_report(tmp_path).read_text(encoding="utf-8")
@@ -220,19 +222,19 @@ def test_a_single_tree_without_a_scale_has_a_map_that_can_be_read(tmp_path):
     assert len(ticks) >= 4
 
 
-def test_the_reasons_of_few_trees_without_a_diameter_are_said_at_once(tmp_path):
+def test_the_reasons_of_few_trees_without_a_diameter_are_said_at_once(tmp_path: Path) -> None:
     none = TREE | {"dbh_cm": "", "status": "unmeasured"}
     rows = [none | {"tree_id": number, "reason": f"why {number}"} for number in (1, 2, 3)]
     full_folder(tmp_path, trees=rows)
     assert "no diameter: why 1; why 2; why 3." in make_report(tmp_path).read_text(encoding="utf-8")
 
 
-def test_the_advice_to_walk_round_is_given_once(tmp_path):
+def test_the_advice_to_walk_round_is_given_once(tmp_path: Path) -> None:
     none = TREE | {"dbh_cm": "", "status": "unmeasured"}
     rows = [none | {"tree_id": 1, "reason": "do walk round it"}, none | {"tree_id": 2, "reason": "two walls"}]
     advice = "Mostly it helps to walk round the stem again"
 
-    def page_with(entries):
+    def page_with(entries: object) -> str:
         (tmp_path / "trees.json").write_text(entries if isinstance(entries, str) else json.dumps(entries))
         return make_report(tmp_path).read_text(encoding="utf-8")
 
@@ -251,13 +253,13 @@ def test_the_advice_to_walk_round_is_given_once(tmp_path):
     assert advice in page
 
 
-def test_empty_folder_gives_a_page_that_says_what_is_missing(tmp_path):
+def test_empty_folder_gives_a_page_that_says_what_is_missing(tmp_path: Path) -> None:
     page = make_report(tmp_path).read_text(encoding="utf-8")
     for text in ("plot.json is not", "trees.csv is not", "no point cloud", "no depth maps", "frames.csv is not"):
         assert text in page, text
 
 
-def test_damaged_parts_are_notes(tmp_path):
+def test_damaged_parts_are_notes(tmp_path: Path) -> None:
     full_folder(tmp_path)
     (tmp_path / "plot.json").write_text("{")
     (tmp_path / "trees.csv").write_bytes(b"\xff\xfe\x00tree")
@@ -271,7 +273,7 @@ def test_damaged_parts_are_notes(tmp_path):
     assert "Depth of v2" in page
 
 
-def test_no_trees_is_a_result_with_a_diagnosis(tmp_path):
+def test_no_trees_is_a_result_with_a_diagnosis(tmp_path: Path) -> None:
     write_csv(tmp_path / "trees.csv", [], columns=list(TREE))
     (tmp_path / "plot.json").write_text(json.dumps(PLOT | {"diagnosis": "no stem reaches breast height"}))
     page = make_report(tmp_path).read_text(encoding="utf-8")
@@ -279,11 +281,11 @@ def test_no_trees_is_a_result_with_a_diagnosis(tmp_path):
     assert "no stem reaches breast height" in page
 
 
-def test_not_a_folder_is_a_user_error(tmp_path):
+def test_not_a_folder_is_a_user_error(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not a folder"):
         make_report(tmp_path / "none")
 
 
 @pytest.mark.parametrize(("text", "value"), [("1.5", 1.5), ("", None), ("nan", None), ("inf", None), (None, None)])
-def test_number(text, value):
+def test_number(text: str | None, value: float | None) -> None:
     assert number(text) == value

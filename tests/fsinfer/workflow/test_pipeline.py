@@ -10,6 +10,7 @@ import csv
 import json
 import shutil
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ from fsinfer.errors import CloudError, InputError
 from fsinfer.frames.select import FramesResult
 from fsinfer.frames.table import FrameRow
 from fsinfer.fusion.fuse import FusionSettings
+from fsinfer.fusion.fuse import fuse as real_fuse
 from fsinfer.io.cloud import read_cloud
 from fsinfer.io.files import make_folder, write_text
 from fsinfer.io.images import list_images, write_image
@@ -36,6 +38,7 @@ from fsinfer.notices.notice import notice
 from fsinfer.poses.estimate import PosesResult
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scene import read_camera, write_camera
+from fsinfer.silhouettes.edges import find_edges
 from fsinfer.trees import TreeSettings
 from fsinfer.trees.outputs.table import read_trees
 from fsinfer.workflow.measure_cloud import measure_cloud_file
@@ -43,6 +46,7 @@ from fsinfer.workflow.pipeline import run
 from fsinfer.workflow.settings import RunSettings
 from fsinfer.workflow.single_stages import depth_of
 from fsinfer.workflow.summary import PLOT_KEYS
+from fsinfer.workflow.tree_stage import measure_plot as real_trees
 from tests.support.synthetic_plot import M_PER_UNIT, STEMS, VIEWS, write_depth_folder, write_scene_folder
 
 METRIC = RunSettings(scale=ScaleRequest(factor=M_PER_UNIT))
@@ -127,7 +131,6 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> Fakes:
         fakes.enter("trees")
         return real_trees(*args, **kwargs)
 
-    real_fuse, real_trees = cloud_stages.fuse, pipeline.measure_plot
     monkeypatch.setattr(photo_stages, "select_frames", select_frames)
     monkeypatch.setattr(photo_stages, "estimate_poses", estimate_poses)
     monkeypatch.setattr(cloud_stages, "estimate_depth", estimate_depth)
@@ -408,8 +411,12 @@ def test_trees_of_the_runs_own_cloud_with_and_without_its_photographs(
     run(photos, out, settings=METRIC)
     expected = dbh_cm(out)
     looked_at = []
-    real = silhouettes.find_edges
-    monkeypatch.setattr(silhouettes, "find_edges", lambda *a, **k: looked_at.append(len(a[0])) or real(*a, **k))
+
+    def looking(trees: Sequence[Any], *args: Any, **kwargs: Any) -> Any:
+        looked_at.append(len(trees))
+        return find_edges(trees, *args, **kwargs)
+
+    monkeypatch.setattr(silhouettes, "find_edges", looking)
     for gone in (None, out / "scene" / "images"):
         if gone is not None:
             shutil.rmtree(gone)

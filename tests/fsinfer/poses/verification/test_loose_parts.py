@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from fsinfer.notices.notice import notice
 from fsinfer.notices.sentences import sentence
@@ -24,7 +25,9 @@ def chain(photos: int, start: int, per_pair: int, first_point: int) -> tuple[lis
     return seen, point
 
 
-def two_chains(first: int, second: int, joint: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def two_chains(
+    first: int, second: int, joint: int, seed: int = 0
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
     """(points, photos, order) of two chains joined by ``joint`` points, the photos in a shuffled order."""
     left, point = chain(first, 0, 300, 0)
     right, point = chain(second, first, 300, point)

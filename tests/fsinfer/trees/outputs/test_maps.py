@@ -77,7 +77,9 @@ def test_geojson_only_where_longitude_and_latitude_are_known(tmp_path: Path, res
     ],
 )
 def test_utm_to_longitude_and_latitude(epsg: int, x_m: float, y_m: float, longitude: float, latitude: float) -> None:
-    assert to_wgs84(x_m, y_m, epsg) == (pytest.approx(longitude, abs=2e-5), pytest.approx(latitude, abs=1e-7))
+    east, north = to_wgs84(x_m, y_m, epsg)
+    assert east == pytest.approx(longitude, abs=2e-5)
+    assert north == pytest.approx(latitude, abs=1e-7)
 
 
 def test_labels_follow_the_stems_and_nothing_else(plot: StemPlot, result: PlotResult) -> None:
@@ -86,6 +88,7 @@ def test_labels_follow_the_stems_and_nothing_else(plot: StemPlot, result: PlotRe
     assert set(np.unique(labels)) == {0, 1, 2, 3, 4}
     for tree in result.trees:
         own = plot.points[labels == tree.tree_id]
+        assert tree.dbh_cm is not None
         away = np.hypot(own[:, 0] - tree.x_m, own[:, 1] - tree.y_m)
         assert away.max() < 0.5 * tree.dbh_cm / 100.0 + 0.25
         assert len(own) > 1000
