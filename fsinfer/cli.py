@@ -49,6 +49,7 @@ from fsinfer.cli_options import (
     tree_settings,
 )
 from fsinfer.cli_stages import register_stages
+from fsinfer.cli_support import register_support
 from fsinfer.cli_tables import demo_rows, unmeasured_rows
 
 EXAMPLES = {
@@ -62,6 +63,7 @@ EXAMPLES = {
     "trees": "plot.laz my-trees",
     "evaluate": "measured.csv my-plot/trees.csv",
     "report": "my-plot",
+    "support": "my-plot",
 }
 
 
@@ -191,6 +193,7 @@ def run(
 
 register_field(app)
 register_stages(app)
+register_support(app)
 
 
 def main() -> None:
