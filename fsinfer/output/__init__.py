@@ -1,1 +1,1 @@
-"""What a run leaves in its output folder, and what is packed from it."""
+"""What lies in an output folder, what ``plot.json`` says, and what is packed from it for support."""

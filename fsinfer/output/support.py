@@ -19,8 +19,8 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
 from fsinfer.errors import InputError
-from fsinfer.files import atomic_path
-from fsinfer.plot_summary import package_versions
+from fsinfer.io.files import atomic_path
+from fsinfer.output.plot_json import package_versions
 
 SYSTEM_FILE = "system.txt"
 # Each of them tells that the folder is an output folder; a single stage writes its files without the stage's folder.

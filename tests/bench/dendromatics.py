@@ -26,7 +26,7 @@ from scipy.optimize import linear_sum_assignment
 
 from fsinfer import read_cloud
 from fsinfer.trees import analyse_plot
-from training.synthesize.stem_cloud import KINDS, CloudSpec, StemCloud, simulate
+from training.simulate.stem_cloud import KINDS, CloudSpec, StemCloud, simulate
 
 Floats = NDArray[np.float64]
 MAX_DISTANCE_M = 0.3

@@ -16,17 +16,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.depth import DepthSettings
-from fsinfer.evaluation import evaluate, read_measured
-from fsinfer.evaluation_figure import plot_evaluation
-from fsinfer.fusion import FusionSettings
-from fsinfer.photo_pairs import PairSettings
-from fsinfer.pipeline import RunSettings, run
-from fsinfer.poses import PoseSettings
-from fsinfer.precision import AUTO, FLOAT32, PRECISIONS
-from fsinfer.scale_request import ScaleRequest
+from fsinfer.depth.precision import AUTO, FLOAT32, PRECISIONS
+from fsinfer.depth.stage import DepthSettings
+from fsinfer.evaluation.figure import plot_evaluation
+from fsinfer.evaluation.metrics import evaluate, read_measured
+from fsinfer.fusion.fuse import FusionSettings
+from fsinfer.poses.estimate import PoseSettings
+from fsinfer.poses.pairs import PairSettings
+from fsinfer.scale.request import ScaleRequest
 from fsinfer.scene import read_scene
-from fsinfer.trees.table import read_trees
+from fsinfer.trees.outputs.table import read_trees
+from fsinfer.workflow.pipeline import RunSettings, run
 
 # Photos doubled before looking for features, as COLMAP does, and half as many neighbours again; six source views in
 # float32. (COLMAP's 8,192 features of doubled photos, 12,300 with their directions, match 1.4 pairs a second.)

@@ -1,6 +1,6 @@
 """Simulated stems against their truth: ``python -m tests.bench.stems --kind photo --plots 20 --first-seed 1000``.
 
-The simulator is :mod:`training.synthesize.stem_cloud`. The constants of the intervals were chosen on seeds below 10 and
+The simulator is :mod:`training.simulate.stem_cloud`. The constants of the intervals were chosen on seeds below 10 and
 corrected after seeds 1000 to 1021 and 2000 to 2021; the figures of docs/trees.md are from seeds 3000 to 3021, which no
 constant has seen.
 Prints detection, false trees, errors and the coverage of the 95 % intervals; ``--rows`` writes every stem for a closer
@@ -19,7 +19,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from fsinfer.trees import Tree, analyse_plot
-from training.synthesize.stem_cloud import KINDS, CloudSpec, StemCloud, StemTruth, simulate
+from training.simulate.stem_cloud import KINDS, CloudSpec, StemCloud, StemTruth, simulate
 
 MAX_DISTANCE_M = 0.3
 
