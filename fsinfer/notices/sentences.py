@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
 
 from fsinfer.notices import capture, stems
 from fsinfer.notices.notice import Notice
 
-_TEMPLATES: Mapping[str, str] = {
-    code.value: text for part in (capture.SENTENCES, stems.SENTENCES) for code, text in part.items()
+_SAID: dict[str, str | Callable[[Mapping[str, Any]], str]] = {
+    **{code.value: text for code, text in capture.SENTENCES.items()},
+    **{code.value: text for code, text in stems.SENTENCES.items()},
 }
 _REMARKS = frozenset(code.value for code in (*capture.REMARKS, *stems.REMARKS))
 _ADVISES_REVISIT = frozenset(code.value for code in stems.ADVISES_REVISIT)
@@ -16,12 +18,14 @@ _ADVISES_REVISIT = frozenset(code.value for code in stems.ADVISES_REVISIT)
 
 def sentence(given: Notice) -> str:
     """What a notice says; that of an unknown code, of a later version, is the code with its values."""
-    template = _TEMPLATES.get(given.code)
-    if template is None:
+    said = _SAID.get(given.code)
+    if said is None:
         values = ", ".join(f"{key} {value}" for key, value in given.items)
         return f"{given.code}: {values}" if values else given.code
+    if not isinstance(said, str):
+        return said(given.values)
     listed = {key: ", ".join(value) if isinstance(value, tuple) else value for key, value in given.items}
-    return template.format(**listed)
+    return said.format(**listed)
 
 
 def sentences(given: Iterable[Notice]) -> tuple[str, ...]:
