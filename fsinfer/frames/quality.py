@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import ImageError
 from fsinfer.io.images import luminance
+from fsinfer.notices.capture import CaptureCode
+from fsinfer.notices.notice import Notice, notice
 
 # Longer side at which scores are taken, so that photos of 48 megapixels and video frames are judged alike.
 SCORE_SIZE_PX = 1000
@@ -86,10 +88,10 @@ def score_frame(image: NDArray[np.uint8]) -> FrameScore:
     )
 
 
-def reasons_to_drop(scores: Sequence[FrameScore], limits: QualityLimits) -> list[str]:
-    """For each photograph of a set, in order of capture, why it is dropped; empty text keeps it."""
+def reasons_to_drop(scores: Sequence[FrameScore], limits: QualityLimits) -> list[Notice | None]:
+    """For each photograph of a set, in order of capture, why it is dropped; None keeps it."""
     reasons = [_exposure_reason(score, limits) for score in scores]
-    usable = [index for index, reason in enumerate(reasons) if not reason]
+    usable = [index for index, reason in enumerate(reasons) if reason is None]
     if not usable:
         return reasons
     logs = np.log([max(scores[index].sharpness, 1e-9) for index in usable])
@@ -98,13 +100,13 @@ def reasons_to_drop(scores: Sequence[FrameScore], limits: QualityLimits) -> list
     limit = min(median + float(np.log(limits.min_relative_sharpness)), median - limits.min_robust_z * spread)
     blurred = [usable[rank] for rank in np.argsort(logs, kind="stable") if logs[rank] < limit]
     for index in blurred[: int(limits.max_blurred_share * len(usable))]:
-        reasons[index] = "blurred"
+        reasons[index] = notice(CaptureCode.blurred)
     last: FrameScore | None = None
     for index, score in enumerate(scores):
-        if reasons[index]:
+        if reasons[index] is not None:
             continue
         if last is not None and difference(score.thumbnail, last.thumbnail) < limits.min_difference:
-            reasons[index] = "same as the one before"
+            reasons[index] = notice(CaptureCode.repeated)
         else:
             last = score
     return reasons
@@ -116,12 +118,12 @@ def difference(first: NDArray[np.float32], second: NDArray[np.float32]) -> float
     return float(np.abs(first - gain * second).mean())
 
 
-def _exposure_reason(score: FrameScore, limits: QualityLimits) -> str:
+def _exposure_reason(score: FrameScore, limits: QualityLimits) -> Notice | None:
     if score.mean_luminance < limits.min_mean or score.dark_share > limits.max_dark_share:
-        return "too dark"
+        return notice(CaptureCode.too_dark)
     if score.mean_luminance > limits.max_mean or score.bright_share > limits.max_bright_share:
-        return "too bright"
-    return ""
+        return notice(CaptureCode.too_bright)
+    return None
 
 
 def equalize(image: NDArray[np.uint8], method: str) -> NDArray[np.uint8]:

@@ -10,8 +10,6 @@ from typing import Any
 MOST_NAMES = 20
 #: Rejected frames that a sentence lists with their reasons. Source: two lines of a terminal.
 MOST_REASONS = 5
-#: Median height of a phone in the hand, metres: said where a scale contradicts it. Source: adults, standing.
-CAMERA_HEIGHT_M = 1.5
 
 
 class CaptureCode(StrEnum):
@@ -67,7 +65,7 @@ def _unlikely_height(values: Mapping[str, Any]) -> str:
     hint = "; was the length given in centimetres?" if values["centimetres"] else ""
     return (
         f"with this scale the photos were taken {shown} m above the ground (a phone is held at about "
-        f"{CAMERA_HEIGHT_M:g} m): the scale, and with it every DBH, is probably wrong; look at the length given{hint}"
+        f"{values['usual_m']:g} m): the scale, and with it every DBH, is probably wrong; look at the length given{hint}"
     )
 
 
@@ -82,9 +80,7 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
     CaptureCode.frames_not_used: _frames_not_used,
     CaptureCode.photo_of_same_name: "{name} was left out: {other} has the same name",
     CaptureCode.photo_unreadable: "left out: {error}",
-    CaptureCode.photos_unplaced: _left_out(
-        "they could not be placed with the others; more photos between would help"
-    ),
+    CaptureCode.photos_unplaced: _left_out("they could not be placed with the others; more photos between would help"),
     CaptureCode.photos_astray: _left_out(
         "the steps between them do not fit the rest of the walk, so they were joined to it by false matches; turn more "
         "slowly, with more photos between"
@@ -131,5 +127,7 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
 }
 #: Of use to those who look closely, nothing to act upon.
 REMARKS: frozenset[CaptureCode] = frozenset({CaptureCode.scale_error_unknown})
-#: That no scale is known: said once, and not where the report's own alarm says it.
-NO_SCALE: frozenset[CaptureCode] = frozenset({CaptureCode.no_scale_given, CaptureCode.no_scale_from_markers})
+#: That no scale is known: said once, by the stage that looked for one.
+NO_SCALE: frozenset[CaptureCode] = frozenset(
+    {CaptureCode.no_scale_given, CaptureCode.no_scale_from_markers, CaptureCode.markers_of_unknown_length}
+)

@@ -13,10 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from fsinfer.poses.colmap import ENOUGH
 from fsinfer.progress import Progress
 
 _log = logging.getLogger(__name__)
+
+# An adjustment of all photos ends where a step gains less than this share; COLMAP goes on to its limit of steps.
+ENOUGH = 1e-5
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -135,7 +135,7 @@ class Ledger:
         if not carried_on:
             self._empty(stage, known=bool(saved))
         spent_s = float(saved.get("seconds", 0.0)) if carried_on else 0.0
-        entry = {"state": "started", "fingerprint": fingerprint, "run_id": secrets.token_hex(8)}
+        entry: dict[str, Any] = {"state": "started", "fingerprint": fingerprint, "run_id": secrets.token_hex(8)}
         entry |= {"version": stage.version, "made_by": __version__, "inputs": told["inputs"]}
         self._write(stage.name, entry | {"seconds": spent_s})
         start = time.perf_counter()

@@ -21,8 +21,8 @@ from fsinfer.depth.stage import DepthSettings
 from fsinfer.evaluation.figure import plot_evaluation
 from fsinfer.evaluation.metrics import evaluate, read_measured
 from fsinfer.fusion.fuse import FusionSettings
-from fsinfer.poses.estimate import PoseSettings
 from fsinfer.poses.pairs import PairSettings
+from fsinfer.poses.settings import PoseSettings
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scene import read_scene
 from fsinfer.trees.outputs.table import read_trees

@@ -28,7 +28,8 @@ from scipy.spatial.transform import Rotation
 from fsinfer.depth.stage import DepthSettings
 from fsinfer.evaluation.metrics import evaluate, read_measured
 from fsinfer.frames.select import select_frames
-from fsinfer.poses.estimate import PoseSettings, estimate_poses
+from fsinfer.poses.estimate import estimate_poses
+from fsinfer.poses.settings import PoseSettings
 from fsinfer.scale.find import find_scale
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scene import Camera, Scene, read_camera, read_scene, write_camera

@@ -24,7 +24,8 @@ from fsinfer.errors import InputError
 from fsinfer.frames.select import FrameSettings
 from fsinfer.io.images import read_image, write_image
 from fsinfer.poses.colmap import reconstruct
-from fsinfer.poses.estimate import PoseSettings, PosesResult, estimate_poses
+from fsinfer.poses.estimate import PosesResult, estimate_poses
+from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.sparse import SparseModel
 from fsinfer.scale.scale import Scale
 from fsinfer.scene import Scene

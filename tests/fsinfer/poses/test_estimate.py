@@ -14,7 +14,8 @@ import pytest
 
 from fsinfer.errors import FsinferError, ImageError, OutputError, PosesError
 from fsinfer.io.images import image_size, read_image, write_image
-from fsinfer.poses.estimate import PoseSettings, PosesResult, estimate_poses
+from fsinfer.poses.estimate import PosesResult, estimate_poses
+from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.sparse import read_sparse
 from fsinfer.scene import Scene, read_scene
 from tests.support.places import DATA
