@@ -25,6 +25,26 @@ _LINK = re.compile(r"(?<!!)\[(?P<label>[^\]]*)\]\((?P<target>[^)\s]+)\)")
 _CODE = re.compile(r"(^```.*?^```|`[^`\n]*`)", flags=re.DOTALL | re.MULTILINE)
 
 
+def on_config(config: Any) -> Any:
+    """Put the files in place of a pattern in the navigation, such as ``trials-*.md``; there may be none."""
+    config.nav = _expanded(config.nav, Path(config.docs_dir))
+    return config
+
+
+def _expanded(entry: Any, docs: Path) -> Any:
+    if isinstance(entry, dict):
+        return {title: _expanded(inner, docs) for title, inner in entry.items()}
+    if not isinstance(entry, list):
+        return entry
+    items: list[Any] = []
+    for item in entry:
+        if isinstance(item, str) and "*" in item:
+            items += sorted(path.relative_to(docs).as_posix() for path in docs.glob(item))
+        else:
+            items.append(_expanded(item, docs))
+    return items
+
+
 def on_files(files: Files, config: Any) -> Files:
     """Add the pages; a file that is gone ends the build."""
     for page, source in PAGES.items():
