@@ -21,7 +21,7 @@ NO_PATH = "DBH 12.1/13 m/s, 1 / 2"
 PLOT = {
     "source": "photos",
     "warnings": ["/media/usb stick/forest/IMG 1.jpg cannot be read, take it out", NO_PATH],
-    "settings": {"depth": {"model": "/opt/models/mine,2.json", "max_size_px": 1280}},
+    "settings": {"depth": {"model": "/opt/pines,old/mine.json", "max_size_px": 1280}},
 }
 
 
@@ -84,11 +84,11 @@ def test_photographs_only_when_asked_for_and_once(out: Path, tmp_path: Path) -> 
 def test_folders_and_the_users_name_are_taken_out(out: Path, tmp_path: Path) -> None:
     files = unpack(write_support_zip(out, tmp_path / "s.zip"))
     texts = {name: content.decode() for name, content in files.items() if not name.endswith(".jpg")}
-    told = ("/home", "Users", "/media", "/opt", "usb stick", "Pictures", str(tmp_path))
+    told = ("/home", "Users", "/media", "/opt", "pines", "usb stick", "Pictures", str(tmp_path))
     assert [(name, part) for name, text in texts.items() for part in told if part in text] == []
     plot = json.loads(texts["plot.json"])
     assert plot["warnings"] == ["IMG 1.jpg cannot be read, take it out", NO_PATH]
-    assert plot["settings"]["depth"] == {"model": "mine,2.json", "max_size_px": 1280}
+    assert plot["settings"]["depth"] == {"model": "mine.json", "max_size_px": 1280}
     # A photograph keeps its name: the other tables speak of it.
     assert texts["frames/frames.csv"] == "name,source\nanna_01,anna_01.jpg\n"
     assert texts["fsinfer.log"] == "started by user in plots\na.jpg: truncated\n"
@@ -109,6 +109,11 @@ def test_folders_and_the_users_name_are_taken_out(out: Path, tmp_path: Path) -> 
 )
 def test_what_is_a_path_and_what_is_not(text: str, clean: str, out: Path) -> None:
     assert scrubber(out)(text) == clean
+
+
+def test_a_comma_in_the_home_folder_ends_no_path(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Path, "home", classmethod(lambda cls: cls("/home/Doe, Anna")))
+    assert scrubber(out)("cannot read /home/Doe, Anna/plots/x.jpg") == "cannot read x.jpg"
 
 
 def test_names_of_everybody_and_short_ones_stay(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
