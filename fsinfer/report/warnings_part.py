@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from fsinfer.notices.capture import CaptureCode
+from fsinfer.notices.stems import StemCode
 from fsinfer.report.contents import Contents, number, tree_number
 from fsinfer.report.page import Part
 
@@ -12,8 +14,10 @@ NO_SCALE = (
     "No scale is known: all lengths, positions and densities are in model units, not metres, and no DBH is given. "
     "Photograph a marker of known size and run again with --aruco-length-m, or give --endpoints with --length-m."
 )
-# The warning of a stage that NO_SCALE says in other words. That markers of unknown length were seen is another one.
-NO_SCALE_CODE = "no_scale"
+# Warnings of stages that NO_SCALE says in other words. That markers of unknown length were seen is another one.
+NO_SCALE_CODES = frozenset(
+    {CaptureCode.no_scale_given.value, CaptureCode.no_scale_from_markers.value, StemCode.model_units.value}
+)
 # Below this share of the photos placed, parts of the plot are likely to be missing.
 LEAST_PLACED = 0.8
 # Median difference between depth maps and tie points; field photos with good poses have 0.1 to 0.4 %.
@@ -57,7 +61,7 @@ def warnings_part(contents: Contents) -> Part:
     """Scale alarm and warnings in plain words, each with what to do about it; below them mere remarks."""
     plot = contents.plot
     alarm = NO_SCALE if plot and not contents.metric else ""
-    said = [warning for warning in contents.warnings if not (alarm and warning.code == NO_SCALE_CODE)]
+    said = [warning for warning in contents.warnings if not (alarm and warning.code in NO_SCALE_CODES)]
     texts = [warning.text for warning in said if not warning.remark]
     if plot.get("diagnosis") and not contents.trees:
         texts.append(str(plot["diagnosis"]))

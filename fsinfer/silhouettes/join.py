@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from fsinfer.depth.maps import DepthMaps
 from fsinfer.io.files import atomic_path
+from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.stems import StemCode
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene
 from fsinfer.silhouettes.edges import EdgeSettings, StemAxis, Strip, find_edges
@@ -27,7 +29,7 @@ from fsinfer.trees.diameter.dbh import too_uncertain, wide_interval
 from fsinfer.trees.diameter.outline import Outline
 from fsinfer.trees.diameter.silhouette import Edges, SilhouetteFit, SilhouetteSettings, edge_contrast, fit_silhouette
 from fsinfer.trees.measure import trees_found
-from fsinfer.trees.stem_measurement import diameter_columns
+from fsinfer.trees.stem_measurement import with_diameter
 
 Floats = NDArray[np.float64]
 
@@ -35,6 +37,9 @@ SOURCE_COLUMNS = (
     "tree_id", "points_cm", "edges_cm", "edges_std_cm", "photos", "sides_seen", "rays_agreeing", "contrast",
     "points_used",
 )  # fmt: skip
+
+#: Doubts of the cloud that photographs do not lift.
+OFF_BREAST_HEIGHT = frozenset({StemCode.above_breast_height, StemCode.below_breast_height})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,7 +157,7 @@ def join(
         "scale": radius * scale_rel_std,
     }
     sd = 2.0 * float(np.sqrt(sum(part**2 for part in parts.values())))
-    status, reason = _status(section, fit, 2.0 * radius, sd, dbh, s)
+    status, reasons = _status(section, fit, 2.0 * radius, sd, dbh, s)
     measured = status != "unmeasured"
     return replace(
         section,
@@ -160,7 +165,7 @@ def join(
         sd_m=sd,
         parts_m=parts,
         status=status,
-        reason=reason,
+        reasons=reasons,
         circle_m=np.array([*fit.shift_m, radius]),
         outline=_outline(fit, radius, s) if measured and fit.sectors >= s.outline_sectors else None,
         silhouette=fit,
@@ -198,17 +203,17 @@ def _axis(tree: Tree, section: Section) -> StemAxis:
 
 def _status(
     section: Section, fit: SilhouetteFit, dbh_m: float, sd: float, dbh: DbhSettings, s: SilhouetteJoinSettings
-) -> tuple[str, str]:
-    """Return status and reason anew: what the cloud doubted or refused, the silhouette may know."""
+) -> tuple[str, tuple[Notice, ...]]:
+    """Status and reasons anew: what the cloud doubted or refused, the silhouette may know."""
     refused = too_uncertain(dbh_m, sd, dbh)
     if refused:
         return "unmeasured", refused
-    doubts = [part for part in section.reason.split("; ") if "breast height" in part and section.dbh_m is not None]
+    doubts = [why for why in section.reasons if why.code in OFF_BREAST_HEIGHT and section.dbh_m is not None]
     few = fit.photos < s.sure_photos or fit.sectors < s.sure_sectors
     if section.dbh_m is None and few:
-        doubts.append(f"only from its edges in {fit.photos} photos ({section.reason.split(';')[0]})")
+        doubts.append(notice(StemCode.edges_alone, photos=fit.photos, refused=section.reasons[0]))
     doubts += wide_interval(dbh_m, sd, dbh)
-    return ("doubtful", "; ".join(doubts)) if doubts else ("ok", "")
+    return ("doubtful" if doubts else "ok"), tuple(doubts)
 
 
 def _outline(fit: SilhouetteFit, radius: float, s: SilhouetteJoinSettings) -> Outline:
@@ -229,7 +234,7 @@ def _outline(fit: SilhouetteFit, radius: float, s: SilhouetteJoinSettings) -> Ou
 def _tree(tree: Tree, section: Section, stem: StemAxis, fit: SilhouetteFit) -> Tree:
     first, second = stem.across
     moved = stem.breast + fit.shift_m[0] * first + fit.shift_m[1] * second
-    return replace(tree, x_m=float(moved[0]), y_m=float(moved[1]), **diameter_columns(section))
+    return with_diameter(replace(tree, x_m=float(moved[0]), y_m=float(moved[1])), section)
 
 
 def _is_shrub(tree: Tree, stem: StemAxis, edges: Edges, s: SilhouetteJoinSettings) -> bool:
@@ -238,14 +243,14 @@ def _is_shrub(tree: Tree, stem: StemAxis, edges: Edges, s: SilhouetteJoinSetting
     return edge_contrast(edges, stem.radius_m, taper=stem.taper, settings=s.fit) < s.shrub_contrast
 
 
-def _shrub_warning(shrubs: Sequence[Tree]) -> tuple[str, ...]:
+def _shrub_warning(shrubs: Sequence[Tree]) -> tuple[Notice, ...]:
     if not shrubs:
         return ()
-    places = ", ".join(f"({tree.x_m:.1f}, {tree.y_m:.1f})" for tree in shrubs)
-    return (f"left out as shrubs, where the cloud has something like a stem and the photos show none: {places}",)
+    places = tuple(f"({tree.x_m:.1f}, {tree.y_m:.1f})" for tree in shrubs)
+    return (notice(StemCode.shrubs_left_out, places=places),)
 
 
-def _diagnosis(trees: Sequence[Tree]) -> str:
+def _diagnosis(trees: Sequence[Tree]) -> Notice:
     if not trees:
-        return "no trees found: what looked like stems in the cloud are none in the photos"
+        return notice(StemCode.none_in_photos)
     return trees_found(trees)

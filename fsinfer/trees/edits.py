@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import InputError
 from fsinfer.io.csv_text import has_semicolons
+from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.stems import StemCode
 from fsinfer.trees.diameter.section import Section, unmeasured_section
 from fsinfer.trees.measure import PlotResult
 from fsinfer.trees.search.find import find_stems
@@ -131,7 +133,7 @@ def apply_edits(
     """
     trees = {tree.tree_id: (tree, section) for tree, section in zip(result.trees, result.sections, strict=True)}
     first_free = max([0, *trees, *(edit.tree_id or 0 for edit in edits if edit.action == "add")]) + 1
-    done: list[str] = []
+    done: list[Notice] = []
     for edit in edits:
         if edit.action == "add":
             number = edit.tree_id if edit.tree_id is not None else first_free
@@ -141,27 +143,30 @@ def apply_edits(
             first_free += edit.tree_id is None
             place = np.array([_number(edit.x_m), _number(edit.y_m)])
             found = _measured_at(result, points, place[None], settings, scale_rel_std) if metric else None
-            trees[number] = _numbered(found, number, place, settings, "added by hand", metric=metric)
-            done.append(f"{number} added")
+            said = notice(StemCode.added_by_hand)
+            trees[number] = _numbered(found, number, place, settings, said, metric=metric)
+            done.append(notice(StemCode.tree_added, tree_id=number))
         elif edit.action == "delete":
-            trees.pop(_known(edit.tree_id, trees, edit.row))
-            done.append(f"{edit.tree_id} deleted")
+            number = _known(edit.tree_id, trees, edit.row)
+            del trees[number]
+            done.append(notice(StemCode.tree_deleted, tree_id=number))
         else:
             number, other = _known(edit.tree_id, trees, edit.row), _known(edit.other_id, trees, edit.row)
             places = np.array([[trees[i][0].x_m, trees[i][0].y_m] for i in (number, other)])
             found = _measured_at(result, points, places, settings, scale_rel_std) if metric else None
-            said = f"{number} and {other} merged by hand"
+            said = notice(StemCode.merged_by_hand, tree_id=number, other_id=other)
             del trees[other]
             trees[number] = _numbered(found, number, places.mean(axis=0), settings, said, metric=metric)
-            done.append(f"{other} merged into {number}")
+            done.append(notice(StemCode.tree_merged, other_id=other, tree_id=number))
     ordered = [trees[number] for number in sorted(trees)]
     measured = sum(tree.dbh_cm is not None for tree, _ in ordered)
+    told = (notice(StemCode.corrected_by_hand, changes=tuple(done)),) if done else ()
     return replace(
         result,
         trees=tuple(tree for tree, _ in ordered),
         sections=tuple(section for _, section in ordered),
-        diagnosis=f"{len(ordered)} trees after corrections by hand, {measured} with a DBH",
-        warnings=(*result.warnings, f"stem map corrected by hand: tree {', '.join(done)}") if done else result.warnings,
+        diagnosis=notice(StemCode.trees_corrected, trees=len(ordered), measured=measured),
+        warnings=(*result.warnings, *told),
     )
 
 
@@ -203,14 +208,20 @@ def _measured_at(
 
 
 def _numbered(
-    found: tuple[Tree, Section] | None, number: int, place: Floats, settings: TreeSettings, said: str, *, metric: bool
+    found: tuple[Tree, Section] | None,
+    number: int,
+    place: Floats,
+    settings: TreeSettings,
+    said: Notice,
+    *,
+    metric: bool,
 ) -> tuple[Tree, Section]:
     if found is not None:
         tree, section = found
-        reason = f"{said}; {tree.reason}" if tree.reason else said
-        return replace(tree, tree_id=number, reason=reason), replace(section, reason=reason)
-    reason = f"{said}; " + ("no stem to be measured is seen here" if metric else "no scale")
-    section = unmeasured_section(place, settings.bh_m, reason, radius_m=LABEL_RADIUS_M)
+        reasons = (said, *tree.reasons)
+        return replace(tree, tree_id=number, reasons=reasons), replace(section, reasons=reasons)
+    reasons = (said, notice(StemCode.no_stem_here if metric else StemCode.no_scale))
+    section = unmeasured_section(place, settings.bh_m, reasons, radius_m=LABEL_RADIUS_M)
     tree = tree_of(section, 0.0, None, np.zeros(3))
     return replace(tree, tree_id=number), section
 

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fsinfer.errors import CloudError
+from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.stems import StemCode
 from fsinfer.progress import Progress, silent
 from fsinfer.trees.diameter.section import Section
 from fsinfer.trees.ground.ground import Ground, find_ground
@@ -28,7 +30,7 @@ Floats = NDArray[np.float64]
 class PlotResult:
     """Trees with their sections (same order), the ground, and what the forester should know.
 
-    ``diagnosis`` is one sentence on what was found, or why nothing was. ``extent_m`` is x_min, y_min, x_max, y_max.
+    ``diagnosis`` says what was found, or why nothing was. ``extent_m`` is x_min, y_min, x_max, y_max.
     With ``units_per_m`` the scale is unknown: positions and ``extent_m`` are in model units, of which so many are
     guessed to make a metre, and the sections are in metres by that guess.
     """
@@ -36,8 +38,8 @@ class PlotResult:
     trees: tuple[Tree, ...]
     sections: tuple[Section, ...]
     ground: Ground | None
-    diagnosis: str
-    warnings: tuple[str, ...]
+    diagnosis: Notice
+    warnings: tuple[Notice, ...]
     extent_m: tuple[float, float, float, float]
     spacing_m: float
     plot_area_m2: float = 0.0
@@ -113,7 +115,7 @@ def analyse_plot(
     for axis in range(2):
         near &= np.abs(columns[axis] - box[:, axis].mean()) <= 0.5 * np.ptp(box[:, axis]) + margin
     if not near.all():
-        warnings.append(f"{int((~near).sum())} points far outside the plot were left out")
+        warnings.append(notice(StemCode.far_outside, points=int((~near).sum())))
         columns = columns.compress(near, axis=1)
     local = columns.T
     extent = box + origin[:2]
@@ -122,11 +124,11 @@ def analyse_plot(
     ground = find_ground(local, settings=settings.ground, seed=settings.seed)
     check_upside_down(local, ground, settings.ground, settings.sanity, seed=settings.seed)
     if ground.share < 0.6:
-        warnings.append(f"ground seen in only {100 * ground.share:.0f} % of the lowest parts of the plot")
+        warnings.append(notice(StemCode.ground_in_part, percent=100.0 * ground.share))
     stand = np.stack([*columns[:2], columns[2] - ground.height_at(local[:, :2])]).T
     low = rows(stand[:, :2], np.abs(stand[:, 2]) <= NEAR_GROUND_M)
     if seen_area(low, np.zeros((0, 2)), close=False) < settings.sanity.little_ground * plan_m2:
-        warnings.append("little ground is seen: breast height is counted from the lowest points of the stems")
+        warnings.append(notice(StemCode.little_ground))
     progress(1, 3, "looking for stems")
     search = find_stems(stand, settings=settings.stems, progress=progress, seed=settings.seed)
     progress(2, 3, "measuring stems")
@@ -173,27 +175,25 @@ def _check_turned(points: Floats, settings: TreeSettings) -> None:
     raise TurnedCloudError(how, turn)
 
 
-def trees_found(trees: Sequence[Tree]) -> str:
+def trees_found(trees: Sequence[Tree]) -> Notice:
     """How many there are and how many of them have a DBH."""
     measured = sum(tree.dbh_cm is not None for tree in trees)
-    return f"{len(trees)} trees found, {measured} with a DBH"
+    return notice(StemCode.trees_found, trees=len(trees), measured=measured)
 
 
-def _diagnosis(trees: list[Tree], search: StemSearch, stand: Floats, settings: TreeSettings) -> str:
+def _diagnosis(trees: list[Tree], search: StemSearch, stand: Floats, settings: TreeSettings) -> Notice:
     if trees:
         return trees_found(trees)
     low, high = settings.stems.heights_m
     slab = int(np.count_nonzero((stand[:, 2] >= low) & (stand[:, 2] <= high)))
     if slab < 20:
         top = float(np.percentile(stand[:, 2], 99.9))
-        return (
-            f"no trees found: hardly a point lies {low}-{high} m above the ground (the cloud reaches {top:.2f} m); "
-            "check the scale, or photograph the stems as well as the ground"
-        )
-    reasons = ", ".join(f"{count} {why}" for why, count in sorted(search.rejected.items(), key=lambda item: -item[1]))
-    if reasons:
-        return f"no trees found: {search.candidates} candidates, none holds as a stem ({reasons})"
-    return f"no trees found: {slab} points at stem height, but no round vertical surface among them; check the scale"
+        return notice(StemCode.none_at_stem_height, low_m=low, high_m=high, top_m=top)
+    by_count = sorted(search.rejected.items(), key=lambda item: -item[1])
+    if by_count:
+        rejected = tuple(notice(why, count=count) for why, count in by_count)
+        return notice(StemCode.none_holds, candidates=search.candidates, rejected=rejected)
+    return notice(StemCode.none_round, points=slab)
 
 
 def _without_scale(
@@ -220,16 +220,15 @@ def _without_scale(
             residual_cm=None,
             height_m=None,
             status="unmeasured",
-            reason="no scale",
+            reasons=(notice(StemCode.no_scale),),
         )
         for tree in result.trees
     ]
-    warning = "no scale: positions are in model units and no diameter is given"
     x_min, y_min, x_max, y_max = (units * value for value in result.extent_m)
     return replace(
         result,
         trees=tuple(trees),
-        warnings=(*result.warnings, warning),
+        warnings=(*result.warnings, notice(StemCode.model_units)),
         extent_m=(x_min, y_min, x_max, y_max),
         plot_area_m2=0.0,
         units_per_m=units,

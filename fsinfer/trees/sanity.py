@@ -9,6 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fsinfer.errors import CloudError
+from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.sentences import sentence
+from fsinfer.notices.stems import StemCode
 from fsinfer.trees.ground.ground import Ground, GroundSettings, find_ground, reach_of
 
 Floats = NDArray[np.float64]
@@ -55,9 +58,9 @@ class TurnedCloudError(CloudError):
         self.how, self.turn = how, turn
 
     @property
-    def warning(self) -> str:
+    def warning(self) -> Notice:
         """What to say where the cloud was turned for the user."""
-        return f"the cloud did not stand upright: {self.how} in it; it was turned, and so is the frame of all results"
+        return notice(StemCode.turned, how=self.how)
 
 
 def check_upside_down(
@@ -83,7 +86,7 @@ def coordinate_step(xyz: Floats) -> float:
     return max((float(step.min()) for step in steps if len(step)), default=0.0)
 
 
-def clean(points: ArrayLike, sanity: SanitySettings) -> tuple[Floats, list[str]]:
+def clean(points: ArrayLike, sanity: SanitySettings) -> tuple[Floats, list[Notice]]:
     """Finite points (N, 3) float64 with warnings; raises where too few are left or their steps are too coarse."""
     xyz = np.asarray(points, dtype=np.float64)
     if xyz.ndim != 2 or xyz.shape[1] != 3:
@@ -93,8 +96,8 @@ def clean(points: ArrayLike, sanity: SanitySettings) -> tuple[Floats, list[str]]
     finite = np.isfinite(xyz[:, 0] + xyz[:, 1] + xyz[:, 2])
     warnings = []
     if not finite.all():
-        warnings.append(f"{int((~finite).sum())} points with NaN or infinite coordinates were left out")
-        _log.warning(warnings[-1])
+        warnings.append(notice(StemCode.not_finite, points=int((~finite).sum())))
+        _log.warning(sentence(warnings[-1]))
         xyz = xyz[finite]
     if len(xyz) < sanity.min_points:
         msg = f"the cloud holds only {len(xyz)} usable points; a plot needs thousands: check the file and the fusion"
@@ -107,7 +110,7 @@ def clean(points: ArrayLike, sanity: SanitySettings) -> tuple[Floats, list[str]]
         )
         raise CloudError(msg)
     if step >= sanity.warn_step_m:
-        warnings.append(f"the coordinates come in steps of {1000 * step:.0f} mm: diameters cannot be better than that")
+        warnings.append(notice(StemCode.coarse_steps, step_mm=1000.0 * step))
     return xyz, warnings
 
 

@@ -16,6 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.io.files import atomic_path
+from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.sentences import sentence
+from fsinfer.notices.stems import StemCode
 from fsinfer.trees.cylinder.axis import axis_coordinates, fit_axis
 from fsinfer.trees.diameter.circle import covered_bins
 from fsinfer.trees.diameter.section import Section
@@ -50,7 +53,7 @@ class CurveSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class CurvePoint:
-    """One height of a stem: diameter in cm, or None and why; ``std_cm`` is the standard deviation of the fit."""
+    """One height of a stem: diameter in cm, or None and ``why``; ``std_cm`` is the standard deviation of the fit."""
 
     tree_id: int
     height_m: float
@@ -58,7 +61,12 @@ class CurvePoint:
     std_cm: float | None
     arc_coverage: float
     points: int
-    reason: str
+    why: Notice | None = None
+
+    @property
+    def reason(self) -> str:
+        """Why there is no diameter, in words; empty where there is one."""
+        return "" if self.why is None else sentence(self.why)
 
 
 COLUMNS = ("tree_id", "height_m", "diameter_cm", "std_cm", "arc_coverage", "points", "reason")
@@ -143,33 +151,34 @@ def _at(
     window = window[np.abs(np.hypot(offset[:, 0], offset[:, 1]) - expected[4]) <= reach]
     window = window[:: max(len(window) // s.max_points, 1)]
 
-    def none(reason: str, coverage: float = 0.0) -> tuple[CurvePoint, None]:
+    def none(why: Notice, coverage: float = 0.0) -> tuple[CurvePoint, None]:
         point = CurvePoint(
             tree_id=tree.tree_id, height_m=height, diameter_cm=None, std_cm=None, arc_coverage=coverage,
-            points=len(window), reason=reason,
+            points=len(window), why=why,
         )  # fmt: skip
         return point, None
 
     if len(window) < s.min_points:
-        return none(f"too few points: {len(window)}")
+        return none(notice(StemCode.few_at_height, points=len(window)))
     noise = section.residual_m
     fit = fit_axis(window, expected, height, sigma_m=max(1.5 * noise, 0.006))
     offset, foot = axis_coordinates(window, fit.parameters, height)
     wall = np.abs(fit.residuals_m) <= 2.5 * fit.sigma_m
     coverage = float(covered_bins(offset[wall], bins=36).mean())
     if wall.sum() < s.min_points:
-        return none(f"too few points on the bark: {int(wall.sum())}", coverage)
+        return none(notice(StemCode.few_on_bark_at_height, points=int(wall.sum())), coverage)
     if coverage < s.min_coverage:
-        return none(f"only {360 * coverage:.0f} degrees of the stem are seen", coverage)
+        return none(notice(StemCode.little_seen, seen_deg=360.0 * coverage), coverage)
     if fit.sigma_m > s.max_noise * noise + s.slack_noise_m:
-        return none(f"surface too rough: residual {100 * fit.sigma_m:.1f} cm", coverage)
+        return none(notice(StemCode.rough_at_height, residual_cm=100.0 * fit.sigma_m), coverage)
     growth = fit.radius_m / max(float(state[4]), 1e-3)
     low, high = (s.max_loss, s.max_growth) if height > at else (1.0 / s.max_growth, 1.0 / s.max_loss)
     if not low <= growth <= high:
-        return none("its curvature does not fit the stem next to it: a whorl, a fork, or twigs", coverage)
+        return none(notice(StemCode.curvature_differs), coverage)
     std = float(np.sqrt(max(fit_spread(fit, offset, foot).covariance[4, 4], 0.0)))
     if std > s.max_std * fit.radius_m:
-        return none(f"too uncertain: {200 * fit.radius_m:.0f} cm, standard deviation {200 * std:.0f} cm", coverage)
+        why = notice(StemCode.uncertain_at_height, diameter_cm=200.0 * fit.radius_m, std_cm=200.0 * std)
+        return none(why, coverage)
     point = CurvePoint(
         tree_id=tree.tree_id,
         height_m=height,
@@ -177,6 +186,5 @@ def _at(
         std_cm=200.0 * std,
         arc_coverage=coverage,
         points=int(wall.sum()),
-        reason="",
     )
     return point, fit.parameters

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.notices.notice import notice
+from fsinfer.notices.stems import StemCode
 from fsinfer.trees.diameter.dbh import measure_together
 from fsinfer.trees.diameter.section import Section
 from fsinfer.trees.ground.ground import Ground
@@ -89,10 +90,9 @@ def doubt_the_rough(pairs: list[tuple[Tree, Section]]) -> list[tuple[Tree, Secti
     marked = []
     for tree, section in pairs:
         if tree.dbh_cm is not None and tree.residual_cm is not None and tree.residual_cm > limit:
-            doubt = f"residual {tree.residual_cm:.1f} cm, far above the plot's other stems: perhaps a double wall"
-            reason = f"{tree.reason}; {doubt}" if tree.reason else doubt
-            tree = replace(tree, status="doubtful", reason=reason)
-            section = replace(section, status="doubtful", reason=reason)
+            reasons = (*tree.reasons, notice(StemCode.rougher_than_others, residual_cm=tree.residual_cm))
+            tree = replace(tree, status="doubtful", reasons=reasons)
+            section = replace(section, status="doubtful", reasons=reasons)
         marked.append((tree, section))
     return marked
 
@@ -132,7 +132,7 @@ def _surface_distance(points: Floats, stem: Stem) -> Floats:
 
 def tree_of(section: Section, z_ground: float, height: float | None, origin: Floats) -> Tree:
     """The row of ``trees.csv`` of a section about ``origin`` (3,), in metres; its number is still 0."""
-    return Tree(
+    blank = Tree(
         tree_id=0,
         x_m=float(section.center[0] + origin[0]),
         y_m=float(section.center[1] + origin[1]),
@@ -143,22 +143,31 @@ def tree_of(section: Section, z_ground: float, height: float | None, origin: Flo
         residual_cm=100.0 * section.residual_m if np.isfinite(section.residual_m) else None,
         lean_deg=section.lean_deg,
         height_m=height,
-        **diameter_columns(section),
+        dbh_cm=None,
+        dbh_lo95_cm=None,
+        dbh_hi95_cm=None,
+        dbh_perimeter_cm=None,
+        dbh_min_cm=None,
+        dbh_max_cm=None,
+        status=section.status,
+        reasons=section.reasons,
     )
+    return with_diameter(blank, section)
 
 
-def diameter_columns(section: Section) -> dict[str, Any]:
-    """The fields of :class:`Tree` that say what the diameter is, how sure, and why there is none."""
+def with_diameter(tree: Tree, section: Section) -> Tree:
+    """The tree with what ``section`` says of its diameter, how sure that is, and why there is none."""
     dbh = None if section.dbh_m is None else 100.0 * section.dbh_m
     half = 1.96 * 100.0 * section.sd_m
     outline = section.outline if dbh is not None else None
-    return {
-        "dbh_cm": dbh,
-        "dbh_lo95_cm": None if dbh is None else max(dbh - half, 0.0),
-        "dbh_hi95_cm": None if dbh is None else dbh + half,
-        "dbh_perimeter_cm": None if outline is None else 100.0 * outline.girth_diameter_m,
-        "dbh_min_cm": None if outline is None else 100.0 * outline.min_diameter_m,
-        "dbh_max_cm": None if outline is None else 100.0 * outline.max_diameter_m,
-        "status": section.status,
-        "reason": section.reason,
-    }
+    return replace(
+        tree,
+        dbh_cm=dbh,
+        dbh_lo95_cm=None if dbh is None else max(dbh - half, 0.0),
+        dbh_hi95_cm=None if dbh is None else dbh + half,
+        dbh_perimeter_cm=None if outline is None else 100.0 * outline.girth_diameter_m,
+        dbh_min_cm=None if outline is None else 100.0 * outline.min_diameter_m,
+        dbh_max_cm=None if outline is None else 100.0 * outline.max_diameter_m,
+        status=section.status,
+        reasons=section.reasons,
+    )

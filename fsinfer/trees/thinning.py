@@ -17,6 +17,8 @@ from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
 
 from fsinfer.errors import CloudError
 from fsinfer.io.chunks import ChunkedCloud
+from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.stems import StemCode
 from fsinfer.progress import Progress, silent
 
 Floats = NDArray[np.float64]
@@ -45,7 +47,7 @@ class ThinnedCloud:
 
     xyz: Floats
     total: int
-    warnings: tuple[str, ...]
+    warnings: tuple[Notice, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,9 +106,9 @@ def thin_while_reading(
         progress((finite + read) // 2, cloud.points, "reading the cloud")
     warnings = [_told(cloud.points, sum(map(len, kept)), most, grid.cell_m, s)]
     if finite < cloud.points:
-        warnings.append(f"{cloud.points - finite} points with NaN or infinite coordinates were left out")
+        warnings.append(notice(StemCode.not_finite, points=cloud.points - finite))
     if inside < finite:
-        warnings.append(f"{finite - inside} points far outside the plot were left out")
+        warnings.append(notice(StemCode.far_outside, points=finite - inside))
     return ThinnedCloud(xyz=np.concatenate(kept), total=cloud.points, warnings=tuple(warnings))
 
 
@@ -178,9 +180,15 @@ def _most(counts: NDArray[np.uint32], crowd: NDArray[np.float32], budget: int) -
     return low
 
 
-def _told(total: int, kept: int, most: tuple[float, ...], cell_m: float, s: ThinningSettings) -> str:
+def _told(total: int, kept: int, most: tuple[float, ...], cell_m: float, s: ThinningSettings) -> Notice:
     low, high = s.fine_heights_m
-    return (
-        f"the cloud has {total:,} points: {kept:,} of them, drawn at random, were measured (up to {most[0]:.0f} in "
-        f"each cell of {100 * cell_m:.0f} cm between {low} and {high} m above the ground, {most[1]:.0f} elsewhere)"
+    return notice(
+        StemCode.thinned,
+        total=total,
+        kept=kept,
+        fine=most[0],
+        elsewhere=most[1],
+        cell_cm=100.0 * cell_m,
+        low_m=low,
+        high_m=high,
     )

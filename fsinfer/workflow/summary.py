@@ -148,7 +148,7 @@ def all_warnings(records: PlotRecords) -> tuple[Notice, ...]:
 def no_scale_once(said: Iterable[Notice], more: Iterable[Notice]) -> tuple[Notice, ...]:
     """Warnings ``more``, without that there is no scale where it was ``said`` already."""
     told = any(item.code in NO_SCALE for item in said)
-    return tuple(item for item in more if not (told and item.code == StemCode.no_scale_known))
+    return tuple(item for item in more if not (told and item.code == StemCode.model_units))
 
 
 def update_plot(out: Path, *, source: str, stage: str, seconds: float, values: Mapping[str, Any]) -> dict[str, Any]:

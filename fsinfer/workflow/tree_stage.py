@@ -19,6 +19,7 @@ from fsinfer.trees import PlotResult, StandTable, TreeSettings, analyse_plot
 from fsinfer.trees.edits import TreeEdit, apply_edits
 from fsinfer.trees.outputs.labels import label_points
 from fsinfer.trees.outputs.maps import write_maps
+from fsinfer.trees.outputs.reasons import write_reasons
 from fsinfer.trees.outputs.table import write_trees
 from fsinfer.trees.outputs.workbook import write_tables
 from fsinfer.trees.posts import without_posts
@@ -104,10 +105,10 @@ def measure_plot(
 ) -> TreesResult:
     """Measure the trees of a cloud and write table, maps, labelled points and figures into ``out``.
 
-    ``out`` receives ``trees.csv`` and ``figures/*.png``, and in metres ``trees.gpkg`` (``trees.geojson`` too where the
-    frame's place on earth is known) and ``trees.laz``, the cloud with a ``TreeID``, ``stem_curve.csv`` and
-    ``trees.xlsx`` (all tables as sheets), with photographs also ``dbh_sources.csv`` and ``figures/*_edges.png``; what
-    an earlier measurement left is removed.
+    ``out`` receives ``trees.csv``, ``trees.json`` (the reasons as codes) and ``figures/*.png``, and in metres
+    ``trees.gpkg`` (``trees.geojson`` too where the frame's place on earth is known) and ``trees.laz``, the cloud with a
+    ``TreeID``, ``stem_curve.csv`` and ``trees.xlsx`` (all tables as sheets), with photographs also ``dbh_sources.csv``
+    and ``figures/*_edges.png``; what an earlier measurement left is removed.
 
     Raises
     ------
@@ -127,6 +128,7 @@ def measure_plot(
 def no_trees(out: Path, *, reason: Notice) -> TreesResult:
     """Write an empty ``trees.csv`` where measuring is impossible."""
     write_trees(out / "trees.csv", [])
+    write_reasons(out / "trees.json", [])
     clear_outputs(out)
     return TreesResult(diagnosis=reason, warnings=(reason,))
 
@@ -201,6 +203,7 @@ def _write(result: PlotResult, given: PlotCloudInput, out: Path, curves: dict[in
     from fsinfer.trees.outputs.figures import write_figures  # loads matplotlib
 
     write_trees(out / "trees.csv", result.trees)
+    write_reasons(out / "trees.json", result.trees)
     write_figures(out / "figures", result, curves=curves)
     if not given.metric:
         return

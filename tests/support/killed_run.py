@@ -85,7 +85,7 @@ def select_frames(source: Path, out: Path, **_: Any) -> FramesResult:
                 bright_share=0.0,
                 kept=True,
                 reason="",
-            )  # fmt: skip
+            )
         )
     return FramesResult(folder=out, rows=tuple(rows))
 

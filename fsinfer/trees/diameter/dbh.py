@@ -20,6 +20,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.stems import StemCode
 from fsinfer.trees.cylinder.axis import AxisFit, axis_coordinates
 from fsinfer.trees.diameter.circle import covered_bins
 from fsinfer.trees.diameter.double_wall import blurred_gap, wall_gap
@@ -111,7 +113,7 @@ def _section(
         return unmeasured_section(
             fit.center_at(height),
             height,
-            f"too few points at breast height: fewer than {s.min_points}",
+            (notice(StemCode.too_few_at_breast_height, least=s.min_points),),
             radius_m=fit.radius_m,
             lean_deg=fit.lean_deg,
             slope=fit.parameters[2:4],
@@ -158,13 +160,13 @@ def _section(
         gap = blurred_gap(offset, fit.residuals_m, fit.sigma_m)
     share, metres = s.max_change
     astray = abs(fit.radius_m - stem.axis.radius_m) > share * stem.axis.radius_m + metres
-    reason = _refuse(fit, coverage, 2.0 * radius, sd, gap, int(wall.sum()), s)
-    if astray and not reason:
-        reason = "no round surface at breast height: its curvature changes too much with the part that is looked at"
-    status = "unmeasured" if reason else "ok"
-    if not reason:
-        reason = _doubt(coverage, 2.0 * radius, sd, height - bh_m, s)
-        status = "doubtful" if reason else "ok"
+    reasons = _refused(fit, coverage, 2.0 * radius, sd, gap, int(wall.sum()), s)
+    if astray and not reasons:
+        reasons = (notice(StemCode.not_round),)
+    status = "unmeasured" if reasons else "ok"
+    if not reasons:
+        reasons = _doubts(coverage, 2.0 * radius, sd, height - bh_m, s)
+        status = "doubtful" if reasons else "ok"
     return Section(
         center=fit.center_at(height),
         bh_m=height,
@@ -180,7 +182,7 @@ def _section(
         taper=float(fit.parameters[5]),
         top_m=stem.top_m,
         status=status,
-        reason=reason,
+        reasons=reasons,
         offsets_m=section.offsets_m,
         kept=section.kept,
         circle_m=circle,
@@ -199,34 +201,41 @@ def _girth_factor(fit: AxisFit, spread: Spread) -> float:
     return 1.0 + float((order**2 * squares).sum()) / (4.0 * fit.radius_m**2)
 
 
-def _refuse(fit: AxisFit, coverage: float, dbh_m: float, sd: float, gap: float, count: int, s: DbhSettings) -> str:
+def _refused(
+    fit: AxisFit, coverage: float, dbh_m: float, sd: float, gap: float, count: int, s: DbhSettings
+) -> tuple[Notice, ...]:
+    """Why there is no diameter; empty where there is one."""
     if count < s.min_points:
-        return f"too few points at breast height: {count}; photograph the stem from more places"
+        return (notice(StemCode.too_few_on_bark, points=count),)
     if coverage < s.min_coverage:
-        return f"only {360 * coverage:.0f} degrees of the stem are seen; walk round it"
+        return (notice(StemCode.too_little_seen, seen_deg=360.0 * coverage),)
     if gap > 0.0:
-        return f"double wall: two surfaces {100 * gap:.1f} cm apart; the poses or scans do not agree at this stem"
+        return (notice(StemCode.double_wall, gap_cm=100.0 * gap),)
     if fit.sigma_m > min(s.max_sigma_m, 0.5 * s.max_sigma_of_radius * dbh_m):
-        return f"surface too rough: residual {100 * fit.sigma_m:.1f} cm; undergrowth or bad depth at breast height"
+        return (notice(StemCode.too_rough, residual_cm=100.0 * fit.sigma_m),)
     return too_uncertain(dbh_m, sd, s)
 
 
-def too_uncertain(dbh_m: float, sd: float, s: DbhSettings) -> str:
+def too_uncertain(dbh_m: float, sd: float, s: DbhSettings) -> tuple[Notice, ...]:
     """Why a diameter with the standard deviation ``sd``, both metres, is no measurement; empty where it is one."""
     if 2 * 1.96 * sd > s.max_interval * dbh_m:
-        return f"too uncertain: {100 * dbh_m:.0f} cm +- {100 * 1.96 * sd:.0f} cm; walk round the stem"
-    return ""
+        return (notice(StemCode.too_uncertain, dbh_cm=100.0 * dbh_m, half_width_cm=100.0 * 1.96 * sd),)
+    return ()
 
 
-def wide_interval(dbh_m: float, sd: float, s: DbhSettings) -> list[str]:
+def wide_interval(dbh_m: float, sd: float, s: DbhSettings) -> tuple[Notice, ...]:
     """The doubt about a diameter with the standard deviation ``sd``, both metres, if there is one."""
-    return [f"wide interval (+- {100 * 1.96 * sd:.1f} cm)"] if 2 * 1.96 * sd > s.doubtful_interval * dbh_m else []
+    if 2 * 1.96 * sd > s.doubtful_interval * dbh_m:
+        return (notice(StemCode.wide_interval, half_width_cm=100.0 * 1.96 * sd),)
+    return ()
 
 
-def _doubt(coverage: float, dbh_m: float, sd: float, shift: float, s: DbhSettings) -> str:
+def _doubts(coverage: float, dbh_m: float, sd: float, shift: float, s: DbhSettings) -> tuple[Notice, ...]:
     doubts = []
-    if abs(shift) > 0.05:
-        doubts.append(f"measured {100 * abs(shift):.0f} cm {'above' if shift > 0 else 'below'} breast height")
+    if shift > 0.05:
+        doubts.append(notice(StemCode.above_breast_height, off_cm=100.0 * shift))
+    elif shift < -0.05:
+        doubts.append(notice(StemCode.below_breast_height, off_cm=-100.0 * shift))
     if coverage < s.doubtful_coverage:
-        doubts.append(f"only {360 * coverage:.0f} degrees of the stem are seen")
-    return "; ".join([*doubts, *wide_interval(dbh_m, sd, s)])
+        doubts.append(notice(StemCode.little_seen, seen_deg=360.0 * coverage))
+    return (*doubts, *wide_interval(dbh_m, sd, s))

@@ -12,10 +12,11 @@ import sqlite3
 import struct
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import astuple, fields
+from dataclasses import fields
 from pathlib import Path
 
 from fsinfer.io.files import atomic_path, write_text
+from fsinfer.trees.outputs.table import COLUMNS
 from fsinfer.trees.tree import Tree
 
 _APPLICATION_ID = 0x47504B47  # "GPKG"
@@ -58,7 +59,6 @@ def write_maps(out: Path, trees: Sequence[Tree], *, epsg: int | None = None) -> 
 
 def write_geopackage(path: Path, trees: Sequence[Tree], *, epsg: int | None = None) -> None:
     """Write a layer ``trees`` of points with every column of ``trees.csv``."""
-    names = [field.name for field in fields(Tree)]
     kinds = [_sql_kind(str(field.type)) for field in fields(Tree)]
     srs = _LOCAL if epsg is None else epsg
     with atomic_path(path) as temporary:
@@ -77,7 +77,7 @@ def write_geopackage(path: Path, trees: Sequence[Tree], *, epsg: int | None = No
                 # The definition by its code: programs look EPSG codes up in their own tables.
                 systems.append((f"EPSG:{srs}", srs, "EPSG", srs, "undefined", None))
             base.executemany("INSERT INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, ?)", systems)
-            columns = ", ".join(f"{name} {kind}" for name, kind in zip(names, kinds, strict=True))
+            columns = ", ".join(f"{name} {kind}" for name, kind in zip(COLUMNS, kinds, strict=True))
             base.execute(f"CREATE TABLE trees (fid INTEGER PRIMARY KEY AUTOINCREMENT, geom POINT, {columns})")
             box = [f(v) for f in (min, max) for v in zip(*((t.x_m, t.y_m) for t in trees), strict=True)] or [None] * 4
             base.execute(
@@ -86,10 +86,10 @@ def write_geopackage(path: Path, trees: Sequence[Tree], *, epsg: int | None = No
                 (*box, srs),
             )
             base.execute("INSERT INTO gpkg_geometry_columns VALUES ('trees', 'geom', 'POINT', ?, 0, 0)", (srs,))
-            marks = ", ".join("?" for _ in range(len(names) + 1))
+            marks = ", ".join("?" for _ in range(len(COLUMNS) + 1))
             base.executemany(
-                f"INSERT INTO trees (geom, {', '.join(names)}) VALUES ({marks})",
-                [(_point(tree.x_m, tree.y_m, srs), *astuple(tree)) for tree in trees],
+                f"INSERT INTO trees (geom, {', '.join(COLUMNS)}) VALUES ({marks})",
+                [(_point(tree.x_m, tree.y_m, srs), *(getattr(tree, name) for name in COLUMNS)) for tree in trees],
             )
 
 
@@ -99,7 +99,7 @@ def write_geojson(path: Path, trees: Sequence[Tree], *, epsg: int | None) -> Non
         {
             "type": "Feature",
             "geometry": {"type": "Point", "coordinates": [round(v, 9) for v in to_wgs84(tree.x_m, tree.y_m, epsg)]},
-            "properties": {field.name: getattr(tree, field.name) for field in fields(Tree)},
+            "properties": {name: getattr(tree, name) for name in COLUMNS},
         }
         for tree in trees
     ]
@@ -157,4 +157,4 @@ def _point(x_m: float, y_m: float, srs: int) -> bytes:
 def _sql_kind(annotation: str) -> str:
     if "int" in annotation:
         return "INTEGER"
-    return "TEXT" if "str" in annotation else "DOUBLE"
+    return "TEXT" if "str" in annotation or "Notice" in annotation else "DOUBLE"

@@ -10,10 +10,12 @@ from typing import Any
 
 from fsinfer.errors import InputError
 from fsinfer.io.files import atomic_path
+from fsinfer.notices.notice import notice
+from fsinfer.notices.stems import StemCode
 from fsinfer.trees.tree import Tree
 
-#: The columns in their order: exactly the fields of :class:`~fsinfer.trees.measure.Tree`.
-COLUMNS: tuple[str, ...] = tuple(field.name for field in fields(Tree))
+#: The columns in their order: the fields of :class:`~fsinfer.trees.tree.Tree`, the reasons in words.
+COLUMNS: tuple[str, ...] = tuple("reason" if field.name == "reasons" else field.name for field in fields(Tree))
 _OPTIONAL = frozenset(field.name for field in fields(Tree) if "None" in str(field.type))
 _INTEGERS = frozenset({"tree_id", "points"})
 _TEXT = frozenset({"status", "reason"})
@@ -29,7 +31,7 @@ def write_trees(path: Path, trees: Sequence[Tree]) -> None:
 
 
 def read_trees(path: Path) -> list[Tree]:
-    """Read a ``trees.csv``.
+    """Read a ``trees.csv``; reasons come back as they are written (``StemCode.as_written``).
 
     Raises :class:`~fsinfer.errors.InputError` naming the row and column that cannot be read.
     """
@@ -76,7 +78,9 @@ def _tree(path: Path, number: int, row: dict[str, str]) -> Tree:
     for name in COLUMNS:
         text = (row[name] or "").strip()
         try:
-            if name in _TEXT:
+            if name == "reason":
+                values["reasons"] = (notice(StemCode.as_written, text=text),) if text else ()
+            elif name in _TEXT:
                 values[name] = text
             elif text == "" and name in _OPTIONAL:
                 values[name] = None

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from fsinfer.notices.stems import StemCode
 from fsinfer.progress import Progress, silent
 from fsinfer.trees.cylinder.axis import axis_coordinates
 from fsinfer.trees.points.cells import PlanIndex, measured_spacing, rows, thin
@@ -36,7 +37,7 @@ class StemSearch:
 
     stems: tuple[Stem, ...]
     candidates: int
-    rejected: dict[str, int]
+    rejected: dict[StemCode, int]
     spacing_m: float
 
 
@@ -76,7 +77,7 @@ def _rounds(xy: Floats, apart_m: float) -> Iterator[Ints]:
 
 def _search(
     seeds: Floats, index: PlanIndex, cell_m: float, s: StemSettings, progress: Progress
-) -> tuple[list[Stem], dict[str, int]]:
+) -> tuple[list[Stem], dict[StemCode, int]]:
     """The stems at seeds (K, 3) of x, y, height, strongest first, and how many were turned down for which reason.
 
     In rounds (:func:`_rounds`): a seed inside of a stem that an earlier round has found says nothing new. Nearly all
@@ -90,7 +91,7 @@ def _search(
     bounds = [*range(0, first_turn, s.together), *range(first_turn, len(order), s.together), len(order)]
     places = seeds[order]
     covered = np.full(len(order), len(rounds))  # the first turn after which a stem stands there
-    rejected: dict[str, int] = {}
+    rejected: dict[StemCode, int] = {}
     accepted: list[Stem] = []
     for first, last in pairwise(bounds):
         progress(first, len(seeds), "looking for stems")
@@ -99,14 +100,14 @@ def _search(
             Candidate(near=index.near(seed[:2], s.radius_m[1] + 0.15), xy=seed[:2], height_m=float(seed[2]))
             for seed in places[ahead]
         ]
-        for row, (stem, why) in zip(ahead, verify(candidates, cell_m, s), strict=True):
+        for row, found in zip(ahead, verify(candidates, cell_m, s), strict=True):
             if covered[row] < turn[row]:
                 continue
-            if stem is None:
-                rejected[why] = rejected.get(why, 0) + 1
+            if isinstance(found, StemCode):
+                rejected[found] = rejected.get(found, 0) + 1
             else:
-                accepted.append(stem)
-                inside = _inside(stem, places)
+                accepted.append(found)
+                inside = _inside(found, places)
                 covered[inside] = np.minimum(covered[inside], turn[row])
     return accepted, rejected
 
@@ -134,8 +135,8 @@ def _resolve_overlaps(stems: list[Stem], index: PlanIndex, cell_m: float, s: Ste
                 offset, _ = axis_coordinates(near, other.axis.parameters, other.axis.height_m)
                 own = other.axis.radius_m + max(4.0 * other.axis.sigma_m, 1.5 * cell_m)
                 near = near[np.hypot(offset[:, 0], offset[:, 1]) > own]
-            ((again, _),) = verify([Candidate(near=near, xy=center, height_m=1.3)], cell_m, s)
-            if again is None or again.quality < 0.5 * stem.quality:
+            (again,) = verify([Candidate(near=near, xy=center, height_m=1.3)], cell_m, s)
+            if isinstance(again, StemCode) or again.quality < 0.5 * stem.quality:
                 continue
             shift = float(np.linalg.norm(again.axis.center_at(1.3) - center))
             clash = any(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.notices.stems import StemCode
 from fsinfer.trees.cylinder.axis import Axis, AxisSettings, axis_coordinates
 from fsinfer.trees.cylinder.batch import fit_axes
 from fsinfer.trees.points.cells import rows
@@ -26,33 +27,33 @@ class Candidate:
     height_m: float
 
 
-def verify(candidates: Sequence[Candidate], cell_m: float, s: StemSettings) -> list[tuple[Stem | None, str]]:
-    """The stem at each candidate, or None and why there is none.
+def verify(candidates: Sequence[Candidate], cell_m: float, s: StemSettings) -> list[Stem | StemCode]:
+    """The stem at each candidate, or why there is none.
 
     Candidates do not know of each other; they are taken together because their axes are fitted at once.
     """
-    result: list[tuple[Stem | None, str]] = [(None, "too few points")] * len(candidates)
+    result: list[Stem | StemCode] = [StemCode.candidate_few_points] * len(candidates)
     windows: dict[int, Floats] = {}
     radii: dict[int, list[float]] = {}
     for number, candidate in enumerate(candidates):
         window = rows(candidate.near, np.abs(candidate.near[:, 2] - candidate.height_m) <= 0.5 * s.window_m)
         if len(window) >= s.min_points:
             windows[number], radii[number] = window, _start_radii(window, candidate.xy, s)
-            result[number] = None, "no ring"
+            result[number] = StemCode.candidate_no_ring
     # All rings at once; the first that is a stem counts, else what the last one lacks.
     rings = [(n, radius) for n, found in radii.items() for radius in found]
     axes = _fit_rings([candidates[n] for n, _ in rings], [windows[n] for n, _ in rings], [r for _, r in rings], s)
     for (n, _), axis in zip(rings, axes, strict=True):
-        if result[n][0] is None:
-            result[n] = (None, axis) if isinstance(axis, str) else _judge(candidates[n].near, axis, cell_m, s)
+        if isinstance(result[n], StemCode):
+            result[n] = axis if isinstance(axis, StemCode) else _judge(candidates[n].near, axis, cell_m, s)
     return result
 
 
 def _fit_rings(
     candidates: Sequence[Candidate], windows: Sequence[Floats], radii: Sequence[float], s: StemSettings
-) -> list[Axis | str]:
+) -> list[Axis | StemCode]:
     """The axis of each candidate that starts from a ring of the given radius, or why there is none."""
-    result: list[Axis | str] = ["radius out of range"] * len(candidates)
+    result: list[Axis | StemCode] = [StemCode.candidate_radius] * len(candidates)
 
     def fit(those: list[int], axes: list[Axis], points: Sequence[Floats], most: int, steps: AxisSettings) -> list[Axis]:
         return fit_axes(
@@ -82,25 +83,25 @@ def _fit_rings(
         alive, fit(alive, axes, windows, s.more_points, AxisSettings(iterations=s.more_steps)), 0.75, 1.1
     )
     for row in alive:
-        result[row] = "not round"
+        result[row] = StemCode.candidate_not_round
     round_ = [(row, axis) for row, axis in zip(alive, axes, strict=True) if axis.sigma_m <= s.max_sigma_m]
     alive, axes = [row for row, _ in round_], [axis for _, axis in round_]
     nears = [c.near for c in candidates]
     last = AxisSettings(tolerance=s.tolerance_m)
     for row, axis in zip(alive, fit(alive, axes, nears, s.fit_points, last), strict=True):
         if not s.radius_m[0] * 0.75 <= axis.radius_m <= s.radius_m[1] * 1.1:
-            result[row] = "radius out of range"
+            result[row] = StemCode.candidate_radius
         elif axis.lean_deg > s.max_lean_deg:
-            result[row] = "leans too much"
+            result[row] = StemCode.candidate_leans
         elif axis.sigma_m > min(s.max_noise * axis.radius_m, s.max_sigma_m):
-            result[row] = "not round"
+            result[row] = StemCode.candidate_not_round
         else:
             result[row] = axis
     return result
 
 
-def _judge(near: Floats, fit: Axis, cell_m: float, s: StemSettings) -> tuple[Stem | None, str]:
-    """Whether the points show a stem about an axis: persistent, hollow, and standing out."""
+def _judge(near: Floats, fit: Axis, cell_m: float, s: StemSettings) -> Stem | StemCode:
+    """The stem, if the points show one about an axis: persistent, hollow, and standing out; else why it is none."""
     radius, sigma = fit.radius_m, fit.sigma_m
     offset, foot = axis_coordinates(near, fit.parameters, fit.height_m)
     residual = lengths(offset) - (radius + fit.parameters[5] * foot)
@@ -116,36 +117,35 @@ def _judge(near: Floats, fit: Axis, cell_m: float, s: StemSettings) -> tuple[Ste
     # A sector belongs to the stem when it is seen in a third of the layers in which anything of the stem is seen.
     active = seen.sum(axis=1) >= max(2, round(0.5 * s.min_arc * sectors))
     if active.sum() * s.layer_m < s.min_length_m:
-        return None, "too short"
+        return StemCode.candidate_short
     own = seen[active].mean(axis=0) >= 1.0 / 3.0
     coverage = float(own.mean())
     if coverage < s.min_arc:
-        return None, "arc too small"
+        return StemCode.candidate_small_arc
     supported = seen[:, own].mean(axis=1) >= 0.4
     length = float(supported.sum() * s.layer_m)
     if length < s.min_length_m:
-        return None, "too short"
+        return StemCode.candidate_short
     if sigma > s.rough_m and length < s.min_rough_length_m:
-        return None, "rough and short"
+        return StemCode.candidate_rough_and_short
     used = supported[np.clip(layer, 0, layers - 1)]
     deep = used & (residual < -max(3.0 * sigma, 1.2 * cell_m)) & own[sector]
     on_wall = used & wall & own[sector]
     if deep.sum() > s.max_filled * (deep.sum() + on_wall.sum()):
-        return None, "filled inside"
+        return StemCode.candidate_filled
     outer = used & own[sector] & (residual > limit) & (residual <= 3.0 * limit)
     wall_area = (radius + limit) ** 2 - max(radius - limit, 0.0) ** 2
     outer_area = (radius + 3.0 * limit) ** 2 - (radius + limit) ** 2
     contrast = (on_wall.sum() / wall_area) / max(outer.sum() / outer_area, 1e-9)
     if contrast < s.min_contrast:
-        return None, "does not stand out"
+        return StemCode.candidate_flush
     heights = s.heights_m[0] + (np.flatnonzero(supported) + 0.5) * s.layer_m
     top = float(heights.max() + 0.5 * s.layer_m)
     if top < s.post_top_m and (2.0 * (radius - sigma) < s.thin_m or _is_flat(offset[on_wall], coverage, s)):
-        return None, "post or board"
+        return StemCode.candidate_post
     quality = length * min(coverage, 0.5) * min(contrast, 5.0) / (1.0 + sigma / 0.01)
     bottom = float(heights.min() - 0.5 * s.layer_m)
-    stem = Stem(axis=fit, bottom_m=bottom, top_m=top, length_m=length, arc_coverage=coverage, quality=quality)
-    return stem, ""
+    return Stem(axis=fit, bottom_m=bottom, top_m=top, length_m=length, arc_coverage=coverage, quality=quality)
 
 
 def _is_flat(offsets: Floats, coverage: float, s: StemSettings) -> bool:

@@ -11,9 +11,10 @@ from fsinfer.check.coverage import CoverageSettings, judge_stems, widest_gap
 from fsinfer.check.map import seen_arcs
 from fsinfer.check.sparse_stems import SparseStem
 from fsinfer.check.visible_stems import VisibleStem, join_stems
-from fsinfer.scale.scale import Scale
+from fsinfer.scale.scale import MarkerScale, RejectedMarker, Scale
 from fsinfer.trees.cylinder.axis import Axis
 from fsinfer.trees.search.stem import Stem
+from tests.support.boards import board, scale_of_boards
 
 NO_SCALE = Scale(m_per_unit=None, source="none", rel_std=None)
 STEM = VisibleStem(center=np.array([2.0, 1.0]), radius=0.15, lean=np.zeros(2))
@@ -132,12 +133,12 @@ def test_a_few_lost_photos_are_no_torn_walk() -> None:
 
 
 def test_boards_seen_too_seldom_or_from_far() -> None:
-    def entry(number: int, views: int, side_px: float) -> dict[str, object]:
-        return {"id": number, "views": [str(i) for i in range(views)], "near_side_px": side_px}
+    def entry(number: int, views: int, side_px: float) -> MarkerScale:
+        return board(number, (0.0, 0.0, 0.0), [str(i) for i in range(views)], near_side_px=side_px)
 
     found = [entry(40, 12, 80.0), entry(41, 4, 80.0), entry(42, 12, 20.0)]
-    rejected = [{"id": 43, "reason": "1 views"}, {"id": 40, "reason": "1 views"}]
-    scale = Scale(m_per_unit=1.0, source="aruco", rel_std=0.01, details={"markers": found, "rejected": rejected})
+    rejected = tuple(RejectedMarker(id=number, reason="1 views") for number in (43, 40))
+    scale = scale_of_boards(found, rejected=rejected)
     lines = marker_lines(scale, given=True)
     assert [line.split(":")[0] for line in lines] == [
         "Board 40",

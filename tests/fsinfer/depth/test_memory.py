@@ -90,8 +90,8 @@ def test_fusion_shrinks_its_batches_before_it_drops_points() -> None:
 
 
 _WHOLE = """
-from fsinfer.depth_model import DepthModel
-from fsinfer.memory_plan import plan_depth
+from fsinfer.depth.model import DepthModel
+from fsinfer.depth.memory import plan_depth
 from tests.bench.speed import make_views
 images, intrinsics, poses, depth_range = make_views(3, 256, 512)
 model = DepthModel.load(threads=2, precision="float32")
@@ -107,8 +107,8 @@ peak_kib = next(int(line.split()[1]) for line in status.splitlines() if line.sta
 print(plan.peak_bytes, peak_kib * 1024)
 """
 _INT8 = """
-from fsinfer.depth_model import DepthModel
-from fsinfer.memory_plan import plan_depth
+from fsinfer.depth.model import DepthModel
+from fsinfer.depth.memory import plan_depth
 from tests.bench.speed import make_views
 images, intrinsics, poses, depth_range = make_views(3, 512, 960)
 model = DepthModel.load(threads=2, precision="int8")
@@ -116,13 +116,13 @@ model.predict(images, intrinsics, poses, depth_range)
 plan = plan_depth(3.0, width=960, height=512, planes=192, groups=4, views=3, most_cached=3, int8=True)
 """
 _TILED = """
-from fsinfer.depth_model import DepthModel
-from fsinfer.memory_plan import plan_depth
+from fsinfer.depth.model import DepthModel
+from fsinfer.depth.memory import plan_depth
 from tests.bench.speed import make_views
 images, intrinsics, poses, depth_range = make_views(3, 800, 1280)
 model = DepthModel.load(threads=2, precision="float32")
 plan = plan_depth(1.4, width=1280, height=800, planes=192, groups=4, views=3, most_cached=3, tile_halo=56)
-from fsinfer.tiles import TiledDepth
+from fsinfer.depth.tiles import TiledDepth
 assert plan.tile_size and plan.keeps_volume
 tiled = TiledDepth(model, plan.tile_size)
 tiled.predict_from_features([model.features(image) for image in images], intrinsics, poses, depth_range)

@@ -198,7 +198,7 @@ def test_markers_and_photos_left_out_are_shown(tmp_path):
 def test_without_a_scale_the_units_are_said(tmp_path):
     plot = PLOT | {"units": "model units", "scale_m_per_unit": None, "scale_source": "none", "density_per_m2": None}
     codes = [
-        coded("no_scale", "no scale was given: the cloud is in model units"),
+        coded("no_scale_given", "no scale was given: the cloud is in model units"),
         coded("markers_of_unknown_length", "no scale: markers are seen, but their length was not given"),
     ]
     full_folder(tmp_path, plot=plot | {"warning_codes": codes})

@@ -31,7 +31,7 @@ def test_endpoints_follow_the_papers_equation() -> None:
     scale = scale_from_endpoints((1, 2, 3), (1, 5, 7), 1.0)
     assert scale.m_per_unit == pytest.approx(0.2)
     assert scale.source == "endpoints"
-    assert scale.details["length_units"] == pytest.approx(5)
+    assert scale.details.length_units == pytest.approx(5)
     # A centimetre at either end.
     assert scale.rel_std == pytest.approx(0.01414, abs=1e-5)
     assert scale_from_endpoints((1, 2, 3), (1, 5, 7), 4.0).rel_std == pytest.approx(0.003536, abs=1e-6)

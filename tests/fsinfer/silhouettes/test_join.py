@@ -14,6 +14,8 @@ from hypothesis import strategies as st
 
 from fsinfer.io.images import read_image, write_image
 from fsinfer.io.pfm import write_pfm
+from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.stems import StemCode
 from fsinfer.scene import Camera, read_scene, write_camera, write_pairs
 from fsinfer.silhouettes.join import SilhouetteJoinSettings, StemPhotos, join, measure_silhouettes, write_sources
 from fsinfer.silhouettes.strips import StripSettings
@@ -153,7 +155,10 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> StemPhotos:
     return StemPhotos(scene=read_scene(folder), depth_folder=folder, cloud_from_scene=np.diag([0.5, 0.5, 0.5, 1.0]))
 
 
-def section_of(dbh_m: float | None, std_m: float, reason: str = "") -> Section:
+ROUGH = notice(StemCode.too_rough, residual_cm=2.8)
+
+
+def section_of(dbh_m: float | None, std_m: float, *reasons: Notice) -> Section:
     return Section(
         center=BREAST[:2],
         bh_m=1.3,
@@ -169,7 +174,7 @@ def section_of(dbh_m: float | None, std_m: float, reason: str = "") -> Section:
         taper=-0.006,
         top_m=3.0,
         status="ok" if dbh_m else "unmeasured",
-        reason=reason,
+        reasons=reasons,
         offsets_m=np.zeros((0, 2)),
         kept=np.zeros(0, dtype=bool),
         circle_m=np.array([0.0, 0.0, 0.16]),
@@ -197,13 +202,13 @@ def plot_of(section: Section) -> PlotResult:
         lean_deg=1.0,
         height_m=None,
         status=section.status,
-        reason=section.reason,
+        reasons=section.reasons,
     )
     return PlotResult(
         trees=(tree,),
         sections=(section,),
         ground=None,
-        diagnosis="1 trees found, 0 with a DBH" if section.dbh_m is None else "1 trees found, 1 with a DBH",
+        diagnosis=notice(StemCode.trees_found, trees=1, measured=int(section.dbh_m is not None)),
         warnings=(),
         extent_m=(-2.0, -2.0, 2.0, 2.0),
         spacing_m=0.01,
@@ -214,7 +219,7 @@ def plot_of(section: Section) -> PlotResult:
 def test_photographs_mend_a_hazy_stem(photos: StemPhotos, too_thick_m: float | None) -> None:
     """A pixel is 1.2 cm and more at this stem, the cloud is off by 3 or 4 cm or has refused."""
     dbh = None if too_thick_m is None else 2 * RADIUS + too_thick_m
-    section = section_of(dbh, 0.008, "" if dbh else "surface too rough: residual 3 cm; undergrowth")
+    section = section_of(dbh, 0.008, *(() if dbh else (ROUGH,)))
     result = measure_silhouettes(plot_of(section), photos)
     tree, found = result.trees[0], result.sections[0]
     assert found.silhouette is not None
@@ -225,7 +230,7 @@ def test_photographs_mend_a_hazy_stem(photos: StemPhotos, too_thick_m: float | N
     assert tree.dbh_hi95_cm - tree.dbh_lo95_cm < 3.0
     np.testing.assert_allclose([tree.x_m, tree.y_m], BREAST[:2], atol=0.004)
     assert found.cloud_dbh_m == dbh
-    assert result.diagnosis == "1 trees found, 1 with a DBH"
+    assert result.diagnosis == notice(StemCode.trees_found, trees=1, measured=1)
     assert tree.status == "ok"
 
 
@@ -272,12 +277,22 @@ def test_join_by_precision_and_alone_where_they_disagree() -> None:
 
 
 def test_refused_by_the_cloud_and_hardly_seen_stays_doubtful() -> None:
-    refused = section_of(None, 0.01, "double wall: two surfaces 3 cm apart; the poses do not agree")
+    refused = section_of(None, 0.01, notice(StemCode.double_wall, gap_cm=3.0))
     assert joined(refused, fit_of(0.15, 0.002)).status == "ok"
     few = joined(refused, fit_of(0.15, 0.002, photos=5))
     assert (few.status, few.dbh_m) == ("doubtful", pytest.approx(0.30))
-    assert "5 photos" in few.reason
-    assert joined(refused, fit_of(0.15, 0.05)).dbh_m is None
+    assert few.reasons == (notice(StemCode.edges_alone, photos=5, refused=refused.reasons[0]),)
+    unsure = joined(refused, fit_of(0.15, 0.05))
+    assert unsure.dbh_m is None
+    assert [why.code for why in unsure.reasons] == [StemCode.too_uncertain]
+
+
+def test_photographs_lift_the_doubts_of_the_cloud_but_not_that_of_its_height() -> None:
+    high, unsure = notice(StemCode.above_breast_height, off_cm=22.0), notice(StemCode.little_seen, seen_deg=90.0)
+    found = joined(replace(section_of(0.300, 0.002, high, unsure), status="doubtful"), fit_of(0.15, 0.002))
+    assert (found.status, found.reasons) == ("doubtful", (high,))
+    found = joined(replace(section_of(0.300, 0.002, unsure), status="doubtful"), fit_of(0.15, 0.002))
+    assert (found.status, found.reasons) == ("ok", ())
 
 
 def test_sheet_of_strips_shows_the_edges_where_the_stem_ends(photos: StemPhotos, tmp_path: Path) -> None:
@@ -322,11 +337,11 @@ def test_a_doubtful_stem_that_many_photographs_do_not_show_is_a_shrub(photos: St
     noise = tuple(replace(view, image_path=tmp_path / f"{view.name}.png") for view in photos.scene.views)
     shrub = replace(photos, scene=replace(photos.scene, views=noise))
     few = SilhouetteJoinSettings(shrub_photos=PHOTOS)
-    doubtful = plot_of(section_of(None, 0.02, "surface too rough: residual 2.8 cm"))
+    doubtful = plot_of(section_of(None, 0.02, ROUGH))
     gone = measure_silhouettes(doubtful, shrub, settings=few)
     assert gone.trees == gone.sections == ()
-    assert gone.diagnosis.startswith("no trees found")
-    assert "(0.3, -0.2)" in gone.warnings[-1]
+    assert gone.diagnosis == notice(StemCode.none_in_photos)
+    assert gone.warnings == (notice(StemCode.shrubs_left_out, places=("(0.3, -0.2)",)),)
     # One photograph too few, a sound stem of the cloud, or a person who said so: it stays.
     assert len(measure_silhouettes(doubtful, shrub).trees) == 1
     assert len(measure_silhouettes(plot_of(section_of(0.28, 0.004)), shrub, settings=few).trees) == 1

@@ -11,6 +11,9 @@ from typer.testing import CliRunner
 
 from fsinfer.errors import InputError
 from fsinfer.io.cloud import PointCloud, write_cloud
+from fsinfer.notices.notice import notice
+from fsinfer.notices.sentences import sentence
+from fsinfer.notices.stems import StemCode
 from fsinfer.trees import TreeSettings, analyse_plot
 from fsinfer.trees.edits import TreeEdit, apply_edits, find_edits, read_edits
 from fsinfer.trees.outputs.table import read_trees
@@ -43,8 +46,10 @@ def test_a_deleted_tree_is_gone_and_the_others_keep_their_numbers(plot, result) 
     edited = apply_edits(result, plot.points, [TreeEdit(action="delete", row=2, tree_id=2)], settings=SETTINGS)
     assert edited.trees == tuple(tree for tree in result.trees if tree.tree_id != 2)
     assert len(edited.sections) == 3
-    assert "tree 2 deleted" in edited.warnings[-1]
-    assert edited.diagnosis == "3 trees after corrections by hand, 3 with a DBH"
+    deleted = notice(StemCode.corrected_by_hand, changes=(notice(StemCode.tree_deleted, tree_id=2),))
+    assert edited.warnings[-1] == deleted
+    assert sentence(deleted) == "stem map corrected by hand: tree 2 deleted"
+    assert edited.diagnosis == notice(StemCode.trees_corrected, trees=3, measured=3)
 
 
 @pytest.mark.parametrize("moved", [np.zeros(3), MOVED])
@@ -65,7 +70,7 @@ def test_a_tree_the_search_missed_is_measured_where_it_was_set(plot, result, mov
     assert edited.trees[:-1] == rest.trees
     tree = edited.trees[-1]
     assert tree.tree_id == 5
-    assert tree.reason.startswith("added by hand")
+    assert tree.reasons[0] == notice(StemCode.added_by_hand)
     assert np.hypot(tree.x_m - missing.x_m - moved[0], tree.y_m - missing.y_m - moved[1]) < 0.01
     assert tree.dbh_cm == pytest.approx(missing.dbh_cm, abs=0.5)
     assert tree.z_ground_m == pytest.approx(missing.z_ground_m, abs=0.03)
@@ -77,7 +82,8 @@ def test_a_tree_set_where_nothing_is_seen_has_a_place_and_no_diameter(plot, resu
     assert [tree.tree_id for tree in edited.trees] == [1, 2, 3, 4, 9, 10]
     assert [(tree.status, tree.dbh_cm) for tree in edited.trees[4:]] == [("unmeasured", None)] * 2
     assert (edited.trees[5].x_m, edited.trees[5].y_m) == (50.0, 50.0)
-    assert "no stem to be measured is seen here" in edited.trees[5].reason
+    assert edited.trees[5].reasons == (notice(StemCode.added_by_hand), notice(StemCode.no_stem_here))
+    assert sentence(edited.warnings[-1]) == "stem map corrected by hand: tree 10 added, 9 added"
 
 
 def test_two_halves_of_one_stem_are_merged(plot, result) -> None:
@@ -88,7 +94,7 @@ def test_two_halves_of_one_stem_are_merged(plot, result) -> None:
     edited = apply_edits(double, plot.points, [merge], settings=SETTINGS)
     assert [tree.tree_id for tree in edited.trees] == [1, 2, 3, 4]
     assert edited.trees[1:] == result.trees[1:]
-    assert edited.trees[0].reason.startswith("1 and 7 merged by hand")
+    assert edited.trees[0].reasons[0] == notice(StemCode.merged_by_hand, tree_id=1, other_id=7)
     assert edited.trees[0].dbh_cm == pytest.approx(whole.dbh_cm, abs=0.5)
 
 

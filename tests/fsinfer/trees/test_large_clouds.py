@@ -13,6 +13,8 @@ import pytest
 from fsinfer.errors import CloudError
 from fsinfer.io.chunks import ChunkSettings, open_chunks
 from fsinfer.io.cloud import PointCloud, read_cloud, write_cloud
+from fsinfer.notices.notice import notice
+from fsinfer.notices.stems import StemCode
 from fsinfer.output.plot_json import read_plot
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.trees import TreeSettings, analyse_plot
@@ -63,7 +65,12 @@ def test_thinning_keeps_the_budget_and_breast_height(path: Path) -> None:
     assert chunked is not None
     thinned = thin_while_reading(chunked, settings=THIN)
     assert 0.9 * THIN.max_points < len(thinned.xyz) < 1.05 * THIN.max_points
-    assert f"{chunked.points:,} points" in thinned.warnings[0]
+    told = thinned.warnings[0]
+    assert (told.code, told.values["total"], told.values["kept"]) == (
+        StemCode.thinned,
+        chunked.points,
+        len(thinned.xyz),
+    )
     whole = read_cloud(path).xyz
     # Crowded cells give up most; still a larger share of breast height is kept than of the tops.
     at_bh, tops = (lambda z: (z > 0.8) & (z < 2.2)), (lambda z: z > 3.6)
@@ -126,8 +133,7 @@ def test_points_far_away_and_without_a_place_are_left_out(plot: StemPlot, tmp_pa
     chunked = open_chunks(tmp_path / "a.ply", settings=SMALL)
     assert chunked is not None
     thinned = thin_while_reading(chunked, settings=THIN)
-    assert any(text.startswith("1 points with NaN") for text in thinned.warnings)
-    assert any(text.startswith("1 points far outside") for text in thinned.warnings)
+    assert thinned.warnings[1:] == (notice(StemCode.not_finite, points=1), notice(StemCode.far_outside, points=1))
     assert np.abs(thinned.xyz).max() < 100.0
 
 

@@ -12,10 +12,12 @@ import pytest
 
 from fsinfer.io.cloud import PointCloud
 from fsinfer.io.workbook import write_workbook
-from fsinfer.trees import PlotResult, TreeSettings, analyse_plot
+from fsinfer.notices.notice import notice
+from fsinfer.notices.stems import StemCode
+from fsinfer.trees import PlotResult, analyse_plot
 from fsinfer.trees.outputs.table import COLUMNS as TREE_COLUMNS
 from fsinfer.trees.stem_curve import COLUMNS, stem_curves, write_curves
-from fsinfer.workflow.tree_stage import write_no_trees, write_tree_outputs
+from fsinfer.workflow.tree_stage import PlotCloudInput, measure_plot, no_trees
 from tests.support.stem_clouds import StemPlot, stem_plot
 
 TAPER = -0.005
@@ -57,7 +59,8 @@ def test_where_too_little_is_seen_there_is_a_reason(plot: StemPlot, result: Plot
     curve = stem_curves(cut, result)[tree.tree_id]
     assert [p.height_m for p in curve if p.diameter_cm is not None][-1] <= 2.5
     assert curve[-1].diameter_cm is None
-    assert "degrees" in curve[-1].reason or "too few" in curve[-1].reason
+    assert curve[-1].why is not None
+    assert curve[-1].why.code in {StemCode.little_seen, StemCode.few_at_height, StemCode.few_on_bark_at_height}
 
 
 def test_curves_far_from_the_origin_are_the_same(plot: StemPlot, result: PlotResult) -> None:
@@ -101,12 +104,12 @@ def test_workbook_keeps_numbers_text_and_gaps(tmp_path: Path) -> None:
 
 
 def test_the_tree_stage_writes_curve_workbook_and_figure(plot: StemPlot, tmp_path: Path) -> None:
-    write_tree_outputs(PointCloud(xyz=plot.points), tmp_path, settings=TreeSettings())
+    measure_plot(PlotCloudInput(cloud=PointCloud(xyz=plot.points)), tmp_path)
     trees = cells(tmp_path / "trees.xlsx", 1)
     assert [trees[f"{letter}1"] for letter in "ABCDE"] == list(TREE_COLUMNS[:5])
     assert trees["A5"] == "4"
     assert "quadratic_mean_dbh_cm" in cells(tmp_path / "trees.xlsx", 2).values()
     assert (tmp_path / "stem_curve.csv").stat().st_size > 300
-    write_no_trees(tmp_path, reason="for the test")
+    no_trees(tmp_path, reason=notice(StemCode.nothing_measured, error="for the test"))
     assert not (tmp_path / "trees.xlsx").exists()
     assert not (tmp_path / "stem_curve.csv").exists()

@@ -35,6 +35,7 @@ from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import notice
 from fsinfer.poses.estimate import PosesResult
 from fsinfer.scale.request import ScaleRequest
+from fsinfer.scene import read_camera, write_camera
 from fsinfer.trees import TreeSettings
 from fsinfer.trees.outputs.table import read_trees
 from fsinfer.workflow.measure_cloud import measure_cloud_file
@@ -100,8 +101,9 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> Fakes:
         write_scene_folder(out)
         names = [path.stem for path in list_images(images)]
         # Other photographs make another scene.
-        (camera,) = list((out / "cams").glob("*"))[:1]
-        camera.write_text(camera.read_text(encoding="utf-8") + f"{len(names)}\n", encoding="utf-8")
+        path = next((out / "cams").glob("*"))
+        camera = read_camera(path)
+        write_camera(path, replace(camera, depth_max=camera.depth_max + 0.01 * len(names)))
         return PosesResult(
             scene=out,
             photos=len(names),

@@ -2,6 +2,8 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
+from fsinfer.notices.notice import notice
+from fsinfer.notices.stems import StemCode
 from fsinfer.trees import PlotResult, TreeSettings, analyse_plot
 from fsinfer.trees.diameter.dbh import measure_together
 from fsinfer.trees.search.find import find_stems
@@ -69,7 +71,8 @@ def test_a_sliver_is_found_but_not_measured():
     assert tree.dbh_cm is None
     assert tree.dbh_lo95_cm is None
     assert tree.status == "unmeasured"
-    assert "degrees" in tree.reason
+    assert [why.code for why in tree.reasons] == [StemCode.too_little_seen]
+    assert tree.reasons[0].values["seen_deg"] == pytest.approx(50.0, abs=15.0)
 
 
 def test_a_stem_that_cannot_be_measured_shows_what_points_there_are():
@@ -79,7 +82,7 @@ def test_a_stem_that_cannot_be_measured_shows_what_points_there_are():
     above = cloud[np.abs(cloud[:, 2] - 1.5) < 0.05][:4]
     (section,) = measure_together([np.concatenate([there, above])], [stem])
     assert section.dbh_m is None
-    assert "too few points" in section.reason
+    assert section.reasons == (notice(StemCode.too_few_at_breast_height, least=12),)
     np.testing.assert_allclose(section.offsets_m + section.center, there[:, :2], atol=1e-9)
     assert not section.kept.any()
     assert len(section.kept) == len(there)
@@ -112,7 +115,8 @@ def test_double_wall_is_refused():
 
     (tree,) = analyse_plot(_single(extra=second)).trees
     assert tree.dbh_cm is None
-    assert "double wall" in tree.reason
+    assert [why.code for why in tree.reasons] == [StemCode.double_wall]
+    assert tree.reasons[0].values["gap_cm"] == pytest.approx(3.0, abs=0.5)
 
 
 def test_outline_of_an_oval_stem():
@@ -145,7 +149,8 @@ def test_a_hidden_foot_moves_breast_height_up_and_says_so():
     (tree,) = analyse_plot(points).trees
     assert tree.bh_m > 1.5
     assert tree.status == "doubtful"
-    assert "above breast height" in tree.reason
+    assert tree.reasons[0].code == StemCode.above_breast_height
+    assert tree.reasons[0].values["off_cm"] == pytest.approx(100.0 * (tree.bh_m - 1.3))
 
 
 def test_uphill_rule_measures_higher_on_a_slope():
@@ -169,5 +174,5 @@ def test_a_blurred_double_wall_is_doubted():
     trees = analyse_plot(blurred).trees
     first = min(trees, key=lambda tree: np.hypot(tree.x_m - at[0], tree.y_m - at[1]))
     assert first.status in {"doubtful", "unmeasured"}
-    assert "double wall" in first.reason
+    assert {StemCode.double_wall, StemCode.rougher_than_others} & {why.code for why in first.reasons}
     assert sum(tree.status == "ok" for tree in trees) == 8

@@ -14,11 +14,13 @@ import pytest
 
 from fsinfer.io.cloud import PointCloud, read_cloud, write_cloud
 from fsinfer.io.las import read_epsg
-from fsinfer.trees import PlotResult, TreeSettings, analyse_plot, stand_table
+from fsinfer.notices.notice import notice
+from fsinfer.notices.stems import StemCode
+from fsinfer.trees import PlotResult, analyse_plot, stand_table
 from fsinfer.trees.outputs.labels import label_points
 from fsinfer.trees.outputs.maps import to_wgs84, write_maps
 from fsinfer.trees.stand import AREA_METHOD, NO_AREA
-from fsinfer.workflow.tree_stage import MAPS, write_no_trees, write_tree_outputs
+from fsinfer.workflow.tree_stage import MAPS, PlotCloudInput, measure_plot, no_trees
 from tests.support.stem_clouds import StemPlot, stem_plot
 
 
@@ -33,7 +35,8 @@ def result(plot: StemPlot) -> PlotResult:
 
 
 def test_geopackage_holds_every_tree_in_a_local_frame(tmp_path: Path, result: PlotResult) -> None:
-    unmeasured = replace(result.trees[0], tree_id=9, dbh_cm=None, reason="for the test, with a comma")
+    why = (notice(StemCode.as_written, text="for the test, with a comma"),)
+    unmeasured = replace(result.trees[0], tree_id=9, dbh_cm=None, reasons=why)
     paths = write_maps(tmp_path, [*result.trees, unmeasured])
     assert [path.name for path in paths] == ["trees.gpkg"]
     with closing(sqlite3.connect(paths[0])) as base:
@@ -92,20 +95,22 @@ def test_labels_follow_the_stems_and_nothing_else(plot: StemPlot, result: PlotRe
 
 
 def test_outputs_are_written_and_taken_away_again(tmp_path: Path, plot: StemPlot) -> None:
-    values = write_tree_outputs(PointCloud(xyz=plot.points), tmp_path, settings=TreeSettings())
-    assert values["stand"]["stems"] == 4
-    assert values["plot_area_m2"] > 10.0
+    values = measure_plot(PlotCloudInput(cloud=PointCloud(xyz=plot.points)), tmp_path)
+    assert values.stand is not None
+    assert values.stand.stems == 4
+    assert values.plot_area_m2 is not None
+    assert values.plot_area_m2 > 10.0
     labelled = read_cloud(tmp_path / "trees.laz")
     assert len(labelled) == len(plot.points)
     assert set(np.unique(labelled.extra["TreeID"])) == {0, 1, 2, 3, 4}
-    write_no_trees(tmp_path, reason="for the test")
+    no_trees(tmp_path, reason=notice(StemCode.nothing_measured, error="for the test"))
     assert not any((tmp_path / name).exists() for name in MAPS)
 
 
 def test_without_a_scale_there_are_no_maps(tmp_path: Path, plot: StemPlot) -> None:
-    values = write_tree_outputs(PointCloud(xyz=plot.points), tmp_path, settings=TreeSettings(), metric=False)
-    assert values["trees"] == 4
-    assert values["plot_area_m2"] is None
+    values = measure_plot(PlotCloudInput(cloud=PointCloud(xyz=plot.points), metric=False), tmp_path)
+    assert values.trees == 4
+    assert values.plot_area_m2 is None
     assert not any((tmp_path / name).exists() for name in MAPS)
 
 

@@ -1,9 +1,16 @@
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from fsinfer.errors import CloudError, InputError
+from fsinfer.notices.notice import notice, notice_of_json
+from fsinfer.notices.sentences import sentence
+from fsinfer.notices.stems import StemCode
 from fsinfer.trees import Tree, analyse_plot, measure_trees
 from fsinfer.trees.outputs.figures import write_figures
+from fsinfer.trees.outputs.reasons import write_reasons
 from fsinfer.trees.outputs.table import COLUMNS, read_trees, write_trees
 from tests.support.places import DATA
 from tests.support.stem_clouds import stem_plot
@@ -40,13 +47,38 @@ def test_table_round_trip(tmp_path, result):
         points=0,
         lean_deg=0.0,
         status="unmeasured",
-        reason="only 40 degrees, of the stem",
+        reasons=(notice(StemCode.as_written, text="only 40 degrees, of the stem; walk round it"),),
     )
     write_trees(tmp_path / "trees.csv", [*result.trees, unmeasured])
     back = read_trees(tmp_path / "trees.csv")
     assert back[-1] == unmeasured
     assert [tree.dbh_cm for tree in back[:-1]] == pytest.approx([tree.dbh_cm for tree in result.trees], abs=0.006)
     assert [tree.x_m for tree in back[:-1]] == pytest.approx([tree.x_m for tree in result.trees], abs=0.0006)
+
+
+def test_reasons_are_written_as_codes_with_values_and_words(tmp_path, result):
+    why = notice(StemCode.edges_alone, photos=5, refused=notice(StemCode.double_wall, gap_cm=3.04))
+    doubtful = replace(result.trees[0], status="doubtful", reasons=(why, notice(StemCode.too_little_seen, seen_deg=41)))
+    sound = replace(result.trees[1], status="ok", reasons=())
+    write_reasons(tmp_path / "trees.json", [doubtful, sound])
+    first, second = json.loads((tmp_path / "trees.json").read_text(encoding="utf-8"))
+    assert second == {"tree_id": 2, "status": "ok", "reasons": []}
+    assert (first["tree_id"], first["status"]) == (1, "doubtful")
+    assert first["reasons"] == [
+        {
+            "code": "edges_alone",
+            "values": {"photos": 5, "refused": {"code": "double_wall", "values": {"gap_cm": 3.04}}},
+            "text": "only from its edges in 5 photos (double wall: two surfaces 3.0 cm apart)",
+            "advises_revisit": False,
+        },
+        {
+            "code": "too_little_seen",
+            "values": {"seen_deg": 41},
+            "text": "only 41 degrees of the stem are seen; walk round it",
+            "advises_revisit": True,
+        },
+    ]
+    assert tuple(notice_of_json(entry) for entry in first["reasons"]) == doubtful.reasons
 
 
 def test_bad_cell_names_row_and_column(tmp_path, result):
@@ -82,13 +114,13 @@ def test_far_from_the_origin_nothing_changes(plot, result):
 def test_nan_points_are_left_out_with_a_warning(plot, result):
     dirty = np.concatenate([plot.points, [[np.nan, 0, 0], [0, np.inf, 0]]])
     found = analyse_plot(dirty)
-    assert any("2 points" in warning for warning in found.warnings)
+    assert notice(StemCode.not_finite, points=2) in found.warnings
     assert len(found.trees) == len(result.trees)
 
 
 def test_a_point_a_mile_away_does_not_matter(plot, result):
     found = analyse_plot(np.concatenate([plot.points, [[1609.0, 0.0, 0.0]]]))
-    assert any("far outside" in warning for warning in found.warnings)
+    assert notice(StemCode.far_outside, points=1) in found.warnings
     assert [tree.dbh_cm for tree in found.trees] == pytest.approx([tree.dbh_cm for tree in result.trees], abs=0.05)
 
 
@@ -97,7 +129,7 @@ def test_without_scale_there_are_positions_and_no_dbh(plot, result):
     assert len(found.trees) == len(result.trees)
     for tree, reference in zip(found.trees, result.trees, strict=True):
         assert tree.dbh_cm is None
-        assert tree.reason == "no scale"
+        assert tree.reasons == (notice(StemCode.no_scale),)
         assert tree.x_m == pytest.approx(3.0 * reference.x_m, abs=0.02)
 
 
@@ -105,7 +137,8 @@ def test_bare_ground_is_a_result_with_a_diagnosis():
     rng = np.random.default_rng(0)
     found = analyse_plot(np.column_stack([rng.uniform(0, 8, (20000, 2)), rng.normal(0, 0.01, 20000)]))
     assert found.trees == ()
-    assert found.diagnosis.startswith("no trees found")
+    assert found.diagnosis.code in {StemCode.none_at_stem_height, StemCode.none_holds, StemCode.none_round}
+    assert sentence(found.diagnosis).startswith("no trees found")
 
 
 @pytest.mark.parametrize(
@@ -139,7 +172,7 @@ def test_duplicate_points_change_little(plot, result):
 
 def test_stems_without_ground_are_measured_with_a_warning(plot):
     found = analyse_plot(plot.points[plot.points[:, 2] > 1.0])
-    assert any("little ground" in text for text in found.warnings)
+    assert notice(StemCode.little_ground) in found.warnings
 
 
 def test_a_canopy_alone_is_one_clear_message():
@@ -156,7 +189,7 @@ def test_a_building_has_no_diameters():
     walls += [np.column_stack([along[i + 2], np.full(count, side), up[i + 2]]) for i, side in enumerate((0.0, 7.0))]
     floor = np.column_stack([rng.uniform(0, 7, (count, 2)), np.zeros(count)])
     found = analyse_plot(np.concatenate([*walls, floor]) + rng.normal(0, 0.005, (5 * count, 3)))
-    assert all(tree.dbh_cm is None and tree.reason for tree in found.trees)
+    assert all(tree.dbh_cm is None and tree.reasons for tree in found.trees)
 
 
 def test_figures_are_written(tmp_path, result):
