@@ -49,6 +49,7 @@ from fsinfer.cli.options import (
     tree_settings,
 )
 from fsinfer.cli.stage_commands import register_stages
+from fsinfer.cli.support_command import register_support
 from fsinfer.cli.tables import demo_rows, unmeasured_rows
 
 EXAMPLES = {
@@ -62,6 +63,7 @@ EXAMPLES = {
     "trees": "plot.laz my-trees",
     "evaluate": "measured.csv my-plot/trees.csv",
     "report": "my-plot",
+    "support": "my-plot",
 }
 
 
@@ -190,6 +192,7 @@ def run(
 
 register_field(app)
 register_stages(app)
+register_support(app)
 
 
 def main() -> None:
