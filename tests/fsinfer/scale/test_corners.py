@@ -54,6 +54,15 @@ def test_a_corner_whose_edge_is_covered_stays_where_it_was() -> None:
     assert np.linalg.norm(found[2:] - corners[2:], axis=1).max() < 0.1
 
 
+def test_a_scratch_beside_an_edge_is_not_taken_for_it() -> None:
+    picture, corners = square(50, 0, 0.8, (60, 60))
+    left, top = np.rint(corners[0]).astype(int)
+    picture[top + 3, left + 5 : left + 46] = 210
+    found = refine_corners(picture, corners + 0.3)
+    np.testing.assert_array_equal(found[:2], corners[:2] + 0.3)
+    assert np.linalg.norm(found[2:] - corners[2:], axis=1).max() < 0.1
+
+
 def test_a_square_at_the_border_or_without_contrast_stays() -> None:
     _, corners = square(50, 0, 1.0, (60, 60))
     grey = np.full((SIZE, SIZE), 128, np.uint8)

@@ -14,14 +14,14 @@ from fsinfer.depth.maps import DepthMaps
 from fsinfer.io.images import write_image
 from fsinfer.io.pfm import write_pfm
 from fsinfer.scene import Camera, Scene, read_scene, write_camera, write_pairs
-from fsinfer.silhouettes.edges import StemAxis, Strip, find_edges, normal_angles, strips_of_photo
+from fsinfer.silhouettes.edges import EdgeSettings, StemAxis, Strip, find_edges, normal_angles, strips_of_photo
 
-WIDTH, HEIGHT, FOCAL, RADIUS, DISTANCE_M = 300, 200, 400.0, 0.15, 4.0
+WIDTH, HEIGHT, FOCAL, RADIUS, DISTANCE_M = 300, 200, 400.0, 0.15, 1.2
 STEM = StemAxis(breast=np.array([0.0, 0.0, 1.3]), along=np.array([0.0, 0.0, 1.0]), radius_m=0.16, taper=0.0)
 
 
 def looking_at_the_axis(angle: float) -> Camera:
-    """A level camera 4 m from the stem at breast height."""
+    """A level camera 1.2 m from the stem at breast height."""
     toward = -np.array([np.cos(angle), np.sin(angle), 0.0])
     down = np.array([0.0, 0.0, -1.0])
     pose = np.eye(4)
@@ -31,16 +31,14 @@ def looking_at_the_axis(angle: float) -> Camera:
     return Camera(intrinsic=intrinsic, cam_from_world=pose, depth_min=0.5, depth_max=50.0)
 
 
-def write_plot(folder: Path, *, wall_m: float | None = None, units_per_m: float = 1.0) -> Scene:
-    """Two photographs, a quarter turn apart, of an upright brown stem before green; ``wall_m``: depth of a screen."""
+def write_plot(folder: Path, *, screen: float = 0.0, units_per_m: float = 1.0) -> Scene:
+    """Two photographs, a quarter turn apart, of a brown stem before green; ``screen``: share of rows hidden."""
     fine = (np.arange(WIDTH * 8) + 0.5) / 8 - 0.5
     half_px = FOCAL * np.tan(np.arcsin(RADIUS / DISTANCE_M))
     row = np.where((np.abs(fine - 149.5) <= half_px)[:, None], [110.0, 80.0, 60.0], [70.0, 130.0, 60.0])
     row = row.reshape(WIDTH, 8, 3).mean(axis=1)
     grain = np.random.default_rng(0).normal(0, 2, (HEIGHT, WIDTH, 1))
     depth = np.where(np.abs(np.arange(WIDTH) - 149.5) < half_px, DISTANCE_M - RADIUS, 30.0)
-    if wall_m is not None:
-        depth = np.minimum(depth, wall_m)
     for index in range(2):
         seen = looking_at_the_axis(0.3 + np.pi / 2 * index)
         pose = seen.cam_from_world.copy()
@@ -49,6 +47,7 @@ def write_plot(folder: Path, *, wall_m: float | None = None, units_per_m: float 
         write_image(folder / "images" / f"p{index}.png", (row[None] + grain).clip(0, 255).astype(np.uint8))
         write_camera(folder / "cams" / f"p{index}_cam.txt", camera)
         maps = np.broadcast_to(units_per_m * depth, (HEIGHT, WIDTH)).astype(np.float32)
+        maps[: round(screen * HEIGHT)] = units_per_m * 0.6
         write_pfm(folder / "depth" / f"p{index}.pfm", maps)
         write_pfm(folder / "confidence" / f"p{index}.pfm", np.ones_like(maps))
     (folder / "depth" / "depth.json").write_text(json.dumps({"pixel_step_x": 1, "pixel_step_y": 1}))
@@ -70,8 +69,8 @@ def test_the_strongest_edges_are_where_rays_graze_the_stem(tmp_path: Path, units
         assert strip.pixel_m == pytest.approx(DISTANCE_M / FOCAL)
     best = [np.flatnonzero(edges.ray == ray)[np.argmax(edges.strength[edges.ray == ray])] for ray in set(edges.ray)]
     assert len(best) == 2 * 2 * 6  # photographs, sides, bands
-    # A tenth of a pixel is 1 mm here.
-    np.testing.assert_allclose(edges.support_m[best], RADIUS, atol=0.0015)
+    # A pixel is 3 mm here; the place where the ray crosses the strip is 1.2 mm farther out than the stem reaches.
+    np.testing.assert_allclose(edges.support_m[best], RADIUS, atol=0.0007)
     # The normal of a grazed edge is square to the ray: by the half angle under which the stem is seen less than 90
     # degrees away from the direction to the camera.
     spread = np.pi / 2 - np.arcsin(RADIUS / DISTANCE_M)
@@ -82,16 +81,29 @@ def test_the_strongest_edges_are_where_rays_graze_the_stem(tmp_path: Path, units
         np.testing.assert_allclose(np.abs(away), spread, atol=0.001)
 
 
-def test_a_stem_behind_something_nearer_gives_no_edges(tmp_path: Path) -> None:
-    scene = write_plot(tmp_path, wall_m=2.0)
+@pytest.mark.parametrize(("screen", "seen"), [(0.1, True), (0.4, False), (1.0, False)])
+def test_a_stem_behind_something_nearer_gives_no_edges(tmp_path: Path, screen: float, seen: bool) -> None:
+    scene = write_plot(tmp_path, screen=screen)
     (edges,) = find_edges([STEM], scene, DepthMaps(scene, tmp_path), np.eye(4))
-    assert len(edges.support_m) == 0
+    assert (len(edges.support_m) > 0) == seen
 
 
-def test_a_stem_that_is_not_there_or_too_far_or_beside_the_picture_is_left_out(tmp_path: Path) -> None:
+def test_a_stem_too_far_or_too_thin_in_the_photograph_is_left_out(tmp_path: Path) -> None:
     scene = write_plot(tmp_path)
     maps = DepthMaps(scene, tmp_path)
-    for place in ([1.2, 0.0], [-14.0, -4.0], [0.0, 3.0]):
+    radius_px = FOCAL * STEM.radius_m / DISTANCE_M
+    for limits, seen in (
+        (EdgeSettings(max_distance_m=DISTANCE_M + 0.01, min_radius_px=radius_px - 1), 1),
+        (EdgeSettings(max_distance_m=DISTANCE_M - 0.01), 0),
+        (EdgeSettings(min_radius_px=radius_px + 1), 0),
+    ):
+        assert len(strips_of_photo([STEM], 0, scene, maps, np.eye(4), settings=limits)) == seen
+
+
+def test_a_stem_that_is_not_there_or_beside_the_picture_is_left_out(tmp_path: Path) -> None:
+    scene = write_plot(tmp_path)
+    maps = DepthMaps(scene, tmp_path)
+    for place in ([0.4, 0.0], [-4.0, -1.0], [0.0, 3.0]):
         other = StemAxis(breast=np.array([*place, 1.3]), along=STEM.along, radius_m=0.16, taper=0.0)
         assert strips_of_photo([other], 0, scene, maps, np.eye(4)) == []
     assert [number for number, _ in strips_of_photo([other, STEM], 0, scene, maps, np.eye(4))] == [1]

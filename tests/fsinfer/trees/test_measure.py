@@ -19,7 +19,7 @@ from tests.support.stem_clouds import StemPlot, stem_plot
 
 @pytest.fixture(scope="module")
 def plot() -> StemPlot:
-    return stem_plot(seed=3, trees=2, spacing_m=0.03, top_m=3.0, slope=0.1)
+    return stem_plot(seed=3, trees=2, spacing_m=0.03, top_m=3.0, slope=0.1, bumps_m=0.3)
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +35,7 @@ def ground(seed: int = 0, count: int = 8000) -> NDArray[np.float64]:
 def test_trees_stand_where_they_are_on_their_own_ground(plot: StemPlot, result: PlotResult) -> None:
     assert result.diagnosis == notice(StemCode.trees_found, trees=2, measured=2) == trees_found(result.trees)
     assert result.ground is not None
+    assert result.ground.method == "plane + raster"
     assert len(result.sections) == 2
     for tree in result.trees:
         nearest = np.argmin(np.hypot(*(plot.xy - [tree.x_m, tree.y_m]).T))

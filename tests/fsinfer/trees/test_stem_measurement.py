@@ -125,9 +125,12 @@ def stem_points(x: float, radius: float, seed: int = 0, *, taper: float = -0.005
 
 def test_two_stems_that_nearly_touch_keep_their_own_points() -> None:
     points = np.concatenate([stem_points(0.0, 0.15), stem_points(0.32, 0.12, 1)])
-    (first, _), (second, _) = measured({0.0: 0.15, 0.32: 0.12}, points)
+    (first, one), (second, other) = measured({0.0: 0.15, 0.32: 0.12}, points)
     assert first.dbh_cm == pytest.approx(30.0, abs=0.4)
     assert second.dbh_cm == pytest.approx(24.0, abs=0.4)
+    # Half of the 5 cm between their surfaces, and the noise: beyond, all points are the other's.
+    for section, radius in ((one, 0.15), (other, 0.12)):
+        assert np.linalg.norm(section.offsets_m, axis=1).max() < radius + 0.03
     assert (first.x_m, first.y_m) == pytest.approx((100.0, 200.0), abs=0.005)
     assert (second.x_m, second.y_m) == pytest.approx((100.32, 200.0), abs=0.005)
 

@@ -60,6 +60,14 @@ def test_noise_makes_no_waves_and_points_without_weight_do_not_count() -> None:
     assert round_it.max_diameter_m - round_it.min_diameter_m < 0.002
 
 
+def test_the_side_that_nobody_saw_goes_on_round() -> None:
+    points = ring(0.15, 2, 0.0, 0.0, sigma_m=0.005, count=400)
+    seen = points[points[:, 0] > 0]
+    outline = fit_outline(seen, np.ones(len(seen)), 0.15, 0.005)
+    assert outline.max_diameter_m - outline.min_diameter_m < 0.005
+    assert outline.girth_diameter_m == pytest.approx(0.30, abs=0.001)
+
+
 def test_strays_far_from_the_stem_do_not_count() -> None:
     points = ring(0.15, 2, 0.03, 0.5)
     strays = np.random.default_rng(2).uniform([0.25, -0.1], [0.45, 0.1], (400, 2))

@@ -43,10 +43,11 @@ def test_a_dense_stem_is_measured_in_the_thinnest_slice() -> None:
 
 
 def test_a_sparse_stem_gets_a_thicker_slice() -> None:
-    points = stem(spacing_m=0.045, sigma_m=0.006)
+    # Twenty noisy points in the thinnest slice are enough for a circle, but not for its radius.
+    points = stem(spacing_m=0.036, sigma_m=0.012)
     found = fit_slice(points, axis_of(points), 1.3, 1.0)
     assert found.half_m > SliceSettings().half_slices_m[0]
-    assert found.radius_m == pytest.approx(RADIUS, abs=0.004)
+    assert found.radius_m == pytest.approx(RADIUS, abs=0.006)
 
 
 def test_taper_is_taken_out_of_a_thick_slice() -> None:
