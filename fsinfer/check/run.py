@@ -22,6 +22,7 @@ from fsinfer.check.survey import Survey, SurveySettings, survey_scene
 from fsinfer.errors import ScaleError
 from fsinfer.frames.select import FrameSettings
 from fsinfer.geometry.hull import in_hull
+from fsinfer.geometry.similarity import scale_of
 from fsinfer.io.files import make_folder, write_text
 from fsinfer.io.images import list_images
 from fsinfer.poses.colmap import PoseSettings
@@ -157,7 +158,7 @@ def judge_survey(
     judged = [_beyond(entry, sides) for entry in judged]
     by_name = {path.stem: path for path in given}
     compass = find_compass(cameras, gnss_places([by_name.get(name, Path(name)) for name in names]))
-    lines = boards_at_two_places(boards, float(np.cbrt(np.linalg.det(survey.plot_from_scene[:3, :3]))))
+    lines = boards_at_two_places(boards, scale_of(survey.plot_from_scene))
     lines += advice(
         names=names,
         left_out=left_out,

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.geometry.similarity import apply, compose, rotation_of, scaling
+
 if TYPE_CHECKING:
     from fsinfer.io.cloud import PointCloud
     from fsinfer.scene import Scene
@@ -79,16 +81,14 @@ def level_scene(
     # People tilt a phone up or down more than they roll it: its horizontal axis tells what is level.
     right = np.array([view.camera.cam_from_world[0, :3] for view in scene.views])
     scale = 1.0 if m_per_unit is None else m_per_unit
-    plot_from_scene = np.diag([scale, scale, scale, 1.0]) @ level(points, centers, down, camera_right=right)
+    plot_from_scene = compose(scaling(scale), level(points, centers, down, camera_right=right))
     return plot_from_scene, float(np.median(centers @ plot_from_scene[2, :3] + plot_from_scene[2, 3]))
 
 
 def transform_cloud(cloud: PointCloud, similarity: NDArray[np.float64]) -> PointCloud:
     """Apply a (4, 4) similarity to points and normals."""
-    linear = similarity[:3, :3]
-    rotation = linear / np.cbrt(np.linalg.det(linear))
-    normals = None if cloud.normals is None else (cloud.normals @ rotation.T).astype(np.float32)
-    return replace(cloud, xyz=cloud.xyz @ linear.T + similarity[:3, 3], normals=normals)
+    normals = None if cloud.normals is None else (cloud.normals @ rotation_of(similarity).T).astype(np.float32)
+    return replace(cloud, xyz=apply(similarity, cloud.xyz), normals=normals)
 
 
 def density_per_m2(xyz: NDArray[np.float64]) -> float | None:

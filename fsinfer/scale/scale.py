@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fsinfer.errors import ScaleError
+from fsinfer.geometry.similarity import apply
 from fsinfer.geometry.triangulation import triangulate
 
 if TYPE_CHECKING:
@@ -164,4 +165,4 @@ def marker_centers(scale: Mapping[str, Any], cloud_from_scene: ArrayLike) -> NDA
     """
     centers = np.array([marker["center"] for marker in scale.get("details", {}).get("markers", [])]).reshape(-1, 3)
     similarity = np.asarray(cloud_from_scene, dtype=np.float64)
-    return np.asarray(centers @ similarity[:3, :3].T + similarity[:3, 3])
+    return apply(similarity, centers)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fsinfer.errors import CloudError, ScaleError
+from fsinfer.geometry.similarity import scale_of
 from fsinfer.io.chunks import open_chunks
 from fsinfer.io.cloud import PointCloud, read_cloud, write_cloud
 from fsinfer.io.files import make_folder
@@ -224,5 +225,5 @@ def _cloud_scale(
     if scale.m_per_unit is None:
         return scale, warnings
     # The markers give metres per unit of the scene; the cloud may have been scaled since.
-    cloud_per_scene = float(np.cbrt(np.linalg.det(np.asarray(cloud_from_scene)[:3, :3])))
+    cloud_per_scene = scale_of(np.asarray(cloud_from_scene))
     return replace(scale, m_per_unit=scale.m_per_unit / cloud_per_scene), warnings
