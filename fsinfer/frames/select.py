@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from fsinfer.errors import ImageError, OutputError
+from fsinfer.errors import ImageError, InputError, OutputError
 from fsinfer.frames.contact_sheet import Tile, thumbnail, write_contact_sheet
 from fsinfer.frames.quality import EQUALIZERS, FrameScore, QualityLimits, equalize, reasons_to_drop, score_frame
 from fsinfer.frames.table import FrameRow, frames_csv, read_frames_csv
@@ -269,7 +269,7 @@ def _finished(out: Path, key: dict[str, Any]) -> FramesResult | None:
             return None
         rows = read_frames_csv(out / "frames.csv")
         warnings = tuple(record["warnings"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, InputError):
         return None
     images = tuple(out / "images" / f"{row.name}.jpg" for row in rows if row.kept)
     if not images or not all(path.is_file() for path in images):
