@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import CloudError, FsinferError
+from fsinfer.io.crs import horizontal_epsg
 from fsinfer.io.files import atomic_path
 
 # Names under which CloudCompare stores and finds normals in LAS extra dimensions.
@@ -113,7 +113,7 @@ def sample_las(path: Path, starts: Sequence[int], count: int) -> NDArray[np.floa
 def read_epsg(path: Path) -> int | None:
     """EPSG code of the horizontal frame that a LAS or LAZ header names, None where it names none.
 
-    Looks at the GeoTIFF keys (projected, then geographic) and at the last code of a WKT record's projected part.
+    Looks at the WKT records, and after them at the GeoTIFF keys (projected, then geographic).
     """
     with open_las(path) as reader:
         records = [*reader.header.vlrs, *(reader.header.evlrs or [])]
@@ -122,11 +122,9 @@ def read_epsg(path: Path) -> int | None:
         for key in getattr(record, "geo_keys", ()):
             keys[int(key.id)] = int(key.value_offset)
         text = getattr(record, "string", "")
-        if isinstance(text, str) and "AUTHORITY" in text.upper():
-            # A compound frame ends with the vertical part; the projected one ends before it.
-            codes = re.findall(r'AUTHORITY\["EPSG","(\d+)"\]', text.split("VERT_CS")[0], flags=re.IGNORECASE)
-            if codes:
-                return int(codes[-1])
+        code = horizontal_epsg(text.rstrip("\x00")) if isinstance(text, str) and "[" in text else None
+        if code is not None:
+            return code
     for key_id in (_PROJECTED_KEY, _GEOGRAPHIC_KEY):
         if keys.get(key_id, 0) not in (0, _USER_DEFINED):
             return keys[key_id]
