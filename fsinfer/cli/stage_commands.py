@@ -38,6 +38,7 @@ from fsinfer.cli.options import (
     tree_settings,
 )
 from fsinfer.cli.tables import evaluation_rows, unmeasured_rows
+from fsinfer.output.layout import FRAMES_FILE, OutputFolder
 
 SceneFolder = Annotated[
     Path, typer.Argument(help="Scene in MVSNet format: images/, cams/, pair.txt.", show_default=False)
@@ -74,7 +75,7 @@ def frames(
     with stage_progress(quiet=quiet) as progress:
         result = select_frames(source, out, settings=settings, progress=progress("frames"))
     warn(result.warnings)
-    typer.echo(f"{len(result.images)} of {len(result.rows)} frames chosen; reasons in {out / 'frames.csv'}")
+    typer.echo(f"{len(result.images)} of {len(result.rows)} frames chosen; reasons in {out / FRAMES_FILE}")
 
 
 @reports_errors
@@ -123,7 +124,7 @@ def depth(
 
     with stage_progress(quiet=quiet) as progress:
         result = estimate_depth(read_scene(scene), out, settings=settings, progress=progress("depth"))
-    typer.echo(f"{result.views} depth maps in {out / 'depth'}, {result.seconds:.0f} s")
+    typer.echo(f"{result.views} depth maps in {OutputFolder(out).depth}, {result.seconds:.0f} s")
 
 
 @reports_errors
@@ -146,7 +147,7 @@ def fuse(
 
     with stage_progress(quiet=quiet) as progress:
         points = fuse_scene(scene, out, level=level, progress=progress("fuse"))
-    typer.echo(f"{points} points in {out / 'cloud.ply'} and {out / 'cloud.laz'}")
+    typer.echo(f"{points} points in {OutputFolder(out).cloud_ply} and {OutputFolder(out).cloud_laz}")
 
 
 @reports_errors
@@ -183,8 +184,8 @@ def trees(
         )
     warn(result["warnings"])
     trees = "tree" if result["trees"] == 1 else "trees"
-    typer.echo(f"{result['trees']} {trees}, {result['trees_with_dbh']} with DBH, in {out / 'trees.csv'}")
-    for row in unmeasured_rows(read_trees(out / "trees.csv")):
+    typer.echo(f"{result['trees']} {trees}, {result['trees_with_dbh']} with DBH, in {OutputFolder(out).trees_csv}")
+    for row in unmeasured_rows(read_trees(OutputFolder(out).trees_csv)):
         typer.echo(row)
 
 

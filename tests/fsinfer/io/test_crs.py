@@ -36,7 +36,7 @@ def test_utm_to_longitude_and_latitude(epsg: int, x_m: float, y_m: float, longit
     assert positions.tolist() == [[pytest.approx(longitude, abs=2e-5), pytest.approx(latitude, abs=1e-7)]]
 
 
-def test_own_formulas_and_pyproj_agree_to_a_centimetre() -> None:
+def test_own_formulas_and_pyproj_agree_to_two_millimetres() -> None:
     pyproj = pytest.importorskip("pyproj")
     rng = np.random.default_rng(3)
     for zone, south in ((1, False), (32, False), (33, True), (60, True)):
@@ -47,7 +47,8 @@ def test_own_formulas_and_pyproj_agree_to_a_centimetre() -> None:
         own = np.array([utm_to_wgs84(x, y, zone, south) for x, y in zip(x_m, y_m, strict=True)])
         # Longitudes beyond the date line count on in one and start again in the other.
         difference = (own - expected + 180.0) % 360.0 - 180.0
-        assert np.abs(difference).max() * DEGREE_M < 0.01
+        difference[:, 0] *= np.cos(np.radians(expected[:, 1]))
+        assert np.abs(difference).max() * DEGREE_M < 0.002
 
 
 @pytest.mark.parametrize(
