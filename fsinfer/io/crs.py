@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-#: EPSG code of longitude and latitude in WGS84.
+#: EPSG code of longitude and latitude in WGS84. Source: format; EPSG registry.
 WGS84 = 4326
-# Positions may lie so far outside the area that a frame was made for: zones are used beyond their borders. Source:
-# a neighbouring UTM zone is 6 degrees wide; two of its degrees are a plot at the border, not a mistake.
+#: Positions may lie so far outside the area that a frame was made for, degrees: a plot at the border of two zones has
+#: one of them. Source: judgement; a third of a UTM zone.
 _BEYOND_AREA_DEG = 2.0
-# A worse transformation is told. Source: what a phone's GNSS gives at best, so that nobody wonders.
+#: A transformation is told that is worse than so many metres. Source: judgement; what GNSS of a phone gives at best.
 _WORTH_TELLING_M = 2.0
 
 # WKT 1 (OGC 01-009) and WKT 2 (OGC 18-010r7): where the vertical part of a compound frame begins, and a code that is

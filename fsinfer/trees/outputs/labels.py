@@ -15,10 +15,11 @@ if TYPE_CHECKING:
     from fsinfer.io.chunks import ChunkedCloud
     from fsinfer.trees import PlotResult
 
-# A point belongs to the stem within three standard deviations of its noise; bark and moss need some room in any case.
+#: A point belongs to the stem within so many standard deviations of its noise. Source: judgement.
 SIGMAS = 3.0
+#: It belongs to it within this in any case: bark and moss need some room, metres. Source: judgement.
 LEAST_REACH_M = 0.03
-# The axis was fitted to the first metres; farther up the stem bends away from it.
+#: So far above what its axis was fitted to a stem is labelled: farther up it bends away, metres. Source: judgement.
 ABOVE_SUPPORT_M = 0.5
 
 

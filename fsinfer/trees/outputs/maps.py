@@ -23,12 +23,10 @@ from fsinfer.trees.tree import Tree
 
 #: Names of the files.
 GEOPACKAGE, GEOJSON = "trees.gpkg", "trees.geojson"
-# Digits of a degree: 0.1 mm on the ground. Source: an arc second is 31 m.
+#: Digits of a degree: 0.1 mm on the ground. Source: numerics.
 _DEGREE_DIGITS = 9
-# "GPKG", version 1.3, and the "undefined Cartesian" frame of local metres. Source: OGC 12-128r19.
-_APPLICATION_ID = 0x47504B47
-_VERSION = 10300
-_LOCAL = -1
+#: "GPKG", version 1.3, and the "undefined Cartesian" frame of local metres. Source: format; OGC 12-128r19.
+_APPLICATION_ID, _VERSION, _LOCAL = 0x47504B47, 10300, -1
 _SYSTEMS = """CREATE TABLE gpkg_spatial_ref_sys (srs_name TEXT NOT NULL, srs_id INTEGER PRIMARY KEY,
 organization TEXT NOT NULL, organization_coordsys_id INTEGER NOT NULL, definition TEXT NOT NULL, description TEXT)"""
 _CONTENTS = """CREATE TABLE gpkg_contents (table_name TEXT NOT NULL PRIMARY KEY, data_type TEXT NOT NULL,

@@ -21,10 +21,9 @@ if TYPE_CHECKING:
 
 Cell = str | int | float | bool | None
 
-# The same trees give the same bytes, whenever they are written. Source: any date would do; this one is a round one.
+#: The date in the file: the same trees give the same bytes, whenever they are written. Source: layout; any would do.
 _CREATED = datetime(2000, 1, 1)
-# Digits that are shown by the ending of a name; the cells themselves hold more. Source: what a calliper and a tape
-# tell in the field, one digit more for positions than a tape gives.
+#: Digits that are shown by the ending of a name; the cells themselves hold more. Source: layout; what a calliper tells.
 _SHOWN = (
     ("_cm", "0.0"),
     ("_deg", "0.0"),
@@ -34,7 +33,7 @@ _SHOWN = (
     ("_m", "0.00"),
     ("_coverage", "0.00"),
 )
-# Narrower columns hide their names' ends, wider ones push the next column off the screen. Source: by look.
+#: Least and greatest width of a column, characters: wider ones push the next off the screen. Source: layout.
 _WIDTH_CHARACTERS = (8, 60)
 
 
