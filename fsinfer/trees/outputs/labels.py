@@ -15,11 +15,10 @@ if TYPE_CHECKING:
     from fsinfer.io.chunks import ChunkedCloud
     from fsinfer.trees import PlotResult
 
-#: A point belongs to the stem within so many standard deviations of its noise. Source: judgement.
+# A point belongs to the stem within three standard deviations of its noise; bark and moss need some room in any case.
 SIGMAS = 3.0
-#: It belongs to it within this in any case: bark and moss need some room, metres. Source: judgement.
 LEAST_REACH_M = 0.03
-#: So far above what its axis was fitted to a stem is labelled: farther up it bends away, metres. Source: judgement.
+# The axis was fitted to the first metres; farther up the stem bends away from it.
 ABOVE_SUPPORT_M = 0.5
 
 
