@@ -26,6 +26,7 @@ from fsinfer.geometry.similarity import scale_of
 from fsinfer.io.files import make_folder, write_text
 from fsinfer.io.images import list_images
 from fsinfer.notices.sentences import sentences
+from fsinfer.output.layout import OutputFolder
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.sparse import read_sparse
 from fsinfer.progress import Progress, StageProgress, silent_stages
@@ -114,11 +115,10 @@ def check_capture(
         images = out / "frames" / "images"
         register_photos(ledger, images, settings=settings.poses, origin=source, progress=progress)
     seconds["poses"] = time.monotonic() - start - sum(seconds.values())
-    folder = out / "scene"
     photos = {path.stem: path for path in (list_images(source) if source.is_dir() else [])}
     # Frames that were coded again lost their place; the photos themselves have it.
-    originals = [photos.get(path.stem, path) for path in list_images(out / "frames" / "images")]
-    scene, sparse = read_scene(folder), read_sparse(folder / "sparse")
+    originals = [photos.get(path.stem, path) for path in list_images(OutputFolder(out).frame_images)]
+    scene, sparse = read_scene(OutputFolder(out).scene), read_sparse(OutputFolder(out).sparse)
     report = progress("check")
     scale, visible = _scale(settings.scale, scene, report)
     seconds["boards"] = time.monotonic() - start - sum(seconds.values())
@@ -127,7 +127,7 @@ def check_capture(
     survey = survey_scene(scene, sparse, glance, m_per_unit=scale.m_per_unit, settings=settings.survey)
     result = judge_survey(survey, originals, scale, visible, settings=settings)
     seconds["stems"] = time.monotonic() - start - sum(seconds.values())
-    result = _write(replace(result, notes=(*result.notes, *notes)), out / "check", seconds)
+    result = _write(replace(result, notes=(*result.notes, *notes)), OutputFolder(out), seconds)
     shutil.rmtree(out / WORK, ignore_errors=True)
     return result
 
@@ -251,13 +251,14 @@ def _scale(request: ScaleRequest, scene: Scene, progress: Progress) -> tuple[Sca
         return scale, UNKNOWN
 
 
-def _write(result: CheckResult, folder: Path, seconds: dict[str, float]) -> CheckResult:
+def _write(result: CheckResult, folder: OutputFolder, seconds: dict[str, float]) -> CheckResult:
     from fsinfer.check.map import draw_map
 
-    path = folder / "check.png"
-    draw_map(result, path)
-    result = replace(result, map_path=path, seconds={key: round(value, 1) for key, value in seconds.items()})
-    write_text(folder / "check.json", json.dumps(_as_json(result), indent=1) + "\n")
+    draw_map(result, folder.check_map)
+    result = replace(
+        result, map_path=folder.check_map, seconds={key: round(value, 1) for key, value in seconds.items()}
+    )
+    write_text(folder.check_json, json.dumps(_as_json(result), indent=1) + "\n")
     return result
 
 

@@ -38,6 +38,7 @@ from fsinfer.cli.options import (
     tree_settings,
 )
 from fsinfer.cli.tables import evaluation_rows, unmeasured_rows
+from fsinfer.output.layout import FRAMES_FILE, OutputFolder
 
 SceneFolder = Annotated[
     Path, typer.Argument(help="Scene in MVSNet format: images/, cams/, pair.txt.", show_default=False)
@@ -75,7 +76,7 @@ def frames(
     with stage_progress(quiet=quiet) as progress:
         result = frames_of(source, out, settings=settings, progress=progress).result
     warn(sentences(result.warnings))
-    typer.echo(f"{len(result.images)} of {len(result.rows)} frames chosen; reasons in {out / 'frames.csv'}")
+    typer.echo(f"{len(result.images)} of {len(result.rows)} frames chosen; reasons in {out / FRAMES_FILE}")
 
 
 @reports_errors
@@ -125,7 +126,7 @@ def depth(
 
     with stage_progress(quiet=quiet) as progress:
         record = depth_of(scene, out, settings=settings, progress=progress)
-    typer.echo(f"{record.result.views} depth maps in {out / 'depth'}, {record.seconds:.0f} s")
+    typer.echo(f"{record.result.views} depth maps in {OutputFolder(out).depth}, {record.seconds:.0f} s")
 
 
 @reports_errors
@@ -148,7 +149,7 @@ def fuse(
 
     with stage_progress(quiet=quiet) as progress:
         cloud = fuse_scene(scene, out, level=level, progress=progress).result
-    typer.echo(f"{cloud.points} points in {out / 'cloud.ply'} and {out / 'cloud.laz'}")
+    typer.echo(f"{cloud.points} points in {OutputFolder(out).cloud_ply} and {OutputFolder(out).cloud_laz}")
 
 
 @reports_errors
@@ -182,7 +183,7 @@ def trees(
         ).result.trees
     warn(sentences(found.warnings))
     trees = "tree" if found.trees == 1 else "trees"
-    typer.echo(f"{found.trees} {trees}, {found.trees_with_dbh} with DBH, in {out / 'trees.csv'}")
+    typer.echo(f"{found.trees} {trees}, {found.trees_with_dbh} with DBH, in {OutputFolder(out).trees_csv}")
     for row in unmeasured_rows(found.unmeasured):
         typer.echo(row)
 

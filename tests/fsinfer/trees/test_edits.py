@@ -129,8 +129,8 @@ def test_reading(tmp_path: Path) -> None:
     text = "\ufeffaction, tree_id, other_id, x_m, y_m, note\nDelete,3,,,,shrub\n\nadd,,,1.5,-2,\nmerge,4,5,,,\n"
     assert edits_of(tmp_path, text) == (
         TreeEdit(action="delete", row=2, tree_id=3),
-        TreeEdit(action="add", row=3, x_m=1.5, y_m=-2.0),
-        TreeEdit(action="merge", row=4, tree_id=4, other_id=5),
+        TreeEdit(action="add", row=4, x_m=1.5, y_m=-2.0),
+        TreeEdit(action="merge", row=5, tree_id=4, other_id=5),
     )
     spreadsheet = "action;tree_id;x_m;y_m;note\nadd;;1,5;-2;a, b\n"
     assert edits_of(tmp_path, spreadsheet) == (TreeEdit(action="add", row=2, x_m=1.5, y_m=-2.0),)
@@ -163,7 +163,7 @@ def test_a_wrong_row_is_told_with_its_place(tmp_path: Path, text: str, told: str
 
 
 def test_a_file_that_cannot_be_read_is_told(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"cannot read the edits .*none\.csv: No such file"):
+    with pytest.raises(InputError, match=r"cannot read the edits .*none\.csv: there is no such file"):
         read_edits(tmp_path / "none.csv")
     (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="cannot read the edits"):

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import csv
-import xml.etree.ElementTree as ElementTree
-import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fsinfer.io.cloud import PointCloud
-from fsinfer.io.workbook import write_workbook
 from fsinfer.notices.notice import notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees import PlotResult, analyse_plot
@@ -19,9 +16,9 @@ from fsinfer.trees.outputs.table import COLUMNS as TREE_COLUMNS
 from fsinfer.trees.stem_curve import COLUMNS, stem_curves, write_curves
 from fsinfer.workflow.tree_stage import PlotCloudInput, measure_plot, no_trees
 from tests.support.stem_clouds import StemPlot, stem_plot
+from tests.support.workbook import read_sheets
 
 TAPER = -0.005
-SPACE = {"m": "http://schemas.openxmlformats.org/spreadsheetml/2006/main"}
 
 
 @pytest.fixture(scope="module")
@@ -81,34 +78,12 @@ def test_csv_has_a_row_a_height(plot: StemPlot, result: PlotResult, tmp_path: Pa
     assert float(rows[0]["diameter_cm"]) == pytest.approx(first.diameter_cm, abs=0.006)
 
 
-def cells(path: Path, sheet: int) -> dict[str, str]:
-    with zipfile.ZipFile(path) as archive:
-        root = ElementTree.fromstring(archive.read(f"xl/worksheets/sheet{sheet}.xml"))
-    return {c.attrib["r"]: "".join(c.itertext()) for c in root.iterfind(".//m:c", SPACE)}
-
-
-def test_workbook_keeps_numbers_text_and_gaps(tmp_path: Path) -> None:
-    row: list[float | int | str | bool | None] = [1, 2.5, 'a < b & "c" \x07ä', None, float("nan"), True]
-    write_workbook(tmp_path / "a.xlsx", {"one & two": [["h"] * 30, row], "empty": []})
-    with zipfile.ZipFile(tmp_path / "a.xlsx") as archive:
-        assert archive.testzip() is None
-        for name in archive.namelist():
-            ElementTree.fromstring(archive.read(name))
-        workbook = ElementTree.fromstring(archive.read("xl/workbook.xml"))
-    assert [s.attrib["name"] for s in workbook.iterfind(".//m:sheet", SPACE)] == ["one & two", "empty"]
-    found = cells(tmp_path / "a.xlsx", 1)
-    assert (found["A2"], found["B2"], found["C2"], found["F2"]) == ("1", "2.5", 'a < b & "c" ä', "1")
-    assert "D2" not in found
-    assert "E2" not in found
-    assert found["AD1"] == "h"
-
-
 def test_the_tree_stage_writes_curve_workbook_and_figure(plot: StemPlot, tmp_path: Path) -> None:
     measure_plot(PlotCloudInput(cloud=PointCloud(xyz=plot.points)), tmp_path)
-    trees = cells(tmp_path / "trees.xlsx", 1)
-    assert [trees[f"{letter}1"] for letter in "ABCDE"] == list(TREE_COLUMNS[:5])
-    assert trees["A5"] == "4"
-    assert "quadratic_mean_dbh_cm" in cells(tmp_path / "trees.xlsx", 2).values()
+    trees, stand, _ = read_sheets(tmp_path / "trees.xlsx")
+    assert trees.rows()[0] == list(TREE_COLUMNS)
+    assert trees.values["A5"] == 4
+    assert "quadratic_mean_dbh_cm" in stand.values.values()
     assert (tmp_path / "stem_curve.csv").stat().st_size > 300
     no_trees(tmp_path, reason=notice(StemCode.nothing_measured, error="for the test"))
     assert not (tmp_path / "trees.xlsx").exists()
