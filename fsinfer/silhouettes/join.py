@@ -25,6 +25,7 @@ from fsinfer.scene import Scene
 from fsinfer.silhouettes.edges import EdgeSettings, StemAxis, Strip, find_edges
 from fsinfer.silhouettes.strips import draw_strips, keep_strip
 from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
+from fsinfer.trees.cylinder.axis import LEAST_RADIUS_M
 from fsinfer.trees.diameter.dbh import too_uncertain, wide_interval
 from fsinfer.trees.diameter.outline import Outline
 from fsinfer.trees.diameter.silhouette import Edges, SilhouetteFit, SilhouetteSettings, edge_contrast, fit_silhouette
@@ -54,18 +55,36 @@ class StemPhotos:
     cloud_from_scene: Floats
 
 
+#: Numerics: depth maps held at once, and directions in which an outline is drawn.
+CACHED_MAPS, DIRECTIONS = 2, 180
+
+
 @dataclass(frozen=True, kw_only=True)
 class SilhouetteJoinSettings:
-    """Constants of :func:`measure_silhouettes`; metres. Chosen on three rendered plots (docs/accuracy.md)."""
+    """Constants of :func:`measure_silhouettes`. "Three renders" are the open, the sloped and the test plot.
 
-    cloud_floor_m: float = 0.0015  # added to the error of the cloud's radius: depth maps fatten edges
-    gate: float = 2.0  # standard deviations between the two beyond which the silhouette stands alone
+    Attributes
+    ----------
+    cloud_floor_m: added to the error of the cloud's radius: depth maps fatten edges. Source: renders only, three
+        renders.
+    gate: standard deviations between the two beyond which the silhouette stands alone. Source: renders only, three
+        renders.
+    min_photos: in which the stem's edges agree. Source: renders only, three renders.
+    sure_photos: fewer, and a stem that the cloud could not measure stays doubtful. Source: renders only, three renders.
+    sure_sectors: the same for the directions that they cover. Source: renders only, three renders.
+    shrub_photos: so many photographs show the place, and ... Source: renders only, undergrown plot, afterwards.
+    shrub_contrast: ... their edges agree no better than this on a stem: a shrub. Source: renders only, undergrown plot,
+        afterwards: 1.02 to 1.07, a half-hidden stem 1.18.
+    edges, fit: of the steps.
+    """
+
+    cloud_floor_m: float = 0.0015
+    gate: float = 2.0
     min_photos: int = 4
-    sure_photos: int = 8  # fewer, and a stem that the cloud could not measure stays doubtful
+    sure_photos: int = 8
     sure_sectors: float = 0.3
-    outline_sectors: float = 0.8  # least and greatest diameter need the way round
-    shrub_photos: int = 15  # so many photographs show the place, and their edges agree no better than this on a stem:
-    shrub_contrast: float = 1.12  # a shrub (1.02 to 1.07 on a rendered plot; a half-hidden stem 1.18)
+    shrub_photos: int = 15
+    shrub_contrast: float = 1.12
     edges: EdgeSettings = field(default_factory=EdgeSettings)
     fit: SilhouetteSettings = field(default_factory=SilhouetteSettings)
 
@@ -93,7 +112,7 @@ def measure_silhouettes(
     stems = [_axis(tree, section) for tree, section in zip(result.trees, result.sections, strict=True)]
     if not stems:
         return result
-    maps = DepthMaps(photos.scene, photos.depth_folder, cache_maps=2)
+    maps = DepthMaps(photos.scene, photos.depth_folder, cache_maps=CACHED_MAPS)
     strips: list[list[Strip]] = [[] for _ in stems]
 
     def on_strip(number: int, strip: Strip) -> None:
@@ -167,7 +186,7 @@ def join(
         status=status,
         reasons=reasons,
         circle_m=np.array([*fit.shift_m, radius]),
-        outline=_outline(fit, radius, s) if measured and fit.sectors >= s.outline_sectors else None,
+        outline=_outline(fit, radius) if measured and fit.sectors >= dbh.outline_coverage else None,
         silhouette=fit,
         cloud_dbh_m=section.dbh_m,
     )
@@ -193,7 +212,7 @@ def _axis(tree: Tree, section: Section) -> StemAxis:
     return StemAxis(
         breast=np.array([tree.x_m, tree.y_m, tree.z_ground_m + section.bh_m]),
         along=along / np.linalg.norm(along),
-        radius_m=max(radius, 0.01),
+        radius_m=max(radius, LEAST_RADIUS_M),
         taper=section.taper,
     )
 
@@ -213,9 +232,9 @@ def _status(
     return ("doubtful" if doubts else "ok"), tuple(doubts)
 
 
-def _outline(fit: SilhouetteFit, radius: float, s: SilhouetteJoinSettings) -> Outline:
+def _outline(fit: SilhouetteFit, radius: float) -> Outline:
     """Hull whose support function is the fit's about ``radius``: x = p n + p' n' (Santalo 2004, section 1.2)."""
-    angle = np.linspace(0.0, 2.0 * np.pi, 180, endpoint=False)
+    angle = np.linspace(0.0, 2.0 * np.pi, DIRECTIONS, endpoint=False)
     support = fit.support(angle) + radius - fit.radius_m
     slope = (np.roll(support, -1) - np.roll(support, 1)) / (angle[2] - angle[0])
     normal, along = np.column_stack([np.cos(angle), np.sin(angle)]), np.column_stack([-np.sin(angle), np.cos(angle)])

@@ -32,16 +32,20 @@ Floats = NDArray[np.float64]
 EDITS_FILE = "edits.csv"
 #: The columns that each action needs.
 ACTIONS = {"delete": ("tree_id",), "add": ("x_m", "y_m"), "merge": ("tree_id", "other_id")}
-# A point set by hand on a map lies within this of the stem's middle, besides its radius.
+#: A point set by hand on a map lies within this of the stem's middle, besides its radius, metres. Source: not recorded.
 REACH_M = 0.35
-# Points around a place that are looked at: the widest stem, and what it has to stand out from.
+#: Points around a place that are looked at, metres: the widest stem, and what it has to stand out from.
+#: Source: not recorded.
 AROUND_M = 1.5
-# Room for a label on the map where nothing is measured.
+#: Drawing: radius in metres of the ring on the map where nothing is measured.
 LABEL_RADIUS_M = 0.1
-# A person says that a stem stands there: much less evidence is asked for than where nobody said so.
+#: Numerics: of two stems as near to a place the better one is taken; metres a unit of quality.
+TIE = 1e-3
+#: A person says that a stem stands there: much less evidence is asked for than where nobody said so. Source: not
+#: recorded.
 SEEN_BY_PERSON = StemSettings(
     min_votes=0.8, min_length_m=0.3, min_arc=0.08, max_filled=0.6, max_noise=0.6, min_contrast=1.1, rough_m=0.025,
-    min_rough_length_m=0.3, thin_m=0.0, min_fork_length_m=0.3, min_fork_arc=0.08,
+    sure_length_m=0.3, sure_arc=0.08, thin_m=0.0,
 )  # fmt: skip
 
 
@@ -171,14 +175,14 @@ def _measured_at(
     stand[:, 2] -= ground.height_at(stand[:, :2])
     best: tuple[Stem, float] | None = None
     for wanted in (settings.stems, SEEN_BY_PERSON):
-        search = find_stems(stand, settings=wanted, seed=settings.seed)
+        search = find_stems(stand, bh_m=settings.bh_m, settings=wanted, seed=settings.seed)
         for stem in search.stems:
             center = stem.axis.center_at(settings.bh_m) + origin[:2]
             off = float(np.linalg.norm(center - middle))
             if off > REACH_M + apart + stem.axis.radius_m:
                 continue
             # One place: the nearest. Two: the one with the most to show for itself.
-            worth = stem.quality if len(places) > 1 else -max(off - stem.axis.radius_m, 0.0) + 1e-3 * stem.quality
+            worth = stem.quality if len(places) > 1 else -max(off - stem.axis.radius_m, 0.0) + TIE * stem.quality
             if best is None or worth > best[1]:
                 best = stem, worth
         if best is not None:

@@ -14,12 +14,18 @@ from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
 
+#: Cells by which the area is counted, metres. Source: not recorded.
 CELL_M = 0.5
-NEAR_GROUND_M = 0.3  # herbs and noise; what lies so low stands for ground that was seen
-CLOSE_M = 1.0  # the shadow of a stem or a shrub on the ground belongs to the plot
+#: Herbs and noise: what lies so low, metres, stands for ground that was seen. Source: not recorded.
+NEAR_GROUND_M = 0.3
+#: Half the width of gaps that are closed, metres: the shadow of a stem or a shrub on the ground belongs to the plot.
+#: Source: not recorded.
+CLOSE_M = 1.0
 AREA_METHOD = "ground seen in the cloud, gaps of up to 2 m closed"
 NO_AREA = "unknown: the cloud shows too little ground around the stems"
-LEAST_ON_GROUND = 0.8  # of the stems must stand on ground that was seen, or its area says nothing of the plot
+#: Share of the stems that must stand on ground that was seen, or its area says nothing of the plot.
+#: Source: not recorded.
+LEAST_ON_GROUND = 0.8
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,7 +19,7 @@ from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.scene import Camera, read_scene, write_camera, write_pairs
 from fsinfer.silhouettes.join import SilhouetteJoinSettings, StemPhotos, join, measure_silhouettes, write_sources
-from fsinfer.silhouettes.strips import StripSettings
+from fsinfer.silhouettes.strips import GAP_PX, TILE_PX
 from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
 from fsinfer.trees.diameter.silhouette import Edges, SilhouetteFit, fit_silhouette
 
@@ -79,8 +79,8 @@ def test_girth_of_an_oval_stem_among_junk(radius: float, known: float, oval: flo
 
 def test_a_stem_seen_from_one_side_is_less_certain() -> None:
     rng = np.random.default_rng(3)
-    round_it = fit_silhouette(edges_of(0.15, 0.02, rays=24, reach_deg=360, junk=1.0, rng=rng), 0.16)
-    one_side = fit_silhouette(edges_of(0.15, 0.02, rays=24, reach_deg=40, junk=1.0, rng=rng), 0.16)
+    round_it = fit_silhouette(edges_of(0.15, 0.02, rays=24, reach_deg=360, junk=1.0, rng=rng), 0.16, taper=TAPER)
+    one_side = fit_silhouette(edges_of(0.15, 0.02, rays=24, reach_deg=40, junk=1.0, rng=rng), 0.16, taper=TAPER)
     assert round_it is not None
     assert one_side is not None
     assert one_side.std_m > 1.3 * round_it.std_m
@@ -92,9 +92,9 @@ def test_edges_at_random_are_no_stem() -> None:
     rng = np.random.default_rng(5)
     edges = edges_of(0.15, 0.0, rays=24, reach_deg=360, junk=6.0, rng=rng)
     scattered = replace(edges, support_m=rng.uniform(0.02, 0.3, len(edges.support_m)))
-    assert fit_silhouette(scattered, 0.15) is None
+    assert fit_silhouette(scattered, 0.15, taper=TAPER) is None
     few = edges_of(0.15, 0.0, rays=1, reach_deg=10, junk=0.0, rng=rng)
-    assert fit_silhouette(replace(few, ray=np.zeros_like(few.ray)), 0.15) is None
+    assert fit_silhouette(replace(few, ray=np.zeros_like(few.ray)), 0.15, taper=TAPER) is None
 
 
 def camera(angle: float, distance: float) -> Camera:
@@ -300,15 +300,14 @@ def test_photographs_lift_the_doubts_of_the_cloud_but_not_that_of_its_height() -
 def test_sheet_of_strips_shows_the_edges_where_the_stem_ends(photos: StemPhotos, tmp_path: Path) -> None:
     result = measure_silhouettes(plot_of(section_of(0.30, 0.008)), photos, figures=tmp_path)
     sheet = read_image(tmp_path / "tree_001_edges.png").astype(np.int64)
-    tile = StripSettings()
-    rows, columns = (sheet.shape[i] // (tile.tile_px[1 - i] + tile.gap_px) for i in (0, 1))
+    rows, columns = (sheet.shape[i] // (TILE_PX[1 - i] + GAP_PX) for i in (0, 1))
     assert (rows, columns) == (2, 4)
     shown = 0
     assert result.sections[0].silhouette is not None
     for row in range(rows):
         for column in range(columns):
-            top, left = (tile.gap_px + n * (tile.tile_px[i] + tile.gap_px) for n, i in ((row, 1), (column, 0)))
-            part = sheet[top : top + tile.tile_px[1] - 25, left : left + tile.tile_px[0]]
+            top, left = (GAP_PX + n * (TILE_PX[i] + GAP_PX) for n, i in ((row, 1), (column, 0)))
+            part = sheet[top : top + TILE_PX[1] - 25, left : left + TILE_PX[0]]
             green = part[..., 1] > 230  # the background has at most 212
             at = np.flatnonzero(green.sum(axis=0) > 10)
             if part.min() > 250:

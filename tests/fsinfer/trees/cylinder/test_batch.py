@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fsinfer.trees.cylinder.axis import AxisSettings, _densities, fit_axis
+from fsinfer.trees.cylinder.axis import _densities, fit_axis
 from fsinfer.trees.cylinder.batch import fit_axes, fit_sections
 from fsinfer.trees.cylinder.kernels import blocked, sums_of_sets, tail_density
 from tests.support.stem_clouds import wall
@@ -36,10 +36,9 @@ def _candidates(rng: np.random.Generator) -> tuple[list[NDArray[np.float64]], ND
 def test_a_batch_equals_one_by_one(iterations: int) -> None:
     points, starts = _candidates(np.random.default_rng(0))
     heights = np.full(len(points), 1.3)
-    settings = AxisSettings(iterations=iterations)
-    batch = fit_axes(points, starts, heights, settings=settings)
+    batch = fit_axes(points, starts, heights, steps=iterations)
     for axis, own, start in zip(batch, points, starts, strict=True):
-        alone = fit_axis(own, start, 1.3, settings=settings)
+        alone = fit_axis(own, start, 1.3, steps=iterations)
         np.testing.assert_allclose(axis.parameters, alone.parameters, atol=TOLERANCE_M)
         assert axis.sigma_m == pytest.approx(alone.sigma_m, abs=TOLERANCE_M)
 

@@ -1,9 +1,14 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from fsinfer.trees import find_stems
-from fsinfer.trees.cylinder.axis import axis_coordinates, fit_axis
-from fsinfer.trees.search.stem import StemSettings
+from fsinfer.trees.cylinder.axis import Axis, axis_coordinates, fit_axis
+from fsinfer.trees.height import axis_path
+from fsinfer.trees.points.cells import PlanIndex
+from fsinfer.trees.search.find import _resolve_overlaps
+from fsinfer.trees.search.stem import Stem, StemSettings
 from tests.support.stem_clouds import board, post, stem_plot
 
 
@@ -18,10 +23,11 @@ def test_every_stem_is_found_between_shrubs() -> None:
     assert distance.min(axis=1).max() < 0.03
 
 
-def test_looking_ahead_finds_the_stems_of_one_round_after_the_other() -> None:
+def test_looking_ahead_finds_the_stems_of_one_round_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
     plot = stem_plot(seed=3, trees=20, sigma_m=0.012, shrubs=12, outliers=0.1, hidden=0.3)
     ahead = find_stems(plot.points)
-    in_turn = find_stems(plot.points, settings=StemSettings(together=1))
+    monkeypatch.setattr("fsinfer.trees.search.find.TOGETHER", 1)
+    in_turn = find_stems(plot.points)
     assert len(ahead.stems) == len(in_turn.stems) > 15
     assert ahead.rejected == in_turn.rejected
     for stem, same in zip(ahead.stems, in_turn.stems, strict=True):
@@ -70,3 +76,23 @@ def test_outward_tail_does_not_pull_the_radius() -> None:
     fit = fit_axis(points, np.array([0.02, 0.0, 0.0, 0.0, 0.13, 0.0]), 1.3)
     assert abs(fit.radius_m - 0.15) < 0.001
     assert np.mean(rho) > 0.155  # what a plain mean would say
+
+
+def _leaning(x_m: float, y_m: float, slope: float) -> Stem:
+    axis = Axis(parameters=np.array([x_m, y_m, slope, 0.0, 0.15, 0.0]), height_m=1.3, sigma_m=0.004)
+    return Stem(axis=axis, bottom_m=0.5, top_m=2.5, length_m=2.0, arc_coverage=1.0, quality=1.0)
+
+
+def test_neighbours_and_crowns_follow_the_breast_height_that_was_asked_for() -> None:
+    # Far apart, and leaning so that their order from west to east is another at 2 m than at 1.3 m.
+    stems = [_leaning(0.0, 0.0, 0.3), _leaning(0.1, 9.0, -0.3)]
+    nothing = PlanIndex(np.zeros((0, 3)), 0.5)
+    for bh_m, order in ((1.3, [0.0, 9.0]), (2.0, [9.0, 0.0])):
+        kept = _resolve_overlaps(stems, nothing, 0.015, bh_m, StemSettings())
+        assert [stem.axis.parameters[1] for stem in kept] == order
+    # Touching at breast height or not: at 1.3 m these two stand apart, at 2.1 m on the same place.
+    crossing = [_leaning(0.0, 0.0, 0.3), replace(_leaning(0.48, 0.0, -0.3), quality=0.9)]
+    assert len(_resolve_overlaps(crossing, nothing, 0.015, 2.1, StemSettings())) == 1
+    path = axis_path(stems[0], 11.3, bh_m=1.3)
+    np.testing.assert_allclose(path[0], [-0.3 * 0.15, 0.0])
+    np.testing.assert_allclose(axis_path(stems[0], 11.3, bh_m=2.0)[0], [0.7 * 0.3 - 1.0 * 0.15, 0.0])
