@@ -17,12 +17,13 @@ from pathlib import Path
 from typing import Any
 
 from fsinfer.errors import PosesError
-from fsinfer.poses.pairs import PairSettings, first_pairs, most_pairs, pairs_beside
+from fsinfer.poses.pairs import MIN_INLIERS, PairSettings, first_pairs, most_pairs, pairs_beside
 from fsinfer.progress import Progress
 
 _log = logging.getLogger(__name__)
 
-# COLMAP draws random samples; a fixed seed, and one thread where sums are taken, make two runs on one machine alike.
+#: COLMAP draws random samples; a fixed seed, and one thread where sums are taken, make two runs on one machine alike.
+#: Source: numerics.
 SEED = 1
 
 
@@ -32,20 +33,23 @@ class PoseSettings:
 
     Attributes
     ----------
-    max_image_size: longer side at which features are found, pixels. 23 photos of 2016x1512 at 1600: all registered.
+    max_image_size: longer side at which features are found, pixels. Source: 23 phone photos of 2016x1512, all of which
+        are registered at it.
     double_below_px: photos whose longer side is shorter are doubled before looking for features, as COLMAP does with
-        all. Doubled photos of 1280x720 give four times the features, the smallest of them: matching takes 15 times as
-        long, and the walk through a video of which most is blurred tore in two places, which it did not without.
-    max_features: per photo, about; the smallest features go first. COLMAP's default is 8192.
+        all. Source: the rendered video of 1280x720; doubled, its photos give four times the features, the smallest of
+        them, matching takes 15 times as long, and the walk tore in two places, which it did not without; renders only.
+    max_features: per photo, about; the smallest features go first. Source: judgement; COLMAP's default is
+        8192, and matching grows with its square.
     pairs: which photos are matched with which.
-    default_focal_factor: focal length over longer side where the photo does not tell; 0.9 is a phone's main camera
-        (26-28 mm equivalent is 0.72-0.78, video is cropped). It is refined from the photos.
-    mapper: ``incremental`` (robust) or ``global`` (GLOMAP; as good and as fast on 23 photos).
-    min_registered: fewer photos than this in the largest model are no result.
-    min_inliers: matches that a pair needs after the geometric check (COLMAP's default is 15).
-    sources: at most this many source views in ``pair.txt`` (MVSNet writes 10).
-    jpeg_quality: of the undistorted images.
-    threads: 0 for one per core.
+    default_focal_factor: focal length over longer side where the photo does not tell; it is refined from the photos.
+        Source: a phone's main camera of 26-28 mm equivalent has 0.72-0.78, and video is cropped.
+    mapper: ``incremental`` (robust) or ``global`` (GLOMAP). Source: 200 photos of a rendered plot, of which it
+        placed 188 within 5 cm and the global one 170; renders only.
+    min_registered: fewer photos than this in the largest model are no result. Source: a third photo is the first that
+        can contradict two.
+    sources: at most this many source views in ``pair.txt``. Source: MVSNet (Yao et al. 2018) writes 10.
+    jpeg_quality: of the undistorted images. Source: judgement; the coding is not seen.
+    threads: 0 for one per core. Source: the user.
     """
 
     max_image_size: int = 1600
@@ -55,7 +59,6 @@ class PoseSettings:
     default_focal_factor: float = 0.9
     mapper: str = "incremental"
     min_registered: int = 3
-    min_inliers: int = 15
     sources: int = 10
     jpeg_quality: int = 95
     threads: int = 0
@@ -66,14 +69,22 @@ class PoseSettings:
         return self.threads if self.threads > 0 else (os.cpu_count() or 1)
 
 
-# Pairs and photos handed to COLMAP at a time: large enough that its indices are built once for many pairs.
+#: Photos and pairs handed to COLMAP at a time: large enough that its indices are built once for many pairs. Source:
+#: numerics.
 _PHOTOS_PER_BATCH = 8
 _PAIRS_PER_BATCH = 120
-# Of the geometric check of a pair. With COLMAP's 10,000 it takes as long as matching, most of it on pairs that do not
-# belong together: on 360 pairs of a plot 6.4 s against 3.0, 281 pairs and 92,629 matches against 279 and 92,574.
+#: Trials of the geometric check of a pair. With COLMAP's 10,000 it takes as long as matching, most of it on pairs that
+#: do not belong together. Source: 360 pairs of a rendered plot: 6.4 s with 10,000 against 3.0, 281 pairs and 92,629
+#: matches against 279 and 92,574; renders only.
 _MOST_TRIALS = 2500
-# An adjustment of all photos ends where a step gains less than this share; COLMAP goes on to its limit of steps.
+#: An adjustment of all photos ends where a step gains less than this share; COLMAP goes on to its limit of steps.
+#: Source: numerics; three adjustments of 300 photos take 36 instead of 85 s, to the same places.
 ENOUGH = 1e-5
+#: All photos are adjusted together when so many times more have come, not at every tenth (COLMAP: 1.1). Source: 300
+#: photos of a rendered plot in 82 instead of 150 s, their places as exact; renders only.
+_ADJUST_GROWTH = 1.6
+#: Parts that the mapper begins at most, of which the largest counts. Source: judgement.
+_MOST_PARTS = 5
 
 
 @contextmanager
@@ -249,7 +260,7 @@ def _match(
     options.use_gpu = False
     options.num_threads = settings.thread_count
     verification = pycolmap.TwoViewGeometryOptions()
-    verification.min_num_inliers = settings.min_inliers
+    verification.min_num_inliers = MIN_INLIERS
     verification.ransac.random_seed = SEED
     verification.ransac.max_num_trials = _MOST_TRIALS
     listed = database.parent / "pairs.txt"
@@ -309,10 +320,9 @@ def reconstruct(
         incremental.num_threads = 1
         incremental.random_seed = SEED
         incremental.min_model_size = settings.min_registered
-        incremental.max_num_models = 5
-        # All photos are adjusted together when so many more have come, not at every tenth, and without points that add
-        # nothing: 300 photos in 82 instead of 150 s, their places as exact, and refined once more at the end.
-        incremental.ba_global_frames_ratio = incremental.ba_global_points_ratio = 1.6
+        incremental.max_num_models = _MOST_PARTS
+        # Without points that add nothing; the model is refined once more at the end.
+        incremental.ba_global_frames_ratio = incremental.ba_global_points_ratio = _ADJUST_GROWTH
         incremental.ba_global_function_tolerance = ENOUGH
         incremental.mapper.ba_global_ignore_redundant_points3D = True
         # Colours are taken from the photographs at fusion.

@@ -14,9 +14,9 @@ from fsinfer.poses.verification.loose_parts import loose_parts
 from fsinfer.poses.verification.pair_votes import contradicted, pair_votes, weight_of
 from fsinfer.poses.verification.scale_jumps import strays
 
-# A pose that hangs on fewer points than this is an accident.
+#: A pose that hangs on fewer points than this is an accident. Source: judgement.
 _MIN_POINTS = 10
-
+#: Names told in a warning at most. Source: layout.
 _MOST_NAMES = 20
 
 _WHY = {
