@@ -11,10 +11,10 @@ What it reads:
 - a *constant*: a name in capitals at the top of a module whose value is made of numbers, with a comment above it that
   begins with ``#:``.
 
-Either text holds ``Source: ...`` up to its end. A source that begins with ``numerics`` (how exactly or in what pieces
-something is computed), ``layout`` (of a picture or page) or ``format`` (given by a file format or library) marks a
-number that does not decide what comes out; the others are *tunables*. A line ``Source of the rest: ...`` in the class
-docstring holds for all of its fields that name none.
+Either text holds ``Source: ...`` up to its end. A source that begins with ``option`` (the user decides),
+``numerics`` (how exactly or in what pieces something is computed), ``layout`` (of a picture or page) or ``format``
+(given by a file format or library) marks a number that was not tuned; the others are *tunables*. A line
+``Source of the rest: ...`` in the class docstring holds for all of its fields that name none.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "settings.md"
 UNSTATED = "source not stated"
-KINDS = ("tunable", "numerics", "layout", "format")
+KINDS = ("tunable", "option", "numerics", "layout", "format")
 # The end of a name and its unit; other numbers are counts, shares, factors, or say their unit in words.
 _UNITS = {
     "m": "m", "mm": "mm", "cm": "cm", "px": "px", "px2": "px²", "deg": "°", "s": "s", "gb": "GB", "bytes": "bytes",
@@ -108,9 +108,9 @@ def _of_module(module: str, tree: ast.Module, lines: list[str]) -> Iterator[Numb
                     module=module, owner=node.name, name=name, default=default, text=text, source=source or rest
                 )
         elif isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
-            target = node.targets[0] if isinstance(node, ast.Assign) else node.target
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
             text, source = _split(_comment_above(lines, node.lineno) or _comment(lines[node.lineno - 1]))
-            for name, value in _pairs(target, node.value):
+            for name, value in (pair for target in targets for pair in _pairs(target, node.value)):
                 if name.strip("_").isupper() and _is_number(value):
                     yield Number(module=module, owner="", name=name, default=_shown(value), text=text, source=source)
 
@@ -211,11 +211,12 @@ def page(numbers: list[Number]) -> str:
         "# Settings and constants",
         "",
         "Every number of fsinfer that has a name. *Tunables* decide what comes out, and say where their value comes",
-        "from; *numerics* say how exactly or in what pieces something is computed, *layout* how pictures and pages are",
-        "drawn, and *format* what a file format or a library asks for.",
+        "from; *judgement* means that it was not compared with others on data, and *renders only* that the data were",
+        "rendered. *Options* are for the user to decide; *numerics* say how exactly or in what pieces something is",
+        "computed, *layout* how pictures and pages are drawn, and *format* what a file format or a library asks for.",
         "",
-        "| package | tunables | numerics | layout | format | source not stated |",
-        "|---|---:|---:|---:|---:|---:|",
+        "| package | tunables | options | numerics | layout | format | source not stated |",
+        "|---|---:|---:|---:|---:|---:|---:|",
     ]
     for package in packages:
         rows.append(f"| [{package}](#{package}) | {_counts([n for n in numbers if n.package == package])} |")
@@ -276,9 +277,9 @@ def main(arguments: list[str] | None = None) -> int:
             fields = sum(bool(number.owner) for number in own)
             folder = options.count / package if package != "fsinfer" else options.count
             literals = unnamed_literals(folder) if package != "fsinfer" else 0
-            print(
+            sys.stdout.write(
                 f"{package}: {fields} settings + {len(own) - fields} constants, of them "
-                f"{sum(n.kind == 'tunable' for n in own)} tunable; {literals} unnamed in functions"
+                f"{sum(n.kind == 'tunable' for n in own)} tunable; {literals} unnamed in functions\n"
             )
         return 0
     numbers = read_numbers(ROOT / "fsinfer")
@@ -289,7 +290,7 @@ def main(arguments: list[str] | None = None) -> int:
     elif not PAGE.is_file() or PAGE.read_text(encoding="utf-8") != text:
         faults.append(f"{PAGE.relative_to(ROOT)} is stale: run python docs/make_settings.py")
     for fault in faults:
-        print(fault, file=sys.stderr)
+        sys.stderr.write(f"{fault}\n")
     return 1 if faults else 0
 
 

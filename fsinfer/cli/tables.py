@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from fsinfer.trees import Tree
     from fsinfer.workflow.demo import DemoResult
 
-# Of more trees than this without a DBH, the table tells the rest.
+#: Of more trees than this without a DBH, the table tells the rest. Source: layout.
 _MOST_REASONS = 8
 
 

@@ -25,13 +25,21 @@ class SfmCheckSettings:
 
     Attributes
     ----------
-    min_track, max_error_px: points seen in so many photos with so small an error are as good as truth.
-    min_points: with fewer such points in the whole scene, all points of tracks of 3 and more are taken.
+    min_track, max_error_px: points seen in so many photos with so small an error are as good as truth. Source:
+        judgement; the median difference to them is what a run reports.
+    min_points: with fewer such points in the whole scene, weaker points are taken. Source: judgement.
     """
 
     min_track: int = 4
     max_error_px: float = 0.5
     min_points: int = 50
+
+
+#: Photos that see the weaker points. Source: a third one is the first that can contradict two.
+_WEAK_TRACK = 3
+#: Neighbouring pixels of one surface differ by less than this factor: a slope; more is the edge of a stem. Source:
+#: judgement.
+_ONE_SURFACE = 1.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +83,7 @@ def check_depth(
             settings.min_track,
             settings.max_error_px,
         )
-        good = sparse.track_lengths >= 3
+        good = sparse.track_lengths >= _WEAK_TRACK
     maps = DepthMaps(scene, Path(depth_folder), cache_maps=2)
     differences, per_view, asked = [], {}, 0
     for index in maps.available:
@@ -131,8 +139,7 @@ def compare_depth(
     nearest = inverse_depth[
         np.clip(np.rint(y).astype(np.int64), 0, height - 1), np.clip(np.rint(x).astype(np.int64), 0, width - 1)
     ]
-    # 5 % between neighbouring pixels is a slope; more is the edge of a stem.
-    one_surface = (corners.min(axis=0) > 0) & (corners.max(axis=0) < 1.05 * corners.min(axis=0))
+    one_surface = (corners.min(axis=0) > 0) & (corners.max(axis=0) < _ONE_SURFACE * corners.min(axis=0))
     sampled = np.where(one_surface, (weights * corners).sum(axis=0), nearest)
     valid = inside & (sampled > 0)
     depth = 1.0 / np.where(valid, sampled, 1.0)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+#: Steps of the fit at most. Source: numerics.
 _ITERATIONS = 10
 
 

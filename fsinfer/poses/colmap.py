@@ -49,7 +49,7 @@ class PoseSettings:
         can contradict two.
     sources: at most this many source views in ``pair.txt``. Source: MVSNet (Yao et al. 2018) writes 10.
     jpeg_quality: of the undistorted images. Source: judgement; the coding is not seen.
-    threads: 0 for one per core. Source: the user.
+    threads: 0 for one per core. Source: option.
     """
 
     max_image_size: int = 1600
@@ -71,8 +71,7 @@ class PoseSettings:
 
 #: Photos and pairs handed to COLMAP at a time: large enough that its indices are built once for many pairs. Source:
 #: numerics.
-_PHOTOS_PER_BATCH = 8
-_PAIRS_PER_BATCH = 120
+_PHOTOS_PER_BATCH, _PAIRS_PER_BATCH = 8, 120
 #: Trials of the geometric check of a pair. With COLMAP's 10,000 it takes as long as matching, most of it on pairs that
 #: do not belong together. Source: 360 pairs of a rendered plot: 6.4 s with 10,000 against 3.0, 281 pairs and 92,629
 #: matches against 279 and 92,574; renders only.

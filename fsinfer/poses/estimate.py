@@ -35,7 +35,7 @@ ADVICE = (
     "photos must overlap by two thirds or more, be sharp, and show bark, litter or other texture in good light; "
     "walk on a little between photos and do not only turn on the spot"
 )
-# Raised when scenes written before must not be taken for finished ones.
+#: Raised when scenes written before must not be taken for finished ones. Source: format.
 _FORMAT = 1
 
 

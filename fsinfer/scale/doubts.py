@@ -14,7 +14,7 @@ from fsinfer.scale.scale import CAMERA_HEIGHT_M
 if TYPE_CHECKING:
     from fsinfer.scale.scale import Scale
 
-# Nobody holds a phone lower or higher than this, all through a plot: kneeling, or on a stick.
+#: Nobody holds a phone lower or higher than this, all through a plot. Source: kneeling, or on a stick.
 LIKELY_HEIGHTS_M = (0.4, 3.5)
 
 

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from fsinfer.errors import InputError
-from fsinfer.frames.select import FrameSettings, list_captures, select_frames
+from fsinfer.frames.select import list_captures, select_frames
+from fsinfer.frames.settings import FrameSettings
 from fsinfer.io.digest import file_digest
 from fsinfer.io.images import list_images
 from fsinfer.output.json_values import as_json

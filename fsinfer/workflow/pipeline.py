@@ -15,10 +15,11 @@ import numpy as np
 
 from fsinfer.depth.manifest import read_manifest
 from fsinfer.depth.precision import INT8, choose_precision
+from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.sfm_check import check_depth
-from fsinfer.depth.stage import DepthSettings, estimate_depth
+from fsinfer.depth.stage import estimate_depth
 from fsinfer.errors import CloudError, InputError
-from fsinfer.frames.select import FrameSettings
+from fsinfer.frames.settings import FrameSettings
 from fsinfer.fusion.fuse import FusionSettings, fuse, most_points
 from fsinfer.io.cloud import read_cloud, write_cloud
 from fsinfer.io.files import make_folder

@@ -13,8 +13,8 @@ from scipy.sparse import csr_array
 from fsinfer.poses.verification.spanning_tree import cut, strongest_ties, tie_graph
 
 #: Points that a part must share with the rest. Source: in models that were right no part of two photos or more shared
-#: fewer than 124 (two rendered videos, five rendered plots, 23 phone photos); those of three wrong ones that were turned
-#: 45 to 84.
+#: fewer than 124 (two rendered videos, five rendered plots, 23 phone photos); parts of three wrong ones that were
+#: turned shared 45 to 84.
 MIN_POINTS = 100
 #: A single photo is placed by its own points: it turns nothing but itself, and consistency judges its depth. Source:
 #: this reasoning.

@@ -21,7 +21,8 @@ import pytest
 import fsinfer.silhouettes.join as silhouettes
 import fsinfer.workflow.photo_stages as photo_stages
 import fsinfer.workflow.pipeline as pipeline
-from fsinfer.depth.stage import DepthResult, DepthSettings
+from fsinfer.depth.settings import DepthSettings
+from fsinfer.depth.stage import DepthResult
 from fsinfer.errors import CloudError, InputError
 from fsinfer.fusion.fuse import FusionSettings
 from fsinfer.io.cloud import read_cloud
