@@ -12,9 +12,9 @@ What it reads:
   begins with ``#:``.
 
 Either text holds ``Source: ...`` up to its end. A source that begins with ``option`` (the user decides),
-``numerics`` (how exactly or in what pieces something is computed), ``layout`` (of a picture or page) or ``format``
-(given by a file format or library) marks a number that was not tuned; the others are *tunables*. A line
-``Source of the rest: ...`` in the class docstring holds for all of its fields that name none.
+``numerics`` (how exactly or in what pieces something is computed or stored), ``layout`` (of a picture, page or
+message) or ``format`` (given by a file format or library) marks a number that was not tuned; the others are
+*tunables*. A line ``Source of the rest: ...`` in the class docstring holds for all of its fields that name none.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import ast
 import re
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -68,13 +68,30 @@ class Number:
 
 def read_numbers(folder: Path) -> list[Number]:
     """All numbers of the package whose folder is given, in the order of modules and lines."""
+    texts = {path: path.read_text(encoding="utf-8") for path in sorted(folder.rglob("*.py"))}
+    trees = {path: ast.parse(text) for path, text in texts.items()}
+    known = {name: value for tree in trees.values() for name, value in _simple_values(tree)}
     found: list[Number] = []
-    for path in sorted(folder.rglob("*.py")):
+    for path, tree in trees.items():
         parts = path.relative_to(folder.parent).with_suffix("").parts
         module = ".".join(part for part in parts if part != "__init__")
-        text = path.read_text(encoding="utf-8")
-        found += _of_module(module, ast.parse(text), text.splitlines())
+        found += [_resolved(number, known) for number in _of_module(module, tree, texts[path].splitlines())]
     return found
+
+
+def _simple_values(tree: ast.Module) -> Iterator[tuple[str, str]]:
+    """``NAME`` and ``Class.name`` of what is given a plain value, with that value."""
+    for node in tree.body:
+        statements = [(f"{node.name}.", item) for item in node.body] if isinstance(node, ast.ClassDef) else [("", node)]
+        for owner, item in statements:
+            if isinstance(item, ast.Assign | ast.AnnAssign) and isinstance(item.value, ast.Constant):
+                target = item.targets[0] if isinstance(item, ast.Assign) else item.target
+                yield owner + ast.unparse(target), ast.unparse(item.value)
+
+
+def _resolved(number: Number, known: dict[str, str]) -> Number:
+    """The same with the value in place of the name that its default is taken from."""
+    return replace(number, default=known.get(number.default.removesuffix(".value"), number.default))
 
 
 def unnamed_literals(folder: Path) -> int:
@@ -213,7 +230,7 @@ def page(numbers: list[Number]) -> str:
         "Every number of fsinfer that has a name. *Tunables* decide what comes out, and say where their value comes",
         "from; *judgement* means that it was not compared with others on data, and *renders only* that the data were",
         "rendered. *Options* are for the user to decide; *numerics* say how exactly or in what pieces something is",
-        "computed, *layout* how pictures and pages are drawn, and *format* what a file format or a library asks for.",
+        "computed or stored, *layout* how pictures, pages and messages look, *format* what a file or library asks for.",
         "",
         "| package | tunables | options | numerics | layout | format | source not stated |",
         "|---|---:|---:|---:|---:|---:|---:|",

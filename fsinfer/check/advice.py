@@ -12,13 +12,13 @@ from fsinfer.check.compass import Compass
 from fsinfer.check.coverage import StemCoverage
 from fsinfer.check.open_sides import OpenSide
 from fsinfer.check.settings import CoverageSettings
+from fsinfer.scale.aruco import GOOD_SIGHTINGS
 from fsinfer.scale.scale import Scale
 
 #: Photos in directions so near to the middle of the unseen side are named as places to stand. Source: judgement.
 _PLACE_DEG = 20.0
-#: A board is measured well from so many photos with sides of so many pixels. Source: 0.07 px of every edge is 0.35 % of
-#: 40.
-_BOARD_VIEWS, _BOARD_SIDE_PX = 5, 40.0
+#: A board is measured well with sides of so many pixels. Source: 0.07 px of both edges is 0.35 % of 40.
+_BOARD_SIDE_PX = 40.0
 #: Photos missing beyond this share are a part of the walk, not a few blurred ones. Source: judgement.
 _TORN_SHARE = 0.15
 #: Gaps of the walk that are named at most. Source: layout.
@@ -135,7 +135,7 @@ def marker_lines(scale: Scale, *, given: bool) -> list[str]:
     lines = []
     for entry in found:
         views, side_px = len(entry["views"]), float(entry["near_side_px"])
-        good = views >= _BOARD_VIEWS and side_px >= _BOARD_SIDE_PX
+        good = views >= GOOD_SIGHTINGS and side_px >= _BOARD_SIDE_PX
         hint = "good" if good else "pass it again at 2 to 3 m, facing it, for five sharp photos"
         lines.append(f"Board {entry['id']}: in {views} photos, its side up to {side_px:.0f} pixels: {hint}.")
     usable = {entry["id"] for entry in found}

@@ -13,7 +13,7 @@ from fsinfer.io.exif import gnss_degrees
 
 Floats = NDArray[np.float64]
 
-#: Radius of the earth, metres. Source: the mean radius of geodesy.
+#: Radius of the earth, metres. Source: format; the mean radius of geodesy.
 _EARTH_M = 6_371_000.0
 #: Photos, extent of the walk in metres, and share of it that the fit must explain before a direction is believed.
 #: Source: judgement; a phone under leaves is 5 to 10 m off, and stays off the same way for minutes.

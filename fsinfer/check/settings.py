@@ -12,7 +12,7 @@ class CoverageSettings:
     Attributes
     ----------
     margin_m: stems are judged up to so far outside the walk; farther ones cannot be seen from all sides. Source:
-        judgement.
+        option.
     one_sided_deg: a stem is called seen from one side where no photo sees it in so wide a fan of directions; a
         half-plane has 180. Source: two rendered plots, walked all round, whose widest fans were 161 and 147 degrees
         (both stems of 10 cm, in a corner of the plot), the next 130; renders only.
@@ -62,8 +62,7 @@ class SparseStemSettings:
     Attributes
     ----------
     min_height_m, max_height_m: part of the stems that is looked at. Source: judgement; below are ferns, above branches.
-    min_track, max_error_px: points that are trusted. Source: judgement; a third photo is the first that can contradict
-        two.
+    max_error_px: points that are trusted. Source: judgement.
     reach_m: points this near in plan belong together. Source: a stem leaning by 5 degrees shifts by 0.1 m over a metre.
     slice_m, min_slices: a point is part of something upright when its neighbours fill so many slices of this height.
         Source: judgement.
@@ -77,7 +76,6 @@ class SparseStemSettings:
 
     min_height_m: float = 0.4
     max_height_m: float = 2.6
-    min_track: int = 3
     max_error_px: float = 2.0
     reach_m: float = 0.13
     slice_m: float = 0.25

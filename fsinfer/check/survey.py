@@ -15,7 +15,7 @@ from fsinfer.check.sparse_stems import find_sparse_stems
 from fsinfer.check.visible_stems import VisibleStem, join_stems
 from fsinfer.errors import CloudError
 from fsinfer.placement.place import level_scene
-from fsinfer.poses.sparse import SparseModel
+from fsinfer.poses.sparse import LONG_TRACK, SparseModel
 from fsinfer.scale.scale import CAMERA_HEIGHT_M
 from fsinfer.scene import Scene
 from fsinfer.trees.ground.ground import Ground, find_ground
@@ -98,9 +98,7 @@ def survey_scene(
         surface, points = (_moved(xyz, motion) for xyz in (glance.points, sparse.points))
         ground = _find_ground(surface, settings.max_reach_m)
         found = find_stems(_above(surface, ground, settings.max_reach_m), settings=settings.surface)
-        trusted = (sparse.track_lengths >= settings.sparse.min_track) & (
-            sparse.errors_px < settings.sparse.max_error_px
-        )
+        trusted = (sparse.track_lengths >= LONG_TRACK) & (sparse.errors_px < settings.sparse.max_error_px)
         trusted &= np.hypot(*points[:, :2].T) < settings.max_reach_m
         heights = _heights(points, ground)
         stems = join_stems(found.stems, find_sparse_stems(points, heights, trusted, settings=settings.sparse))

@@ -22,8 +22,8 @@ class Step:
     cost: Callable[[int], float]
 
 
-#: Photos among which costs that grow hold, and the power of the photos with which they do. Source: measured, 50 to 300
-#: photos of rendered plots; renders only.
+#: Photos among which costs that grow hold, and the power of the photos with which they do. Source: layout; measured, 50
+#: to 300 photos of rendered plots; renders only.
 _AMONG_PHOTOS, _GROWTH = 300, 0.4
 #: Seconds up to which seconds are told, in steps of so many. Source: layout.
 _SHORT_S, _STEP_S = 90, 5
@@ -50,8 +50,8 @@ def _pairs_per_photo(photos: int) -> float:
     return most_pairs(photos, PairSettings()) / photos
 
 
-#: For each photo of 1280x720, about seconds on two cores; their proportions matter. Source: measured, the runs in
-#: tests/fsinfer/cli/test_remaining.py.
+#: For each photo of 1280x720, about seconds on two cores; their proportions matter. Source: layout; measured, the runs
+#: in tests/fsinfer/cli/test_remaining.py.
 STEPS = (
     Step(stage="frames", what="", cost=_each(0.02)),
     Step(stage="poses", what="reading photos", cost=_each(0.01)),
@@ -68,9 +68,9 @@ STEPS = (
     Step(stage="report", what="", cost=_besides(4.3, 0.015)),
 )
 #: What goes so many times faster than on the machine of the costs, which are about seconds there, was there already.
-#: Source: judgement; no machine is so much faster.
+#: Source: layout; judgement; no machine is so much faster.
 _SKIPPED = 50.0
-#: Before this share of the cost is done an estimate would be a guess. Source: judgement.
+#: Before this share of the cost is done an estimate would be a guess. Source: layout; judgement.
 _LEAST_SHARE = 0.02
 
 

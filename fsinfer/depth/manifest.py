@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import ModelError
 
-#: Channels of the feature maps at a quarter and at half resolution, where a manifest does not tell. Source: those of
-#: the model that is shipped.
+#: Channels of the feature maps at a quarter and at half resolution, where a manifest does not tell. Source: format;
+#: those of the model that is shipped.
 _FEATURE_CHANNELS, _REFINE_CHANNELS = 16, 8
 
 

@@ -13,13 +13,14 @@ from fsinfer.errors import InputError
 #: Source: format; decimal, as memory_gb is.
 MEGABYTE, GIGABYTE = 1_000_000, 1_000_000_000
 
-#: Python, NumPy, OpenCV, onnxruntime and the model before any work. Source: measured, docs/speed.md.
+#: Python, NumPy, OpenCV, onnxruntime and the model before any work. Source: numerics; measured, docs/speed.md.
 BASE_BYTES = 150 * MEGABYTE
 #: Peak of a depth map over the cost volume itself: the volume, what the regularizer holds at once, the narrow volume.
-#: Source: measured, 7.3 to 7.9 times at 960x540 to 1920x1080 in float32, 3.8 to 4.1 in int8 at 960x540 to 2400x1800.
+#: Source: numerics; measured, 7.3 to 7.9 times at 960x540 to 1920x1080 in float32, 3.8 to 4.1 in int8 at 960x540 to
+#: 2400x1800.
 _PEAK_OVER_VOLUME, _INT8_PEAK_OVER_VOLUME = 8.2, 4.4
 #: The same in tiles, of which the volume is a copy, and bytes a pixel that the feature network leaves behind. Source:
-#: measured, 1600x1200 and 2400x1800 in tiles of 128 take 2.13 and 3.06 GB.
+#: numerics; measured, 1600x1200 and 2400x1800 in tiles of 128 take 2.13 and 3.06 GB.
 _PEAK_OVER_TILE, _FEATURES_BYTES = 9.2, 105
 #: Sides of tiles that are tried, quarter pixels. Source: numerics; multiples of the network's coarsest level.
 _TILE_SIZES = range(512, 56, -8)

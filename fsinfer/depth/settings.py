@@ -44,8 +44,8 @@ class DepthSettings:
     Attributes
     ----------
     model: name of a shipped model or path of a manifest. Source: option; the only one that is shipped.
-    source_views: sources for each reference view, best first; N of MVSNet is this plus one. Source: saharov32, on which
-        seven sources gave 82.8 instead of 83.3 % within 1 %, and took half as long again.
+    source_views: sources for each reference view, best first; N of MVSNet is this plus one. Source: option; saharov32,
+        on which seven sources gave 82.8 instead of 83.3 % within 1 %, and took half as long again.
     max_size_px: longer side of the image given to the network; larger photographs are reduced to it. Source: option;
         what a laptop computes in 1.5 s a view.
     min_far_over_near: the far bound is at least this many times the near one. Camera files often hold a range cut to

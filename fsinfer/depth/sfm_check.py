@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.poses.sparse import SparseModel
+from fsinfer.poses.sparse import LONG_TRACK, SparseModel
 from fsinfer.scene import Camera, Scene
 
 if TYPE_CHECKING:
@@ -35,8 +35,6 @@ class SfmCheckSettings:
     min_points: int = 50
 
 
-#: Photos that see the weaker points. Source: a third one is the first that can contradict two.
-_WEAK_TRACK = 3
 #: Neighbouring pixels of one surface differ by less than this factor: a slope; more is the edge of a stem. Source:
 #: judgement.
 _ONE_SURFACE = 1.05
@@ -83,7 +81,7 @@ def check_depth(
             settings.min_track,
             settings.max_error_px,
         )
-        good = sparse.track_lengths >= _WEAK_TRACK
+        good = sparse.track_lengths >= LONG_TRACK
     maps = DepthMaps(scene, Path(depth_folder), cache_maps=2)
     differences, per_view, asked = [], {}, 0
     for index in maps.available:

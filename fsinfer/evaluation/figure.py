@@ -22,7 +22,8 @@ _TITLE_PT, _LEGEND_PT, _DOT_PT2, _RIM_PT = 11, 9, 36, 0.6
 _EMPTY_CM, _MARGIN, _LEAST_MARGIN_CM = (0.0, 50.0), 0.08, 2.0
 #: Free room above and below the bars and the differences, shares of their range. Source: layout.
 _BAR_ROOM, _DIFFERENCE_ROOM = 0.12, 0.15
-#: Standard deviations to both sides that hold 95 %. Source: Bland and Altman 1986, limits of agreement.
+#: Standard deviations to both sides that hold 95 %. Source: numerics; Bland and Altman 1986, limits of
+#: agreement.
 _LIMITS_OF_AGREEMENT = 1.96
 _GREEN, _GREY, _RED, _ORANGE = "#1b7837", "#9a9a9a", "#d1495b", "#d98300"
 

@@ -34,7 +34,7 @@ from fsinfer.io.csv_text import has_semicolons
 Floats = NDArray[np.float64]
 ALIGNMENTS = tuple(align.value for align in Align)
 
-#: A measured diameter is below this, cm. Source: no tree is thicker; millimetres are.
+#: A measured diameter is below this, cm. Source: format; no tree is thicker, millimetres are.
 _MOST_DBH_CM = 1000.0
 #: Frames are registered where fewer than this share of the trees match as given. Source: judgement.
 _FEW_MATCHES = 0.5

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-#: Farthest that two positions of one tree may lie apart, metres. Source: judgement; stems that
+#: Farthest that two positions of one tree may lie apart, metres. Source: option; stems that
 #: are measured stand farther apart than twice this.
 MAX_DISTANCE_M = 0.5
 

@@ -16,8 +16,10 @@ from fsinfer.io.images import luminance
 #: Longer side at which scores are taken, pixels, so that photos of 48 megapixels and video frames are judged alike.
 #: Source: judgement.
 SCORE_SIZE_PX = 1000
-#: Luminance at and beyond which a pixel says nothing, of 255. Source: the last levels are JPEG rounding.
-DARK_LEVEL, BRIGHT_LEVEL = 5, 250
+#: White, of a photo of 8 bits. Source: format.
+_WHITE = 255
+#: Luminance so near to black or white says nothing. Source: the last levels are JPEG rounding.
+_BLANK_LEVELS = 5
 #: Width of the Gaussian before the Laplacian, pixels: single-pixel noise of a dark photo must not pass for sharpness.
 #: Source: about the 5x5 Laplacian of Gaussian.
 _SMOOTH_PX = 0.8
@@ -66,8 +68,8 @@ def score_frame(image: NDArray[np.uint8]) -> FrameScore:
     return FrameScore(
         sharpness=float(response.var() / (values.var() + 1.0)),
         mean_luminance=float(values.mean()),
-        dark_share=float((grey <= DARK_LEVEL).mean()),
-        bright_share=float((grey >= BRIGHT_LEVEL).mean()),
+        dark_share=float((grey <= _BLANK_LEVELS).mean()),
+        bright_share=float((grey >= _WHITE - _BLANK_LEVELS).mean()),
         thumbnail=np.asarray(cv2.resize(values, _THUMBNAIL, interpolation=cv2.INTER_AREA), dtype=np.float32),
     )
 
@@ -103,9 +105,9 @@ def difference(first: NDArray[np.float32], second: NDArray[np.float32]) -> float
 
 
 def _exposure_reason(score: FrameScore, limits: QualityLimits) -> str:
-    if score.mean_luminance < limits.min_mean_level or score.dark_share > limits.max_blank_share:
+    if score.mean_luminance < limits.blank_mean_levels or score.dark_share > limits.max_blank_share:
         return "too dark"
-    if score.mean_luminance > limits.max_mean_level or score.bright_share > limits.max_blank_share:
+    if score.mean_luminance > _WHITE - limits.blank_mean_levels or score.bright_share > limits.max_blank_share:
         return "too bright"
     return ""
 

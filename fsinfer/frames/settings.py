@@ -25,7 +25,7 @@ class QualityLimits:
         smooth bark beside photos of leaves differ by nature. Source: judgement; three standard deviations.
     max_blurred_share: at most this share of a set is dropped as blurred, the worst first. A person chose the photos,
         and a gap in the walk costs more than a soft photo. Source: judgement.
-    min_mean_level, max_mean_level: mean luminance, 0 to 255. Source: judgement.
+    blank_mean_levels: the mean luminance of a photo may be so near to black or white, 0 and 255. Source: judgement.
     max_blank_share: share of pixels that are black, or that are white; a forest against the sky easily has 30 % of
         white. Source: judgement.
     min_difference_levels: mean difference of luminance thumbnails (0 to 255) from the last kept photo; less is a
@@ -35,8 +35,7 @@ class QualityLimits:
     min_relative_sharpness: float = 0.35
     min_robust_z: float = 3.0
     max_blurred_share: float = 0.2
-    min_mean_level: float = 15.0
-    max_mean_level: float = 240.0
+    blank_mean_levels: float = 15.0
     max_blank_share: float = 0.7
     min_difference_levels: float = 1.0
 
@@ -47,7 +46,7 @@ class VideoSettings:
 
     Attributes
     ----------
-    interval_s: after so many seconds at the latest. Source: FS-MVSNet, Forests 2025, 16, 927 (2 s).
+    interval_s: after so many seconds at the latest. Source: option; FS-MVSNet, Forests 2025, 16, 927 (2 s).
     window_s: the sharpest frame within so many seconds is taken: of a walker's frames most are blurred by his steps.
         Source: a step of a walker takes about half a second.
     max_shift: sooner where the picture has moved by this share of its width (or height) since the last frame, as it
@@ -68,11 +67,11 @@ class FrameSettings(VideoSettings):
     ----------
     equalize: one of :class:`Equalize`; ``hist`` is the paper's. None by default: SIFT and the depth network take out
         brightness and contrast themselves, upright photos are copied without coding them again, and the colours of
-        the cloud stay those of the photos. Source: cameras of 40 photos of a rendered plot, 0.73 mm off as they are,
-        0.76 and 1.78 mm evened out; renders only.
+        the cloud stay those of the photos. Source: option; cameras of 40 photos of a rendered plot, 0.73 mm off as they
+        are, 0.76 and 1.78 mm evened out; renders only.
     limits: when a frame is dropped.
-    jpeg_quality: of frames that are written anew; upright JPEG photos are copied as they are. Source: judgement; above
-        95 coding is not seen.
+    jpeg_quality: of frames that are written anew; upright JPEG photos are copied as they are. Source: numerics;
+        above 95 coding is not seen.
     """
 
     equalize: str = Equalize.none.value

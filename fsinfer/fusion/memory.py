@@ -10,16 +10,16 @@ from dataclasses import dataclass
 from fsinfer.depth.memory import BASE_BYTES, GIGABYTE
 from fsinfer.errors import InputError
 
-#: A point while it is merged: itself (68 bytes), its joined, sorted and averaged copies. Source: measured, 312 bytes
-#: for 5.5 million.
+#: A point while it is merged: itself (68 bytes), its joined, sorted and averaged copies. Source: numerics; measured,
+#: 312 bytes for 5.5 million.
 _BYTES_PER_MERGED_POINT = 320
-#: Points in a batch and of a cloud at least. Source: judgement.
+#: Points in a batch and of a cloud at least. Source: numerics.
 _LEAST_BATCH_POINTS = _LEAST_POINTS = 250_000
 #: A depth map and its confidence, bytes a pixel. Source: format; float32.
 _BYTES_PER_PIXEL = 8
-#: Comparing two views takes about as much as so many maps. Source: measured.
+#: Comparing two views takes about as much as so many maps. Source: numerics; measured.
 _MAPS_OF_A_PAIR = 10
-#: Share of the memory that maps may take, and maps kept at least. Source: judgement.
+#: Share of the memory that maps may take, and maps kept at least. Source: numerics.
 _SHARE_OF_MAPS, _LEAST_MAPS = 0.2, 4
 
 

@@ -15,7 +15,7 @@ from fsinfer.depth.maps import DepthMap
 #: Depth change from pixel to pixel, in pixel footprints (z / f), still taken for one surface: the tangent of the angle
 #: between ray and normal. Source: judgement; 80 degrees.
 MAX_SLOPE = 5.7
-#: Neighbours for normals: a square ring at distance 1 and one at distance 2 around the pixel. Source: judgement.
+#: Neighbours for normals: a square ring at distance 1 and one at distance 2 around the pixel. Source: numerics.
 _RING = tuple((du, dv) for r in (1, 2) for du in (-r, 0, r) for dv in (-r, 0, r) if (du, dv) != (0, 0))
 #: Sums whose determinant is less have no plane; lengths that stand for none. Source: numerics.
 _LEAST_DETERMINANT, _LEAST_LENGTH = 1e-9, 1e-30

@@ -30,8 +30,8 @@ _MOST_NORMALS, _POINTS_PER_NORMAL, _NEIGHBOURS = 12_000, 8, 24
 #: Variance along a patch over that across it, at least: thicker than a third of its width it has no normal. Source:
 #: judgement.
 _FLAT = 9
-#: Points below the cameras, cells with points and points of a cell that a ground needs. Source: judgement.
-_MIN_LOW_POINTS, _MIN_CELLS, _MIN_CELL_POINTS = 10, 6, 3
+#: Cells, and points in each, that a ground needs. Source: judgement; twice what a plane needs.
+_MIN_CELLS, _MIN_CELL_POINTS = 6, 3
 #: One in so many points of a cell lies below the one that stands for it. Source: judgement; single points below the
 #: ground are common in clouds from images.
 _BELOW_SEED = 10
@@ -64,7 +64,7 @@ class LevelSettings:
         27 degrees.
     lean_scale: |n.up| at which a patch counts half (Cauchy weight), so that leaning stems pull little. Source:
         judgement; 3.4 degrees.
-    min_stem_patches, min_stem_part: fewer patches (number, part of all) are no evidence for stems. Source: judgement.
+    min_stem_patches: fewer patches are no evidence for stems. Source: judgement.
     min_gathered: of the patches within three times ``lean_scale`` this part lies within it. Source: isotropic normals
         (foliage) fill any window evenly, a third; around stems they gather at zero.
     roll_scale: sine of the roll at which a camera counts half. Source: judgement; a tenth of a radian, because single
@@ -80,7 +80,6 @@ class LevelSettings:
     blind_window: float = 0.45
     lean_scale: float = 0.06
     min_stem_patches: int = 150
-    min_stem_part: float = 0.01
     min_gathered: float = 0.45
     roll_scale: float = 0.1
     cells: int = 30
@@ -220,7 +219,7 @@ def ground_plane(
     settings = settings or LevelSettings()
     center = np.median(cameras, axis=0)
     low = upright[upright[:, 2] < np.median(cameras[:, 2])]
-    if len(low) < _MIN_LOW_POINTS:
+    if len(low) < _MIN_CELLS * _MIN_CELL_POINTS:
         return None
     # Backgrounds far away are no ground of this plot: look as far as twice the reach of most points.
     distance = np.hypot(*(low[:, :2] - center[:2]).T)
@@ -285,7 +284,7 @@ def _up_from_normals(normals: Array, start: Array, window: float, settings: Leve
         # The window shrinks, so that ground on a slope and branches, near its rim, lose their say.
         limit = max(window * _SHRINK**step, _LEAST_WINDOW * settings.lean_scale)
         near = normals[np.abs(cosine) < limit]
-        if len(near) < max(settings.min_stem_patches, settings.min_stem_part * len(normals)):
+        if len(near) < settings.min_stem_patches:
             return None
         weights = 1 / (1 + (near @ up / settings.lean_scale) ** 2)
         values, vectors = np.linalg.eigh((near * weights[:, None]).T @ near)

@@ -43,12 +43,12 @@ class PoseSettings:
     pairs: which photos are matched with which.
     default_focal_factor: focal length over longer side where the photo does not tell; it is refined from the photos.
         Source: a phone's main camera of 26-28 mm equivalent has 0.72-0.78, and video is cropped.
-    mapper: ``incremental`` (robust) or ``global`` (GLOMAP). Source: 200 photos of a rendered plot, of which it
+    mapper: ``incremental`` (robust) or ``global`` (GLOMAP). Source: option; 200 photos of a rendered plot, of which it
         placed 188 within 5 cm and the global one 170; renders only.
     min_registered: fewer photos than this in the largest model are no result. Source: a third photo is the first that
         can contradict two.
     sources: at most this many source views in ``pair.txt``. Source: MVSNet (Yao et al. 2018) writes 10.
-    jpeg_quality: of the undistorted images. Source: judgement; the coding is not seen.
+    jpeg_quality: of the undistorted images. Source: numerics; the coding is not seen.
     threads: 0 for one per core. Source: option.
     """
 
@@ -73,16 +73,16 @@ class PoseSettings:
 #: numerics.
 _PHOTOS_PER_BATCH, _PAIRS_PER_BATCH = 8, 120
 #: Trials of the geometric check of a pair. With COLMAP's 10,000 it takes as long as matching, most of it on pairs that
-#: do not belong together. Source: 360 pairs of a rendered plot: 6.4 s with 10,000 against 3.0, 281 pairs and 92,629
-#: matches against 279 and 92,574; renders only.
+#: do not belong together. Source: numerics; 360 pairs of a rendered plot: 6.4 s with 10,000 against 3.0, 281 pairs and
+#: 92,629 matches against 279 and 92,574; renders only.
 _MOST_TRIALS = 2500
 #: An adjustment of all photos ends where a step gains less than this share; COLMAP goes on to its limit of steps.
 #: Source: numerics; three adjustments of 300 photos take 36 instead of 85 s, to the same places.
 ENOUGH = 1e-5
-#: All photos are adjusted together when so many times more have come, not at every tenth (COLMAP: 1.1). Source: 300
-#: photos of a rendered plot in 82 instead of 150 s, their places as exact; renders only.
+#: All photos are adjusted together when so many times more have come, not at every tenth (COLMAP: 1.1). Source:
+#: numerics; 300 photos of a rendered plot in 82 instead of 150 s, their places as exact; renders only.
 _ADJUST_GROWTH = 1.6
-#: Parts that the mapper begins at most, of which the largest counts. Source: judgement.
+#: Parts that the mapper begins at most, of which the largest counts. Source: numerics.
 _MOST_PARTS = 5
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from fsinfer.poses.colmap import ENOUGH
+from fsinfer.poses.colmap import ENOUGH, PoseSettings
 from fsinfer.progress import Progress
 
 _log = logging.getLogger(__name__)
@@ -28,7 +28,8 @@ class RefinementSettings:
     min_photos: a camera with fewer registered photos keeps the simple lens of the mapper. Source: judgement.
     min_gain: the mean error must fall by this share for the richer lens. Source: judgement, on 23 phone photos, where
         it falls by a sixth.
-    max_error_px: observations further off are dropped before the last round, at 1600 pixels longer side. Source:
+    max_error_px: observations further off are dropped before the last round, in photos no larger than those that
+        features are looked for in; in larger ones they may be more off. Source:
         judgement, on 23 phone photos, where the median error is 0.6 pixels.
     min_angle_deg: points whose rays meet at less than this are dropped. Source: COLMAP's mapper (1.5).
     """
@@ -39,16 +40,13 @@ class RefinementSettings:
     min_angle_deg: float = 1.5
 
 
-#: Longer side at which ``max_error_px`` holds, pixels; smaller photos are given no less. Source: the size at which
-#: features are found, :class:`fsinfer.poses.colmap.PoseSettings`.
-_ERROR_SIZE_PX = 1600
 #: Steps of an adjustment at most. Source: numerics.
 _MOST_STEPS = 40
 #: Share of the half diagonal out to which a lens must be monotone, radii and directions looked at. Source: numerics.
 _OUT_TO, _RADII, _DIRECTIONS = 1.05, 200, 8
-#: Growth of the image radius over that of a pinhole, at least and at most. Source: phone lenses after the camera's own
-#: correction stay within a few per cent; this is generous.
-_LEAST_GROWTH, _MOST_GROWTH = 0.5, 2.0
+#: Growth of the image radius over that of a pinhole, and of that over it, at most. Source: phone lenses after the
+#: camera's own correction stay within a few per cent; this is generous.
+_MOST_GROWTH = 2.0
 
 
 def refine(model: Any, settings: RefinementSettings, progress: Progress) -> Any:
@@ -75,9 +73,8 @@ def refine(model: Any, settings: RefinementSettings, progress: Progress) -> Any:
     progress(2, 3, "adjusting")
     longest = max(max(camera.width, camera.height) for camera in best.cameras.values())
     manager = pycolmap.ObservationManager(best)
-    manager.filter_all_points3D(
-        settings.max_error_px * max(longest, _ERROR_SIZE_PX) / _ERROR_SIZE_PX, settings.min_angle_deg
-    )
+    usual = PoseSettings.max_image_size
+    manager.filter_all_points3D(settings.max_error_px * max(longest, usual) / usual, settings.min_angle_deg)
     _adjust(best)
     progress(3, 3, "adjusting")
     return best
@@ -135,6 +132,6 @@ def is_monotone(camera: Any) -> bool:
         pixels = camera.img_from_cam(rays)
         distance = np.linalg.norm(pixels - pixels[0], axis=1)
         growth = np.diff(distance) / (focal * (radius[1] - radius[0]))
-        if not (np.isfinite(growth).all() and growth.min() > _LEAST_GROWTH and growth.max() < _MOST_GROWTH):
+        if not (np.isfinite(growth).all() and growth.min() > 1 / _MOST_GROWTH and growth.max() < _MOST_GROWTH):
             return False
     return True

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.poses.sparse import SparseModel
+from fsinfer.poses.sparse import LONG_TRACK, SparseModel
 from fsinfer.scene import Camera
 
 
@@ -41,8 +41,6 @@ class SelectionSettings:
 
 #: Below this many well seen points a range is made of all points. Source: judgement.
 _ENOUGH_POINTS = 50
-#: Photos that see a well seen point. Source: a third one is the first that can contradict two.
-_LONG_TRACK = 3
 #: Points of other views pull the near end in, down to this share of it. Source: judgement; the ground at the
 #: photographer's feet.
 _NEAREST_SHARE = 0.4
@@ -123,7 +121,7 @@ def depth_range(
     ``(near, far)`` in scene units, or None where the view sees no point in front of it.
     """
     settings = settings or SelectionSettings()
-    steady = seen[sparse.track_lengths[seen] >= _LONG_TRACK]
+    steady = seen[sparse.track_lengths[seen] >= LONG_TRACK]
     used = steady if len(steady) >= _ENOUGH_POINTS else seen
     depths = _in_camera(sparse.points[used], cam_from_world)[:, 2]
     depths = depths[depths > 0]
@@ -131,7 +129,7 @@ def depth_range(
         return None
     near = float(np.percentile(depths, settings.outer_percent))
     far = float(np.percentile(depths, 100 - settings.outer_percent)) * settings.far_margin
-    others = _in_camera(sparse.points[sparse.track_lengths >= _LONG_TRACK], cam_from_world)
+    others = _in_camera(sparse.points[sparse.track_lengths >= LONG_TRACK], cam_from_world)
     others = others[others[:, 2] > 0]
     pixels = others @ intrinsic.T
     pixels = pixels[:, :2] / pixels[:, 2:]

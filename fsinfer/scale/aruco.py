@@ -20,9 +20,9 @@ from fsinfer.scene import Scene
 
 _log = logging.getLogger(__name__)
 
-#: Largest sightings of a marker, of whose sides the least is told: what the photos from near by can measure. Source: a
-#: board is measured well from so many photos, :mod:`fsinfer.check.advice`.
-_NEAR_SIGHTINGS = 5
+#: A board is measured well from so many photos; of its largest sightings the least side is told. Source: judgement; a
+#: mean of five is twice as good as one.
+GOOD_SIGHTINGS = 5
 #: Photos and reasons that an error names at most. Source: layout.
 _NAMED_PHOTOS, _NAMED_REASONS = 6, 4
 
@@ -144,7 +144,7 @@ def _combine(
                 "residual_rel": float(marker.side_units * combined / lengths_m[index] - 1),
                 "residual_mm": float(1000 * (marker.side_units * combined - lengths_m[index])),
                 "error_px": marker.error_px,
-                "near_side_px": float(np.sort([s.side_px for s in marker.sightings])[-_NEAR_SIGHTINGS:][0]),
+                "near_side_px": float(np.sort([s.side_px for s in marker.sightings])[-GOOD_SIGHTINGS:][0]),
                 "angle_deg": marker.angle_deg,
                 "leave_one_out_m_per_unit": without,
                 "leave_one_out_rel": None if without is None else without / combined - 1,

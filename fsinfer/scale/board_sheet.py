@@ -25,12 +25,12 @@ PAPERS_MM: dict[str, tuple[float, float]] = {
     Paper.a3.value: (297.0, 420.0),
     Paper.letter.value: (215.9, 279.4),
 }
-#: The length printed where none is asked for, metres. Source: the largest round one that fits.
+#: The length printed where none is asked for, metres. Source: option; the largest round one that fits.
 DEFAULT_LENGTH_M: dict[str, float] = {Paper.a4.value: 0.15, Paper.a3.value: 0.25, Paper.letter.value: 0.15}
-#: The shortest length that is printed, millimetres. Source: judgement; nothing shorter is found in photos.
+#: The shortest length that is printed, millimetres. Source: layout; nothing shorter is found in photos.
 _LEAST_SIDE_MM = 10
-#: White round the black square, in modules, and the least of it. Source: detectors want one, and find the square with
-#: half of one (A3 with 0.25 m).
+#: White round the black square, in modules, and the least of it. Source: layout; detectors want one, and find the
+#: square with half of one (A3 with 0.25 m).
 _RIM_MODULES, _LEAST_RIM_MODULES = 1.0, 0.5
 #: Free room above the square, room for the text below it, the bar, its line and ticks, millimetres. Source: layout.
 _TOP_MM, _TEXT_MM, _BAR_MM, _LINE_MM, _TICK_MM, _LONG_TICK_MM = 8.0, 60.0, 100.0, 0.3, 2.5, 4.0

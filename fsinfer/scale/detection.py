@@ -12,9 +12,6 @@ from fsinfer.scale.corners import refine_corners
 from fsinfer.scale.square_fit import MarkerSettings
 
 _PREFIX = "DICT_"
-#: Window of the corners' first refinement: at most so many pixels to each side, and share of a module. Source: OpenCV's
-#: defaults.
-_WINDOW_PX, _WINDOW_OF_MODULE = 5, 0.3
 
 
 def dictionary_names() -> list[str]:
@@ -36,8 +33,6 @@ def make_detector(dictionary: str) -> cv2.aruco.ArucoDetector:
     parameters = cv2.aruco.DetectorParameters()
     # A start for our own refinement, which is not biased.
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    parameters.cornerRefinementWinSize = _WINDOW_PX
-    parameters.relativeCornerRefinmentWinSize = _WINDOW_OF_MODULE
     return cv2.aruco.ArucoDetector(predefined_dictionary(dictionary), parameters)
 
 

@@ -23,11 +23,12 @@ from fsinfer.errors import InputError
 
 #: The only dictionary whose numbers mean a size. Source: OpenCV; 4x4 modules are seen from farthest.
 DICTIONARY = "4X4_50"
-#: First number, number after the last, side of the black square in metres. Source: what fits on A4, Letter and A3.
+#: First number, number after the last, side of the black square in metres. Source: format; what fits on A4, Letter
+#: and A3.
 RANGES: tuple[tuple[int, int, float], ...] = ((20, 30, 0.150), (30, 40, 0.200), (40, 50, 0.250))
 #: Lengths nearer than this are the same, metres. Source: numerics.
 SAME_LENGTH_M = 1e-6
-#: Boards that are printed where nobody says how many. Source: judgement; three or more show a wrong one.
+#: Boards that are printed where nobody says how many. Source: option; three or more show a wrong one.
 BOARDS = 4
 
 

@@ -12,7 +12,7 @@ from fsinfer.scale.printed_boards import DICTIONARY
 _log = logging.getLogger(__name__)
 
 Point = tuple[float, float, float]
-#: Larger squares than this are a length in centimetres or millimetres. Source: no printer makes them.
+#: Larger squares than this are a length in centimetres or millimetres. Source: format; no printer makes them.
 LONGEST_BOARD_M = 2.0
 
 
