@@ -11,6 +11,8 @@ from types import ModuleType
 
 import pytest
 
+from fsinfer.conventions.breast_height import BREAST_HEIGHT_M, BhRule
+from fsinfer.trees import TreeSettings
 from tests.support.places import ROOT
 
 
@@ -221,3 +223,8 @@ def test_a_number_without_a_source_and_a_stale_page_are_found(
     assert make_settings.main(["--require", "depth"]) == 1
     assert "FAR does not say its source" in capsys.readouterr().err
     assert make_settings.main(["--check", "--require", "trees"]) == 0
+
+
+def test_breast_height_is_one_number_and_one_rule() -> None:
+    assert TreeSettings().bh_m == BREAST_HEIGHT_M
+    assert BhRule(TreeSettings().bh_rule) == BhRule.midpoint
