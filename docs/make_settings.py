@@ -6,8 +6,8 @@ checkout. The code is read, never imported.
 
 What it reads:
 
-- a *setting*: a field of a dataclass in which every field has a default, or whose name ends in ``Settings``. What it
-  does stands in the class docstring's section ``Attributes`` or in a comment on its line;
+- a *setting*: a field of a dataclass whose name ends in ``Settings``, ``Limits``, ``Tolerances`` or ``Request``. What
+  it does stands in the class docstring's section ``Attributes`` or in a comment on its line;
 - a *constant*: a name in capitals at the top of a module whose value is made of numbers, with a comment above it that
   begins with ``#:``.
 
@@ -30,6 +30,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "settings.md"
 UNSTATED = "source not stated"
+# How the names of dataclasses of settings end.
+_SETTINGS = ("Settings", "Limits", "Tolerances", "Request")
 KINDS = ("tunable", "option", "numerics", "layout", "format")
 # The end of a name and its unit; other numbers are counts, shares, factors, or say their unit in words.
 _UNITS = {
@@ -136,9 +138,7 @@ def is_settings(node: ast.ClassDef) -> bool:
     """Whether a class is a dataclass of settings."""
     if not any("dataclass" in ast.unparse(decorator) for decorator in node.decorator_list):
         return False
-    fields = _fields(node)
-    whole = bool(fields) and all(field.value is not None for field in fields)
-    return whole or node.name.endswith("Settings")
+    return node.name.endswith(_SETTINGS)
 
 
 def _fields(node: ast.ClassDef) -> list[ast.AnnAssign]:
@@ -164,8 +164,11 @@ def _is_number(value: ast.expr) -> bool:
     """Whether a value is made of numbers: itself, a collection of them, or what a call makes of them."""
     if isinstance(value, ast.Subscript | ast.JoinedStr | ast.ListComp | ast.DictComp):
         return False
-    if isinstance(value, ast.Call) and ast.unparse(value.func).split(".")[-1] in ("field", "Typer", "compile", "sub"):
-        return False
+    if isinstance(value, ast.Call):
+        name = ast.unparse(value.func).split(".")[-1]
+        # An object that has a number in it is none, but settings of a special case are.
+        if name == "field" or (name[0].isupper() and not name.endswith(_SETTINGS)):
+            return False
     return any(isinstance(node, ast.Constant) and type(node.value) in (int, float) for node in ast.walk(value))
 
 
