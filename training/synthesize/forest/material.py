@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-#: Textures are stored gamma-encoded in 8 bits and lit in linear light.
+#: Textures are stored gamma-encoded in 8 bits and lit in linear light. Source: about sRGB.
 GAMMA = 2.2
 TO_LINEAR = ((np.arange(256) / 255.0) ** GAMMA).astype(np.float32)
 
