@@ -45,7 +45,7 @@ class QuantizeSettings:
     Attributes
     ----------
     method: key of :data:`METHODS`: how a tensor's range is taken from the calibration. Source:
-        judgement, on the rendered walks and a real tree that it is calibrated on.
+        compared with others on four volumes, docs/speed.md.
     operators: kinds of nodes that are computed in int8, or only hand int8 on. Source: what the regularizer is made of.
     keep_float: convolutions whose weights' names hold one of these stay in float32. The sum that gives the scores of
         the planes always does: the depth is read off their differences. Source: option.
