@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
 
 from fsinfer.notices import capture, stems
 from fsinfer.notices.notice import Notice, Value
 
-_TEMPLATES: Mapping[str, str] = {
-    code.value: text for part in (capture.SENTENCES, stems.SENTENCES) for code, text in part.items()
+_SAID: dict[str, str | Callable[[Mapping[str, Any]], str]] = {
+    **{code.value: text for code, text in capture.SENTENCES.items()},
+    **{code.value: text for code, text in stems.SENTENCES.items()},
 }
 _ADVICE: Mapping[str, str] = {code.value: text for code, text in stems.ADVICE.items()}
 _REMARKS = frozenset(code.value for code in (*capture.REMARKS, *stems.REMARKS))
@@ -24,11 +26,13 @@ def sentence(given: Notice) -> str:
 
 def headline(given: Notice) -> str:
     """What a notice says, without the advice that follows."""
-    template = _TEMPLATES.get(given.code)
-    if template is None:
+    said = _SAID.get(given.code)
+    if said is None:
         values = ", ".join(f"{key} {value}" for key, value in given.items)
         return f"{given.code}: {values}" if values else given.code
-    return template.format(**{key: _in_words(value) for key, value in given.items})
+    if not isinstance(said, str):
+        return said(given.values)
+    return said.format(**{key: _in_words(value) for key, value in given.items})
 
 
 def _in_words(value: Value) -> str | int | float | None:

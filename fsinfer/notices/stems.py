@@ -55,6 +55,7 @@ class StemCode(StrEnum):
     none_at_stem_height = "none_at_stem_height"
     none_holds = "none_holds"
     none_round = "none_round"
+    nothing_measured = "nothing_measured"
     # Warnings of a plot.
     model_units = "model_units"
     not_finite = "not_finite"
@@ -121,6 +122,7 @@ SENTENCES: dict[StemCode, str] = {
     ),
     StemCode.none_holds: "no trees found: {candidates} candidates, none holds as a stem ({rejected})",
     StemCode.none_round: ("no trees found: {points} points at stem height, but no round vertical surface among them"),
+    StemCode.nothing_measured: "no trees measured: {error}",
     StemCode.model_units: "no scale: positions are in model units and no diameter is given",
     StemCode.not_finite: "{points} points with NaN or infinite coordinates were left out",
     StemCode.far_outside: "{points} points far outside the plot were left out",

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from fsinfer.depth.maps import DepthMap, DepthMaps, seen_and_hidden
+from fsinfer.geometry.similarity import scale_of, scaling
 from fsinfer.io.images import read_image
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Camera, Scene, project
@@ -163,7 +164,7 @@ def strips_of_photo(
     s = settings or EdgeSettings()
     view = scene.views[index]
     camera = _in_cloud(view.camera, cloud_from_scene)
-    metres = float(np.cbrt(np.linalg.det(cloud_from_scene[:3, :3])))
+    metres = scale_of(cloud_from_scene)
     near = [(n, stem) for n, stem in enumerate(stems) if _in_reach(stem, camera, s)]
     if not near:
         return []
@@ -182,8 +183,8 @@ def strips_of_photo(
 
 def _in_cloud(camera: Camera, cloud_from_scene: Floats) -> Camera:
     """Return the camera with metres of the cloud instead of scene units: same rays, z depth in metres."""
-    metres = float(np.cbrt(np.linalg.det(cloud_from_scene[:3, :3])))
-    pose = np.diag([metres, metres, metres, 1.0]) @ camera.cam_from_world @ np.linalg.inv(cloud_from_scene)
+    metres = scale_of(cloud_from_scene)
+    pose = scaling(metres) @ camera.cam_from_world @ np.linalg.inv(cloud_from_scene)
     return Camera(
         intrinsic=camera.intrinsic,
         cam_from_world=pose,

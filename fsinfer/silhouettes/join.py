@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.depth.maps import DepthMaps
-from fsinfer.io.files import atomic_path
+from fsinfer.io.csv_text import write_table
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.progress import Progress, silent
@@ -194,19 +194,16 @@ def join(
 
 def write_sources(path: Path, result: PlotResult) -> None:
     """Write what the points alone and the photographs' edges said of each diameter, a row for each tree with edges."""
-    import csv
-
-    with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as handle:
-        writer = csv.writer(handle, lineterminator="\n")
-        writer.writerow(SOURCE_COLUMNS)
-        for tree, section in zip(result.trees, result.sections, strict=True):
-            fit = section.silhouette
-            if fit is None:
-                continue
-            points = "" if section.cloud_dbh_m is None else f"{100 * section.cloud_dbh_m:.2f}"
-            edges = (f"{200 * fit.radius_m:.2f}", f"{200 * fit.std_m:.2f}", fit.photos)
-            shares = (f"{fit.sectors:.2f}", f"{fit.share:.2f}", f"{fit.contrast:.2f}")
-            writer.writerow((tree.tree_id, points, *edges, *shares, "yes" if section.parts_m["cloud"] > 0 else "no"))
+    rows = []
+    for tree, section in zip(result.trees, result.sections, strict=True):
+        fit = section.silhouette
+        if fit is None:
+            continue
+        points = None if section.cloud_dbh_m is None else f"{100 * section.cloud_dbh_m:.2f}"
+        edges = (f"{200 * fit.radius_m:.2f}", f"{200 * fit.std_m:.2f}", fit.photos)
+        shares = (f"{fit.sectors:.2f}", f"{fit.share:.2f}", f"{fit.contrast:.2f}")
+        rows.append((tree.tree_id, points, *edges, *shares, "yes" if section.parts_m["cloud"] > 0 else "no"))
+    write_table(path, SOURCE_COLUMNS, rows)
 
 
 def _axis(tree: Tree, section: Section) -> StemAxis:

@@ -6,7 +6,6 @@ their order. Depth and cloud are not touched.
 
 from __future__ import annotations
 
-import csv
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import InputError
-from fsinfer.io.csv_text import has_semicolons
+from fsinfer.io.csv_text import CsvRow, read_table
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees.diameter.section import Section, unmeasured_section
@@ -72,37 +71,19 @@ def read_edits(path: Path | str) -> tuple[TreeEdit, ...]:
     InputError
         The file cannot be read, a column that an action needs is missing, or a cell is wrong; file and row are named.
     """
-    path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else error
-        msg = f"cannot read the edits {path}: {reason}; give a CSV with the column action (see docs/trees.md)"
-        raise InputError(msg) from error
-    lines = text.splitlines()
-    semicolon = has_semicolons(lines)
-    reader = csv.DictReader(lines, delimiter=";" if semicolon else ",", skipinitialspace=True)
-    columns = [name.strip() for name in reader.fieldnames or []]
-    reader.fieldnames = columns
-    if "action" not in columns:
-        msg = f"{path} has no column action; its first line must be: action,tree_id,other_id,x_m,y_m"
-        raise InputError(msg)
-    edits = tuple(
-        _read_row(path, row, _with_points(cells) if semicolon else cells, columns)
-        for row, cells in enumerate(reader, start=2)
-        if any(cells.values())
+    table = read_table(
+        path,
+        what="the edits",
+        required=("action",),
+        way_out="give a CSV whose first line is action,tree_id,other_id,x_m,y_m (see docs/trees.md)",
     )
+    edits = tuple(_read_row(row, table.columns) for row in table.rows)
     given = Counter(edit.tree_id for edit in edits if edit.action == "add" and edit.tree_id is not None)
     for number, count in given.items():
         if count > 1:
             msg = f"{path}: {count} added trees have the tree_id {number}; give each its own, or leave the cell empty"
             raise InputError(msg)
     return edits
-
-
-def _with_points(cells: dict[str, str]) -> dict[str, str]:
-    """The cells of a row with decimal points for decimal commas."""
-    return {key: value.replace(",", ".") if key in ("x_m", "y_m") and value else value for key, value in cells.items()}
 
 
 def find_edits(out: Path, given: Path | None) -> tuple[TreeEdit, ...]:
@@ -243,40 +224,34 @@ def _number(value: float | None) -> float:
     return math.nan if value is None else value
 
 
-def _read_row(path: Path, row: int, cells: dict[str, str], columns: Sequence[str]) -> TreeEdit:
-    where = f"{path}, row {row}"
-    action = (cells.get("action") or "").strip().lower()
+def _read_row(row: CsvRow, columns: Sequence[str]) -> TreeEdit:
+    action = row.text("action").lower()
     if action not in ACTIONS:
-        msg = f"{where}: the action is '{action}'; it must be {', '.join(ACTIONS)}"
+        msg = f"{row.place}: the action is '{action}'; it must be {', '.join(ACTIONS)}"
         raise InputError(msg)
     missing = [name for name in ACTIONS[action] if name not in columns]
     if missing:
-        msg = f"{where}: '{action}' needs the column {' and '.join(missing)}, which the file does not have; add it"
+        msg = f"{row.place}: '{action}' needs the column {' and '.join(missing)}, which the file does not have; add it"
         raise InputError(msg)
     numbers: dict[str, float | None] = {}
     for name in ("tree_id", "other_id", "x_m", "y_m"):
-        text = (cells.get(name) or "").strip()
-        needed = name in ACTIONS[action]
-        if not text and not needed:
+        value = row.value(name)
+        if value is None and name not in ACTIONS[action]:
             numbers[name] = None
             continue
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
         whole = name.endswith("_id")
-        if not math.isfinite(value) or (whole and (value != int(value) or value < 1)):
+        if value is None or not math.isfinite(value) or (whole and (value != int(value) or value < 1)):
             kind = "the number of a tree" if whole else "a number"
-            msg = f"{where}: '{action}' needs {kind} in the column {name}, not '{text}'"
+            msg = f"{row.place}: '{action}' needs {kind} in the column {name}, not '{row.text(name)}'"
             raise InputError(msg)
         numbers[name] = value
     tree_id, other_id = numbers["tree_id"], numbers["other_id"]
     if action == "merge" and tree_id == other_id:
-        msg = f"{where}: a tree cannot be merged with itself; name two trees"
+        msg = f"{row.place}: a tree cannot be merged with itself; name two trees"
         raise InputError(msg)
     return TreeEdit(
         action=action,
-        row=row,
+        row=row.row,
         tree_id=None if tree_id is None else int(tree_id),
         other_id=None if other_id is None else int(other_id),
         x_m=numbers["x_m"],

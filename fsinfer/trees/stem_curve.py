@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.io.files import atomic_path
+from fsinfer.io.csv_text import write_table
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.sentences import sentence
 from fsinfer.notices.stems import StemCode
@@ -111,13 +111,7 @@ def stem_curves(
 
 def write_curves(path: Path, curves: Iterable[tuple[CurvePoint, ...]]) -> None:
     """Write ``stem_curve.csv``: a row a height, empty where no diameter could be measured."""
-    import csv
-
-    with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as handle:
-        writer = csv.writer(handle, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        for point in (point for curve in curves for point in curve):
-            writer.writerow(curve_row(point))
+    write_table(path, COLUMNS, (curve_row(point) for curve in curves for point in curve))
 
 
 def curve_row(point: CurvePoint) -> tuple[int | float | str, ...]:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from fsinfer.io.images import read_image, write_image
 from fsinfer.io.pfm import write_pfm
@@ -110,7 +111,7 @@ def camera(angle: float, distance: float) -> Camera:
     return Camera(intrinsic=intrinsic, cam_from_world=pose, depth_min=1.0, depth_max=60.0)
 
 
-def render(cam: Camera, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def render(cam: Camera, rng: np.random.Generator) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
     """Photograph (H, W, 3) and depth map (H, W) of a leaning, tapering stem before a mottled background."""
     fine = 3
     u, v = np.meshgrid(np.arange(WIDTH * fine), np.arange(HEIGHT * fine))
@@ -148,7 +149,7 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> StemPhotos:
         write_camera(
             folder / "cams" / f"p{index}_cam.txt", replace(cam, cam_from_world=pose, depth_min=2.0, depth_max=120.0)
         )
-        write_pfm(folder / "depth" / f"p{index}.pfm", 2.0 * depth)
+        write_pfm(folder / "depth" / f"p{index}.pfm", np.float32(2) * depth)
         write_pfm(folder / "confidence" / f"p{index}.pfm", np.ones_like(depth))
     write_pairs(folder / "pair.txt", {i: [((i + 1) % PHOTOS, 1.0)] for i in range(PHOTOS)})
     (folder / "depth" / "depth.json").write_text(json.dumps({"pixel_step": 1.0}), encoding="utf-8")
@@ -280,7 +281,8 @@ def test_refused_by_the_cloud_and_hardly_seen_stays_doubtful() -> None:
     refused = section_of(None, 0.01, notice(StemCode.double_wall, gap_cm=3.0))
     assert joined(refused, fit_of(0.15, 0.002)).status == "ok"
     few = joined(refused, fit_of(0.15, 0.002, photos=5))
-    assert (few.status, few.dbh_m) == ("doubtful", pytest.approx(0.30))
+    assert few.status == "doubtful"
+    assert few.dbh_m == pytest.approx(0.30)
     assert few.reasons == (notice(StemCode.edges_alone, photos=5, refused=refused.reasons[0]),)
     unsure = joined(refused, fit_of(0.15, 0.05))
     assert unsure.dbh_m is None
@@ -338,7 +340,8 @@ def test_a_doubtful_stem_that_many_photographs_do_not_show_is_a_shrub(photos: St
     few = SilhouetteJoinSettings(shrub_photos=PHOTOS)
     doubtful = plot_of(section_of(None, 0.02, ROUGH))
     gone = measure_silhouettes(doubtful, shrub, settings=few)
-    assert gone.trees == gone.sections == ()
+    assert gone.trees == ()
+    assert gone.sections == ()
     assert gone.diagnosis == notice(StemCode.none_in_photos)
     assert gone.warnings == (notice(StemCode.shrubs_left_out, places=("(0.3, -0.2)",)),)
     # One photograph too few, a sound stem of the cloud, or a person who said so: it stays.

@@ -12,7 +12,7 @@ from fsinfer.trees.search.stem import Stem, StemSettings
 from tests.support.stem_clouds import board, post, stem_plot
 
 
-def test_every_stem_is_found_between_shrubs():
+def test_every_stem_is_found_between_shrubs() -> None:
     plot = stem_plot(
         seed=3, trees=16, spacing_m=0.018, top_m=3.0, sigma_m=0.01, outliers=0.1, hidden=0.3, shrubs=20, ground=False
     )
@@ -23,7 +23,7 @@ def test_every_stem_is_found_between_shrubs():
     assert distance.min(axis=1).max() < 0.03
 
 
-def test_looking_ahead_finds_the_stems_of_one_round_after_the_other(monkeypatch):
+def test_looking_ahead_finds_the_stems_of_one_round_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
     plot = stem_plot(seed=3, trees=20, sigma_m=0.012, shrubs=12, outliers=0.1, hidden=0.3)
     ahead = find_stems(plot.points)
     monkeypatch.setattr("fsinfer.trees.search.find.TOGETHER", 1)
@@ -34,20 +34,20 @@ def test_looking_ahead_finds_the_stems_of_one_round_after_the_other(monkeypatch)
         np.testing.assert_allclose(stem.axis.parameters, same.axis.parameters, atol=1e-6)
 
 
-def test_leaning_stem_keeps_its_axis():
+def test_leaning_stem_keeps_its_axis() -> None:
     plot = stem_plot(seed=5, trees=1, spacing_m=0.012, sigma_m=0.004, lean_deg=12.0, ground=False)
     (stem,) = find_stems(plot.points).stems
     np.testing.assert_allclose(stem.axis.center_at(1.3), plot.xy[0], atol=0.01)
 
 
-def test_shrubs_alone_are_no_stems():
+def test_shrubs_alone_are_no_stems() -> None:
     rng = np.random.default_rng(0)
     blobs = [rng.normal(0, 1, (2500, 3)) * [0.3, 0.3, 0.5] + [*rng.uniform(0, 8, 2), 1.0] for _ in range(8)]
     assert find_stems(np.concatenate(blobs)).stems == ()
 
 
 @pytest.mark.parametrize("sigma_m", [0.003, 0.008])
-def test_post_and_board_are_no_trees(sigma_m):
+def test_post_and_board_are_no_trees(sigma_m: float) -> None:
     rng = np.random.default_rng(1)
     plot = stem_plot(seed=2, trees=4, spacing_m=0.018, top_m=3.0, sigma_m=sigma_m, ground=False)
     things = [
@@ -57,7 +57,7 @@ def test_post_and_board_are_no_trees(sigma_m):
     assert len(find_stems(np.concatenate([plot.points, *things])).stems) == 4
 
 
-def test_axis_coordinates_measure_the_distance_to_the_line():
+def test_axis_coordinates_measure_the_distance_to_the_line() -> None:
     rng = np.random.default_rng(2)
     points = rng.normal(0, 1, (50, 3))
     parameters = np.array([0.1, -0.2, 0.2, -0.1, 0.15, 0.0])
@@ -67,7 +67,7 @@ def test_axis_coordinates_measure_the_distance_to_the_line():
     np.testing.assert_allclose(np.linalg.norm(offsets, axis=1), expected, atol=1e-12)
 
 
-def test_outward_tail_does_not_pull_the_radius():
+def test_outward_tail_does_not_pull_the_radius() -> None:
     rng = np.random.default_rng(3)
     angle, height = rng.uniform(0, 2 * np.pi, 3000), rng.uniform(0.9, 1.7, 3000)
     tail = np.where(rng.random(3000) < 0.2, rng.exponential(0.03, 3000), 0.0)
@@ -78,12 +78,12 @@ def test_outward_tail_does_not_pull_the_radius():
     assert np.mean(rho) > 0.155  # what a plain mean would say
 
 
-def _leaning(x_m, y_m, slope):
+def _leaning(x_m: float, y_m: float, slope: float) -> Stem:
     axis = Axis(parameters=np.array([x_m, y_m, slope, 0.0, 0.15, 0.0]), height_m=1.3, sigma_m=0.004)
     return Stem(axis=axis, bottom_m=0.5, top_m=2.5, length_m=2.0, arc_coverage=1.0, quality=1.0)
 
 
-def test_neighbours_and_crowns_follow_the_breast_height_that_was_asked_for():
+def test_neighbours_and_crowns_follow_the_breast_height_that_was_asked_for() -> None:
     # Far apart, and leaning so that their order from west to east is another at 2 m than at 1.3 m.
     stems = [_leaning(0.0, 0.0, 0.3), _leaning(0.1, 9.0, -0.3)]
     nothing = PlanIndex(np.zeros((0, 3)), 0.5)
