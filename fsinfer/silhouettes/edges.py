@@ -25,13 +25,14 @@ from fsinfer.trees.diameter.silhouette import Edges
 Floats = NDArray[np.float64]
 
 
-#: Numerics: samples of a strip across the stem for each pixel, and for each radius at most; and least metres between
-#: its rows, and their least number.
+#: Samples of a strip across the stem for each pixel, and for each radius at most; and least metres between its rows,
+#: and their least number. Source: numerics.
 SAMPLES_PER_PX, MOST_SAMPLES_OF_RADIUS, LEAST_ROW_M, LEAST_ROWS = 2.0, 60.0, 0.004, 8
-#: Numerics: points of the near side by which it is told whether it is hidden: along the stem and across it, the latter
-#: up to this share of the radius.
+#: Points of the near side by which it is told whether it is hidden: along the stem and across it, the latter up to
+#: this share of the radius. Source: numerics.
 SIDE_POINTS, SIDE_OF_RADIUS = (9, 5), 0.6
-#: Numerics: a camera nearer than this to a stem, in radii and metres, or of which it is less deep, sees it too slanted.
+#: A camera nearer than this to a stem, in radii and metres, or of which it is less deep, sees it too slanted.
+#: Source: numerics.
 NEAREST_RADII, NEAREST_M, LEAST_DEPTH_M = 2.5, 0.5, 0.3
 #: Both edges must lie inside the photograph with this much room, in radii and pixels, and above and below in pixels.
 #: Source: not recorded.

@@ -55,7 +55,7 @@ class StemPhotos:
     cloud_from_scene: Floats
 
 
-#: Numerics: depth maps held at once, and directions in which an outline is drawn.
+#: Depth maps held at once, and directions in which an outline is drawn. Source: numerics.
 CACHED_MAPS, DIRECTIONS = 2, 180
 
 

@@ -14,11 +14,11 @@ from fsinfer.silhouettes.edges import StemAxis, Strip, normal_angles
 from fsinfer.trees.diameter.silhouette import SilhouetteFit
 
 Floats = NDArray[np.float64]
-#: Drawing: of the fitted edges.
+#: Of the fitted edges. Source: layout.
 EDGE_COLOUR = (60, 255, 60)
-#: Drawing: strips of a stem, from directions at least so far apart, the nearest camera first.
+#: Strips of a stem, from directions at least so far apart, the nearest camera first. Source: layout.
 MOST_STRIPS, APART_DEG = 8, 20.0
-#: Drawing: width and height of a strip, strips in a row, and the gap between them.
+#: Width and height of a strip, strips in a row, and the gap between them. Source: layout.
 TILE_PX, COLUMNS, GAP_PX = (320, 200), 4, 4
 
 

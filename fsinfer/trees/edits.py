@@ -37,9 +37,9 @@ REACH_M = 0.35
 #: Points around a place that are looked at, metres: the widest stem, and what it has to stand out from.
 #: Source: not recorded.
 AROUND_M = 1.5
-#: Drawing: radius in metres of the ring on the map where nothing is measured.
+#: Radius in metres of the ring on the map where nothing is measured. Source: layout.
 LABEL_RADIUS_M = 0.1
-#: Numerics: of two stems as near to a place the better one is taken; metres a unit of quality.
+#: Of two stems as near to a place the better one is taken; metres a unit of quality. Source: numerics.
 TIE = 1e-3
 #: A person says that a stem stands there: much less evidence is asked for than where nobody said so. Source: not
 #: recorded.

@@ -15,9 +15,9 @@ from fsinfer.trees.tree import BREAST_HEIGHT_M
 Floats = NDArray[np.float64]
 
 
-#: Numerics: crowns are thinned to cells of this width, metres: their form, not their density, tells the top.
+#: Crowns are thinned to cells of this width, metres: their form, not their density, tells the top. Source: numerics.
 CELL_M = 0.05
-#: Numerics: cell of the index of crowns, metres, of the order of a crown's radius.
+#: Cell of the index of crowns, metres, of the order of a crown's radius. Source: numerics.
 INDEX_CELL_M = 0.5
 #: Above it lies what may be crown, metres; below stand shrubs. Source: not recorded.
 FOOT_M = 1.0

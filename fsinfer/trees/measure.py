@@ -33,7 +33,7 @@ from fsinfer.trees.stem_measurement import doubt_the_rough, measure_stems
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
-#: Drawing: what is said of how high a cloud reaches: this percentile, for the sake of strays.
+#: What is said of how high a cloud reaches: this percentile, for the sake of strays. Source: layout.
 TOP_PERCENTILE = 99.9
 
 

@@ -18,10 +18,10 @@ Floats = NDArray[np.float64]
 _log = logging.getLogger(__name__)
 
 
-#: Numerics: every k-th point so that so many are left tells the percentiles of a plot's extent to a centimetre, and as
-#: many coordinates the step in which they come.
+#: Every k-th point so that so many are left tells the percentiles of a plot's extent to a centimetre, and as many
+#: coordinates the step in which they come. Source: numerics.
 BOX_POINTS, STEP_POINTS = 200_000, 20_000
-#: Numerics: points that are enough to find stems, few enough for a second a side.
+#: Points that are enough to find stems, few enough for a second a side. Source: numerics.
 TURNED_POINTS = 300_000
 
 
@@ -57,7 +57,8 @@ class SanitySettings:
     turned_ground: float = 1.5
 
 
-#: Mathematics: ways a cloud may lie: rotation matrices that turn it z up, with the words for the user.
+#: Ways a cloud may lie: rotation matrices that turn it z up, with the words for the user. Source: numerics,
+#: mathematics.
 TURNS: tuple[tuple[str, Floats], ...] = (
     ("y points up", np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])),
     ("y points down", np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])),

@@ -31,11 +31,11 @@ from fsinfer.trees.tree import Tree
 Floats = NDArray[np.float64]
 
 
-#: Numerics: points of a window; more do not move the fit.
+#: Points of a window; more do not move the fit. Source: numerics.
 MOST_POINTS = 2000
-#: Numerics: no curve goes on above, metres.
+#: No curve goes on above, metres. Source: numerics.
 HIGHEST_M = 30.0
-#: Numerics: a fit starts with no smaller radius, metres.
+#: A fit starts with no smaller radius, metres. Source: numerics.
 LEAST_START_M = 0.015
 
 

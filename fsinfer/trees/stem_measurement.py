@@ -23,7 +23,8 @@ from fsinfer.trees.settings import TreeSettings
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
-#: Numerics: stems whose points are held at once, and directions in which the ground at a stem's foot is looked up.
+#: Stems whose points are held at once, and directions in which the ground at a stem's foot is looked up.
+#: Source: numerics.
 TOGETHER, FOOT_DIRECTIONS = 16, 16
 #: Above and below the heights of the search, metres, points are used too: a stem is measured on its own ground.
 #: Source: not recorded.

@@ -26,9 +26,10 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-#: Numerics: cells, at most, 160 MB of counts; larger plots get wider ones. And halvings by which a limit is found.
+#: Cells, at most, 160 MB of counts; larger plots get wider ones. And halvings by which a limit is found.
+#: Source: numerics.
 MOST_CELLS, HALVINGS = 40_000_000, 60
-#: Numerics: the pieces of a file that are looked at first may miss a border this wide, metres.
+#: The pieces of a file that are looked at first may miss a border this wide, metres. Source: numerics.
 UNSEEN_MARGIN_M = 10.0
 #: The ground is looked for in columns of so many cells, at this quantile of a column's points (lower ones are strays),
 #: and at most so many cells above the lowest of its neighbours: 35 degrees along the diagonal. Source: not recorded.
@@ -46,7 +47,7 @@ class ThinningSettings:
     cell_m: over ten times the noise of bark in photogrammetric clouds. Source: chosen on simulated stems.
     fine_heights_m: stems are looked for between 0.5 and 2.5 m. Source: ``StemSettings.heights_m``.
     fine_share: of the points kept. Source: not recorded.
-    seed: of the draws.
+    seed: of the draws. Source: numerics.
     """
 
     max_points: int = 8_000_000

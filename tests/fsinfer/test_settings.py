@@ -42,6 +42,8 @@ REQUIRED = (
     "placement",
     "poses",
     "scale",
+    "silhouettes",
+    "trees",
 )
 
 

@@ -23,18 +23,19 @@ from fsinfer.trees.points.sums import sums_of_products, weighted_sum
 Floats = NDArray[np.float64]
 
 
-#: Numerics: steps of a fit, at most, and the last one, in metres or metres per metre, where the noise has settled too.
+#: Steps of a fit, at most, and the last one, in metres or metres per metre, where the noise has settled too.
+#: Source: numerics.
 STEPS, TOLERANCE, SIGMA_TOLERANCE = 40, 1e-5, 0.01
-#: Numerics: where the mixture starts: noise, mean length of the tail, and shares of bark, tail and background.
+#: Where the mixture starts: noise, mean length of the tail, and shares of bark, tail and background. Source: numerics.
 START_SIGMA_M, START_TAIL_M, START_SHARES = 0.02, 0.03, (0.8, 0.12, 0.08)
-#: Numerics: longest step in metres, and what the noise may shrink to in one: the start is deliberately wide, and with
-#: longer steps a wrong arc captures the fit.
+#: Longest step in metres, and what the noise may shrink to in one: the start is deliberately wide, and with longer
+#: steps a wrong arc captures the fit. Source: numerics.
 LONGEST_STEP_M, LEAST_SHRINK = 0.05, 0.75
-#: Numerics: a fit that has less bark than a circle needs has lost it; no radius is smaller.
+#: A fit that has less bark than a circle needs has lost it; no radius is smaller. Source: numerics.
 LEAST_CORE, LEAST_RADIUS_M = 3.0, 0.01
-#: Numerics: keeps the equations solvable.
+#: Keeps the equations solvable. Source: numerics.
 RIDGE = 1e-9
-#: Numerics: a fit to points near a known stem starts with so many times its noise, and at least so many metres.
+#: A fit to points near a known stem starts with so many times its noise, and at least so many metres. Source: numerics.
 WIDER_START = (1.5, 0.006)
 
 

@@ -34,9 +34,9 @@ from fsinfer.trees.cylinder.kernels import blocked, column, residual_rows, sums_
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Singles = NDArray[np.float32]
-#: Numerics: sets and numbers in one call; their arrays, twenty and more, stay in the processor's cache.
+#: Sets and numbers in one call; their arrays, twenty and more, stay in the processor's cache. Source: numerics.
 _CHUNK, _NUMBERS = 32, 24_000
-#: Numerics: where padding lies, out of the window of every fit.
+#: Where padding lies, out of the window of every fit. Source: numerics.
 _FAR_M = np.float32(1e3)
 
 

@@ -20,23 +20,24 @@ from fsinfer.trees.points.surface import SECTORS, STRAY_SHARE, WALL_SIGMAS, sect
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-#: Numerics: steps of a geometric fit, at most, and its last one as a part of the radius, or of a metre.
+#: Steps of a geometric fit, at most, and its last one as a part of the radius, or of a metre. Source: numerics.
 STEPS, STEP_TOLERANCE = 30, 1e-10
-#: Numerics: random triples; a circle with 40 % outliers is found with probability 1 - (1 - 0.6^3)^200 > 1 - 1e-20.
+#: Random triples; a circle with 40 % outliers is found with probability 1 - (1 - 0.6^3)^200 > 1 - 1e-20.
+#: Source: numerics.
 TRIPLES = 200
-#: Numerics: points by which starts are compared; the share of points near a circle is known to 2 %.
+#: Points by which starts are compared; the share of points near a circle is known to 2 %. Source: numerics.
 START_POINTS = 500
-#: Numerics: rounds of dropping and fitting again.
+#: Rounds of dropping and fitting again. Source: numerics.
 DROP_ROUNDS = 25
-#: Numerics: fused random subsamples, of at most so many points, each in so many steps; the spread of the mean is stable
-#: to 10 % from about 60, and more points do not move the mean.
+#: Fused random subsamples, of at most so many points, each in so many steps; the spread of the mean is stable to 10
+#: % from about 60, and more points do not move the mean. Source: numerics.
 SUBSAMPLES, MOST_OF_SUBSAMPLE, SUBSAMPLE_STEPS = 96, 400, 3
-#: Numerics: points of a subsample, at least; those whose mean square is so many times the median one are not fused; and
-#: what keeps the weights of the others finite, of the support and of the drop limit's square.
+#: Points of a subsample, at least; those whose mean square is so many times the median one are not fused; and what
+#: keeps the weights of the others finite, of the support and of the drop limit's square. Source: numerics.
 LEAST_OF_SUBSAMPLE, RUNAWAY, LEAST_SUPPORT, LEAST_SQUARE = 8, 4.0, 1e-3, 1e-4
-#: Mathematics: delete-half jackknife; the spread of half samples estimates the standard error.
+#: Delete-half jackknife; the spread of half samples estimates the standard error. Source: numerics, mathematics.
 SUBSAMPLE_SHARE = 0.5
-#: Numerics: guards against collinear points, metres.
+#: Guards against collinear points, metres. Source: numerics.
 MOST_RADIUS_M = 1e6
 #: Least number of points for a circle in a noisy slice. Source: four times the circle's parameters.
 LEAST_POINTS = 12

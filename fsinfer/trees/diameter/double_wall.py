@@ -13,9 +13,9 @@ from fsinfer.trees.points.surface import OUTSIDE_SIGMAS, sector_of
 Floats = NDArray[np.float64]
 
 
-#: Numerics: bins of the density across a wall, and limits of its kernel, metres.
+#: Bins of the density across a wall, and limits of its kernel, metres. Source: numerics.
 BIN_M, KERNEL_M = 0.002, (0.002, 0.008)
-#: Numerics: peaks beside the highest that are looked at.
+#: Peaks beside the highest that are looked at. Source: numerics.
 OTHER_PEAKS = 3
 
 

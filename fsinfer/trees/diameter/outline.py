@@ -15,9 +15,9 @@ from fsinfer.trees.points.surface import PATCH_M
 Floats = NDArray[np.float64]
 
 
-#: Numerics: directions in which the outline is drawn and its width taken.
+#: Directions in which the outline is drawn and its width taken. Source: numerics.
 _DIRECTIONS = 360
-#: Numerics: noise below which points are not weighted any higher, metres.
+#: Noise below which points are not weighted any higher, metres. Source: numerics.
 _LEAST_NOISE_M = 0.002
 
 

@@ -26,14 +26,14 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-#: Numerics: steps of the vote over radius and place, metres.
+#: Steps of the vote over radius and place, metres. Source: numerics.
 RADIUS_STEP_M, PLACE_STEP_M = 0.004, 0.01
-#: Numerics: peaks of the vote that are followed up.
+#: Peaks of the vote that are followed up. Source: numerics.
 STARTS = 3
-#: Numerics: rounds of a fit; tolerance of the vote and of the first ones, metres, after which it is what was found, and
-#: how much tighter harmonics are held in them: they would bend a wrong circle through a few edges.
+#: Rounds of a fit; tolerance of the vote and of the first ones, metres, after which it is what was found, and how
+#: much tighter harmonics are held in them: they would bend a wrong circle through a few edges. Source: numerics.
 ROUNDS, TOLERANCES_M, ROUND_FIRST = 12, (0.012, 0.008, 0.006, 0.005, 0.004), 10.0
-#: Numerics: an edge is never surer, metres.
+#: An edge is never surer, metres. Source: numerics.
 LEAST_NOISE_M = 0.001
 
 

@@ -22,9 +22,9 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 
-#: Numerics: points so near to a height, in metres, hold every slice across a leaning stem there.
+#: Points so near to a height, in metres, hold every slice across a leaning stem there. Source: numerics.
 SLAB_HALF_M = 0.25
-#: Numerics: a slice is not taken for thinner evidence than of this share of the circumference.
+#: A slice is not taken for thinner evidence than of this share of the circumference. Source: numerics.
 LEAST_COVERAGE = 0.05
 
 

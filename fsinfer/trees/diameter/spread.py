@@ -20,7 +20,8 @@ from fsinfer.trees.points.surface import LAYER_M, SECTORS, sector_of
 Floats = NDArray[np.float64]
 
 
-#: Numerics: least number of blocks, beside as many as unknowns, and of pairs of them, that tell what blocks share.
+#: Least number of blocks, beside as many as unknowns, and of pairs of them, that tell what blocks share.
+#: Source: numerics.
 LEAST_FREE, LEAST_PAIRS = 4, 6
 
 

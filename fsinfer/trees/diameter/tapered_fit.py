@@ -21,11 +21,11 @@ from fsinfer.trees.points.surface import reach_about_wall
 Floats = NDArray[np.float64]
 
 
-#: Numerics: points of a piece of stem; more do not move the fit.
+#: Points of a piece of stem; more do not move the fit. Source: numerics.
 MOST_POINTS = 5000
 #: So many times the points that a circle needs are enough bark, or a longer piece is fitted. Source: not recorded.
 ENOUGH = 4
-#: Numerics: the second fit starts with so many times the noise of the first, and at least so many metres.
+#: The second fit starts with so many times the noise of the first, and at least so many metres. Source: numerics.
 SECOND_START = (1.2, 0.004)
 
 

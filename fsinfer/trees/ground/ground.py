@@ -24,11 +24,12 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-#: Numerics: cells of the raster, at most, so that its equations stay solvable in seconds; a hectare keeps its 0.4 m.
+#: Cells of the raster, at most, so that its equations stay solvable in seconds; a hectare keeps its 0.4 m.
+#: Source: numerics.
 MOST_CELLS = 60_000.0
-#: Numerics: planes through random triples; one with 30 % inliers is found with probability > 1 - 1e-4.
+#: Planes through random triples; one with 30 % inliers is found with probability > 1 - 1e-4. Source: numerics.
 TRIALS = 400
-#: Numerics: rounds of least squares on the points near the best of them.
+#: Rounds of least squares on the points near the best of them. Source: numerics.
 PLANE_ROUNDS = 5
 #: A cell far below a plane speaks against it as much as this share of one on it speaks for it. Source: not recorded.
 AGAINST = 0.5

@@ -16,14 +16,14 @@ from scipy.sparse.linalg import splu
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-#: Numerics: SuperLU for symmetric matrices.
+#: SuperLU for symmetric matrices. Source: numerics.
 _SYMMETRIC: Mapping[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-#: Numerics: points at once; what is computed on the way stays in the processor's cache.
+#: Points at once; what is computed on the way stays in the processor's cache. Source: numerics.
 BLOCK = 16_384
-#: Numerics: stiffness of the surface, step by step: a stiff first one cannot climb onto shrubs, later ones follow the
-#: terrain; and of the second, finer surface.
+#: Stiffness of the surface, step by step: a stiff first one cannot climb onto shrubs, later ones follow the terrain;
+#: and of the second, finer surface. Source: numerics.
 _STIFFNESS, _FINE_STIFFNESS = (100.0, 30.0, 10.0, 3.0, 1.0, 1.0), (1.0, 1.0, 1.0)
-#: Numerics: holds the surface where no cell has a height.
+#: Holds the surface where no cell has a height. Source: numerics.
 _RIDGE = 1e-4
 #: What stands so far above the surface hardly pulls: metres at first, what becomes of them in a step, and at last.
 #: Source: not recorded.

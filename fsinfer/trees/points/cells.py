@@ -9,17 +9,19 @@ from scipy.spatial import cKDTree
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-#: Numerics: entries of a table of 32-bit numbers, one for each cell; only pages that hold points are ever touched.
+#: Entries of a table of 32-bit numbers, one for each cell; only pages that hold points are ever touched.
+#: Source: numerics.
 MAX_TABLE = 100_000_000
-#: Numerics: of so many points within half a metre of height others are not looked at for the spacing.
+#: Of so many points within half a metre of height others are not looked at for the spacing. Source: numerics.
 MANY_POINTS = 50_000
 #: The extent of a plot is that between these percentiles. Source: not recorded.
 BOX_PERCENTILES = (0.5, 99.5)
 #: Points are left out that lie farther outside of that box than half its size and so many metres. Source: not recorded.
 BOX_MARGIN_M = 2.0
-#: Numerics: points whose nearest neighbour tells the spacing.
+#: Points whose nearest neighbour tells the spacing. Source: numerics.
 SPACING_SAMPLE = 2000
-#: Numerics: half the height of the layer in which neighbours are looked for, and what of it has all of them, metres.
+#: Half the height of the layer in which neighbours are looked for, and what of it has all of them, metres.
+#: Source: numerics.
 SPACING_HALF_M, SPACING_ASKED_M = 0.25, 0.2
 
 

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-#: Numerics: times 14 parameters, below the 9,216 elements from which OpenBLAS spreads a matrix-vector product.
+#: Times 14 parameters, below the 9,216 elements from which OpenBLAS spreads a matrix-vector product. Source: numerics.
 BLOCK = 512
-#: Mathematics: standard deviation of a Gaussian over its median absolute deviation.
+#: Standard deviation of a Gaussian over its median absolute deviation. Source: numerics, mathematics.
 MAD_TO_SIGMA = 1.4826
-#: Mathematics: standard deviations to either side that hold 95 % of a Gaussian.
+#: Standard deviations to either side that hold 95 % of a Gaussian. Source: numerics, mathematics.
 Z95 = 1.96
 
 

@@ -32,17 +32,17 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 #: Least points between the heights of the search. Source: not recorded.
 LEAST_POINTS = 20
-#: Numerics: candidates looked at at once: bounds the memory, and fills the batches of the fits.
+#: Candidates looked at at once: bounds the memory, and fills the batches of the fits. Source: numerics.
 TOGETHER = 256
-#: Numerics: candidates farther apart are looked at together; both may find one stem, which is resolved. Metres.
+#: Candidates farther apart are looked at together; both may find one stem, which is resolved. Metres. Source: numerics.
 APART_M = 0.3
-#: Numerics: cell of the index, metres, half of the reach of a look around.
+#: Cell of the index, metres, half of the reach of a look around. Source: numerics.
 INDEX_CELL_M = 0.375
 #: Points this far outside the widest stem are looked at, metres: what it has to stand out from. Source: not recorded.
 BESIDE_M = 0.15
 #: Cells grow with the spacing of a sparse cloud. Source: not recorded.
 CELL_OF_SPACING = 1.2
-#: Numerics: points are thinned to half a cell, but not below so many metres.
+#: Points are thinned to half a cell, but not below so many metres. Source: numerics.
 LEAST_THINNING_M = 0.008
 #: The wall of a stem that another touches: its noise, and cells, whichever is more. Source: not recorded.
 OWN_SIGMAS, OWN_CELLS = 4.0, 1.5

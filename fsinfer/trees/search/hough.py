@@ -14,17 +14,17 @@ from fsinfer.trees.search.stem import StemSettings
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-#: Numerics: surroundings of a cell, of which the line-likeness and the normal are taken, in cells.
+#: Surroundings of a cell, of which the line-likeness and the normal are taken, in cells. Source: numerics.
 _REACH_CELLS = 3.6
-#: Numerics: cells whose neighbours are looked up at once: in one thread, see fsinfer.trees.points.sums.
+#: Cells whose neighbours are looked up at once: in one thread, see fsinfer.trees.points.sums. Source: numerics.
 _CHUNK = 1000
-#: Numerics: cells of the image of votes, at most: bounds the memory to 100 MB.
+#: Cells of the image of votes, at most: bounds the memory to 100 MB. Source: numerics.
 _MOST_VOTES = 12e6
-#: Numerics: steps of a band by which its filling is told.
+#: Steps of a band by which its filling is told. Source: numerics.
 _STEPS = 5
-#: Numerics: candidates, beside a few on a small plot; 30,000 a hectare bound the time in a thicket.
+#: Candidates, beside a few on a small plot; 30,000 a hectare bound the time in a thicket. Source: numerics.
 _SEEDS_PER_M2, _SEEDS = 3.0, 50
-#: Numerics: width in cells of the squares over which votes are added up, and over which a peak is the highest.
+#: Width in cells of the squares over which votes are added up, and over which a peak is the highest. Source: numerics.
 _BLUR_CELLS, _PEAK_CELLS = 3, 5
 
 

@@ -25,21 +25,21 @@ from fsinfer.trees.points.surface import (
 from fsinfer.trees.search.stem import Stem, StemSettings
 
 Floats = NDArray[np.float64]
-#: Numerics: points of a candidate, and steps of its fit. In the first most candidates run away, after the next most of
-#: the others are not round; only what is left is fitted to the end.
+#: Points of a candidate, and steps of its fit. In the first most candidates run away, after the next most of the
+#: others are not round; only what is left is fitted to the end. Source: numerics.
 FIRST_POINTS, FIRST_STEPS, NEXT_POINTS, NEXT_STEPS, LAST_POINTS = 150, 7, 300, 10, 700
-#: Numerics: where the last fit has arrived, metres: finer than any limit of the search.
+#: Where the last fit has arrived, metres: finer than any limit of the search. Source: numerics.
 LAST_TOLERANCE = 5e-5
-#: Numerics: shares of the least and of the greatest radius between which a candidate goes on after the first steps, and
-#: after the next.
+#: Shares of the least and of the greatest radius between which a candidate goes on after the first steps, and after
+#: the next. Source: numerics.
 FIRST_RANGE, NEXT_RANGE = (0.5, 1.3), (0.75, 1.1)
 #: What is looked at about a wall, at most, metres: less than in the measurement. Source: not recorded.
 WINDOW_M = 0.10
-#: Numerics: points of which rings are looked for, some twenty in each sector and layer of a stem; width of a ring in
-#: metres, sectors, and rings beyond the greatest radius.
+#: Points of which rings are looked for, some twenty in each sector and layer of a stem; width of a ring in metres,
+#: sectors, and rings beyond the greatest radius. Source: numerics.
 RING_POINTS, RING_M, RING_SECTORS, RINGS_BEYOND = 3000, 0.01, 16, 5
-#: Numerics: where fits start: from sectors of a ring that are seen in this share of the layers, and from a second ring,
-#: so many rings or this share of the radius away, that has this share of the first one's score.
+#: Where fits start: from sectors of a ring that are seen in this share of the layers, and from a second ring, so
+#: many rings or this share of the radius away, that has this share of the first one's score. Source: numerics.
 RING_LAYERS, RINGS_APART, RINGS_APART_SHARE, SECOND_RING = 0.3, 3, 0.3, 0.5
 #: Width of a sector about an axis, in cells. Source: not recorded.
 SECTOR_CELLS = 2.5
