@@ -17,7 +17,10 @@ from fsinfer.errors import SceneError
 from fsinfer.io.digest import file_digest
 from fsinfer.io.files import write_text
 
+#: Planes of a camera file that tells no number. Source: format; MVSNet (Yao et al. 2018).
 DEPTH_PLANES = 192
+#: Depth that stands for none where a point lies in the plane of the camera. Source: numerics.
+_LEAST_DEPTH = 1e-12
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".JPG", ".JPEG", ".PNG")
 
 
@@ -72,7 +75,9 @@ def project(
     in_camera = points @ camera.cam_from_world[:3, :3].T + camera.cam_from_world[:3, 3]
     depth = in_camera[..., 2]
     homogeneous = in_camera @ (camera.intrinsic if intrinsic is None else intrinsic).T
-    return homogeneous[..., :2] / np.where(np.abs(depth) < 1e-12, 1e-12, depth)[..., None], np.asarray(depth)
+    return homogeneous[..., :2] / np.where(np.abs(depth) < _LEAST_DEPTH, _LEAST_DEPTH, depth)[..., None], np.asarray(
+        depth
+    )
 
 
 def read_camera(path: Path | str) -> Camera:

@@ -31,7 +31,22 @@ from training.model.fsmvsnet import Window
 
 @dataclass(frozen=True, kw_only=True)
 class TrainSettings:
-    """One training run. The paper: Adam, lr 1e-3, weight decay 1e-5."""
+    """One training run.
+
+    Attributes
+    ----------
+    data, validation: folders of scenes; out: of the checkpoints. Source: option.
+    preset: key of :data:`training.model.config.PRESETS`. Source: option.
+    minutes, steps: the run ends with whichever comes first. Source: option.
+    learning_rate, weight_decay: of Adam. Source: FS-MVSNet, Forests 2025, 16, 927.
+    crop: width and height of the window at quarter resolution. Source: numerics; what a laptop trains on.
+    accumulate: samples of a step. Source: numerics.
+    min_sources, max_sources: of a sample, see :class:`training.data.samples.SamplingSettings`.
+    ema_decay: of the mean of the weights over the steps. Source: judgement.
+    freeze_norm_from: share of the run after which batch-norm statistics stay fixed. Source: judgement.
+    checkpoint_every, validate_every: steps. Source: numerics.
+    seed, threads, device: of the run; init: a checkpoint to begin from. Source: option.
+    """
 
     data: tuple[Path, ...]
     out: Path
@@ -41,12 +56,12 @@ class TrainSettings:
     steps: int = 10**9
     learning_rate: float = 1e-3
     weight_decay: float = 1e-5
-    crop: tuple[int, int] = (64, 48)  # width, height of the window at quarter resolution
+    crop: tuple[int, int] = (64, 48)
     accumulate: int = 1
-    min_sources: int = 2
-    max_sources: int = 4
+    min_sources: int = SamplingSettings.min_sources
+    max_sources: int = SamplingSettings.max_sources
     ema_decay: float = 0.998
-    freeze_norm_from: float = 0.75  # share of the run after which batch-norm statistics stay fixed
+    freeze_norm_from: float = 0.75
     checkpoint_every: int = 200
     validate_every: int = 500
     seed: int = 1

@@ -15,12 +15,13 @@ import numpy as np
 from fsinfer.check.advice import advice, marker_lines
 from fsinfer.check.coarse_depth import Glance, GlanceSettings, read_glance, take_glance
 from fsinfer.check.compass import find_compass, gnss_places
-from fsinfer.check.coverage import CoverageSettings, StemCoverage, judge_stems
+from fsinfer.check.coverage import StemCoverage, judge_stems
 from fsinfer.check.open_sides import OpenSide, open_sides
 from fsinfer.check.result import CheckResult
+from fsinfer.check.settings import CoverageSettings
 from fsinfer.check.survey import Survey, SurveySettings, survey_scene
 from fsinfer.errors import ScaleError
-from fsinfer.frames.select import FrameSettings
+from fsinfer.frames.settings import FrameSettings
 from fsinfer.geometry.hull import in_hull
 from fsinfer.geometry.similarity import scale_of
 from fsinfer.io.files import make_folder, write_text
@@ -34,7 +35,7 @@ from fsinfer.scale.aruco import scale_from_aruco
 from fsinfer.scale.doubts import boards_at_two_places
 from fsinfer.scale.find import find_scale, scale_from_printed_boards
 from fsinfer.scale.request import ScaleRequest
-from fsinfer.scale.scale import UNKNOWN, Scale, marker_centers
+from fsinfer.scale.scale import CAMERA_HEIGHT_M, UNKNOWN, Scale, marker_centers
 from fsinfer.scene import Scene, read_scene, scene_digest
 from fsinfer.workflow.cloud_stages import DEPTH
 from fsinfer.workflow.ledger import Ledger, Stage
@@ -46,7 +47,8 @@ from fsinfer.workflow.photo_stages import (
     source_files,
 )
 
-# A board's middle lies so near to the wall of its post, which a few points put a little off.
+#: A board's middle lies so near to the wall of its post, which a few points put a little off. Source: judgement, on
+#: rendered plots; renders only.
 _POST_M = 0.35
 
 
@@ -57,7 +59,6 @@ class CheckSettings:
     Attributes
     ----------
     frames, poses: of the stages that a run shares; with a run's settings it does not repeat them.
-    margin_m: stems are judged up to so far outside the walk; farther ones cannot be seen from all sides.
     """
 
     frames: FrameSettings = field(default_factory=FrameSettings)
@@ -66,7 +67,6 @@ class CheckSettings:
     survey: SurveySettings = field(default_factory=SurveySettings)
     coverage: CoverageSettings = field(default_factory=CoverageSettings)
     scale: ScaleRequest = field(default_factory=ScaleRequest)
-    margin_m: float = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,7 +188,7 @@ def judge_survey(
     ]
     stems = [survey.stems[row] for row in kept]
     # A straight walk has no inside: everything beside it can be walked round as well.
-    inside = in_hull(cameras, np.array([stem.center for stem in stems]).reshape(-1, 2), settings.margin_m)
+    inside = in_hull(cameras, np.array([stem.center for stem in stems]).reshape(-1, 2), settings.coverage.margin_m)
     judged = judge_stems(stems, survey.seen[kept], cameras, inside, settings=settings.coverage)
     sides = open_sides(cameras)
     judged = [_beyond(entry, sides) for entry in judged]
@@ -206,7 +206,7 @@ def judge_survey(
         offsets_m=[cameras - entry.stem.center for entry in judged],
     )
     if scale.m_per_unit is None:
-        notes.append(f"No scale: lengths are guessed from a phone held {settings.survey.camera_height_m:g} m high.")
+        notes.append(f"No scale: lengths are guessed from a phone held {CAMERA_HEIGHT_M:g} m high.")
     notes += marker_lines(boards, given=settings.scale.given or scale.m_per_unit is not None)
     within = [entry for entry in judged if entry.inside]
     good = sum(entry.verdict in ("good", "far") for entry in within)

@@ -22,22 +22,22 @@ from fsinfer.cli.console import (
 )
 from fsinfer.cli.field_commands import register_field
 from fsinfer.cli.options import (
+    DEFAULT_EQUALIZE,
+    DEFAULT_PRECISION,
+    DEFAULT_VIEWS,
     ArucoDictionary,
     ArucoLength,
-    BhRule,
     BreastHeight,
     BreastHeightRule,
     Edits,
     Endpoints,
     EndpointsLength,
-    Equalize,
     EqualizeHow,
     IntervalS,
     MaxSize,
     MemoryGb,
     Model,
     Out,
-    Precision,
     PrecisionHow,
     Provider,
     ScaleFactor,
@@ -51,6 +51,10 @@ from fsinfer.cli.options import (
 from fsinfer.cli.stage_commands import register_stages
 from fsinfer.cli.support_command import register_support
 from fsinfer.cli.tables import demo_rows, unmeasured_rows
+from fsinfer.conventions.breast_height import BREAST_HEIGHT_M, BhRule
+from fsinfer.depth.settings import DepthSettings
+from fsinfer.frames.settings import FrameSettings
+from fsinfer.scale.request import ScaleRequest
 
 EXAMPLES = {
     "run": "photos my-plot",
@@ -110,7 +114,7 @@ def _main_options(
 
 @app.command()
 @reports_errors
-def demo(out: Out, threads: Threads = 0, quiet: Quiet = False, debug: Debug = False) -> None:
+def demo(out: Out, threads: Threads = DepthSettings.threads, quiet: Quiet = False, debug: Debug = False) -> None:
     """Measure a small plot that comes with fsinfer, and compare the result with the truth."""
     from fsinfer.workflow.demo import run_demo
 
@@ -130,21 +134,21 @@ def run(
     out: Out,
     scale: ScaleFactor = None,
     aruco_length_m: ArucoLength = None,
-    aruco_dictionary: ArucoDictionary = "4X4_50",
+    aruco_dictionary: ArucoDictionary = ScaleRequest.aruco_dictionary,
     endpoints: Endpoints = None,
     length_m: EndpointsLength = None,
-    interval_s: IntervalS = 2.0,
-    equalize: EqualizeHow = Equalize.none,
-    model: Model = "field",
-    views: Views = 5,
-    max_size: MaxSize = 1280,
-    bh: BreastHeight = 1.3,
+    interval_s: IntervalS = FrameSettings.interval_s,
+    equalize: EqualizeHow = DEFAULT_EQUALIZE,
+    model: Model = DepthSettings.model,
+    views: Views = DEFAULT_VIEWS,
+    max_size: MaxSize = DepthSettings.max_size_px,
+    bh: BreastHeight = BREAST_HEIGHT_M,
     bh_rule: BreastHeightRule = BhRule.midpoint,
     edits: Edits = None,
-    threads: Threads = 0,
-    memory_gb: MemoryGb = 3.0,
-    provider: Provider = "cpu",
-    precision: PrecisionHow = Precision.auto,
+    threads: Threads = DepthSettings.threads,
+    memory_gb: MemoryGb = DepthSettings.memory_gb,
+    provider: Provider = DepthSettings.provider,
+    precision: PrecisionHow = DEFAULT_PRECISION,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:

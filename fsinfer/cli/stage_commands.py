@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -11,22 +10,22 @@ import typer
 
 from fsinfer.cli.console import Debug, Quiet, reports_errors, stage_progress, warn
 from fsinfer.cli.options import (
+    DEFAULT_EQUALIZE,
+    DEFAULT_PRECISION,
+    DEFAULT_VIEWS,
     ArucoDictionary,
     ArucoLength,
-    BhRule,
     BreastHeight,
     BreastHeightRule,
     Edits,
     Endpoints,
     EndpointsLength,
-    Equalize,
     EqualizeHow,
     IntervalS,
     MaxSize,
     MemoryGb,
     Model,
     Out,
-    Precision,
     PrecisionHow,
     Provider,
     ScaleFactor,
@@ -38,19 +37,16 @@ from fsinfer.cli.options import (
     tree_settings,
 )
 from fsinfer.cli.tables import evaluation_rows, unmeasured_rows
+from fsinfer.conventions.breast_height import BREAST_HEIGHT_M, BhRule
+from fsinfer.depth.settings import DepthSettings
+from fsinfer.evaluation.settings import MAX_DISTANCE_M, Align
+from fsinfer.frames.settings import FrameSettings
 from fsinfer.output.layout import FRAMES_FILE, OutputFolder
+from fsinfer.scale.request import ScaleRequest
 
 SceneFolder = Annotated[
     Path, typer.Argument(help="Scene in MVSNet format: images/, cams/, pair.txt.", show_default=False)
 ]
-
-
-class Align(StrEnum):
-    """Whether the extracted positions may be moved and turned onto the measured ones."""
-
-    auto = "auto"
-    never = "never"
-    always = "always"
 
 
 def register_stages(app: typer.Typer) -> None:
@@ -63,8 +59,8 @@ def register_stages(app: typer.Typer) -> None:
 def frames(
     source: Annotated[Path, typer.Argument(help="Folder of photos, or a video.", show_default=False)],
     out: Out,
-    interval_s: IntervalS = 2.0,
-    equalize: EqualizeHow = Equalize.none,
+    interval_s: IntervalS = FrameSettings.interval_s,
+    equalize: EqualizeHow = DEFAULT_EQUALIZE,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
@@ -83,7 +79,7 @@ def frames(
 def poses(
     images: Annotated[Path, typer.Argument(help="Folder of photos.", show_default=False)],
     out: Out,
-    threads: Threads = 0,
+    threads: Threads = DepthSettings.threads,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
@@ -102,13 +98,13 @@ def poses(
 def depth(
     scene: SceneFolder,
     out: Out,
-    model: Model = "field",
-    views: Views = 5,
-    max_size: MaxSize = 1280,
-    threads: Threads = 0,
-    memory_gb: MemoryGb = 3.0,
-    provider: Provider = "cpu",
-    precision: PrecisionHow = Precision.auto,
+    model: Model = DepthSettings.model,
+    views: Views = DEFAULT_VIEWS,
+    max_size: MaxSize = DepthSettings.max_size_px,
+    threads: Threads = DepthSettings.threads,
+    memory_gb: MemoryGb = DepthSettings.memory_gb,
+    provider: Provider = DepthSettings.provider,
+    precision: PrecisionHow = DEFAULT_PRECISION,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
@@ -158,10 +154,10 @@ def trees(
     out: Out,
     scale: ScaleFactor = None,
     aruco_length_m: ArucoLength = None,
-    aruco_dictionary: ArucoDictionary = "4X4_50",
+    aruco_dictionary: ArucoDictionary = ScaleRequest.aruco_dictionary,
     endpoints: Endpoints = None,
     length_m: EndpointsLength = None,
-    bh: BreastHeight = 1.3,
+    bh: BreastHeight = BREAST_HEIGHT_M,
     bh_rule: BreastHeightRule = BhRule.midpoint,
     edits: Edits = None,
     quiet: Quiet = False,
@@ -194,7 +190,7 @@ def evaluate(
     extracted: Annotated[Path, typer.Argument(help="trees.csv of fsinfer.", show_default=False)],
     max_distance_m: Annotated[
         float, typer.Option("--max-distance-m", min=0.0, help="Farthest that two positions of one tree may lie apart.")
-    ] = 0.5,
+    ] = MAX_DISTANCE_M,
     by_id: Annotated[bool, typer.Option("--by-id", help="Match by tree_id instead of by position.")] = False,
     align: Annotated[
         Align, typer.Option("--align", help="Move and turn the positions onto the measured ones first.")

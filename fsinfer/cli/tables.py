@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from fsinfer.workflow.demo import DemoResult
     from fsinfer.workflow.tree_stage import UnmeasuredTree
 
-# Of more trees than this without a DBH, the table tells the rest.
+#: Of more trees than this without a DBH, the table tells the rest. Source: layout.
 _MOST_REASONS = 8
 
 

@@ -6,7 +6,7 @@ import json
 import logging
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +14,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.depth.manifest import DEFAULT_MODEL
 from fsinfer.depth.maps import read_depth_index
-from fsinfer.depth.median_filter import UnsureSettings, settle_unsure
+from fsinfer.depth.median_filter import settle_unsure
 from fsinfer.depth.memory import DepthPlan, plan_depth
 from fsinfer.depth.model import DepthModel, ViewFeatures
-from fsinfer.depth.precision import AUTO, FLOAT32, INT8
+from fsinfer.depth.precision import FLOAT32, INT8
+from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.tiles import TiledDepth
 from fsinfer.errors import SceneError
 from fsinfer.io.files import make_folder, write_text
@@ -30,43 +30,9 @@ from fsinfer.scene import Scene, View
 
 _log = logging.getLogger(__name__)
 
-CACHED_VIEWS = 24  # feature maps of neighbours are asked for again within a few views; 1280x720 takes 11 MB each
-DEFAULT_MEMORY_GB = 3.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class DepthSettings:
-    """Settings of the stage.
-
-    Attributes
-    ----------
-    model: name of a shipped model or path of a manifest.
-    source_views: sources for each reference view, best first; the paper's N is this plus one.
-    max_size_px: longer side of the image given to the network; larger photographs are reduced to it.
-    min_far_over_near: the far bound is at least this many times the near one. Camera files often hold a range cut to
-        the subject, and whatever stands behind it would be given a wrong depth; with planes uniform in 1/depth all that
-        lies beyond seven times the near bound takes a seventh of them at most.
-    max_far_over_near: the near bound is at least the far one divided by this. A leaf right before the lens would draw
-        the planes to itself: from 0.2 m on they lie half a metre apart at 4 m. What is nearer is lost instead, so the
-        bound must stay nearer than the trunks beside the path: 30 lost those within 1.5 m of the camera.
-    unsure: of the last step, in which unsure pixels follow their surroundings (:mod:`fsinfer.depth.median_filter`).
-    threads: 0 uses every core.
-    memory_gb: limit of the resident memory, 1e9 bytes; fewer feature maps are kept where it is tight, and depth is
-        computed in tiles where a whole map does not fit.
-    provider: of onnxruntime, see :mod:`fsinfer.depth.session`.
-    precision: of the regularizer: ``auto``, ``float32`` or ``int8``, see :mod:`fsinfer.depth.precision`.
-    """
-
-    model: str = DEFAULT_MODEL
-    source_views: int = 4
-    max_size_px: int = 1280
-    min_far_over_near: float = 7.0
-    max_far_over_near: float = 100.0
-    unsure: UnsureSettings = field(default_factory=UnsureSettings)
-    threads: int = 0
-    memory_gb: float = DEFAULT_MEMORY_GB
-    provider: str = "cpu"
-    precision: str = AUTO
+#: Feature maps kept at most; those of neighbours are asked for again within a few views, and 1280x720 takes 11 MB each.
+#: Source: numerics.
+CACHED_VIEWS = 24
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,6 +165,8 @@ def _plan(views: Sequence[View], settings: DepthSettings, model: DepthModel) -> 
         height=round(height * factor),
         planes=model.manifest.planes,
         groups=model.manifest.groups,
+        feature_channels=model.manifest.feature_channels,
+        refine_channels=model.manifest.refine_channels,
         views=settings.source_views + 1,
         most_cached=CACHED_VIEWS,
         int8=model.precision == INT8,

@@ -26,11 +26,19 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import InputError
 from fsinfer.evaluation.registration import apply, assign, register
+from fsinfer.evaluation.settings import MAX_DISTANCE_M, Align
 from fsinfer.geometry.hull import in_hull
 from fsinfer.io.csv_text import read_table
 
 Floats = NDArray[np.float64]
-ALIGNMENTS = ("auto", "never", "always")
+ALIGNMENTS = tuple(align.value for align in Align)
+
+#: A measured diameter is below this, cm. Source: format; no tree is thicker, millimetres are.
+_MOST_DBH_CM = 1000.0
+#: Frames are registered where fewer than this share of the trees match as given. Source: judgement.
+_FEW_MATCHES = 0.5
+#: Registration counts where it finds so many times the matches, so many more, and so many at least. Source: judgement.
+_MORE_TIMES, _MORE_MATCHES, _LEAST_MATCHES = 1.5, 2, 3
 
 
 class HasDbh(Protocol):
@@ -125,7 +133,7 @@ def read_measured(path: Path, *, need_dbh: bool = True, need_position: bool = Tr
             msg = f"{path} was made without a scale: its positions are no metres; give fsinfer run a scale first"
             raise InputError(msg)
         dbh = row.given("dbh_cm") if need_dbh else row.number("dbh_cm")
-        if dbh is not None and not 0.0 < dbh < 1000.0:
+        if dbh is not None and not 0.0 < dbh < _MOST_DBH_CM:
             msg = f"{row.place}: dbh_cm is {dbh:g}; it must lie between 0 and 1000 cm (0 is not 'unmeasured')"
             raise InputError(msg)
         x, y = (row.given(name) if need_position else row.number(name) for name in ("x_m", "y_m"))
@@ -144,9 +152,9 @@ def evaluate(
     measured: Sequence[HasDbh],
     extracted: Sequence[HasDbh],
     *,
-    max_distance_m: float = 0.5,
+    max_distance_m: float = MAX_DISTANCE_M,
     by_id: bool = False,
-    align: str = "auto",
+    align: str = Align.auto.value,
     area_margin_m: float | None = None,
 ) -> Evaluation:
     """Compare ``extracted`` trees with ``measured`` ones, one to one.
@@ -177,13 +185,13 @@ def evaluate(
         truth, found = _positions(measured, "measured"), _positions(extracted, "extracted")
         truth_cm, found_cm = _diameters(measured), _diameters(extracted)
         links, moved = assign(truth, found, max_distance_m), found
-        if align == "always" or (align == "auto" and len(links) < 0.5 * min(len(truth), len(found))):
+        if align == Align.always or (align == Align.auto and len(links) < _FEW_MATCHES * min(len(truth), len(found))):
             registered = register(truth, found, truth_cm, found_cm, max_distance_m)
             if registered is not None:
                 candidate = apply(registered, found)
                 better = assign(truth, candidate, max_distance_m)
-                clearly = len(better) >= max(len(links) + 2, 3, 1.5 * len(links))
-                if align == "always" or clearly:
+                clearly = len(better) >= max(len(links) + _MORE_MATCHES, _LEAST_MATCHES, _MORE_TIMES * len(links))
+                if align == Align.always or clearly:
                     links, moved = better, candidate
                     motion = {
                         "rotation_deg": float(np.degrees(registered[0])),

@@ -5,14 +5,15 @@ from __future__ import annotations
 import logging
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from fsinfer.errors import ImageError, OutputError
 from fsinfer.frames.contact_sheet import Tile, thumbnail, write_contact_sheet
-from fsinfer.frames.quality import EQUALIZERS, FrameScore, QualityLimits, equalize, reasons_to_drop, score_frame
+from fsinfer.frames.quality import EQUALIZERS, FrameScore, equalize, reasons_to_drop, score_frame
+from fsinfer.frames.settings import FrameSettings, VideoSettings
 from fsinfer.frames.table import FrameRow, frames_csv
-from fsinfer.frames.video import VIDEO_SUFFIXES, VideoSettings, sharpest_frames
+from fsinfer.frames.video import VIDEO_SUFFIXES, sharpest_frames
 from fsinfer.io.exif import camera_exif, named_camera_exif
 from fsinfer.io.files import make_folder, write_text
 from fsinfer.io.images import PHOTO_SUFFIXES, is_upright_jpeg_or_png, list_images, read_image, write_image
@@ -26,28 +27,6 @@ __all__ = ["FrameRow", "FrameSettings", "FramesResult", "list_captures", "select
 _log = logging.getLogger(__name__)
 _JPEG_SUFFIXES = frozenset({".jpg", ".jpeg"})
 CONTACT_SHEET = "frames_contact.jpg"
-
-
-@dataclass(frozen=True, kw_only=True)
-class FrameSettings:
-    """How frames are chosen.
-
-    Attributes
-    ----------
-    interval_s, window_s, max_shift: of video, see :class:`fsinfer.frames.video.VideoSettings`.
-    equalize: ``none``, ``clahe`` or ``hist`` (the paper's histogram equalization). None by default: SIFT and the depth
-        network take out brightness and contrast themselves, upright photos are copied without coding them again,
-        and the colours of the cloud stay those of the photos.
-    limits: when a frame is dropped.
-    jpeg_quality: of frames that are written anew; upright JPEG photos are copied as they are.
-    """
-
-    interval_s: float = 2.0
-    window_s: float = 0.5
-    max_shift: float = 0.3
-    equalize: str = "none"
-    limits: QualityLimits = field(default_factory=QualityLimits)
-    jpeg_quality: int = 97
 
 
 @dataclass(frozen=True, kw_only=True)

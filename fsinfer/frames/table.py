@@ -34,6 +34,7 @@ class FrameRow:
     reason: str
 
 
+#: Decimals of the columns. Source: format.
 _DIGITS = {"time_s": 3, "sharpness": 6, "mean_luminance": 2, "dark_share": 5, "bright_share": 5}
 
 

@@ -15,8 +15,9 @@ if TYPE_CHECKING:
     from fsinfer.io.cloud import PointCloud
     from fsinfer.scene import Scene
 
-# Side of the cells whose area counts as covered for the density, metres: wide against the point spacing of a cloud
-# from photographs (1-2 cm), narrow against a plot. The paper gives points per square metre without saying of what.
+#: Side of the cells whose area counts as covered for the density, metres. Source: judgement; wide against the point
+#: spacing of a cloud from photographs (1-2 cm), narrow against a plot. The paper gives points per square metre without
+#: saying of what.
 DENSITY_CELL_M = 0.25
 
 

@@ -15,23 +15,30 @@ from pathlib import Path
 from typing import Any
 
 from fsinfer.errors import PosesError
-from fsinfer.poses.pairs import first_pairs, most_pairs, pairs_beside
+from fsinfer.poses.pairs import MIN_INLIERS, first_pairs, most_pairs, pairs_beside
 from fsinfer.poses.refinement import ENOUGH
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.progress import Progress
 
 _log = logging.getLogger(__name__)
 
-# COLMAP draws random samples; a fixed seed, and one thread where sums are taken, make two runs on one machine alike.
+#: COLMAP draws random samples; a fixed seed, and one thread where sums are taken, make two runs on one machine alike.
+#: Source: numerics.
 SEED = 1
 
 
-# Pairs and photos handed to COLMAP at a time: large enough that its indices are built once for many pairs.
-_PHOTOS_PER_BATCH = 8
-_PAIRS_PER_BATCH = 120
-# Of the geometric check of a pair. With COLMAP's 10,000 it takes as long as matching, most of it on pairs that do not
-# belong together: on 360 pairs of a plot 6.4 s against 3.0, 281 pairs and 92,629 matches against 279 and 92,574.
+#: Photos and pairs handed to COLMAP at a time: large enough that its indices are built once for many pairs. Source:
+#: numerics.
+_PHOTOS_PER_BATCH, _PAIRS_PER_BATCH = 8, 120
+#: Trials of the geometric check of a pair. With COLMAP's 10,000 it takes as long as matching, most of it on pairs that
+#: do not belong together. Source: numerics; 360 pairs of a rendered plot: 6.4 s with 10,000 against 3.0, 281 pairs and
+#: 92,629 matches against 279 and 92,574; renders only.
 _MOST_TRIALS = 2500
+#: All photos are adjusted together when so many times more have come, not at every tenth (COLMAP: 1.1). Source:
+#: numerics; 300 photos of a rendered plot in 82 instead of 150 s, their places as exact; renders only.
+_ADJUST_GROWTH = 1.6
+#: Parts that the mapper begins at most, of which the largest counts. Source: numerics.
+_MOST_PARTS = 5
 
 
 @contextmanager
@@ -207,7 +214,7 @@ def _match(
     options.use_gpu = False
     options.num_threads = settings.thread_count
     verification = pycolmap.TwoViewGeometryOptions()
-    verification.min_num_inliers = settings.min_inliers
+    verification.min_num_inliers = MIN_INLIERS
     verification.ransac.random_seed = SEED
     verification.ransac.max_num_trials = _MOST_TRIALS
     listed = database.parent / "pairs.txt"
@@ -267,10 +274,9 @@ def reconstruct(
         incremental.num_threads = 1
         incremental.random_seed = SEED
         incremental.min_model_size = settings.min_registered
-        incremental.max_num_models = 5
-        # All photos are adjusted together when so many more have come, not at every tenth, and without points that add
-        # nothing: 300 photos in 82 instead of 150 s, their places as exact, and refined once more at the end.
-        incremental.ba_global_frames_ratio = incremental.ba_global_points_ratio = 1.6
+        incremental.max_num_models = _MOST_PARTS
+        # Without points that add nothing; the model is refined once more at the end.
+        incremental.ba_global_frames_ratio = incremental.ba_global_points_ratio = _ADJUST_GROWTH
         incremental.ba_global_function_tolerance = ENOUGH
         incremental.mapper.ba_global_ignore_redundant_points3D = True
         # Colours are taken from the photographs at fusion.

@@ -12,18 +12,25 @@ from fsinfer.errors import ScaleError
 from fsinfer.io.images import read_image
 from fsinfer.progress import Progress, silent
 from fsinfer.scale.detection import detect_markers, make_detector
+from fsinfer.scale.printed_boards import DICTIONARY
 from fsinfer.scale.scale import MarkerDetails, MarkerScale, RejectedMarker, Scale, check_length
 from fsinfer.scale.square_fit import FittedMarker, MarkerSettings, Sighting, find_markers
 from fsinfer.scene import Scene
 
 _log = logging.getLogger(__name__)
 
+#: A board is measured well from so many photos; of its largest sightings the least side is told. Source: judgement; a
+#: mean of five is twice as good as one.
+GOOD_SIGHTINGS = 5
+#: Photos and reasons that an error names at most. Source: layout.
+_NAMED_PHOTOS, _NAMED_REASONS = 6, 4
+
 
 def scale_from_aruco(
     scene: Scene,
     length_m: float | Mapping[int, float],
     *,
-    dictionary: str = "4X4_50",
+    dictionary: str = DICTIONARY,
     settings: MarkerSettings | None = None,
     progress: Progress = silent,
 ) -> Scale:
@@ -109,8 +116,8 @@ def _nothing_found(
             "check --aruco-dictionary, take photos nearer to the markers, or give --endpoints or --scale"
         )
     seen = sorted({names[sighting.view] for sighting in sightings})
-    shown = ", ".join(seen[:6]) + (", ..." if len(seen) > 6 else "")
-    why = "; ".join(f"marker {entry.id}: {entry.reason}" for entry in rejected[:4])
+    shown = ", ".join(seen[:_NAMED_PHOTOS]) + (", ..." if len(seen) > _NAMED_PHOTOS else "")
+    why = "; ".join(f"marker {entry.id}: {entry.reason}" for entry in rejected[:_NAMED_REASONS])
     return (
         f"no ArUco marker of {dictionary} can be used, of {len(sightings)} found in {shown} ({why}); each marker must "
         f"be seen in {settings.min_views} photos from different places, flat and sharp, or give --endpoints or --scale"
@@ -143,7 +150,7 @@ def _combine(
                 residual_rel=float(marker.side_units * combined / lengths_m[index] - 1),
                 residual_mm=float(1000 * (marker.side_units * combined - lengths_m[index])),
                 error_px=marker.error_px,
-                near_side_px=float(np.sort([sighting.side_px for sighting in marker.sightings])[-5:][0]),
+                near_side_px=float(np.sort([sighting.side_px for sighting in marker.sightings])[-GOOD_SIGHTINGS:][0]),
                 angle_deg=marker.angle_deg,
                 leave_one_out_m_per_unit=without,
                 leave_one_out_rel=None if without is None else without / combined - 1,

@@ -18,10 +18,6 @@ from fsinfer.scale.request import Point
 if TYPE_CHECKING:
     from fsinfer.scene import Scene
 
-
-if TYPE_CHECKING:
-    from fsinfer.scene import Scene
-
 __all__ = [
     "Scale",
     "check_length",
@@ -30,10 +26,14 @@ __all__ = [
     "scale_from_factor",
 ]
 
-# A click on a photograph shown full screen lands within about two pixels of what was meant.
+#: A click on a photograph shown full screen lands within about so many pixels of what was meant. Source: judgement.
 CLICK_SIGMA_PX = 2.0
-# Picked in a viewer, the end of a stick in a cloud from photographs is hit to about a centimetre.
+#: Picked in a viewer, the end of a stick in a cloud from photographs is hit to so much. Source: judgement.
 PICK_SIGMA_M = 0.01
+#: Rays that miss each other by so many standard deviations of a click do not meet. Source: judgement.
+_MEETING_SIGMAS = 10
+#: End points nearer to each other than this share of their coordinates are the same. Source: numerics.
+_SAME_POINT = 1e-12
 #: Height at which a standing person holds a phone: the guess at a metre while the scale is unknown. Source: adults.
 CAMERA_HEIGHT_M = 1.5
 
@@ -181,7 +181,7 @@ def scale_from_endpoints(first: Sequence[float], second: Sequence[float], length
         raise ScaleError(msg)
     points = np.array([first, second], dtype=np.float64)
     length_units = float(np.linalg.norm(points[1] - points[0]))
-    if not length_units > 1e-12 * float(np.abs(points).max()):
+    if not length_units > _SAME_POINT * float(np.abs(points).max()):
         msg = f"the end points {first} and {second} are the same; give the two ends of the {length_m} m length"
         raise ScaleError(msg)
     details = _end_details(points, length_units, length_m)
@@ -222,7 +222,7 @@ def scale_from_clicks(scene: Scene, clicks: Mapping[str, Sequence[tuple[float, f
     for end in range(2):
         pixels = np.array([clicks[name][end] for name in clicks], dtype=np.float64)
         point = triangulate(projections, pixels)
-        if point is None or point.max_error_px > 10 * CLICK_SIGMA_PX:
+        if point is None or point.max_error_px > _MEETING_SIGMAS * CLICK_SIGMA_PX:
             far = "do not meet" if point is None else f"miss each other by {point.max_error_px:.0f} pixels"
             msg = f"the rays to end {end + 1} of the length {far}; click the same spot in photos from different places"
             raise ScaleError(msg)

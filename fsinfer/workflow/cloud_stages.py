@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from fsinfer.depth.manifest import read_manifest
 from fsinfer.depth.precision import INT8, choose_precision
+from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.sfm_check import DepthCheck, SfmCheckSettings, check_depth
-from fsinfer.depth.stage import DepthResult, DepthSettings, estimate_depth
+from fsinfer.depth.stage import DepthResult, estimate_depth
 from fsinfer.errors import InputError
 from fsinfer.fusion.fuse import FusionSettings, fuse, most_points
 from fsinfer.io.cloud import read_cloud, write_cloud

@@ -11,7 +11,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fsinfer.depth.stage import DepthSettings
+from fsinfer.depth.settings import DepthSettings
 from fsinfer.errors import InputError
 from fsinfer.evaluation.metrics import Evaluation, MeasuredTree, evaluate, read_measured
 from fsinfer.io.files import atomic_path, make_folder

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from fsinfer.errors import InputError
-from fsinfer.frames.select import FrameSettings, FramesResult, list_captures, select_frames
+from fsinfer.frames.select import FramesResult, list_captures, select_frames
+from fsinfer.frames.settings import FrameSettings
 from fsinfer.io.digest import file_digest
 from fsinfer.io.images import list_images
 from fsinfer.poses.estimate import PosesResult, estimate_poses

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.sfm_check import SfmCheckSettings
-from fsinfer.depth.stage import DepthSettings
 from fsinfer.frames.select import FrameSettings
 from fsinfer.fusion.fuse import FusionSettings
 from fsinfer.output.json_values import as_json

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.depth.stage import DepthResult, DepthSettings
+from fsinfer.depth.settings import DepthSettings
+from fsinfer.depth.stage import DepthResult
 from fsinfer.errors import ImageError
 from fsinfer.frames.select import FrameSettings, FramesResult, list_captures
 from fsinfer.fusion.fuse import FusionSettings, fuse, most_points

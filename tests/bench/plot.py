@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.depth.precision import AUTO, FLOAT32, PRECISIONS
-from fsinfer.depth.stage import DepthSettings
+from fsinfer.depth.settings import DepthSettings
 from fsinfer.evaluation.figure import plot_evaluation
 from fsinfer.evaluation.metrics import evaluate, read_measured
 from fsinfer.fusion.fuse import FusionSettings

@@ -21,7 +21,8 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import least_squares
 
 from fsinfer.depth.maps import DepthMaps
-from fsinfer.depth.stage import DepthSettings, estimate_depth
+from fsinfer.depth.settings import DepthSettings
+from fsinfer.depth.stage import estimate_depth
 from fsinfer.geometry.triangulation import triangulate
 from fsinfer.io.images import read_image
 from fsinfer.scene import Scene, read_scene

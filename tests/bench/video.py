@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from fsinfer.depth.stage import DepthSettings
+from fsinfer.depth.settings import DepthSettings
 from fsinfer.evaluation.metrics import evaluate, read_measured
 from fsinfer.frames.select import select_frames
 from fsinfer.io.images import read_image

@@ -14,7 +14,8 @@ import torch
 from export.onnx_export import export_model
 from export.parity import whole_parity
 from fsinfer.depth.model import DepthModel
-from fsinfer.depth.stage import DepthSettings, search_range
+from fsinfer.depth.settings import DepthSettings
+from fsinfer.depth.stage import search_range
 from fsinfer.errors import InputError, ModelError
 from fsinfer.scene import read_scene
 from tests.support.plane_scene import write_plane_scene

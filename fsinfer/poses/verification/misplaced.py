@@ -15,7 +15,7 @@ from fsinfer.poses.verification.loose_parts import loose_parts
 from fsinfer.poses.verification.pair_votes import contradicted, pair_votes, weight_of
 from fsinfer.poses.verification.scale_jumps import strays
 
-# A pose that hangs on fewer points than this is an accident.
+#: A pose that hangs on fewer points than this is an accident. Source: judgement.
 _MIN_POINTS = 10
 
 #: What the user is told of photos left out, by how they were found.

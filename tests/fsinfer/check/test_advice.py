@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from fsinfer.check.advice import advice, marker_lines
 from fsinfer.check.compass import COMPASS_WORDS, MAP_WORDS, find_compass
-from fsinfer.check.coverage import CoverageSettings, judge_stems, widest_gap
+from fsinfer.check.coverage import judge_stems, widest_gap
 from fsinfer.check.map import seen_arcs
+from fsinfer.check.settings import CoverageSettings
 from fsinfer.check.sparse_stems import SparseStem
 from fsinfer.check.visible_stems import VisibleStem, join_stems
 from fsinfer.scale.scale import MarkerScale, RejectedMarker, Scale

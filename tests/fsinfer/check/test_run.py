@@ -17,11 +17,11 @@ from fsinfer.check import CheckResult, CheckSettings, check_capture
 from fsinfer.check.coarse_depth import read_glance
 from fsinfer.check.map import draw_map
 from fsinfer.check.run import judge_survey
-from fsinfer.check.sightings import SightingSettings
-from fsinfer.check.sparse_stems import SparseStemSettings, find_sparse_stems
+from fsinfer.check.settings import SightingSettings, SparseStemSettings
+from fsinfer.check.sparse_stems import find_sparse_stems
 from fsinfer.check.survey import Survey, SurveySettings, survey_scene
 from fsinfer.errors import InputError
-from fsinfer.frames.select import FrameSettings
+from fsinfer.frames.settings import FrameSettings
 from fsinfer.io.images import read_image, write_image
 from fsinfer.poses.colmap import reconstruct
 from fsinfer.poses.estimate import PosesResult, estimate_poses

@@ -13,7 +13,7 @@ from fsinfer.depth.manifest import hash_files, models_folder, read_manifest
 from fsinfer.depth.maps import read_depth_index
 from fsinfer.depth.model import DepthModel
 from fsinfer.depth.precision import choose_precision, has_int8_dot_products
-from fsinfer.depth.stage import DepthSettings
+from fsinfer.depth.settings import DepthSettings
 from fsinfer.errors import InputError, ModelError
 from fsinfer.scene import read_scene
 from fsinfer.workflow.single_stages import depth_of

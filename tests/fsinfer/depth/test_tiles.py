@@ -15,7 +15,8 @@ from fsinfer.depth.manifest import models_folder, read_manifest
 from fsinfer.depth.maps import read_depth_index
 from fsinfer.depth.memory import DepthPlan
 from fsinfer.depth.model import DepthEstimate, DepthModel
-from fsinfer.depth.stage import DepthSettings, estimate_depth
+from fsinfer.depth.settings import DepthSettings
+from fsinfer.depth.stage import estimate_depth
 from fsinfer.depth.tiles import TiledDepth, cut
 from fsinfer.errors import ModelError
 from fsinfer.io.pfm import read_pfm

@@ -12,9 +12,10 @@ import pytest
 from numpy.typing import NDArray
 
 from fsinfer.errors import ImageError
-from fsinfer.frames.quality import QualityLimits, reasons_to_drop, score_frame
-from fsinfer.frames.select import CONTACT_SHEET, FrameSettings, list_captures, select_frames
-from fsinfer.frames.video import VideoSettings, _choose
+from fsinfer.frames.quality import reasons_to_drop, score_frame
+from fsinfer.frames.select import CONTACT_SHEET, list_captures, select_frames
+from fsinfer.frames.settings import FrameSettings, QualityLimits, VideoSettings
+from fsinfer.frames.video import _choose
 from fsinfer.frames.view_shift import ViewChange
 from fsinfer.io.exif import camera_key, gnss_degrees
 from fsinfer.io.images import read_image, write_image

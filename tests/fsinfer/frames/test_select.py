@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from fsinfer.errors import ImageError, OutputError
-from fsinfer.frames.quality import QualityLimits, equalize, reasons_to_drop, score_frame
-from fsinfer.frames.select import FrameSettings, select_frames
+from fsinfer.frames.quality import equalize, reasons_to_drop, score_frame
+from fsinfer.frames.select import select_frames
+from fsinfer.frames.settings import FrameSettings, QualityLimits
 from fsinfer.io.images import read_image, write_image
 from fsinfer.notices.sentences import sentence
 from tests.support.rendered_room import texture

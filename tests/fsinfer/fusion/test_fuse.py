@@ -269,7 +269,7 @@ def test_flying_pixels_at_a_silhouette_are_dropped(tmp_path: Path) -> None:
     # A column of mixed depths between the ground and the stem, as smoothing makes them.
     depth[row - 4 : row + 5, edge] = 0.5 * (depth[row - 4 : row + 5, edge - 1] + depth[row, edge + 2])
     write_pfm(tmp_path / "depth" / "000.pfm", depth)
-    keep = smooth_pixels(DepthMaps(scene, tmp_path).get(0))
+    keep = smooth_pixels(DepthMaps(scene, tmp_path).get(0), min_neighbours=5, noise=1e-3)
     assert not keep[row - 3 : row + 4, edge].any()
     assert keep[row - 3 : row + 4, edge + 2].all()
     assert keep[100, 10:150].all()
@@ -279,7 +279,7 @@ def test_normals_of_a_slanted_plane_are_exact(tmp_path: Path) -> None:
     scene = make_scene(tmp_path / "scene", tmp_path, cameras=3)
     reference = DepthMaps(scene, tmp_path).get(0)
     rows, columns = np.mgrid[100:119:3, 3:60:5].reshape(2, -1)
-    normals = pixel_normals(reference, rows, columns) @ reference.cam_from_world[:3, :3]
+    normals = pixel_normals(reference, rows, columns, noise=1e-3) @ reference.cam_from_world[:3, :3]
     np.testing.assert_allclose(normals, np.tile([0, 0, 1.0], (len(rows), 1)), atol=1e-3)
 
 

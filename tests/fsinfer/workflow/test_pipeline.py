@@ -23,8 +23,9 @@ import fsinfer.silhouettes.join as silhouettes
 import fsinfer.workflow.cloud_stages as cloud_stages
 import fsinfer.workflow.photo_stages as photo_stages
 import fsinfer.workflow.pipeline as pipeline
+from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.sfm_check import DepthCheck
-from fsinfer.depth.stage import DepthResult, DepthSettings
+from fsinfer.depth.stage import DepthResult
 from fsinfer.errors import CloudError, InputError
 from fsinfer.frames.select import FramesResult
 from fsinfer.frames.table import FrameRow

@@ -11,6 +11,7 @@ from training.synthesize.forest.material import TO_LINEAR, lookup
 from training.synthesize.forest.noise import fractal
 
 #: Angular radius of the sun as drawn; wider than 0.27 degrees because haze and leaves widen the penumbra.
+#: Source: judgement.
 SUN_RADIUS_RAD = 0.008
 
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-#: Textures are stored gamma-encoded in 8 bits and lit in linear light.
+#: Textures are stored gamma-encoded in 8 bits and lit in linear light. Source: about sRGB.
 GAMMA = 2.2
 #: Textures in 8 bits and reliefs in single precision are looked up and made smaller alike.
 PixelT = TypeVar("PixelT", np.uint8, np.float32)

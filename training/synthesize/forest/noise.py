@@ -7,7 +7,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-#: Noise falling at least as fast as this has no visible content in its last octave.
+#: Noise falling at least as fast as this has no visible content in its last octave. Source: numerics.
 SMOOTH_BETA = 1.3
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from training.synthesize.forest.material import Material, lookup
 from training.synthesize.forest.mesh import Mesh, grid_faces, make_mesh
 
+#: Above the ground, metres. Source: convention.
 BREAST_HEIGHT_M = 1.3
 
 

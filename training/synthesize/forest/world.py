@@ -22,9 +22,9 @@ from training.synthesize.forest.terrain import Terrain, make_terrain, terrain_me
 from training.synthesize.forest.textures import make_material
 from training.synthesize.forest.undergrowth import litter, log, scatter, shrub, stones, tufts
 
-#: Leaves that lie on the ground one by one, at most; the rest of the litter is texture.
+#: Leaves that lie on the ground one by one, at most; the rest of the litter is texture. Source: numerics.
 MOST_LITTER = 15000
-#: Radius that cameras take objects other than stems to have.
+#: Radius that cameras take objects other than stems to have. Source: judgement.
 CLUTTER_RADIUS_M = 0.8
 
 
