@@ -27,7 +27,7 @@ from fsinfer.geometry.similarity import scale_of
 from fsinfer.io.files import make_folder, write_text
 from fsinfer.io.images import list_images
 from fsinfer.notices.sentences import sentences
-from fsinfer.output.layout import OutputFolder
+from fsinfer.output.layout import CHECK_WORK, OutputFolder
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.sparse import read_sparse
 from fsinfer.progress import Progress, StageProgress, silent_stages
@@ -76,9 +76,7 @@ class CoarseDepth:
     points: int
 
 
-#: Where the quick look keeps its maps until the check is done.
-WORK = Path("check") / "work"
-COARSE_DEPTH = Stage(name="check_depth", version=1, result=CoarseDepth, outputs=(WORK.as_posix(),), keeps_partial=True)
+COARSE_DEPTH = Stage(name="check_depth", version=1, result=CoarseDepth, outputs=(CHECK_WORK,), keeps_partial=True)
 
 
 def check_capture(
@@ -112,7 +110,7 @@ def check_capture(
     else:
         choose_frames(ledger, source, files, settings=settings.frames, progress=progress)
         seconds["frames"] = time.monotonic() - start
-        images = out / "frames" / "images"
+        images = OutputFolder(out).frame_images
         register_photos(ledger, images, settings=settings.poses, origin=source, progress=progress)
     seconds["poses"] = time.monotonic() - start - sum(seconds.values())
     photos = {path.stem: path for path in (list_images(source) if source.is_dir() else [])}
@@ -128,7 +126,7 @@ def check_capture(
     result = judge_survey(survey, originals, scale, visible, settings=settings)
     seconds["stems"] = time.monotonic() - start - sum(seconds.values())
     result = _write(replace(result, notes=(*result.notes, *notes)), OutputFolder(out), seconds)
-    shutil.rmtree(out / WORK, ignore_errors=True)
+    shutil.rmtree(OutputFolder(out).check_work, ignore_errors=True)
     return result
 
 
@@ -144,7 +142,9 @@ def _coarse_depth(ledger: Ledger, scene: Scene, settings: GlanceSettings, progre
     """The quick look at the depth; one that was stopped goes on, and its maps go when the check is done."""
 
     def work(resume: bool) -> CoarseDepth:
-        glance = take_glance(scene, ledger.out / WORK, settings=settings, resume=resume, progress=progress)
+        glance = take_glance(
+            scene, OutputFolder(ledger.out).check_work, settings=settings, resume=resume, progress=progress
+        )
         taken.append(glance)
         return CoarseDepth(points=0 if glance is None else len(glance.points))
 
@@ -152,7 +152,11 @@ def _coarse_depth(ledger: Ledger, scene: Scene, settings: GlanceSettings, progre
     inputs = {"scene": scene_digest(scene), "settings": settings}
     ledger.run(COARSE_DEPTH, work, inputs=inputs)
     # Done before, where the check was stopped after it.
-    return taken[0] if taken else read_glance(scene, ledger.out / WORK, settings=settings, progress=progress)
+    return (
+        taken[0]
+        if taken
+        else read_glance(scene, OutputFolder(ledger.out).check_work, settings=settings, progress=progress)
+    )
 
 
 def judge_survey(

@@ -100,7 +100,7 @@ def _by_pyproj(xy: Floats, epsg: int) -> Floats | None:
         frame = CRS.from_epsg(epsg)
         # Never one that leaves the shift between the datums out: it can be hundreds of metres.
         transformer = Transformer.from_crs(frame, WGS84, always_xy=True, allow_ballpark=False)
-        longitude, latitude = transformer.transform(*xy.T) if len(xy) else np.zeros((2, 0))
+        longitude, latitude = transformer.transform(*xy.T.tolist())
         accuracy_m = transformer.get_last_used_operation().accuracy if len(xy) else 0.0
     except ProjError as error:
         _log.warning("positions in EPSG:%d cannot be given as longitude and latitude: %s", epsg, error)
