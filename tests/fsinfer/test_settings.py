@@ -89,7 +89,9 @@ class _Settings:
             elif isinstance(node, ast.FunctionDef):
                 types = self._arguments(node)
                 for inner in ast.walk(node):
-                    for target in inner.targets if isinstance(inner, ast.Assign) else ():
+                    if not isinstance(inner, ast.Assign):
+                        continue
+                    for target in inner.targets:
                         if isinstance(target, ast.Attribute) and (found := self._type_of(inner.value, types)):
                             self.attributes[owner.name][target.attr] = found
 

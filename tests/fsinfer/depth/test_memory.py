@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from typing import Any
 
 import pytest
 
@@ -14,7 +15,7 @@ from fsinfer.errors import InputError
 from fsinfer.fusion.memory import FusionPlan, plan_fusion
 
 #: What the shipped model says of itself.
-FIELD = {"planes": 192, "groups": 4, "feature_channels": 16, "refine_channels": 8}
+FIELD: dict[str, Any] = {"planes": 192, "groups": 4, "feature_channels": 16, "refine_channels": 8}
 
 
 def _depth(memory_gb: float, width: int = 1280, height: int = 720) -> DepthPlan:
