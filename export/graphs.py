@@ -132,7 +132,8 @@ def tile_graph(model: FSMVSNet) -> Graph | None:
     height, width = EXAMPLE_SIZE
     packed = config.packed_planes
     volume = torch.randn(DEPTH_PLANES // packed, packed * config.groups, height // 4, width // 4)
-    channels = [int(excitation.fc[0].in_features) for excitation in head.regularizer.se]
+    regularizer = head.regularizer
+    channels = [regularizer.excitation(level).channels for level in range(len(regularizer.se))]
     return Graph(
         role="tile_regularizer",
         module=head,

@@ -9,6 +9,7 @@ import argparse
 import json
 import math
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -224,7 +225,7 @@ def train(settings: TrainSettings) -> Path:
             for name, value in parts.items():
                 running[name] = 0.98 * running.get(name, value) + 0.02 * value
             if trainer.step % 50 == 0:
-                row: dict[str, float] = {"step": trainer.step, "spent_s": round(trainer.spent_s, 1), **running}
+                row: dict[str, float | int] = {"step": trainer.step, "spent_s": round(trainer.spent_s, 1), **running}
                 _log(row, log, board, trainer.step)
             if settings.validation and trainer.step % settings.validate_every == 0:
                 _log(
@@ -244,10 +245,10 @@ def _tensorboard(folder: Path) -> Any:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError:
         return None
-    return SummaryWriter(str(folder / "tensorboard"))  # type: ignore[no-untyped-call]
+    return SummaryWriter(str(folder / "tensorboard"))
 
 
-def _log(row: dict[str, float], log: Any, board: Any, step: int) -> None:
+def _log(row: Mapping[str, float | int], log: Any, board: Any, step: int) -> None:
     line = json.dumps({k: round(v, 5) if isinstance(v, float) else v for k, v in row.items()})
     log.write(line + "\n")
     log.flush()

@@ -131,16 +131,16 @@ def _gaps_of_the_walk(given: Sequence[str], left_out: set[str]) -> list[str]:
 
 def marker_lines(scale: Scale, *, given: bool) -> list[str]:
     """How well each board was seen, and what to do about it."""
-    found = scale.details.get("markers", [])
+    found = scale.markers
     lines = []
     for entry in found:
-        views, side_px = len(entry["views"]), float(entry["near_side_px"])
+        views, side_px = len(entry.views), entry.near_side_px
         good = views >= GOOD_SIGHTINGS and side_px >= _BOARD_SIDE_PX
         hint = "good" if good else "pass it again at 2 to 3 m, facing it, for five sharp photos"
-        lines.append(f"Board {entry['id']}: in {views} photos, its side up to {side_px:.0f} pixels: {hint}.")
-    usable = {entry["id"] for entry in found}
-    for entry in (entry for entry in scale.details.get("rejected", []) if entry["id"] not in usable):
-        lines.append(f"Board {entry['id']} cannot be used ({entry['reason']}): pass it again at 2 to 3 m, facing it.")
+        lines.append(f"Board {entry.id}: in {views} photos, its side up to {side_px:.0f} pixels: {hint}.")
+    usable = {entry.id for entry in found}
+    for marker in (marker for marker in scale.rejected if marker.id not in usable):
+        lines.append(f"Board {marker.id} cannot be used ({marker.reason}): pass it again at 2 to 3 m, facing it.")
     if not found:
         lines.append(
             "No board can be used: no diameter is measured, unless something else of known length is in the photos, "

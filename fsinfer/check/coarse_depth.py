@@ -49,11 +49,16 @@ class Glance:
 
 
 def take_glance(
-    scene: Scene, folder: Path, *, settings: GlanceSettings | None = None, progress: Progress = silent
+    scene: Scene,
+    folder: Path,
+    *,
+    settings: GlanceSettings | None = None,
+    resume: bool = False,
+    progress: Progress = silent,
 ) -> Glance | None:
     """Compute small depth maps into ``folder`` and fuse them; None where the photos do not allow it.
 
-    Maps that are there already are kept, so that a check which was stopped goes on.
+    ``resume``: maps that are there already are kept, of a check with the same settings which was stopped.
 
     Raises
     ------
@@ -67,6 +72,7 @@ def take_glance(
         scene,
         folder,
         settings=settings.depth,
+        resume=resume,
         progress=lambda done, total, _what: progress(done, total, "a quick look at the depth"),
     )
     return read_glance(scene, folder, settings=settings, progress=progress)

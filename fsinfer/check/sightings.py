@@ -12,6 +12,7 @@ from fsinfer.check.settings import SightingSettings
 from fsinfer.check.visible_stems import VisibleStem
 from fsinfer.conventions.breast_height import BREAST_HEIGHT_M
 from fsinfer.depth.maps import DepthMap, DepthMaps, look_up
+from fsinfer.geometry.similarity import apply, scale_of
 from fsinfer.scene import Camera, Scene
 from fsinfer.trees.ground.ground import Ground
 
@@ -49,8 +50,8 @@ def find_sightings(
     if not stems:
         return seen
 
-    m_per_unit = float(np.cbrt(np.linalg.det(plot_from_scene[:3, :3])))
-    scene_from_plot = np.linalg.inv(plot_from_scene)
+    m_per_unit = scale_of(plot_from_scene)
+    scene_from_plot = np.asarray(np.linalg.inv(plot_from_scene), dtype=np.float64)
     heights = np.arange(s.heights_m[0], s.heights_m[1] + _STEP_M / 2, _STEP_M)
     plans = np.array([stem.center + (heights[:, None] - BREAST_HEIGHT_M) * stem.lean for stem in stems])
     foot = (
@@ -65,7 +66,7 @@ def find_sightings(
         distance = np.linalg.norm(towards, axis=2)
         front = axes.copy()
         front[..., :2] += towards * (np.minimum(radii, distance) / np.maximum(distance, _LEAST_M))[..., None]
-        points = (front @ scene_from_plot[:3, :3].T + scene_from_plot[:3, 3]).reshape(-1, 3)
+        points = apply(scene_from_plot, front).reshape(-1, 3)
         tolerance = (s.tolerance_m + s.of_radius * radii + s.of_distance * distance).ravel() / m_per_unit
         there = _shown(points, tolerance, camera, found, s.near * camera.depth_min)
         seen[:, index] = there.reshape(distance.shape).mean(axis=1) >= s.min_share

@@ -14,6 +14,7 @@ from fsinfer.check.sightings import find_sightings
 from fsinfer.check.sparse_stems import find_sparse_stems
 from fsinfer.check.visible_stems import VisibleStem, join_stems
 from fsinfer.errors import CloudError
+from fsinfer.geometry.similarity import apply, compose, scaling
 from fsinfer.placement.place import level_scene
 from fsinfer.poses.sparse import LONG_TRACK, SparseModel
 from fsinfer.scale.scale import CAMERA_HEIGHT_M
@@ -90,12 +91,12 @@ def survey_scene(
     motion, camera_height = level_scene(sparse.points, scene, m_per_unit=m_per_unit)
     if m_per_unit is None:
         guess = CAMERA_HEIGHT_M / max(camera_height, _LEAST_HEIGHT)
-        motion = np.diag([guess, guess, guess, 1.0]) @ motion
+        motion = compose(scaling(guess), motion)
     centers = np.array([view.camera.center for view in scene.views])
     stems: list[VisibleStem] = []
     seen = np.zeros((0, len(scene.views)), dtype=bool)
     if glance is not None:
-        surface, points = (_moved(xyz, motion) for xyz in (glance.points, sparse.points))
+        surface, points = (apply(motion, xyz) for xyz in (glance.points, sparse.points))
         ground = _find_ground(surface, settings.max_reach_m)
         found = find_stems(_above(surface, ground, settings.max_reach_m), settings=settings.surface)
         trusted = (sparse.track_lengths >= LONG_TRACK) & (sparse.errors_px < settings.sparse.max_error_px)
@@ -105,15 +106,11 @@ def survey_scene(
         seen = find_sightings(stems, ground, scene, glance.maps, motion, settings=settings.sightings)
     return Survey(
         names=tuple(view.name for view in scene.views),
-        cameras=_moved(centers, motion)[:, :2],
+        cameras=apply(motion, centers)[:, :2],
         plot_from_scene=motion,
         stems=tuple(stems),
         seen=seen,
     )
-
-
-def _moved(points: Floats, motion: Floats) -> Floats:
-    return np.asarray(points @ motion[:3, :3].T + motion[:3, 3])
 
 
 def _find_ground(points: Floats, reach_m: float) -> Ground | None:

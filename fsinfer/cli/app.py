@@ -49,6 +49,7 @@ from fsinfer.cli.options import (
     tree_settings,
 )
 from fsinfer.cli.stage_commands import register_stages
+from fsinfer.cli.support_command import register_support
 from fsinfer.cli.tables import demo_rows, unmeasured_rows
 from fsinfer.conventions.breast_height import BREAST_HEIGHT_M, BhRule
 from fsinfer.depth.settings import DepthSettings
@@ -66,6 +67,7 @@ EXAMPLES = {
     "trees": "plot.laz my-trees",
     "evaluate": "measured.csv my-plot/trees.csv",
     "report": "my-plot",
+    "support": "my-plot",
 }
 
 
@@ -158,10 +160,9 @@ def run(
     request = scale_request(scale, aruco_length_m, aruco_dictionary, endpoints, length_m)
     from fsinfer.cli.remaining import RemainingTime
     from fsinfer.fusion.fuse import FusionSettings
-    from fsinfer.poses.colmap import PoseSettings
-    from fsinfer.trees.outputs.table import read_trees
-    from fsinfer.workflow.pipeline import RunSettings
+    from fsinfer.poses.settings import PoseSettings
     from fsinfer.workflow.pipeline import run as run_pipeline
+    from fsinfer.workflow.settings import RunSettings
 
     settings = RunSettings(
         frames=frame_settings(interval_s=interval_s, equalize=equalize),
@@ -181,20 +182,21 @@ def run(
     )
     with stage_progress(quiet=quiet, whole=RemainingTime()) as progress:
         result = run_pipeline(source, out, settings=settings, edits=edits, progress=progress)
-    plot = result.plot
-    warn(plot["warnings"])
+    poses, cloud, trees = result.records.poses.result, result.records.cloud.result, result.records.trees.result
+    warn(result.plot["warnings"])
     if not any(record.ran for record in result.stages):
         typer.echo("Nothing to do: everything was finished before.")
-    typer.echo(f"Photos: {plot['registered']} of {plot['photos']} placed")
-    typer.echo(f"Cloud: {plot['points']} points in {plot['units']}, {out / 'cloud.ply'}")
-    typer.echo(f"Trees: {plot['trees']}, with DBH {plot['trees_with_dbh']}, {out / 'trees.csv'}")
-    for row in unmeasured_rows(read_trees(out / "trees.csv")):
+    typer.echo(f"Photos: {poses.registered} of {poses.photos} placed")
+    typer.echo(f"Cloud: {cloud.points} points in {result.plot['units']}, {cloud.path}")
+    typer.echo(f"Trees: {trees.trees}, with DBH {trees.trees_with_dbh}, {out / 'trees.csv'}")
+    for row in unmeasured_rows(trees.unmeasured):
         typer.echo(row)
-    typer.echo(f"Report: {out / 'report.html'}")
+    typer.echo(f"Report: {result.report.result.path}")
 
 
 register_field(app)
 register_stages(app)
+register_support(app)
 
 
 def main() -> None:

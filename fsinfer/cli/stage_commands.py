@@ -41,6 +41,7 @@ from fsinfer.conventions.breast_height import BREAST_HEIGHT_M, BhRule
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.evaluation.settings import MAX_DISTANCE_M, Align
 from fsinfer.frames.settings import FrameSettings
+from fsinfer.output.layout import FRAMES_FILE, OutputFolder
 from fsinfer.scale.request import ScaleRequest
 
 SceneFolder = Annotated[
@@ -65,12 +66,13 @@ def frames(
 ) -> None:
     """Choose sharp, well exposed photos or video frames and even out their brightness."""
     settings = frame_settings(interval_s=interval_s, equalize=equalize)
-    from fsinfer.frames.select import select_frames
+    from fsinfer.notices.sentences import sentences
+    from fsinfer.workflow.single_stages import frames_of
 
     with stage_progress(quiet=quiet) as progress:
-        result = select_frames(source, out, settings=settings, progress=progress("frames"))
-    warn(result.warnings)
-    typer.echo(f"{len(result.images)} of {len(result.rows)} frames chosen; reasons in {out / 'frames.csv'}")
+        result = frames_of(source, out, settings=settings, progress=progress).result
+    warn(sentences(result.warnings))
+    typer.echo(f"{len(result.images)} of {len(result.rows)} frames chosen; reasons in {out / FRAMES_FILE}")
 
 
 @reports_errors
@@ -82,11 +84,13 @@ def poses(
     debug: Debug = False,
 ) -> None:
     """Find where each photo was taken; writes a scene in MVSNet format and the COLMAP model."""
-    from fsinfer.poses.estimate import PoseSettings, estimate_poses
+    from fsinfer.notices.sentences import sentences
+    from fsinfer.poses.settings import PoseSettings
+    from fsinfer.workflow.single_stages import poses_of
 
     with stage_progress(quiet=quiet) as progress:
-        result = estimate_poses(images, out, settings=PoseSettings(threads=threads), progress=progress("poses"))
-    warn(result.warnings)
+        result = poses_of(images, out, settings=PoseSettings(threads=threads), progress=progress).result
+    warn(sentences(result.warnings))
     typer.echo(f"{result.registered} of {result.photos} photos placed; scene in {result.scene}")
 
 
@@ -114,12 +118,11 @@ def depth(
         provider=provider,
         precision=precision,
     )
-    from fsinfer.depth.stage import estimate_depth
-    from fsinfer.scene import read_scene
+    from fsinfer.workflow.single_stages import depth_of
 
     with stage_progress(quiet=quiet) as progress:
-        result = estimate_depth(read_scene(scene), out, settings=settings, progress=progress("depth"))
-    typer.echo(f"{result.views} depth maps in {out / 'depth'}, {result.seconds:.0f} s")
+        record = depth_of(scene, out, settings=settings, progress=progress)
+    typer.echo(f"{record.result.views} depth maps in {OutputFolder(out).depth}, {record.seconds:.0f} s")
 
 
 @reports_errors
@@ -141,8 +144,8 @@ def fuse(
     from fsinfer.workflow.single_stages import fuse_scene
 
     with stage_progress(quiet=quiet) as progress:
-        points = fuse_scene(scene, out, level=level, progress=progress("fuse"))
-    typer.echo(f"{points} points in {out / 'cloud.ply'} and {out / 'cloud.laz'}")
+        cloud = fuse_scene(scene, out, level=level, progress=progress).result
+    typer.echo(f"{cloud.points} points in {OutputFolder(out).cloud_ply} and {OutputFolder(out).cloud_laz}")
 
 
 @reports_errors
@@ -165,22 +168,19 @@ def trees(
     A cloud is taken to be in metres unless fsinfer made it without a scale.
     """
     request = scale_request(scale, aruco_length_m, aruco_dictionary, endpoints, length_m)
-    from fsinfer.trees.outputs.table import read_trees
-    from fsinfer.workflow.single_stages import measure_cloud_file
+    from fsinfer.notices.sentences import sentences
+    from fsinfer.workflow.measure_cloud import MeasureSettings, measure_cloud_file
+    from fsinfer.workflow.tree_stage import TreeStageSettings
 
+    settings = MeasureSettings(stage=TreeStageSettings(trees=tree_settings(bh_m=bh, bh_rule=bh_rule)))
     with stage_progress(quiet=quiet) as progress:
-        result = measure_cloud_file(
-            cloud,
-            out,
-            request=request,
-            settings=tree_settings(bh_m=bh, bh_rule=bh_rule),
-            edits=edits,
-            progress=progress("trees"),
-        )
-    warn(result["warnings"])
-    trees = "tree" if result["trees"] == 1 else "trees"
-    typer.echo(f"{result['trees']} {trees}, {result['trees_with_dbh']} with DBH, in {out / 'trees.csv'}")
-    for row in unmeasured_rows(read_trees(out / "trees.csv")):
+        found = measure_cloud_file(
+            cloud, out, request=request, settings=settings, edits=edits, progress=progress("trees")
+        ).result.trees
+    warn(sentences(found.warnings))
+    trees = "tree" if found.trees == 1 else "trees"
+    typer.echo(f"{found.trees} {trees}, {found.trees_with_dbh} with DBH, in {OutputFolder(out).trees_csv}")
+    for row in unmeasured_rows(found.unmeasured):
         typer.echo(row)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import time
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -48,7 +47,6 @@ class DepthResult:
     model: str
     model_sha256: str
     precision: str
-    seconds: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,12 +60,17 @@ class LoadedView:
 
 
 def estimate_depth(
-    scene: Scene, out: Path, *, settings: DepthSettings | None = None, progress: Progress = silent
+    scene: Scene,
+    out: Path,
+    *,
+    settings: DepthSettings | None = None,
+    resume: bool = False,
+    progress: Progress = silent,
 ) -> DepthResult:
     """Write ``out/depth/NAME.pfm``, ``out/confidence/NAME.pfm`` and ``out/depth/depth.json``.
 
-    Views whose maps are there already, made with the same settings, model and cameras, are kept: a stage that was
-    killed goes on where it stopped.
+    ``resume``: views whose maps are there already are kept; for an attempt with the same scene, settings and model,
+    which was stopped.
 
     Raises
     ------
@@ -77,7 +80,6 @@ def estimate_depth(
         A depth map takes more than ``settings.memory_gb``.
     """
     settings = settings or DepthSettings()
-    started = time.monotonic()
     model = DepthModel.load(
         settings.model, threads=settings.threads, provider=settings.provider, precision=settings.precision
     )
@@ -92,7 +94,7 @@ def estimate_depth(
     predictor = TiledDepth(model, plan.tile_size, keeps_volume=plan.keeps_volume) if plan.tile_size else model
     make_folder(out / "depth")
     make_folder(out / "confidence")
-    index = _resume(out, settings, model.sha256)
+    index = _begin(out, settings, model.sha256, resume=resume)
     cached_views = plan.cached_views
     threads_before = cv2.getNumThreads()
     cv2.setNumThreads(1)  # the volume is shared out over blocks of rows already
@@ -101,8 +103,7 @@ def estimate_depth(
         for done, view in enumerate(usable):
             progress(done, len(usable), f"depth of {view.name}")
             sources = [scene.views[i] for i in view.sources[: settings.source_views]]
-            key = _fingerprint(view, sources)
-            if index["views"].get(view.name, {}).get("key") == key and _complete(out, view.name):
+            if view.name in index["views"] and _complete(out, view.name):
                 continue
             loaded = [_recall(model, v, settings.max_size_px, cache, cached_views) for v in (view, *sources)]
             estimate = predictor.predict_from_features(
@@ -118,7 +119,6 @@ def estimate_depth(
             write_pfm(out / "confidence" / f"{view.name}.pfm", estimate.confidence)
             scale_x, scale_y = loaded[0].scale_x, loaded[0].scale_y
             index["views"][view.name] = {
-                "key": key,
                 "width": estimate.depth.shape[1],
                 "height": estimate.depth.shape[0],
                 "pixel_step_x": estimate.stride / scale_x,
@@ -141,7 +141,6 @@ def estimate_depth(
         model=model.manifest.name,
         model_sha256=model.sha256,
         precision=model.precision,
-        seconds=time.monotonic() - started,
     )
 
 
@@ -216,40 +215,25 @@ def load_view(model: DepthModel, view: View, max_size_px: int) -> LoadedView:
     return LoadedView(features=model.features(image), intrinsic=intrinsic, scale_x=scale_x, scale_y=scale_y)
 
 
-def _resume(out: Path, settings: DepthSettings, model_sha256: str) -> dict[str, Any]:
+def _begin(out: Path, settings: DepthSettings, model_sha256: str, *, resume: bool) -> dict[str, Any]:
+    """The index to go on with: that of the attempt before, or one without views."""
     # The model's hash stands for its name and its precision too: two manifests of the same graphs give the same maps.
-    wanted: dict[str, Any] = {
+    index: dict[str, Any] = {
         "model": settings.model,
         "model_sha256": model_sha256,
         "source_views": settings.source_views,
         "max_size_px": settings.max_size_px,
-        "min_far_over_near": settings.min_far_over_near,
-        "max_far_over_near": settings.max_far_over_near,
-        "unsure": [settings.unsure.below, settings.unsure.radius_px, settings.unsure.power],
+        "views": {},
     }
     try:
-        index = read_depth_index(out)
+        before = read_depth_index(out) if resume else index
     except SceneError:
-        index = {}
-    if {key: index.get(key) for key in wanted} != wanted:
-        index = {**wanted, "views": {}}
-    return index
+        return index
+    return before if before.get("model_sha256") == model_sha256 else index
 
 
 def _write_index(out: Path, index: dict[str, Any]) -> None:
     write_text(out / "depth" / "depth.json", json.dumps(index, indent=1))
-
-
-def _fingerprint(view: View, sources: list[View]) -> str:
-    import hashlib
-
-    digest = hashlib.sha256()
-    for item in (view, *sources):
-        camera = item.camera
-        digest.update(f"{item.name} {item.image_path.stat().st_size} ".encode())
-        digest.update(camera.intrinsic.tobytes() + camera.cam_from_world.tobytes())
-        digest.update(np.array([camera.depth_min, camera.depth_max]).tobytes())
-    return digest.hexdigest()[:16]
 
 
 def _complete(out: Path, name: str) -> bool:

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from fsinfer.errors import ImageError
 from fsinfer.frames.settings import Equalize, QualityLimits
 from fsinfer.io.images import luminance
+from fsinfer.notices.capture import CaptureCode
+from fsinfer.notices.notice import Notice, notice
 
 #: Longer side at which scores are taken, pixels, so that photos of 48 megapixels and video frames are judged alike.
 #: Source: judgement.
@@ -74,10 +76,10 @@ def score_frame(image: NDArray[np.uint8]) -> FrameScore:
     )
 
 
-def reasons_to_drop(scores: Sequence[FrameScore], limits: QualityLimits) -> list[str]:
-    """For each photograph of a set, in order of capture, why it is dropped; empty text keeps it."""
+def reasons_to_drop(scores: Sequence[FrameScore], limits: QualityLimits) -> list[Notice | None]:
+    """For each photograph of a set, in order of capture, why it is dropped; None keeps it."""
     reasons = [_exposure_reason(score, limits) for score in scores]
-    usable = [index for index, reason in enumerate(reasons) if not reason]
+    usable = [index for index, reason in enumerate(reasons) if reason is None]
     if not usable:
         return reasons
     logs = np.log([max(scores[index].sharpness, _LEAST_SHARPNESS) for index in usable])
@@ -86,13 +88,13 @@ def reasons_to_drop(scores: Sequence[FrameScore], limits: QualityLimits) -> list
     limit = min(median + float(np.log(limits.min_relative_sharpness)), median - limits.min_robust_z * spread)
     blurred = [usable[rank] for rank in np.argsort(logs, kind="stable") if logs[rank] < limit]
     for index in blurred[: int(limits.max_blurred_share * len(usable))]:
-        reasons[index] = "blurred"
+        reasons[index] = notice(CaptureCode.blurred)
     last: FrameScore | None = None
     for index, score in enumerate(scores):
-        if reasons[index]:
+        if reasons[index] is not None:
             continue
         if last is not None and difference(score.thumbnail, last.thumbnail) < limits.min_difference_levels:
-            reasons[index] = "same as the one before"
+            reasons[index] = notice(CaptureCode.repeated)
         else:
             last = score
     return reasons
@@ -104,12 +106,12 @@ def difference(first: NDArray[np.float32], second: NDArray[np.float32]) -> float
     return float(np.abs(first - gain * second).mean())
 
 
-def _exposure_reason(score: FrameScore, limits: QualityLimits) -> str:
+def _exposure_reason(score: FrameScore, limits: QualityLimits) -> Notice | None:
     if score.mean_luminance < limits.blank_mean_levels or score.dark_share > limits.max_blank_share:
-        return "too dark"
+        return notice(CaptureCode.too_dark)
     if score.mean_luminance > _WHITE - limits.blank_mean_levels or score.bright_share > limits.max_blank_share:
-        return "too bright"
-    return ""
+        return notice(CaptureCode.too_bright)
+    return None
 
 
 def equalize(image: NDArray[np.uint8], method: str) -> NDArray[np.uint8]:

@@ -7,17 +7,17 @@ kill goes on from the database.
 from __future__ import annotations
 
 import logging
-import os
 import signal
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from fsinfer.errors import PosesError
-from fsinfer.poses.pairs import MIN_INLIERS, PairSettings, first_pairs, most_pairs, pairs_beside
+from fsinfer.poses.pairs import MIN_INLIERS, first_pairs, most_pairs, pairs_beside
+from fsinfer.poses.refinement import ENOUGH
+from fsinfer.poses.settings import PoseSettings
 from fsinfer.progress import Progress
 
 _log = logging.getLogger(__name__)
@@ -27,48 +27,6 @@ _log = logging.getLogger(__name__)
 SEED = 1
 
 
-@dataclass(frozen=True, kw_only=True)
-class PoseSettings:
-    """How poses are found.
-
-    Attributes
-    ----------
-    max_image_size: longer side at which features are found, pixels. Source: 23 phone photos of 2016x1512, all of which
-        are registered at it.
-    double_below_px: photos whose longer side is shorter are doubled before looking for features, as COLMAP does with
-        all. Source: the rendered video of 1280x720; doubled, its photos give four times the features, the smallest of
-        them, matching takes 15 times as long, and the walk tore in two places, which it did not without; renders only.
-    max_features: per photo, about; the smallest features go first. Source: judgement; COLMAP's default is
-        8192, and matching grows with its square.
-    pairs: which photos are matched with which.
-    default_focal_factor: focal length over longer side where the photo does not tell; it is refined from the photos.
-        Source: a phone's main camera of 26-28 mm equivalent has 0.72-0.78, and video is cropped.
-    mapper: ``incremental`` (robust) or ``global`` (GLOMAP). Source: option; 200 photos of a rendered plot, of which it
-        placed 188 within 5 cm and the global one 170; renders only.
-    min_registered: fewer photos than this in the largest model are no result. Source: a third photo is the first that
-        can contradict two.
-    sources: at most this many source views in ``pair.txt``. Source: MVSNet (Yao et al. 2018) writes 10.
-    jpeg_quality: of the undistorted images. Source: numerics; the coding is not seen.
-    threads: 0 for one per core. Source: option.
-    """
-
-    max_image_size: int = 1600
-    double_below_px: int = 1000
-    max_features: int = 6000
-    pairs: PairSettings = field(default_factory=PairSettings)
-    default_focal_factor: float = 0.9
-    mapper: str = "incremental"
-    min_registered: int = 3
-    sources: int = 10
-    jpeg_quality: int = 95
-    threads: int = 0
-
-    @property
-    def thread_count(self) -> int:
-        """Threads really used."""
-        return self.threads if self.threads > 0 else (os.cpu_count() or 1)
-
-
 #: Photos and pairs handed to COLMAP at a time: large enough that its indices are built once for many pairs. Source:
 #: numerics.
 _PHOTOS_PER_BATCH, _PAIRS_PER_BATCH = 8, 120
@@ -76,9 +34,6 @@ _PHOTOS_PER_BATCH, _PAIRS_PER_BATCH = 8, 120
 #: do not belong together. Source: numerics; 360 pairs of a rendered plot: 6.4 s with 10,000 against 3.0, 281 pairs and
 #: 92,629 matches against 279 and 92,574; renders only.
 _MOST_TRIALS = 2500
-#: An adjustment of all photos ends where a step gains less than this share; COLMAP goes on to its limit of steps.
-#: Source: numerics; three adjustments of 300 photos take 36 instead of 85 s, to the same places.
-ENOUGH = 1e-5
 #: All photos are adjusted together when so many times more have come, not at every tenth (COLMAP: 1.1). Source:
 #: numerics; 300 photos of a rendered plot in 82 instead of 150 s, their places as exact; renders only.
 _ADJUST_GROWTH = 1.6

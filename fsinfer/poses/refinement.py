@@ -13,10 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from fsinfer.poses.colmap import ENOUGH, PoseSettings
 from fsinfer.progress import Progress
 
 _log = logging.getLogger(__name__)
+
+#: An adjustment of all photos ends where a step gains less than this share; COLMAP goes on to its limit of steps.
+#: Source: numerics; three adjustments of 300 photos take 36 instead of 85 s, to the same places.
+ENOUGH = 1e-5
+#: Longer side at which features are found and errors are told, pixels. Source: 23 phone photos of 2016x1512, all of
+#: which are registered at it.
+FEATURE_SIZE_PX = 1600
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +79,7 @@ def refine(model: Any, settings: RefinementSettings, progress: Progress) -> Any:
     progress(2, 3, "adjusting")
     longest = max(max(camera.width, camera.height) for camera in best.cameras.values())
     manager = pycolmap.ObservationManager(best)
-    usual = PoseSettings.max_image_size
+    usual = FEATURE_SIZE_PX
     manager.filter_all_points3D(settings.max_error_px * max(longest, usual) / usual, settings.min_angle_deg)
     _adjust(best)
     progress(3, 3, "adjusting")

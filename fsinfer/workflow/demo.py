@@ -20,7 +20,8 @@ from fsinfer.progress import StageProgress, silent_stages
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.trees import Tree
 from fsinfer.trees.outputs.table import read_trees
-from fsinfer.workflow.pipeline import RunResult, RunSettings, run
+from fsinfer.workflow.pipeline import RunResult, run
+from fsinfer.workflow.settings import RunSettings
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable

@@ -121,7 +121,7 @@ def compare(cloud: StemCloud, trees: list[list[float]]) -> tuple[int, int, int, 
 
 def line(name: str, rows: list[tuple[int, int, int, list[float]]], seconds: float, wall: float, points: int) -> str:
     """One line of the table."""
-    stems, found, false = (sum(r[k] for r in rows) for k in range(3))
+    stems, found, false = (sum(column) for column in list(zip(*rows, strict=True))[:3])
     error = np.array([e for r in rows for e in r[3]] or [np.nan])
     return (
         f"{name:>13}: stems {stems}, found {100 * found / stems:.1f} %, false {false}, with DBH {len(error)}, "

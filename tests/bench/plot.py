@@ -21,12 +21,13 @@ from fsinfer.depth.settings import DepthSettings
 from fsinfer.evaluation.figure import plot_evaluation
 from fsinfer.evaluation.metrics import evaluate, read_measured
 from fsinfer.fusion.fuse import FusionSettings
-from fsinfer.poses.estimate import PoseSettings
 from fsinfer.poses.pairs import PairSettings
+from fsinfer.poses.settings import PoseSettings
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scene import read_scene
 from fsinfer.trees.outputs.table import read_trees
-from fsinfer.workflow.pipeline import RunSettings, run
+from fsinfer.workflow.pipeline import run
+from fsinfer.workflow.settings import RunSettings
 
 # Photos doubled before looking for features, as COLMAP does, and half as many neighbours again; six source views in
 # float32. (COLMAP's 8,192 features of doubled photos, 12,300 with their directions, match 1.4 pairs a second.)

@@ -22,10 +22,12 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.depth.cost_volume import correlation_volume
 from fsinfer.depth.manifest import read_manifest
 
 GEMM_SIZE = 2048
@@ -99,10 +101,9 @@ def ours(args: argparse.Namespace, precision: str) -> Callable[[], dict[str, flo
 
     def volume(*arguments: Any, **keywords: Any) -> Any:
         name = "volume" if keywords.get("view_weights") is None else "narrow volume"
-        return Timed(original, seconds, name)(*arguments, **keywords)
+        return Timed(correlation_volume, seconds, name)(*arguments, **keywords)
 
-    original = depth_model.correlation_volume
-    depth_model.correlation_volume = volume
+    patch.object(depth_model, "correlation_volume", volume).start()
     images, intrinsics, poses, depth_range = make_views(args.views, args.height, args.width)
 
     def run() -> dict[str, float]:

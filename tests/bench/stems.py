@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import csv
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -66,30 +67,33 @@ def run(kind: str, first_seed: int, plots: int, *, echo: bool = True) -> list[Ma
 def summary(matches: list[Match]) -> str:
     """The figures of the issue, one line each."""
     stems = [m for m in matches if m.truth is not None]
-    found = [m for m in stems if m.tree is not None]
+    found = [(m.tree, m.truth) for m in matches if m.truth is not None and m.tree is not None]
     false = len(matches) - len(stems)
     lines = [
         f"stems {len(stems)}, detected {100 * len(found) / len(stems):.2f} %, "
         f"false {false} ({100 * false / max(len(found) + false, 1):.2f} %)"
     ]
-    groups = {
-        "all": lambda m: True,
-        "whole": lambda m: m.truth.seen_deg > 359,
-        "half hidden": lambda m: m.truth.seen_deg < 359,
-        "below 20 cm": lambda m: m.truth.dbh_cm < 20,
-        "over 40 cm": lambda m: m.truth.dbh_cm > 40,
-        "double wall": lambda m: "double wall" in m.truth.tags,
-        "all but double walls": lambda m: "double wall" not in m.truth.tags,
+    groups: dict[str, Callable[[StemTruth], bool]] = {
+        "all": lambda _: True,
+        "whole": lambda s: s.seen_deg > 359,
+        "half hidden": lambda s: s.seen_deg < 359,
+        "below 20 cm": lambda s: s.dbh_cm < 20,
+        "over 40 cm": lambda s: s.dbh_cm > 40,
+        "double wall": lambda s: "double wall" in s.tags,
+        "all but double walls": lambda s: "double wall" not in s.tags,
     }
     for name, chosen in groups.items():
-        group = [m for m in found if chosen(m)]
-        pairs = [(m.tree, m.truth) for m in group if m.tree.dbh_cm is not None]
+        group = [(tree, stem) for tree, stem in found if chosen(stem)]
+        pairs = [
+            (tree.dbh_cm, tree.dbh_lo95_cm, tree.dbh_hi95_cm, stem.dbh_cm)
+            for tree, stem in group
+            if tree.dbh_cm is not None and tree.dbh_lo95_cm is not None and tree.dbh_hi95_cm is not None
+        ]
         if not pairs:
             lines.append(f"{name:>20}: n {len(group)}, none measured")
             continue
-        error = np.array([t.dbh_cm - s.dbh_cm for t, s in pairs])
-        half = np.array([0.5 * (t.dbh_hi95_cm - t.dbh_lo95_cm) for t, s in pairs])
-        inside = np.array([t.dbh_lo95_cm <= s.dbh_cm <= t.dbh_hi95_cm for t, s in pairs])
+        dbh, low, high, true = np.array(pairs).T
+        error, half, inside = dbh - true, 0.5 * (high - low), (low <= true) & (true <= high)
         lines.append(
             f"{name:>20}: n {len(group)}, measured {len(pairs)}, RMSE {np.sqrt((error**2).mean()):.3f} cm, "
             f"bias {error.mean():+.3f}, MAE {np.abs(error).mean():.3f}, worst {np.abs(error).max():.2f}, "
@@ -122,7 +126,7 @@ def write_rows(path: Path, matches: list[Match]) -> None:
         )
         for m in matches:
             s, t = m.truth, m.tree
-            where = (s.x_m, s.y_m) if s is not None else (t.x_m, t.y_m)
+            where = next((one.x_m, one.y_m) for one in (s, t) if one is not None)
             row = [m.seed, *where, *((s.dbh_cm, s.seen_deg, "|".join(s.tags)) if s else ("", "", "false"))]
             if t is not None:
                 row += [t.dbh_cm, t.dbh_lo95_cm, t.dbh_hi95_cm, t.arc_coverage, t.residual_cm, t.points]

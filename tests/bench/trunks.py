@@ -111,7 +111,7 @@ def fit_arc(
 
 def matched_points(scene: Scene, mask: NDArray[np.bool_]) -> NDArray[np.float64]:
     """(N, 3): pixel (u, v) of view 0 inside ``mask`` and z depth, of SIFT matches that two rays agree on."""
-    sift = cv2.SIFT_create(contrastThreshold=0.01)
+    sift = cv2.SIFT.create(contrastThreshold=0.01)
     found = [
         sift.detectAndCompute(cv2.cvtColor(read_image(view.image_path), cv2.COLOR_RGB2GRAY), region)
         for view, region in zip(scene.views[:2], (mask.astype(np.uint8), None), strict=True)
@@ -148,8 +148,8 @@ def main(argv: list[str] | None = None) -> int:
         scene = read_scene(args.trunks / name)
         estimate_depth(scene, args.out / name, settings=DepthSettings(model=args.model))
         found = DepthMaps(scene, args.out / name).get(0)
-        depth, grid = 1 / found.inverse_depth, found.grid
-        mask = cv2.imread(str(args.trunks / name / "mask.png"), cv2.IMREAD_GRAYSCALE) > 127
+        depth, grid = np.float32(1) / found.inverse_depth, found.grid
+        mask = read_image(args.trunks / name / "mask.png")[..., 0] > 127
         v, u = (
             np.rint(np.arange(n) * s + o).astype(int)
             for n, s, o in zip(

@@ -128,7 +128,7 @@ def test_predict_checks_its_input(exported: tuple[FSMVSNet, Path]) -> None:
     with pytest.raises(InputError, match="near < far"):
         model.predict([image, image], k, p, (2, 1))
     with pytest.raises(InputError, match="uint8"):
-        model.predict([image.astype(np.float32), image], k, p, (1, 2))  # type: ignore[list-item]
+        model.predict([image.astype(np.float32), image], k, p, (1, 2))
     with pytest.raises(InputError, match="N,3,3"):
         model.predict([image, image], k[:1], p, (1, 2))
 

@@ -75,7 +75,7 @@ class GroupCorrelation(torch.autograd.Function):
         return result.reshape(planes, groups, h, w)
 
     @staticmethod
-    def backward(ctx: Any, gradient_dghw: Tensor) -> tuple[Tensor, Tensor, None, None, None]:  # type: ignore[override]
+    def backward(ctx: Any, gradient_dghw: Tensor) -> tuple[Tensor, Tensor, None, None, None]:
         """Gradients of the reference and of the source features."""
         reference_chw, source_chw, grid = ctx.saved_tensors
         channels, h, w = reference_chw.shape

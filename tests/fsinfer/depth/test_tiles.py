@@ -65,9 +65,9 @@ def in_tiles(*, keeps_volume: bool = True, halo: int | None = None) -> DepthEsti
     if halo is not None:
         assert model.manifest.tiles is not None
         model.manifest = replace(model.manifest, tiles=replace(model.manifest.tiles, halo=halo))
-    images, *cameras = make_views(3, 534, 618)
+    images, intrinsics, poses, depth_range = make_views(3, 534, 618)
     tiled = TiledDepth(model, 64, keeps_volume=keeps_volume)
-    return tiled.predict_from_features([model.features(image) for image in images], *cameras)
+    return tiled.predict_from_features([model.features(image) for image in images], intrinsics, poses, depth_range)
 
 
 def differing(a: DepthEstimate, b: DepthEstimate) -> float:

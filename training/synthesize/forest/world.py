@@ -189,8 +189,8 @@ def build_world(rng: np.random.Generator, settings: WorldSettings) -> World:
         meshes, ends = branches(rng, stem, dead=dead, live=24 if near else 14, crown_m=crown, tile_m=tile)
         opaque += meshes
         if not leafless and len(ends):
-            kinds = [needles] if conifer else [leaves, leaves_2]
-            cards.append(leaf_cards(rng, ends, kinds, size_m=0.8, spread_m=0.35))
+            leaf_kinds = [needles] if conifer else [leaves, leaves_2]
+            cards.append(leaf_cards(rng, ends, leaf_kinds, size_m=0.8, spread_m=0.35))
     clutter = int(rng.integers(4, 12)) if settings.clutter else 0
     for x, y in place_stems(rng, clutter, settings.radius_m, 0.3, inner, 1.4):
         z = float(terrain.height(np.float64(x), np.float64(y)))
