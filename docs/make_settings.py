@@ -219,10 +219,11 @@ def _attributes(docstring: str) -> tuple[dict[str, str], str]:
 
 def _split(text: str) -> tuple[str, str]:
     """What it does, and its source, which the kind is put before where the text begins with it."""
-    kind, _, rest = text.partition(":")
-    known = kind.lower() in KINDS[1:]
+    head, _, rest = text.partition(":")
+    kind = {"drawing": "layout"}.get(head.lower(), head.lower())
+    known = kind in KINDS[1:]
     what, _, source = (rest if known else text).partition("Source:")
-    words = (kind.lower() if known else "", source.strip().rstrip("."))
+    words = (kind if known else "", source.strip().rstrip("."))
     return what.strip(), "; ".join(word for word in words if word)
 
 

@@ -46,7 +46,7 @@ class ThinningSettings:
     cell_m: over ten times the noise of bark in photogrammetric clouds. Source: chosen on simulated stems.
     fine_heights_m: stems are looked for between 0.5 and 2.5 m. Source: ``StemSettings.heights_m``.
     fine_share: of the points kept. Source: not recorded.
-    seed: of the draws.
+    seed: of the draws. Source: numerics.
     """
 
     max_points: int = 8_000_000

@@ -39,9 +39,15 @@ REQUIRED = (
     "fsinfer",
     "fusion",
     "geometry",
+    "io",
+    "notices",
+    "output",
     "placement",
     "poses",
     "scale",
+    "silhouettes",
+    "trees",
+    "workflow",
 )
 
 
