@@ -44,6 +44,7 @@ REQUIRED = (
     "output",
     "placement",
     "poses",
+    "report",
     "scale",
     "silhouettes",
     "trees",
