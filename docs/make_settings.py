@@ -14,7 +14,8 @@ What it reads:
 Either text holds ``Source: ...`` up to its end. A source that begins with ``option`` (the user decides),
 ``numerics`` (how exactly or in what pieces something is computed or stored), ``layout`` (of a picture, page or
 message) or ``format`` (given by a file format or library) marks a number that was not tuned; the others are
-*tunables*. A line ``Source of the rest: ...`` in the class docstring holds for all of its fields that name none.
+*tunables*. The text may begin with the word instead, as in ``Numerics: steps at most.`` A line
+``Source of the rest: ...`` in the class docstring holds for all of its fields that name none.
 """
 
 from __future__ import annotations
@@ -217,9 +218,13 @@ def _attributes(docstring: str) -> tuple[dict[str, str], str]:
 
 
 def _split(text: str) -> tuple[str, str]:
-    """What it does, and its source."""
-    what, _, source = text.partition("Source:")
-    return what.strip(), source.strip().rstrip(".")
+    """What it does, and its source, which the kind is put before where the text begins with it."""
+    head, _, rest = text.partition(":")
+    kind = {"drawing": "layout"}.get(head.lower(), head.lower())
+    known = kind in KINDS[1:]
+    what, _, source = (rest if known else text).partition("Source:")
+    words = (kind if known else "", source.strip().rstrip("."))
+    return what.strip(), "; ".join(word for word in words if word)
 
 
 def page(numbers: list[Number]) -> str:

@@ -52,7 +52,7 @@ _PHOTO_FOLDERS = ("frames/images", "images", "scene/images")
 _FOLDERS = r"(?:[^/\\:;,\"'<>|\n]+[/\\]+)"
 _POSIX_FOLDERS = re.compile(rf"(?<![\w./~\\-])/(?=[^\s/]){_FOLDERS}+")
 _WINDOWS_FOLDERS = re.compile(rf"(?:(?<!\w)[A-Za-z]:[\\/]+|\\\\(?=\w)){_FOLDERS}*")
-# Shorter names are too often a part of something else.
+#: Shorter names are too often a part of something else, letters. Source: judgement.
 _MIN_NAME_LENGTH = 3
 # Names of accounts that say nothing of a person.
 _ANYBODY = frozenset({"root", "user", "admin", "administrator", "ubuntu", "runner"})

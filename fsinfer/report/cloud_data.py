@@ -14,10 +14,11 @@ from fsinfer.io.chunks import ChunkedCloud, open_chunks
 from fsinfer.io.cloud import PointCloud, cloud_of_columns, read_cloud
 from fsinfer.io.las import iterate_las
 
-#: A cloud of more points than this is read in pieces, every n-th point of it.
+#: A cloud of more points than this is read in pieces, every n-th point of it. Source: numerics.
 MAX_IN_MEMORY = 4_000_000
-# What an ordinary phone draws at ten pictures a second or more; 11 bytes each.
+#: Points that are shown at most, 11 bytes each. Source: layout; what an ordinary phone draws at ten pictures a second.
 MAX_POINTS = 600_000
+#: Steps of a coordinate. Source: format; 16 bits.
 STEPS = 65535
 _COLUMNS = ("red", "green", "blue", "confidence", "TreeID")
 

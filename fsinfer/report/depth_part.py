@@ -17,8 +17,8 @@ from fsinfer.report.picture import Picture, picture_of, shrink
 from fsinfer.report.previews import depth_preview
 from fsinfer.scene import IMAGE_SUFFIXES
 
-DEPTH_SAMPLES = 3
-SAMPLE_WIDTH_PX = 640
+#: Views whose depth is shown, and the width of their pictures. Source: layout.
+DEPTH_SAMPLES, SAMPLE_WIDTH_PX = 3, 640
 _ANCHOR, _TITLE = "depth", "Depth samples"
 
 

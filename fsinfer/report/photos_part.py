@@ -11,8 +11,8 @@ from fsinfer.report.contents import Contents
 from fsinfer.report.page import Part, missing_part
 from fsinfer.report.picture import Picture, picture_of, shrink
 
-CONTACT_SHEET_PX = 1000
-MOST_REASONS = 12
+#: Width of the contact sheet, and reasons that are listed at most. Source: layout.
+CONTACT_SHEET_PX, MOST_REASONS = 1000, 12
 # Columns under which a table of frames may say whether a frame was taken.
 _CHOSEN_COLUMNS = ("chosen", "kept", "selected", "used")
 _ANCHOR, _TITLE = "photos", "Photos"

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-# Bark and leaves still look natural; half the size of 90.
+#: Quality of the pictures. Source: layout; bark and leaves still look natural, at half the size of 90.
 WEBP_QUALITY = 78
 
 

@@ -12,12 +12,13 @@ from fsinfer.io.cloud import PointCloud
 
 Direction = Literal["top", "side"]
 
-# Grey for "no depth": the colour map has no grey, so it cannot be taken for a distance.
+#: Grey for "no depth". Source: layout; the colour map has no grey, so it cannot be taken for a distance.
 NO_DEPTH_RGB = (60, 60, 60)
+#: Source: layout.
 BACKGROUND_RGB = (250, 250, 248)
-# A view of 1000 pixels shows no more.
+#: Points of a view at most. Source: layout; 1000 pixels show no more.
 MAX_VIEW_POINTS = 800_000
-# Image axes of each view: right, up, towards the viewer (signed axis numbers of x, y, z).
+#: Image axes of each view: right, up, towards the viewer (signed axis numbers of x, y, z). Source: layout.
 _AXES: dict[str, tuple[tuple[int, int], tuple[int, int], tuple[int, int]]] = {
     "top": ((0, 1), (1, 1), (2, 1)),
     "side": ((0, 1), (2, 1), (1, -1)),

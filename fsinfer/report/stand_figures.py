@@ -10,7 +10,7 @@ from fsinfer.report.contents import Contents, number
 from fsinfer.report.number_table import NumberTable
 from fsinfer.trees.stand import StandTable, stand_of_diameters
 
-# Width of the diameter classes of the stand table: inventories use 2, 4 or 5 cm.
+#: Width of the diameter classes of the stand table. Source: layout; inventories use 2, 4 or 5 cm.
 CLASS_CM = 5
 
 

@@ -14,17 +14,15 @@ from fsinfer.report.contents import Contents, number, tree_number
 from fsinfer.report.tree_row import STATUS_WORDS, status_of
 from fsinfer.scene import read_scene
 
-WIDTH = 640.0
-MARGIN = 34.0
-# Stems thinner than this on the map are hard to hit with a finger; the halo around them belongs to the button too.
-LEAST_RADIUS = 6.0
-HALO = 16.0
-# The side of the map in metres is at least this, so that a single tree does not fill it.
+#: Width of the map and of its margin, units of the drawing. Source: layout.
+WIDTH, MARGIN = 640.0, 34.0
+#: Least radius of a stem and of the halo round it, which belongs to its button. Source: layout; what a finger hits.
+LEAST_RADIUS, HALO = 6.0, 16.0
+#: The side of the map in metres is at least this. Source: layout; a single tree must not fill it.
 LEAST_SPAN_M = 4.0
-# Cameras farther outside the trees than this share of the map, or this distance, are not drawn: one stray pose must not
-# shrink it.
-STRAY_SHARE = 0.6
-NEAR_M = 8.0
+#: Cameras farther outside the trees than this share of the map, or this distance, are not drawn. Source: layout; one
+#: stray pose must not shrink it.
+STRAY_SHARE, NEAR_M = 0.6, 8.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,11 +24,11 @@ from fsinfer.report.tree_views import (
 )
 from fsinfer.scene import Scene, View, project, read_scene
 
-# A crop enlarged more than this only shows its pixels.
+#: A crop is enlarged so many times at most. Source: layout; more only shows its pixels.
 MAX_ENLARGEMENT = 2.5
-OUTSIDE_RGB = (233, 236, 232)
-LINE_RGB = (255, 122, 0)
-# Fixed-point bits of the line's coordinates in OpenCV.
+#: What lies outside the photograph, and the line at breast height. Source: layout.
+OUTSIDE_RGB, LINE_RGB = (233, 236, 232), (255, 122, 0)
+#: Fixed-point bits of the line's coordinates in OpenCV. Source: numerics.
 _SHIFT = 4
 
 

@@ -16,20 +16,35 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class ViewSettings:
-    """Constants of :func:`choose_views`; lengths in metres."""
+    """Constants of :func:`choose_views`.
 
-    default_radius_m: float = 0.12  # where no diameter is known
-    below_m: float = 0.15  # the crop shows the foot ...
-    top_m: float = 2.2  # ... and the stem above breast height
-    checked_m: float = 0.4  # of the stem on either side of breast height is compared with the depth map
-    tolerance_of_depth: float = 0.05  # the depth map agrees with the stem within this, or within a radius
-    min_seen: float = 0.35  # share of the checked points that the depth map shows where the stem is
-    max_hidden: float = 0.35  # share behind something nearer
-    good_width_px: float = 120.0  # more than this is no better for the eye
+    Attributes
+    ----------
+    default_radius_m: where no diameter is known. Source: layout.
+    below_m, top_m: the crop shows the foot and the stem above breast height. Source: layout.
+    checked_m: of the stem on either side of breast height is compared with the depth map. Source: judgement.
+    tolerance_of_depth: the depth map agrees with the stem within this, or within a radius. Source: judgement.
+    min_seen: share of the checked points that the depth map shows where the stem is. Source: judgement.
+    max_hidden: share behind something nearer. Source: judgement.
+    good_width_px: more than this is no better for the eye. Source: layout.
+    least_width_px: less than this shows no bark. Source: layout.
+    apart_deg: two chosen photographs look from directions at least this far apart, if there are any. Source: layout.
+    least_apart_deg: and no nearer than this. Source: layout.
+    worth: of the best score, below which a photograph is not shown. Source: layout.
+    """
+
+    default_radius_m: float = 0.12
+    below_m: float = 0.15
+    top_m: float = 2.2
+    checked_m: float = 0.4
+    tolerance_of_depth: float = 0.05
+    min_seen: float = 0.35
+    max_hidden: float = 0.35
+    good_width_px: float = 120.0
     least_width_px: float = 8.0
-    apart_deg: float = 40.0  # two chosen photographs look from directions at least this far apart, if there are any
+    apart_deg: float = 40.0
     least_apart_deg: float = 12.0
-    worth: float = 0.3  # of the best score, below which a photograph is not shown
+    worth: float = 0.3
 
 
 @dataclass(frozen=True, kw_only=True)

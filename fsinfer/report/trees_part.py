@@ -15,10 +15,9 @@ from fsinfer.report.stem_map import MapView, stem_map
 from fsinfer.report.tree_photos import TreePhoto, tree_photos
 from fsinfer.report.tree_row import STATUS_WORDS, interval_of, interval_text, status_of
 
-# The page stays below 15 MB: of many trees each gets fewer and smaller pictures.
-MAX_PHOTOS = 180
-PHOTOS_PER_TREE = 3
-MANY_TREES = 90
+#: Photos of all trees and of one at most, and trees of which each gets fewer and smaller ones. Source: layout; the page
+#: stays below 15 MB.
+MAX_PHOTOS, PHOTOS_PER_TREE, MANY_TREES = 180, 3, 90
 _ROWS = (
     ("DBH as a tape reads it", "dbh_perimeter_cm", "{:.1f} cm"),
     ("Seen of the stem's girth", "arc_coverage", "{:.0%}"),

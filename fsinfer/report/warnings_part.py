@@ -18,15 +18,16 @@ NO_SCALE = (
 NO_SCALE_CODES = frozenset(
     {CaptureCode.no_scale_given.value, CaptureCode.no_scale_from_markers.value, StemCode.model_units.value}
 )
-# Below this share of the photos placed, parts of the plot are likely to be missing.
+#: Below this share of the photos registered, parts of the plot are likely to be missing. Source: judgement.
 LEAST_PLACED = 0.8
-# Median difference between depth maps and tie points; field photos with good poses have 0.1 to 0.4 %.
+#: Median difference between depth maps and tie points from which it is large. Source: field photos with good poses
+#: have 0.1 to 0.4 %.
 LARGE_DIFFERENCE = 0.01
-# A scale less certain than this adds 0.3 cm and more to a stem of 30 cm.
+#: A scale less certain than this is said to be. Source: it adds 0.3 cm and more to a stem of 30 cm.
 LARGE_SCALE_STD = 0.01
-# The reasons of more trees than these are left to their cards.
+#: The reasons of more trees than these are left to their cards. Source: layout.
 MOST_REASONS = 3
-# Less of the girth than this was seen from one side only.
+#: Less of the girth than this was seen from one side only. Source: judgement; a side is half of it.
 ONE_SIDE = 0.45
 
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.conventions.breast_height import BREAST_HEIGHT_M
 from fsinfer.trees.points.cells import PlanIndex, rows, thin
 from fsinfer.trees.points.sums import lengths
 from fsinfer.trees.search.stem import Stem
-from fsinfer.trees.tree import BREAST_HEIGHT_M
 
 Floats = NDArray[np.float64]
 

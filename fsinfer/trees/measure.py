@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fsinfer.conventions.breast_height import BhRule
 from fsinfer.errors import CloudError
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
@@ -105,8 +106,8 @@ def analyse_plot(
     its subclass :class:`~fsinfer.trees.sanity.TurnedCloudError` for one that would be a plot if it were turned.
     """
     settings = settings or TreeSettings()
-    if settings.bh_rule not in {"midpoint", "uphill"}:
-        msg = f"bh_rule must be 'midpoint' or 'uphill', got {settings.bh_rule!r}"
+    if settings.bh_rule not in tuple(BhRule):
+        msg = f"bh_rule must be {' or '.join(repr(rule.value) for rule in BhRule)}, got {settings.bh_rule!r}"
         raise CloudError(msg)
     if not metric:
         return _without_scale(points, settings, units_per_m_hint, progress)

@@ -57,8 +57,8 @@ class SanitySettings:
     turned_ground: float = 1.5
 
 
-#: Ways a cloud may lie: rotation matrices that turn it z up, with the words for the user. Source: numerics,
-#: mathematics.
+#: Ways a cloud may lie: rotation matrices that turn it z up, with the words for the user.
+#: Source: format; the quarter turns.
 TURNS: tuple[tuple[str, Floats], ...] = (
     ("y points up", np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])),
     ("y points down", np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])),

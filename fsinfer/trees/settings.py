@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from fsinfer.conventions.breast_height import BREAST_HEIGHT_M, BhRule
 from fsinfer.trees.diameter.dbh import DbhSettings
 from fsinfer.trees.ground.ground import GroundSettings
 from fsinfer.trees.height import TopSettings
 from fsinfer.trees.sanity import SanitySettings
 from fsinfer.trees.search.stem import StemSettings
-from fsinfer.trees.tree import BREAST_HEIGHT_M
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,15 +19,15 @@ class TreeSettings:
     Attributes
     ----------
     bh_m: breast height. Source: option; convention, 1.3 m; 1.37 m in the US.
-    bh_rule: it counts from the ground at the stem's middle ("midpoint") or from the highest ground at its foot
-        ("uphill"). Source: option; forest inventories of many countries.
+    bh_rule: it counts from the ground at the stem's middle (``midpoint``) or from the highest ground at its
+        foot (``uphill``), one of :class:`BhRule`. Source: option; forest inventories of many countries.
     min_dbh_cm: below lies undergrowth. Source: forest inventories start at 4 to 7 cm.
     seed: of all random draws. Source: numerics.
     ground, stems, dbh, sanity, top: of the steps.
     """
 
     bh_m: float = BREAST_HEIGHT_M
-    bh_rule: str = "midpoint"
+    bh_rule: str = BhRule.midpoint.value
     min_dbh_cm: float = 4.0
     seed: int = 0
     ground: GroundSettings = field(default_factory=GroundSettings)

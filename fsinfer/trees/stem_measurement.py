@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.conventions.breast_height import BhRule
 from fsinfer.notices.notice import notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees.diameter.dbh import measure_together
@@ -129,7 +130,7 @@ def _on_own_ground(near: Floats, stem: Stem, ground: Ground, settings: TreeSetti
     foot = stem.axis.center_at(0.0)
     level = float(ground.height_at(foot[None])[0])
     reference = level
-    if settings.bh_rule == "uphill":
+    if settings.bh_rule == BhRule.uphill:
         angle = np.linspace(0.0, 2.0 * np.pi, FOOT_DIRECTIONS, endpoint=False)
         ring = foot + stem.axis.radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
         reference = float(ground.height_at(ring).max())

@@ -7,9 +7,6 @@ from dataclasses import dataclass
 from fsinfer.notices.notice import Notice
 from fsinfer.notices.sentences import joined
 
-#: Metres above the ground. Source: convention of most countries; 1.37 m in the US.
-BREAST_HEIGHT_M = 1.3
-
 
 @dataclass(frozen=True, kw_only=True)
 class Tree:

@@ -26,7 +26,7 @@ from fsinfer.workflow.settings import RunSettings
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
 
-# Side of the black square of the markers that stand in the rendered plot.
+#: Side of the black square of the markers that stand in the rendered plot, metres. Source: format; how it was rendered.
 ARUCO_LENGTH_M = 0.25
 
 

@@ -39,11 +39,16 @@ REQUIRED = (
     "fsinfer",
     "fusion",
     "geometry",
+    "io",
+    "notices",
+    "output",
     "placement",
     "poses",
+    "report",
     "scale",
     "silhouettes",
     "trees",
+    "workflow",
 )
 
 
@@ -223,9 +228,13 @@ def test_a_number_without_a_source_and_a_stale_page_are_found(
     page = (tmp_path / "docs" / "settings.md").read_text(encoding="utf-8")
     assert "| `two_px` | `2.0` | px | both, as one. | a paper |" in page
     assert "| [depth](#depth) | 3 | 0 | 1 | 0 | 0 | 0 |" in page
-    module.write_text(module.read_text(encoding="utf-8") + "\n\nFAR = 7\n", encoding="utf-8")
+    module.write_text(
+        module.read_text(encoding="utf-8") + "\n\n#: Numerics: steps.\nSTEPS = 9\n\nFAR = 7\n", encoding="utf-8"
+    )
     assert make_settings.main(["--require", "depth"]) == 1
-    assert "FAR does not say its source" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "FAR does not say its source" in told
+    assert "STEPS" not in told
     assert make_settings.main(["--check", "--require", "trees"]) == 0
 
 

@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.conventions.breast_height import BREAST_HEIGHT_M
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees.cylinder.axis import LEAST_RADIUS_M, AxisFit, axis_coordinates
@@ -33,7 +34,6 @@ from fsinfer.trees.diameter.tapered_fit import joint_fits
 from fsinfer.trees.points.sums import Z95, lengths
 from fsinfer.trees.points.surface import LAYER_M, WALL_SIGMAS
 from fsinfer.trees.search.stem import Stem
-from fsinfer.trees.tree import BREAST_HEIGHT_M
 
 Floats = NDArray[np.float64]
 

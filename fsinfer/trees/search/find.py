@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from fsinfer.conventions.breast_height import BREAST_HEIGHT_M
 from fsinfer.notices.stems import StemCode
 from fsinfer.progress import Progress, silent
 from fsinfer.trees.cylinder.axis import axis_coordinates
@@ -25,7 +26,6 @@ from fsinfer.trees.points.cells import PlanIndex, measured_spacing, rows, thin
 from fsinfer.trees.search.hough import hough_seeds
 from fsinfer.trees.search.stem import Stem, StemSettings
 from fsinfer.trees.search.verify import Candidate, verify
-from fsinfer.trees.tree import BREAST_HEIGHT_M
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
