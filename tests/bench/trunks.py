@@ -25,6 +25,7 @@ from fsinfer.depth_maps import DepthMaps
 from fsinfer.images import read_image
 from fsinfer.scene import Scene, read_scene
 from fsinfer.triangulation import triangulate
+from tests.bench.results import add_result_options, check_result_options, save_result
 
 BANDS = ((0.30, 0.38), (0.38, 0.46), (0.46, 0.54), (0.54, 0.62), (0.62, 0.70))  # shares of the mask's height
 EDGE_SHARE = 0.08  # of the trunk's width at each side that is left out: fattened edges, grazing surface
@@ -110,7 +111,7 @@ def fit_arc(
 
 def matched_points(scene: Scene, mask: NDArray[np.bool_]) -> NDArray[np.float64]:
     """(N, 3): pixel (u, v) of view 0 inside ``mask`` and z depth, of SIFT matches that two rays agree on."""
-    sift = cv2.SIFT_create(contrastThreshold=0.01)
+    sift = cv2.SIFT.create(contrastThreshold=0.01)
     found = [
         sift.detectAndCompute(cv2.cvtColor(read_image(view.image_path), cv2.COLOR_RGB2GRAY), region)
         for view, region in zip(scene.views[:2], (mask.astype(np.uint8), None), strict=True)
@@ -139,7 +140,9 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("trunks", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--model", default="field")
+    add_result_options(parser)
     args = parser.parse_args(argv)
+    check_result_options(parser, args)
     with (args.trunks / "dbh.csv").open(encoding="utf-8") as file:
         truth = {row["scene"]: float(row["dbh_cm"]) for row in csv.DictReader(file)}
     errors, worst_match = [], 0.0
@@ -147,8 +150,11 @@ def main(argv: list[str] | None = None) -> int:
         scene = read_scene(args.trunks / name)
         estimate_depth(scene, args.out / name, settings=DepthSettings(model=args.model))
         found = DepthMaps(scene, args.out / name).get(0)
-        depth, grid = 1 / found.inverse_depth, found.grid
-        mask = cv2.imread(str(args.trunks / name / "mask.png"), cv2.IMREAD_GRAYSCALE) > 127
+        depth, grid = np.asarray(1 / found.inverse_depth, np.float32), found.grid
+        picture = cv2.imread(str(args.trunks / name / "mask.png"), cv2.IMREAD_GRAYSCALE)
+        if picture is None:
+            parser.error(f"{args.trunks / name} has no mask.png")
+        mask = np.asarray(np.asarray(picture) > 127)
         v, u = (
             np.rint(np.arange(n) * s + o).astype(int)
             for n, s, o in zip(
@@ -181,6 +187,14 @@ def main(argv: list[str] | None = None) -> int:
         f"worst {absolute.max():.2f}; "
         f"depth to matched points: at most {100 * worst_match:.2f} %"
     )
+    figures = {
+        "trunks": len(errors),
+        "mae_cm": float(absolute.mean()),
+        "bias_cm": float(np.mean(errors)),
+        "worst_cm": float(absolute.max()),
+        "depth_vs_matches_worst_percent": 100 * worst_match,
+    }
+    save_result(args, figures, module="tests.bench.trunks", arguments=argv)
     return 0
 
 
