@@ -57,6 +57,12 @@ class Result:
     date: str = ""
     processor: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def short_commit(self) -> str:
+        """Seven letters of the commit, and whether the code was changed since."""
+        head, _, dirty = self.commit.partition(" ")
+        return f"{head[:7]} {dirty}".strip()
+
 
 def write_result(
     name: str,
