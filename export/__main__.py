@@ -10,11 +10,12 @@ from pathlib import Path
 
 import cv2
 
-from export.onnx_export import add_tiles, export_model, load_checkpoint
+from export.onnx_export import add_tiles, export_model
 from export.parity import whole_parity
-from fsinfer.depth_model import DepthModel
+from fsinfer.depth.model import DepthModel
 from fsinfer.errors import FsinferError
 from fsinfer.scene import read_scene
+from training.checkpoint import load_checkpoint
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from pickle import UnpicklingError
 from typing import Any
 
 import numpy as np
@@ -13,24 +12,12 @@ import onnxruntime
 import torch
 
 from export.graphs import TILE_ALIGN, TILE_HALO, TILE_LEVEL_HALOS, Graph, graphs, tile_graph
+from fsinfer.depth.manifest import hash_files
 from fsinfer.errors import ModelError
-from fsinfer.manifest import hash_files
-from training.model import FSMVSNet, ModelConfig
+from training.model import FSMVSNet
 from training.model.config import DEPTH_PLANES
 
 OPSET = 18
-
-
-def load_checkpoint(path: Path) -> tuple[FSMVSNet, dict[str, Any]]:
-    """Rebuild the model of a checkpoint with its averaged weights; returns it and the checkpoint's other entries."""
-    try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
-        model = FSMVSNet(ModelConfig(**state["config"]))
-        model.load_state_dict(state["average"])
-    except (OSError, EOFError, KeyError, TypeError, RuntimeError, UnpicklingError) as error:
-        msg = f"{path} is not a checkpoint of training.train ({error}); give the checkpoint.pt of a run"
-        raise ModelError(msg) from error
-    return model.eval(), state
 
 
 def export_model(

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from fsinfer.depth_model import DepthModel
-from fsinfer.images import read_image
+from fsinfer.depth.model import DepthModel
+from fsinfer.io.images import read_image
 from fsinfer.scene import Scene
 from training.model import FSMVSNet
 

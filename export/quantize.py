@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 from onnxruntime.quantization import CalibrationDataReader, CalibrationMethod, QuantFormat, QuantType, quantize_static
 from onnxruntime.quantization.shape_inference import quant_pre_process
 
-from fsinfer.depth import DepthSettings, load_view, search_range
-from fsinfer.depth_model import DepthEstimate, DepthModel, ViewFeatures
+from fsinfer.depth.manifest import hash_files, read_manifest
+from fsinfer.depth.model import DepthEstimate, DepthModel, ViewFeatures
+from fsinfer.depth.stage import DepthSettings, load_view, search_range
 from fsinfer.errors import FsinferError, SceneError
-from fsinfer.manifest import hash_files, read_manifest
 from fsinfer.scene import Scene, View, read_scene
 
 Float32 = NDArray[np.float32]

@@ -12,23 +12,22 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from fsinfer._version import __version__
 from fsinfer.errors import FsinferError
 
 if TYPE_CHECKING:
-    from fsinfer.cloud import PointCloud, read_cloud, write_cloud
-    from fsinfer.depth_model import DepthEstimate, DepthModel
+    from fsinfer.depth.model import DepthEstimate, DepthModel
+    from fsinfer.io.cloud import PointCloud, read_cloud, write_cloud
     from fsinfer.trees import Tree, measure_trees
 
-__version__ = "0.1.0"
-
 _HOME = {
-    "DepthEstimate": "fsinfer.depth_model",
-    "DepthModel": "fsinfer.depth_model",
-    "PointCloud": "fsinfer.cloud",
+    "DepthEstimate": "fsinfer.depth.model",
+    "DepthModel": "fsinfer.depth.model",
+    "PointCloud": "fsinfer.io.cloud",
     "Tree": "fsinfer.trees",
     "measure_trees": "fsinfer.trees",
-    "read_cloud": "fsinfer.cloud",
-    "write_cloud": "fsinfer.cloud",
+    "read_cloud": "fsinfer.io.cloud",
+    "write_cloud": "fsinfer.io.cloud",
 }
 
 __all__ = [

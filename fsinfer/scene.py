@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import SceneError
-from fsinfer.files import write_text
+from fsinfer.io.files import write_text
 
 DEPTH_PLANES = 192
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".JPG", ".JPEG", ".PNG")

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
+from fsinfer.depth.manifest import read_manifest
 from fsinfer.errors import FsinferError, SceneError
-from fsinfer.files import write_text
-from fsinfer.manifest import read_manifest
+from fsinfer.io.files import write_text
+from training.data.find import find_true_scenes
 from training.evaluate import confidence_curve, evaluate_scene, onnx_predictor
-from training.layouts import find_true_scenes
 from training.metrics import PixelErrors, pool
 
 Float32 = NDArray[np.float32]

@@ -7,8 +7,13 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from pickle import UnpicklingError
+from typing import Any
 
 import torch
+
+from fsinfer.errors import ModelError
+from training.model import FSMVSNet, ModelConfig
 
 KEPT = ("config", "average", "step", "spent_s", "training")
 
@@ -33,3 +38,15 @@ def main(arguments: list[str] | None = None) -> int:
 
 if __name__ == "__main__":
     raise SystemExit(main())
+
+
+def load_checkpoint(path: Path) -> tuple[FSMVSNet, dict[str, Any]]:
+    """Rebuild the model of a checkpoint with its averaged weights; returns it and the checkpoint's other entries."""
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+        model = FSMVSNet(ModelConfig(**state["config"]))
+        model.load_state_dict(state["average"])
+    except (OSError, EOFError, KeyError, TypeError, RuntimeError, UnpicklingError) as error:
+        msg = f"{path} is not a checkpoint of training.train ({error}); give the checkpoint.pt of a run"
+        raise ModelError(msg) from error
+    return model.eval(), state

@@ -17,14 +17,15 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from fsinfer.depth import DepthSettings, search_range
-from fsinfer.depth_model import DepthModel
+from fsinfer.depth.median_filter import settle_unsure
+from fsinfer.depth.model import DepthModel
+from fsinfer.depth.precision import FLOAT32, PRECISIONS
+from fsinfer.depth.stage import DepthSettings, search_range
 from fsinfer.errors import FsinferError, SceneError
-from fsinfer.images import read_image
-from fsinfer.precision import FLOAT32, PRECISIONS
+from fsinfer.io.images import read_image
 from fsinfer.scene import Scene, View
-from fsinfer.unsure_depth import settle_unsure
-from training.layouts import SPLITS, DepthsFolder, find_true_scenes
+from training.data.find import find_true_scenes
+from training.data.true_scene import SPLITS, DepthsFolder
 from training.metrics import DepthErrors, PixelErrors, depth_errors, mean_errors, pixel_errors, pool, pooled_errors
 
 Float32 = NDArray[np.float32]
@@ -43,7 +44,8 @@ def onnx_predictor(
     calibrate: bool = True,
     precision: str = FLOAT32,
 ) -> Predict:
-    """Predict as :func:`fsinfer.depth.estimate_depth` does; ``calibrate`` = False gives the network's own confidence.
+    """Predict as :func:`fsinfer.depth.stage.estimate_depth` does; ``calibrate`` = False gives the network's own
+    confidence.
 
     ``precision`` is float32 unless asked for, so that figures of models do not depend on the machine.
     Without calibration unsure pixels are left alone: how sure they are is not known then.
@@ -70,7 +72,7 @@ def onnx_predictor(
 
 def torch_predictor(checkpoint: Path, settings: DepthSettings | None = None) -> Predict:
     """Predict with PyTorch from a checkpoint."""
-    from export.onnx_export import load_checkpoint
+    from training.checkpoint import load_checkpoint
 
     model, _ = load_checkpoint(checkpoint)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
@@ -114,7 +116,7 @@ def evaluate_scene(
     """Errors of every ``every``-th view of a scene, by view name.
 
     ``pixels`` is given those of each view, to be pooled (:func:`training.metrics.pool`).
-    ``true_depth`` is that of a :class:`training.layouts.TrueScene`; without it ``depths/NAME.pfm`` is read.
+    ``true_depth`` is that of a :class:`training.data.true_scene.TrueScene`; without it ``depths/NAME.pfm`` is read.
     """
     true_depth = true_depth or DepthsFolder(folder=scene.folder).true_depth
     rows = {}

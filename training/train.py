@@ -20,8 +20,8 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torch.utils.data import DataLoader
 
 from fsinfer.errors import FsinferError
-from training.datasets import Sample, SamplingSettings, SceneSamples, load_sample
-from training.layouts import find_true_scenes
+from training.data.find import find_true_scenes
+from training.data.samples import Sample, SamplingSettings, SceneSamples, load_sample
 from training.losses import at_stride, compute_loss
 from training.metrics import depth_errors, mean_errors
 from training.model import CONFIGS, FSMVSNet, ModelConfig

@@ -8,10 +8,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.check.compass import Compass
 from fsinfer.check.coverage import CoverageSettings, StemCoverage
-from fsinfer.check.north import Compass
 from fsinfer.check.open_sides import OpenSide
-from fsinfer.scale import Scale
+from fsinfer.scale.scale import Scale
 
 # Photos in directions so near to the middle of the unseen side are named as places to stand.
 _PLACE_DEG = 20.0

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.check.coverage import StemCoverage
-from fsinfer.files import atomic_path
+from fsinfer.io.files import atomic_path
 
 if TYPE_CHECKING:
-    from fsinfer.check.capture import CheckResult
+    from fsinfer.check.result import CheckResult
 
 Floats = NDArray[np.float64]
 

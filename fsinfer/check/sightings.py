@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fsinfer.check.visible_stems import VisibleStem
-from fsinfer.depth_maps import DepthMap, DepthMaps, look_up
+from fsinfer.depth.maps import DepthMap, DepthMaps, look_up
 from fsinfer.scene import Camera, Scene
-from fsinfer.trees.ground import Ground
+from fsinfer.trees.ground.ground import Ground
 
 Floats = NDArray[np.float64]
 

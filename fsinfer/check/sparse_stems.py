@@ -17,7 +17,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from fsinfer.trees.circle import residuals_to
+from fsinfer.trees.diameter.circle import residuals_to
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

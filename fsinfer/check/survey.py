@@ -8,17 +8,18 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.check.glance import Glance
+from fsinfer.check.coarse_depth import Glance
 from fsinfer.check.sightings import SightingSettings, find_sightings
 from fsinfer.check.sparse_stems import SparseStemSettings, find_sparse_stems
 from fsinfer.check.visible_stems import VisibleStem, join_stems
 from fsinfer.errors import CloudError
-from fsinfer.placement import CAMERA_HEIGHT_M, level_scene
+from fsinfer.placement.place import level_scene
+from fsinfer.poses.sparse import SparseModel
+from fsinfer.scale.scale import CAMERA_HEIGHT_M
 from fsinfer.scene import Scene
-from fsinfer.sparse import SparseModel
-from fsinfer.trees.ground import Ground, find_ground
-from fsinfer.trees.stem import StemSettings
-from fsinfer.trees.stems import find_stems
+from fsinfer.trees.ground.ground import Ground, find_ground
+from fsinfer.trees.search.find import find_stems
+from fsinfer.trees.search.stem import StemSettings
 
 _log = logging.getLogger(__name__)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.check.sparse_stems import SparseStem
-from fsinfer.trees.stem import Stem
+from fsinfer.trees.search.stem import Stem
 
 Floats = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from collections import Counter
 from pathlib import Path
 
 from fsinfer.errors import FsinferError, InputError
-from fsinfer.files import write_text
-from fsinfer.images import read_image
+from fsinfer.io.files import write_text
+from fsinfer.io.images import read_image
 from fsinfer.report.cloud_data import MAX_POINTS
 from fsinfer.report.cloud_part import cloud_section
 from fsinfer.report.contents import Contents, number, read_contents

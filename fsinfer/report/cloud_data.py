@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.cloud import PointCloud, cloud_of_columns, read_cloud
-from fsinfer.cloud_chunks import ChunkedCloud, open_chunks
-from fsinfer.las import iterate_las
+from fsinfer.io.chunks import ChunkedCloud, open_chunks
+from fsinfer.io.cloud import PointCloud, cloud_of_columns, read_cloud
+from fsinfer.io.las import iterate_las
 
 #: A cloud of more points than this is read in pieces, every n-th point of it.
 MAX_IN_MEMORY = 4_000_000

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from fsinfer.cloud import PointCloud
 from fsinfer.errors import FsinferError
-from fsinfer.previews import cloud_view
+from fsinfer.io.cloud import PointCloud
 from fsinfer.report.cloud_data import MAX_POINTS, ViewerData, encode_cloud, read_some
 from fsinfer.report.contents import Contents, number
 from fsinfer.report.html import embedded_image, escape, paragraph, section
+from fsinfer.report.previews import cloud_view
 
 _MODES = (("rgb", "Photo colours"), ("height", "Height"), ("tree", "Tree"), ("confidence", "Confidence"))
 # The labelled cloud comes first: it knows which point belongs to which tree.

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import FsinferError
-from fsinfer.placement import CAMERA_HEIGHT_M
+from fsinfer.scale.scale import CAMERA_HEIGHT_M
 
 T = TypeVar("T")
 

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import FsinferError
-from fsinfer.images import read_image
-from fsinfer.pfm import read_pfm
-from fsinfer.previews import depth_preview
+from fsinfer.io.images import read_image
+from fsinfer.io.pfm import read_pfm
 from fsinfer.report.contents import Contents
 from fsinfer.report.html import embedded_image, paragraph, section, shrink
+from fsinfer.report.previews import depth_preview
 from fsinfer.scene import IMAGE_SUFFIXES
 
 DEPTH_SAMPLES = 3

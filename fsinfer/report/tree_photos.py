@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.depth_maps import DepthMaps
+from fsinfer.depth.maps import DepthMaps
 from fsinfer.errors import FsinferError
-from fsinfer.images import image_size, read_image
+from fsinfer.io.images import image_size, read_image
 from fsinfer.report.contents import Contents, number
 from fsinfer.report.tree_views import (
     RatedView,

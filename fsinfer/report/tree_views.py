@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.depth_maps import DepthMap, seen_and_hidden
+from fsinfer.depth.maps import DepthMap, seen_and_hidden
 from fsinfer.scene import Camera, project
 
 Floats = NDArray[np.float64]

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from fsinfer.errors import FsinferError
-from fsinfer.images import read_image
+from fsinfer.io.images import read_image
 from fsinfer.report.contents import Contents, number, tree_number
 from fsinfer.report.html import embedded_image, escape, facts, paragraph, section, shrink, sortable_table
 from fsinfer.report.stem_map import stem_map

@@ -1,14 +1,14 @@
 """Dendrometry: from a metric point cloud to stem positions and diameters."""
 
-from fsinfer.trees.circle import CircleFit, CircleSettings, fit_circle
-from fsinfer.trees.dbh import DbhSettings
-from fsinfer.trees.ground import Ground, GroundSettings, find_ground
+from fsinfer.trees.diameter.circle import CircleFit, CircleSettings, fit_circle
+from fsinfer.trees.diameter.dbh import DbhSettings
+from fsinfer.trees.diameter.section import Section
+from fsinfer.trees.ground.ground import Ground, GroundSettings, find_ground
 from fsinfer.trees.measure import PlotResult, analyse_plot, measure_trees
-from fsinfer.trees.section import Section
+from fsinfer.trees.search.find import find_stems
+from fsinfer.trees.search.stem import StemSettings
 from fsinfer.trees.settings import TreeSettings
 from fsinfer.trees.stand import StandTable, stand_table
-from fsinfer.trees.stem import StemSettings
-from fsinfer.trees.stems import find_stems
 from fsinfer.trees.tree import Tree
 
 __all__ = [

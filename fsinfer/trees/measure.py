@@ -10,15 +10,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from fsinfer.errors import CloudError
 from fsinfer.progress import Progress, silent
-from fsinfer.trees.cells import rows
-from fsinfer.trees.ground import Ground, find_ground
-from fsinfer.trees.products import median
+from fsinfer.trees.diameter.section import Section
+from fsinfer.trees.ground.ground import Ground, find_ground
+from fsinfer.trees.points.cells import rows
+from fsinfer.trees.points.sums import median
 from fsinfer.trees.sanity import TURNS, TurnedCloudError, check_unit, check_upside_down, clean, turned_message
-from fsinfer.trees.section import Section
+from fsinfer.trees.search.find import StemSearch, find_stems
 from fsinfer.trees.settings import TreeSettings
 from fsinfer.trees.stand import NEAR_GROUND_M, StandTable, seen_area, stand_table
 from fsinfer.trees.stem_measurement import doubt_the_rough, measure_stems
-from fsinfer.trees.stems import StemSearch, find_stems
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]

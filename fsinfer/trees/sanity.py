@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fsinfer.errors import CloudError
-from fsinfer.trees.ground import Ground, GroundSettings, find_ground, reach_of
+from fsinfer.trees.ground.ground import Ground, GroundSettings, find_ground, reach_of
 
 Floats = NDArray[np.float64]
 _log = logging.getLogger(__name__)

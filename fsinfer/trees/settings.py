@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from fsinfer.trees.dbh import DbhSettings
-from fsinfer.trees.ground import GroundSettings
+from fsinfer.trees.diameter.dbh import DbhSettings
+from fsinfer.trees.ground.ground import GroundSettings
+from fsinfer.trees.height import TopSettings
 from fsinfer.trees.sanity import SanitySettings
-from fsinfer.trees.stem import StemSettings
-from fsinfer.trees.top import TopSettings
+from fsinfer.trees.search.stem import StemSettings
 
 
 @dataclass(frozen=True, kw_only=True)

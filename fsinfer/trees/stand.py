@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_closing
 
-from fsinfer.trees.cells import column_min
+from fsinfer.trees.points.cells import column_min
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]

@@ -1,8 +1,9 @@
 """The stem curve: diameters up the visible trunk, each with a reason where there is none.
 
-From breast height upward and downward the axis is followed in steps: a tapered cylinder (:mod:`fsinfer.trees.axis`) is
-fitted to the points around each height, starting from the one before. Its error is that of the fit alone (with what
-neighbouring points share): it is smaller than an interval as given for the DBH, and calibrated on nothing.
+From breast height upward and downward the axis is followed in steps: a tapered cylinder
+(:mod:`fsinfer.trees.cylinder.axis`) is fitted to the points around each height, starting from the one before. Its error
+is that of the fit alone (with what neighbouring points share): it is smaller than an interval as given for the DBH, and
+calibrated on nothing.
 """
 
 from __future__ import annotations
@@ -14,13 +15,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.files import atomic_path
-from fsinfer.trees.axis import axis_coordinates, fit_axis
-from fsinfer.trees.cells import PlanIndex
-from fsinfer.trees.circle import covered_bins
+from fsinfer.io.files import atomic_path
+from fsinfer.trees.cylinder.axis import axis_coordinates, fit_axis
+from fsinfer.trees.diameter.circle import covered_bins
+from fsinfer.trees.diameter.section import Section
+from fsinfer.trees.diameter.spread import fit_spread
 from fsinfer.trees.measure import PlotResult
-from fsinfer.trees.section import Section
-from fsinfer.trees.spread import fit_spread
+from fsinfer.trees.points.cells import PlanIndex
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.trees.cells import PlanIndex, near_paths, rows
-from fsinfer.trees.dbh import measure_together
-from fsinfer.trees.ground import Ground
-from fsinfer.trees.products import lengths
-from fsinfer.trees.section import Section
+from fsinfer.trees.diameter.dbh import measure_together
+from fsinfer.trees.diameter.section import Section
+from fsinfer.trees.ground.ground import Ground
+from fsinfer.trees.height import TopSettings, axis_path, top_may_be_seen, tree_height
+from fsinfer.trees.points.cells import PlanIndex, near_paths, rows
+from fsinfer.trees.points.sums import lengths
+from fsinfer.trees.search.find import StemSearch
+from fsinfer.trees.search.stem import Stem
 from fsinfer.trees.settings import TreeSettings
-from fsinfer.trees.stem import Stem
-from fsinfer.trees.stems import StemSearch
-from fsinfer.trees.top import TopSettings, axis_path, top_may_be_seen, tree_height
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]

@@ -26,16 +26,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.check import CheckResult, check_capture
-from fsinfer.check.capture import judge_survey
+from fsinfer.check.coarse_depth import read_glance, take_glance
 from fsinfer.check.coverage import CoverageSettings, widest_gap
-from fsinfer.check.glance import read_glance, take_glance
+from fsinfer.check.run import judge_survey
 from fsinfer.check.survey import survey_scene
-from fsinfer.cli_console import stage_progress
-from fsinfer.depth_maps import DepthMaps
-from fsinfer.pfm import read_pfm, write_pfm
-from fsinfer.scale import Scale
+from fsinfer.cli.console import stage_progress
+from fsinfer.depth.maps import DepthMaps
+from fsinfer.io.pfm import read_pfm, write_pfm
+from fsinfer.poses.sparse import SparseModel, read_sparse
+from fsinfer.scale.scale import Scale
 from fsinfer.scene import Scene, read_scene
-from fsinfer.sparse import SparseModel, read_sparse
 from tests.bench.plot import plot_settings, similarity
 from tests.bench.results import add_result_options, check_result_options, save_result
 

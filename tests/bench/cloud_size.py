@@ -1,6 +1,6 @@
 """Time and memory of ``fsinfer trees`` against the size of the cloud: ``python -m tests.bench.cloud_size WORK_FOLDER``.
 
-Simulated plots (:mod:`training.synthesize.stem_cloud`) are laid side by side, turned and jittered, until a LAS file has
+Simulated plots (:mod:`training.simulate.stem_cloud`) are laid side by side, turned and jittered, until a LAS file has
 the points asked for; each file is measured in a process of its own, whose seconds (wall clock, processor) and peak
 resident memory are recorded beside the errors against the truth. Writes ``cloud_size.csv`` into the work folder and the
 figure where ``--figure`` says. The 10^8 points take 3 GB of disk; a file is removed after it was measured.
@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from fsinfer.las import las_writer
-from fsinfer.trees.table import read_trees
+from fsinfer.io.las import las_writer
+from fsinfer.trees.outputs.table import read_trees
 from tests.bench.results import add_result_options, check_result_options, save_result
-from training.synthesize.stem_cloud import KINDS, CloudSpec, simulate
+from training.simulate.stem_cloud import KINDS, CloudSpec, simulate
 
 Floats = NDArray[np.float64]
 SIZES = (1_000_000, 3_000_000, 10_000_000, 30_000_000, 100_000_000)
@@ -71,7 +71,15 @@ def measure(path: Path, out: Path) -> dict[str, float]:
     """Run ``fsinfer trees`` in a process of its own: wall and processor seconds, peak resident memory in MB."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     start = time.perf_counter()
-    command = [sys.executable, "-c", "from fsinfer.cli import main; main()", "trees", str(path), str(out), "--quiet"]
+    command = [
+        sys.executable,
+        "-c",
+        "from fsinfer.cli import main; main()",
+        "trees",
+        str(path),
+        str(out),
+        "--quiet",
+    ]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     peak_kb = 0
     # Not ru_maxrss: a child starts with the high-water mark of the process that it was forked from.

@@ -17,8 +17,8 @@ import sys
 import time
 from pathlib import Path
 
-from fsinfer.evaluation import evaluate, read_measured
-from fsinfer.trees.table import read_trees
+from fsinfer.evaluation.metrics import evaluate, read_measured
+from fsinfer.trees.outputs.table import read_trees
 from tests.bench.plot import run_figures, source_errors, tree_figures
 from tests.bench.results import ROOT, add_result_options, check_result_options, save_result
 

@@ -27,7 +27,7 @@ from scipy.optimize import linear_sum_assignment
 from fsinfer import read_cloud
 from fsinfer.trees import analyse_plot
 from tests.bench.results import add_result_options, check_result_options, save_result
-from training.synthesize.stem_cloud import KINDS, CloudSpec, StemCloud, simulate
+from training.simulate.stem_cloud import KINDS, CloudSpec, StemCloud, simulate
 
 Floats = NDArray[np.float64]
 MAX_DISTANCE_M = 0.3

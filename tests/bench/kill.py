@@ -18,7 +18,7 @@ import time
 from importlib import resources
 from pathlib import Path
 
-from fsinfer.stages import RECORDS_FOLDER
+from fsinfer.workflow.ledger import RECORDS_FOLDER
 from tests.bench.results import add_result_options, check_result_options, save_result
 
 STAGES = ("frames", "poses", "depth", "check", "fuse", "scale", "cloud", "trees", "report")
@@ -40,7 +40,17 @@ def main(argv: list[str] | None = None) -> int:
     given = sorted((resources.files("fsinfer") / "demo_data" / "photos").iterdir(), key=lambda path: path.name)
     for photo in given[: options.photos]:
         (photos / photo.name).write_bytes(photo.read_bytes())
-    command = [sys.executable, "-m", "fsinfer.cli", "run", str(photos), "OUT", "--aruco-length-m", "0.25", "--quiet"]
+    command = [
+        sys.executable,
+        "-m",
+        "fsinfer.cli.app",
+        "run",
+        str(photos),
+        "OUT",
+        "--aruco-length-m",
+        "0.25",
+        "--quiet",
+    ]
     command += ["--max-size", str(options.max_size), "--threads", "1"]
     whole, killed = options.work / "whole", options.work / "killed"
     for folder in (whole, killed):

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import cv2
 
-from export.onnx_export import load_checkpoint
 from export.parity import whole_parity
-from fsinfer.depth_model import DepthModel
+from fsinfer.depth.model import DepthModel
 from fsinfer.scene import read_scene
 from tests.bench.results import ROOT, add_result_options, check_result_options, save_result
+from training.checkpoint import load_checkpoint
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -18,17 +18,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.depth import DepthSettings
-from fsinfer.evaluation import Evaluation, evaluate, read_measured
-from fsinfer.evaluation_figure import plot_evaluation
-from fsinfer.fusion import FusionSettings
-from fsinfer.photo_pairs import PairSettings
-from fsinfer.pipeline import RunSettings, run
-from fsinfer.poses import PoseSettings
-from fsinfer.precision import AUTO, FLOAT32, PRECISIONS
-from fsinfer.scale_request import ScaleRequest
+from fsinfer.depth.precision import AUTO, FLOAT32, PRECISIONS
+from fsinfer.depth.stage import DepthSettings
+from fsinfer.evaluation.figure import plot_evaluation
+from fsinfer.evaluation.metrics import Evaluation, evaluate, read_measured
+from fsinfer.fusion.fuse import FusionSettings
+from fsinfer.poses.estimate import PoseSettings
+from fsinfer.poses.pairs import PairSettings
+from fsinfer.scale.request import ScaleRequest
 from fsinfer.scene import read_scene
-from fsinfer.trees.table import read_trees
+from fsinfer.trees.outputs.table import read_trees
+from fsinfer.workflow.pipeline import RunSettings, run
 from tests.bench.results import add_result_options, check_result_options, save_result
 
 # Photos doubled before looking for features, as COLMAP does, and half as many neighbours again; six source views in

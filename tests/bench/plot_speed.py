@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fsinfer.images import list_images
+from fsinfer.io.images import list_images
 from tests.bench.plot import plot_settings
 from tests.bench.results import add_result_options, check_result_options, save_result
 
@@ -31,7 +31,7 @@ def run_first(plot: Path, out: Path, photos: int, arguments: list[str]) -> dict[
         if not (source / path.name).is_file():
             shutil.copy(path, source)
     folder = out / str(photos)
-    command = [sys.executable, "-m", "fsinfer.cli", "run", str(source), str(folder), "--quiet", *arguments]
+    command = [sys.executable, "-m", "fsinfer.cli.app", "run", str(source), str(folder), "--quiet", *arguments]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     return {
         path.stem: {key: float(record[key] or 0) for key in ("seconds", "peak_rss_mb")}

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.manifest import read_manifest
+from fsinfer.depth.manifest import read_manifest
 from tests.bench.results import add_result_options, check_result_options, save_result
 
 GEMM_SIZE = 2048
@@ -88,7 +88,7 @@ def ours(args: argparse.Namespace, precision: str) -> Callable[[], dict[str, flo
     """One whole depth map by fsinfer; ``all`` counts the features of all views, ``cached`` those of one."""
     import cv2
 
-    from fsinfer import depth_model
+    from fsinfer.depth import model as depth_model
 
     cv2.setNumThreads(1)  # as the depth stage does
     seconds: dict[str, float] = {}
@@ -187,7 +187,7 @@ def seconds_of(work: Callable[[], Any], times: int) -> list[float]:
 
 def regularizer_speed(args: argparse.Namespace) -> dict[str, float]:
     """The regularizer by itself: seconds, GFLOP, and its share of the peak of a matrix product."""
-    from fsinfer.depth_model import DepthModel
+    from fsinfer.depth.model import DepthModel
 
     model = DepthModel.load(args.model, threads=args.threads, precision="float32")
     manifest = model.manifest

@@ -1,6 +1,6 @@
 """Simulated stems against their truth: ``python -m tests.bench.stems --kind photo --plots 20 --first-seed 1000``.
 
-The simulator is :mod:`training.synthesize.stem_cloud`. Development sets: seeds below 10, 1000 to 1021 and 2000 to 2021,
+The simulator is :mod:`training.simulate.stem_cloud`. Development sets: seeds below 10, 1000 to 1021 and 2000 to 2021,
 on which the constants of the intervals were chosen and corrected, and 3000 to 3021, at which was looked several times.
 A blind figure needs seeds that no result file names yet.
 Prints detection, false trees, errors and the coverage of the 95 % intervals; ``--rows`` writes every stem for a closer
@@ -21,7 +21,7 @@ from scipy.optimize import linear_sum_assignment
 
 from fsinfer.trees import Tree, analyse_plot
 from tests.bench.results import add_result_options, check_result_options, save_result
-from training.synthesize.stem_cloud import KINDS, CloudSpec, StemCloud, StemTruth, simulate
+from training.simulate.stem_cloud import KINDS, CloudSpec, StemCloud, StemTruth, simulate
 
 MAX_DISTANCE_M = 0.3
 

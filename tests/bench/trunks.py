@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import least_squares
 
-from fsinfer.depth import DepthSettings, estimate_depth
-from fsinfer.depth_maps import DepthMaps
-from fsinfer.images import read_image
+from fsinfer.depth.maps import DepthMaps
+from fsinfer.depth.stage import DepthSettings, estimate_depth
+from fsinfer.geometry.triangulation import triangulate
+from fsinfer.io.images import read_image
 from fsinfer.scene import Scene, read_scene
-from fsinfer.triangulation import triangulate
 from tests.bench.results import add_result_options, check_result_options, save_result
 
 BANDS = ((0.30, 0.38), (0.38, 0.46), (0.46, 0.54), (0.54, 0.62), (0.62, 0.70))  # shares of the mask's height

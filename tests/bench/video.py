@@ -25,24 +25,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from fsinfer.depth import DepthSettings
-from fsinfer.evaluation import evaluate, read_measured
-from fsinfer.frames import select_frames
-from fsinfer.pipeline import RunSettings, run
-from fsinfer.poses import PoseSettings, estimate_poses
-from fsinfer.scale_request import ScaleRequest, find_scale
+from fsinfer.depth.stage import DepthSettings
+from fsinfer.evaluation.metrics import evaluate, read_measured
+from fsinfer.frames.select import select_frames
+from fsinfer.poses.estimate import PoseSettings, estimate_poses
+from fsinfer.scale.find import find_scale
+from fsinfer.scale.request import ScaleRequest
 from fsinfer.scene import Camera, Scene, read_camera, read_scene, write_camera
-from fsinfer.trees.table import read_trees
+from fsinfer.trees.outputs.table import read_trees
+from fsinfer.workflow.pipeline import RunSettings, run
 from tests.bench.plot import run_figures, similarity, tree_figures
 from tests.bench.results import add_result_options, check_result_options, save_result
-from training.synthesize.boards import board_material, board_pair
-from training.synthesize.camera_path import intrinsics, look_at, make_camera
-from training.synthesize.mesh import merge
-from training.synthesize.photo import expose, random_sensor
-from training.synthesize.plot import CLEARANCE_M
+from training.synthesize.cameras.camera_path import intrinsics, look_at, make_camera
+from training.synthesize.cameras.photo import expose, random_sensor
+from training.synthesize.cameras.plot import CLEARANCE_M
+from training.synthesize.forest.boards import board_material, board_pair
+from training.synthesize.forest.mesh import merge
+from training.synthesize.forest.terrain import Terrain
+from training.synthesize.forest.world import WorldSettings, build_world
 from training.synthesize.render import Caster
-from training.synthesize.terrain import Terrain
-from training.synthesize.world import WorldSettings, build_world
 
 WIDTH, HEIGHT, HFOV_DEG = 720, 1280, 40.0
 #: Frames a second of the video, and how many of them one place gives: 0.3 m at half a metre a second.

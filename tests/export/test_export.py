@@ -11,13 +11,14 @@ import onnx
 import pytest
 import torch
 
-from export.onnx_export import export_model, load_checkpoint
+from export.onnx_export import export_model
 from export.parity import whole_parity
-from fsinfer.depth import DepthSettings, search_range
-from fsinfer.depth_model import DepthModel
+from fsinfer.depth.model import DepthModel
+from fsinfer.depth.stage import DepthSettings, search_range
 from fsinfer.errors import InputError, ModelError
 from fsinfer.scene import read_scene
-from tests.plane_scene import write_plane_scene
+from tests.support.plane_scene import write_plane_scene
+from training.checkpoint import load_checkpoint
 from training.model import PRESETS, FSMVSNet
 
 
@@ -91,7 +92,7 @@ def test_a_changed_file_is_refused(exported: tuple[FSMVSNet, Path], tmp_path: Pa
 
 
 def test_a_file_that_is_no_onnx_is_refused_even_with_its_hash(exported: tuple[FSMVSNet, Path], tmp_path: Path) -> None:
-    from fsinfer.manifest import hash_files
+    from fsinfer.depth.manifest import hash_files
 
     _, manifest = exported
     data = json.loads(manifest.read_text())

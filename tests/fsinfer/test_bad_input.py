@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsinfer.cli import EXAMPLES, main
-from fsinfer.cloud import PointCloud, write_cloud
-from fsinfer.images import write_image
+from fsinfer.cli.app import EXAMPLES, main
+from fsinfer.io.cloud import PointCloud, write_cloud
+from fsinfer.io.images import write_image
 from fsinfer.scene import read_scene
-from tests.fsinfer.synthetic_plot import write_depth_folder, write_scene_folder
+from tests.support.synthetic_plot import write_depth_folder, write_scene_folder
 
 Call = Callable[..., tuple[int, str, str]]
 

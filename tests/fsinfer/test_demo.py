@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsinfer.cli_tables import demo_rows
-from fsinfer.demo import DemoResult, run_demo
-from fsinfer.depth_model import DepthModel
-from fsinfer.evaluation import evaluate, read_measured
-from fsinfer.images import read_image
-from fsinfer.manifest import models_folder, read_manifest
-from fsinfer.precision import choose_precision
+from fsinfer.cli.tables import demo_rows
+from fsinfer.depth.manifest import models_folder, read_manifest
+from fsinfer.depth.model import DepthModel
+from fsinfer.depth.precision import choose_precision
+from fsinfer.evaluation.metrics import evaluate, read_measured
+from fsinfer.io.images import read_image
 from fsinfer.scene import read_scene
+from fsinfer.workflow.demo import DemoResult, run_demo
 
 HAS_DEMO = (resources.files("fsinfer") / "demo_data" / "truth.csv").is_file()
 HAS_MODEL = (models_folder() / "field.json").is_file()

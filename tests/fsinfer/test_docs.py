@@ -10,15 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsinfer.cloud import write_cloud
-from fsinfer.depth_model import DepthModel
-from fsinfer.images import read_image
-from fsinfer.manifest import models_folder
+from fsinfer.depth.manifest import models_folder
+from fsinfer.depth.model import DepthModel
+from fsinfer.io.cloud import write_cloud
+from fsinfer.io.images import read_image
 from fsinfer.scene import read_scene
-from tests.fsinfer.report_plot import plot_cloud, tree_rows, write_report_folder
-from tests.plane_scene import write_plane_scene
+from tests.support.places import ROOT
+from tests.support.plane_scene import write_plane_scene
+from tests.support.report_plot import plot_cloud, tree_rows, write_report_folder
 
-DOCS = Path(__file__).parents[2] / "docs"
+DOCS = ROOT / "docs"
 
 
 def python_blocks(name: str) -> list[str]:
@@ -50,7 +51,9 @@ def test_the_example_without_fsinfer_computes_the_same_depth(tmp_path: Path, mon
 
 def test_the_walk_through_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # Drawing takes most of the time, and is tested elsewhere.
-    monkeypatch.setattr("fsinfer.trees.figures.write_figures", lambda folder, *_, **__: folder.mkdir(exist_ok=True))
+    monkeypatch.setattr(
+        "fsinfer.trees.outputs.figures.write_figures", lambda folder, *_, **__: folder.mkdir(exist_ok=True)
+    )
     out = write_report_folder(tmp_path / "plot")
     write_cloud(out / "cloud.ply", plot_cloud(points_per_stem=12_000, ground=30_000))
     rows = ["tree_id,x_m,y_m,dbh_cm", *(f"{r['tree_id']},{r['x_m']},{r['y_m']},{r['dbh_cm'] + 1}" for r in tree_rows())]

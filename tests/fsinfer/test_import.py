@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+from tests.support.places import ROOT
+
 HEAVY = ("torch", "pycolmap", "matplotlib", "onnxruntime", "laspy", "cv2", "scipy", "numpy", "typer")
 # Makes any "import torch" fail, as in an installation without it.
 BLOCK_TORCH = "import sys; sys.modules['torch'] = None; "
@@ -31,7 +31,7 @@ def test_import_loads_nothing_heavy() -> None:
 
 def test_help_loads_nothing_heavy() -> None:
     code = (
-        "import contextlib, io, json; sys.argv = ['fsinfer', '--help']; from fsinfer.cli import main\n"
+        "import contextlib, io, json; sys.argv = ['fsinfer', '--help']; from fsinfer.cli.app import main\n"
         "with contextlib.redirect_stdout(io.StringIO()) as text, contextlib.suppress(SystemExit): main()\n"
         "print(json.dumps([text.getvalue(), [n for n, m in sys.modules.items() if m]]))"
     )
@@ -74,10 +74,12 @@ def test_unknown_name_is_an_attribute_error() -> None:
     assert {"DepthModel", "measure_trees", "trees"} <= set(dir(fsinfer))
 
 
-def test_version_agrees_with_pyproject() -> None:
+def test_the_build_reads_the_version_that_the_package_tells() -> None:
     import tomllib
 
     import fsinfer
 
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    assert fsinfer.__version__ == project["version"]
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    assert "version" in settings["project"]["dynamic"]
+    source = ROOT / settings["tool"]["hatch"]["version"]["path"]
+    assert f'__version__ = "{fsinfer.__version__}"' in source.read_text(encoding="utf-8")

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsinfer.images import write_image
-from tests.fsinfer.synthetic_plot import STEMS, VIEWS
+from fsinfer.io.images import write_image
+from tests.support.places import ROOT
+from tests.support.synthetic_plot import STEMS, VIEWS
 
-ROOT = Path(__file__).parents[2]
 # Stage, and how many files more are written after it has begun: in the middle of its outputs where it has several,
 # and once right after an output was finished while the record says that the stage is not.
 KILLS = [
@@ -26,7 +26,7 @@ KILLS = [
 
 
 def start(source: Path, out: Path, stage: str = "never", writes: int = 0) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "tests.fsinfer.killed_run", str(source), str(out), stage, str(writes)]
+    command = [sys.executable, "-m", "tests.support.killed_run", str(source), str(out), stage, str(writes)]
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
 
 

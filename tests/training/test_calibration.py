@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fsinfer.depth_model import DepthModel
+from fsinfer.depth.manifest import models_folder, read_manifest
+from fsinfer.depth.model import DepthModel
 from fsinfer.errors import ModelError
-from fsinfer.images import read_image
-from fsinfer.manifest import models_folder, read_manifest
+from fsinfer.io.images import read_image
 from fsinfer.scene import read_scene
-from tests.plane_scene import write_plane_scene
+from tests.support.plane_scene import write_plane_scene
 from training.calibration import fit_calibration, main
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from fsinfer.volume import Features, correlation_volume, upsample_index, variance_volume
-from fsinfer.warping import relative_projection as numpy_projection
+from fsinfer.depth.cost_volume import Features, correlation_volume, upsample_index, variance_volume
+from fsinfer.depth.warping import relative_projection as numpy_projection
 from training.losses import compute_loss, cross_entropy_two_bins, edge_attention, target_index
 from training.model import PRESETS, FSMVSNet
 from training.model import fsmvsnet as network

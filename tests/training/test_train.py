@@ -11,10 +11,10 @@ import pytest
 import torch
 
 from fsinfer.errors import SceneError
-from fsinfer.pfm import read_pfm, write_pfm
+from fsinfer.io.pfm import read_pfm, write_pfm
 from fsinfer.scene import read_scene
-from tests.plane_scene import PLANE_DEPTH, write_plane_scene
-from training.datasets import (
+from tests.support.plane_scene import PLANE_DEPTH, write_plane_scene
+from training.data.samples import (
     Sample,
     SamplingSettings,
     SceneSamples,
@@ -260,8 +260,7 @@ def test_command_line_defaults_are_the_papers() -> None:
 
 
 def test_a_slim_checkpoint_exports_the_same_weights(scenes: Path, tmp_path: Path) -> None:
-    from export.onnx_export import load_checkpoint
-    from training.checkpoint import slim
+    from training.checkpoint import load_checkpoint, slim
 
     checkpoint = train(TrainSettings(data=(scenes,), out=tmp_path, steps=1, crop=(16, 12), max_sources=2))
     slim(checkpoint, tmp_path / "slim.pt")

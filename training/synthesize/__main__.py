@@ -15,10 +15,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from fsinfer.files import write_text
-from training.synthesize.cluster import cluster_cameras
-from training.synthesize.photo import expose, random_sensor
-from training.synthesize.plot import plot_cameras
+from fsinfer.io.files import write_text
+from training.synthesize.cameras.cluster import cluster_cameras
+from training.synthesize.cameras.photo import expose, random_sensor
+from training.synthesize.cameras.plot import plot_cameras
+from training.synthesize.forest.world import WorldSettings, build_world
 from training.synthesize.render import Caster
 from training.synthesize.scene_writer import (
     finish_scene,
@@ -29,7 +30,6 @@ from training.synthesize.scene_writer import (
     write_truth,
     write_view,
 )
-from training.synthesize.world import WorldSettings, build_world
 
 
 def parse(argv: list[str] | None = None) -> argparse.Namespace:

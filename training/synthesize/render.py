@@ -10,9 +10,9 @@ from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
 from fsinfer.scene import Camera
-from training.synthesize.light import SUN_RADIUS_RAD, Light
-from training.synthesize.material import Material, sample
-from training.synthesize.mesh import Mesh
+from training.synthesize.forest.light import SUN_RADIUS_RAD, Light
+from training.synthesize.forest.material import Material, sample
+from training.synthesize.forest.mesh import Mesh
 
 #: Transparent card texels a ray may pass before it is stopped by the next card as if that were solid.
 CARD_LAYERS = 6

@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.files import atomic_path, write_text
-from fsinfer.pfm import read_pfm, write_pfm
+from fsinfer.io.files import atomic_path, write_text
+from fsinfer.io.pfm import read_pfm, write_pfm
 from fsinfer.scene import Camera, write_camera, write_pairs
-from training.synthesize.stem import Section, Stem
+from training.synthesize.forest.stem import Section, Stem
 
 
 def with_depth_range(camera: Camera, depth: NDArray[np.float32], cap_m: float) -> Camera:

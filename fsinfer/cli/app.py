@@ -1,0 +1,210 @@
+"""The ``fsinfer`` command: it parses, calls one function of the library, and prints what came out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+import typer.core
+
+from fsinfer._version import __version__
+from fsinfer.cli.console import (
+    Debug,
+    Quiet,
+    explain,
+    reports_errors,
+    say,
+    show_library_warnings,
+    stage_progress,
+    stop_on_signals,
+    warn,
+)
+from fsinfer.cli.field_commands import register_field
+from fsinfer.cli.options import (
+    ArucoDictionary,
+    ArucoLength,
+    BhRule,
+    BreastHeight,
+    BreastHeightRule,
+    Edits,
+    Endpoints,
+    EndpointsLength,
+    Equalize,
+    EqualizeHow,
+    IntervalS,
+    MaxSize,
+    MemoryGb,
+    Model,
+    Out,
+    Precision,
+    PrecisionHow,
+    Provider,
+    ScaleFactor,
+    Threads,
+    Views,
+    depth_settings,
+    frame_settings,
+    scale_request,
+    tree_settings,
+)
+from fsinfer.cli.stage_commands import register_stages
+from fsinfer.cli.tables import demo_rows, unmeasured_rows
+
+EXAMPLES = {
+    "run": "photos my-plot",
+    "check": "photos my-plot",
+    "demo": "demo-plot",
+    "frames": "walk.mp4 my-frames",
+    "poses": "photos my-scene",
+    "depth": "my-scene my-depth",
+    "fuse": "my-scene my-depth",
+    "trees": "plot.laz my-trees",
+    "evaluate": "measured.csv my-plot/trees.csv",
+    "report": "my-plot",
+}
+
+
+class _Commands(typer.core.TyperGroup):
+    """Shows an example where an argument is missing."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command that was named."""
+        try:
+            return super().invoke(ctx)
+        except typer.BadParameter as error:
+            command = ctx.invoked_subcommand or ""
+            # The class of a missing parameter is one that typer does not show.
+            if type(error).__name__ == "MissingParameter" and command in EXAMPLES:
+                error.message = f"For example: fsinfer {command} {EXAMPLES[command]}"
+            raise
+
+
+app = typer.Typer(
+    name="fsinfer",
+    cls=_Commands,
+    help="Forest plots from photographs: point cloud, stem map and DBH with intervals. Offline, on a laptop.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"fsinfer {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _main_options(
+    _version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+@reports_errors
+def demo(out: Out, threads: Threads = 0, quiet: Quiet = False, debug: Debug = False) -> None:
+    """Measure a small plot that comes with fsinfer, and compare the result with the truth."""
+    from fsinfer.workflow.demo import run_demo
+
+    with stage_progress(quiet=quiet) as progress:
+        result = run_demo(out, threads=threads, progress=progress)
+    for row in demo_rows(result):
+        typer.echo(row)
+    typer.echo("")
+    warn(result.run.plot["warnings"])
+    typer.echo(f"Report: {out / 'report.html'}")
+
+
+@app.command()
+@reports_errors
+def run(
+    source: Annotated[Path, typer.Argument(help="Folder of photos, or a video.", show_default=False)],
+    out: Out,
+    scale: ScaleFactor = None,
+    aruco_length_m: ArucoLength = None,
+    aruco_dictionary: ArucoDictionary = "4X4_50",
+    endpoints: Endpoints = None,
+    length_m: EndpointsLength = None,
+    interval_s: IntervalS = 2.0,
+    equalize: EqualizeHow = Equalize.none,
+    model: Model = "field",
+    views: Views = 5,
+    max_size: MaxSize = 1280,
+    bh: BreastHeight = 1.3,
+    bh_rule: BreastHeightRule = BhRule.midpoint,
+    edits: Edits = None,
+    threads: Threads = 0,
+    memory_gb: MemoryGb = 3.0,
+    provider: Provider = "cpu",
+    precision: PrecisionHow = Precision.auto,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Do everything: photos to point cloud, stem map, DBH and report. Run again to go on after a stop.
+
+    Boards printed by fsinfer marker give the scale by themselves. Without them and without a scale option the cloud is
+    in model units and no DBH is measured; adding one later takes seconds.
+    """
+    request = scale_request(scale, aruco_length_m, aruco_dictionary, endpoints, length_m)
+    from fsinfer.cli.remaining import RemainingTime
+    from fsinfer.fusion.fuse import FusionSettings
+    from fsinfer.poses.colmap import PoseSettings
+    from fsinfer.trees.outputs.table import read_trees
+    from fsinfer.workflow.pipeline import RunSettings
+    from fsinfer.workflow.pipeline import run as run_pipeline
+
+    settings = RunSettings(
+        frames=frame_settings(interval_s=interval_s, equalize=equalize),
+        poses=PoseSettings(threads=threads),
+        depth=depth_settings(
+            model=model,
+            views=views,
+            max_size=max_size,
+            threads=threads,
+            memory_gb=memory_gb,
+            provider=provider,
+            precision=precision,
+        ),
+        fusion=FusionSettings(memory_gb=memory_gb),
+        trees=tree_settings(bh_m=bh, bh_rule=bh_rule),
+        scale=request,
+    )
+    with stage_progress(quiet=quiet, whole=RemainingTime()) as progress:
+        result = run_pipeline(source, out, settings=settings, edits=edits, progress=progress)
+    plot = result.plot
+    warn(plot["warnings"])
+    if not any(record.ran for record in result.stages):
+        typer.echo("Nothing to do: everything was finished before.")
+    typer.echo(f"Photos: {plot['registered']} of {plot['photos']} placed")
+    typer.echo(f"Cloud: {plot['points']} points in {plot['units']}, {out / 'cloud.ply'}")
+    typer.echo(f"Trees: {plot['trees']}, with DBH {plot['trees_with_dbh']}, {out / 'trees.csv'}")
+    for row in unmeasured_rows(read_trees(out / "trees.csv")):
+        typer.echo(row)
+    typer.echo(f"Report: {out / 'report.html'}")
+
+
+register_field(app)
+register_stages(app)
+
+
+def main() -> None:
+    """Entry point of the ``fsinfer`` command."""
+    show_library_warnings()
+    stop_on_signals()
+    try:
+        app()
+    except Exception as error:
+        # Only what happens outside a command: a fault in parsing or in printing.
+        message, code = explain(error)
+        say(message)
+        raise SystemExit(code) from error
+
+
+if __name__ == "__main__":
+    main()

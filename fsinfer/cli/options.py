@@ -1,0 +1,195 @@
+"""Options that several commands share, and what they turn into."""
+
+from __future__ import annotations
+
+import re
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fsinfer.scale.request import ScaleRequest, parse_point
+
+if TYPE_CHECKING:
+    from fsinfer.depth.stage import DepthSettings
+    from fsinfer.frames.select import FrameSettings
+    from fsinfer.trees import TreeSettings
+
+_SCALE = "Scale (one of)"
+
+
+def decimal(text: str) -> float:
+    """Read a number; raises ``typer.BadParameter``, which tells who writes it with a comma how."""
+    try:
+        return float(text)
+    except ValueError:
+        comma = re.fullmatch(r"\s*[+-]?\d+,\d+\s*", text)
+        hint = f"write a point, not a comma: {text.strip().replace(',', '.')}" if comma else "it is no number"
+        msg = f"{text!r}: {hint}"
+        raise typer.BadParameter(msg) from None
+
+
+Out = Annotated[Path, typer.Argument(help="Output folder; made if missing.", show_default=False)]
+Threads = Annotated[int, typer.Option("--jobs", "-j", "--threads", min=0, help="Processor cores to use; 0 = all.")]
+MemoryGb = Annotated[
+    float, typer.Option("--memory-gb", min=0.5, help="Memory to stay within, in GB; less keeps less at hand.")
+]
+Provider = Annotated[
+    str,
+    typer.Option("--provider", help="Where depth is computed, with another build of onnxruntime: cuda, coreml ..."),
+]
+
+
+class Precision(StrEnum):
+    """Numbers that depth is computed with."""
+
+    auto = "auto"
+    float32 = "float32"
+    int8 = "int8"
+
+
+PrecisionHow = Annotated[
+    Precision,
+    typer.Option("--precision", help="Numbers of the depth network: int8 is faster on processors made for it."),
+]
+
+ScaleFactor = Annotated[
+    float | None,
+    typer.Option("--scale", parser=decimal, help="Metres per unit of the cloud.", rich_help_panel=_SCALE),
+]
+ArucoLength = Annotated[
+    float | None,
+    typer.Option(
+        "--aruco-length-m",
+        parser=decimal,
+        help="Side of the black square of the ArUco markers in the photos, in metres, for example 0.25.",
+        rich_help_panel=_SCALE,
+    ),
+]
+ArucoDictionary = Annotated[
+    str, typer.Option("--aruco-dictionary", help="Which ArUco markers they are.", rich_help_panel=_SCALE)
+]
+Endpoints = Annotated[
+    tuple[str, str] | None,
+    typer.Option(
+        "--endpoints",
+        metavar="X1,Y1,Z1 X2,Y2,Z2",
+        help="Two points on something of known length, read off the cloud.ply of a run without a scale; "
+        "needs --length-m.",
+        rich_help_panel=_SCALE,
+    ),
+]
+EndpointsLength = Annotated[
+    float | None,
+    typer.Option(
+        "--length-m",
+        parser=decimal,
+        help="Distance between the two --endpoints, in metres.",
+        rich_help_panel=_SCALE,
+    ),
+]
+
+
+class Equalize(StrEnum):
+    """How the brightness of the frames is evened out."""
+
+    none = "none"
+    clahe = "clahe"
+    hist = "hist"
+
+
+IntervalS = Annotated[
+    float, typer.Option("--interval-s", min=0.05, help="Seconds of video between frames at most; less where you turn.")
+]
+EqualizeHow = Annotated[
+    Equalize, typer.Option("--equalize", help="Even out brightness: not at all, locally (clahe), or the histogram.")
+]
+
+Model = Annotated[str, typer.Option("--model", help="Depth model: a name that comes with fsinfer, or a manifest file.")]
+Views = Annotated[
+    int, typer.Option("--views", min=2, max=11, help="Photos compared at a time: one and its best neighbours.")
+]
+MaxSize = Annotated[
+    int, typer.Option("--max-size", min=160, help="Longer side of the photos for depth, in pixels; smaller is faster.")
+]
+BreastHeight = Annotated[
+    float, typer.Option("--bh", min=0.3, max=3.0, help="Breast height above the ground, in metres (US: 1.37).")
+]
+
+
+class BhRule(StrEnum):
+    """Where breast height is counted from."""
+
+    midpoint = "midpoint"
+    uphill = "uphill"
+
+
+Edits = Annotated[
+    Path | None,
+    typer.Option(
+        "--edits",
+        help="CSV of corrections to the stem map: trees to delete, add or merge. Default: OUT/edits.csv.",
+        show_default=False,
+    ),
+]
+BreastHeightRule = Annotated[
+    BhRule,
+    typer.Option("--bh-rule", help="Count breast height from the ground in the middle of the stem, or uphill of it."),
+]
+
+
+def scale_request(
+    scale: float | None,
+    aruco_length_m: float | None,
+    aruco_dictionary: str,
+    endpoints: tuple[str, str] | None,
+    length_m: float | None,
+) -> ScaleRequest:
+    """Check the scale options before any work begins; raises :class:`fsinfer.errors.InputError`."""
+    points = None if endpoints is None else (parse_point(endpoints[0]), parse_point(endpoints[1]))
+    return ScaleRequest(
+        factor=scale,
+        aruco_length_m=aruco_length_m,
+        aruco_dictionary=aruco_dictionary,
+        endpoints=points,
+        length_m=length_m,
+    )
+
+
+def frame_settings(*, interval_s: float, equalize: Equalize) -> FrameSettings:
+    """Settings of the choice of frames."""
+    from fsinfer.frames.select import FrameSettings
+
+    return FrameSettings(interval_s=interval_s, equalize=equalize.value)
+
+
+def depth_settings(
+    *,
+    model: str,
+    views: int,
+    max_size: int,
+    threads: int,
+    memory_gb: float,
+    provider: str,
+    precision: Precision,
+) -> DepthSettings:
+    """Settings of the depth stage; ``views`` counts the reference photograph too."""
+    from fsinfer.depth.stage import DepthSettings
+
+    return DepthSettings(
+        model=model,
+        source_views=views - 1,
+        max_size_px=max_size,
+        threads=threads,
+        memory_gb=memory_gb,
+        provider=provider,
+        precision=precision.value,
+    )
+
+
+def tree_settings(*, bh_m: float, bh_rule: BhRule) -> TreeSettings:
+    """Settings of the tree measurement."""
+    from fsinfer.trees import TreeSettings
+
+    return TreeSettings(bh_m=bh_m, bh_rule=bh_rule.value)

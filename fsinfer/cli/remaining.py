@@ -1,0 +1,126 @@
+"""How long a run will still take, from the progress of its stages and what each step costs beside the others.
+
+Each step has a cost for each photo. What the steps done so far took, over what they should cost, is the speed of the
+machine on these photos; the cost of what is left, at this speed, is the remaining time. Steps that were done in an
+earlier run report nothing and count for nothing.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """One step of a stage; ``what`` is how its progress begins ("" takes all of the stage's progress)."""
+
+    stage: str
+    what: str
+    cost: Callable[[int], float]
+
+
+def _each(cost: float) -> Callable[[int], float]:
+    return lambda _photos: cost
+
+
+def _growing(cost: float) -> Callable[[int], float]:
+    """Cost among 300 photos; where there are more, each takes a little longer."""
+    return lambda photos: cost * (photos / 300) ** 0.4
+
+
+def _besides(once: float, cost: float) -> Callable[[int], float]:
+    """Cost of each photo besides what is paid once: trees are no more for more photos."""
+    return lambda photos: cost + once / photos
+
+
+@lru_cache
+def _pairs_per_photo(photos: int) -> float:
+    from fsinfer.poses.pairs import PairSettings, most_pairs
+
+    return most_pairs(photos, PairSettings()) / photos
+
+
+#: For each photo of 1280x720, about seconds on two cores; their proportions matter. From the runs in test_remaining.py.
+STEPS = (
+    Step(stage="frames", what="", cost=_each(0.02)),
+    Step(stage="poses", what="reading photos", cost=_each(0.01)),
+    Step(stage="poses", what="finding features", cost=_each(0.14)),
+    Step(stage="poses", what="matching photos", cost=lambda photos: 0.035 * _pairs_per_photo(photos)),
+    Step(stage="poses", what="placing photos", cost=_growing(0.28)),
+    Step(stage="poses", what="adjusting", cost=_growing(0.25)),
+    Step(stage="poses", what="undistorting", cost=_each(0.05)),
+    Step(stage="depth", what="", cost=_each(1.55)),
+    Step(stage="fuse", what="", cost=_each(0.24)),
+    Step(stage="scale", what="", cost=_each(0.035)),
+    Step(stage="cloud", what="", cost=_besides(3.5, 0.01)),
+    Step(stage="trees", what="", cost=_besides(8.5, 0.07)),
+    Step(stage="report", what="", cost=_besides(4.3, 0.015)),
+)
+# What goes so many times faster than on the machine of the costs, which are about seconds there, was there already.
+_SKIPPED = 50.0
+# Before this share of the cost is done an estimate would be a guess.
+_LEAST_SHARE = 0.02
+
+
+class RemainingTime:
+    """Takes the progress of all stages of a run; :meth:`seconds` is what is left.
+
+    Parameters
+    ----------
+    photos: how many, if known; else learnt from the first step that counts photos.
+    clock: seconds, rising.
+    """
+
+    def __init__(self, *, photos: int = 0, clock: Callable[[], float] = time.monotonic) -> None:
+        self._photos = photos
+        self._clock = clock
+        self._started = clock()
+        self._ran: set[int] = set()
+        self._at = -1
+        self._part = 0.0
+        self._reported = self._started
+        self._there_before = 0.0
+
+    def update(self, stage: str, done: int, total: int, what: str) -> None:
+        """Take one report of a stage's progress callback; steps that are not known are passed over."""
+        found = [i for i, step in enumerate(STEPS) if step.stage == stage and what.startswith(step.what)]
+        if not found or total <= 0 or found[0] < self._at:
+            return
+        if found[0] != self._at:
+            # The stage itself, or an earlier step of it, told how many photos there are.
+            self._at = found[0]
+            self._part = 0.0
+        self._ran.add(self._at)
+        if what in ("reading photos", "finding features", "placing photos") or stage == "depth":
+            self._photos = total
+        before, self._part = self._part, max(self._part, min(1.0, done / total))
+        now = self._clock()
+        photos = max(2, self._photos)
+        cost = (self._part - before) * STEPS[self._at].cost(photos)
+        if cost * photos > _SKIPPED * (now - self._reported):
+            # A stage that goes on after a stop counts quickly through what it did before.
+            self._there_before += cost
+        self._reported = now
+
+    def seconds(self) -> float | None:
+        """Seconds left of the whole run, or None as long as nothing can be said."""
+        if self._at < 0:
+            return None
+        photos = max(2, self._photos)
+        costs = [step.cost(photos) for step in STEPS]
+        done = sum(costs[i] for i in self._ran if i < self._at) + self._part * costs[self._at] - self._there_before
+        left = (1 - self._part) * costs[self._at] + sum(costs[self._at + 1 :])
+        if done < _LEAST_SHARE * (done + left):
+            return None
+        return (self._clock() - self._started) * left / done
+
+
+def as_words(seconds: float) -> str:
+    """Write "40 s", "12 min", "1 h 50 min"; no finer than the estimate deserves."""
+    if seconds < 90:
+        return f"{max(5, 5 * round(seconds / 5))} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"

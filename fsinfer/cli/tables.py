@@ -1,0 +1,77 @@
+"""Tables for people: the metrics of an evaluation, and the demo's trees against the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from fsinfer.evaluation.metrics import Evaluation
+    from fsinfer.trees import Tree
+    from fsinfer.workflow.demo import DemoResult
+
+# Of more trees than this without a DBH, the table tells the rest.
+_MOST_REASONS = 8
+
+
+def evaluation_rows(evaluation: Evaluation) -> list[str]:
+    """The metrics, completeness first, one a line."""
+    unmeasured = evaluation.detected - evaluation.matched
+    rows = [
+        f"Measured trees      {evaluation.n}",
+        f"Matched with DBH    {evaluation.matched}  (r = {100 * evaluation.r:.1f} %)",
+        f"Found without DBH   {unmeasured}",
+        f"Omitted             {evaluation.omitted}",
+        f"False               {evaluation.false}",
+        f"Outside the area    {evaluation.outside}",
+    ]
+    motion = evaluation.measured_from_extracted
+    if motion is not None:
+        shift = f"({motion['shift_x_m']:+.2f}, {motion['shift_y_m']:+.2f}) m"
+        rows.append(f"Positions aligned   turned {motion['rotation_deg']:+.1f} deg, moved {shift}")
+    if evaluation.rmse_cm is None or evaluation.rrmse is None or evaluation.ae is None:
+        return [*rows, "No matched tree has a DBH: no accuracy can be given."]
+    return [
+        *rows,
+        f"RMSE                {evaluation.rmse_cm:.2f} cm",
+        f"rRMSE               {100 * evaluation.rrmse:.2f} %",
+        f"AE                  {100 * evaluation.ae:.2f} %",
+        f"Bias                {evaluation.bias_cm:+.2f} cm",
+        f"MAE                 {evaluation.mae_cm:.2f} cm",
+    ]
+
+
+def unmeasured_rows(trees: Sequence[Tree]) -> list[str]:
+    """Why trees have no DBH, one a line; the first of them where there are many."""
+    # That no scale is known is said by itself.
+    missing = [tree for tree in trees if tree.dbh_cm is None and tree.reason != "no scale"]
+    rows = [f"  tree {tree.tree_id} has no DBH: {tree.reason}" for tree in missing[:_MOST_REASONS]]
+    more = len(missing) - len(rows)
+    return [*rows, f"  and {more} more: see the column reason of trees.csv"] if more else rows
+
+
+def demo_rows(result: DemoResult) -> list[str]:
+    """Each tree of the truth with what was measured of it, then the metrics; the numbers are those of the truth."""
+    extracted = {str(tree.tree_id): tree for tree in result.trees}
+    pairs = {pair.measured_id: pair for pair in result.evaluation.pairs}
+    rows = ["Tree   Truth     Measured DBH [95 % interval]     Error   In the report"]
+    for truth in result.truth:
+        pair = pairs.get(truth.tree_id)
+        start = f"{truth.tree_id:>4}  {truth.dbh_cm:5.1f} cm  "
+        if pair is None:
+            rows.append(start + "not found")
+            continue
+        tree = extracted[pair.extracted_id]
+        if tree.dbh_cm is None:
+            rows.append(start + f"found, not measured: {tree.reason}")
+            continue
+        interval = f"[{tree.dbh_lo95_cm:.1f} - {tree.dbh_hi95_cm:.1f}]"
+        error = f"{tree.dbh_cm - pair.measured_cm:+6.1f} cm"
+        rows.append(start + f"{tree.dbh_cm:5.1f} cm  {interval:<22} {error}   tree {tree.tree_id}")
+    rows += ["", *evaluation_rows(result.evaluation)]
+    if result.evaluation.outside:
+        rows.append(
+            f"The report shows {len(result.trees)} stems: {result.evaluation.outside} stand outside the plot, where "
+            "the photos show trees and shrubs too, from one side mostly, that the truth says nothing of."
+        )
+    return rows

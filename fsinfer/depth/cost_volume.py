@@ -1,0 +1,219 @@
+"""The 192-plane cost volume in NumPy: variance over views, or group correlation weighted by view.
+
+Built in blocks of rows, so that the planes of a block stay in the cache, and source by source, so that memory grows
+with the volume and not with the number of views. Blocks are independent: threads share them out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.depth.warping import Projection, sample, sample_reference, source_coordinates
+
+Float32 = NDArray[np.float32]
+
+#: A block's samples of one group of four channels; with its sums it stays in the second-level cache of a core.
+#: Blocks of 2 rows of 320 pixels and 192 planes took 0.79 s of one core, 16 rows 1.11 s; volumes are the same.
+BLOCK_BYTES = 2_000_000
+# Sums over four channels are taken for so many pixels by one small matrix product: 1.4 times faster than one by one.
+_PIXELS_PER_PRODUCT = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Features:
+    """Feature map of one view cut into groups of four channels: each (H, W, 4) float32, contiguous."""
+
+    groups: tuple[Float32, ...]
+
+    @classmethod
+    def from_chw(cls, features_chw: Float32) -> Features:
+        """Cut (C, H, W), C a multiple of 4."""
+        channels = features_chw.shape[0]
+        hwc = features_chw.transpose(1, 2, 0)
+        return cls(groups=tuple(np.ascontiguousarray(hwc[..., i : i + 4]) for i in range(0, channels, 4)))
+
+    def to_chw(self) -> Float32:
+        """The (C, H, W) array that it was cut from."""
+        return np.ascontiguousarray(np.concatenate(self.groups, axis=-1).transpose(2, 0, 1))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W)."""
+        height, width = self.groups[0].shape[:2]
+        return height, width
+
+
+def plane_inverse_depths(depth_min: float, depth_max: float, planes: int, *, inverse: bool) -> Float32:
+    """(D,) 1/depth of the planes: uniform in 1/depth from far to near, or uniform in depth from near to far."""
+    if inverse:
+        return np.linspace(1 / depth_max, 1 / depth_min, planes).astype(np.float32)
+    return (1 / np.linspace(depth_min, depth_max, planes)).astype(np.float32)
+
+
+def correlation_volume(
+    reference: Features,
+    sources: Sequence[Features],
+    projections: Sequence[Projection],
+    inverse_depth_dhw: Float32,
+    *,
+    view_weights: Float32 | None = None,
+    threads: int = 1,
+) -> tuple[Float32, Float32]:
+    """Group correlation (Guo et al. 2019), averaged over the sources with a weight for each pixel.
+
+    One group is four channels. Without ``view_weights`` the weight of a source at a pixel is the peak of
+    the softmax over depth of its summed correlation.
+
+    Parameters
+    ----------
+    inverse_depth_dhw: (D, 1, 1), or (D, h, w) for hypotheses of each pixel's own.
+    view_weights: (S, h, w).
+
+    Returns
+    -------
+    volume: (D, G, h, w) float32. weights: (S, h, w) float32.
+    """
+    height, width = reference.shape
+    planes, groups = inverse_depth_dhw.shape[0], len(reference.groups)
+    volume = np.empty((planes, groups, height, width), np.float32)
+    weights = np.empty((len(sources), height, width), np.float32)
+    block_rows = _block_rows(planes, width)
+
+    def fill(start: int) -> None:
+        rows = slice(start, min(start + block_rows, height))
+        count = rows.stop - rows.start
+        inverse = inverse_depth_dhw if inverse_depth_dhw.shape[1] == 1 else inverse_depth_dhw[:, rows]
+        block = np.zeros((groups, planes, count, width), np.float32)
+        one = np.empty_like(block)
+        weight_sum = np.full((count, width), 1e-6, np.float32)
+        for i, (source, projection) in enumerate(zip(sources, projections, strict=True)):
+            x, y = source_coordinates(projection, inverse, rows.start, width, count)
+            for g, (target, feature) in enumerate(zip(source.groups, reference.groups, strict=True)):
+                product = sample(target, x, y)
+                product *= feature[rows]
+                mean_of_four(product, out=one[g])
+            if view_weights is None:
+                score = one.sum(axis=0)
+                score -= score.max(axis=0)
+                weight = 1 / np.exp(score, out=score).sum(axis=0)
+            else:
+                weight = view_weights[i, rows]
+            weights[i, rows] = weight
+            weight_sum += weight
+            one *= weight
+            block += one
+        block /= weight_sum
+        volume[:, :, rows] = block.transpose(1, 0, 2, 3)
+
+    _over_blocks(fill, height, block_rows, threads)
+    return volume, weights
+
+
+def mean_of_four(values_dhw4: Float32, *, out: Float32) -> None:
+    """Mean over the last axis of (D, h, w, 4) into ``out`` (D, h, w), both contiguous."""
+    together = math.gcd(out.size, _PIXELS_PER_PRODUCT)
+    quarters = np.kron(np.eye(together, dtype=np.float32), np.full((4, 1), 0.25, np.float32))
+    np.matmul(values_dhw4.reshape(-1, 4 * together), quarters, out=out.reshape(-1, together))
+
+
+def variance_volume(
+    reference: Features,
+    sources: Sequence[Features],
+    projections: Sequence[Projection],
+    inverse_depth_dhw: Float32,
+    *,
+    threads: int = 1,
+) -> Float32:
+    """Variance of the features over the N views (MVSNet, eq. 2): (C, D, h, w) float32."""
+    height, width = reference.shape
+    planes, channels = inverse_depth_dhw.shape[0], 4 * len(reference.groups)
+    volume = np.empty((channels, planes, height, width), np.float32)
+    views = np.float32(len(sources) + 1)
+    block_rows = _block_rows(planes, width)
+
+    def fill(start: int) -> None:
+        rows = slice(start, min(start + block_rows, height))
+        count = rows.stop - rows.start
+        coordinates = [source_coordinates(p, inverse_depth_dhw, rows.start, width, count) for p in projections]
+        for g, feature in enumerate(reference.groups):
+            total = np.broadcast_to(feature[rows], (planes, count, width, 4)).copy()
+            squares = total * total
+            for source, (x, y) in zip(sources, coordinates, strict=True):
+                warped = sample(source.groups[g], x, y)
+                total += warped
+                squares += warped * warped
+            total /= views
+            variance = squares / views - total * total
+            volume[4 * g : 4 * g + 4, :, rows] = variance.transpose(3, 0, 1, 2)
+
+    _over_blocks(fill, height, block_rows, threads)
+    return volume
+
+
+def correlation_volume_reference(
+    reference_hwc: Float32,
+    sources_hwc: Sequence[Float32],
+    projections: Sequence[Projection],
+    inverse_depth_dhw: Float32,
+) -> Float32:
+    """The correlation volume straight from its definition, the reference of :func:`correlation_volume`."""
+    height, width, channels = reference_hwc.shape
+    summed = np.zeros((inverse_depth_dhw.shape[0], channels // 4, height, width), np.float32)
+    weight_sum = np.full((height, width), 1e-6, np.float32)
+    for source, projection in zip(sources_hwc, projections, strict=True):
+        x, y = source_coordinates(projection, inverse_depth_dhw, 0, width, height)
+        product = sample_reference(source, x, y) * reference_hwc
+        corr = product.reshape(*x.shape, channels // 4, 4).mean(axis=-1).transpose(0, 3, 1, 2)
+        score = np.exp(corr.sum(axis=1) - corr.sum(axis=1).max(axis=0))
+        weight = (score / score.sum(axis=0)).max(axis=0)
+        summed += corr * weight
+        weight_sum += weight
+    return np.asarray(summed / weight_sum, np.float32)
+
+
+def upsample_twice(values_hw: Float32, height: int, width: int) -> Float32:
+    """Bilinear upsampling (..., h, w) → (..., height, width) with pixel i of the input at pixel 2i of the output.
+
+    The last row and column repeat; ``height`` is 2h or 2h - 1, ``width`` likewise.
+    """
+    h, w = values_hw.shape[-2:]
+    rows = np.empty((*values_hw.shape[:-2], 2 * h, w), np.float32)
+    rows[..., ::2, :] = values_hw
+    rows[..., 1:-1:2, :] = (values_hw[..., :-1, :] + values_hw[..., 1:, :]) * np.float32(0.5)
+    rows[..., -1, :] = values_hw[..., -1, :]
+    result = np.empty((*values_hw.shape[:-2], 2 * h, 2 * w), np.float32)
+    result[..., ::2] = rows
+    result[..., 1:-1:2] = (rows[..., :-1] + rows[..., 1:]) * np.float32(0.5)
+    result[..., -1] = rows[..., -1]
+    return result[..., :height, :width]
+
+
+def upsample_index(index_hw: Float32, height: int, width: int) -> Float32:
+    """Plane index at twice the resolution: bilinear, but the nearest value where the two differ by over one plane.
+
+    Between two surfaces the bilinear value lies on neither of them.
+    """
+    bilinear = upsample_twice(index_hw, height, width)
+    nearest = index_hw.repeat(2, axis=0).repeat(2, axis=1)[:height, :width]
+    return np.where(np.abs(bilinear - nearest) > 1, nearest, bilinear)
+
+
+def _block_rows(planes: int, width: int) -> int:
+    """Rows of a block whose samples fill ``BLOCK_BYTES``, at least 2."""
+    return max(2, BLOCK_BYTES // (planes * width * 16))
+
+
+def _over_blocks(fill: Callable[[int], None], height: int, block_rows: int, threads: int) -> None:
+    starts = range(0, height, block_rows)
+    if threads <= 1:
+        for start in starts:
+            fill(start)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(fill, starts))

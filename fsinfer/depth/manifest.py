@@ -1,0 +1,196 @@
+"""The manifest beside the ONNX files: what they are, how they fit together, and the hash that proves it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.errors import ModelError
+
+DEFAULT_MODEL = "field"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TileGraph:
+    """The regularizer for parts of a volume.
+
+    Attributes
+    ----------
+    regularizer: ONNX file.
+    halo: how far its result sees, quarter pixels, rounded up to ``align``; level_halos: the same of its levels.
+    align: parts begin at multiples of so many quarter pixels.
+    """
+
+    regularizer: str
+    halo: int
+    level_halos: tuple[int, ...]
+    align: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelManifest:
+    """A depth model made of ONNX graphs.
+
+    Attributes
+    ----------
+    name: of the preset. folder: where the files lie.
+    features, regularizer: ONNX file names; refiner: the same, or ``None``.
+    volume: ``correlation`` or ``variance``; packed_planes: planes of a slab
+        that the regularizer takes as channels; 0 where it takes the whole volume.
+    planes: number of planes of the volume (192); inverse_depth: uniform in 1/depth.
+    groups: values of the volume at each plane and pixel: groups of the correlation, or channels of the variance.
+    refine_planes, refine_span: the narrow volume at half resolution; span in plane intervals on each side.
+    sha256: over the graphs' bytes, in the order features, regularizer, refiner.
+    int8_regularizer, int8_sha256: the regularizer in 8-bit integers, and the hash with it in place of the other one;
+        ``None`` where the model has none.
+    tiles: the float32 regularizer for parts of a volume, ``None`` where the model cannot be cut into tiles.
+    confidence_threshold: at which the parity check compares the confidence masks; fusion finds its own for each plot.
+    calibration: raw confidences and the share of pixels within 1 % of the true depth at each of them, both rising;
+        ``None`` where the model was not calibrated.
+    """
+
+    name: str
+    folder: Path
+    features: str
+    regularizer: str
+    refiner: str | None
+    volume: str
+    packed_planes: int
+    planes: int
+    groups: int
+    inverse_depth: bool
+    refine_planes: int
+    refine_span: float
+    sha256: str
+    int8_regularizer: str | None
+    int8_sha256: str | None
+    tiles: TileGraph | None
+    confidence_threshold: float
+    calibration: tuple[NDArray[np.float32], NDArray[np.float32]] | None
+    details: dict[str, Any]
+
+    @property
+    def files(self) -> list[Path]:
+        """Paths of the float32 graphs, in the order of the hash."""
+        return self.files_of(int8=False)
+
+    def files_of(self, *, int8: bool) -> list[Path]:
+        """Paths of the graphs with the regularizer of that precision, in the order of the hash."""
+        regularizer = self.int8_regularizer if int8 else self.regularizer
+        return [self.folder / name for name in (self.features, regularizer, self.refiner) if name is not None]
+
+    def sha256_of(self, *, int8: bool) -> str:
+        """SHA-256 over the bytes of :meth:`files_of`, which tells results of the two precisions apart."""
+        return self.int8_sha256 if int8 and self.int8_sha256 is not None else self.sha256
+
+
+def hash_files(paths: list[Path]) -> str:
+    """SHA-256 over the bytes of the files, one after the other."""
+    digest = hashlib.sha256()
+    for path in paths:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def models_folder() -> Path:
+    """The folder of the shipped models: inside the installed package, or ``models/`` of a source checkout."""
+    package = Path(__file__).parents[1]
+    inside = package / "models"
+    return inside if inside.is_dir() else package.parent / "models"
+
+
+def read_manifest(name_or_path: str | Path) -> ModelManifest:
+    """Find and check a model by its name (``field``) or the path of its manifest (``.json``).
+
+    Raises
+    ------
+    ModelError
+        No such model, a graph is missing or cut short, or the hash differs from the manifest's.
+    """
+    path = Path(name_or_path)
+    if path.suffix != ".json":
+        path = path / "manifest.json" if path.is_dir() else models_folder() / f"{name_or_path}.json"
+    if not path.is_file():
+        known = sorted(p.stem for p in models_folder().glob("*.json"))
+        msg = f"no depth model {name_or_path!s}: {path} does not exist; models that came with fsinfer: {known}"
+        raise ModelError(msg)
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+        manifest = ModelManifest(
+            name=data["name"],
+            folder=path.parent,
+            features=data["graphs"]["features"]["file"],
+            regularizer=data["graphs"]["regularizer"]["file"],
+            refiner=data["graphs"]["refiner"]["file"] if "refiner" in data["graphs"] else None,
+            volume=data["volume"]["kind"],
+            packed_planes=data["volume"]["packed_planes"],
+            planes=data["volume"]["planes"],
+            groups=_groups(data),
+            inverse_depth=data["volume"]["inverse_depth"],
+            refine_planes=data["refine"]["planes"],
+            refine_span=data["refine"]["span"],
+            sha256=data["sha256"],
+            int8_regularizer=data["int8"]["regularizer"] if "int8" in data else None,
+            int8_sha256=data["int8"]["sha256"] if "int8" in data else None,
+            tiles=_tiles(data.get("tiles")),
+            confidence_threshold=data["confidence_threshold"],
+            calibration=_calibration(data.get("confidence_calibration")),
+            details=data,
+        )
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        msg = f"{path} is not a model manifest ({type(error).__name__}: {error}); install fsinfer again or re-export"
+        raise ModelError(msg) from error
+    precisions = (False, True) if manifest.int8_regularizer is not None else (False,)
+    for int8 in precisions:
+        _check_files(manifest, manifest.files_of(int8=int8), manifest.sha256_of(int8=int8))
+    if manifest.tiles is not None:
+        _check_files(manifest, [manifest.folder / manifest.tiles.regularizer], data["tiles"]["sha256"])
+    return manifest
+
+
+def _check_files(manifest: ModelManifest, files: list[Path], sha256: str) -> None:
+    missing = [file.name for file in files if not file.is_file()]
+    if missing:
+        where = f"missing in {manifest.folder}"
+        msg = f"model {manifest.name}: {missing} {where}; install fsinfer again or re-export the model"
+        raise ModelError(msg)
+    found = hash_files(files)
+    if found != sha256:
+        msg = (
+            f"model {manifest.name} in {manifest.folder} is damaged or was changed: SHA-256 {found[:12]}…, manifest "
+            f"{sha256[:12]}…; install fsinfer again or re-export the model"
+        )
+        raise ModelError(msg)
+
+
+def _groups(data: dict[str, Any]) -> int:
+    return int(
+        data["volume"]["groups"] if data["volume"]["kind"] == "correlation" else data["config"]["feature_channels"]
+    )
+
+
+def _tiles(entry: dict[str, Any] | None) -> TileGraph | None:
+    if entry is None:
+        return None
+    return TileGraph(
+        regularizer=entry["regularizer"],
+        halo=int(entry["halo"]),
+        level_halos=tuple(int(halo) for halo in entry["level_halos"]),
+        align=int(entry["align"]),
+    )
+
+
+def _calibration(entry: dict[str, list[float]] | None) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
+    if entry is None:
+        return None
+    raw, share = np.array(entry["raw"], np.float32), np.array(entry["within_1pct"], np.float32)
+    if raw.shape != share.shape or raw.ndim != 1 or len(raw) < 2 or (np.diff(raw) <= 0).any():
+        msg = f"confidence_calibration needs two equally long rising lists, has {raw.shape=}, {share.shape=}"
+        raise ValueError(msg)
+    return raw, share

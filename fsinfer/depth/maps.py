@@ -1,0 +1,208 @@
+"""The depth and confidence maps of a scene as they lie on the disk, read on demand and kept within a bound."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections import OrderedDict
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.errors import SceneError
+from fsinfer.io.pfm import read_pfm
+from fsinfer.scene import Camera, Scene, project
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PixelGrid:
+    """Pixel (u, v) of a depth map lies at image pixel (u * step_x + offset_x_px, v * step_y + offset_y_px)."""
+
+    step_x: float
+    step_y: float
+    offset_x_px: float = 0.0
+    offset_y_px: float = 0.0
+
+    def intrinsic(self, image_intrinsic: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(3, 3) intrinsics of the depth map from those of the image."""
+        map_from_image = np.array(
+            [
+                [1 / self.step_x, 0, -self.offset_x_px / self.step_x],
+                [0, 1 / self.step_y, -self.offset_y_px / self.step_y],
+                [0, 0, 1],
+            ]
+        )
+        return np.asarray(map_from_image @ image_intrinsic)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthMap:
+    """The depth map of one view with its own intrinsics.
+
+    Attributes
+    ----------
+    inverse_depth: (h, w) float32, 1 / z depth in scene units; 0 where there is no depth.
+    confidence: (h, w) float32 in [0, 1].
+    intrinsic: (3, 3) float64 of the depth map (not of the photograph), pixels.
+    cam_from_world: (4, 4) float64.
+    grid: where its pixels lie in the scene image.
+    """
+
+    inverse_depth: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    intrinsic: NDArray[np.float64]
+    cam_from_world: NDArray[np.float64]
+    grid: PixelGrid
+
+    @property
+    def center(self) -> NDArray[np.float64]:
+        """(3,) camera centre in world coordinates."""
+        return np.asarray(-self.cam_from_world[:3, :3].T @ self.cam_from_world[:3, 3])
+
+
+def look_up(
+    points: NDArray[np.float64], camera: Camera, depth_map: DepthMap
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Z depth of points (N, 3), the inverse depth that the map has there, and whether they lie in the picture.
+
+    Each is (N,). The inverse depth is 0 outside of the picture and where the map knows none.
+    """
+    pixels, depth = project(points, camera, depth_map.intrinsic)
+    cell = np.rint(np.where(depth[:, None] > 0, pixels, -1.0)).astype(np.int64)
+    rows, columns = depth_map.inverse_depth.shape
+    inside = (cell >= 0).all(axis=1) & (cell[:, 0] < columns) & (cell[:, 1] < rows)
+    inverse = np.zeros(len(depth))
+    inverse[inside] = depth_map.inverse_depth[cell[inside, 1], cell[inside, 0]]
+    return depth, inverse, inside
+
+
+def seen_and_hidden(
+    points: NDArray[np.float64],
+    tolerance: NDArray[np.float64],
+    camera: Camera,
+    depth_map: DepthMap,
+    *,
+    units_per_scene_unit: float = 1.0,
+) -> tuple[float, float]:
+    """Shares of points (N, 3) that the depth map shows where they are, and that something nearer hides.
+
+    ``tolerance`` (N,) is how far map and point may differ in z depth. Points, tolerance and the camera's pose are in
+    one unit; ``units_per_scene_unit`` of it make one of the depth map's. Points outside of the picture are neither.
+    """
+    depth, inverse, _ = look_up(points, camera, depth_map)
+    known = inverse > 0
+    found = np.divide(units_per_scene_unit, inverse, out=np.zeros_like(inverse), where=known)
+    seen = known & (np.abs(found - depth) <= tolerance)
+    hidden = known & (found < depth - tolerance)
+    return float(seen.mean()), float(hidden.mean())
+
+
+class DepthMaps:
+    """Reads maps by view index; the ``cache_maps`` used last stay in memory.
+
+    Parameters
+    ----------
+    folder: holds ``depth/NAME.pfm``, ``depth/depth.json`` and ``confidence/NAME.pfm`` (without it all count as sure).
+
+    Raises
+    ------
+    SceneError
+        No view of the scene has a depth map, or ``depth.json`` does not say where their pixels lie.
+    """
+
+    def __init__(self, scene: Scene, folder: Path, *, cache_maps: int = 24) -> None:
+        self.scene = scene
+        self.folder = folder
+        self._cache: OrderedDict[int, DepthMap] = OrderedDict()
+        self._cache_maps = max(2, cache_maps)
+        # Maps without an entry are left over from another run, and nobody knows where their pixels lie.
+        self._grids = _read_grids(folder / "depth" / "depth.json", [view.name for view in scene.views])
+        self.available = tuple(
+            i for i, view in enumerate(scene.views) if view.name in self._grids and self._depth_path(i).is_file()
+        )
+        if not self.available:
+            msg = f"{folder / 'depth'} holds no depth map of {scene.folder}; make them with: fsinfer depth"
+            raise SceneError(msg)
+        missing = len(scene.views) - len(self.available)
+        if missing:
+            _log.warning("%d of %d views have no depth map and are left out", missing, len(scene.views))
+
+    def keep(self, cache_maps: int) -> None:
+        """Keep so many maps from now on, at least two."""
+        self._cache_maps = max(2, cache_maps)
+
+    def get(self, index: int) -> DepthMap:
+        """Return the map of view ``index``; :class:`SceneError` where it cannot be read."""
+        if index in self._cache:
+            self._cache.move_to_end(index)
+            return self._cache[index]
+        view = self.scene.views[index]
+        depth = read_pfm(self._depth_path(index))
+        confidence_path = self.folder / "confidence" / f"{view.name}.pfm"
+        confidence = read_pfm(confidence_path) if confidence_path.is_file() else np.ones_like(depth)
+        if confidence.shape != depth.shape:
+            msg = f"{confidence_path} and {self._depth_path(index)} differ in size; delete both and run: fsinfer depth"
+            raise SceneError(msg)
+        valid = np.isfinite(depth) & (depth > 0)
+        grid = self._grids[view.name]
+        found = DepthMap(
+            inverse_depth=np.divide(1.0, depth, out=np.zeros_like(depth), where=valid),
+            confidence=np.where(valid, np.nan_to_num(confidence), 0).astype(np.float32),
+            intrinsic=grid.intrinsic(view.camera.intrinsic),
+            cam_from_world=view.camera.cam_from_world,
+            grid=grid,
+        )
+        self._cache[index] = found
+        while len(self._cache) > self._cache_maps:
+            self._cache.popitem(last=False)
+        return found
+
+    def _depth_path(self, index: int) -> Path:
+        return self.folder / "depth" / f"{self.scene.views[index].name}.pfm"
+
+
+def _read_grids(path: Path, names: list[str]) -> dict[str, PixelGrid]:
+    """Grids by view name: from ``views`` where ``depth.json`` has it, else one grid for all from its top level."""
+    try:
+        saved = json.loads(path.read_text(encoding="utf-8"))
+        entries = saved.get("views") or dict.fromkeys(names, saved)
+        grids = {name: _read_grid(entries[name]) for name in names if name in entries}
+    except FileNotFoundError as error:
+        msg = f"{path} is missing; make the depth maps with: fsinfer depth"
+        raise SceneError(msg) from error
+    except (OSError, ValueError, TypeError, AttributeError, KeyError) as error:
+        msg = f"{path} does not say where the pixels of the depth maps lie ({error!r}); run again: fsinfer depth"
+        raise SceneError(msg) from error
+    return grids
+
+
+def _read_grid(entry: dict[str, float]) -> PixelGrid:
+    step = entry.get("pixel_step")
+    grid = PixelGrid(
+        step_x=float(entry.get("pixel_step_x", step)),  # type: ignore[arg-type]  # None is a TypeError, told above
+        step_y=float(entry.get("pixel_step_y", step)),  # type: ignore[arg-type]
+        offset_x_px=float(entry.get("offset_x_px", 0.0)),
+        offset_y_px=float(entry.get("offset_y_px", 0.0)),
+    )
+    if not (grid.step_x > 0 and grid.step_y > 0):
+        msg = f"pixel steps must be positive, not {grid.step_x}, {grid.step_y}"
+        raise ValueError(msg)
+    return grid
+
+
+def read_depth_index(depth_folder: Path) -> dict[str, Any]:
+    """``depth/depth.json`` of a folder that the stage wrote; :class:`SceneError` where there is none."""
+    path = depth_folder / "depth" / "depth.json"
+    try:
+        index = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(index["views"], dict):
+            raise TypeError
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        msg = f"{depth_folder} holds no finished depth maps ({path} is missing or damaged); run: fsinfer depth"
+        raise SceneError(msg) from error
+    return dict(index)

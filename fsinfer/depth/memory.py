@@ -1,0 +1,116 @@
+"""How much memory depth will take, told before it begins, and how it keeps within a limit.
+
+The constants were measured as peak resident memory (docs/speed.md). It follows the size of the images, not the number
+of photographs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from fsinfer.errors import InputError
+
+MEGABYTE = 1_000_000
+GIGABYTE = 1_000_000_000
+
+#: Python, NumPy, OpenCV, onnxruntime and the model before any work.
+BASE_BYTES = 150 * MEGABYTE
+#: Peak of a depth map over the cost volume itself: the volume, what the regularizer holds at once, the narrow volume.
+#: 7.3 to 7.9 times at 960x540 to 1920x1080 in float32, 3.8 to 4.1 in int8 at 960x540 to 2400x1800.
+_PEAK_OVER_VOLUME, _INT8_PEAK_OVER_VOLUME = 8.2, 4.4
+#: The same in tiles, of which the volume is a copy, and bytes a pixel that the feature network leaves behind.
+#: 1600x1200 and 2400x1800 in tiles of 128: 2.13 and 3.06 GB.
+_PEAK_OVER_TILE, _FEATURES_BYTES = 9.2, 105
+_TILE_SIZES = range(512, 56, -8)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthPlan:
+    """How depth keeps within the limit.
+
+    Attributes
+    ----------
+    cached_views: feature maps kept for the neighbouring photos.
+    peak_bytes: memory expected with them.
+    tile_size: quarter pixels of a tile (:mod:`fsinfer.depth.tiles`); 0 where a depth map is computed as a whole.
+    keeps_volume: in tiles, whether the cost volume is kept as a whole.
+    """
+
+    cached_views: int
+    peak_bytes: int
+    tile_size: int = 0
+    keeps_volume: bool = True
+
+
+def plan_depth(
+    memory_gb: float,
+    *,
+    width: int,
+    height: int,
+    planes: int,
+    groups: int,
+    views: int,
+    most_cached: int,
+    int8: bool = False,
+    tile_halo: int | None = None,
+) -> DepthPlan:
+    """Cache as many feature maps as the limit allows, at least those of one depth map; in tiles where that is too much.
+
+    Parameters
+    ----------
+    memory_gb: limit, 1e9 bytes.
+    width, height: of the image given to the network, pixels.
+    planes, groups: of the cost volume at a quarter of that.
+    views: photographs compared at a time, the reference among them.
+    int8: the regularizer is in 8-bit integers; in tiles it never is.
+    tile_halo: of the model's tiles, quarter pixels; None where it cannot be cut into tiles.
+
+    Raises
+    ------
+    InputError
+        Not even one depth map fits; says which ``--max-size`` would.
+    """
+    quarter = -(-width // 4) * -(-height // 4)
+    volume = 4 * planes * groups * quarter
+    # 16 channels at a quarter, 8 at half resolution, float32.
+    of_view = 4 * quarter * (16 + 4 * 8)
+    fixed = BASE_BYTES + (_INT8_PEAK_OVER_VOLUME if int8 else _PEAK_OVER_VOLUME) * volume
+    limit = memory_gb * GIGABYTE
+    least = fixed + views * of_view
+    if least > limit and tile_halo is not None:
+        tiles = _largest_tiles(
+            limit - BASE_BYTES - views * of_view - _FEATURES_BYTES * width * height,
+            shape=(-(-height // 4), -(-width // 4)),
+            bytes_per_pixel=4 * planes * groups,
+            halo=tile_halo,
+        )
+        if tiles is not None:
+            size, keeps_volume, spare = tiles
+            return DepthPlan(
+                cached_views=views, peak_bytes=int(limit - spare), tile_size=size, keeps_volume=keeps_volume
+            )
+    if least > limit:
+        share = max(0.0, (limit - BASE_BYTES) / (least - BASE_BYTES))
+        size = 32 * int(max(width, height) * share**0.5 / 32)
+        way_out = f"give a larger --memory-gb, or --max-size {size}" if size >= 160 else "give a larger --memory-gb"
+        msg = (
+            f"depth of {width}x{height} photos takes about {least / GIGABYTE:.1f} GB, more than the "
+            f"{memory_gb:g} GB of --memory-gb; {way_out}"
+        )
+        raise InputError(msg)
+    cached = max(views, min(most_cached, int((limit - fixed) / of_view)))
+    return DepthPlan(cached_views=cached, peak_bytes=int(fixed + cached * of_view))
+
+
+def _largest_tiles(
+    left: float, *, shape: tuple[int, int], bytes_per_pixel: int, halo: int
+) -> tuple[int, bool, float] | None:
+    """Size of the largest tiles that fit into what is left, whether the volume does too, and the bytes to spare."""
+    for keeps_volume in (True, False):
+        whole = bytes_per_pixel * shape[0] * shape[1] if keeps_volume else 0
+        for size in _TILE_SIZES:
+            rows, columns = (min(length, size + 2 * halo) for length in shape)
+            spare = left - whole - _PEAK_OVER_TILE * bytes_per_pixel * rows * columns
+            if spare >= 0:
+                return size, keeps_volume, spare
+    return None

@@ -1,0 +1,277 @@
+"""FS-MVSNet on the CPU: ONNX graphs around a NumPy cost volume."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.depth.cost_volume import (
+    Features,
+    correlation_volume,
+    plane_inverse_depths,
+    upsample_index,
+    upsample_twice,
+    variance_volume,
+)
+from fsinfer.depth.manifest import DEFAULT_MODEL, ModelManifest, read_manifest
+from fsinfer.depth.precision import AUTO, INT8, choose_precision
+from fsinfer.depth.session import available_providers, find_providers, load_graph
+from fsinfer.depth.warping import relative_projection
+from fsinfer.errors import InputError
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthEstimate:
+    """Depth of the reference view.
+
+    Attributes
+    ----------
+    depth: (h, w) float32, z depth in the units of the poses.
+    confidence: (h, w) float32 in [0, 1]. Of a calibrated model (``field``) it is the probability that the depth is
+        within 1 % of the truth, as counted on rendered validation views.
+    stride: depth pixel (i, j) lies at image pixel (stride * i, stride * j).
+    """
+
+    depth: Float32
+    confidence: Float32
+    stride: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewFeatures:
+    """Feature maps of one image at a quarter and, for the refinement, at half resolution."""
+
+    quarter: Features
+    half: Features | None
+
+
+class DepthModel:
+    """A depth network: load it once, call :meth:`predict` for each reference view.
+
+    Examples
+    --------
+    >>> model = DepthModel.load("field")  # doctest: +SKIP
+    >>> estimate = model.predict(images, intrinsics, cam_from_world, (1.0, 20.0))  # doctest: +SKIP
+
+    ``precision`` is that of the regularizer, ``float32`` or ``int8``; ``sha256`` is over the graphs in use.
+    """
+
+    def __init__(
+        self,
+        manifest: ModelManifest,
+        sessions: dict[str, Any],
+        threads: int,
+        precision: str,
+        *,
+        calibrate: bool = True,
+        providers: Sequence[str] = ("CPUExecutionProvider",),
+    ) -> None:
+        self.manifest = manifest
+        self.threads = threads
+        self.precision = precision
+        self.sha256 = manifest.sha256_of(int8=precision == INT8)
+        self._calibration = manifest.calibration if calibrate else None
+        self._sessions = sessions
+        self.providers = tuple(providers)
+
+    @classmethod
+    def load(
+        cls,
+        name_or_path: str | Path = DEFAULT_MODEL,
+        *,
+        threads: int = 0,
+        calibrate: bool = True,
+        provider: str = "cpu",
+        precision: str = AUTO,
+    ) -> DepthModel:
+        """Load a shipped model by name, or any model by the path of its manifest.
+
+        ``threads`` = 0 uses every core; ``calibrate`` = False leaves the network's confidence as it is; ``provider``
+        see :func:`fsinfer.depth.session.find_providers`; ``precision`` see
+        :func:`fsinfer.depth.precision.choose_precision`. Raises :class:`ModelError` where a file is missing, damaged or
+        not ONNX, or the provider is not there, and :class:`InputError` for an unknown precision.
+        """
+        providers = find_providers(provider, available_providers())
+        manifest = read_manifest(name_or_path)
+        precision = choose_precision(precision, manifest, provider=provider)
+        threads = threads or os.cpu_count() or 1
+        files = manifest.files_of(int8=precision == INT8)
+        roles = ("features", "regularizer", "refiner")
+        sessions = {role: load_graph(file, threads, providers) for role, file in zip(roles, files, strict=False)}
+        return cls(manifest, sessions, threads, precision, calibrate=calibrate, providers=providers)
+
+    def features(self, image: NDArray[np.uint8]) -> ViewFeatures:
+        """Feature maps of one (H, W, 3) RGB uint8 image; they can be kept and given to several reference views."""
+        if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or min(image.shape[:2]) < 32:
+            msg = f"an image must be (H, W, 3) uint8 RGB of at least 32x32 pixels, is {image.shape=}, {image.dtype=}"
+            raise InputError(msg)
+        nchw = np.ascontiguousarray(image.transpose(2, 0, 1)[None], dtype=np.float32)
+        outputs = self._sessions["features"].run(None, {"images": nchw})
+        return ViewFeatures(
+            quarter=Features.from_chw(outputs[0][0]),
+            half=Features.from_chw(outputs[1][0]) if len(outputs) > 1 else None,
+        )
+
+    def predict(
+        self,
+        images: Sequence[NDArray[np.uint8]],
+        intrinsics: Float64,
+        cam_from_world: Float64,
+        depth_range: tuple[float, float],
+    ) -> DepthEstimate:
+        """Depth of the first image.
+
+        Parameters
+        ----------
+        images: N ≥ 2 RGB uint8 arrays (H, W, 3); the first is the reference.
+        intrinsics: (N, 3, 3) pixels, pixel centres at integer coordinates.
+        cam_from_world: (N, 4, 4), metres or scene units.
+        depth_range: nearest and farthest z depth searched, in the same units.
+
+        Raises
+        ------
+        InputError
+            Fewer than two images, shapes that do not fit, or an empty depth range.
+        """
+        count = len(images)
+        if count < 2:
+            msg = f"depth needs a reference and at least one source image, got {count}"
+            raise InputError(msg)
+        return self.predict_from_features(
+            [self.features(image) for image in images], intrinsics, cam_from_world, depth_range
+        )
+
+    def predict_from_features(
+        self,
+        features: Sequence[ViewFeatures],
+        intrinsics: Float64,
+        cam_from_world: Float64,
+        depth_range: tuple[float, float],
+    ) -> DepthEstimate:
+        """Do the same from feature maps already computed (:meth:`features`)."""
+        intrinsics, cam_from_world = np.asarray(intrinsics, np.float64), np.asarray(cam_from_world, np.float64)
+        volume, weights = self.cost_volume(features, intrinsics, cam_from_world, depth_range)
+        index, confidence = self.regularize(volume)
+        return self.finish(features, intrinsics, cam_from_world, depth_range, index, confidence, weights)
+
+    def finish(
+        self,
+        features: Sequence[ViewFeatures],
+        intrinsics: Float64,
+        cam_from_world: Float64,
+        depth_range: tuple[float, float],
+        index: Float32,
+        confidence: Float32,
+        weights: Float32 | None,
+    ) -> DepthEstimate:
+        """Refine what :meth:`regularize` gave where the model does so, and turn plane indices into depth."""
+        near, far = depth_range
+        if features[0].half is None or weights is None:
+            return DepthEstimate(depth=self._depth(index, near, far), confidence=self.calibrated(confidence), stride=4)
+        return self._refine(features, intrinsics, cam_from_world, (near, far), index, confidence, weights)
+
+    def cost_volume(
+        self,
+        features: Sequence[ViewFeatures],
+        intrinsics: Float64,
+        cam_from_world: Float64,
+        depth_range: tuple[float, float],
+    ) -> tuple[Float32, Float32 | None]:
+        """What the regularizer is given at a quarter of the resolution, and the weights (S, h, w) of the sources.
+
+        The shape of the volume stands in the manifest; ``None`` for weights where the model knows none. Arguments and
+        errors are those of :meth:`predict`.
+        """
+        intrinsics, cam_from_world = np.asarray(intrinsics, np.float64), np.asarray(cam_from_world, np.float64)
+        near, far = depth_range
+        if intrinsics.shape != (len(features), 3, 3) or cam_from_world.shape != (len(features), 4, 4):
+            msg = f"{len(features)} views need (N,3,3) and (N,4,4), got {intrinsics.shape=}, {cam_from_world.shape=}"
+            raise InputError(msg)
+        if not 0 < near < far or not np.isfinite(far):
+            msg = f"the depth range must be 0 < near < far, is {depth_range}"
+            raise InputError(msg)
+        manifest = self.manifest
+        planes = plane_inverse_depths(near, far, manifest.planes, inverse=manifest.inverse_depth)[:, None, None]
+        quarter = [view.quarter for view in features]
+        projections = self._projections(intrinsics, cam_from_world, 4)
+        if manifest.volume == "variance":
+            return variance_volume(quarter[0], quarter[1:], projections, planes, threads=self.threads)[None], None
+        volume, weights = correlation_volume(quarter[0], quarter[1:], projections, planes, threads=self.threads)
+        if not manifest.packed_planes:
+            return np.ascontiguousarray(volume.transpose(1, 0, 2, 3))[None], weights
+        depth, groups, height, width = volume.shape
+        packed = manifest.packed_planes
+        return volume.reshape(depth // packed, packed * groups, height, width), weights
+
+    def regularize(self, volume: Float32) -> tuple[Float32, Float32]:
+        """Plane index, with fraction, and the network's own confidence (h, w) of a volume of :meth:`cost_volume`."""
+        index, confidence = self._sessions["regularizer"].run(None, {"volume": volume})
+        return index, confidence
+
+    def _refine(
+        self,
+        features: Sequence[ViewFeatures],
+        intrinsics: Float64,
+        cam_from_world: Float64,
+        depth_range: tuple[float, float],
+        index: Float32,
+        confidence: Float32,
+        weights: Float32,
+    ) -> DepthEstimate:
+        """Narrow volume at half resolution round the depth of the 192 planes."""
+        manifest = self.manifest
+        half = [view.half for view in features if view.half is not None]
+        near, far = depth_range
+        height, width = half[0].shape
+        centre = upsample_index(index, height, width)
+        offsets = np.linspace(-manifest.refine_span, manifest.refine_span, manifest.refine_planes, dtype=np.float32)
+        interval = np.float32((1 / near - 1 / far) / (manifest.planes - 1))
+        narrow = np.float32(1 / far) + (centre[None] + offsets[:, None, None]) * interval
+        np.maximum(narrow, np.float32(1e-6), out=narrow)
+        fine_volume, _ = correlation_volume(
+            half[0],
+            half[1:],
+            self._projections(intrinsics, cam_from_world, 2),
+            narrow,
+            view_weights=upsample_twice(weights, height, width),
+            threads=self.threads,
+        )
+        fine_index, fine_confidence = self._sessions["refiner"].run(
+            None, {"volume": fine_volume.reshape(-1, height, width), "features": half[0].to_chw()}
+        )
+        step = np.float32(2 * manifest.refine_span / (manifest.refine_planes - 1))
+        final = centre + offsets[0] + fine_index * step
+        return DepthEstimate(
+            depth=self._depth(final, near, far),
+            confidence=self.calibrated(upsample_twice(confidence, height, width) * fine_confidence),
+            stride=2,
+        )
+
+    def calibrated(self, confidence: Float32) -> Float32:
+        """What the model gives for this raw confidence of the network."""
+        if self._calibration is None:
+            return confidence
+        return np.interp(confidence, *self._calibration).astype(np.float32)
+
+    @staticmethod
+    def _projections(intrinsics: Float64, cam_from_world: Float64, stride: int) -> list[Any]:
+        return [
+            relative_projection(intrinsics[0], cam_from_world[0], intrinsics[i], cam_from_world[i], stride)
+            for i in range(1, len(intrinsics))
+        ]
+
+    def _depth(self, index: Float32, near: float, far: float) -> Float32:
+        fraction = index / np.float32(self.manifest.planes - 1)
+        if self.manifest.inverse_depth:
+            inverse = np.float32(1 / far) + fraction * np.float32(1 / near - 1 / far)
+            return np.asarray(1 / np.maximum(inverse, np.float32(1e-6)), np.float32)
+        return np.asarray(np.float32(near) + fraction * np.float32(far - near), np.float32)

@@ -1,0 +1,1 @@
+"""Measured trees against extracted ones."""

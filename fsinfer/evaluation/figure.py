@@ -1,0 +1,84 @@
+"""The figure of an evaluation: extracted against measured DBH, the counts, and the differences (Bland and Altman)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.io.files import atomic_path
+
+if TYPE_CHECKING:
+    from fsinfer.evaluation.metrics import Evaluation
+
+_GREEN, _GREY, _RED, _ORANGE = "#1b7837", "#9a9a9a", "#d1495b", "#d98300"
+
+
+def plot_evaluation(evaluation: Evaluation, path: Path) -> None:
+    """Three panels as PNG: scatter with the 1:1 line, how many trees were found, difference against mean."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    both = np.array([[p.measured_cm, p.extracted_cm] for p in evaluation.pairs if p.extracted_cm is not None])
+    both = both.reshape(-1, 2)
+    figure = Figure(figsize=(15.0, 5.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    scatter, counts, differences = figure.subplots(1, 3, width_ratios=[1.0, 0.75, 1.15])
+    _scatter(scatter, both, evaluation)
+    _counts(counts, evaluation)
+    _bland_altman(differences, both)
+    with atomic_path(Path(path)) as temporary:
+        figure.savefig(temporary, dpi=130)
+
+
+def _scatter(axes: Any, both: NDArray[np.float64], evaluation: Evaluation) -> None:
+    low, high = (float(both.min()), float(both.max())) if len(both) else (0.0, 50.0)
+    margin = max(0.08 * (high - low), 2.0)
+    limits = (max(low - margin, 0.0), high + margin)
+    axes.plot(limits, limits, color="0.5", linewidth=1.0, label="1:1", zorder=1)
+    axes.scatter(both[:, 0], both[:, 1], s=36, color=_GREEN, edgecolor="white", linewidth=0.6, zorder=2)
+    axes.set(xlim=limits, ylim=limits, xlabel="Measured DBH (cm)", ylabel="Extracted DBH (cm)", aspect="equal")
+    title = f"{evaluation.matched} of {evaluation.n} trees"
+    if evaluation.rmse_cm is not None:
+        title += f" · RMSE {evaluation.rmse_cm:.2f} cm · bias {evaluation.bias_cm:+.2f} cm"
+    axes.set_title(title, fontsize=11)
+    axes.grid(color="0.92")
+    axes.set_axisbelow(True)
+    axes.legend(loc="upper left", frameon=False)
+
+
+def _counts(axes: Any, evaluation: Evaluation) -> None:
+    bars = {
+        "matched\nwith DBH": (evaluation.matched, _GREEN),
+        "found,\nno DBH": (evaluation.detected - evaluation.matched, _GREY),
+        "omitted": (evaluation.omitted, _ORANGE),
+        "false": (evaluation.false, _RED),
+    }
+    drawn = axes.bar(list(bars), [n for n, _ in bars.values()], color=[c for _, c in bars.values()])
+    axes.bar_label(drawn)
+    axes.set_title(f"{evaluation.n} measured trees", fontsize=11)
+    axes.set(ylabel="Trees")
+    axes.margins(y=0.12)
+
+
+def _bland_altman(axes: Any, both: NDArray[np.float64]) -> None:
+    """Bland and Altman (Lancet 1986): limits of agreement at 1.96 standard deviations of the differences."""
+    axes.set(xlabel="Mean of both (cm)", ylabel="Extracted - measured (cm)")
+    axes.set_title("Differences", fontsize=11)
+    axes.axhline(0.0, color="0.5", linewidth=1.0)
+    if len(both) == 0:
+        return
+    difference = both[:, 1] - both[:, 0]
+    axes.scatter(both.mean(axis=1), difference, s=36, color=_GREEN, edgecolor="white", linewidth=0.6)
+    lines = [(float(difference.mean()), "bias", "-")]
+    if len(difference) > 1:
+        spread = 1.96 * float(difference.std(ddof=1))
+        lines += [(lines[0][0] + spread, "+1.96 SD", "--"), (lines[0][0] - spread, "-1.96 SD", "--")]
+    for level, name, style in lines:
+        axes.axhline(level, color="#2b5c8a", linestyle=style, linewidth=1.2, label=f"{name} {level:+.2f} cm")
+    axes.margins(y=0.15)
+    axes.grid(color="0.92")
+    axes.set_axisbelow(True)
+    axes.legend(loc="best", frameon=False, fontsize=9)

@@ -1,0 +1,1 @@
+"""Photographs and videos to the frames worth using."""

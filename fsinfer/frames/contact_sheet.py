@@ -1,0 +1,73 @@
+"""A picture of the frames that were not used, each with its reason, so that a person can object at a glance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.io.images import write_image
+
+#: Longest side of a picture on the sheet, pixels.
+TILE_PX = 240
+_TEXT_PX, _MARGIN_PX, _COLUMNS, _MOST = 40, 8, 5, 60
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tile:
+    """A small picture (H, W, 3) uint8 RGB, None where it could not be read, its name, and why it was dropped."""
+
+    image: NDArray[np.uint8] | None
+    name: str
+    reason: str
+
+
+def thumbnail(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The (H, W, 3) RGB picture made to fit a tile."""
+    scale = TILE_PX / max(image.shape[:2])
+    if scale >= 1:
+        return image
+    return np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def write_contact_sheet(path: Path, tiles: Sequence[Tile], *, total: int) -> None:
+    """Write the dropped frames as one JPEG; no file (and none of an earlier run) where nothing was dropped.
+
+    Parameters
+    ----------
+    total: how many frames there were.
+    """
+    from PIL import Image, ImageDraw, ImageFont
+
+    if not tiles:
+        path.unlink(missing_ok=True)
+        return
+    shown = tiles[:_MOST]
+    columns = min(_COLUMNS, len(shown))
+    rows = -(-len(shown) // columns)
+    cell_w, cell_h = TILE_PX + _MARGIN_PX, TILE_PX + _TEXT_PX + _MARGIN_PX
+    width = max(columns * cell_w + _MARGIN_PX, 2 * TILE_PX)
+    sheet = Image.new("RGB", (width, rows * cell_h + _TEXT_PX + _MARGIN_PX), (245, 245, 245))
+    draw = ImageDraw.Draw(sheet)
+    font = ImageFont.load_default(13)
+    more = f"; the first {len(shown)} are shown" if len(shown) < len(tiles) else ""
+    draw.text((_MARGIN_PX, 10), f"{len(tiles)} of {total} frames were not used{more}", fill=(0, 0, 0), font=font)
+    for index, tile in enumerate(shown):
+        x = _MARGIN_PX + index % columns * cell_w
+        y = _TEXT_PX + index // columns * cell_h
+        if tile.image is None:
+            draw.rectangle((x, y, x + TILE_PX, y + TILE_PX * 3 // 4), fill=(205, 205, 205))
+        else:
+            small = Image.fromarray(np.ascontiguousarray(thumbnail(tile.image)))
+            sheet.paste(small, (x, y))
+        draw.text((x, y + TILE_PX), _fitting(tile.name, 34), fill=(60, 60, 60), font=font)
+        draw.text((x, y + TILE_PX + 17), _fitting(tile.reason, 34), fill=(180, 40, 0), font=font)
+    write_image(path, np.asarray(sheet, dtype=np.uint8), quality=85)
+
+
+def _fitting(text: str, letters: int) -> str:
+    return text if len(text) <= letters else text[: letters - 3] + "..."

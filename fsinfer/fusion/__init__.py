@@ -1,0 +1,1 @@
+"""Depth maps to one point cloud."""

@@ -1,0 +1,347 @@
+"""From depth maps to one cloud: what several views agree on, once per place.
+
+For each view: take the pixels that are sure enough and no flying pixels, ask the neighbouring views
+(:mod:`fsinfer.fusion.consistency`), keep those that enough views agree with, average their depth over these views, and
+merge the points of all views in voxels (:mod:`fsinfer.fusion.voxels`).
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.depth.maps import DepthMap, DepthMaps
+from fsinfer.errors import CloudError
+from fsinfer.fusion.consistency import LEVELS, Tolerances, check_pair
+from fsinfer.fusion.memory import FusionPlan, plan_fusion
+from fsinfer.fusion.surfaces import MAX_SLOPE, pixel_normals, smooth_pixels
+from fsinfer.fusion.voxels import MAX_EXTENT_VOXELS, Samples, VoxelMerger, much_worse_than_nearby, select, sum_within
+from fsinfer.io.cloud import PointCloud
+from fsinfer.progress import Progress, silent
+from fsinfer.scene import Scene
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FusionSettings:
+    """Constants of the fusion.
+
+    Attributes
+    ----------
+    min_confidence: pixels below are left out; None takes the 30th percentile of the scene's confidences (the surer
+        70 % of pixels held 94-99 % within 1 % in DESIGN section 4), but not more than ``confidence_cap``.
+    confidence_cap: see above; a scene in which everything is sure loses nothing.
+    source_confidence_part: other views may witness with so much of that confidence.
+    tolerances: of the comparison of two views.
+    noise_part: the step of the depth tolerance is at least so much of the median difference between neighbouring maps,
+        up to ``noise_step_max``; 0 = off. On rendered maps with 0.5 % noise a step of 0.002 kept twice the surface of
+        0.001 with the same error: a tolerance below the noise only makes holes.
+    max_sources: views asked for each view, those of pair.txt first, then those that list it.
+    extra_views: level i needs i + extra_views agreeing views (D2HC-RMVSNet starts at two views); fewer only where the
+        view has fewer neighbours.
+    average_level: views agreeing within this level (or the level at which the pixel passed) enter the mean depth.
+        Wider than the level that passes, because views chosen for being near the reference's value average its noise
+        less.
+    min_smooth_neighbours: of the 8 neighbours, so many must lie on the same surface; 3 of 8 are missing at a straight
+        silhouette, so 5 keeps edges and drops the mixed pixels between foreground and background.
+    max_slope: steepest surface, see :data:`fsinfer.fusion.surfaces.MAX_SLOPE`.
+    min_seen_through: points that so many views look through, and more than agree with them, are removed.
+    voxel: side in scene units; None takes the 25th percentile of the pixel footprints.
+    max_points: the voxel grows until no more points are left.
+    halo_ratio, halo_cell: points whose standard deviation is over ``halo_ratio`` times that of what lies within
+        ``halo_cell`` voxels and faces the same way are the halo of far views; ``None`` keeps them.
+    min_cell_pixels: points with fewer depth pixels in the 12-voxel neighbourhood are lone specks and removed.
+    cache_maps: depth maps kept in memory.
+    batch_points: points merged at a time.
+    memory_gb: limit of the resident memory, 1e9 bytes; where it is tight fewer maps are kept, batches are smaller and,
+        with a warning, fewer points are kept (:func:`fsinfer.fusion.memory.plan_fusion`).
+    """
+
+    min_confidence: float | None = None
+    confidence_cap: float = 0.5
+    source_confidence_part: float = 0.5
+    tolerances: Tolerances = field(default_factory=Tolerances)
+    noise_part: float = 0.7
+    noise_step_max: float = 3e-3
+    max_sources: int = 12
+    extra_views: int = 1
+    average_level: int = 6
+    min_smooth_neighbours: int = 5
+    max_slope: float = MAX_SLOPE
+    min_seen_through: int = 2
+    voxel: float | None = None
+    max_points: int = 4_000_000
+    min_cell_pixels: int = 8
+    halo_ratio: float | None = 3.0
+    halo_cell: float = 6.0
+    cache_maps: int = 40
+    batch_points: int = 1_500_000
+    memory_gb: float = 3.0
+
+
+def fuse(
+    scene: Scene, depth_folder: Path, *, settings: FusionSettings | None = None, progress: Progress = silent
+) -> PointCloud:
+    """Fuse the depth maps of a scene.
+
+    Parameters
+    ----------
+    depth_folder: the folder with ``depth/`` and ``confidence/`` that the depth stage wrote.
+
+    Returns
+    -------
+    Cloud in scene units with rgb, normals (towards the cameras), and in ``extra``: ``views`` (int32, views that agree
+    on the point, with its own) and ``confidence`` (float32).
+
+    Raises
+    ------
+    SceneError
+        There are no depth maps, or one cannot be read.
+    CloudError
+        No point passed.
+    """
+    settings = settings or FusionSettings()
+    maps = DepthMaps(scene, depth_folder, cache_maps=settings.cache_maps)
+    plan = _plan(maps, settings)
+    maps.keep(plan.cache_maps)
+    if plan.max_points < settings.max_points:
+        _log.warning(
+            "%g GB of --memory-gb hold %d points; the cloud may be coarser", settings.memory_gb, plan.max_points
+        )
+    min_confidence, voxel = _adapt(maps, settings)
+    neighbours = find_neighbours(scene, maps.available, settings.max_sources)
+    settings = replace(settings, tolerances=adapt_tolerances(maps, neighbours, min_confidence, settings))
+    middle = np.mean([scene.views[i].camera.center for i in maps.available], axis=0)
+    merger = VoxelMerger(voxel, max_points=plan.max_points, batch_points=plan.batch_points)
+    for done, index in enumerate(maps.available):
+        progress(done, len(maps.available), scene.views[index].name)
+        samples = fuse_view(scene, maps, index, neighbours[index], min_confidence=min_confidence, settings=settings)
+        # The sides of a cube around the cameras: what lies beyond it is no forest, and its voxel keys would wrap.
+        near = np.abs(samples.xyz - middle).max(axis=1, initial=0) < voxel * MAX_EXTENT_VOXELS / 2
+        merger.add(samples if near.all() else select(samples, near))
+    progress(len(maps.available), len(maps.available), "merging")
+    merged = merger.result()
+    if merged is not None:
+        merged = _drop_specks(merged, merger.voxel, settings.min_cell_pixels)
+        if settings.halo_ratio is not None:
+            halo = much_worse_than_nearby(merged, settings.halo_cell * voxel, settings.halo_ratio)
+            merged = select(merged, ~halo)
+    if merged is None or not len(merged):
+        msg = (
+            f"no point of {depth_folder / 'depth'} is seen alike by two views; take photographs closer to each other, "
+            "with more overlap, or check that the depth maps belong to this scene"
+        )
+        raise CloudError(msg)
+    _log.info("fused %d points, voxel %.4g, confidence >= %.2f", len(merged), merger.voxel, min_confidence)
+    return PointCloud(
+        xyz=merged.xyz,
+        rgb=np.clip(np.rint(merged.rgb), 0, 255).astype(np.uint8),
+        normals=merged.normals,
+        extra={"views": merged.views.astype(np.int32), "confidence": merged.confidence},
+    )
+
+
+def most_points(scene: Scene, depth_folder: Path, *, settings: FusionSettings | None = None) -> int:
+    """Points that a cloud of these depth maps may have within ``settings.memory_gb``; errors as :func:`fuse`."""
+    return _plan(DepthMaps(scene, depth_folder), settings or FusionSettings()).max_points
+
+
+def _plan(maps: DepthMaps, settings: FusionSettings) -> FusionPlan:
+    return plan_fusion(
+        settings.memory_gb,
+        map_pixels=maps.get(maps.available[0]).inverse_depth.size,
+        cache_maps=settings.cache_maps,
+        max_points=settings.max_points,
+        batch_points=settings.batch_points,
+    )
+
+
+def find_neighbours(scene: Scene, available: tuple[int, ...], limit: int) -> dict[int, tuple[int, ...]]:
+    """For each view with a depth map, the views to ask: its sources, then the views whose source it is."""
+    has_map = set(available)
+    listed_by: dict[int, list[int]] = {index: [] for index in available}
+    for index in available:
+        for source in scene.views[index].sources:
+            if source in has_map:
+                listed_by[source].append(index)
+    return {
+        index: tuple(dict.fromkeys([s for s in scene.views[index].sources if s in has_map] + listed_by[index]))[:limit]
+        for index in available
+    }
+
+
+def fuse_view(
+    scene: Scene,
+    maps: DepthMaps,
+    index: int,
+    neighbours: tuple[int, ...],
+    *,
+    min_confidence: float,
+    settings: FusionSettings,
+) -> Samples:
+    """Return the points of one view that its neighbours confirm, one for each pixel, in world coordinates."""
+    reference = maps.get(index)
+    keep = (reference.inverse_depth > 0) & (reference.confidence >= min_confidence)
+    keep &= smooth_pixels(
+        reference,
+        min_neighbours=settings.min_smooth_neighbours,
+        max_slope=settings.max_slope,
+        noise=settings.tolerances.relative_depth_step,
+    )
+    rows, columns = np.nonzero(keep)
+    if not neighbours:
+        rows, columns = rows[:0], columns[:0]
+    u, v = columns.astype(np.float32), rows.astype(np.float32)
+    depth = np.asarray(1 / reference.inverse_depth[rows, columns], dtype=np.float32)
+    evidence = [
+        check_pair(
+            reference,
+            maps.get(source),
+            u,
+            v,
+            depth,
+            tolerances=settings.tolerances,
+            min_confidence=min_confidence * settings.source_confidence_part,
+        )
+        for source in neighbours
+        if len(rows)
+    ]
+    if not evidence:
+        return _samples(scene, reference, index, rows, columns, depth, np.ones(len(rows), np.int32), settings)
+    levels = np.stack([e.level for e in evidence])
+    passed = passing_level(levels, extra_views=settings.extra_views)
+    averaged = levels <= np.maximum(np.where(passed > LEVELS, 0, passed), settings.average_level)
+    weights = averaged * np.maximum(np.stack([e.confidence for e in evidence]), 0.05)
+    own = np.maximum(reference.confidence[rows, columns], 0.05)
+    mean_depth = (own * depth + (weights * np.stack([e.depth for e in evidence])).sum(axis=0)) / (
+        own + weights.sum(axis=0)
+    )
+    agreeing = (levels <= np.maximum(passed, settings.average_level)).sum(axis=0)
+    through = np.stack([e.seen_through for e in evidence]).sum(axis=0)
+    good = (passed <= LEVELS) & ~((through >= settings.min_seen_through) & (through > agreeing))
+    views = (agreeing[good] + 1).astype(np.int32)
+    return _samples(scene, reference, index, rows[good], columns[good], mean_depth[good], views, settings)
+
+
+def passing_level(levels: NDArray[np.uint8], *, extra_views: int) -> NDArray[np.uint8]:
+    """Lowest level i at which at least ``i + extra_views`` of the S views agree within level i; 255 where none.
+
+    Parameters
+    ----------
+    levels: (S, N) uint8, the level of each view. With fewer than ``i + extra_views`` views only levels 1 and 2 are
+        tried, and all S views must agree, so that a stereo pair (S = 1) still gives a cloud.
+
+    Returns
+    -------
+    (N,) uint8.
+    """
+    sources = len(levels)
+    passed = np.full(levels.shape[1], 255, dtype=np.uint8)
+    for level in range(min(LEVELS, max(2, sources - extra_views)), 0, -1):
+        needed = min(level + extra_views, sources)
+        passed[(levels <= level).sum(axis=0) >= needed] = level
+    return passed
+
+
+def _samples(
+    scene: Scene,
+    reference: DepthMap,
+    index: int,
+    rows: NDArray[np.intp],
+    columns: NDArray[np.intp],
+    depth: NDArray[np.floating],
+    views: NDArray[np.int32],
+    settings: FusionSettings,
+) -> Samples:
+    rotation = reference.cam_from_world[:3, :3]
+    pixels = np.stack([columns, rows, np.ones(len(rows))], axis=1)
+    in_camera = (pixels @ np.linalg.inv(reference.intrinsic).T) * depth[:, None].astype(np.float64)
+    confidence = reference.confidence[rows, columns]
+    return Samples(
+        # x_world = R^T (x_cam - t); as rows this is (x_cam - t) R.
+        xyz=(in_camera - reference.cam_from_world[:3, 3]) @ rotation,
+        rgb=_colours(scene, index, reference, rows, columns),
+        normals=pixel_normals(
+            reference, rows, columns, max_slope=settings.max_slope, noise=settings.tolerances.relative_depth_step
+        )
+        @ rotation.astype(np.float32),
+        # Variance of a depth grows with the fourth power of the distance and falls with the number of views.
+        weight=np.maximum(confidence, 0.05) * views / depth.astype(np.float64) ** 4,
+        confidence=confidence,
+        views=views,
+        count=np.ones(len(rows), dtype=np.int32),
+    )
+
+
+def _colours(
+    scene: Scene, index: int, reference: DepthMap, rows: NDArray[np.intp], columns: NDArray[np.intp]
+) -> NDArray[np.float32]:
+    if not len(rows):
+        return np.empty((0, 3), dtype=np.float32)
+    from fsinfer.io.images import read_image
+
+    image = read_image(scene.views[index].image_path)
+    grid = reference.grid
+    # Averaging over what a depth pixel covers keeps the colours from flickering; odd widths leave the centre in place.
+    width, height = (max(1, 2 * int(step / 2) + 1) for step in (grid.step_x, grid.step_y))
+    smooth = cv2.blur(image, (width, height))
+    x = np.clip(np.rint(columns * grid.step_x + grid.offset_x_px), 0, image.shape[1] - 1).astype(np.intp)
+    y = np.clip(np.rint(rows * grid.step_y + grid.offset_y_px), 0, image.shape[0] - 1).astype(np.intp)
+    return np.asarray(smooth[y, x], dtype=np.float32)
+
+
+def _adapt(maps: DepthMaps, settings: FusionSettings) -> tuple[float, float]:
+    """Confidence threshold and voxel side from up to 16 views spread over the scene."""
+    confidences, footprints = [], []
+    for index in maps.available[:: -(-len(maps.available) // 16)]:
+        found = maps.get(index)
+        valid = found.inverse_depth > 0
+        confidences.append(found.confidence[valid][::7])
+        footprints.append((1 / (found.inverse_depth[valid] * found.intrinsic[0, 0]))[::7])
+    confidence, footprint = np.concatenate(confidences), np.concatenate(footprints)
+    if not len(confidence):
+        msg = f"the depth maps in {maps.folder / 'depth'} are empty; run again: fsinfer depth"
+        raise CloudError(msg)
+    threshold = settings.min_confidence
+    if threshold is None:
+        threshold = min(settings.confidence_cap, float(np.percentile(confidence, 30)))
+    sure = footprint[confidence >= threshold]
+    voxel = settings.voxel or float(np.percentile(sure if len(sure) else footprint, 25))
+    return threshold, voxel
+
+
+def adapt_tolerances(
+    maps: DepthMaps, neighbours: dict[int, tuple[int, ...]], min_confidence: float, settings: FusionSettings
+) -> Tolerances:
+    """Widen the depth tolerance to the noise of the maps, measured between up to 8 views and their first neighbour."""
+    loose = Tolerances(relative_depth_step=settings.noise_step_max)
+    differences = []
+    for index in maps.available[:: -(-len(maps.available) // 8)]:
+        reference = maps.get(index)
+        rows, columns = np.nonzero((reference.confidence >= min_confidence) & (reference.inverse_depth > 0))
+        rows, columns = rows[::11], columns[::11]
+        if not len(rows) or not neighbours[index]:
+            continue
+        depth = np.asarray(1 / reference.inverse_depth[rows, columns], dtype=np.float32)
+        u, v = columns.astype(np.float32), rows.astype(np.float32)
+        source = maps.get(neighbours[index][0])
+        found = check_pair(reference, source, u, v, depth, tolerances=loose, min_confidence=min_confidence)
+        agrees = found.level <= LEVELS
+        differences.append(np.abs(found.depth[agrees] / depth[agrees] - 1))
+    pooled = np.concatenate(differences) if differences else np.empty(0)
+    noise = float(np.median(pooled)) if len(pooled) else 0.0
+    step = max(settings.tolerances.relative_depth_step, min(settings.noise_part * noise, settings.noise_step_max))
+    _log.info("neighbouring depth maps differ by %.2f %% (median), tolerance step %.4f", 100 * noise, step)
+    return replace(settings.tolerances, relative_depth_step=step)
+
+
+def _drop_specks(samples: Samples, voxel: float, min_pixels: int) -> Samples:
+    if min_pixels <= 1:
+        return samples
+    return select(samples, sum_within(samples.xyz, 4 * voxel, samples.count) >= min_pixels)

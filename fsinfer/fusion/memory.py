@@ -1,0 +1,54 @@
+"""How much memory fusion will take, told before it begins, and how it keeps within a limit.
+
+It follows the number of points kept, which has a limit of its own. Measured as peak resident memory (docs/speed.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from fsinfer.depth.memory import BASE_BYTES, GIGABYTE
+from fsinfer.errors import InputError
+
+#: A point while it is merged: itself (68 bytes), its joined, sorted and averaged copies. 312 bytes for 5.5 million.
+_BYTES_PER_MERGED_POINT = 320
+_LEAST_BATCH_POINTS = 250_000
+_LEAST_POINTS = 250_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class FusionPlan:
+    """Depth maps kept, points merged at a time and kept at most, and the peak memory expected, bytes."""
+
+    cache_maps: int
+    batch_points: int
+    max_points: int
+    peak_bytes: int
+
+
+def plan_fusion(
+    memory_gb: float, *, map_pixels: int, cache_maps: int, max_points: int, batch_points: int
+) -> FusionPlan:
+    """Keep fewer depth maps and merge smaller batches where the limit asks for it, then fewer points.
+
+    Parameters
+    ----------
+    map_pixels: pixels of one depth map; it and its confidence are kept.
+    cache_maps, max_points, batch_points: what fusion would like.
+
+    Raises
+    ------
+    InputError
+        Less than the least that a cloud takes.
+    """
+    limit = memory_gb * GIGABYTE - BASE_BYTES
+    # Comparing two views takes about as much as ten maps.
+    maps = min(cache_maps, max(4, int(0.2 * limit / (8 * map_pixels)) - 10))
+    points = int((limit - (maps + 10) * 8 * map_pixels) / _BYTES_PER_MERGED_POINT)
+    if points < _LEAST_POINTS + _LEAST_BATCH_POINTS:
+        msg = f"{memory_gb:g} GB of --memory-gb are too few for a cloud; give 1 or more"
+        raise InputError(msg)
+    batch = min(batch_points, max(_LEAST_BATCH_POINTS, points - max_points))
+    kept = min(max_points, points - batch)
+    peak = BASE_BYTES + (maps + 10) * 8 * map_pixels + (kept + batch) * _BYTES_PER_MERGED_POINT
+    return FusionPlan(cache_maps=maps, batch_points=batch, max_points=kept, peak_bytes=int(peak))

@@ -1,0 +1,92 @@
+"""The surface around the pixels of one depth map: flying pixels and normals.
+
+Both ask which neighbours of a pixel lie on the same surface: those whose depth differs by no more than a surface as
+steep as ``max_slope`` would, plus noise.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.depth.maps import DepthMap
+
+# Depth change from pixel to pixel, in pixel footprints (z / f), still taken for one surface: the tangent of the angle
+# between ray and normal, 80 degrees.
+MAX_SLOPE = 5.7
+# Neighbours for normals: a square ring at distance 1 and one at distance 2 around the pixel.
+_RING = tuple((du, dv) for r in (1, 2) for du in (-r, 0, r) for dv in (-r, 0, r) if (du, dv) != (0, 0))
+
+
+def smooth_pixels(
+    reference: DepthMap, *, min_neighbours: int = 5, max_slope: float = MAX_SLOPE, noise: float = 1e-3
+) -> NDArray[np.bool_]:
+    """(h, w) bool: enough of the 8 neighbours lie on the same surface as the pixel (others are flying pixels).
+
+    Parameters
+    ----------
+    min_neighbours: of 8.
+    max_slope: see :data:`MAX_SLOPE`.
+    noise: relative depth difference of neighbours that is noise.
+    """
+    inverse = reference.inverse_depth
+    height, width = inverse.shape
+    padded = np.pad(inverse, 1)
+    slope = max_slope / reference.intrinsic[0, 0]
+    count = np.zeros((height, width), dtype=np.uint8)
+    for du in (-1, 0, 1):
+        for dv in (-1, 0, 1):
+            if du == 0 and dv == 0:
+                continue
+            other = padded[1 + dv : 1 + dv + height, 1 + du : 1 + du + width]
+            # |z' - z| <= limit * z with q = 1/z becomes |q - q'| <= limit * q': no division, and q' = 0 never passes.
+            limit = np.float32(slope * np.hypot(du, dv) + noise)
+            count += (np.abs(inverse - other) <= limit * np.minimum(other, inverse)) & (other > 0)
+    # Outside the image there is nothing to compare with: the border needs as large a part of what it has.
+    present = (
+        cv2.filter2D(np.ones((height, width), np.uint8), -1, np.ones((3, 3)), borderType=cv2.BORDER_CONSTANT).astype(
+            np.int16
+        )
+        - 1
+    )
+    return np.asarray(8 * count.astype(np.int16) >= min_neighbours * present)
+
+
+def pixel_normals(
+    reference: DepthMap,
+    rows: NDArray[np.intp],
+    columns: NDArray[np.intp],
+    *,
+    max_slope: float = MAX_SLOPE,
+    noise: float = 1e-3,
+) -> NDArray[np.float32]:
+    """(N, 3) unit normals in camera coordinates, towards the camera, from the depths around N pixels.
+
+    On a plane n.X = h, 1/z = (n/h)^T K^-1 (u, v, 1) is affine in the pixel; with its coefficients (a, b, c) from a
+    least-squares fit to the neighbours on the same surface, n is parallel to K^T (a, b, c).
+    """
+    inverse = reference.inverse_depth
+    height, width = inverse.shape
+    here = inverse[rows, columns].astype(np.float64)
+    slope = max_slope / reference.intrinsic[0, 0]
+    sums = np.zeros((5, len(rows)))
+    for du, dv in _RING:
+        other_row, other_column = np.clip(rows + dv, 0, height - 1), np.clip(columns + du, 0, width - 1)
+        there = inverse[other_row, other_column]
+        limit = slope * np.hypot(du, dv) + noise
+        same = (there > 0) & (np.abs(there - here) <= limit * np.minimum(there, here))
+        difference = (there - here) * same
+        x, y = (other_column - columns) * same, (other_row - rows) * same
+        sums += (x * x, x * y, y * y, x * difference, y * difference)
+    xx, xy, yy, xq, yq = sums
+    determinant = xx * yy - xy * xy
+    solvable = determinant > 1e-9
+    determinant = np.where(solvable, determinant, 1)
+    a = np.where(solvable, (yy * xq - xy * yq) / determinant, 0)
+    b = np.where(solvable, (xx * yq - xy * xq) / determinant, 0)
+    c = here - a * columns - b * rows
+    # n points along +z (away) with h > 0, so the normal towards the camera is its opposite.
+    normals = -np.stack([a, b, c], axis=1) @ reference.intrinsic
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.asarray(normals / np.maximum(lengths, 1e-30), dtype=np.float32)

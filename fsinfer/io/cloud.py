@@ -1,0 +1,234 @@
+"""Point clouds: one type, read from and written to PLY, LAS and LAZ (and read from plain text)."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.errors import CloudError
+from fsinfer.io.las import NORMAL_NAMES, read_las, write_las
+from fsinfer.io.ply import read_ply, write_ply
+
+TEXT_SUFFIXES = (".xyz", ".txt", ".asc", ".csv", ".pts")
+SUFFIXES = (".ply", ".las", ".laz", *TEXT_SUFFIXES)
+# PLY coordinates become double when the step of float32 at the largest coordinate exceeds this part of the extent
+# (30 um on a plot of 30 m): georeferenced clouds need it, local ones stay small and open everywhere.
+_FLOAT_STEP_PER_EXTENT = 1e-6
+_COLOUR_NAMES = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
+_NORMAL_SETS = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"), NORMAL_NAMES)
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointCloud:
+    """Points with what is known of each.
+
+    Attributes
+    ----------
+    xyz: (N, 3) float64.
+    rgb: (N, 3) uint8, or None.
+    normals: (N, 3) float32 unit vectors, or None.
+    extra: name -> (N,) values, e.g. ``views`` (int32), ``confidence`` (float32), ``TreeID`` (int32).
+
+    Raises
+    ------
+    CloudError
+        The shapes do not fit each other.
+    """
+
+    xyz: NDArray[np.float64]
+    rgb: NDArray[np.uint8] | None = None
+    normals: NDArray[np.float32] | None = None
+    extra: dict[str, NDArray[Any]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.xyz.ndim != 2 or self.xyz.shape[1] != 3:
+            msg = f"a cloud needs points of shape (N, 3), not {self.xyz.shape}"
+            raise CloudError(msg)
+        for name, values in (("rgb", self.rgb), ("normals", self.normals)):
+            if values is not None and values.shape != self.xyz.shape:
+                msg = f"{name} has shape {values.shape}, but the cloud has {len(self.xyz)} points; give one row a point"
+                raise CloudError(msg)
+        for name, values in self.extra.items():
+            if values.shape != (len(self.xyz),):
+                msg = f"{name} has shape {values.shape}, but the cloud has {len(self.xyz)} points; give one value each"
+                raise CloudError(msg)
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+    def select(self, chosen: NDArray[Any]) -> PointCloud:
+        """Return the cloud of ``chosen`` points: an (N,) mask or an array of indices."""
+        return PointCloud(
+            xyz=self.xyz[chosen],
+            rgb=None if self.rgb is None else self.rgb[chosen],
+            normals=None if self.normals is None else self.normals[chosen],
+            extra={name: values[chosen] for name, values in self.extra.items()},
+        )
+
+
+def read_cloud(path: Path | str) -> PointCloud:
+    """Read a cloud from .ply, .las, .laz, or text (.xyz, .txt, .asc, .csv: x y z [red green blue]).
+
+    Points with a coordinate that is not finite are dropped, with a warning in the log.
+
+    Raises
+    ------
+    CloudError
+        The file is missing, of another kind, cut short, or holds no point that can be used.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        msg = f"{path}: cannot read clouds of kind '{path.suffix}'; give a .ply, .las, .laz or .xyz file"
+        raise CloudError(msg)
+    if not path.is_file():
+        msg = f"there is no file {path}; check the path"
+        raise CloudError(msg)
+    if suffix == ".ply":
+        columns = read_ply(path)
+    elif suffix in (".las", ".laz"):
+        columns = read_las(path)
+    else:
+        columns = _read_text(path)
+    cloud = cloud_of_columns(path, columns)
+    finite = np.asarray(np.isfinite(cloud.xyz).all(axis=1))
+    dropped = len(cloud) - int(finite.sum())
+    if dropped:
+        _log.warning("%s: %d of %d points have no finite coordinates and were dropped", path, dropped, len(cloud))
+        cloud = cloud.select(finite)
+    if not len(cloud):
+        msg = f"{path} holds no points that can be used; export the cloud again"
+        raise CloudError(msg)
+    return cloud
+
+
+def write_cloud(path: Path | str, cloud: PointCloud) -> None:
+    """Write a cloud to .ply (binary), .las or .laz, atomically; the suffix decides.
+
+    PLY coordinates are float, or double where float would lose precision (far from the origin). LAS and LAZ colours
+    are 16 bit; normals and ``extra`` become extra dimensions.
+
+    Raises
+    ------
+    CloudError
+        The suffix is unknown, or the cloud is empty or not finite.
+    OutputError
+        The file cannot be written.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in (".ply", ".las", ".laz"):
+        msg = f"{path}: cannot write clouds of kind '{path.suffix}'; name the file .ply, .las or .laz"
+        raise CloudError(msg)
+    if not len(cloud):
+        msg = f"there are no points to write into {path}; run the stage before this one again"
+        raise CloudError(msg)
+    if not np.isfinite(cloud.xyz).all():
+        msg = f"some points for {path} have no finite coordinates; drop them before writing"
+        raise CloudError(msg)
+    extra = {name: storable(name, values) for name, values in cloud.extra.items()}
+    if suffix == ".ply":
+        columns: dict[str, NDArray[Any]] = dict(zip("xyz", _ply_coordinates(cloud.xyz).T, strict=True))
+        if cloud.normals is not None:
+            columns |= dict(zip(("nx", "ny", "nz"), cloud.normals.astype(np.float32).T, strict=True))
+        if cloud.rgb is not None:
+            columns |= dict(zip(_COLOUR_NAMES[0], cloud.rgb.astype(np.uint8).T, strict=True))
+        # A PLY property name ends at the first space.
+        columns |= {"_".join(name.split()): values for name, values in extra.items()}
+        write_ply(path, columns, comments=("written by fsinfer",))
+    else:
+        if cloud.normals is not None:
+            extra |= dict(zip(NORMAL_NAMES, cloud.normals.astype(np.float32).T, strict=True))
+        write_las(path, cloud.xyz, cloud.rgb, extra)
+
+
+def _ply_coordinates(xyz: NDArray[np.float64]) -> NDArray[Any]:
+    extent = float(np.ptp(xyz, axis=0).max())
+    step = float(np.spacing(np.float32(np.abs(xyz).max())))
+    return xyz if step > _FLOAT_STEP_PER_EXTENT * extent else xyz.astype(np.float32)
+
+
+def storable(name: str, values: NDArray[Any]) -> NDArray[Any]:
+    """Convert to a type that PLY and LAS have; 64-bit integers and booleans have none."""
+    if values.dtype == np.bool_:
+        return values.astype(np.uint8)
+    if values.dtype.kind in "iu" and values.dtype.itemsize == 8:
+        limits = np.iinfo(np.int32)
+        if values.size and (values.min() < limits.min or values.max() > limits.max):
+            msg = f"the values of {name} do not fit into 32-bit integers; store smaller numbers or floats"
+            raise CloudError(msg)
+        return values.astype(np.int32)
+    if values.dtype == np.float16:
+        return values.astype(np.float32)
+    if values.dtype.kind not in "iuf" or values.dtype.itemsize > 8:
+        msg = f"{name} holds {values.dtype}, which a cloud file cannot; give numbers"
+        raise CloudError(msg)
+    return values
+
+
+def cloud_of_columns(path: Path, columns: dict[str, NDArray[Any]]) -> PointCloud:
+    """A cloud of (N,) columns by name, as a file has them; ``path`` is for the message where x, y or z is missing."""
+    lower = {name.lower(): name for name in columns}
+    if not all(axis in lower for axis in "xyz"):
+        msg = f"{path} has no x, y and z for its points; export the cloud again"
+        raise CloudError(msg)
+    columns = dict(columns)
+
+    def take(names: tuple[str, ...]) -> NDArray[Any] | None:
+        if not all(name.lower() in lower and lower[name.lower()] in columns for name in names):
+            return None
+        return np.stack([columns.pop(lower[name.lower()]) for name in names], axis=1)
+
+    xyz = take(("x", "y", "z"))
+    colour = next((c for c in map(take, _COLOUR_NAMES) if c is not None), None)
+    normals = next((n for n in map(take, _NORMAL_SETS) if n is not None), None)
+    return PointCloud(
+        xyz=np.asarray(xyz, dtype=np.float64),
+        rgb=None if colour is None else _eight_bit(colour),
+        normals=None if normals is None else np.nan_to_num(normals).astype(np.float32),
+        extra=columns,
+    )
+
+
+def _eight_bit(colour: NDArray[Any]) -> NDArray[np.uint8]:
+    if colour.dtype.kind == "f":
+        # Some programs write colour as 0..1 floats; nothing that is really 0..255 stays below 1 everywhere.
+        colour = np.nan_to_num(colour)
+        colour = np.rint(colour * (255 if colour.size and colour.max() <= 1 else 1))
+    elif colour.dtype.itemsize > 1 and colour.size and colour.max() > 255:
+        colour = colour >> 8
+    return np.asarray(np.clip(colour, 0, 255), dtype=np.uint8)
+
+
+def _read_text(path: Path) -> dict[str, NDArray[Any]]:
+    """Read rows of x y z [red green blue], separated by spaces, commas or semicolons, with or without a header."""
+    try:
+        lines = path.read_text(encoding="utf-8", errors="replace").replace(",", " ").replace(";", " ").splitlines()
+        rows = [line for line in lines if line.strip() and not line.lstrip().startswith(("#", "//"))]
+        names: list[str] = []
+        # A header has letters in its first column; a .pts file begins with the bare count of points.
+        if rows and rows[0].split()[0].strip('"').isidentifier() and rows[0].split()[0].lower() not in ("nan", "inf"):
+            names = [word.strip('"').lower() for word in rows.pop(0).split()]
+        elif len(rows) > 1 and len(rows[0].split()) == 1:
+            rows.pop(0)
+        values = np.loadtxt(rows, dtype=np.float64, ndmin=2) if rows else np.empty((0, 3))
+    except (OSError, ValueError) as error:
+        msg = f"{path} is not a table of x y z ({error}); export the cloud as PLY, LAS or LAZ"
+        raise CloudError(msg) from error
+    if values.shape[1] < 3:
+        msg = f"{path} has {values.shape[1]} columns, but needs x y z; export the cloud as PLY, LAS or LAZ"
+        raise CloudError(msg)
+    if not names:
+        names = ["x", "y", "z", *(_COLOUR_NAMES[0] if values.shape[1] in (6, 9) else ())]
+        names += [f"column_{i + 1}" for i in range(len(names), values.shape[1])]
+    if len(names) != values.shape[1] or len(set(names)) != len(names):
+        msg = f"{path}: its header names {len(names)} columns, its rows have {values.shape[1]}; export it again"
+        raise CloudError(msg)
+    return {name: values[:, i] for i, name in enumerate(names)}

@@ -1,0 +1,102 @@
+"""What a photograph says of its camera and its place, and what of it goes into copies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fsinfer.errors import ImageError
+from fsinfer.io.images import image_size, open_header
+
+if TYPE_CHECKING:
+    from PIL.Image import Exif
+
+_EXIF_IFD = 0x8769
+_MAKE, _MODEL = 0x010F, 0x0110
+_FOCAL_LENGTH, _FOCAL_LENGTH_35MM = 0x920A, 0xA405
+_GNSS_IFD = 0x8825
+_LATITUDE_REF, _LATITUDE, _LONGITUDE_REF, _LONGITUDE = 1, 2, 3, 4
+
+
+def camera_exif(path: Path | str) -> bytes | None:
+    """Metadata for a copy that is written upright: maker, model and focal length, nothing about the place.
+
+    Returns
+    -------
+    Encoded EXIF for :func:`write_image`, or None where the photo says nothing about its camera.
+
+    Raises
+    ------
+    ImageError
+        The file cannot be read.
+    """
+    from PIL import Image
+
+    tags, lens = _read_exif(Path(path))
+    kept = Image.Exif()
+    for tag in (_MAKE, _MODEL):
+        if tag in tags:
+            kept[tag] = tags[tag]
+    kept_lens = {tag: lens[tag] for tag in (_FOCAL_LENGTH, _FOCAL_LENGTH_35MM) if tag in lens}
+    if kept_lens:
+        kept.get_ifd(_EXIF_IFD).update(kept_lens)
+    return kept.tobytes() if len(kept) or kept_lens else None
+
+
+def named_camera_exif(model: str) -> bytes:
+    """Metadata for frames of one video: a camera model of their own, so that they share no lens with other frames."""
+    from PIL import Image
+
+    kept = Image.Exif()
+    kept[_MODEL] = model
+    return kept.tobytes()
+
+
+def camera_key(path: Path | str) -> tuple[str, ...]:
+    """Name the camera and lens of a photo: equal keys mean that the photos can share a calibration.
+
+    Returns
+    -------
+    Upright width and height, maker, model and focal lengths as text; size alone for photos without metadata.
+
+    Raises
+    ------
+    ImageError
+        The file cannot be read.
+    """
+    path = Path(path)
+    tags, lens = _read_exif(path)
+    width, height = image_size(path)
+    names = [str(tags.get(tag, "")).strip("\x00 ") for tag in (_MAKE, _MODEL)]
+    lengths = [str(lens.get(tag, "")) for tag in (_FOCAL_LENGTH, _FOCAL_LENGTH_35MM)]
+    return (str(width), str(height), *names, *lengths)
+
+
+def gnss_degrees(path: Path | str) -> tuple[float, float] | None:
+    """(latitude, longitude) in degrees that the phone noted, None where it noted none that can be read."""
+    try:
+        with open_header(Path(path)) as image:
+            tags = dict(image.getexif().get_ifd(_GNSS_IFD))
+        values = []
+        for value, reference, negative in ((_LATITUDE, _LATITUDE_REF, "S"), (_LONGITUDE, _LONGITUDE_REF, "W")):
+            degrees, minutes, seconds = (float(part) for part in tags[value])
+            sign = -1 if str(tags.get(reference, "")).upper().startswith(negative) else 1
+            values.append(sign * (degrees + minutes / 60 + seconds / 3600))
+    except (ImageError, OSError, KeyError, ValueError, TypeError, ZeroDivisionError):
+        # Broken metadata costs a direction and nothing else.
+        return None
+    return (values[0], values[1]) if np.isfinite(values).all() else None
+
+
+def _read_exif(path: Path) -> tuple[Exif, dict[int, object]]:
+    image = open_header(path)
+    with image:
+        tags = image.getexif()
+        try:
+            lens = dict(tags.get_ifd(_EXIF_IFD))
+        except (KeyError, ValueError, TypeError, OSError):
+            # Broken metadata is common after editing, and only costs the focal length prior.
+            lens = {}
+    return tags, lens

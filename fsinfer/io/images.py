@@ -1,0 +1,181 @@
+"""Reading and writing photographs: RGB uint8, upright, complete or an error.
+
+Pillow reads (it comes with matplotlib and pillow-heif) because OpenCV fills the missing part of a cut JPEG with grey
+and says nothing.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.errors import ImageError
+from fsinfer.io.files import atomic_path
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+
+#: What :func:`list_images` takes for a photograph, lower case.
+PHOTO_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".heic", ".heif"})
+_HEIF_SUFFIXES = frozenset({".heic", ".heif"})
+
+# EXIF tags (Exif 2.32, CIPA DC-008): what structure from motion needs, without place, time, owner and thumbnail.
+_ORIENTATION = 0x0112
+
+
+def list_images(folder: Path | str) -> list[Path]:
+    """Return the photographs directly in ``folder``, sorted by name; hidden files are not taken.
+
+    Raises
+    ------
+    ImageError
+        ``folder`` is missing or holds no photograph.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        what = "is a file" if folder.exists() else "does not exist"
+        msg = f"{folder} {what}; give a folder of photos"
+        raise ImageError(msg)
+    paths = sorted(
+        path
+        for path in folder.iterdir()
+        if path.suffix.lower() in PHOTO_SUFFIXES and not path.name.startswith(".") and path.is_file()
+    )
+    if not paths:
+        msg = f"{folder} holds no photos ({', '.join(sorted(PHOTO_SUFFIXES))}); give the folder that your photos lie in"
+        raise ImageError(msg)
+    return paths
+
+
+def read_image(path: Path | str) -> NDArray[np.uint8]:
+    """Read a photograph upright (the EXIF orientation is applied).
+
+    Returns
+    -------
+    (H, W, 3) uint8, RGB.
+
+    Raises
+    ------
+    ImageError
+        The file is missing, is no image, is cut short, or is HEIC while ``pillow-heif`` is not installed.
+    """
+    path = Path(path)
+    if path.suffix.lower() in _HEIF_SUFFIXES:
+        _register_heif(path)
+    from PIL import Image, ImageOps, UnidentifiedImageError
+
+    try:
+        with Image.open(path) as image:
+            # Loading first: decoding errors must not hide in a lazy transposition.
+            image.load()
+            upright = ImageOps.exif_transpose(image)
+            return _as_rgb(upright)
+    except UnidentifiedImageError as error:
+        msg = f"{path} is not a photo that can be read; copy it again from the camera or delete it"
+        raise ImageError(msg) from error
+    except Image.DecompressionBombError as error:
+        msg = f"{path} has too many pixels ({error}); save it with fewer than 150 megapixels"
+        raise ImageError(msg) from error
+    except FileNotFoundError as error:
+        msg = f"{path} does not exist; check the name"
+        raise ImageError(msg) from error
+    except (OSError, SyntaxError, ValueError, EOFError) as error:
+        # Pillow: OSError for a cut JPEG, SyntaxError for a broken PNG, ValueError and EOFError for broken headers.
+        msg = f"{path} is damaged or cut short ({error}); copy it again from the camera or delete it"
+        raise ImageError(msg) from error
+
+
+def write_image(path: Path | str, image: NDArray[np.uint8], quality: int = 95, *, exif: bytes | None = None) -> None:
+    """Write an (H, W, 3) RGB or (H, W) grey uint8 image as JPEG or PNG by the suffix, atomically.
+
+    Parameters
+    ----------
+    quality: of a JPEG, 1 to 100. From 90 on colours are kept at full resolution.
+    exif: encoded metadata, see :func:`camera_exif`.
+
+    Raises
+    ------
+    ImageError
+        The array is no image or the suffix is neither ``.jpg``, ``.jpeg`` nor ``.png``.
+    OutputError
+        The file cannot be written.
+    """
+    from PIL import Image
+
+    path = Path(path)
+    formats = {".jpg": "JPEG", ".jpeg": "JPEG", ".png": "PNG"}
+    suffix = path.suffix.lower()
+    if suffix not in formats:
+        msg = f"cannot write {path}: images are written as .jpg or .png"
+        raise ImageError(msg)
+    if image.dtype != np.uint8 or image.size == 0 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
+        msg = f"cannot write {path}: needs (H, W, 3) uint8, has {image.shape=} {image.dtype=}"
+        raise ImageError(msg)
+    options: dict[str, object] = {} if exif is None else {"exif": exif}
+    if formats[suffix] == "JPEG":
+        options |= {"quality": quality, "subsampling": 0 if quality >= 90 else 2}
+    with atomic_path(path) as temporary:
+        Image.fromarray(np.ascontiguousarray(image)).save(temporary, format=formats[suffix], **options)
+
+
+def image_size(path: Path | str) -> tuple[int, int]:
+    """(width, height) of the upright photo, from its header alone; :class:`ImageError` where it cannot be read."""
+    path = Path(path)
+    image = open_header(path)
+    with image:
+        width, height = image.size
+        turned = int(image.getexif().get(_ORIENTATION, 1)) in (5, 6, 7, 8)
+    return (height, width) if turned else (width, height)
+
+
+def is_upright_jpeg_or_png(path: Path | str) -> bool:
+    """Whether every reader sees the same pixels: JPEG or PNG in 8 bits, without an orientation to apply."""
+    image = open_header(Path(path))
+    with image:
+        plain = image.format in ("JPEG", "PNG") and image.mode in ("RGB", "L")
+        return plain and int(image.getexif().get(_ORIENTATION, 1)) in (0, 1)
+
+
+def open_header(path: Path) -> Image:
+    """Open a photograph without decoding it; :class:`ImageError` where its header cannot be read."""
+    if path.suffix.lower() in _HEIF_SUFFIXES:
+        _register_heif(path)
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        return Image.open(path)
+    except UnidentifiedImageError as error:
+        msg = f"{path} is not a photo that can be read; copy it again from the camera or delete it"
+        raise ImageError(msg) from error
+    except (OSError, Image.DecompressionBombError) as error:
+        msg = f"cannot read {path} ({error}); copy it again from the camera or delete it"
+        raise ImageError(msg) from error
+
+
+def _register_heif(path: Path) -> None:
+    if importlib.util.find_spec("pillow_heif") is None:
+        msg = f"{path} is a HEIC photo and the reader for it is missing: pip install pillow-heif, or export JPEG photos"
+        raise ImageError(msg)
+    import pillow_heif
+
+    pillow_heif.register_heif_opener()
+
+
+def _as_rgb(image: Image) -> NDArray[np.uint8]:
+    if image.mode.startswith("I") or image.mode == "F":
+        # 16-bit grey: Pillow's own conversion clips at 255 instead of scaling.
+        values = np.asarray(image, dtype=np.float64)
+        grey = np.clip(values / 257.0, 0, 255).round().astype(np.uint8)
+        return np.repeat(grey[:, :, None], 3, axis=2)
+    return np.array(image.convert("RGB"), dtype=np.uint8)
+
+
+def luminance(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(H, W) uint8 luminance of an RGB image (ITU-R BT.601)."""
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)

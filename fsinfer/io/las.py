@@ -1,0 +1,230 @@
+"""LAS and LAZ by laspy with lazrs: columns in, columns out."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.errors import CloudError, FsinferError
+from fsinfer.io.files import atomic_path
+
+# Names under which CloudCompare stores and finds normals in LAS extra dimensions.
+NORMAL_NAMES = ("NormalX", "NormalY", "NormalZ")
+# Standard dimensions worth keeping when they say anything (are not all zero).
+_KEPT_DIMENSIONS = ("intensity", "classification")
+# LAS stores 32-bit integers; the finest step is 0.1 mm for a plot (30 m), coarser only for extents of 100 m and more.
+_STEPS_PER_EXTENT = 1e5
+_STEP_RANGE = (1e-7, 1e-3)
+# GeoTIFF keys: ProjectedCSTypeGeoKey, GeographicTypeGeoKey, and the value for "user defined".
+_PROJECTED_KEY, _GEOGRAPHIC_KEY, _USER_DEFINED = 3072, 2048, 32767
+
+
+def read_las(path: Path) -> dict[str, NDArray[Any]]:
+    """Read a LAS or LAZ file.
+
+    Returns
+    -------
+    Columns ``x, y, z`` (float64), ``red, green, blue`` (uint8, where the file has colour), extra dimensions and the
+    non-zero ones among intensity and classification.
+
+    Raises
+    ------
+    CloudError
+        The file is missing, is no LAS/LAZ, or is cut short.
+    """
+    with open_las(path) as reader:
+        expected = int(reader.header.point_count)
+        cloud = reader.read()
+    if len(cloud.points) < expected:
+        raise _damaged(path, f"{len(cloud.points)} of {expected} points are there")
+    columns: dict[str, NDArray[Any]] = {axis: np.asarray(cloud[axis], dtype=np.float64) for axis in ("x", "y", "z")}
+    names = set(cloud.point_format.dimension_names)
+    if "red" in names:
+        colours = {name: np.asarray(cloud[name]) for name in ("red", "green", "blue")}
+        peak = max((int(c.max()) for c in colours.values() if c.size), default=0)
+        # The standard says 16 bit; many programs write 8-bit values all the same.
+        if peak > 0:
+            columns |= {name: (c >> 8 if peak > 255 else c).astype(np.uint8) for name, c in colours.items()}
+    for name in _KEPT_DIMENSIONS:
+        values = np.asarray(cloud[name]) if name in names else np.empty(0)
+        if values.any():
+            columns[name] = values
+    for name in cloud.point_format.extra_dimension_names:
+        columns[name] = np.asarray(cloud[name])
+    return columns
+
+
+@contextmanager
+def open_las(path: Path) -> Iterator[Any]:
+    """A laspy reader of ``path``; whatever goes wrong while it is used is told as a :class:`CloudError`."""
+    import laspy
+
+    try:
+        with laspy.open(path) as reader:
+            # Each chunk of LAZ has at least one byte a point or so; a header that promises far more is damaged, and
+            # believing it would ask for all the memory there is.
+            if int(reader.header.point_count) > 1000 * path.stat().st_size:
+                raise _damaged(path, "its header promises more points than the file can hold")
+            yield reader
+    except FsinferError:
+        raise
+    except OSError as error:
+        msg = f"cannot read {path}: {error.strerror or error}; check the path"
+        raise CloudError(msg) from error
+    except Exception as error:  # laspy, lazrs and struct each raise their own kinds on a damaged file
+        raise _damaged(path, str(error)) from error
+
+
+def count_las(path: Path) -> int:
+    """Number of points that the header of a LAS or LAZ file gives."""
+    with open_las(path) as reader:
+        return int(reader.header.point_count)
+
+
+def iterate_las(path: Path, chunk_points: int) -> Iterator[Any]:
+    """The points of a LAS or LAZ file as laspy records of up to ``chunk_points``; raises where some are missing."""
+    with open_las(path) as reader:
+        expected, have = int(reader.header.point_count), 0
+        for record in reader.chunk_iterator(chunk_points):
+            have += len(record)
+            yield record
+        if have < expected:
+            raise _damaged(path, f"{have} of {expected} points are there")
+
+
+def sample_las(path: Path, starts: Sequence[int], count: int) -> NDArray[np.float64]:
+    """Coordinates (N, 3) of ``count`` points from each of ``starts`` on."""
+    pieces = []
+    with open_las(path) as reader:
+        for start in starts:
+            reader.seek(start)
+            record = reader.read_points(count)
+            pieces.append(np.column_stack([record.x, record.y, record.z]))
+    return np.concatenate(pieces) if pieces else np.zeros((0, 3))
+
+
+def read_epsg(path: Path) -> int | None:
+    """EPSG code of the horizontal frame that a LAS or LAZ header names, None where it names none.
+
+    Looks at the GeoTIFF keys (projected, then geographic) and at the last code of a WKT record's projected part.
+    """
+    with open_las(path) as reader:
+        records = [*reader.header.vlrs, *(reader.header.evlrs or [])]
+    keys: dict[int, int] = {}
+    for record in records:
+        for key in getattr(record, "geo_keys", ()):
+            keys[int(key.id)] = int(key.value_offset)
+        text = getattr(record, "string", "")
+        if isinstance(text, str) and "AUTHORITY" in text.upper():
+            # A compound frame ends with the vertical part; the projected one ends before it.
+            codes = re.findall(r'AUTHORITY\["EPSG","(\d+)"\]', text.split("VERT_CS")[0], flags=re.IGNORECASE)
+            if codes:
+                return int(codes[-1])
+    for key_id in (_PROJECTED_KEY, _GEOGRAPHIC_KEY):
+        if keys.get(key_id, 0) not in (0, _USER_DEFINED):
+            return keys[key_id]
+    return None
+
+
+def write_las(path: Path, xyz: NDArray[np.float64], rgb: NDArray[np.uint8] | None, extra: dict[str, Any]) -> None:
+    """Write LAS 1.4 (compressed when the suffix is .laz), atomically.
+
+    The step of the stored integers is a power of ten between 1e-7 and 0.001 that follows from the extent (0.1 mm for
+    a plot of 10 to 99 m); coordinates are stored from an offset, so georeferenced ones keep that precision.
+
+    Parameters
+    ----------
+    xyz: (N, 3) float64.
+    rgb: (N, 3) uint8 or None; stored as 16 bit (x257).
+    extra: name -> (N,) values in a LAS scalar type; names up to 32 bytes. ``intensity`` and ``classification`` go to
+        the standard dimensions.
+    """
+    low, high = xyz.min(axis=0), xyz.max(axis=0)
+    kinds = {name: values.dtype for name, values in extra.items()}
+    with las_writer(path, low, high, colour=rgb is not None, kinds=kinds) as append:
+        append(xyz, rgb, extra)
+
+
+@contextmanager
+def las_writer(
+    path: Path, low: NDArray[np.float64], high: NDArray[np.float64], *, colour: bool, kinds: Mapping[str, np.dtype[Any]]
+) -> Iterator[Callable[[NDArray[np.float64], NDArray[np.uint8] | None, Mapping[str, Any]], None]]:
+    """Write as :func:`write_las` does, in pieces: gives a function that appends xyz, rgb and extra.
+
+    ``low`` and ``high`` (3,) are the corners of the cloud, ``kinds`` the types of ``extra``.
+    """
+    import laspy
+
+    extent = float((high - low).max())
+    step = 10.0 ** math.floor(math.log10(extent / _STEPS_PER_EXTENT)) if extent > 0 else 1e-4
+    step = min(max(step, _STEP_RANGE[0]), _STEP_RANGE[1])
+    # Beyond 2^31 steps the integers overflow; no forest is 2,000 km wide, but broken poses can be.
+    step = max(step, extent / 2e9)
+    header = laspy.LasHeader(point_format=7 if colour else 6, version="1.4")
+    header.scales = np.full(3, step)
+    header.offsets = np.floor(low)
+    own = {name: name[:32] for name in kinds if name not in _KEPT_DIMENSIONS}
+    header.add_extra_dims([laspy.ExtraBytesParams(name=short, type=kinds[name]) for name, short in own.items()])
+
+    with atomic_path(path) as temporary, laspy.open(str(temporary), mode="w", header=header) as writer:
+
+        def append(xyz: NDArray[np.float64], rgb: NDArray[np.uint8] | None, extra: Mapping[str, Any]) -> None:
+            record = laspy.ScaleAwarePointRecord.zeros(len(xyz), header=header)
+            record.x, record.y, record.z = xyz.T
+            if rgb is not None:
+                record.red, record.green, record.blue = rgb.T.astype(np.uint16) * 257
+            for name, values in extra.items():
+                record[own.get(name, name)] = values
+            writer.write_points(record)
+
+        yield append
+
+
+def copy_las(
+    source: Path,
+    target: Path,
+    name: str,
+    label: Callable[[NDArray[np.float64]], NDArray[np.int32]],
+    *,
+    chunk_points: int,
+    factor: float = 1.0,
+) -> None:
+    """Copy a LAS or LAZ file piece by piece with one more dimension ``name``: ``label`` of its points (N, 3).
+
+    Stored integers stay as they are: ``factor`` (metres per unit of the source, which ``label`` gets) goes into their
+    step, and takes the frame away that the header names, which is no longer that of the coordinates.
+    """
+    import laspy
+
+    with open_las(source) as reader:
+        old = reader.header
+    header = laspy.LasHeader(point_format=old.point_format, version=old.version)
+    # One dimension of that name may be there from an earlier run; then it is written over.
+    if name not in set(header.point_format.dimension_names):
+        header.add_extra_dim(laspy.ExtraBytesParams(name=name, type=np.int32))
+    header.scales, header.offsets = old.scales * factor, old.offsets * factor
+    if factor == 1.0:
+        header.vlrs.extend(record for record in old.vlrs if _names_frame(record))
+        header.global_encoding.wkt = old.global_encoding.wkt
+    with atomic_path(target) as temporary, laspy.open(str(temporary), mode="w", header=header) as writer:
+        for points in iterate_las(source, chunk_points):
+            record = laspy.ScaleAwarePointRecord.zeros(len(points), header=header)
+            for dimension in points.point_format.dimension_names:
+                record[dimension] = points[dimension]
+            record[name] = label(np.column_stack([points.x, points.y, points.z]) * factor)
+            writer.write_points(record)
+
+
+def _names_frame(record: Any) -> bool:
+    return str(getattr(record, "user_id", "")) == "LASF_Projection"
+
+
+def _damaged(path: Path, why: str) -> CloudError:
+    return CloudError(f"{path} is no LAS/LAZ file, or is cut short or damaged ({why}); export or copy it again")

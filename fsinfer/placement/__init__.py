@@ -1,0 +1,1 @@
+"""From scene units to the plot: z up, ground near zero, metres."""

@@ -1,0 +1,108 @@
+"""From scene units to the plot: z up, ground near z = 0, metres when the scale is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from fsinfer.io.cloud import PointCloud
+    from fsinfer.scene import Scene
+
+# Side of the cells whose area counts as covered for the density, metres: wide against the point spacing of a cloud
+# from photographs (1-2 cm), narrow against a plot. The paper gives points per square metre without saying of what.
+DENSITY_CELL_M = 0.25
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlacedCloud:
+    """A cloud in the plot's frame.
+
+    Attributes
+    ----------
+    cloud: z up; metres when the scale is known, else model units.
+    cloud_from_scene: (4, 4) float64 similarity from scene coordinates to those of ``cloud``.
+    camera_height: median height of the cameras over z = 0, in units of ``cloud``; None when the cloud is not levelled.
+    """
+
+    cloud: PointCloud
+    cloud_from_scene: NDArray[np.float64]
+    camera_height: float | None = None
+
+
+def place_cloud(cloud: PointCloud, scene: Scene, *, m_per_unit: float | None = None) -> PlacedCloud:
+    """Level a fused cloud by its ground and the cameras, and scale it.
+
+    Parameters
+    ----------
+    cloud: in scene units.
+    scene: the cameras say which side is up.
+    m_per_unit: metres per scene unit; None keeps scene units.
+
+    Raises
+    ------
+    CloudError
+        The cloud has too few points to find the ground in.
+    """
+    cloud_from_scene, camera_height = level_scene(cloud.xyz, scene, m_per_unit=m_per_unit)
+    return PlacedCloud(
+        cloud=transform_cloud(cloud, cloud_from_scene), cloud_from_scene=cloud_from_scene, camera_height=camera_height
+    )
+
+
+def level_scene(
+    points: NDArray[np.float64], scene: Scene, *, m_per_unit: float | None = None
+) -> tuple[NDArray[np.float64], float]:
+    """Find the plot's frame from points (N, 3) and cameras in scene units: z up, ground near z = 0.
+
+    Parameters
+    ----------
+    m_per_unit: metres per scene unit; None keeps scene units.
+
+    Returns
+    -------
+    (4, 4) float64 similarity from scene coordinates to the plot's, and the median height of the cameras there.
+
+    Raises
+    ------
+    CloudError
+        There are too few points to find the ground in.
+    """
+    from fsinfer.placement.level import level
+
+    centers = np.array([view.camera.center for view in scene.views])
+    # The image's downward axis in world coordinates: the second row of the rotation.
+    down = np.array([view.camera.cam_from_world[1, :3] for view in scene.views])
+    # People tilt a phone up or down more than they roll it: its horizontal axis tells what is level.
+    right = np.array([view.camera.cam_from_world[0, :3] for view in scene.views])
+    scale = 1.0 if m_per_unit is None else m_per_unit
+    plot_from_scene = np.diag([scale, scale, scale, 1.0]) @ level(points, centers, down, camera_right=right)
+    return plot_from_scene, float(np.median(centers @ plot_from_scene[2, :3] + plot_from_scene[2, 3]))
+
+
+def transform_cloud(cloud: PointCloud, similarity: NDArray[np.float64]) -> PointCloud:
+    """Apply a (4, 4) similarity to points and normals."""
+    linear = similarity[:3, :3]
+    rotation = linear / np.cbrt(np.linalg.det(linear))
+    normals = None if cloud.normals is None else (cloud.normals @ rotation.T).astype(np.float32)
+    return replace(cloud, xyz=cloud.xyz @ linear.T + similarity[:3, 3], normals=normals)
+
+
+def density_per_m2(xyz: NDArray[np.float64]) -> float | None:
+    """Points per square metre of plan area covered: points over the area of the occupied 0.25 m cells.
+
+    Parameters
+    ----------
+    xyz: (N, 3) metres, z up.
+
+    Returns
+    -------
+    None for an empty cloud.
+    """
+    if not len(xyz):
+        return None
+    cells = np.unique(np.floor(xyz[:, :2] / DENSITY_CELL_M).astype(np.int64), axis=0)
+    return float(len(xyz) / (len(cells) * DENSITY_CELL_M**2))

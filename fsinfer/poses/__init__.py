@@ -1,0 +1,1 @@
+"""Structure from motion: the only package that knows pycolmap."""

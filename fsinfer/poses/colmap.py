@@ -1,0 +1,337 @@
+"""Structure from motion with COLMAP's SIFT on the CPU: features, matches, mapping.
+
+Everything is done in small batches, so that progress can be told, a key press can stop it, and a repetition after a
+kill goes on from the database.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from fsinfer.errors import PosesError
+from fsinfer.poses.pairs import PairSettings, first_pairs, most_pairs, pairs_beside
+from fsinfer.progress import Progress
+
+_log = logging.getLogger(__name__)
+
+# COLMAP draws random samples; a fixed seed, and one thread where sums are taken, make two runs on one machine alike.
+SEED = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseSettings:
+    """How poses are found.
+
+    Attributes
+    ----------
+    max_image_size: longer side at which features are found, pixels. 23 photos of 2016x1512 at 1600: all registered.
+    double_below_px: photos whose longer side is shorter are doubled before looking for features, as COLMAP does with
+        all. Doubled photos of 1280x720 give four times the features, the smallest of them: matching takes 15 times as
+        long, and the walk through a video of which most is blurred tore in two places, which it did not without.
+    max_features: per photo, about; the smallest features go first. COLMAP's default is 8192.
+    pairs: which photos are matched with which.
+    default_focal_factor: focal length over longer side where the photo does not tell; 0.9 is a phone's main camera
+        (26-28 mm equivalent is 0.72-0.78, video is cropped). It is refined from the photos.
+    mapper: ``incremental`` (robust) or ``global`` (GLOMAP; as good and as fast on 23 photos).
+    min_registered: fewer photos than this in the largest model are no result.
+    min_inliers: matches that a pair needs after the geometric check (COLMAP's default is 15).
+    sources: at most this many source views in ``pair.txt`` (MVSNet writes 10).
+    jpeg_quality: of the undistorted images.
+    threads: 0 for one per core.
+    """
+
+    max_image_size: int = 1600
+    double_below_px: int = 1000
+    max_features: int = 6000
+    pairs: PairSettings = field(default_factory=PairSettings)
+    default_focal_factor: float = 0.9
+    mapper: str = "incremental"
+    min_registered: int = 3
+    min_inliers: int = 15
+    sources: int = 10
+    jpeg_quality: int = 95
+    threads: int = 0
+
+    @property
+    def thread_count(self) -> int:
+        """Threads really used."""
+        return self.threads if self.threads > 0 else (os.cpu_count() or 1)
+
+
+# Pairs and photos handed to COLMAP at a time: large enough that its indices are built once for many pairs.
+_PHOTOS_PER_BATCH = 8
+_PAIRS_PER_BATCH = 120
+# Of the geometric check of a pair. With COLMAP's 10,000 it takes as long as matching, most of it on pairs that do not
+# belong together: on 360 pairs of a plot 6.4 s against 3.0, 281 pairs and 92,629 matches against 279 and 92,574.
+_MOST_TRIALS = 2500
+# An adjustment of all photos ends where a step gains less than this share; COLMAP goes on to its limit of steps.
+ENOUGH = 1e-5
+
+
+@contextmanager
+def colmap_errors(what: str, work: Path) -> Iterator[None]:
+    """Keep COLMAP from writing on the terminal, and turn its exceptions into :class:`PosesError`."""
+    import pycolmap
+
+    if threading.current_thread() is threading.main_thread():
+        # Its library prints a trace where a program is told to end; who asked for the end needs none.
+        signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGTERM))
+    levels = pycolmap.logging.minloglevel
+    pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value
+    try:
+        yield
+    except (RuntimeError, ValueError, IndexError) as error:
+        msg = f"{what} failed in COLMAP ({error}); delete {work} and run the same command again"
+        raise PosesError(msg) from error
+    finally:
+        pycolmap.logging.minloglevel = levels
+
+
+def extract_features(
+    database: Path,
+    images: Path,
+    cameras: Mapping[str, Sequence[str]],
+    settings: PoseSettings,
+    progress: Progress,
+) -> None:
+    """Find SIFT features in every photo that the database has none of yet.
+
+    Parameters
+    ----------
+    database: made when missing.
+    images: folder of the files named in ``cameras``.
+    cameras: ``{camera: file names}``; the photos of one camera share one calibration.
+    """
+    import pycolmap
+
+    options = pycolmap.FeatureExtractionOptions()
+    options.use_gpu = False
+    options.num_threads = settings.thread_count
+    options.max_image_size = settings.max_image_size
+    options.sift.max_num_features = settings.max_features
+    total = sum(len(names) for names in cameras.values())
+    done = 0
+    for names in cameras.values():
+        if _camera_of(database, names) is None:
+            # COLMAP numbers photos in the order in which its threads finish them, and everything after depends on the
+            # numbers: entered in order first, two runs on one machine are alike.
+            with pycolmap.Database.open(database):
+                pass  # makes the file
+            pycolmap.import_images(
+                database,
+                images,
+                camera_mode=pycolmap.CameraMode.SINGLE,
+                image_names=list(names),
+                options=_reader(settings),
+            )
+        camera_id = _camera_of(database, names)
+        doubled = camera_id is not None and _longer_side_px(database, camera_id, settings) < settings.double_below_px
+        options.sift.first_octave = -1 if doubled else 0
+        for start in range(0, len(names), _PHOTOS_PER_BATCH):
+            batch = list(names[start : start + _PHOTOS_PER_BATCH])
+            progress(done, total, "finding features")
+            missing = [name for name in batch if not _has_features(database, name)]
+            if missing:
+                reader = _reader(settings)
+                if camera_id is not None:
+                    reader.existing_camera_id = camera_id
+                pycolmap.extract_features(
+                    database,
+                    images,
+                    image_names=missing,
+                    camera_mode=pycolmap.CameraMode.SINGLE,
+                    reader_options=reader,
+                    extraction_options=options,
+                    device=pycolmap.Device.cpu,
+                )
+            done += len(batch)
+    progress(total, total, "finding features")
+
+
+def _reader(settings: PoseSettings) -> Any:
+    import pycolmap
+
+    reader = pycolmap.ImageReaderOptions()
+    reader.camera_model = "SIMPLE_RADIAL"
+    reader.default_focal_length_factor = settings.default_focal_factor
+    return reader
+
+
+def _camera_of(database: Path, names: Sequence[str]) -> int | None:
+    import pycolmap
+
+    if not database.exists():
+        return None
+    with pycolmap.Database.open(database) as opened:
+        for name in names:
+            image = opened.read_image_with_name(name)
+            if image is not None:
+                return int(image.camera_id)
+    return None
+
+
+def _longer_side_px(database: Path, camera_id: int, settings: PoseSettings) -> int:
+    """Of the photos as features are looked for in them."""
+    import pycolmap
+
+    with pycolmap.Database.open(database) as opened:
+        camera = opened.read_camera(camera_id)
+    return min(max(int(camera.width), int(camera.height)), settings.max_image_size)
+
+
+def _has_features(database: Path, name: str) -> bool:
+    import pycolmap
+
+    if not database.exists():
+        return False
+    with pycolmap.Database.open(database) as opened:
+        image = opened.read_image_with_name(name)
+        if image is None:
+            return False
+        return bool(opened.exists_keypoints(image.image_id) and opened.exists_descriptors(image.image_id))
+
+
+def match_features(database: Path, names: Sequence[str], settings: PoseSettings, progress: Progress) -> None:
+    """Match the photos and check the matches geometrically; pairs that the database has are not matched again.
+
+    ``names`` are those of the photos in the order of walking, and hold no spaces.
+    """
+    count = len(names)
+    pairs = first_pairs(count, settings.pairs)
+    rounds = settings.pairs.rounds if count > settings.pairs.exhaustive_up_to else 0
+    total = most_pairs(count, settings.pairs)
+    _match(database, names, pairs, settings, progress, 0, total)
+    tried = pairs
+    for _ in range(rounds):
+        # Only what was matched before this round decides, so that a run that was killed in it goes on to the same end.
+        found = inliers_by_rank(database, names)
+        pairs = pairs_beside({pair: found.get(pair, 0) for pair in tried}, count, settings.pairs)
+        _match(database, names, pairs, settings, progress, len(tried), total)
+        tried = tried + pairs
+    progress(total, total, "matching photos")
+
+
+def inliers_by_rank(database: Path, names: Sequence[str]) -> dict[tuple[int, int], int]:
+    """Matches of each pair of photos, by their ranks, that passed the geometric check."""
+    import pycolmap
+
+    rank = {name: index for index, name in enumerate(names)}
+    with pycolmap.Database.open(database) as opened:
+        number = {image.image_id: rank[image.name] for image in opened.read_all_images()}
+        pair_ids, counts = opened.read_two_view_geometry_num_inliers()
+    found = {}
+    for pair_id, inliers in zip(pair_ids, counts, strict=True):
+        first, second = sorted(number[i] for i in pycolmap.pair_id_to_image_pair(pair_id))
+        found[first, second] = int(inliers)
+    return found
+
+
+def _match(
+    database: Path,
+    names: Sequence[str],
+    pairs: Sequence[tuple[int, int]],
+    settings: PoseSettings,
+    progress: Progress,
+    done: int,
+    total: int,
+) -> None:
+    import pycolmap
+
+    options = pycolmap.FeatureMatchingOptions()
+    options.use_gpu = False
+    options.num_threads = settings.thread_count
+    verification = pycolmap.TwoViewGeometryOptions()
+    verification.min_num_inliers = settings.min_inliers
+    verification.ransac.random_seed = SEED
+    verification.ransac.max_num_trials = _MOST_TRIALS
+    listed = database.parent / "pairs.txt"
+    for start in range(0, len(pairs), _PAIRS_PER_BATCH):
+        progress(done + start, total, "matching photos")
+        batch = pairs[start : start + _PAIRS_PER_BATCH]
+        listed.write_text("".join(f"{names[i]} {names[j]}\n" for i, j in batch), encoding="utf-8")
+        pairing = pycolmap.ImportedPairingOptions()
+        pairing.match_list_path = listed
+        pycolmap.match_image_pairs(
+            database,
+            matching_options=options,
+            pairing_options=pairing,
+            verification_options=verification,
+            device=pycolmap.Device.cpu,
+        )
+
+
+def reconstruct(
+    database: Path,
+    images: Path,
+    out: Path,
+    settings: PoseSettings,
+    progress: Progress,
+    start: Any = None,
+) -> list[Any]:
+    """Map the photos; returns the ``pycolmap.Reconstruction`` of each connected part, the largest first.
+
+    With a model to ``start`` from, the incremental mapper goes on with the photos that it has not placed.
+    """
+    import pycolmap
+
+    out.mkdir(parents=True, exist_ok=True)
+    total = 0
+    with pycolmap.Database.open(database) as opened:
+        total = int(opened.num_images())
+        if opened.num_verified_image_pairs() == 0:
+            return []
+    progress(0, total, "placing photos")
+    if settings.mapper == "global":
+        options = pycolmap.GlobalPipelineOptions()
+        options.num_threads = settings.thread_count
+        options.random_seed = SEED
+        models = pycolmap.global_mapping(database, images, out, options=options)
+    elif settings.mapper == "incremental":
+        placed = 0 if start is None else int(start.num_reg_images())
+
+        def step() -> None:
+            nonlocal placed
+            placed = min(placed + 1, total)
+            progress(placed, total, "placing photos")
+
+        incremental = pycolmap.IncrementalPipelineOptions()
+        # With several threads sums come out in another order now and then, another model with them (on 23 photos every
+        # fifth time, cameras 0.007 % apart), and a run that was stopped would not end as one that was not. 300 photos
+        # take 74 processor seconds, 67 s with two threads.
+        incremental.num_threads = 1
+        incremental.random_seed = SEED
+        incremental.min_model_size = settings.min_registered
+        incremental.max_num_models = 5
+        # All photos are adjusted together when so many more have come, not at every tenth, and without points that add
+        # nothing: 300 photos in 82 instead of 150 s, their places as exact, and refined once more at the end.
+        incremental.ba_global_frames_ratio = incremental.ba_global_points_ratio = 1.6
+        incremental.ba_global_function_tolerance = ENOUGH
+        incremental.mapper.ba_global_ignore_redundant_points3D = True
+        # Colours are taken from the photographs at fusion.
+        incremental.extract_colors = False
+        known = out / "start"
+        if start is not None:
+            known.mkdir(exist_ok=True)
+            start.write_binary(known)
+            incremental.multiple_models = False
+        models = pycolmap.incremental_mapping(
+            database,
+            images,
+            out,
+            options=incremental,
+            input_path="" if start is None else known,
+            next_image_callback=step,
+        )
+    else:
+        msg = f"there is no mapper {settings.mapper!r}; choose incremental or global"
+        raise PosesError(msg)
+    progress(total, total, "placing photos")
+    return sorted(models.values(), key=lambda model: (-model.num_reg_images(), -model.num_points3D()))

@@ -1,0 +1,294 @@
+"""Photos to a scene in MVSNet format: structure from motion, undistortion, source views, depth ranges."""
+
+from __future__ import annotations
+
+import json
+import logging
+import shutil
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fsinfer.errors import ImageError, OutputError, PosesError
+from fsinfer.io.digest import file_digest
+from fsinfer.io.exif import camera_exif, camera_key
+from fsinfer.io.files import make_folder, write_text
+from fsinfer.io.images import is_upright_jpeg_or_png, list_images, read_image, write_image
+from fsinfer.poses.colmap import PoseSettings, colmap_errors, extract_features, match_features, reconstruct
+from fsinfer.poses.refinement import RefinementSettings, refine
+from fsinfer.poses.sparse import sparse_of
+from fsinfer.poses.undistortion import intrinsic_of, undistort, undistort_model, undistortion_maps
+from fsinfer.poses.verification.misplaced import drop_blind_views, misplaced_message
+from fsinfer.poses.verification.repair import repair
+from fsinfer.poses.view_selection import depth_range, select_views
+from fsinfer.progress import Progress, silent
+from fsinfer.scene import Camera, write_camera, write_pairs
+
+__all__ = ["PoseSettings", "PosesResult", "estimate_poses"]
+
+_log = logging.getLogger(__name__)
+
+ADVICE = (
+    "photos must overlap by two thirds or more, be sharp, and show bark, litter or other texture in good light; "
+    "walk on a little between photos and do not only turn on the spot"
+)
+# Raised when scenes written before must not be taken for finished ones.
+_FORMAT = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class PosesResult:
+    """What structure from motion found.
+
+    Attributes
+    ----------
+    scene: folder in MVSNet format, with the COLMAP model of its images in ``sparse``.
+    photos: how many were given.
+    registered: how many have a pose.
+    warnings: sentences for the user, with the names of photos left out.
+    """
+
+    scene: Path
+    photos: int
+    registered: int
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Photo:
+    """A photo to be placed: ``name`` in the scene and ``file`` in the work folder (plain letters for COLMAP)."""
+
+    name: str
+    source: Path
+    file: str
+
+
+def estimate_poses(
+    images: Path | str,
+    out: Path | str,
+    *,
+    settings: PoseSettings | None = None,
+    origin: Path | None = None,
+    progress: Progress = silent,
+) -> PosesResult:
+    """Find where each photo was taken and write ``out`` as a scene.
+
+    Photos of different cameras or sizes may be mixed: each camera and size gets a calibration of its own. Photos
+    that cannot be read or have no place in the largest model are left out with a warning. Called again with the same
+    photos and settings it returns at once; after a kill it goes on from the database in ``out/work``.
+
+    Parameters
+    ----------
+    images: folder of photos; above ``settings.pairs.exhaustive_up_to`` of them in the order of walking, by name.
+    out: folder for ``images``, ``cams``, ``pair.txt``, ``sparse`` and ``poses.json``.
+    origin: what messages call the photos: the folder or video that the user gave and ``images`` were chosen from.
+
+    Raises
+    ------
+    ImageError
+        The folder is missing or empty, or no photo in it can be read.
+    PosesError
+        Fewer than ``settings.min_registered`` photos could be placed.
+    OutputError
+        ``out`` cannot be written.
+    """
+    images, out, settings = Path(images), Path(out), settings or PoseSettings()
+    given = origin or images
+    paths = list_images(images)
+    if images.resolve().is_relative_to((out / "images").resolve()):
+        msg = f"{images} would be overwritten by the scene; choose another output folder than {out}"
+        raise ImageError(msg)
+    if len(paths) == 1:
+        msg = (
+            f"{given} holds one photo that can be used; depth needs at least {settings.min_registered} from different "
+            f"places: {ADVICE}"
+        )
+        raise PosesError(msg)
+    key = _key(paths, settings)
+    finished = _finished(out, key)
+    if finished is not None:
+        return finished
+    work = _work_folder(out, key)
+    warnings: list[str] = []
+    photos = _prepare(paths, work / "images", warnings, progress)
+    if len(photos) < settings.min_registered:
+        msg = f"{given} holds {len(photos)} photos that can be used, {settings.min_registered} are needed: {ADVICE}"
+        raise PosesError(msg)
+    with colmap_errors("finding poses", work):
+        model, misplaced = _structure_from_motion(photos, given, work, settings, progress)
+        model = refine(model, RefinementSettings(), progress)
+    drop_blind_views(model)
+    placed = {model.images[i].name for i in model.reg_image_ids()}
+    named = {file for files in misplaced.values() for file in files}
+    misplaced["unplaced"] = [file for file in (photo.file for photo in photos) if file not in placed | named]
+    names = {photo.file: photo.name for photo in photos}
+    for how, files in misplaced.items():
+        if files:
+            warnings.append(misplaced_message(how, [names[file] for file in files], len(photos)))
+    registered = _write_scene(model, photos, out, settings, progress)
+    for warning in warnings:
+        _log.warning(warning)
+    record = {"photos": len(paths), "registered": registered, "warnings": warnings, "key": key}
+    write_text(out / "poses.json", json.dumps(record | _quality(model), indent=1) + "\n")
+    shutil.rmtree(work, ignore_errors=True)
+    return PosesResult(scene=out, photos=len(paths), registered=registered, warnings=tuple(warnings))
+
+
+def _key(paths: Sequence[Path], settings: PoseSettings) -> dict[str, Any]:
+    """What the result depends on."""
+    chosen = {name: value for name, value in asdict(settings).items() if name != "threads"}
+    return {"format": _FORMAT, "settings": chosen, "photos": {path.name: file_digest(path) for path in paths}}
+
+
+def _finished(out: Path, key: dict[str, Any]) -> PosesResult | None:
+    """The result of an earlier run with the same input, if all of it is still there."""
+    try:
+        record = json.loads((out / "poses.json").read_text(encoding="utf-8"))
+        registered = int(record["registered"])
+        complete = (
+            record["key"] == key
+            and len(list((out / "cams").glob("*_cam.txt"))) == registered
+            and len(list((out / "images").glob("*.jpg"))) == registered
+            and (out / "pair.txt").is_file()
+            and (out / "sparse" / "points3D.bin").is_file()
+        )
+        if not complete:
+            return None
+        return PosesResult(
+            scene=out, photos=int(record["photos"]), registered=registered, warnings=tuple(record["warnings"])
+        )
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _work_folder(out: Path, key: dict[str, Any]) -> Path:
+    """``out/work``, emptied unless it belongs to the same photos and settings; old results go, so none are mixed."""
+    make_folder(out)
+    work = out / "work"
+    text = json.dumps(key, sort_keys=True)
+    stamp = work / "key.json"
+    try:
+        if (out / "poses.json").is_file() or stamp.is_file():
+            # Only a folder that this stage began or finished is cleared: nothing of the user's can be in it.
+            for name in ("images", "cams", "sparse"):
+                shutil.rmtree(out / name, ignore_errors=True)
+            (out / "poses.json").unlink(missing_ok=True)
+        elif any((out / "images").glob("*")) or any((out / "cams").glob("*")):
+            msg = f"{out} holds images or cams that this stage did not make; choose another output folder"
+            raise OutputError(msg)
+        if work.is_dir() and not (stamp.is_file() and stamp.read_text(encoding="utf-8") == text):
+            shutil.rmtree(work)
+    except OSError as error:
+        msg = f"cannot clear {out} ({error.strerror or error}); choose another output folder"
+        raise OutputError(msg) from error
+    make_folder(work)
+    write_text(stamp, text)
+    return work
+
+
+def _prepare(paths: Sequence[Path], folder: Path, warnings: list[str], progress: Progress) -> list[_Photo]:
+    """Put every usable photo into ``folder``, upright and under a name that COLMAP's lists can hold."""
+    make_folder(folder)
+    photos: list[_Photo] = []
+    names: dict[str, Path] = {}
+    first_error: ImageError | None = None
+    for done, path in enumerate(paths):
+        progress(done, len(paths), "reading photos")
+        # Many phones write IMG_1.HEIC and IMG_1.JPG of the same moment.
+        if path.stem in names:
+            warnings.append(f"{path.name} was left out: {names[path.stem].name} has the same name")
+            continue
+        try:
+            pixels = read_image(path)
+            plain = is_upright_jpeg_or_png(path)
+        except ImageError as error:
+            first_error = first_error or error
+            warnings.append(f"left out: {error}")
+            continue
+        names[path.stem] = path
+        file = f"{done:05d}{path.suffix.lower() if plain else '.jpg'}"
+        if not (folder / file).is_file():
+            if plain:
+                shutil.copyfile(path, folder / file)
+            else:
+                write_image(folder / file, pixels, exif=camera_exif(path))
+        photos.append(_Photo(name=path.stem, source=path, file=file))
+    if not photos and first_error is not None:
+        raise first_error
+    return photos
+
+
+def _structure_from_motion(
+    photos: Sequence[_Photo], given: Path, work: Path, settings: PoseSettings, progress: Progress
+) -> tuple[Any, dict[str, list[str]]]:
+    """The largest model, and by reason the files of photos that were placed wrongly and taken out of it."""
+    cameras: dict[tuple[str, ...], list[str]] = {}
+    for photo in photos:
+        cameras.setdefault(camera_key(photo.source), []).append(photo.file)
+    grouped = {" ".join(key): files for key, files in cameras.items()}
+    walk = [photo.file for photo in photos]
+    database = work / "database.db"
+    extract_features(database, work / "images", grouped, settings, progress)
+    match_features(database, walk, settings, progress)
+    models = reconstruct(database, work / "images", work / "models", settings, progress)
+    placed = models[0].num_reg_images() if models else 0
+    if placed < settings.min_registered:
+        found = "no two photos" if placed == 0 else f"only {placed} photos"
+        msg = f"{found} of the {len(photos)} in {given} could be placed together: {ADVICE}"
+        raise PosesError(msg)
+    model, misplaced = repair(models[0], database, walk, work, settings, progress)
+    if model.num_reg_images() < settings.min_registered:
+        msg = f"the {len(photos)} photos in {given} match in ways that contradict each other: {ADVICE}"
+        raise PosesError(msg)
+    return model, misplaced
+
+
+def _write_scene(model: Any, photos: Sequence[_Photo], out: Path, settings: PoseSettings, progress: Progress) -> int:
+    """Write images, cams, pair.txt and sparse of a refined model; returns the number of views."""
+    by_file = {photo.file: photo for photo in photos}
+    lenses = undistort_model(model)
+    image_ids = {by_file[model.images[i].name].name: i for i in model.reg_image_ids()}
+    maps = {i: undistortion_maps(lens, model.cameras[i]) for i, lens in lenses.items()}
+    for done, (name, image_id) in enumerate(sorted(image_ids.items())):
+        progress(done, len(image_ids), "undistorting")
+        image = model.images[image_id]
+        target = out / "images" / f"{name}.jpg"
+        pixels = read_image(by_file[image.name].source)
+        write_image(target, undistort(pixels, maps[image.camera_id]), quality=settings.jpeg_quality)
+    for image_id in image_ids.values():
+        image = model.images[image_id]
+        image.name = f"{by_file[image.name].name}.jpg"
+    sparse = sparse_of(model)
+    cameras = {}
+    for name, image_id in image_ids.items():
+        image = model.images[image_id]
+        pinhole = model.cameras[image.camera_id]
+        pose = np.eye(4)
+        pose[:3] = image.cam_from_world().matrix()
+        intrinsic = intrinsic_of(pinhole)
+        size = (int(pinhole.width), int(pinhole.height))
+        depths = depth_range(sparse, sparse.observations[name], intrinsic, pose, size)
+        if depths is None:
+            # _drop_blind_views has taken such views out.
+            msg = f"{name} sees no point of the model; take it out of the photos and run again"
+            raise PosesError(msg)
+        cameras[name] = Camera(intrinsic=intrinsic, cam_from_world=pose, depth_min=depths[0], depth_max=depths[1])
+    for name, camera in cameras.items():
+        write_camera(out / "cams" / f"{name}_cam.txt", camera)
+    write_pairs(out / "pair.txt", select_views(sparse, cameras, settings.sources))
+    model.write_binary(make_folder(out / "sparse"))
+    progress(len(image_ids), len(image_ids), "undistorting")
+    return len(image_ids)
+
+
+def _quality(model: Any) -> dict[str, Any]:
+    """Figures that tell a good model from a poor one, for ``poses.json``."""
+    return {
+        "points": int(model.num_points3D()),
+        "mean_reprojection_error_px": round(float(model.compute_mean_reprojection_error()), 4),
+        "mean_track_length": round(float(model.compute_mean_track_length()), 3),
+        "observations_per_photo": round(float(model.compute_mean_observations_per_reg_image()), 1),
+    }

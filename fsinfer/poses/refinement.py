@@ -1,0 +1,125 @@
+"""The last adjustment of a model: a lens that fits, and points that are worth keeping.
+
+Phone cameras straighten their pictures themselves and leave a wavy rest that one radial coefficient cannot follow:
+on 23 photos of a phone a rational model took the median reprojection error from 0.73 to 0.60 pixels. A model with
+many coefficients bends where nothing was seen, though, so that it is only taken where it pays and stays monotone.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fsinfer.poses.colmap import ENOUGH
+from fsinfer.progress import Progress
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefinementSettings:
+    """Constants of the last adjustment, measured on 23 phone photos.
+
+    Attributes
+    ----------
+    min_photos: a camera with fewer registered photos keeps the simple lens of the mapper.
+    min_gain: the mean error must fall by this share for the richer lens.
+    max_error_px: observations further off are dropped before the last round, at 1600 pixels longer side.
+    min_angle_deg: points whose rays meet at less than this are dropped (COLMAP's mapper: 1.5).
+    """
+
+    min_photos: int = 8
+    min_gain: float = 0.04
+    max_error_px: float = 2.5
+    min_angle_deg: float = 1.5
+
+
+def refine(model: Any, settings: RefinementSettings, progress: Progress) -> Any:
+    """Return the adjusted copy of a ``pycolmap.Reconstruction`` whose cameras are SIMPLE_RADIAL.
+
+    In one thread, so that two runs give the same to the last bit: 32 instead of 23 s for 300 photos on two cores.
+    """
+    import copy
+
+    import pycolmap
+
+    progress(0, 3, "adjusting")
+    best = copy.deepcopy(model)
+    _enrich(best, "RADIAL", settings)
+    _adjust(best)
+    progress(1, 3, "adjusting")
+    rich = copy.deepcopy(best)
+    if _enrich(rich, "FULL_OPENCV", settings):
+        _adjust(rich)
+        gain = 1 - rich.compute_mean_reprojection_error() / best.compute_mean_reprojection_error()
+        _log.info("rational lens: mean error falls by %.1f %%", 100 * gain)
+        if gain >= settings.min_gain and all(is_monotone(camera) for camera in rich.cameras.values()):
+            best = rich
+    progress(2, 3, "adjusting")
+    longest = max(max(camera.width, camera.height) for camera in best.cameras.values())
+    manager = pycolmap.ObservationManager(best)
+    manager.filter_all_points3D(settings.max_error_px * max(longest, 1600) / 1600, settings.min_angle_deg)
+    _adjust(best)
+    progress(3, 3, "adjusting")
+    return best
+
+
+def _enrich(model: Any, lens: str, settings: RefinementSettings) -> bool:
+    """Give cameras with enough photos the lens model ``lens``, equal in effect to what they have."""
+    import pycolmap
+
+    photos: dict[int, int] = {}
+    for image_id in model.reg_image_ids():
+        camera_id = model.images[image_id].camera_id
+        photos[camera_id] = photos.get(camera_id, 0) + 1
+    changed = False
+    for camera_id, camera in model.cameras.items():
+        if photos.get(camera_id, 0) < settings.min_photos:
+            continue
+        focal, center_x, center_y, *radial = (float(value) for value in camera.params)
+        k1, k2 = (*radial, 0.0, 0.0)[:2]
+        if lens == "RADIAL":
+            params = [focal, center_x, center_y, k1, k2]
+        else:
+            params = [focal, focal, center_x, center_y, k1, k2, *[0.0] * 6]
+        camera.model = pycolmap.CameraModelId.__members__[lens]
+        camera.params = params
+        changed = True
+    return changed
+
+
+def _adjust(model: Any) -> None:
+    import pycolmap
+
+    options = pycolmap.BundleAdjustmentOptions()
+    options.print_summary = False
+    options.ceres.solver_options.num_threads = 1
+    options.ceres.solver_options.max_num_iterations = 40
+    options.ceres.solver_options.function_tolerance = ENOUGH
+    # Leaves move: a robust loss keeps the wrong matches that passed the mapper from pulling.
+    options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
+    config = pycolmap.BundleAdjustmentConfig()
+    for image_id in model.reg_image_ids():
+        config.add_image(image_id)
+    config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    pycolmap.create_default_bundle_adjuster(options, config, model).solve()
+    model.update_point_3d_errors()
+
+
+def is_monotone(camera: Any) -> bool:
+    """Whether the lens maps ever wider rays to ever larger image radii, out to the corners of the image."""
+    focal = camera.mean_focal_length()
+    corner = 1.05 * float(np.hypot(camera.width, camera.height)) / 2 / focal
+    radius = np.linspace(0, corner, 200)
+    for direction in np.linspace(0, 2 * np.pi, 8, endpoint=False):
+        rays = np.stack([radius * np.cos(direction), radius * np.sin(direction), np.ones_like(radius)], axis=1)
+        pixels = camera.img_from_cam(rays)
+        distance = np.linalg.norm(pixels - pixels[0], axis=1)
+        growth = np.diff(distance) / (focal * (radius[1] - radius[0]))
+        # Phone lenses after the camera's own correction stay within a few per cent; 0.5 to 2 is generous.
+        if not (np.isfinite(growth).all() and growth.min() > 0.5 and growth.max() < 2.0):
+            return False
+    return True

@@ -1,0 +1,116 @@
+"""Photos that structure from motion placed, but wrongly or on too little evidence, taken out of its model."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fsinfer.poses.verification.loose_parts import loose_parts
+from fsinfer.poses.verification.pair_votes import contradicted, pair_votes, weight_of
+from fsinfer.poses.verification.scale_jumps import strays
+
+# A pose that hangs on fewer points than this is an accident.
+_MIN_POINTS = 10
+
+_MOST_NAMES = 20
+
+_WHY = {
+    "unplaced": "they could not be placed with the others; more photos between would help",
+    "astray": (
+        "the steps between them do not fit the rest of the walk, so they were joined to it by false matches; turn more "
+        "slowly, with more photos between"
+    ),
+    "contradicted": (
+        "most of their matches with other photos speak against where the rest put them; places that look alike were "
+        "mixed up; take more photos where the view changes"
+    ),
+    "loose": (
+        "they share too few points with the other photos for their place to be sure; take more photos where the view "
+        "changes, and where the walk comes back to a place"
+    ),
+}
+
+
+def drop_strays(model: Any, walk: Sequence[str]) -> list[str]:
+    """Take photos at another scale than the walk out of a ``pycolmap.Reconstruction``; returns their files.
+
+    ``walk`` holds the files of all photos in the order of walking.
+    """
+    number = {file: index for index, file in enumerate(walk)}
+    placed = sorted((number[model.images[i].name], i) for i in model.reg_image_ids())
+    centers = np.array([model.images[i].projection_center() for _, i in placed])
+    found = strays(centers, np.array([index for index, _ in placed]))
+    return drop(model, [image_id for is_stray, (_, image_id) in zip(found, placed, strict=True) if is_stray])
+
+
+def drop_contradicted(model: Any, database: Path, neighbours: int = 0) -> list[str]:
+    """Take photos whose own matches speak against their place out of the model; returns their files.
+
+    ``neighbours``: see :func:`fsinfer.poses.verification.pair_votes.contradicted`.
+    """
+    image_ids, votes = pair_votes(model, database)
+    wrong = contradicted(votes, len(image_ids), neighbours=neighbours)
+    return drop(model, [image_id for image_id, is_wrong in zip(image_ids, wrong, strict=True) if is_wrong])
+
+
+def agreeing_matches(model: Any, database: Path, neighbours: int = 0) -> float:
+    """Matches that agree with the places of the photos: of two models of the same photos the better one has more."""
+    return sum(weight_of(vote, neighbours) for vote in pair_votes(model, database)[1] if vote.agrees)
+
+
+def without_pairs(database: Path, pairs: Sequence[tuple[int, int]], copy: Path) -> Path:
+    """A copy of the database that has forgotten what matches these pairs of images have; returns ``copy``."""
+    import pycolmap
+
+    copy.unlink(missing_ok=True)
+    with closing(sqlite3.connect(database)) as source, closing(sqlite3.connect(copy)) as target:
+        source.backup(target)
+    with pycolmap.Database.open(copy) as opened:
+        for first, second in pairs:
+            opened.delete_two_view_geometry(first, second)
+    return copy
+
+
+def drop_loose_parts(model: Any) -> list[str]:
+    """Take parts that hang on the rest by a few points out of the model; returns their files."""
+    image_ids = sorted(model.reg_image_ids())
+    number = {image_id: index for index, image_id in enumerate(image_ids)}
+    seen = [
+        (point, number[element.image_id])
+        for point, found in enumerate(model.points3D.values())
+        for element in found.track.elements
+    ]
+    points, photos = np.array(seen, dtype=np.intp).reshape(-1, 2).T
+    loose = loose_parts(points, photos, len(image_ids))
+    return drop(model, [image_id for image_id, index in number.items() if loose[index]])
+
+
+def drop_blind_views(model: Any) -> list[str]:
+    """Take photos out of the model that lost nearly all their points in the last adjustment; returns their files."""
+    blind = []
+    for image_id in model.reg_image_ids():
+        image = model.images[image_id]
+        pose = image.cam_from_world().matrix()
+        points = np.array([model.points3D[p.point3D_id].xyz for p in image.get_observation_points2D()]).reshape(-1, 3)
+        if int((points @ pose[2, :3] + pose[2, 3] > 0).sum()) < _MIN_POINTS:
+            blind.append(image_id)
+    return drop(model, blind)
+
+
+def misplaced_message(how: str, names: Sequence[str], photos: int) -> str:
+    """What to tell the user of ``names`` left out of ``photos``; ``how`` is a key of the reasons above."""
+    shown = ", ".join(sorted(names)[:_MOST_NAMES]) + (", ..." if len(names) > _MOST_NAMES else "")
+    return f"{len(names)} of {photos} photos left out ({shown}): {_WHY[how]}"
+
+
+def drop(model: Any, image_ids: Sequence[int]) -> list[str]:
+    """Take photos out of the model; returns their files."""
+    files = [str(model.images[image_id].name) for image_id in image_ids]
+    for image_id in image_ids:
+        model.deregister_frame(model.images[image_id].frame_id)
+    return files

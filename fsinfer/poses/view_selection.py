@@ -1,0 +1,150 @@
+"""Which views help a view, and how deep its scene is, from the points of structure from motion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.poses.sparse import SparseModel
+from fsinfer.scene import Camera
+
+
+@dataclass(frozen=True, kw_only=True)
+class SelectionSettings:
+    """Constants of view selection and depth ranges.
+
+    Attributes
+    ----------
+    best_angle_deg, narrow_deg, wide_deg: a shared point counts exp(-(angle - best)² / 2 sigma²), sigma = narrow below
+        the best angle and wide above: 5, 1 and 10 in MVSNet (Yao et al. 2018, section 4.1).
+    near_percentile, far_percentile: of the depths of the points seen in a view.
+    near_margin, far_margin: the range is widened by these factors.
+    max_ratio: the far end is at most this many times the near end. Planes are uniform in inverse depth, so that
+        everything beyond takes up 1 / max_ratio of them.
+    min_ratio: and at least this many times.
+    """
+
+    best_angle_deg: float = 5.0
+    narrow_deg: float = 1.0
+    wide_deg: float = 10.0
+    near_percentile: float = 1.0
+    far_percentile: float = 99.0
+    near_margin: float = 0.75
+    far_margin: float = 1.5
+    max_ratio: float = 60.0
+    min_ratio: float = 1.5
+
+
+# Below this many well seen points a range is made of all points.
+_ENOUGH_POINTS = 50
+_LONG_TRACK = 3
+
+
+def score_pairs(
+    points: NDArray[np.float64],
+    centers: NDArray[np.float64],
+    seen: Sequence[NDArray[np.int64]],
+    settings: SelectionSettings | None = None,
+) -> NDArray[np.float64]:
+    """Score every pair of views by its shared points and the angles at which their rays meet.
+
+    A forest has trees at two metres and at twenty in one photo; a pair is good for some of them only. The sum over
+    points takes care of that: near stems, which carry most points, decide, as they should for diameters.
+
+    Parameters
+    ----------
+    points: (N, 3) float64, scene units.
+    centers: (V, 3) float64, camera centres.
+    seen: for each view the sorted indices of the points it sees.
+
+    Returns
+    -------
+    (V, V) float64, symmetric, zero on the diagonal. Pairs that share points score at least 1e-6 a point, so that
+    views from one standpoint still rank before views that share nothing.
+    """
+    settings = settings or SelectionSettings()
+    scores = np.zeros((len(seen), len(seen)))
+    for i in range(len(seen)):
+        for j in range(i + 1, len(seen)):
+            shared = points[np.intersect1d(seen[i], seen[j], assume_unique=True)]
+            if not len(shared):
+                continue
+            angle_deg = _angles_deg(centers[i] - shared, centers[j] - shared)
+            sigma = np.where(angle_deg <= settings.best_angle_deg, settings.narrow_deg, settings.wide_deg)
+            weight = np.exp(-((angle_deg - settings.best_angle_deg) ** 2) / (2 * sigma**2))
+            scores[i, j] = scores[j, i] = float(np.maximum(weight, 1e-6).sum())
+    return scores
+
+
+def _angles_deg(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    cross = np.linalg.norm(np.cross(first, second), axis=1)
+    return np.asarray(np.degrees(np.arctan2(cross, (first * second).sum(axis=1))))
+
+
+def choose_sources(scores: NDArray[np.float64], limit: int) -> dict[int, list[tuple[int, float]]]:
+    """``{view: [(source, score), ...]}``, best first, at most ``limit`` and only with a score above 0."""
+    chosen = {}
+    for view, row in enumerate(scores):
+        order = np.argsort(-row, kind="stable")[:limit]
+        chosen[view] = [(int(source), float(row[source])) for source in order if row[source] > 0]
+    return chosen
+
+
+def depth_range(
+    sparse: SparseModel,
+    seen: NDArray[np.int64],
+    intrinsic: NDArray[np.float64],
+    cam_from_world: NDArray[np.float64],
+    size: tuple[int, int],
+    settings: SelectionSettings | None = None,
+) -> tuple[float, float] | None:
+    """The z depths between which a view's scene lies.
+
+    Percentiles of the points that the view sees. The ground at the photographer's feet has few features, so that
+    points of other views that fall into the picture and lie nearer pull the near end in, down to 0.4 of it.
+
+    Parameters
+    ----------
+    seen: indices of the points seen in the view.
+    size: (width, height) of the image.
+
+    Returns
+    -------
+    ``(near, far)`` in scene units, or None where the view sees no point in front of it.
+    """
+    settings = settings or SelectionSettings()
+    steady = seen[sparse.track_lengths[seen] >= _LONG_TRACK]
+    used = steady if len(steady) >= _ENOUGH_POINTS else seen
+    depths = _in_camera(sparse.points[used], cam_from_world)[:, 2]
+    depths = depths[depths > 0]
+    if not len(depths):
+        return None
+    near = float(np.percentile(depths, settings.near_percentile))
+    far = float(np.percentile(depths, settings.far_percentile)) * settings.far_margin
+    others = _in_camera(sparse.points[sparse.track_lengths >= _LONG_TRACK], cam_from_world)
+    others = others[others[:, 2] > 0]
+    pixels = others @ intrinsic.T
+    pixels = pixels[:, :2] / pixels[:, 2:]
+    inside = ((pixels >= 0) & (pixels <= np.array(size) - 1)).all(axis=1)
+    if inside.sum() >= _ENOUGH_POINTS:
+        nearest = float(np.percentile(others[inside, 2], settings.near_percentile / 2))
+        near = min(near, max(nearest, 0.4 * near))
+    near *= settings.near_margin
+    return near, float(np.clip(far, settings.min_ratio * near, settings.max_ratio * near))
+
+
+def _in_camera(points: NDArray[np.float64], cam_from_world: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(points @ cam_from_world[:3, :3].T + cam_from_world[:3, 3])
+
+
+def select_views(
+    sparse: SparseModel, cameras: Mapping[str, Camera], limit: int, settings: SelectionSettings | None = None
+) -> dict[int, list[tuple[int, float]]]:
+    """The sources of every view; views are numbered by the rank of their name."""
+    names = sorted(cameras)
+    seen = [np.unique(sparse.observations.get(name, np.zeros(0, np.int64))) for name in names]
+    centers = np.array([cameras[name].center for name in names])
+    return choose_sources(score_pairs(sparse.points, centers, seen, settings), limit)

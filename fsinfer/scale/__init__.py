@@ -1,0 +1,1 @@
+"""The metric scale: markers, end points, a factor, and doubts about it."""

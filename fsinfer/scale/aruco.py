@@ -1,0 +1,177 @@
+"""Metric scale from ArUco markers of known size in the photographs of a scene."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.errors import ScaleError
+from fsinfer.io.images import read_image
+from fsinfer.progress import Progress, silent
+from fsinfer.scale.detection import detect_markers, make_detector
+from fsinfer.scale.scale import Scale, check_length
+from fsinfer.scale.square_fit import FittedMarker, MarkerSettings, Sighting, find_markers
+from fsinfer.scene import Scene
+
+_log = logging.getLogger(__name__)
+
+
+def scale_from_aruco(
+    scene: Scene,
+    length_m: float | Mapping[int, float],
+    *,
+    dictionary: str = "4X4_50",
+    settings: MarkerSettings | None = None,
+    progress: Progress = silent,
+) -> Scale:
+    """Find markers in the images of ``scene`` and the scale that gives their sides the length ``length_m``.
+
+    Each marker is fitted as one square to all its detections. Markers that are no squares in space, or are seen in
+    fewer than three views, are rejected. The scale is the weighted median over markers, so that one wrong print or
+    one false detection does not move it.
+
+    Parameters
+    ----------
+    length_m: side of the black square, metres, the same for all markers, whose numbers then do not matter; or the
+        side of each number, and markers of other numbers are left alone.
+    dictionary: such as ``4X4_50``; see :func:`dictionary_names`.
+
+    Returns
+    -------
+    ``details`` holds for each marker its residual and the scale without it, and what was rejected and why.
+
+    Raises
+    ------
+    ScaleError
+        No marker can be used, the length is not positive, or the dictionary is unknown.
+    ImageError
+        A scene image cannot be read.
+    """
+    for length in length_m.values() if isinstance(length_m, Mapping) else (length_m,):
+        check_length(length, "the side of the markers")
+    settings = settings or MarkerSettings()
+    detector = make_detector(dictionary)
+    sightings: list[Sighting] = []
+    for index, view in enumerate(scene.views):
+        progress(index, len(scene.views), "looking for markers")
+        for number, corners_px in detect_markers(
+            read_image(view.image_path), detector, min_side_px=settings.min_side_px
+        ):
+            if not isinstance(length_m, Mapping) or number in length_m:
+                sightings.append(Sighting(marker_id=number, view=index, corners_px=corners_px))
+    progress(len(scene.views), len(scene.views), "looking for markers")
+    projections = [view.camera.intrinsic @ view.camera.cam_from_world[:3] for view in scene.views]
+    centers = np.array([view.camera.center for view in scene.views])
+    markers: list[FittedMarker] = []
+    rejected: list[dict[str, Any]] = []
+    for number in sorted({sighting.marker_id for sighting in sightings}):
+        own = [sighting for sighting in sightings if sighting.marker_id == number]
+        found, reasons = find_markers(own, projections, centers, settings)
+        markers += found
+        rejected += [{"id": number, "reason": reason} for reason in reasons]
+    searched = {
+        "photos_searched": len(scene.views),
+        "photos_with_markers": len({sighting.view for sighting in sightings}),
+        "dictionary": dictionary,
+        "length_m": None if isinstance(length_m, Mapping) else length_m,
+        "rejected": rejected,
+    }
+    if not markers:
+        raise ScaleError(_nothing_found(scene, sightings, rejected, dictionary, settings))
+    numbers = [marker.sightings[0].marker_id for marker in markers]
+    lengths = [length_m[number] if isinstance(length_m, Mapping) else length_m for number in numbers]
+    return _combine(scene, markers, np.array(lengths), settings, searched)
+
+
+def _nothing_found(
+    scene: Scene,
+    sightings: Sequence[Sighting],
+    rejected: Sequence[dict[str, Any]],
+    dictionary: str,
+    settings: MarkerSettings,
+) -> str:
+    names = [view.name for view in scene.views]
+    if not sightings:
+        return (
+            f"no ArUco marker of {dictionary} in the {len(names)} photos {names[0]} to {names[-1]} of {scene.folder}; "
+            "check --aruco-dictionary, take photos nearer to the markers, or give --endpoints or --scale"
+        )
+    seen = sorted({names[sighting.view] for sighting in sightings})
+    shown = ", ".join(seen[:6]) + (", ..." if len(seen) > 6 else "")
+    why = "; ".join(f"marker {entry['id']}: {entry['reason']}" for entry in rejected[:4])
+    return (
+        f"no ArUco marker of {dictionary} can be used, of {len(sightings)} found in {shown} ({why}); each marker must "
+        f"be seen in {settings.min_views} photos from different places, flat and sharp, or give --endpoints or --scale"
+    )
+
+
+def _combine(
+    scene: Scene,
+    markers: Sequence[FittedMarker],
+    lengths_m: NDArray[np.float64],
+    settings: MarkerSettings,
+    searched: dict[str, Any],
+) -> Scale:
+    scales = lengths_m / np.array([marker.side_units for marker in markers])
+    rel_stds = np.array([marker.side_rel_std for marker in markers])
+    # Markers differ by the warp of the model too, which no residual shows: none counts for much more than another.
+    weights = 1 / (rel_stds**2 + settings.length_rel_std**2)
+    combined = weighted_median(scales, weights)
+    entries = []
+    for index, marker in enumerate(markers):
+        others = np.arange(len(markers)) != index
+        without = weighted_median(scales[others], weights[others]) if others.any() else None
+        entries.append(
+            {
+                "id": marker.sightings[0].marker_id,
+                "views": [scene.views[sighting.view].name for sighting in marker.sightings],
+                "center": marker.corners.mean(axis=0).tolist(),
+                "length_m": float(lengths_m[index]),
+                "side_units": marker.side_units,
+                "m_per_unit": float(scales[index]),
+                "rel_std": float(rel_stds[index]),
+                "residual_rel": float(marker.side_units * combined / lengths_m[index] - 1),
+                "residual_mm": float(1000 * (marker.side_units * combined - lengths_m[index])),
+                "error_px": marker.error_px,
+                # Of the five largest the smallest: what the photos from near by can measure.
+                "near_side_px": float(np.sort([sighting.side_px for sighting in marker.sightings])[-5:][0]),
+                "angle_deg": marker.angle_deg,
+                "leave_one_out_m_per_unit": without,
+                "leave_one_out_rel": None if without is None else without / combined - 1,
+            }
+        )
+    # Blooming moves every edge the same way: no averaging over views or markers takes it out.
+    side_px = float(np.mean([sighting.side_px for marker in markers for sighting in marker.sightings]))
+    edge_rel_std = 2 * settings.edge_std_px / side_px
+    rel_std = float(np.hypot(_combined_rel_std(scales / combined, rel_stds, weights, settings), edge_rel_std))
+    details = searched | {"mean_side_px": side_px, "edge_rel_std": edge_rel_std, "markers": entries}
+    _log.info("scale %.6g m per unit from %d markers, %.2f %%", combined, len(markers), 100 * rel_std)
+    return Scale(m_per_unit=combined, source="aruco", rel_std=rel_std, details=details)
+
+
+def _combined_rel_std(
+    ratios: NDArray[np.float64], rel_stds: NDArray[np.float64], weights: NDArray[np.float64], settings: MarkerSettings
+) -> float:
+    """From the spread between markers where there are several, never less than their own errors allow."""
+    shares = weights / weights.sum()
+    expected = float(np.sqrt((shares**2 * rel_stds**2).sum()))
+    spread = 0.0
+    if len(ratios) > 1:
+        variance = float((shares * (ratios - 1) ** 2).sum()) * len(ratios) / (len(ratios) - 1)
+        # A median scatters by sqrt(pi / 2) more than a mean.
+        spread = float(np.sqrt(variance / len(ratios) * np.pi / 2))
+    return float(np.hypot(max(expected, spread), settings.length_rel_std))
+
+
+def weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
+    """The value at half the weight, interpolated between neighbours; the mean of two for two of equal weight."""
+    order = np.argsort(values)
+    values, weights = values[order], weights[order]
+    if len(values) == 1:
+        return float(values[0])
+    middle = (np.cumsum(weights) - 0.5 * weights) / weights.sum()
+    return float(np.interp(0.5, middle, values))

@@ -1,0 +1,114 @@
+"""Where the user says the metric scale comes from: a factor, a known length between two points, or ArUco markers."""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from fsinfer.errors import InputError
+
+if TYPE_CHECKING:
+    pass
+
+_log = logging.getLogger(__name__)
+
+Point = tuple[float, float, float]
+# Larger squares than this are a length in centimetres or millimetres.
+LONGEST_BOARD_M = 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScaleRequest:
+    """At most one source of scale; with none, boards that tell their length are looked for.
+
+    Attributes
+    ----------
+    factor: metres per unit of the cloud or scene.
+    aruco_length_m: side of the black square of every ArUco marker in the photographs, metres.
+    aruco_dictionary: name of the marker dictionary, as printed on the markers.
+    endpoints: two points, in the units of the cloud without a scale; only their distance matters.
+    length_m: the true distance of the two points, metres.
+    printed_boards: without another source, look for boards printed by ``fsinfer marker``, whose numbers tell their
+        length (:mod:`fsinfer.scale.printed_boards`); the result is in model units where there are none.
+
+    Raises
+    ------
+    InputError
+        More than one source, half a source, or a length that is not positive.
+    """
+
+    factor: float | None = None
+    aruco_length_m: float | None = None
+    aruco_dictionary: str = "4X4_50"
+    endpoints: tuple[Point, Point] | None = None
+    length_m: float | None = None
+    printed_boards: bool = True
+
+    def __post_init__(self) -> None:
+        given = [
+            option
+            for option, value in (
+                ("--scale", self.factor),
+                ("--aruco-length-m", self.aruco_length_m),
+                ("--endpoints", self.endpoints),
+            )
+            if value is not None
+        ]
+        if len(given) > 1:
+            msg = f"{' and '.join(given)} were given together; give one source of scale"
+            raise InputError(msg)
+        if (self.endpoints is None) != (self.length_m is None):
+            there, missing = ("--endpoints", "--length-m") if self.length_m is None else ("--length-m", "--endpoints")
+            msg = f"{there} was given without {missing}; give the two points and the distance between them in metres"
+            raise InputError(msg)
+        for option, length in (
+            ("--scale", self.factor),
+            ("--aruco-length-m", self.aruco_length_m),
+            ("--length-m", self.length_m),
+        ):
+            if length is not None and not (math.isfinite(length) and length > 0):
+                msg = f"{option} is {length}; it must be a number above 0"
+                raise InputError(msg)
+        if self.aruco_length_m is not None:
+            if self.aruco_length_m > LONGEST_BOARD_M:
+                centimetres = self.aruco_length_m / 100
+                msg = (
+                    f"--aruco-length-m {self.aruco_length_m:g}: no marker is so large; the side of the black square is "
+                    f"given in metres ({self.aruco_length_m:g} cm are {centimetres:g})"
+                )
+                raise InputError(msg)
+            _check_dictionary(self.aruco_dictionary)
+        if self.endpoints is not None:
+            distance = math.dist(*self.endpoints)
+            if not math.isfinite(distance) or distance == 0:
+                msg = f"--endpoints {self.endpoints[0]} and {self.endpoints[1]} need finite, different points"
+                raise InputError(msg)
+
+    @property
+    def given(self) -> bool:
+        """Whether the user named a source at all."""
+        return self.factor is not None or self.aruco_length_m is not None or self.endpoints is not None
+
+
+def parse_point(text: str) -> Point:
+    """Read ``"X,Y,Z"``; raise :class:`InputError` for anything else."""
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) != 3:
+        msg = f"--endpoints: {text!r} is not a point; write three numbers with commas and no spaces, like 1.2,-0.5,0.8"
+        raise InputError(msg)
+    return values[0], values[1], values[2]
+
+
+def _check_dictionary(name: str) -> None:
+    # A misspelt name must not show after an hour of structure from motion.
+    from fsinfer.scale.detection import dictionary_names
+
+    known = dictionary_names()
+    if name.upper().removeprefix("DICT_") not in known:
+        msg = f"--aruco-dictionary {name} is unknown; it is one of {', '.join(known)}"
+        raise InputError(msg)

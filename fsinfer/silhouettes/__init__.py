@@ -1,0 +1,1 @@
+"""Edges of stems in the photographs, joined with the cloud's diameters."""

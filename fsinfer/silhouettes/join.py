@@ -1,0 +1,251 @@
+"""Diameters from the photographs' own edges, joined with those from the cloud.
+
+A cloud knows a stem's surface as well as depth maps do: to millimetres from two metres, to centimetres from ten. The
+edges between stem and background in the same photographs are sharp at any distance. So each stem of the cloud is looked
+up in all photographs that show it (:mod:`fsinfer.silhouettes.edges`), its silhouette is fitted
+(:mod:`fsinfer.trees.diameter.silhouette`), and the two diameters are averaged by their precision, or the silhouette's
+stands alone where they contradict each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.depth.maps import DepthMaps
+from fsinfer.io.files import atomic_path
+from fsinfer.progress import Progress, silent
+from fsinfer.scene import Scene
+from fsinfer.silhouettes.edges import EdgeSettings, StemAxis, Strip, find_edges
+from fsinfer.silhouettes.strips import draw_strips, keep_strip
+from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
+from fsinfer.trees.diameter.dbh import too_uncertain, wide_interval
+from fsinfer.trees.diameter.outline import Outline
+from fsinfer.trees.diameter.silhouette import Edges, SilhouetteFit, SilhouetteSettings, edge_contrast, fit_silhouette
+from fsinfer.trees.measure import trees_found
+from fsinfer.trees.stem_measurement import diameter_columns
+
+Floats = NDArray[np.float64]
+
+SOURCE_COLUMNS = (
+    "tree_id", "points_cm", "edges_cm", "edges_std_cm", "photos", "sides_seen", "rays_agreeing", "contrast",
+    "points_used",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class StemPhotos:
+    """The photographs a cloud was made of: ``cloud_from_scene`` (4, 4) maps the scene to the cloud, in metres.
+
+    ``depth_folder`` holds ``depth/`` and ``confidence/``.
+    """
+
+    scene: Scene
+    depth_folder: Path
+    cloud_from_scene: Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class SilhouetteJoinSettings:
+    """Constants of :func:`measure_silhouettes`; metres. Chosen on three rendered plots (docs/accuracy.md)."""
+
+    cloud_floor_m: float = 0.0015  # added to the error of the cloud's radius: depth maps fatten edges
+    gate: float = 2.0  # standard deviations between the two beyond which the silhouette stands alone
+    min_photos: int = 4
+    sure_photos: int = 8  # fewer, and a stem that the cloud could not measure stays doubtful
+    sure_sectors: float = 0.3
+    outline_sectors: float = 0.8  # least and greatest diameter need the way round
+    shrub_photos: int = 15  # so many photographs show the place, and their edges agree no better than this on a stem:
+    shrub_contrast: float = 1.12  # a shrub (1.02 to 1.07 on a rendered plot; a half-hidden stem 1.18)
+    edges: EdgeSettings = field(default_factory=EdgeSettings)
+    fit: SilhouetteSettings = field(default_factory=SilhouetteSettings)
+
+
+def measure_silhouettes(
+    result: PlotResult,
+    photos: StemPhotos,
+    *,
+    scale_rel_std: float = 0.0,
+    dbh: DbhSettings | None = None,
+    settings: SilhouetteJoinSettings | None = None,
+    figures: Path | None = None,
+    kept: Collection[int] = (),
+    progress: Progress = silent,
+) -> PlotResult:
+    """Look every stem of ``result`` up in the photographs and join what they say with what the cloud says.
+
+    Stems that no photograph shows clearly stay as they are. Sections get ``silhouette`` and ``cloud_dbh_m``.
+    What is doubtful in the cloud and no stem in many photographs is left out with a warning, unless ``kept`` has its
+    number. ``figures`` is a folder for ``tree_ID_edges.png``: strips of the photographs with the edges that were found.
+    Raises :class:`~fsinfer.errors.FsinferError` where a photograph or a depth map cannot be read.
+    """
+    s = settings or SilhouetteJoinSettings()
+    dbh = dbh or DbhSettings()
+    stems = [_axis(tree, section) for tree, section in zip(result.trees, result.sections, strict=True)]
+    if not stems:
+        return result
+    maps = DepthMaps(photos.scene, photos.depth_folder, cache_maps=2)
+    strips: list[list[Strip]] = [[] for _ in stems]
+
+    def on_strip(number: int, strip: Strip) -> None:
+        keep_strip(strips[number], strip)
+
+    found = find_edges(
+        stems,
+        photos.scene,
+        maps,
+        photos.cloud_from_scene,
+        settings=s.edges,
+        on_strip=None if figures is None else on_strip,
+        progress=progress,
+    )
+    pairs, shrubs = [], []
+    for tree, section, stem, edges, seen in zip(result.trees, result.sections, stems, found, strips, strict=True):
+        fit = fit_silhouette(edges, stem.radius_m, taper=stem.taper, settings=s.fit)
+        if fit is None or fit.photos < s.min_photos:
+            if fit is None and tree.tree_id not in kept and _is_shrub(tree, stem, edges, s):
+                shrubs.append(tree)
+            else:
+                pairs.append((tree, section))
+            continue
+        if figures is not None:
+            names = [photos.scene.views[strip.photo].name for strip in seen]
+            draw_strips(figures / f"tree_{tree.tree_id:03d}_edges.png", seen, names, stem, fit)
+        joined = join(section, fit, scale_rel_std=scale_rel_std, dbh=dbh, settings=s)
+        pairs.append((_tree(tree, joined, stem, fit), joined))
+    return replace(
+        result,
+        trees=tuple(tree for tree, _ in pairs),
+        sections=tuple(section for _, section in pairs),
+        diagnosis=_diagnosis([tree for tree, _ in pairs]),
+        warnings=(*result.warnings, *_shrub_warning(shrubs)),
+    )
+
+
+def join(
+    section: Section,
+    fit: SilhouetteFit,
+    *,
+    scale_rel_std: float,
+    dbh: DbhSettings,
+    settings: SilhouetteJoinSettings,
+) -> Section:
+    """Average the radii of cloud and silhouette by their precision; what they share (height, scale) comes on top."""
+    s = settings
+    own = [part for name, part in section.parts_m.items() if name not in ("level", "scale")]
+    cloud_std = float(np.hypot(np.sqrt(sum(part**2 for part in own)), s.cloud_floor_m))
+    weight = 0.0
+    if section.dbh_m is not None:
+        apart = abs(section.dbh_m / 2.0 - fit.radius_m)
+        if apart <= s.gate * float(np.hypot(cloud_std, fit.std_m)):
+            weight = fit.std_m**2 / (fit.std_m**2 + cloud_std**2)
+    radius = fit.radius_m + weight * ((section.dbh_m or 0.0) / 2.0 - fit.radius_m) if weight else fit.radius_m
+    level = section.parts_m.get("level", (abs(fit.taper) + dbh.taper_std) * dbh.ground_std_m)
+    parts = {
+        "silhouette": (1.0 - weight) * fit.std_m,
+        "cloud": weight * cloud_std,
+        "level": level,
+        "scale": radius * scale_rel_std,
+    }
+    sd = 2.0 * float(np.sqrt(sum(part**2 for part in parts.values())))
+    status, reason = _status(section, fit, 2.0 * radius, sd, dbh, s)
+    measured = status != "unmeasured"
+    return replace(
+        section,
+        dbh_m=2.0 * radius if measured else None,
+        sd_m=sd,
+        parts_m=parts,
+        status=status,
+        reason=reason,
+        circle_m=np.array([*fit.shift_m, radius]),
+        outline=_outline(fit, radius, s) if measured and fit.sectors >= s.outline_sectors else None,
+        silhouette=fit,
+        cloud_dbh_m=section.dbh_m,
+    )
+
+
+def write_sources(path: Path, result: PlotResult) -> None:
+    """Write what the points alone and the photographs' edges said of each diameter, a row for each tree with edges."""
+    import csv
+
+    with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as handle:
+        writer = csv.writer(handle, lineterminator="\n")
+        writer.writerow(SOURCE_COLUMNS)
+        for tree, section in zip(result.trees, result.sections, strict=True):
+            fit = section.silhouette
+            if fit is None:
+                continue
+            points = "" if section.cloud_dbh_m is None else f"{100 * section.cloud_dbh_m:.2f}"
+            edges = (f"{200 * fit.radius_m:.2f}", f"{200 * fit.std_m:.2f}", fit.photos)
+            shares = (f"{fit.sectors:.2f}", f"{fit.share:.2f}", f"{fit.contrast:.2f}")
+            writer.writerow((tree.tree_id, points, *edges, *shares, "yes" if section.parts_m["cloud"] > 0 else "no"))
+
+
+def _axis(tree: Tree, section: Section) -> StemAxis:
+    along = np.array([*section.slope, 1.0])
+    radius = float(section.circle_m[2]) if section.dbh_m is None else section.dbh_m / 2.0
+    return StemAxis(
+        breast=np.array([tree.x_m, tree.y_m, tree.z_ground_m + section.bh_m]),
+        along=along / np.linalg.norm(along),
+        radius_m=max(radius, 0.01),
+        taper=section.taper,
+    )
+
+
+def _status(
+    section: Section, fit: SilhouetteFit, dbh_m: float, sd: float, dbh: DbhSettings, s: SilhouetteJoinSettings
+) -> tuple[str, str]:
+    """Return status and reason anew: what the cloud doubted or refused, the silhouette may know."""
+    refused = too_uncertain(dbh_m, sd, dbh)
+    if refused:
+        return "unmeasured", refused
+    doubts = [part for part in section.reason.split("; ") if "breast height" in part and section.dbh_m is not None]
+    few = fit.photos < s.sure_photos or fit.sectors < s.sure_sectors
+    if section.dbh_m is None and few:
+        doubts.append(f"only from its edges in {fit.photos} photos ({section.reason.split(';')[0]})")
+    doubts += wide_interval(dbh_m, sd, dbh)
+    return ("doubtful", "; ".join(doubts)) if doubts else ("ok", "")
+
+
+def _outline(fit: SilhouetteFit, radius: float, s: SilhouetteJoinSettings) -> Outline:
+    """Hull whose support function is the fit's about ``radius``: x = p n + p' n' (Santalo 2004, section 1.2)."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 180, endpoint=False)
+    support = fit.support(angle) + radius - fit.radius_m
+    slope = (np.roll(support, -1) - np.roll(support, 1)) / (angle[2] - angle[0])
+    normal, along = np.column_stack([np.cos(angle), np.sin(angle)]), np.column_stack([-np.sin(angle), np.cos(angle)])
+    width = support + np.roll(support, len(angle) // 2)
+    return Outline(
+        curve_m=support[:, None] * normal + slope[:, None] * along,
+        girth_diameter_m=2.0 * radius,
+        min_diameter_m=float(width.min()),
+        max_diameter_m=float(width.max()),
+    )
+
+
+def _tree(tree: Tree, section: Section, stem: StemAxis, fit: SilhouetteFit) -> Tree:
+    first, second = stem.across
+    moved = stem.breast + fit.shift_m[0] * first + fit.shift_m[1] * second
+    return replace(tree, x_m=float(moved[0]), y_m=float(moved[1]), **diameter_columns(section))
+
+
+def _is_shrub(tree: Tree, stem: StemAxis, edges: Edges, s: SilhouetteJoinSettings) -> bool:
+    if tree.status == "ok" or len(np.unique(edges.photo)) < s.shrub_photos:
+        return False
+    return edge_contrast(edges, stem.radius_m, taper=stem.taper, settings=s.fit) < s.shrub_contrast
+
+
+def _shrub_warning(shrubs: Sequence[Tree]) -> tuple[str, ...]:
+    if not shrubs:
+        return ()
+    places = ", ".join(f"({tree.x_m:.1f}, {tree.y_m:.1f})" for tree in shrubs)
+    return (f"left out as shrubs, where the cloud has something like a stem and the photos show none: {places}",)
+
+
+def _diagnosis(trees: Sequence[Tree]) -> str:
+    if not trees:
+        return "no trees found: what looked like stems in the cloud are none in the photos"
+    return trees_found(trees)

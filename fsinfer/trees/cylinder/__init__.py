@@ -1,0 +1,1 @@
+"""Axis of a stem from its points."""

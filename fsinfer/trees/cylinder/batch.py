@@ -1,0 +1,250 @@
+"""Many leaning cylinders at once: :func:`fsinfer.trees.cylinder.axis.fit_axis` for a batch of sets of points.
+
+A fit to a few hundred points spends more time on calling NumPy than on the points. The search for stems fits hundreds
+of candidates, most of which turn out to be none; here each call serves all of them. Distances are single precision
+about each start (a micrometre over ten metres), the equations of the steps double. The steps are those of
+``fit_axis``, which is the reference (tests/fsinfer/test_axis_batch.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.trees.cylinder.axis import Axis, AxisFit, AxisSettings
+from fsinfer.trees.cylinder.kernels import blocked, column, residual_rows, sums_of_sets, tail_density
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Singles = NDArray[np.float32]
+# Sets and numbers in one call: their arrays (some twenty, more with harmonics) stay in the processor's cache.
+_CHUNK = 32
+_NUMBERS = 24_000
+_FAR_M = np.float32(1e3)  # where padding lies: out of the window of every fit
+
+
+def fit_axes(
+    points: Sequence[Floats],
+    starts: Floats,
+    heights_m: Floats,
+    *,
+    sigma_m: Floats | None = None,
+    settings: AxisSettings | None = None,
+) -> list[Axis]:
+    """Fit a tapered cylinder to each of K sets of points (N_k, 3) of x, y, height (metres) by EM.
+
+    ``starts`` (K, 6), ``heights_m`` (K,) and ``sigma_m`` (K,) are ``start``, ``height_m`` and ``sigma_m`` of
+    :func:`~fsinfer.trees.cylinder.axis.fit_axis`.
+    """
+    s = settings or AxisSettings()
+    sigma = np.full(len(points), 0.02) if sigma_m is None else sigma_m
+    found: dict[int, Axis] = {}
+    for rows in _chunks([len(p) for p in points]):
+        batch = _Batch(_padded(points, starts, heights_m, rows), starts[rows], sigma[rows], s)
+        batch.run()
+        for row, k in enumerate(rows):
+            found[int(k)] = Axis(
+                parameters=batch.parameters[row], height_m=float(heights_m[k]), sigma_m=float(batch.noise[row])
+            )
+    return [found[k] for k in range(len(points))]
+
+
+def fit_sections(
+    points: Sequence[Floats],
+    starts: Floats,
+    heights_m: Floats,
+    *,
+    sigma_m: Floats,
+    order: int,
+    relative: Sequence[Floats] | None = None,
+    settings: AxisSettings | None = None,
+) -> list[AxisFit]:
+    """The same for stems that are not round, with the evidence for each.
+
+    ``order`` and ``relative`` (K arrays (N_k,)) are those of :func:`~fsinfer.trees.cylinder.axis.fit_axis`.
+    """
+    s = settings or AxisSettings()
+    found: dict[int, AxisFit] = {}
+    for rows in _chunks([len(p) for p in points]):
+        xyz = _padded(points, starts, heights_m, rows)
+        ratio = None
+        if relative is not None:
+            ratio = np.ones(xyz.shape[1:], dtype=np.float32)
+            for row, k in enumerate(rows):
+                ratio[row, : len(relative[k])] = relative[k]
+        batch = _Batch(xyz, starts[rows], sigma_m[rows], s, order=order, ratio=ratio)
+        batch.run()
+        for row, k in enumerate(rows):
+            own = np.ones(len(points[k])) if relative is None else relative[k]
+            found[int(k)] = batch.evidence(row, float(heights_m[k]), own)
+    return [found[k] for k in range(len(points))]
+
+
+def _chunks(counts: Sequence[int]) -> Iterator[Ints]:
+    """Sets of like size together, so that little is padded, and few enough for the cache."""
+    order = np.argsort(counts, kind="stable")
+    first = 0
+    while first < len(order):
+        last = first + 1
+        while last < min(len(order), first + _CHUNK) and (last + 1 - first) * counts[order[last]] <= _NUMBERS:
+            last += 1
+        yield order[first:last]
+        first = last
+
+
+def _padded(points: Sequence[Floats], starts: Floats, heights_m: Floats, rows: Ints) -> Singles:
+    """Points (3, K, N) of the sets ``rows`` about their starts, padded with far ones."""
+    most = blocked(max(len(points[k]) for k in rows))
+    xyz = np.full((3, len(rows), most), _FAR_M)
+    for row, k in enumerate(rows):
+        for axis, origin in enumerate((starts[k, 0], starts[k, 1], heights_m[k])):
+            np.subtract(points[k][:, axis], origin, out=xyz[axis, row, : len(points[k])], casting="same_kind")
+    return xyz
+
+
+class _Batch:
+    """Expectation-maximisation for points (3, K, N) about ``starts`` (K, 6): ``run``, then look at the results.
+
+    ``parameters`` (K, P) and ``noise`` (K,) are those after the last step, the rest is what that step was made of, of
+    those with a section of an ``order``.
+    """
+
+    def __init__(
+        self,
+        xyz: Singles,
+        starts: Floats,
+        sigmas: Floats,
+        settings: AxisSettings,
+        *,
+        order: int = 1,
+        ratio: Singles | None = None,
+    ) -> None:
+        self.s, self.xyz = settings, xyz
+        self.inverse_ratio = None if ratio is None else np.float32(1.0) / ratio
+        self.shape_std = np.repeat(settings.shape_std[: order - 1], 2)
+        self.origin = starts[:, :2]
+        self.parameters = np.column_stack([starts, np.zeros((len(starts), len(self.shape_std)))])
+        self.parameters[:, :2] = 0.0
+        self.noise = sigmas.astype(np.float64)
+        self.last: dict[int, tuple[Singles, Singles, Floats, Floats]] = {}
+
+    def run(self) -> None:
+        """Iterate until all have arrived."""
+        s, xyz, inverse_ratio = self.s, self.xyz, self.inverse_ratio
+        alive = np.arange(len(self.parameters))
+        p, sigma = self.parameters.copy(), self.noise.copy()
+        tail = np.full(len(p), 0.03)
+        shares = np.tile([0.8, 0.12, 0.08], (len(p), 1))
+        unknowns = p.shape[1]
+        prior_mean, prior = np.zeros(unknowns), np.zeros(p.shape)
+        prior_mean[5] = s.taper_mean
+        prior[:, 2:4], prior[:, 5] = s.lean_std**-2, s.taper_std**-2
+        prior_shares = s.prior_points * np.array([0.9, 0.05, 0.05])
+        for turn in range(s.iterations):
+            rows = residual_rows(xyz, p)
+            residual = rows[unknowns]
+            precision = column(1.0 / sigma)
+            if inverse_ratio is not None:
+                precision = precision * inverse_ratio
+            scaled = residual * precision
+            core, outward, count = _responsibilities(residual, scaled, precision, p[:, 4], tail, shares, s)
+            total, away = count[:, 0], count[:, 1]
+            weight = core * precision
+            weight *= precision
+            # The equations of the step, and in the next column their right-hand sides.
+            sums = sums_of_sets(rows[:unknowns] * weight, rows)
+            prior[:, 6:] = (self.shape_std * p[:, 4:5]) ** -2.0
+            information = sums[:, :, :unknowns]
+            gradient = sums[:, :, unknowns] + prior * (p - prior_mean)
+            regularised = information.copy()
+            regularised.reshape(len(p), -1)[:, :: unknowns + 1] += prior + 1e-9
+            step = np.linalg.solve(regularised, -gradient[..., None])[..., 0]
+            length = np.abs(step)
+            longest = np.maximum(np.maximum(length[:, :2].max(axis=1), length[:, 4]), 1e-12)
+            step *= np.minimum(1.0, 0.05 / longest)[:, None]
+            lost = total < 3.0
+            # Who has lost the bark stays where it was before this step.
+            step[lost] = 0.0
+            p += step
+            np.maximum(p[:, 4], 0.01, out=p[:, 4], where=~lost)
+            shares = count + prior_shares
+            shares /= shares.sum(axis=1, keepdims=True)
+            squares = np.einsum("kn,kn->k", np.multiply(core, scaled, out=weight), scaled) * sigma**2
+            new_sigma = np.sqrt((squares + 4.0 * 0.005**2) / (total + 4.0))
+            new_sigma = np.minimum(np.maximum(np.maximum(new_sigma, 0.75 * sigma), s.sigma_m[0]), s.sigma_m[1])
+            old_sigma, sigma = sigma, np.where(lost, sigma, new_sigma)
+            # Twice the part of the residuals that lies outside, without the slower comparison with 0.
+            twice = np.abs(residual)
+            twice += residual
+            mean_tail = 0.5 * np.einsum("kn,kn->k", outward, twice) / np.maximum(away, 1e-9)
+            tail = np.minimum(np.maximum(mean_tail, s.tail_m[0]), s.tail_m[1])
+            self.parameters[alive], self.noise[alive] = p, sigma
+            moved = np.abs(step).max(axis=1) >= s.tolerance
+            moved |= np.abs(sigma - old_sigma) >= s.sigma_tolerance * old_sigma
+            going = ~lost & moved
+            if len(self.shape_std):
+                for row in np.flatnonzero(~going | (turn + 1 == s.iterations)):
+                    self.last[int(alive[row])] = rows[:, row], core[row], information[row], prior[row]
+            if not going.any():
+                break
+            if not going.all():
+                alive, p, sigma, tail, shares = alive[going], p[going], sigma[going], tail[going], shares[going]
+                xyz, prior = xyz[:, going], prior[going]
+                inverse_ratio = None if inverse_ratio is None else inverse_ratio[going]
+        self.parameters[:, :2] += self.origin
+
+    def evidence(self, row: int, height_m: float, relative: Floats) -> AxisFit:
+        """What the fit of one set at ``height_m`` rests on; ``relative`` (N,) is its points' noise."""
+        rows, core, information, prior = self.last[row]
+        count = len(relative)
+        covariance = np.asarray(np.linalg.inv(information + np.diag(prior + 1e-9)), np.float64)
+        return AxisFit(
+            parameters=self.parameters[row, :6],
+            height_m=height_m,
+            sigma_m=float(self.noise[row]),
+            covariance=covariance,
+            core=core[:count].astype(np.float64),
+            residuals_m=rows[len(prior), :count].astype(np.float64),
+            jacobian=rows[: len(prior), :count].astype(np.float64).T,
+            prior_information=prior,
+            shape_m=self.parameters[row, 6:],
+            noise_m=self.noise[row] * relative,
+        )
+
+
+def _responsibilities(
+    residual: Singles,
+    scaled: Singles,
+    precision: Singles,
+    radius: Floats,
+    tail: Floats,
+    shares: Floats,
+    s: AxisSettings,
+) -> tuple[Singles, Singles, Floats]:
+    """Probabilities (K, N) of points to be bark and to be of the tail outward of it, and the sums (K, 3) of all three.
+
+    ``residual`` (K, N) is ``scaled`` over ``precision``, which are one over the noise; ``radius`` and the mean ``tail``
+    (K,) in metres, ``shares`` (K, 3) those of bark, tail and background.
+    """
+    inner = np.minimum(s.window_m, np.maximum(radius, 0.02))
+    off_middle = residual - column(0.5 * (s.window_m - inner))
+    np.abs(off_middle, out=off_middle)
+    inside = off_middle <= column(0.5 * (s.window_m + inner))
+    core = np.multiply(scaled, scaled, out=off_middle)
+    core *= np.float32(-0.5)
+    np.exp(core, out=core)
+    outward = tail_density(scaled, core, column(1.0 / tail) / precision)
+    outward *= column(0.5 * shares[:, 1] / tail)
+    core *= precision
+    core *= column(shares[:, 0] / np.sqrt(2.0 * np.pi))
+    background = shares[:, 2] / (s.window_m + inner)
+    share = core + outward
+    share += column(background)
+    np.divide(inside, share, out=share)
+    outward *= share
+    core *= share
+    sums = np.array([core.sum(axis=1), outward.sum(axis=1), share.sum(axis=1)], dtype=np.float64).T
+    sums[:, 2] *= background
+    return core, outward, sums

@@ -1,0 +1,94 @@
+"""What the measurement of one stem at breast height gave, or why it gave nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.trees.diameter.outline import Outline
+from fsinfer.trees.diameter.silhouette import SilhouetteFit
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """What one stem's breast-height section gave; lengths in metres, angles in degrees.
+
+    ``offsets_m`` (M, 2) are the slice's points about ``center`` in the plane perpendicular to the axis, ``kept`` (M,)
+    those the circle used, ``circle_m`` (x, y, radius) the fused circle in the same plane. ``center`` (2,) is the axis
+    position at ``bh_m`` in the frame of the cloud, ``slope`` (2,) its dx/dh and dy/dh, ``taper`` the radius's dr/dh,
+    ``top_m`` the height to which the stem was seen (below the search's upper end). ``parts_m`` are the standard
+    deviations of the radius that make up the interval, by name, ``tau_m`` the error that neighbouring points share.
+    ``dbh_m`` is None when ``reason`` says why there is none. Where photographs were looked at too
+    (:mod:`fsinfer.silhouettes.join`), ``silhouette`` is what their edges say and ``cloud_dbh_m`` what the points alone
+    gave.
+    """
+
+    center: Floats
+    bh_m: float
+    dbh_m: float | None
+    sd_m: float
+    coverage: float
+    points: int
+    residual_m: float
+    parts_m: dict[str, float]
+    tau_m: float
+    lean_deg: float
+    slope: Floats
+    taper: float
+    top_m: float
+    status: str
+    reason: str
+    offsets_m: Floats
+    kept: Bools
+    circle_m: Floats
+    half_slice_m: float
+    outline: Outline | None
+    silhouette: SilhouetteFit | None = None
+    cloud_dbh_m: float | None = None
+
+
+def unmeasured_section(
+    center: Floats,
+    bh_m: float,
+    reason: str,
+    *,
+    radius_m: float,
+    lean_deg: float = 0.0,
+    slope: Floats | None = None,
+    taper: float = 0.0,
+    top_m: float | None = None,
+    offsets_m: Floats | None = None,
+    half_slice_m: float = 0.0,
+) -> Section:
+    """A stem at ``center`` (2,) without a diameter; ``radius_m`` only says how large to draw it on a map.
+
+    ``offsets_m`` (M, 2) are what points there are within ``half_slice_m`` of breast height, to be looked at.
+    """
+    offsets = np.zeros((0, 2)) if offsets_m is None else offsets_m
+    return Section(
+        center=center,
+        bh_m=bh_m,
+        dbh_m=None,
+        sd_m=float("nan"),
+        coverage=0.0,
+        points=0,
+        residual_m=float("nan"),
+        parts_m={},
+        tau_m=float("nan"),
+        lean_deg=lean_deg,
+        slope=np.zeros(2) if slope is None else slope,
+        taper=taper,
+        top_m=bh_m if top_m is None else top_m,
+        status="unmeasured",
+        reason=reason,
+        offsets_m=offsets,
+        kept=np.zeros(len(offsets), dtype=bool),
+        circle_m=np.array([0.0, 0.0, radius_m]),
+        half_slice_m=half_slice_m,
+        outline=None,
+    )

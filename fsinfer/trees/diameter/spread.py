@@ -1,0 +1,82 @@
+"""How far off a stem's fitted radius may be when neighbouring points err together.
+
+Pixels of one depth map, moss and bark plates make errors that points share, and thousands of points do not average
+them away. The residuals tell how much: the mean residual of a block of bark (some centimetres wide, a decimetre high)
+scatters by sigma^2 / n if points are independent and by more if they are not. What is more is the variance tau^2 of a
+random effect of each block, which goes into the covariance of the fit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.trees.cylinder.axis import AxisFit
+from fsinfer.trees.points.sums import sums_of_products
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpreadSettings:
+    """Constants of :func:`fit_spread`."""
+
+    block_arc_m: float = 0.04  # wider than the pixels of a depth map on a stem, narrower than its shape
+    block_height_m: float = 0.10
+    sectors: tuple[int, int] = (8, 36)
+    max_correlation: float = 0.7  # of adjacent blocks; more is the shape of the stem, which the harmonics have
+    few_blocks_tau: float = 0.3  # of the noise: assumed where too few blocks are seen to tell
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spread:
+    """Covariance (P, P) of the fit's parameters, and ``tau_m``: the standard deviation that blocks of bark share."""
+
+    covariance: Floats
+    tau_m: float
+
+
+def fit_spread(fit: AxisFit, offsets: Floats, foot: Floats, *, settings: SpreadSettings | None = None) -> Spread:
+    """Spread of ``fit`` for its points at ``offsets`` (N, 2) from the axis and ``foot`` (N,) along it."""
+    s = settings or SpreadSettings()
+    sectors = int(np.clip(round(2.0 * np.pi * fit.radius_m / s.block_arc_m), *s.sectors))
+    angle = np.arctan2(offsets[:, 1], offsets[:, 0]) / (2.0 * np.pi) + 0.5
+    sector = np.minimum((angle * sectors).astype(np.int64), sectors - 1)
+    layer = np.floor((foot - foot.min()) / s.block_height_m).astype(np.int64)
+    layers = int(layer.max()) + 1
+    block = layer * sectors + sector
+    size = layers * sectors
+    # Residuals in units of the noise: what is shared is a part of it.
+    weight = fit.core
+    scaled = fit.residuals_m / fit.noise_m
+    count = np.bincount(block, weights=weight, minlength=size)
+    mean = np.bincount(block, weights=weight * scaled, minlength=size) / np.maximum(count, 1e-9)
+    seen = count >= 2.0
+    parameters = fit.jacobian.shape[1]
+    free = int(seen.sum()) - parameters
+    if free < 4:
+        tau2 = s.few_blocks_tau**2
+    else:
+        excess = float((count[seen] * mean[seen] ** 2).sum()) - free
+        tau2 = max(excess / float(count[seen].sum()) * seen.sum() / free, 0.0)
+    grid, mask = mean.reshape(layers, sectors), seen.reshape(layers, sectors)
+    inflation = 1.0
+    for axis in (0, 1):
+        shifted = np.roll(grid, -1, axis=axis)
+        both = mask & np.roll(mask, -1, axis=axis)
+        if axis == 0:
+            both[-1] = False  # the layers do not close into a ring
+        if both.sum() >= 6 and tau2 > 0.0:
+            rho = float((grid * shifted)[both].mean() / max(float((grid[both] ** 2).mean()), 1e-12))
+            rho = float(np.clip(rho, 0.0, s.max_correlation))
+            inflation *= (1.0 + rho) / (1.0 - rho)
+    jacobian = fit.jacobian / fit.noise_m[:, None]
+    weighted = jacobian * weight[:, None]
+    information = sums_of_products(weighted.T, jacobian.T)
+    sums = np.stack([np.bincount(block, weights=weighted[:, k], minlength=size) for k in range(parameters)], axis=1)
+    prior = np.diag(fit.prior_information)
+    meat = information + inflation * tau2 * sums.T @ sums + prior
+    bread = np.linalg.inv(information + prior + 1e-9 * np.eye(parameters))
+    return Spread(covariance=np.asarray(bread @ meat @ bread), tau_m=fit.sigma_m * float(np.sqrt(tau2)))

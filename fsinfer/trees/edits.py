@@ -1,0 +1,269 @@
+"""A stem map corrected by hand: trees deleted, added and merged by a CSV, and measured again in the same cloud.
+
+The cloud is searched as before, so that the trees keep the numbers which the edits name; then the rows are applied in
+their order. Depth and cloud are not touched.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.errors import InputError
+from fsinfer.io.csv_text import has_semicolons
+from fsinfer.trees.diameter.section import Section, unmeasured_section
+from fsinfer.trees.measure import PlotResult
+from fsinfer.trees.search.find import find_stems
+from fsinfer.trees.search.stem import Stem, StemSettings
+from fsinfer.trees.settings import TreeSettings
+from fsinfer.trees.stem_measurement import measure_stems, tree_of
+from fsinfer.trees.tree import Tree
+
+Floats = NDArray[np.float64]
+
+EDITS_FILE = "edits.csv"
+#: The columns that each action needs.
+ACTIONS = {"delete": ("tree_id",), "add": ("x_m", "y_m"), "merge": ("tree_id", "other_id")}
+# A point set by hand on a map lies within this of the stem's middle, besides its radius.
+REACH_M = 0.35
+# Points around a place that are looked at: the widest stem, and what it has to stand out from.
+AROUND_M = 1.5
+# Room for a label on the map where nothing is measured.
+LABEL_RADIUS_M = 0.1
+# A person says that a stem stands there: much less evidence is asked for than where nobody said so.
+SEEN_BY_PERSON = StemSettings(
+    min_votes=0.8, min_length_m=0.3, min_arc=0.08, max_filled=0.6, max_noise=0.6, min_contrast=1.1, rough_m=0.025,
+    min_rough_length_m=0.3, thin_m=0.0, min_fork_length_m=0.3, min_fork_arc=0.08,
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class TreeEdit:
+    """One row of the CSV; fields that the action does not use are None. ``tree_id`` of an added tree is its number."""
+
+    action: str
+    row: int
+    tree_id: int | None = None
+    other_id: int | None = None
+    x_m: float | None = None
+    y_m: float | None = None
+
+
+def read_edits(path: Path | str) -> tuple[TreeEdit, ...]:
+    """Read an edits file: ``action, tree_id, other_id, x_m, y_m``, of which each action needs its own.
+
+    Commas between the cells, or semicolons, and then decimal commas are understood too.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, a column that an action needs is missing, or a cell is wrong; file and row are named.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else error
+        msg = f"cannot read the edits {path}: {reason}; give a CSV with the column action (see docs/trees.md)"
+        raise InputError(msg) from error
+    lines = text.splitlines()
+    semicolon = has_semicolons(lines)
+    reader = csv.DictReader(lines, delimiter=";" if semicolon else ",", skipinitialspace=True)
+    columns = [name.strip() for name in reader.fieldnames or []]
+    reader.fieldnames = columns
+    if "action" not in columns:
+        msg = f"{path} has no column action; its first line must be: action,tree_id,other_id,x_m,y_m"
+        raise InputError(msg)
+    edits = tuple(
+        _read_row(path, row, _with_points(cells) if semicolon else cells, columns)
+        for row, cells in enumerate(reader, start=2)
+        if any(cells.values())
+    )
+    given = Counter(edit.tree_id for edit in edits if edit.action == "add" and edit.tree_id is not None)
+    for number, count in given.items():
+        if count > 1:
+            msg = f"{path}: {count} added trees have the tree_id {number}; give each its own, or leave the cell empty"
+            raise InputError(msg)
+    return edits
+
+
+def _with_points(cells: dict[str, str]) -> dict[str, str]:
+    """The cells of a row with decimal points for decimal commas."""
+    return {key: value.replace(",", ".") if key in ("x_m", "y_m") and value else value for key, value in cells.items()}
+
+
+def find_edits(out: Path, given: Path | None) -> tuple[TreeEdit, ...]:
+    """The edits of a file that was given, or of ``edits.csv`` in the output folder; none where there is neither."""
+    if given is not None:
+        return read_edits(given)
+    path = out / EDITS_FILE
+    return read_edits(path) if path.is_file() else ()
+
+
+def apply_edits(
+    result: PlotResult,
+    points: Floats,
+    edits: Sequence[TreeEdit],
+    *,
+    settings: TreeSettings,
+    scale_rel_std: float = 0.0,
+    metric: bool = True,
+) -> PlotResult:
+    """Apply ``edits`` to the trees of a plot; trees that they do not name stay as they are, with their numbers.
+
+    Parameters
+    ----------
+    result: of :func:`fsinfer.trees.analyse_plot` on ``points``.
+    points: (N, 3), z up, in the frame of the trees' positions.
+    metric: False where positions are in model units: then trees are moved about, but nothing is measured.
+
+    Raises
+    ------
+    InputError
+        An edit names a tree that is not there (any more), or adds one with a number that is taken.
+    """
+    trees = {tree.tree_id: (tree, section) for tree, section in zip(result.trees, result.sections, strict=True)}
+    first_free = max([0, *trees, *(edit.tree_id or 0 for edit in edits if edit.action == "add")]) + 1
+    done: list[str] = []
+    for edit in edits:
+        if edit.action == "add":
+            number = edit.tree_id if edit.tree_id is not None else first_free
+            if number in trees:
+                msg = f"row {edit.row} of the edits adds a tree {number}, but there is one; leave tree_id empty"
+                raise InputError(msg)
+            first_free += edit.tree_id is None
+            place = np.array([_number(edit.x_m), _number(edit.y_m)])
+            found = _measured_at(result, points, place[None], settings, scale_rel_std) if metric else None
+            trees[number] = _numbered(found, number, place, settings, "added by hand", metric=metric)
+            done.append(f"{number} added")
+        elif edit.action == "delete":
+            trees.pop(_known(edit.tree_id, trees, edit.row))
+            done.append(f"{edit.tree_id} deleted")
+        else:
+            number, other = _known(edit.tree_id, trees, edit.row), _known(edit.other_id, trees, edit.row)
+            places = np.array([[trees[i][0].x_m, trees[i][0].y_m] for i in (number, other)])
+            found = _measured_at(result, points, places, settings, scale_rel_std) if metric else None
+            said = f"{number} and {other} merged by hand"
+            del trees[other]
+            trees[number] = _numbered(found, number, places.mean(axis=0), settings, said, metric=metric)
+            done.append(f"{other} merged into {number}")
+    ordered = [trees[number] for number in sorted(trees)]
+    measured = sum(tree.dbh_cm is not None for tree, _ in ordered)
+    return replace(
+        result,
+        trees=tuple(tree for tree, _ in ordered),
+        sections=tuple(section for _, section in ordered),
+        diagnosis=f"{len(ordered)} trees after corrections by hand, {measured} with a DBH",
+        warnings=(*result.warnings, f"stem map corrected by hand: tree {', '.join(done)}") if done else result.warnings,
+    )
+
+
+def _measured_at(
+    result: PlotResult, points: Floats, places: Floats, settings: TreeSettings, scale_rel_std: float
+) -> tuple[Tree, Section] | None:
+    """The best stem at one place (1, 2), or over two (2, 2) that are the same tree; None where nothing can be seen."""
+    if result.ground is None:
+        return None
+    middle = places.mean(axis=0)
+    apart = float(np.linalg.norm(places - middle, axis=1).max())
+    near = points[np.hypot(*(points[:, :2] - middle).T) <= AROUND_M + apart]
+    # About an origin of its own, as in the search: map coordinates would cost precision in the fits.
+    origin = np.r_[np.floor(middle), 0.0]
+    ground = replace(
+        result.ground,
+        origin=result.ground.origin - origin[:2],
+        plane=result.ground.plane + np.array([0.0, 0.0, float(result.ground.plane[:2] @ origin[:2])]),
+    )
+    stand = near - origin
+    stand[:, 2] -= ground.height_at(stand[:, :2])
+    best: tuple[Stem, float] | None = None
+    for wanted in (settings.stems, SEEN_BY_PERSON):
+        search = find_stems(stand, settings=wanted, seed=settings.seed)
+        for stem in search.stems:
+            center = stem.axis.center_at(settings.bh_m) + origin[:2]
+            off = float(np.linalg.norm(center - middle))
+            if off > REACH_M + apart + stem.axis.radius_m:
+                continue
+            # One place: the nearest. Two: the one with the most to show for itself.
+            worth = stem.quality if len(places) > 1 else -max(off - stem.axis.radius_m, 0.0) + 1e-3 * stem.quality
+            if best is None or worth > best[1]:
+                best = stem, worth
+        if best is not None:
+            alone = replace(search, stems=(best[0],))
+            pairs = measure_stems(stand, alone, ground, settings, scale_rel_std, origin)
+            return pairs[0] if pairs else None
+    return None
+
+
+def _numbered(
+    found: tuple[Tree, Section] | None, number: int, place: Floats, settings: TreeSettings, said: str, *, metric: bool
+) -> tuple[Tree, Section]:
+    if found is not None:
+        tree, section = found
+        reason = f"{said}; {tree.reason}" if tree.reason else said
+        return replace(tree, tree_id=number, reason=reason), replace(section, reason=reason)
+    reason = f"{said}; " + ("no stem to be measured is seen here" if metric else "no scale")
+    section = unmeasured_section(place, settings.bh_m, reason, radius_m=LABEL_RADIUS_M)
+    tree = tree_of(section, 0.0, None, np.zeros(3))
+    return replace(tree, tree_id=number), section
+
+
+def _known(number: int | None, trees: Iterable[int], row: int) -> int:
+    known = sorted(trees)
+    if number is None or number not in known:
+        there = ", ".join(map(str, known)) or "none"
+        msg = f"row {row} of the edits names tree {number}, which is not there (any more); the trees are: {there}"
+        raise InputError(msg)
+    return number
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+def _read_row(path: Path, row: int, cells: dict[str, str], columns: Sequence[str]) -> TreeEdit:
+    where = f"{path}, row {row}"
+    action = (cells.get("action") or "").strip().lower()
+    if action not in ACTIONS:
+        msg = f"{where}: the action is '{action}'; it must be {', '.join(ACTIONS)}"
+        raise InputError(msg)
+    missing = [name for name in ACTIONS[action] if name not in columns]
+    if missing:
+        msg = f"{where}: '{action}' needs the column {' and '.join(missing)}, which the file does not have; add it"
+        raise InputError(msg)
+    numbers: dict[str, float | None] = {}
+    for name in ("tree_id", "other_id", "x_m", "y_m"):
+        text = (cells.get(name) or "").strip()
+        needed = name in ACTIONS[action]
+        if not text and not needed:
+            numbers[name] = None
+            continue
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        whole = name.endswith("_id")
+        if not math.isfinite(value) or (whole and (value != int(value) or value < 1)):
+            kind = "the number of a tree" if whole else "a number"
+            msg = f"{where}: '{action}' needs {kind} in the column {name}, not '{text}'"
+            raise InputError(msg)
+        numbers[name] = value
+    tree_id, other_id = numbers["tree_id"], numbers["other_id"]
+    if action == "merge" and tree_id == other_id:
+        msg = f"{where}: a tree cannot be merged with itself; name two trees"
+        raise InputError(msg)
+    return TreeEdit(
+        action=action,
+        row=row,
+        tree_id=None if tree_id is None else int(tree_id),
+        other_id=None if other_id is None else int(other_id),
+        x_m=numbers["x_m"],
+        y_m=numbers["y_m"],
+    )

@@ -1,0 +1,1 @@
+"""Tables, maps, figures and labelled points of measured trees."""

@@ -1,0 +1,219 @@
+"""Figures for people: the stem map of a plot and the breast-height section of each tree (PNG)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.io.files import atomic_path
+from fsinfer.progress import Progress, silent
+from fsinfer.trees.measure import PlotResult
+from fsinfer.trees.tree import Tree
+
+if TYPE_CHECKING:
+    from fsinfer.trees.diameter.section import Section
+    from fsinfer.trees.stem_curve import CurvePoint
+
+STATUS_COLOURS = {"ok": "#1b7837", "doubtful": "#d98300", "unmeasured": "#9a9a9a"}
+_KEPT, _DROPPED, _CIRCLE, _CURVE = "#2b5c8a", "#d1495b", "#1b1b1b", "#e08e0b"
+
+
+def write_figures(
+    folder: Path,
+    result: PlotResult,
+    *,
+    curves: Mapping[int, Sequence[CurvePoint]] | None = None,
+    progress: Progress = silent,
+) -> list[Path]:
+    """Write ``stem_map.png`` and ``tree_ID.png`` for each tree into ``folder``; returns the paths.
+
+    ``curves`` are the stem curves by tree id, drawn beside the sections where there are some.
+    """
+    paths = [Path(folder) / "stem_map.png"]
+    plot_stem_map(result, paths[0])
+    for number, (tree, section) in enumerate(zip(result.trees, result.sections, strict=True), start=1):
+        path = Path(folder) / f"tree_{tree.tree_id:03d}.png"
+        curve = (curves or {}).get(tree.tree_id, ())
+        plot_section(tree, section, path, curve=curve, guessed=result.units_per_m is not None)
+        paths.append(path)
+        progress(number, len(result.trees), "drawing sections")
+    return paths
+
+
+def plot_stem_map(result: PlotResult, path: Path) -> None:
+    """Stems to scale at their positions with ids and DBH; axes are the cloud's x and y, in metres or model units."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Circle, Rectangle
+
+    metre = result.units_per_m or 1.0
+    x0, y0, x1, y1 = result.extent_m
+    for tree in result.trees:
+        x0, y0, x1, y1 = min(x0, tree.x_m), min(y0, tree.y_m), max(x1, tree.x_m), max(y1, tree.y_m)
+    width, height = max(x1 - x0, metre), max(y1 - y0, metre)
+    scale = 8.5 / max(width, height)
+    figure = _figure(max(width * scale, 4.5) + 1.0, max(height * scale, 3.2) + 1.4)
+    axes = figure.add_subplot()
+    axes.add_patch(Rectangle((x0, y0), width, height, fill=False, edgecolor="0.75", linestyle="--", linewidth=1.0))
+    for tree in result.trees:
+        # Where no diameter is known, a small ring only marks the place.
+        radius = 0.1 * metre if tree.dbh_cm is None else tree.dbh_cm / 200.0
+        colour = STATUS_COLOURS.get(tree.status, "0.5")
+        hollow = tree.dbh_cm is None
+        face = "none" if hollow else colour
+        axes.add_patch(Circle((tree.x_m, tree.y_m), radius, facecolor=face, edgecolor=colour, linewidth=1.2))
+        label = f"{tree.tree_id}\n" + ("no DBH" if tree.dbh_cm is None else f"{tree.dbh_cm:.1f} cm")
+        axes.annotate(
+            label,
+            (tree.x_m + 0.75 * radius, tree.y_m + 0.75 * radius),
+            xytext=(3, 2),
+            textcoords="offset points",
+            fontsize=8 if len(result.trees) <= 60 else 6,
+            linespacing=1.1,
+            va="bottom",
+        )
+    margin = 0.06 * max(width, height)
+    axes.set(xlim=(x0 - margin, x1 + margin), ylim=(y0 - margin, y1 + margin), aspect="equal")
+    unit = "m" if result.units_per_m is None else "model units"
+    axes.set(xlabel=f"x ({unit})", ylabel=f"y ({unit})")
+    found = f"{len(result.trees)} tree{'' if len(result.trees) == 1 else 's'}"
+    measured = sum(tree.dbh_cm is not None for tree in result.trees)
+    told = f"{measured} with a DBH (circles to scale)" if result.units_per_m is None else "no scale, no DBH"
+    # The layout keeps room for it, which it does not always for a title of the axes.
+    figure.suptitle(f"Stem map: {found}, {told}", fontsize=11)
+    axes.grid(color="0.94")
+    axes.set_axisbelow(True)
+    present = [status for status in STATUS_COLOURS if any(tree.status == status for tree in result.trees)]
+    handles = [
+        Line2D([], [], marker="o", linestyle="", markersize=8, markeredgecolor=STATUS_COLOURS[status], label=status,
+               markerfacecolor="none" if status == "unmeasured" else STATUS_COLOURS[status])
+        for status in present
+    ]  # fmt: skip
+    handles.append(Line2D([], [], color="0.75", linestyle="--", linewidth=1.0, label="where the cloud lies"))
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=9, frameon=False)
+    if not result.trees:
+        axes.text(0.5, 0.5, "no trees found", transform=axes.transAxes, ha="center", color="0.4")
+    _save(figure, path)
+
+
+def plot_section(
+    tree: Tree, section: Section, path: Path, *, curve: Sequence[CurvePoint] = (), guessed: bool = False
+) -> None:
+    """One tree's section at breast height, in centimetres about the circle's centre, and its stem curve beside it.
+
+    ``guessed`` says that no scale is known, so that the centimetres are a guess as well.
+    """
+    from matplotlib.patches import Annulus, Circle
+
+    measured = [point for point in curve if point.diameter_cm is not None]
+    figure = _figure(9.4 if measured else 6.4, 6.9)
+    if measured:
+        axes, beside = figure.subplots(1, 2, width_ratios=(2.4, 1.0))
+        _draw_curve(beside, tree, measured)
+    else:
+        axes = figure.add_subplot()
+    center = section.circle_m[:2]
+    radius = 100.0 * float(section.circle_m[2])
+    offsets = 100.0 * (section.offsets_m - center)
+    kept = section.kept
+    size = float(np.clip(900.0 / max(len(offsets), 1), 2.0, 22.0))
+    axes.scatter(*offsets[~kept].T, s=size, color=_DROPPED, alpha=0.6, linewidth=0, label="dropped points")
+    axes.scatter(*offsets[kept].T, s=size, color=_KEPT, alpha=0.8, linewidth=0, label="points used")
+    if tree.dbh_cm is not None:
+        half = 1.96 * 100.0 * section.sd_m / 2.0
+        band = Annulus(
+            (0, 0), radius + half, min(2.0 * half, radius + half), color="0.5", alpha=0.22, linewidth=0,
+            label="95 % interval",
+        )  # fmt: skip
+        axes.add_patch(band)
+        axes.add_patch(Circle((0, 0), radius, fill=False, edgecolor=_CIRCLE, linewidth=1.5, label="circle"))
+    if section.outline is not None:
+        outline = 100.0 * (section.outline.curve_m - center)
+        axes.plot(*_closed(outline).T, color=_CURVE, linewidth=1.5, linestyle="--", label="outline")
+    axes.plot(0, 0, marker="+", color=_CIRCLE, markersize=9)
+    reach = 1.3 * max(radius, float(np.percentile(np.abs(offsets), 98)) if len(offsets) else 0.0, 3.0)
+    reach = min(reach, 2.2 * max(radius, 3.0))
+    if not len(offsets):
+        axes.text(0.5, 0.55, "no points at this height", transform=axes.transAxes, ha="center", color="0.4")
+    unit = "cm, guessed" if guessed else "cm"
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal", xlabel=f"x' ({unit})", ylabel=f"y' ({unit})")
+    axes.grid(color="0.93")
+    axes.set_axisbelow(True)
+    if tree.dbh_cm is None:
+        title = f"Tree {tree.tree_id}: no DBH"
+    else:
+        title = (
+            f"Tree {tree.tree_id}: DBH {tree.dbh_cm:.1f} cm  (95 %: {tree.dbh_lo95_cm:.1f} to {tree.dbh_hi95_cm:.1f})"
+        )
+    details = f"{tree.bh_m:.2f} m above ground{' by the guess' if guessed else ''}"
+    if section.half_slice_m > 0:
+        details += f" · slice ± {100 * section.half_slice_m:.1f} cm"
+    details += f" · {round(360 * tree.arc_coverage)}° of the stem seen"
+    if guessed:
+        details += "\nno scale is known: a metre is guessed from a phone held 1.5 m high"
+    if tree.residual_cm is not None:
+        details += f" · residual {tree.residual_cm:.1f} cm"
+    if section.silhouette is not None:
+        details += f"\n{_sources(section)}"
+    if tree.reason and not guessed:
+        details += f"\n{tree.status}: {_wrapped(tree.reason)}"
+    figure.suptitle(title, fontsize=12, fontweight="bold")
+    axes.set_title(details, fontsize=8.5, color="0.25")
+    # Of many points each is drawn small; in the legend all are as large as those of few.
+    figure.legend(loc="outside lower center", ncols=3, fontsize=8.5, frameon=False, markerscale=(22.0 / size) ** 0.5)
+    _save(figure, path)
+
+
+def _sources(section: Section) -> str:
+    """Say what the photographs' edges and the points alone gave."""
+    fit = section.silhouette
+    if fit is None:
+        return ""
+    text = f"edges in {fit.photos} photos: {200 * fit.radius_m:.1f} cm ± {1.96 * 200 * fit.std_m:.1f} cm"
+    if section.cloud_dbh_m is None:
+        return f"{text}; not measurable from the points"
+    return f"{text}; points alone: {100 * section.cloud_dbh_m:.1f} cm"
+
+
+def _draw_curve(axes: Any, tree: Tree, measured: Sequence[CurvePoint]) -> None:
+    height = [point.height_m for point in measured]
+    diameter = [point.diameter_cm or 0.0 for point in measured]
+    error = [1.96 * (point.std_cm or 0.0) for point in measured]
+    axes.errorbar(diameter, height, xerr=error, fmt="o-", color=_KEPT, markersize=4, linewidth=1.0, capsize=2)
+    if tree.dbh_cm is not None:
+        axes.plot(tree.dbh_cm, tree.bh_m, marker="D", color=_CURVE, linestyle="", markersize=6)
+        axes.annotate("DBH", (tree.dbh_cm, tree.bh_m), xytext=(6, -3), textcoords="offset points", fontsize=8.5)
+    widest = max(*(d + e for d, e in zip(diameter, error, strict=True)), tree.dbh_cm or 0.0)
+    axes.set(xlim=(0.0, 1.2 * widest), ylim=(0.0, max(height[-1], tree.bh_m) + 0.5))
+    axes.set(xlabel="diameter (cm)", ylabel="height above ground (m)")
+    axes.set_title("Stem curve", fontsize=10)
+    axes.grid(color="0.93")
+    axes.set_axisbelow(True)
+
+
+def _figure(width: float, height: float) -> Any:
+    # The object-oriented interface: pyplot would keep global state and could pick a window system.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _save(figure: Any, path: Path) -> None:
+    with atomic_path(Path(path)) as temporary:
+        figure.savefig(temporary, dpi=130)
+
+
+def _closed(curve: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.concatenate([curve, curve[:1]])
+
+
+def _wrapped(text: str) -> str:
+    import textwrap
+
+    return "\n".join(textwrap.wrap(text, 80))

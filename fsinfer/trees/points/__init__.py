@@ -1,0 +1,1 @@
+"""Points selected, thinned, indexed and summed."""

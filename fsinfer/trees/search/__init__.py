@@ -1,0 +1,1 @@
+"""Stems found in a cloud, and verified."""

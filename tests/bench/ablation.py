@@ -1,0 +1,178 @@
+"""Train variants of the network alike and compare them: the paper's ablation (Table 8, Table 6) on our data.
+
+python -m tests.bench.ablation --data SCENES --test WALKS --plot PLOT --out RUNS --steps 1000
+
+Every variant sees as many samples of the same stream, in windows of one size. It is exported and judged as deployed:
+depth on views held out (nearer than ``--max-depth``), and on a plot with true cameras the fused cloud's density and
+the diameters. A run that was stopped goes on where it was; finished variants are not trained again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from export.onnx_export import export_model
+from fsinfer.depth.stage import DepthSettings, estimate_depth
+from fsinfer.errors import CloudError, FsinferError
+from fsinfer.evaluation.metrics import evaluate, read_measured
+from fsinfer.fusion.fuse import fuse
+from fsinfer.io.files import write_text
+from fsinfer.placement.place import density_per_m2
+from fsinfer.scene import read_scene
+from fsinfer.trees import measure_trees
+from training.checkpoint import load_checkpoint
+from training.data.find import find_true_scenes
+from training.evaluate import evaluate_scene, onnx_predictor
+from training.metrics import mean_errors
+from training.model import CONFIGS
+from training.train import TrainSettings, train
+
+PAPER_TABLE = ("mvsnet", "paper-no-bfpn", "paper-no-se", "paper-no-hybrid", "paper", "field")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AblationRow:
+    """One variant: its size and cost, its depth errors, and what a plot looks like through it.
+
+    Attributes
+    ----------
+    seconds_per_step: of training, on the machine that trained it.
+    depth: means over the test views, see :class:`training.metrics.DepthErrors`.
+    density_per_m2, r, rmse_cm: of the plot; ``None`` where no cloud or no tree came out.
+    """
+
+    name: str
+    parameters: int
+    steps: int
+    seconds_per_step: float
+    depth: dict[str, float]
+    density_per_m2: float | None = None
+    r: float | None = None
+    rmse_cm: float | None = None
+
+
+def run_variant(
+    base: TrainSettings, *, test: tuple[Path, ...], plot: Path | None, every: int, max_depth: float
+) -> AblationRow:
+    """Train ``base.preset`` in ``base.out``, export it and judge it; the finished row is kept in ``row.json``."""
+    kept = base.out / "row.json"
+    key = {"steps": base.steps, "crop": list(base.crop), "seed": base.seed, "every": every, "max_depth": max_depth}
+    if kept.is_file():
+        record = json.loads(kept.read_text(encoding="utf-8"))
+        if record["key"] == key:
+            return AblationRow(**record["row"])
+    model, state = load_checkpoint(train(base))
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+    manifest = export_model(model, base.out / "onnx", provenance=state["training"])
+    predict = onnx_predictor(manifest)
+    errors = [
+        row
+        for scene in find_true_scenes(test, "test")
+        for row in evaluate_scene(
+            predict, scene.read(), every=every, max_depth=max_depth, true_depth=scene.true_depth
+        ).values()
+    ]
+    result = AblationRow(
+        name=base.preset,
+        parameters=sum(p.numel() for p in model.parameters()),
+        steps=state["step"],
+        seconds_per_step=state["spent_s"] / max(1, state["step"]),
+        depth=mean_errors(errors),
+    )
+    if plot is not None:
+        result = replace(result, **judge_plot(manifest, plot, base.out / "plot"))
+    write_text(kept, json.dumps({"key": key, "row": asdict(result)}, indent=1) + "\n")
+    return result
+
+
+def judge_plot(manifest: Path, plot: Path, out: Path) -> dict[str, Any]:
+    """Depth, fusion and trees of a rendered plot with its true cameras; its world is in metres with z up."""
+    scene = read_scene(plot)
+    estimate_depth(scene, out, settings=DepthSettings(model=str(manifest)))
+    try:
+        cloud = fuse(scene, out)
+        trees = measure_trees(cloud.xyz)
+    except CloudError:
+        return {}
+    result = evaluate(read_measured(plot / "truth.csv"), trees, align="never", area_margin_m=1.0)
+    return {"density_per_m2": density_per_m2(cloud.xyz), "r": result.r, "rmse_cm": result.rmse_cm}
+
+
+def table(rows: list[AblationRow]) -> str:
+    """The rows in Markdown."""
+    lines = [
+        "| variant | parameters | s/step | median, cm | within 1 % | surer 70 %: median, cm | within 3 cm | flying "
+        "| points/m² | r | RMSE, cm |",
+        "|" + "---|" * 11,
+    ]
+    for row in rows:
+        d = row.depth
+        cells = [
+            row.name,
+            f"{row.parameters:,}",
+            f"{row.seconds_per_step:.2f}",
+            f"{100 * d['median_abs']:.2f}",
+            f"{100 * d['within_1pct']:.1f} %",
+            f"{100 * d['median_abs_sure']:.2f}",
+            f"{100 * d['within_3cm_sure']:.1f} %",
+            f"{100 * d['flying']:.1f} %",
+            "-" if row.density_per_m2 is None else f"{row.density_per_m2:.0f}",
+            "-" if row.r is None else f"{100 * row.r:.0f} %",
+            "-" if row.rmse_cm is None or np.isnan(row.rmse_cm) else f"{row.rmse_cm:.2f}",
+        ]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line."""
+    default = TrainSettings(data=(), out=Path())
+    parser = argparse.ArgumentParser(prog="python -m tests.bench.ablation", description=__doc__)
+    parser.add_argument("--data", type=Path, nargs="+", required=True, help="folders with training scenes")
+    parser.add_argument("--test", type=Path, nargs="+", required=True, help="folders with held-out scenes")
+    parser.add_argument("--plot", type=Path, help="a rendered plot (--kind plot) for density and diameters")
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--variants", nargs="+", choices=sorted(CONFIGS), default=list(PAPER_TABLE))
+    parser.add_argument("--steps", type=int, default=1000)
+    parser.add_argument("--crop", type=int, nargs=2, default=(32, 24), metavar=("W", "H"))
+    parser.add_argument("--every", type=int, default=1, help="every so-manieth view of a test scene")
+    parser.add_argument("--max-depth", type=float, default=6.0)
+    parser.add_argument("--seed", type=int, default=default.seed)
+    parser.add_argument("--threads", type=int, default=default.threads)
+    args = parser.parse_args(arguments)
+    rows = []
+    try:
+        for name in args.variants:
+            settings = TrainSettings(
+                data=tuple(args.data),
+                out=args.out / name,
+                preset=name,
+                steps=args.steps,
+                minutes=1e6,
+                crop=tuple(args.crop),
+                min_sources=2,
+                max_sources=3,
+                ema_decay=0.99,
+                checkpoint_every=100,
+                seed=args.seed,
+                threads=args.threads,
+            )
+            rows.append(
+                run_variant(settings, test=tuple(args.test), plot=args.plot, every=args.every, max_depth=args.max_depth)
+            )
+            print(table(rows), flush=True)
+    except FsinferError as error:
+        print(f"Error: {error}")
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,256 @@
+"""The command line: help, exit codes, what is printed, and the commands on small real input."""
+
+from __future__ import annotations
+
+import csv
+import errno
+import json
+import logging
+import shutil
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fsinfer
+from fsinfer.cli.app import main
+from fsinfer.cli.console import explain, reports_errors, stage_progress, warn
+from fsinfer.depth.manifest import models_folder
+from fsinfer.errors import CloudError
+from fsinfer.io.cloud import read_cloud
+from fsinfer.output.plot_json import read_plot
+from fsinfer.scene import read_scene
+from tests.support.synthetic_plot import M_PER_UNIT, STEMS, write_depth_folder, write_scene_folder
+
+Call = Callable[..., tuple[int, str, str]]
+COMMANDS = ("demo", "run", "marker", "check", "frames", "poses", "depth", "fuse", "trees", "evaluate", "report")
+
+
+@pytest.fixture
+def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Call:
+    """Run the command line as a shell would; returns exit code, stdout, stderr."""
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["fsinfer", *(str(a) for a in arguments)])
+        with pytest.raises(SystemExit) as stopped:
+            main()
+        captured = capsys.readouterr()
+        return int(stopped.value.code or 0), captured.out, captured.err
+
+    return run
+
+
+def test_help_names_every_command(call: Call) -> None:
+    code, out, _ = call("--help")
+    assert code == 0
+    assert [name for name in COMMANDS if name not in out] == []
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_explains_itself(call: Call, command: str) -> None:
+    code, out, _ = call(command, "--help")
+    assert code == 0
+    assert "--debug" in out
+
+
+@pytest.mark.parametrize("command", ["run", "trees"])
+def test_scale_options_are_there(call: Call, command: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    out = call(command, "--help")[1]
+    assert [
+        o for o in ("--aruco-length-m", "--aruco-dictionary", "--endpoints", "--length-m", "--scale") if o not in out
+    ] == []
+
+
+def test_marker_prints_boards_that_tell_their_length(call: Call, tmp_path: Path) -> None:
+    code, out, _ = call("marker", "--out", tmp_path / "m.pdf", "--paper", "a3", "--count", 2)
+    assert code == 0
+    assert "2 boards (40, 41), black square 250 mm, A3" in out
+    assert (tmp_path / "m.pdf").read_bytes().startswith(b"%PDF")
+    code, _, err = call("marker", "--out", tmp_path / "n.pdf", "--ids", "1,x")
+    assert code == 2
+    assert "--ids" in err
+
+
+def test_version(call: Call) -> None:
+    assert call("--version")[:2] == (0, f"fsinfer {fsinfer.__version__}\n")
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "part"),
+    [
+        (CloudError("a.ply is empty;\n  export it again"), 2, "Error: a.ply is empty; export it again"),
+        (OSError(errno.ENOSPC, "No space left on device", "x.pfm"), 2, "Error: No space left on device: x.pfm"),
+        (PermissionError(errno.EACCES, "Permission denied", "x"), 2, "Error: Permission denied: x"),
+        (MemoryError(), 2, "--max-size"),
+        (ZeroDivisionError("division by zero"), 1, "Internal error (ZeroDivisionError: division by zero)"),
+        (OSError(errno.EIO, "Input/output error", "x"), 1, "--debug"),
+    ],
+)
+def test_errors_are_one_line_with_the_right_code(error: Exception, code: int, part: str) -> None:
+    message, given = explain(error)
+    assert given == code
+    assert part in message
+    assert "\n" not in message
+
+
+def _failing(error: BaseException) -> Callable[..., None]:
+    @reports_errors
+    def command(*, debug: bool = False) -> None:
+        raise error
+
+    return command
+
+
+def test_trace_only_with_debug(capsys: pytest.CaptureFixture[str]) -> None:
+    import typer
+
+    for debug in (False, True):
+        with pytest.raises(typer.Exit) as stopped:
+            _failing(KeyError("x"))(debug=debug)
+        assert stopped.value.exit_code == 1
+        assert ("Traceback" in capsys.readouterr().err) is debug
+
+
+def test_interrupt_says_how_to_go_on(capsys: pytest.CaptureFixture[str]) -> None:
+    import typer
+
+    with pytest.raises(typer.Exit) as stopped:
+        _failing(KeyboardInterrupt())()
+    assert stopped.value.exit_code == 130
+    assert "run the same command again to go on" in capsys.readouterr().err
+
+
+def test_progress_goes_to_stderr_and_quiet_is_quiet(capsys: pytest.CaptureFixture[str]) -> None:
+    for quiet in (False, True):
+        with stage_progress(quiet=quiet) as progress:
+            report = progress("depth")
+            report(0, 2, "a")
+            report(2, 2, "depth")
+        captured = capsys.readouterr()
+        assert captured.out == ""
+        assert ("depth: 2/2" in captured.err) is not quiet
+
+
+def test_progress_bar_on_a_terminal(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    with stage_progress(quiet=False) as progress:
+        report = progress("depth")
+        for done in range(4):
+            report(done, 3, "views")
+    assert "3/3" in capsys.readouterr().err
+
+
+@pytest.fixture
+def metric_out(tmp_path: Path, call: Call) -> Path:
+    """A folder with the cloud that ``fuse`` made of exact depth, in levelled model units."""
+    write_scene_folder(tmp_path / "scene")
+    # What tells a scene of fsinfer poses, whose axes and unit mean nothing, from one of other origin.
+    (tmp_path / "scene" / "poses.json").write_text("{}", encoding="utf-8")
+    out = tmp_path / "out"
+    write_depth_folder(read_scene(tmp_path / "scene"), out)
+    code, text, err = call("fuse", tmp_path / "scene", out, "--quiet")
+    assert code == 0, err
+    assert "points in" in text
+    return out
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_fuse_then_trees(metric_out: Path, call: Call) -> None:
+    cloud = read_cloud(metric_out / "cloud.ply")
+    assert len(read_cloud(metric_out / "cloud.laz")) == len(cloud) == read_plot(metric_out)["points"]
+    assert read_plot(metric_out)["units"] == "model units"
+
+    code, out, err = call("trees", metric_out / "cloud.ply", metric_out, "--quiet")
+    assert code == 0
+    assert [row["dbh_cm"] for row in _rows(metric_out / "trees.csv")] == ["", "", ""]
+    assert {row["reason"] for row in _rows(metric_out / "trees.csv")} == {"no scale"}
+    assert "no scale was given" in err
+
+    code, out, err = call("trees", metric_out / "cloud.ply", metric_out, "--scale", M_PER_UNIT, "--quiet")
+    assert code == 0, err
+    found = sorted(float(row["dbh_cm"]) for row in _rows(metric_out / "trees.csv"))
+    assert out.startswith("3 trees, 3 with DBH")
+    assert call("report", metric_out)[:2] == (0, f"{metric_out / 'report.html'}\n")
+    np.testing.assert_allclose(found, sorted(200 * STEMS[:, 2]), atol=1.0)
+
+
+def test_endpoints_may_be_negative(metric_out: Path, call: Call) -> None:
+    options = ["--endpoints", "-1,0,0", "1,-0.0,0", "--length-m", 2 * M_PER_UNIT, "--quiet"]
+    code, out, err = call("trees", metric_out / "cloud.ply", metric_out, *options)
+    assert code == 0, err
+    assert out.startswith("3 trees, 3 with DBH")
+
+
+def test_fuse_keeps_the_frame_of_a_foreign_scene(tmp_path: Path, call: Call) -> None:
+    write_scene_folder(tmp_path / "scene")
+    out = tmp_path / "out"
+    scene = read_scene(tmp_path / "scene")
+    write_depth_folder(scene, out)
+    assert call("fuse", tmp_path / "scene", out, "--quiet")[0] == 0
+    assert read_plot(out)["cloud_from_scene"] == np.eye(4).tolist()
+    # The ground goes through the origin of the scene, across the axis that points down in every camera.
+    depth_below_origin = read_cloud(out / "cloud.ply").xyz @ scene.views[0].camera.cam_from_world[1, :3]
+    assert np.median(depth_below_origin) == pytest.approx(0, abs=0.02)
+    assert depth_below_origin.min() < -1.5 / M_PER_UNIT
+
+
+def test_evaluate(tmp_path: Path, call: Call) -> None:
+    measured, extracted = tmp_path / "measured.csv", tmp_path / "extracted.csv"
+    measured.write_text("tree_id,x_m,y_m,dbh_cm\n1,0,0,30\n2,5,0,40\n3,0,5,20\n", encoding="utf-8")
+    extracted.write_text("tree_id,x_m,y_m,dbh_cm\n8,0.1,0,31\n9,5,0.1,39\n", encoding="utf-8")
+    code, out, err = call("evaluate", measured, extracted, "--json", "--align", "never")
+    assert code == 0, err
+    result: dict[str, Any] = json.loads(out)
+    assert (result["n"], result["matched"], result["omitted"], result["false"]) == (3, 2, 1, 0)
+    assert result["rmse_cm"] == pytest.approx(1.0)
+    assert result["r"] == pytest.approx(2 / 3)
+    code, out, _ = call("evaluate", measured, extracted, "--align", "never", "--figure", tmp_path / "f.png")
+    assert code == 0
+    assert "RMSE" in out
+    assert (tmp_path / "f.png").stat().st_size > 1000
+
+
+def test_warnings_of_the_library_are_shown_once(call: Call, capsys: pytest.CaptureFixture[str]) -> None:
+    call("--version")
+    call("--version")
+    logging.getLogger("fsinfer.io.cloud").warning("%d points dropped", 3)
+    warn(["3 points dropped"])
+    logging.getLogger("fsinfer.io.cloud").info("not for people")
+    assert capsys.readouterr().err == "Warning: 3 points dropped\n"
+
+
+def test_a_provider_that_is_not_there_is_the_users_error(call: Call, tmp_path: Path) -> None:
+    scene = tmp_path / "scene"
+    write_scene_folder(scene)
+    code, _, err = call("depth", scene, tmp_path / "out", "--provider", "nonsense", "--quiet")
+    assert code == 2
+    assert "no provider 'nonsense', only:" in err
+    assert "cpu" in err
+
+
+def test_a_precision_that_is_not_there_is_the_users_error(call: Call, tmp_path: Path) -> None:
+    scene = tmp_path / "scene"
+    write_scene_folder(scene)
+    code, _, err = call("depth", scene, tmp_path / "out", "--precision", "half", "--quiet")
+    assert code == 2
+    assert "'half' is not one of" in err
+    for file in models_folder().glob("field*"):
+        shutil.copy(file, tmp_path)
+    manifest = tmp_path / "field.json"
+    data = json.loads(manifest.read_text(encoding="utf-8"))
+    data.pop("int8", None)
+    manifest.write_text(json.dumps(data), encoding="utf-8")
+    for command in ("depth", "run"):
+        source = scene if command == "depth" else scene / "images"
+        code, _, err = call(command, source, tmp_path / "out", "--model", manifest, "--precision", "int8", "--quiet")
+        assert code == 2
+        assert "has no int8 regularizer" in err
+        assert len(err.strip().splitlines()) == 1

@@ -1,0 +1,58 @@
+"""Unsure pixels take the confidence-weighted median of their surroundings."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from fsinfer.depth.median_filter import UnsureSettings, settle_unsure
+
+SMALL = UnsureSettings(radius_px=1, chunk=7)
+
+
+def reference(depth: NDArray[np.float32], confidence: NDArray[np.float32], s: UnsureSettings) -> NDArray[np.float32]:
+    """Pixel by pixel, from the definition of a weighted median of the inverse depth."""
+    result = depth.copy()
+    for y, x in zip(*np.nonzero(confidence < s.below), strict=True):
+        rows = slice(max(y - s.radius_px, 0), y + s.radius_px + 1)
+        columns = slice(max(x - s.radius_px, 0), x + s.radius_px + 1)
+        d, c = depth[rows, columns].ravel(), confidence[rows, columns].ravel()
+        d, c = d[d > 0], c[d > 0]
+        if len(d) == 0:
+            result[y, x] = 0
+            continue
+        order = np.argsort(1 / d)
+        total = np.cumsum((c**s.power + s.least_weight)[order].astype(np.float32))
+        result[y, x] = d[order][np.flatnonzero(total >= 0.5 * total[-1])[0]]
+    return result
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10_000), holes=st.floats(0, 0.6))
+def test_is_the_weighted_median(seed: int, holes: float) -> None:
+    rng = np.random.default_rng(seed)
+    depth = rng.uniform(1, 20, (9, 11)).astype(np.float32)
+    depth[rng.random(depth.shape) < holes] = 0
+    confidence = rng.random(depth.shape).astype(np.float32)
+    np.testing.assert_allclose(
+        settle_unsure(depth, confidence, settings=SMALL), reference(depth, confidence, SMALL), rtol=1e-6
+    )
+
+
+def test_flying_pixels_fall_on_a_surface_and_sure_ones_stay() -> None:
+    depth = np.full((20, 20), 8.0, np.float32)
+    depth[:, :10] = 3.0
+    truth = depth.copy()
+    depth[:, 9:11] = 5.0  # between the trunk and what is behind it
+    confidence = np.full_like(depth, 0.9)
+    confidence[:, 9:11] = 0.1
+    settled = settle_unsure(depth, confidence)
+    assert np.isin(settled, [3.0, 8.0]).all()
+    np.testing.assert_array_equal(settled[:, [0, 8, 11, 19]], truth[:, [0, 8, 11, 19]])
+
+
+def test_nothing_known_stays_unknown() -> None:
+    nothing = np.zeros((8, 8), np.float32)
+    np.testing.assert_array_equal(settle_unsure(nothing, nothing), nothing)

@@ -1,0 +1,118 @@
+"""Which numbers the regularizer is computed with, and that int8 gives the depth of float32."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from fsinfer.depth import precision
+from fsinfer.depth.manifest import hash_files, models_folder, read_manifest
+from fsinfer.depth.maps import read_depth_index
+from fsinfer.depth.model import DepthModel
+from fsinfer.depth.precision import choose_precision, has_int8_dot_products
+from fsinfer.depth.stage import DepthSettings, estimate_depth
+from fsinfer.errors import InputError, ModelError
+from fsinfer.scene import read_scene
+from tests.support.plane_scene import write_plane_scene
+
+X86 = "processor\t: {core}\nmodel name\t: Some CPU\nflags\t\t: fpu sse2 avx2 {flags}\nbugs\t\t:\n\n"
+ARM = "processor\t: {core}\nBogoMIPS\t: 50.00\nFeatures\t: fp asimd {flags}\nCPU part\t: 0xd0c\n\n"
+
+
+def cpuinfo(text: str, *flags: str) -> str:
+    return "".join(text.format(core=core, flags=flag) for core, flag in enumerate(flags))
+
+
+@pytest.mark.parametrize(
+    ("system", "machine", "text", "expected"),
+    [
+        ("Linux", "x86_64", cpuinfo(X86, "avx512f avx512_vnni", "avx512f avx512_vnni"), True),
+        ("Linux", "x86_64", cpuinfo(X86, "avx_vnni"), True),
+        ("Linux", "x86_64", cpuinfo(X86, "avx512f"), False),
+        ("Linux", "x86_64", cpuinfo(X86, "xavx_vnni avx512_vnnix"), False),
+        ("Linux", "x86_64", cpuinfo(X86, "avx_vnni", ""), False),
+        ("Linux", "x86_64", cpuinfo(X86, "asimddp"), False),
+        ("Linux", "x86_64", "", False),
+        ("Linux", "aarch64", cpuinfo(ARM, "asimddp", "asimddp sve"), True),
+        ("Linux", "aarch64", cpuinfo(ARM, "crc32"), False),
+        ("Linux", "riscv64", cpuinfo(ARM, "asimddp"), False),
+        ("Darwin", "arm64", "", True),
+        ("Darwin", "x86_64", "", False),
+        ("Windows", "AMD64", "", False),
+    ],
+)
+def test_processors_with_dot_products_of_8_bit_integers(system: str, machine: str, text: str, expected: bool) -> None:
+    assert has_int8_dot_products(system, machine, text) is expected
+
+
+@pytest.fixture
+def without_int8(tmp_path: Path) -> Path:
+    """Manifest of a model as it is exported: float32 alone."""
+    for file in models_folder().glob("field*"):
+        shutil.copy(file, tmp_path)
+    manifest = tmp_path / "field.json"
+    data = json.loads(manifest.read_text(encoding="utf-8"))
+    (tmp_path / data.pop("int8")["regularizer"]).unlink()
+    manifest.write_text(json.dumps(data), encoding="utf-8")
+    return manifest
+
+
+def test_auto_asks_for_the_file_the_processor_and_the_provider(without_int8: Path) -> None:
+    field, plain = read_manifest("field"), read_manifest(without_int8)
+    assert plain.int8_regularizer is None
+    assert choose_precision("auto", field, fast=True) == "int8"
+    assert choose_precision("auto", field, provider="CPUExecutionProvider", fast=True) == "int8"
+    assert choose_precision("auto", field, fast=False) == "float32"
+    assert choose_precision("auto", field, provider="cuda", fast=True) == "float32"
+    assert choose_precision("auto", plain, fast=True) == "float32"
+
+
+def test_what_is_asked_for_goes_before_the_processor(without_int8: Path) -> None:
+    field = read_manifest("field")
+    assert choose_precision("int8", field, fast=False) == "int8"
+    assert choose_precision("float32", field, fast=True) == "float32"
+    with pytest.raises(ModelError, match="no int8 regularizer; leave --precision out"):
+        DepthModel.load(without_int8, precision="int8")
+    with pytest.raises(InputError, match="no precision 'half'; choose one of auto, float32, int8"):
+        DepthModel.load("field", precision="half")
+
+
+def test_the_processor_of_this_machine_decides(monkeypatch: pytest.MonkeyPatch) -> None:
+    for fast, expected in ((True, "int8"), (False, "float32")):
+        monkeypatch.setattr(precision, "_this_machine_is_fast", lambda fast=fast: fast)
+        assert DepthModel.load("field", threads=1).precision == expected
+
+
+def test_each_precision_has_its_own_hash_and_both_are_checked(tmp_path: Path) -> None:
+    field = read_manifest("field")
+    assert field.int8_regularizer is not None
+    assert field.sha256_of(int8=True) == hash_files(field.files_of(int8=True)) != field.sha256_of(int8=False)
+    for file in models_folder().glob("field*"):
+        shutil.copy(file, tmp_path)
+    graph = tmp_path / field.int8_regularizer
+    graph.write_bytes(graph.read_bytes() + b"x")
+    with pytest.raises(ModelError, match="damaged or was changed"):
+        read_manifest(tmp_path / "field.json")
+    graph.unlink()
+    with pytest.raises(ModelError, match=r"int8\.onnx'\] missing in"):
+        read_manifest(tmp_path / "field.json")
+
+
+def test_depth_maps_of_two_precisions_are_not_mixed(tmp_path: Path) -> None:
+    scene = read_scene(write_plane_scene(tmp_path / "scene", height=75, width=90))
+    out = tmp_path / "out"
+
+    def made(wanted: str) -> tuple[str, bool]:
+        first = out / "depth" / f"{scene.views[0].name}.pfm"
+        before = first.stat().st_mtime_ns if first.is_file() else None
+        result = estimate_depth(scene, out, settings=DepthSettings(precision=wanted, threads=1))
+        assert read_depth_index(out)["model_sha256"] == result.model_sha256
+        return result.precision, first.stat().st_mtime_ns != before
+
+    assert made("float32") == ("float32", True)
+    assert made("float32") == ("float32", False)
+    assert made("int8") == ("int8", True)
+    assert made("float32") == ("float32", True)

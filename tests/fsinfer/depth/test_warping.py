@@ -1,0 +1,157 @@
+"""Homography warping: geometry against projected points, and the fast path against the plain reference."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fsinfer.depth.cost_volume import (
+    Features,
+    correlation_volume,
+    correlation_volume_reference,
+    mean_of_four,
+    plane_inverse_depths,
+    upsample_index,
+    upsample_twice,
+    variance_volume,
+)
+from fsinfer.depth.warping import Projection, relative_projection, sample, sample_reference, source_coordinates
+
+
+def rotation(axis: int, angle: float) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    matrix = np.eye(3)
+    i, j = [k for k in range(3) if k != axis]
+    matrix[i, i], matrix[i, j], matrix[j, i], matrix[j, j] = c, -s, s, c
+    return matrix
+
+
+def two_views() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    k0 = np.array([[400.0, 0, 160], [0, 410, 120], [0, 0, 1]])
+    k1 = np.array([[380.0, 0, 150], [0, 385, 125], [0, 0, 1]])
+    pose0, pose1 = np.eye(4), np.eye(4)
+    pose0[:3, :3], pose0[:3, 3] = rotation(1, 0.2), [0.3, 0.1, -0.2]
+    pose1[:3, :3], pose1[:3, 3] = rotation(0, -0.1) @ rotation(1, 0.35), [-0.2, 0.05, 0.1]
+    return k0, pose0, k1, pose1
+
+
+@pytest.mark.parametrize("stride", [1.0, 2.0, 4.0])
+def test_coordinates_are_the_projections_of_the_points(stride: float) -> None:
+    k0, pose0, k1, pose1 = two_views()
+    projection = relative_projection(k0, pose0, k1, pose1, stride)
+    inverse = np.array([0.1, 0.5, 0.9], np.float32)[:, None, None]
+    x, y = source_coordinates(projection, inverse, row_start=3, width=7, height=5)
+    for plane, row, column in [(0, 0, 0), (1, 4, 6), (2, 2, 3)]:
+        depth = 1 / float(inverse[plane, 0, 0])
+        pixel = stride * np.array([column, row + 3])
+        camera = np.linalg.inv(k0) @ np.array([*pixel, 1.0]) * depth
+        world = pose0[:3, :3].T @ (camera - pose0[:3, 3])
+        image = k1 @ (pose1[:3, :3] @ world + pose1[:3, 3])
+        expected = image[:2] / image[2] / stride
+        np.testing.assert_allclose([x[plane, row, column], y[plane, row, column]], expected, atol=2e-4)
+
+
+def test_hypotheses_behind_the_source_are_outside() -> None:
+    projection = Projection(matrix=np.eye(3), offset=np.array([0.0, 0, -2.0]))
+    x, _ = source_coordinates(projection, np.array([1.0], np.float32)[:, None, None], width=3, height=2)
+    assert (x < -1000).all()
+
+
+def test_fast_sampling_equals_the_reference() -> None:
+    rng = np.random.default_rng(1)
+    features = rng.normal(size=(40, 50, 4)).astype(np.float32)
+    x = rng.uniform(-3, 53, (6, 20, 30)).astype(np.float32)
+    y = rng.uniform(-3, 43, (6, 20, 30)).astype(np.float32)
+    # The coordinates hold fractions finer than 1/32 pixel: a rounding remap would be off by over 0.05.
+    assert np.abs(sample(features, x, y) - sample_reference(features, x, y)).max() < 5e-6
+
+
+def test_tall_stacks_are_cut_below_the_limit_of_remap() -> None:
+    features = np.random.default_rng(2).normal(size=(300, 8, 4)).astype(np.float32)
+    y, x = (a.astype(np.float32) for a in np.mgrid[0:300, 0:8])
+    planes = 200  # 60,000 rows
+    stacked = sample(features, np.broadcast_to(x, (planes, 300, 8)).copy(), np.broadcast_to(y, (planes, 300, 8)).copy())
+    np.testing.assert_array_equal(stacked[-1], features)
+
+
+def small_scene() -> tuple[list[np.ndarray], list[Projection], np.ndarray]:
+    rng = np.random.default_rng(3)
+    k0, pose0, k1, pose1 = two_views()
+    maps = [rng.normal(size=(8, 37, 41)).astype(np.float32) for _ in range(3)]
+    pose2 = pose0.copy()
+    pose2[0, 3] += 0.2
+    projections = [relative_projection(k0, pose0, k1, pose1, 4), relative_projection(k0, pose0, k0, pose2, 4)]
+    return maps, projections, plane_inverse_depths(1.0, 9.0, 16, inverse=True)[:, None, None]
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_correlation_volume_equals_the_reference(threads: int) -> None:
+    maps, projections, inverse = small_scene()
+    features = [Features.from_chw(m) for m in maps]
+    volume, weights = correlation_volume(features[0], features[1:], projections, inverse, threads=threads)
+    hwc = [m.transpose(1, 2, 0) for m in maps]
+    np.testing.assert_allclose(volume, correlation_volume_reference(hwc[0], hwc[1:], projections, inverse), atol=2e-5)
+    assert weights.shape == (2, 37, 41)
+    assert ((weights > 0) & (weights <= 1)).all()
+
+
+def test_per_pixel_hypotheses_equal_planes_when_they_agree() -> None:
+    maps, projections, inverse = small_scene()
+    features = [Features.from_chw(m) for m in maps]
+    planes, weights = correlation_volume(features[0], features[1:], projections, inverse)
+    every = np.broadcast_to(inverse, (16, 37, 41)).copy()
+    pixels, _ = correlation_volume(features[0], features[1:], projections, every, view_weights=weights)
+    np.testing.assert_allclose(planes, pixels, atol=1e-5)
+
+
+def test_variance_volume_from_its_definition() -> None:
+    maps, projections, inverse = small_scene()
+    features = [Features.from_chw(m) for m in maps]
+    volume = variance_volume(features[0], features[1:], projections, inverse, threads=2)
+    hwc = [m.transpose(1, 2, 0) for m in maps]
+    warped = [np.broadcast_to(hwc[0], (16, 37, 41, 8))]
+    for source, projection in zip(hwc[1:], projections, strict=True):
+        warped.append(sample_reference(source, *source_coordinates(projection, inverse, 0, 41, 37)))
+    np.testing.assert_allclose(volume, np.var(np.stack(warped), axis=0).transpose(3, 0, 1, 2), atol=2e-5)
+
+
+@pytest.mark.parametrize(("inverse", "middle"), [(True, 2 / (1 / 2 + 1 / 10)), (False, 6.0)])
+def test_planes(inverse: bool, middle: float) -> None:
+    planes = plane_inverse_depths(2.0, 10.0, 193, inverse=inverse)
+    assert sorted([1 / planes[0], 1 / planes[-1]]) == pytest.approx([2, 10])
+    assert 1 / planes[96] == pytest.approx(middle)
+
+
+def test_upsampling_keeps_every_second_pixel() -> None:
+    values = np.random.default_rng(0).uniform(0, 0.5, (5, 7)).astype(np.float32)
+    up = upsample_twice(values, 9, 14)
+    np.testing.assert_array_equal(up[::2, ::2], values)
+    np.testing.assert_allclose(up[1, 0], (values[0, 0] + values[1, 0]) / 2)
+
+
+def test_upsampling_across_a_step_invents_no_surface() -> None:
+    index = np.zeros((4, 6), np.float32)
+    index[:, 3:] = 50
+    assert set(np.unique(upsample_index(index, 8, 12))) == {0.0, 50.0}
+
+
+@pytest.mark.parametrize("shape", [(8, 2, 5), (3, 1, 5)])
+def test_mean_of_four_is_the_mean(shape: tuple[int, int, int]) -> None:
+    values = np.random.default_rng(0).normal(size=(*shape, 4)).astype(np.float32)
+    out = np.empty(shape, np.float32)
+    mean_of_four(values, out=out)
+    assert np.allclose(out, values.mean(axis=-1), atol=1e-6)
+
+
+def test_the_size_of_the_blocks_does_not_change_the_volume(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(0)
+    views = [Features.from_chw(rng.normal(size=(8, 21, 30)).astype(np.float32)) for _ in range(3)]
+    projections = [Projection(matrix=np.eye(3), offset=np.array([o, 0.3, 0.0])) for o in (2.0, -1.5)]
+    inverse = plane_inverse_depths(1.0, 10.0, 16, inverse=True)[:, None, None]
+    found = []
+    for size in (0, 40_000, 10**9):
+        monkeypatch.setattr("fsinfer.depth.cost_volume.BLOCK_BYTES", size)
+        found.append(correlation_volume(views[0], views[1:], projections, inverse, threads=2))
+    for volume, weights in found[1:]:
+        assert np.array_equal(weights, found[0][1])
+        assert np.allclose(volume, found[0][0], atol=1e-6)

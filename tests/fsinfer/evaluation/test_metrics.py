@@ -1,0 +1,164 @@
+import json
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from fsinfer.errors import InputError
+from fsinfer.evaluation.figure import plot_evaluation
+from fsinfer.evaluation.metrics import MeasuredTree, evaluate, read_measured
+
+
+@dataclass(frozen=True)
+class Found:
+    tree_id: int
+    x_m: float
+    y_m: float
+    dbh_cm: float | None
+
+
+MEASURED = [
+    MeasuredTree(tree_id="a", x_m=0.0, y_m=0.0, dbh_cm=20.0),
+    MeasuredTree(tree_id="b", x_m=3.0, y_m=0.0, dbh_cm=30.0),
+    MeasuredTree(tree_id="c", x_m=0.0, y_m=4.0, dbh_cm=40.0),
+    MeasuredTree(tree_id="d", x_m=5.0, y_m=5.0, dbh_cm=10.0),
+]
+FOUND = [Found(1, 0.1, 0.0, 21.0), Found(2, 3.0, 0.2, 28.0), Found(3, 0.0, 4.1, None), Found(4, 9.0, 9.0, 15.0)]
+
+
+def _plot(count=20, seed=0):
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(0.0, 18.0, (count, 2))
+    dbh = rng.uniform(10.0, 45.0, count)
+    return xy, dbh, [MeasuredTree(tree_id=str(k), x_m=xy[k, 0], y_m=xy[k, 1], dbh_cm=dbh[k]) for k in range(count)]
+
+
+def _moved(xy, dbh, angle_deg, shift, scale=1.0, noise=0.05, seed=1):
+    rng = np.random.default_rng(seed)
+    a = np.radians(angle_deg)
+    rotation = np.array([[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]])
+    moved = scale * xy @ rotation + shift + rng.normal(0.0, noise, xy.shape)
+    return [Found(100 + k, *moved[k], dbh[k] + rng.normal(0.0, 0.8)) for k in range(len(xy))]
+
+
+def test_metrics_by_hand():
+    e = evaluate(MEASURED, FOUND)
+    assert (e.n, e.extracted, e.detected, e.matched, e.omitted, e.false) == (4, 4, 3, 2, 1, 1)
+    assert e.r == 0.5
+    assert e.rmse_cm == pytest.approx(np.sqrt((1 + 4) / 2))
+    assert e.rrmse == pytest.approx(e.rmse_cm / 25.0)
+    assert e.ae == pytest.approx(1.0 - e.rrmse)
+    assert e.bias_cm == pytest.approx(-0.5)
+    assert e.mae_cm == pytest.approx(1.5)
+    assert e.measured_from_extracted is None
+
+
+def test_matching_is_one_to_one_and_complete():
+    # Greedy nearest matching would give the middle stem to the first tree and lose the second.
+    measured = [replace(MEASURED[0], x_m=0.0), replace(MEASURED[1], x_m=0.5)]
+    found = [Found(1, 0.3, 0.0, 20.0), Found(2, 0.9, 0.0, 30.0)]
+    links = {(p.measured_id, p.extracted_id) for p in evaluate(measured, found, max_distance_m=0.45).pairs}
+    assert links == {("a", "1"), ("b", "2")}
+
+
+def test_matching_by_id_ignores_positions():
+    found = [Found("b", 90.0, 0.0, 33.0), Found("x", 0.0, 0.0, 20.0)]
+    e = evaluate(MEASURED, found, by_id=True)
+    assert (e.detected, e.matched, e.false) == (1, 1, 1)
+    assert e.bias_cm == pytest.approx(3.0)
+
+
+def test_frames_are_registered_when_they_differ():
+    xy, dbh, measured = _plot()
+    found = [*_moved(xy, dbh, 137.0, np.array([40.0, -7.0]))[3:], Found(7, 100.0, 0.0, 20.0)]
+    e = evaluate(measured, found)
+    assert e.matched == 17
+    assert e.omitted == 3
+    assert e.false == 1
+    assert all(int(p.extracted_id) - 100 == int(p.measured_id) for p in e.pairs)
+    assert e.measured_from_extracted is not None
+    assert abs(e.measured_from_extracted["rotation_deg"]) == pytest.approx(137.0, abs=1.0)
+    assert evaluate(measured, found, align="never").matched < 5
+
+
+def test_registration_never_scales():
+    xy, dbh, measured = _plot()
+    e = evaluate(measured, _moved(xy, dbh, 30.0, np.array([5.0, 5.0]), scale=1.3), align="always")
+    assert e.matched < 12
+
+
+def test_good_frames_are_left_alone():
+    xy, dbh, measured = _plot()
+    e = evaluate(measured, _moved(xy, dbh, 0.0, np.zeros(2)))
+    assert e.measured_from_extracted is None
+    assert e.matched == 20
+
+
+def test_nothing_extracted_is_a_result():
+    e = evaluate(MEASURED, [])
+    assert (e.r, e.omitted, e.false, e.rmse_cm, e.ae) == (0.0, 4, 0, None, None)
+    assert json.loads(json.dumps(e.to_dict()))["rmse_cm"] is None
+
+
+def test_reading_measured(tmp_path):
+    path = tmp_path / "m.csv"
+    path.write_text("tree_id,x_m,y_m,dbh_cm,note\nA1,1.5,2,30.2,oak\n\nA2,0,0,12,\n")
+    assert read_measured(path) == [
+        MeasuredTree(tree_id="A1", x_m=1.5, y_m=2.0, dbh_cm=30.2),
+        MeasuredTree(tree_id="A2", x_m=0.0, y_m=0.0, dbh_cm=12.0),
+    ]
+    path.write_text("\ufefftree_id;x_m;y_m;dbh_cm\nA1;1,5;2;30,2\n")
+    assert read_measured(path)[0].dbh_cm == 30.2
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("tree_id,x_m,y_m\n1,0,0\n", "no column dbh_cm"),
+        ("tree_id,x_m,y_m,dbh_cm\n1,0,0,30\n2,0,0,thick\n", r"row 3, column dbh_cm: 'thick'"),
+        ("tree_id,x_m,y_m,dbh_cm\n1,0,,30\n", r"row 2, column y_m"),
+        ("tree_id,x_m,y_m,dbh_cm\n1,0,0,30\n1,1,1,31\n", r"row 3: tree_id 1 was used in row 2"),
+        ("tree_id,x_m,y_m,dbh_cm\n1,0,0,0\n", r"row 2: dbh_cm is 0"),
+        ("tree_id,x_m,y_m,dbh_cm\n1,0,0,nan\n", r"row 2, column dbh_cm"),
+        ("tree_id,x_m,y_m,dbh_cm\n,0,0,3\n", r"row 2: the tree_id is empty"),
+        ("", "no column"),
+    ],
+)
+def test_bad_measured_files_name_the_row(tmp_path, text, message):
+    path = tmp_path / "m.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_measured(path)
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(InputError, match="cannot read"):
+        read_measured(tmp_path / "none.csv")
+
+
+@pytest.mark.parametrize("options", [{"align": "maybe"}, {"max_distance_m": 0.0}])
+def test_bad_options(options):
+    with pytest.raises(InputError):
+        evaluate(MEASURED, FOUND, **options)
+
+
+def test_no_measured_trees_is_an_error():
+    with pytest.raises(InputError, match="no measured trees"):
+        evaluate([], FOUND)
+
+
+def test_scatter_figure(tmp_path):
+    plot_evaluation(evaluate(MEASURED, FOUND), tmp_path / "scatter.png")
+    assert (tmp_path / "scatter.png").stat().st_size > 5000
+    plot_evaluation(evaluate(MEASURED, []), tmp_path / "empty.png")
+    assert (tmp_path / "empty.png").stat().st_size > 5000
+
+
+def test_stems_beyond_the_measured_area_are_not_judged() -> None:
+    corners = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0)]
+    measured = [MeasuredTree(tree_id=str(i), x_m=x, y_m=y, dbh_cm=20.0) for i, (x, y) in enumerate(corners)]
+    strangers = [(5.0, 5.0), (10.9, 5.0), (11.1, 5.0), (30.0, -4.0)]
+    extra = [MeasuredTree(tree_id=f"e{i}", x_m=x, y_m=y, dbh_cm=20.0) for i, (x, y) in enumerate(strangers)]
+    result = evaluate(measured, [*measured, *extra], align="never", area_margin_m=1.0)
+    assert (result.matched, result.false, result.outside) == (4, 2, 2)
+    assert evaluate(measured, [*measured, *extra], align="never").false == 4

@@ -1,0 +1,200 @@
+import logging
+
+import numpy as np
+import pytest
+
+from fsinfer.errors import CloudError
+from fsinfer.io.cloud import PointCloud, read_cloud, write_cloud
+from tests.support.places import DATA
+
+CLOUDS = DATA / "clouds"
+
+
+def make_cloud(count=500, offset=(0.0, 0.0, 0.0), seed=0):
+    rng = np.random.default_rng(seed)
+    normals = rng.normal(size=(count, 3))
+    return PointCloud(
+        xyz=rng.uniform(0, 20, (count, 3)) + offset,
+        rgb=rng.integers(0, 256, (count, 3), dtype=np.uint8),
+        normals=(normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32),
+        extra={
+            "TreeID": rng.integers(-1, 40, count).astype(np.int32),
+            "confidence": rng.uniform(size=count).astype(np.float32),
+            "views": rng.integers(1, 9, count),
+        },
+    )
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".las", ".laz"])
+@pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (5_423_117.25, 612_345.5, 431.0)])
+def test_round_trip_keeps_points_colours_normals_and_extra_values(tmp_path, suffix, offset):
+    cloud = make_cloud(offset=offset)
+    path = tmp_path / f"cloud{suffix}"
+    write_cloud(path, cloud)
+    back = read_cloud(path)
+    np.testing.assert_allclose(back.xyz, cloud.xyz, rtol=0, atol=0.51e-4)
+    np.testing.assert_array_equal(back.rgb, cloud.rgb)
+    np.testing.assert_allclose(back.normals, cloud.normals, atol=1e-6)
+    assert set(back.extra) == set(cloud.extra)
+    for name, values in cloud.extra.items():
+        np.testing.assert_array_equal(back.extra[name], values)
+    assert back.extra["TreeID"].dtype == np.int32
+    assert back.extra["confidence"].dtype == np.float32
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_las_stores_sixteen_bit_colour_and_reads_eight_bit_colour(tmp_path):
+    import laspy
+
+    cloud = make_cloud(20)
+    write_cloud(tmp_path / "c.laz", cloud)
+    raw = laspy.read(tmp_path / "c.laz")
+    np.testing.assert_array_equal(np.asarray(raw.red), cloud.rgb[:, 0].astype(np.uint16) * 257)
+    assert pytest.approx(raw.header.scales[0]) == 1e-4
+    raw.red, raw.green, raw.blue = cloud.rgb.T.astype(np.uint16)
+    raw.write(tmp_path / "eight.laz")
+    np.testing.assert_array_equal(read_cloud(tmp_path / "eight.laz").rgb, cloud.rgb)
+
+
+def test_small_model_units_keep_their_precision_in_laz(tmp_path):
+    cloud = PointCloud(xyz=np.random.default_rng(0).uniform(0, 0.02, (100, 3)))
+    write_cloud(tmp_path / "c.laz", cloud)
+    np.testing.assert_allclose(read_cloud(tmp_path / "c.laz").xyz, cloud.xyz, atol=1e-6)
+
+
+ASCII_PLY = """ply
+format ascii 1.0
+comment from a scanner
+obj_info nothing
+element vertex 3
+property double x
+property double y
+property double z
+property uchar red
+property uchar green
+property uchar blue
+property int TreeID
+element face 1
+property list uchar int vertex_indices
+end_header
+1 2 3 255 0 7 5
+-4.5 5 6 0 1 2 6
+7 8 9e2 3 4 5 7
+3 0 1 2
+"""
+
+
+def test_ascii_ply_with_faces_and_extra_columns(tmp_path):
+    path = tmp_path / "a.ply"
+    path.write_text(ASCII_PLY)
+    cloud = read_cloud(path)
+    np.testing.assert_array_equal(cloud.xyz, [[1, 2, 3], [-4.5, 5, 6], [7, 8, 900]])
+    np.testing.assert_array_equal(cloud.rgb, [[255, 0, 7], [0, 1, 2], [3, 4, 5]])
+    np.testing.assert_array_equal(cloud.extra["TreeID"], [5, 6, 7])
+
+
+@pytest.mark.parametrize(("form", "order"), [("binary_little_endian", "<"), ("binary_big_endian", ">")])
+@pytest.mark.parametrize("kind", ["f4", "f8"])
+def test_binary_ply_in_both_byte_orders(tmp_path, form, order, kind):
+    name = {"f4": "float32", "f8": "double"}[kind]
+    table = np.zeros(2, dtype=[("x", order + kind), ("y", order + kind), ("z", order + kind), ("q", order + "i2")])
+    table["x"], table["y"], table["z"], table["q"] = [1, 2], [3.5, 4], [5, -6], [-300, 9]
+    header = f"ply\nformat {form} 1.0\nelement vertex 2\nproperty {name} x\nproperty {name} y\nproperty {name} z\n"
+    header += "property short q\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    path = tmp_path / "b.ply"
+    path.write_bytes(header.encode() + table.tobytes() + b"\x03" + b"\0" * 12)
+    cloud = read_cloud(path)
+    np.testing.assert_array_equal(cloud.xyz, [[1, 3.5, 5], [2, 4, -6]])
+    np.testing.assert_array_equal(cloud.extra["q"], [-300, 9])
+    assert cloud.rgb is None
+
+
+def test_points_that_are_not_finite_are_dropped_with_a_warning(tmp_path, caplog):
+    path = tmp_path / "a.ply"
+    path.write_text(ASCII_PLY.replace("-4.5", "nan"))
+    with caplog.at_level(logging.WARNING):
+        cloud = read_cloud(path)
+    assert len(cloud) == 2
+    assert "1 of 3" in caplog.text
+    np.testing.assert_array_equal(cloud.extra["TreeID"], [5, 7])
+    path.write_text(ASCII_PLY.replace("1 2 3 255", "nan 2 3 255").replace("-4.5", "inf").replace("9e2", "nan"))
+    with pytest.raises(CloudError, match="no points that can be used"):
+        read_cloud(path)
+
+
+def test_text_clouds(tmp_path):
+    path = tmp_path / "a.xyz"
+    path.write_text("# scanner\n1 2 3\n4 5 6\n")
+    np.testing.assert_array_equal(read_cloud(path).xyz, [[1, 2, 3], [4, 5, 6]])
+    path = tmp_path / "a.csv"
+    path.write_text("X,Y,Z,Red,Green,Blue,tree\n1,2,3,9,8,7,5\n4,5,6,255,0,1,6\n")
+    cloud = read_cloud(path)
+    np.testing.assert_array_equal(cloud.rgb, [[9, 8, 7], [255, 0, 1]])
+    np.testing.assert_array_equal(cloud.extra["tree"], [5, 6])
+    path.write_text("name,of\nno,cloud\n")
+    with pytest.raises(CloudError, match="not a table"):
+        read_cloud(path)
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".las", ".laz"])
+@pytest.mark.parametrize("part", [0.0, 0.001, 0.3, 0.97])
+def test_cut_files_are_user_errors(tmp_path, suffix, part):
+    path = tmp_path / f"c{suffix}"
+    write_cloud(path, make_cloud(3000))
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * part)])
+    with pytest.raises(CloudError, match="again"):
+        read_cloud(path)
+
+
+def test_cut_ascii_ply(tmp_path):
+    path = tmp_path / "a.ply"
+    path.write_text(ASCII_PLY[: ASCII_PLY.index("7 8 9e2")])
+    with pytest.raises(CloudError, match="2 of 3 points"):
+        read_cloud(path)
+    path.write_text(ASCII_PLY[: ASCII_PLY.index("e2 3 4 5")] + "\n")
+    with pytest.raises(CloudError, match="cut short"):
+        read_cloud(path)
+
+
+def test_other_mistakes_are_user_errors(tmp_path):
+    with pytest.raises(CloudError, match="no file"):
+        read_cloud(tmp_path / "none.ply")
+    (tmp_path / "c.e57").write_bytes(b"x")
+    with pytest.raises(CloudError, match=r"give a \.ply"):
+        read_cloud(tmp_path / "c.e57")
+    with pytest.raises(CloudError, match=r"name the file \.ply"):
+        write_cloud(tmp_path / "c.obj", make_cloud(5))
+    with pytest.raises(CloudError, match="no points"):
+        write_cloud(tmp_path / "c.ply", PointCloud(xyz=np.empty((0, 3))))
+    with pytest.raises(CloudError, match="finite"):
+        write_cloud(tmp_path / "c.ply", PointCloud(xyz=np.full((2, 3), np.nan)))
+    with pytest.raises(CloudError, match="confidence"):
+        PointCloud(xyz=np.zeros((3, 3)), extra={"confidence": np.zeros(2)})
+    path = tmp_path / "empty.ply"
+    path.write_text(ASCII_PLY.replace("element vertex 3", "element vertex 0"))
+    with pytest.raises(CloudError, match="no points"):
+        read_cloud(path)
+    path.write_text(ASCII_PLY.replace("double z", "double height"))
+    with pytest.raises(CloudError, match="no x, y and z"):
+        read_cloud(path)
+
+
+def test_failed_write_leaves_the_old_file(tmp_path):
+    path = tmp_path / "c.ply"
+    write_cloud(path, make_cloud(5))
+    before = path.read_bytes()
+    bad = make_cloud(5)
+    bad.extra["name"] = np.array(["a"] * 5)
+    with pytest.raises(CloudError, match="name"):
+        write_cloud(path, bad)
+    assert path.read_bytes() == before
+
+
+def test_real_laser_scan():
+    path = CLOUDS / "pine_plot.laz"
+    if not path.is_file():
+        pytest.skip("shared/data/clouds is missing")
+    cloud = read_cloud(path)
+    assert len(cloud) > 10_000
+    assert np.ptp(cloud.xyz[:, :2], axis=0).max() < 30

@@ -1,0 +1,148 @@
+"""Photographs are read upright and complete, or not at all."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from fsinfer.errors import ImageError
+from fsinfer.io.exif import camera_exif, camera_key
+from fsinfer.io.images import image_size, list_images, read_image, write_image
+
+
+def picture(width: int = 60, height: int = 40) -> np.ndarray:
+    """A smooth picture whose corners differ: red grows to the right, green downwards."""
+    image = np.zeros((height, width, 3), np.uint8)
+    image[..., 0] = np.linspace(0, 250, width)[None]
+    image[..., 1] = np.linspace(0, 250, height)[:, None]
+    image[..., 2] = 100
+    return image
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.jpg", "ä b.JPG"])
+def test_round_trip_keeps_colours_and_their_order(tmp_path: Path, name: str) -> None:
+    write_image(tmp_path / name, picture())
+    difference = np.abs(read_image(tmp_path / name).astype(int) - picture())
+    assert difference.max() <= (0 if name.endswith("png") else 6)
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_orientation_is_applied(tmp_path: Path, orientation: int) -> None:
+    upright = picture()
+    # What the sensor stored, by Exif 2.32: undo what the tag tells the reader to do.
+    stored = {
+        1: upright,
+        2: upright[:, ::-1],
+        3: upright[::-1, ::-1],
+        4: upright[::-1],
+        5: upright.transpose(1, 0, 2),
+        6: np.rot90(upright, 1),
+        7: upright[::-1, ::-1].transpose(1, 0, 2),
+        8: np.rot90(upright, -1),
+    }[orientation]
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    path = tmp_path / "a.jpg"
+    Image.fromarray(np.ascontiguousarray(stored)).save(path, quality=98, subsampling=0, exif=exif.tobytes())
+    read = read_image(path)
+    assert read.shape == upright.shape
+    assert np.abs(read.astype(int) - upright).max() <= 6
+    assert image_size(path) == (60, 40)
+
+
+def test_camera_metadata_goes_into_upright_copies_without_place_and_orientation(tmp_path: Path) -> None:
+    exif = Image.Exif()
+    exif[0x010F], exif[0x0110], exif[0x0112] = "Maker", "Phone 1", 6
+    exif.get_ifd(0x8769)[0xA405] = 26
+    exif.get_ifd(0x8825)[1] = "N"
+    original = tmp_path / "a.jpg"
+    Image.fromarray(picture()).save(original, exif=exif.tobytes())
+    copy = tmp_path / "b.jpg"
+    write_image(copy, read_image(original), exif=camera_exif(original))
+    with Image.open(copy) as image:
+        kept = image.getexif()
+        assert kept[0x0110] == "Phone 1"
+        assert kept.get_ifd(0x8769)[0xA405] == 26
+        assert 0x0112 not in kept
+        assert not kept.get_ifd(0x8825)
+    assert camera_key(copy) == camera_key(original)
+
+
+def test_photos_without_metadata_share_a_camera_by_size(tmp_path: Path) -> None:
+    for name, size in (("a.png", (60, 40)), ("b.png", (60, 40)), ("c.png", (40, 60))):
+        write_image(tmp_path / name, picture(*size))
+    assert camera_exif(tmp_path / "a.png") is None
+    a, b, c = (camera_key(tmp_path / name) for name in ("a.png", "b.png", "c.png"))
+    assert a == b != c
+
+
+@pytest.mark.parametrize("share", [0.2, 0.6, 0.95])
+@pytest.mark.parametrize("suffix", [".jpg", ".png"])
+def test_cut_file_is_an_error(tmp_path: Path, suffix: str, share: float) -> None:
+    path = tmp_path / f"a{suffix}"
+    noise = np.random.default_rng(0).integers(0, 255, (80, 120, 3), dtype=np.uint8)
+    write_image(path, noise)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(ImageError, match=rf"a\{suffix}.*copy it again"):
+        read_image(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"not an image", b"\xff\xd8\xff\xe0"])
+def test_file_that_is_no_image(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "a.jpg").write_bytes(content)
+    with pytest.raises(ImageError, match=r"a\.jpg"):
+        read_image(tmp_path / "a.jpg")
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(ImageError, match="does not exist"):
+        read_image(tmp_path / "gone.jpg")
+
+
+def test_heic_without_its_reader_names_the_way_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a.heic").write_bytes(b"anything")
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "pillow_heif" else find(name))
+    with pytest.raises(ImageError, match="pip install pillow-heif"):
+        read_image(tmp_path / "a.heic")
+
+
+def test_heic_is_read(tmp_path: Path) -> None:
+    heif = pytest.importorskip("pillow_heif")
+    heif.from_pillow(Image.fromarray(picture(64, 48))).save(tmp_path / "a.heic", quality=95)
+    read = read_image(tmp_path / "a.heic")
+    assert read.shape == (48, 64, 3)
+    assert np.abs(read.astype(int) - picture(64, 48)).mean() < 4
+
+
+def test_sixteen_bit_grey_is_scaled_not_clipped(tmp_path: Path) -> None:
+    values = (np.linspace(0, 65535, 100).reshape(1, -1).repeat(10, axis=0)).astype(np.uint16)
+    Image.fromarray(values).save(tmp_path / "a.png")
+    read = read_image(tmp_path / "a.png")
+    assert read.shape == (10, 100, 3)
+    assert np.abs(read[0, :, 0].astype(int) - np.linspace(0, 255, 100)).max() <= 1
+
+
+def test_list_images(tmp_path: Path) -> None:
+    for name in ("b.jpg", "a.PNG", "._c.jpg", "notes.txt"):
+        (tmp_path / name).write_bytes(b"x")
+    (tmp_path / "folder.jpg").mkdir()
+    assert [path.name for path in list_images(tmp_path)] == ["a.PNG", "b.jpg"]
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ImageError, match="holds no photos"):
+        list_images(tmp_path / "empty")
+    with pytest.raises(ImageError, match="does not exist"):
+        list_images(tmp_path / "gone")
+
+
+def test_writing_something_that_is_no_image(tmp_path: Path) -> None:
+    with pytest.raises(ImageError, match=r"image\.shape"):
+        write_image(tmp_path / "a.jpg", np.zeros((4, 4, 3)))  # type: ignore[arg-type]
+    with pytest.raises(ImageError, match=r"\.jpg or \.png"):
+        write_image(tmp_path / "a.gif", picture())
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,60 @@
+"""A photo that was placed wrongly finds its true place when the photos are mapped again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from fsinfer.poses.colmap import PoseSettings
+from fsinfer.poses.verification.misplaced import agreeing_matches, without_pairs
+from fsinfer.poses.verification.repair import repair
+from fsinfer.progress import silent
+
+
+def test_a_moved_photo_finds_its_place_again(tmp_path: Path) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig = 1, 1, 8
+    options.num_points3D = 200
+    database = tmp_path / "database.db"
+    with pycolmap.Database.open(database) as opened:
+        model = pycolmap.synthesize_dataset(options, opened)
+    (tmp_path / "images").mkdir()
+    image_ids = sorted(model.reg_image_ids())
+    walk = [model.images[i].name for i in image_ids]
+    true = {i: model.images[i].projection_center() for i in image_ids}
+    before = agreeing_matches(model, database)
+    # The mapper puts it elsewhere, with its points: another place, turned by twelve degrees.
+    image = model.images[image_ids[4]]
+    turn = pycolmap.Rotation3d(Rotation.from_rotvec([0.0, 0.2, 0.1]).as_quat())
+    pose = pycolmap.Rigid3d(turn, np.array([0.6, 0.0, 0.2])) * image.cam_from_world()
+    model.frame(image.frame_id).set_cam_from_world(image.camera_id, pose)
+    assert agreeing_matches(model, database) < before
+    repaired, misplaced = repair(model, database, walk, tmp_path, PoseSettings(threads=1), silent)
+    assert not any(misplaced.values())
+    assert repaired.num_reg_images() == 8
+    assert agreeing_matches(repaired, database) == before
+    # The same shape: distances between the photos, up to one scale.
+    found = np.array([repaired.images[i].projection_center() for i in image_ids])
+    expected = np.array([true[i] for i in image_ids])
+    ratio = np.linalg.norm(found[1:] - found[0], axis=1) / np.linalg.norm(expected[1:] - expected[0], axis=1)
+    assert np.ptp(ratio) / ratio.mean() < 0.01
+
+
+def test_forgotten_pairs_are_gone_from_the_copy_only(tmp_path: Path) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig = 1, 1, 4
+    options.num_points3D = 50
+    with pycolmap.Database.open(tmp_path / "database.db") as opened:
+        model = pycolmap.synthesize_dataset(options, opened)
+    one, two, *_ = sorted(model.reg_image_ids())
+    copy = without_pairs(tmp_path / "database.db", [(one, two)], tmp_path / "copy.db")
+    left = []
+    for path in (tmp_path / "database.db", copy):
+        with pycolmap.Database.open(path) as opened:
+            left.append(int(opened.num_verified_image_pairs()))
+    assert left == [6, 5]

@@ -1,0 +1,214 @@
+import csv
+import json
+import re
+
+import numpy as np
+import pytest
+
+from fsinfer.errors import InputError
+from fsinfer.io.cloud import PointCloud, write_cloud
+from fsinfer.io.images import write_image
+from fsinfer.io.pfm import write_pfm
+from fsinfer.report import make_report
+from fsinfer.report.contents import number, read_contents
+from fsinfer.report.summary import stand_of
+
+TREE = {
+    "tree_id": 1, "x_m": 1.5, "y_m": -2.0, "z_ground_m": 0.1, "dbh_cm": 30.0, "dbh_lo95_cm": 29.1, "dbh_hi95_cm": 30.9,
+    "dbh_perimeter_cm": 30.4, "dbh_min_cm": 29.0, "dbh_max_cm": 31.0, "bh_m": 1.3, "arc_coverage": 0.8, "points": 412,
+    "residual_cm": 0.5, "lean_deg": 2.0, "height_m": "", "status": "ok", "reason": "",
+}  # fmt: skip
+PLOT = {
+    "source": "birch <b>plot</b>", "photos": 40, "registered": 25, "units": "m", "scale_m_per_unit": 0.5,
+    "scale_source": "aruco", "scale_rel_std": 0.002, "points": 5000, "density_per_m2": 50.0, "diagnosis": "all well",
+    "depth_vs_sfm_median_rel": 0.004, "seconds": {"depth": 200.0, "total": 10_000.0}, "peak_rss_mb": 1500.5,
+    "versions": {"fsinfer": "0.1.0", "numpy": "2.0"}, "model": "fs", "model_sha256": "abc123",
+    "warnings": ["the marker <script>alert(1)</script> was blurred"], "settings": {"trees": {"a": "</pre><i>"}},
+}  # fmt: skip
+
+
+def write_csv(path, rows, columns=None):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, columns or list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def small_cloud(count=4000):
+    rng = np.random.default_rng(0)
+    xyz = rng.uniform([-5, -5, 0], [5, 5, 4], (count, 3))
+    return PointCloud(xyz=xyz, rgb=rng.integers(0, 255, (count, 3), dtype=np.uint8))
+
+
+def full_folder(out, *, plot=PLOT, trees=None):
+    trees = trees or [
+        TREE,
+        TREE | {"tree_id": 2, "dbh_cm": 40.0, "dbh_lo95_cm": 38, "dbh_hi95_cm": 42, "status": "doubtful"},
+        TREE | {"tree_id": 3, "dbh_cm": "", "dbh_lo95_cm": "", "dbh_hi95_cm": "", "status": "unmeasured"}
+        | {"reason": "seen from one side <only>"},
+    ]  # fmt: skip
+    write_csv(out / "trees.csv", trees)
+    (out / "plot.json").write_text(json.dumps(plot))
+    rows = [
+        {"file": "a.jpg", "chosen": "true", "reason": ""},
+        {"file": "b.jpg", "chosen": "false", "reason": "blurred"},
+    ]
+    write_csv(out / "frames" / "frames.csv", rows)
+    write_cloud(out / "cloud.ply", small_cloud())
+    for name in ("stem_map", "tree_001", "tree_003", "tree_099"):
+        write_image(out / "figures" / f"{name}.png", np.full((40, 50, 3), 200, np.uint8))
+    for i in range(4):
+        write_pfm(out / "depth" / f"v{i}.pfm", np.linspace(1, 5, 600, dtype=np.float32).reshape(20, 30))
+        write_image(out / "scene" / "images" / f"v{i}.jpg", np.full((400, 1300, 3), 90, np.uint8))
+    return out
+
+
+def test_everything_is_in_one_file_without_any_outside_reference(tmp_path):
+    path = make_report(full_folder(tmp_path))
+    page = path.read_text(encoding="utf-8")
+    assert path == tmp_path / "report.html"
+    outside = r"https?://|src=\"(?!data:)|href=\"(?!#|data:)|@import|url\(|fetch\(|XMLHttpRequest|import\("
+    assert not re.findall(outside, page)
+    # Two sections; two views of the cloud; three depth maps with their photos. There is no scene: no crops.
+    assert page.count('src="data:image/webp;base64,') == 2 + 2 + 3 * 2
+    for text in ("30.0", "29.1 to 30.9", "80%", "birch &lt;b&gt;plot&lt;/b&gt;", "abc123", "2 h 47 min", "blurred"):
+        assert text in page, text
+    assert '<p class="reason">seen from one side &lt;only&gt;</p>' in page
+    assert "Only 25 of 40 photos" in page
+    assert "100 m²" in page
+    assert "model units, not metres" not in page
+    assert page.index("What to look out for") < page.index("Stem map and trees") < page.index("How it was made")
+
+
+def test_warnings_name_the_trees_to_visit_again(tmp_path):
+    write_csv(
+        tmp_path / "trees.csv",
+        [
+            TREE,
+            TREE | {"tree_id": 2, "status": "doubtful"},
+            TREE | {"tree_id": 3, "dbh_cm": "", "status": "unmeasured"},
+            TREE | {"tree_id": 4, "dbh_cm": "", "status": "unmeasured"},
+            TREE | {"tree_id": 5, "arc_coverage": 0.3},
+        ],
+    )
+    warnings = ["a board lies flat", "3 points far outside the plot were left out"]
+    (tmp_path / "plot.json").write_text(json.dumps(PLOT | {"scale_rel_std": 0.02, "warnings": warnings}))
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    assert 'Tree <a href="#tree-2" data-card="2">2</a> is doubtful' in page
+    assert '<a href="#tree-3" data-card="3">3</a> and <a href="#tree-4" data-card="4">4</a> have no diameter' in page
+    assert 'Tree <a href="#tree-5" data-card="5">5</a> was seen from one side only' in page
+    assert "a stem of 30 cm may be 1.2 cm thicker or thinner" in page
+    first, remarks = page.split("<summary>Remarks</summary>")
+    assert "<li>A board lies flat.</li>" in first
+    assert "<li>3 points far outside the plot were left out.</li>" in remarks
+
+
+def test_a_plot_without_fault_says_so(tmp_path):
+    write_csv(tmp_path / "trees.csv", [TREE])
+    (tmp_path / "plot.json").write_text(json.dumps(PLOT | {"registered": 40, "warnings": []}))
+    assert "photos, scale and stems are as they should be" in make_report(tmp_path).read_text(encoding="utf-8")
+
+
+def test_text_from_outside_is_escaped(tmp_path):
+    page = make_report(full_folder(tmp_path)).read_text(encoding="utf-8")
+    assert "<script>alert" not in page
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in page
+    assert "</pre><i>" not in page
+    assert "<only>" not in page
+    assert "<b>plot</b>" not in page
+
+
+def test_stand_table(tmp_path):
+    full_folder(tmp_path, plot=PLOT | {"plot_area_m2": 500})
+    stand = stand_of(read_contents(tmp_path))
+    assert (stand.stems, stand.measured) == (3, 2)
+    assert stand.dbh_mean_cm == pytest.approx(35)
+    assert stand.quadratic_mean_dbh_cm == pytest.approx(35.3553, abs=1e-3)
+    assert stand.basal_area_m2 == pytest.approx(np.pi / 4 * (0.09 + 0.16))
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    assert '<th scope="row">Stems per hectare</th><td>60</td>' in page
+    assert "<td>30 to under 35</td><td>1</td><td>0.071</td><td>20</td><td>1.4</td>" in page
+    assert "<td>35 to under 40</td><td>0</td>" in page
+    assert "<td>All with a DBH</td><td>2</td><td>0.196</td><td>40</td><td>3.9</td>" in page
+    assert "3.9 m²/ha" in page
+
+
+def test_markers_and_photos_left_out_are_shown(tmp_path):
+    board = {"id": 21, "views": ["a", "b", "c"], "residual_rel": 0.0012, "leave_one_out_rel": -0.0004, "error_px": 0.3}
+    full_folder(tmp_path, plot=PLOT | {"scale_details": {"markers": [board, {"id": 22}]}})
+    write_image(tmp_path / "frames" / "frames_contact.jpg", np.full((60, 1200, 3), 90, np.uint8))
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    assert "<td>21</td><td>3</td><td>+0.12 %</td><td>-0.04 %</td><td>0.30</td>" in page
+    assert "<td>22</td><td></td>" in page
+    assert "Photos that were left out" in page
+    (tmp_path / "plot.json").write_text(json.dumps(PLOT | {"scale_details": {"markers": "none"}}))
+    (tmp_path / "frames" / "frames_contact.jpg").write_bytes(b"no picture")
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    assert "Scale by markers" not in page
+    assert "frames_contact.jpg could not be read" in page
+
+
+def test_without_a_scale_the_units_are_said(tmp_path):
+    plot = PLOT | {"units": "model units", "scale_m_per_unit": None, "scale_source": "none", "density_per_m2": None}
+    full_folder(tmp_path, plot=plot | {"warnings": ["no scale was given: the cloud is in model units"]})
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    assert "No scale is known: all lengths" in page
+    assert "no scale was given" not in page
+    assert "x (units)" in page
+    assert "x (m)" not in page
+
+
+def test_a_single_tree_without_a_scale_has_a_map_that_can_be_read(tmp_path):
+    plot = PLOT | {"units": "model units", "scale_m_per_unit": None, "scale_source": "none", "camera_height": 0.3}
+    full_folder(tmp_path, plot=plot, trees=[TREE])
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    ticks = {float(text) for text in re.findall(r'class="axis"[^>]*>(-?[\d.]+)<', page)}
+    # Four metres, of which each is a fifth of a unit.
+    assert max(ticks) - min(ticks) + 0.2 >= 0.8
+    assert len(ticks) >= 4
+
+
+def test_the_reasons_of_few_trees_without_a_diameter_are_said_at_once(tmp_path):
+    none = TREE | {"dbh_cm": "", "status": "unmeasured"}
+    rows = [none | {"tree_id": number, "reason": f"why {number}"} for number in (1, 2, 3)]
+    full_folder(tmp_path, trees=rows)
+    assert "no diameter: why 1; why 2; why 3." in make_report(tmp_path).read_text(encoding="utf-8")
+
+
+def test_empty_folder_gives_a_page_that_says_what_is_missing(tmp_path):
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    for text in ("plot.json is not", "trees.csv is not", "no point cloud", "no depth maps", "frames.csv is not"):
+        assert text in page, text
+
+
+def test_damaged_parts_are_notes(tmp_path):
+    full_folder(tmp_path)
+    (tmp_path / "plot.json").write_text("{")
+    (tmp_path / "trees.csv").write_bytes(b"\xff\xfe\x00tree")
+    (tmp_path / "cloud.ply").write_bytes(b"ply\nnothing")
+    (tmp_path / "depth" / "v0.pfm").write_bytes(b"Pf\n3 3\n-1\n")
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    assert "plot.json could not be read" in page
+    assert "trees.csv could not be read" in page
+    assert "The cloud could not be shown" in page
+    assert "v0.pfm could not be shown" in page
+    assert "Depth of v2" in page
+
+
+def test_no_trees_is_a_result_with_a_diagnosis(tmp_path):
+    write_csv(tmp_path / "trees.csv", [], columns=list(TREE))
+    (tmp_path / "plot.json").write_text(json.dumps(PLOT | {"diagnosis": "no stem reaches breast height"}))
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    assert "No trees were found." in page
+    assert "no stem reaches breast height" in page
+
+
+def test_not_a_folder_is_a_user_error(tmp_path):
+    with pytest.raises(InputError, match="not a folder"):
+        make_report(tmp_path / "none")
+
+
+@pytest.mark.parametrize(("text", "value"), [("1.5", 1.5), ("", None), ("nan", None), ("inf", None), (None, None)])
+def test_number(text, value):
+    assert number(text) == value

@@ -1,0 +1,252 @@
+"""Scale from rendered ArUco markers, with everything that can be wrong with them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fsinfer.errors import ScaleError
+from fsinfer.io.images import write_image
+from fsinfer.scale.aruco import scale_from_aruco, weighted_median
+from fsinfer.scale.detection import detect_markers, make_detector
+from fsinfer.scale.square_fit import MarkerSettings, Sighting, find_markers
+from fsinfer.scene import Camera, Scene, View
+from tests.support.rendered_room import SIZE, WALL, draw, intrinsic, poses, texture
+
+SIDE = 0.30  # scene units
+# Lower left of the wall, upper right, and a tilted one in front: origin (top left corner), right and down directions.
+PLACES = [
+    (np.array([-0.75, 0.15, 0.25]), np.array([1.0, 0, 0]), np.array([0, 1.0, 0])),
+    (np.array([0.35, -0.45, 0.20]), np.array([0.96, 0.28, 0]), np.array([-0.28, 0.96, 0])),
+    (np.array([-0.2, -0.25, 0.0]), np.array([0.9, 0, -np.sqrt(0.19)]), np.array([0, 1.0, 0])),
+]
+NUMBERS = (7, 23, 41)
+
+
+def printed(number: int) -> NDArray[np.uint8]:
+    """A marker of 240 pixels in a white rim of 40."""
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    marker = np.full((320, 320), 255, np.uint8)
+    marker[40:280, 40:280] = cv2.aruco.generateImageMarker(dictionary, number, 240)
+    return np.repeat(marker[:, :, None], 3, axis=2)
+
+
+def paste(image: NDArray[np.uint8], pose: NDArray[np.float64], place: int, number: int) -> NDArray[np.uint8]:
+    origin, right, down = PLACES[place]
+    rim = SIDE / 6
+    plane = (origin - rim * (right + down), right * (SIDE + 2 * rim), down * (SIDE + 2 * rim))
+    return draw(image, pose, plane, printed(number))
+
+
+def make_scene(folder: Path, markers: dict[int, int], views: int = 5) -> Scene:
+    """``markers`` is {place: number}; cameras are exact."""
+    found = []
+    for index, pose in enumerate(poses(views)):
+        image = draw(np.full((SIZE[1], SIZE[0], 3), 90, np.uint8), pose, WALL, texture(0))
+        for place, number in markers.items():
+            image = paste(image, pose, place, number)
+        path = folder / f"v{index}.png"
+        write_image(path, image)
+        camera = Camera(intrinsic=intrinsic(), cam_from_world=pose, depth_min=1.0, depth_max=9.0)
+        found.append(View(name=path.stem, image_path=path, camera=camera, sources=()))
+    return Scene(folder=folder, views=tuple(found))
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    return make_scene(tmp_path_factory.mktemp("markers"), dict(enumerate(NUMBERS)))
+
+
+def true_corners(place: int, pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    origin, right, down = PLACES[place]
+    world = origin + SIDE * np.array([0 * right, right, right + down, down])
+    projected = (world @ pose[:3, :3].T + pose[:3, 3]) @ intrinsic().T
+    return projected[:, :2] / projected[:, 2:]
+
+
+def test_detected_corners_are_exact_and_unbiased(scene: Scene) -> None:
+    from fsinfer.io.images import read_image
+
+    errors, growth = [], []
+    for view, pose in zip(scene.views, poses(5), strict=True):
+        for number, corners in detect_markers(read_image(view.image_path), make_detector("4X4_50")):
+            truth = true_corners(NUMBERS.index(number), pose)
+            errors.append(corners - truth)
+            outwards = truth - truth.mean(axis=0)
+            growth.append(((corners - truth) * outwards).sum() / (outwards**2).sum())
+    assert len(errors) >= 14
+    assert np.sqrt(np.mean(np.concatenate(errors) ** 2)) < 0.25
+    assert np.abs(np.mean(np.concatenate(errors), axis=0)).max() < 0.08
+    # Blur must not shrink or swell the black square: half a per cent of scale is 0.15 cm on a 30 cm stem.
+    assert abs(np.mean(growth)) < 0.005
+
+
+def test_scale_is_right_to_a_quarter_per_cent_and_inside_its_error(scene: Scene) -> None:
+    scale = scale_from_aruco(scene, 0.25)
+    truth = 0.25 / SIDE
+    assert scale.source == "aruco"
+    assert scale.m_per_unit is not None
+    assert scale.rel_std is not None
+    assert abs(scale.m_per_unit / truth - 1) < 0.0025
+    assert 0.002 <= scale.rel_std < 0.01
+    assert abs(scale.m_per_unit / truth - 1) < 2.5 * scale.rel_std
+    markers = scale.details["markers"]
+    assert sorted(marker["id"] for marker in markers) == list(NUMBERS)
+    for marker in markers:
+        assert len(marker["views"]) >= 3
+        assert abs(marker["residual_rel"]) < 0.01
+        assert marker["residual_mm"] == pytest.approx(250 * marker["residual_rel"])
+        assert marker["leave_one_out_m_per_unit"] == pytest.approx(truth, rel=0.005)
+        place = PLACES[NUMBERS.index(marker["id"])]
+        assert np.allclose(marker["center"], place[0] + SIDE / 2 * (place[1] + place[2]), atol=0.01)
+
+
+def test_one_number_in_three_places_is_three_markers(tmp_path: Path) -> None:
+    scale = scale_from_aruco(make_scene(tmp_path, {0: 5, 1: 5, 2: 5}), 0.25)
+    assert len(scale.details["markers"]) == 3
+    assert scale.m_per_unit == pytest.approx(0.25 / SIDE, rel=0.005)
+
+
+def test_two_views_are_not_enough(tmp_path: Path) -> None:
+    scene = make_scene(tmp_path, {0: 7}, views=2)
+    with pytest.raises(ScaleError, match="3 photos from different places"):
+        scale_from_aruco(scene, 0.25)
+
+
+def test_no_marker_says_where_it_looked_and_the_way_out(tmp_path: Path) -> None:
+    scene = make_scene(tmp_path, {}, views=3)
+    with pytest.raises(ScaleError, match=r"v0 to v2.*--endpoints"):
+        scale_from_aruco(scene, 0.25)
+
+
+def test_wrong_options(scene: Scene) -> None:
+    with pytest.raises(ScaleError, match=r"9X9_99.*4X4_50"):
+        scale_from_aruco(scene, 0.25, dictionary="9X9_99")
+    for length in (0.0, -1.0, float("nan")):
+        with pytest.raises(ScaleError, match="above 0"):
+            scale_from_aruco(scene, length)
+
+
+def sightings(place: int, views: int, rng: np.random.Generator, noise_px: float = 0.1) -> list[Sighting]:
+    return [
+        Sighting(marker_id=1, view=view, corners_px=true_corners(place, pose) + rng.normal(0, noise_px, (4, 2)))
+        for view, pose in enumerate(poses(views))
+    ]
+
+
+def projections(views: int) -> tuple[list[NDArray[np.float64]], NDArray[np.float64]]:
+    return [intrinsic() @ pose[:3] for pose in poses(views)], np.array(
+        [-pose[:3, :3].T @ pose[:3, 3] for pose in poses(views)]
+    )
+
+
+def test_side_and_its_error_from_noisy_corners() -> None:
+    rng = np.random.default_rng(0)
+    ratios, claimed = [], []
+    for _ in range(20):
+        found, reasons = find_markers(sightings(2, 6, rng), *projections(6), MarkerSettings())
+        assert len(found) == 1
+        assert not reasons
+        ratios.append(found[0].side_units / SIDE)
+        claimed.append(found[0].side_rel_std)
+    assert abs(np.mean(ratios) - 1) < 0.002
+    assert 0.5 < np.std(ratios) / np.mean(claimed) < 1.6
+
+
+def test_wrong_detections_do_not_move_a_marker() -> None:
+    rng = np.random.default_rng(1)
+    good = sightings(0, 6, rng)
+    # The same number read into leaves, and one detection turned by a quarter.
+    bad = [
+        Sighting(
+            marker_id=1,
+            view=view,
+            corners_px=np.array([[0, 0], [20, 0], [20, 20], [0, 20.0]]) + rng.uniform(50, 300, 2),
+        )
+        for view in (0, 2, 4)
+    ]
+    turned = Sighting(marker_id=1, view=5, corners_px=np.roll(good.pop(5).corners_px, 1, axis=0))
+    found, reasons = find_markers([*bad, *good, turned], *projections(6), MarkerSettings())
+    assert len(found) == 1
+    assert found[0].side_units == pytest.approx(SIDE, rel=0.01)
+    assert sorted(sighting.view for sighting in found[0].sightings) == [0, 1, 2, 3, 4]
+    assert reasons
+
+
+def test_mirrored_and_oblong_detections_are_rejected() -> None:
+    rng = np.random.default_rng(2)
+    mirrored = [Sighting(marker_id=1, view=s.view, corners_px=s.corners_px[::-1]) for s in sightings(0, 6, rng)]
+    found, reasons = find_markers(mirrored, *projections(6), MarkerSettings())
+    assert not found
+    assert reasons
+    origin, right, down = PLACES[0]
+    world = origin + SIDE * np.array([0 * right, 1.3 * right, 1.3 * right + down, down])
+    oblong = []
+    for view, pose in enumerate(poses(6)):
+        projected = (world @ pose[:3, :3].T + pose[:3, 3]) @ intrinsic().T
+        oblong.append(Sighting(marker_id=1, view=view, corners_px=projected[:, :2] / projected[:, 2:]))
+    found, reasons = find_markers(oblong, *projections(6), MarkerSettings())
+    assert not found
+    assert "sides differ" in reasons[0]
+
+
+def test_views_from_one_place_are_rejected() -> None:
+    rng = np.random.default_rng(3)
+    pose = poses(6)[2]
+    near = [pose.copy() for _ in range(4)]
+    for step, moved in enumerate(near):
+        moved[0, 3] += 0.01 * step
+    matrices = [intrinsic() @ moved[:3] for moved in near]
+    centers = np.array([-moved[:3, :3].T @ moved[:3, 3] for moved in near])
+    seen = [
+        Sighting(marker_id=1, view=view, corners_px=true_corners(0, moved) + rng.normal(0, 0.02, (4, 2)))
+        for view, moved in enumerate(near)
+    ]
+    found, reasons = find_markers(seen, matrices, centers, MarkerSettings())
+    assert not found
+    assert reasons
+
+
+def test_weighted_median() -> None:
+    assert weighted_median(np.array([3.0]), np.array([1.0])) == 3.0
+    assert weighted_median(np.array([1.0, 3.0]), np.array([1.0, 1.0])) == 2.0
+    # One wrong marker among five of equal weight does not move it.
+    assert weighted_median(np.array([1.0, 1.01, 0.99, 1.0, 7.0]), np.ones(5)) == pytest.approx(1.0)
+
+
+def test_printed_boards_need_no_option(tmp_path: Path) -> None:
+    """Numbers 23 and 41 tell 0.15 and 0.25 m; 7 tells nothing and is left alone."""
+    from fsinfer.scale.find import NO_SCALE, find_scale
+    from fsinfer.scale.request import ScaleRequest
+
+    only = make_scene(tmp_path / "one", {1: 23})
+    scale, warnings = find_scale(ScaleRequest(), scene=only)
+    assert scale.m_per_unit == pytest.approx(0.15 / SIDE, rel=0.004)
+    assert [entry["id"] for entry in scale.details["markers"]] == [23]
+    assert "one board (number 23, 0.15 m" in warnings[0]
+    anybodys = make_scene(tmp_path / "other", {0: 7})
+    scale, warnings = find_scale(ScaleRequest(), scene=anybodys)
+    assert (scale.m_per_unit, scale.source) == (None, "none")
+    # A marker of the user's own, whose length was forgotten.
+    assert "markers are seen (number 7)" in warnings[0]
+    assert "--aruco-length-m" in warnings[0]
+    scale, warnings = find_scale(ScaleRequest(), scene=make_scene(tmp_path / "none", {}))
+    assert (scale.m_per_unit, scale.source, warnings) == (None, "none", (NO_SCALE,))
+
+
+def test_boards_of_different_lengths_give_one_scale(tmp_path: Path) -> None:
+    scene = make_scene(tmp_path, {0: 7, 1: 23, 2: 41})
+    # All three are 0.30 units wide here: told different lengths they must contradict each other, told one, agree.
+    agreed = scale_from_aruco(scene, {7: 0.3, 23: 0.3, 41: 0.3})
+    assert max(abs(entry["residual_mm"]) for entry in agreed.details["markers"]) < 1.5
+    told = scale_from_aruco(scene, {7: 0.3, 23: 0.3, 41: 0.15})
+    assert told.m_per_unit == pytest.approx(1.0, rel=0.01)
+    wrong = {entry["id"]: entry["residual_mm"] for entry in told.details["markers"]}
+    assert wrong[41] == pytest.approx(150, abs=3)
+    assert told.rel_std is not None
+    assert agreed.rel_std is not None
+    assert told.rel_std > 5 * agreed.rel_std

@@ -1,0 +1,335 @@
+"""Diameters from stems' edges: the support function alone, then rendered photographs of one stem."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fsinfer.io.images import read_image, write_image
+from fsinfer.io.pfm import write_pfm
+from fsinfer.scene import Camera, read_scene, write_camera, write_pairs
+from fsinfer.silhouettes.join import SilhouetteJoinSettings, StemPhotos, join, measure_silhouettes, write_sources
+from fsinfer.silhouettes.strips import StripSettings
+from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
+from fsinfer.trees.diameter.silhouette import Edges, SilhouetteFit, fit_silhouette
+
+WIDTH, HEIGHT, FOCAL = 360, 240, 520.0
+RADIUS, LEAN, TAPER = 0.14, np.array([0.03, -0.02]), -0.008  # of the rendered stem, at breast height
+BREAST = np.array([0.3, -0.2, 1.3])
+PHOTOS = 9
+
+
+def edges_of(
+    radius: float, oval: float, *, rays: int, reach_deg: float, junk: float, rng: np.random.Generator
+) -> Edges:
+    """Edges of an oval section seen from all directions within ``reach_deg``, among junk at random places."""
+    view = np.radians(rng.uniform(-reach_deg / 2, reach_deg / 2, rays))
+    rows = []
+    for number, direction in enumerate(view):
+        for side in (0, 1):
+            for band in range(4):
+                angle = direction + (np.pi / 2 if side else -np.pi / 2)
+                height = -0.18 + 0.12 * band
+                support = radius * (1 + oval * np.cos(2 * (angle - 0.4))) + TAPER * height + 0.012 * np.cos(angle)
+                ray = (number * 2 + side) * 4 + band
+                rows.append((support + rng.normal(0, 0.001), angle, height, rng.uniform(3, 12), 0.006, ray, number))
+                for _ in range(rng.poisson(junk)):
+                    rows.append((rng.uniform(0.02, 0.3), angle, height, rng.uniform(1.2, 8), 0.006, ray, number))
+    table = np.array(rows)
+    return Edges(
+        support_m=table[:, 0],
+        angle_rad=table[:, 1],
+        height_m=table[:, 2],
+        strength=table[:, 3],
+        pixel_m=table[:, 4],
+        ray=table[:, 5].astype(np.int64),
+        photo=table[:, 6].astype(np.int64),
+    )
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    radius=st.floats(0.05, 0.3),
+    known=st.floats(0.8, 1.25),
+    oval=st.floats(0.0, 0.03),
+    seed=st.integers(0, 1000),
+)
+def test_girth_of_an_oval_stem_among_junk(radius: float, known: float, oval: float, seed: int) -> None:
+    edges = edges_of(radius, oval, rays=40, reach_deg=360, junk=3.0, rng=np.random.default_rng(seed))
+    fit = fit_silhouette(edges, radius * known, taper=TAPER)
+    assert fit is not None
+    assert fit.radius_m == pytest.approx(radius, abs=0.0015)
+    assert abs(fit.radius_m - radius) < 4 * fit.std_m
+    np.testing.assert_allclose(fit.shift_m, [0.012, 0.0], atol=0.002)
+    assert fit.sectors > 0.8
+    angle = np.linspace(0, 2 * np.pi, 20)
+    truth = radius * (1 + oval * np.cos(2 * (angle - 0.4))) + 0.012 * np.cos(angle)
+    np.testing.assert_allclose(fit.support(angle), truth, atol=0.003)
+
+
+def test_a_stem_seen_from_one_side_is_less_certain() -> None:
+    rng = np.random.default_rng(3)
+    round_it = fit_silhouette(edges_of(0.15, 0.02, rays=24, reach_deg=360, junk=1.0, rng=rng), 0.16)
+    one_side = fit_silhouette(edges_of(0.15, 0.02, rays=24, reach_deg=40, junk=1.0, rng=rng), 0.16)
+    assert round_it is not None
+    assert one_side is not None
+    assert one_side.std_m > 1.3 * round_it.std_m
+    assert one_side.sectors < 0.5 < round_it.sectors
+    assert abs(one_side.radius_m - 0.15) < 3 * one_side.std_m
+
+
+def test_edges_at_random_are_no_stem() -> None:
+    rng = np.random.default_rng(5)
+    edges = edges_of(0.15, 0.0, rays=24, reach_deg=360, junk=6.0, rng=rng)
+    scattered = replace(edges, support_m=rng.uniform(0.02, 0.3, len(edges.support_m)))
+    assert fit_silhouette(scattered, 0.15) is None
+    few = edges_of(0.15, 0.0, rays=1, reach_deg=10, junk=0.0, rng=rng)
+    assert fit_silhouette(replace(few, ray=np.zeros_like(few.ray)), 0.15) is None
+
+
+def camera(angle: float, distance: float) -> Camera:
+    """A level camera that looks at the stem from ``angle``, a little above breast height."""
+    center = np.array([BREAST[0] + distance * np.cos(angle), BREAST[1] + distance * np.sin(angle), 1.6])
+    forward = np.array([BREAST[0], BREAST[1], 1.35]) - center
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, -rotation @ center
+    intrinsic = np.array([[FOCAL, 0, (WIDTH - 1) / 2], [0, FOCAL, (HEIGHT - 1) / 2], [0, 0, 1]])
+    return Camera(intrinsic=intrinsic, cam_from_world=pose, depth_min=1.0, depth_max=60.0)
+
+
+def render(cam: Camera, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Photograph (H, W, 3) and depth map (H, W) of a leaning, tapering stem before a mottled background."""
+    fine = 3
+    u, v = np.meshgrid(np.arange(WIDTH * fine), np.arange(HEIGHT * fine))
+    pixels = np.stack([(u - 1) / fine, (v - 1) / fine, np.ones_like(u)], axis=-1).reshape(-1, 3)
+    rays = (pixels @ np.linalg.inv(cam.intrinsic).T) @ cam.cam_from_world[:3, :3]  # z depth 1, world axes
+    offset = cam.center - BREAST
+    # Distance from the axis at height h equals the radius there: a quadratic in the depth t.
+    level, slope = rays[:, :2] - rays[:, 2:] * LEAN, offset[:2] - offset[2] * LEAN
+    r0, r1 = RADIUS + TAPER * offset[2], TAPER * rays[:, 2]
+    a = (level**2).sum(1) - r1**2
+    b = level @ slope - r0 * r1
+    inside = b**2 - a * (slope @ slope - r0**2)
+    hit = inside > 0
+    depth = np.full(len(rays), 40.0)
+    depth[hit] = (-b[hit] - np.sqrt(inside[hit])) / a[hit]
+    cell = rng.integers(0, 255, (40, 60, 3))
+    background = 0.4 * cell[(v.reshape(-1) // 18) % 40, (u.reshape(-1) // 18) % 60] + np.array([70.0, 110.0, 90.0])
+    surface = offset + depth[:, None] * rays
+    along = np.arctan2(surface[:, 1], surface[:, 0])
+    bark = np.array([95.0, 70.0, 55.0]) * (1 + 0.25 * np.sin(23 * along + 40 * surface[:, 2]))[:, None]
+    image = np.where(hit[:, None], bark, background).reshape(HEIGHT, fine, WIDTH, fine, 3).mean(axis=(1, 3))
+    return image.clip(0, 255).astype(np.uint8), depth.reshape(HEIGHT, fine, WIDTH, fine)[:, 1, :, 1].astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory: pytest.TempPathFactory) -> StemPhotos:
+    """Photographs from half of all sides at 6 to 8 m, where a pixel is 1.2 to 1.5 cm; scene units are half metres."""
+    folder = tmp_path_factory.mktemp("stem")
+    rng = np.random.default_rng(1)
+    for index in range(PHOTOS):
+        cam = camera(np.pi * index / PHOTOS, 6.0 + 2.0 * (index % 3) / 2)
+        image, depth = render(cam, rng)
+        write_image(folder / "images" / f"p{index}.png", image)
+        pose = np.diag([2.0, 2.0, 2.0, 1.0]) @ cam.cam_from_world @ np.diag([0.5, 0.5, 0.5, 1.0])
+        write_camera(
+            folder / "cams" / f"p{index}_cam.txt", replace(cam, cam_from_world=pose, depth_min=2.0, depth_max=120.0)
+        )
+        write_pfm(folder / "depth" / f"p{index}.pfm", 2.0 * depth)
+        write_pfm(folder / "confidence" / f"p{index}.pfm", np.ones_like(depth))
+    write_pairs(folder / "pair.txt", {i: [((i + 1) % PHOTOS, 1.0)] for i in range(PHOTOS)})
+    (folder / "depth" / "depth.json").write_text(json.dumps({"pixel_step": 1.0}), encoding="utf-8")
+    return StemPhotos(scene=read_scene(folder), depth_folder=folder, cloud_from_scene=np.diag([0.5, 0.5, 0.5, 1.0]))
+
+
+def section_of(dbh_m: float | None, std_m: float, reason: str = "") -> Section:
+    return Section(
+        center=BREAST[:2],
+        bh_m=1.3,
+        dbh_m=dbh_m,
+        sd_m=2 * std_m,
+        coverage=0.4,
+        points=100,
+        residual_m=0.02,
+        parts_m={"fit": std_m},
+        tau_m=0.0,
+        lean_deg=1.0,
+        slope=np.array([0.0, 0.0]),
+        taper=-0.006,
+        top_m=3.0,
+        status="ok" if dbh_m else "unmeasured",
+        reason=reason,
+        offsets_m=np.zeros((0, 2)),
+        kept=np.zeros(0, dtype=bool),
+        circle_m=np.array([0.0, 0.0, 0.16]),
+        half_slice_m=0.05,
+        outline=None,
+    )
+
+
+def plot_of(section: Section) -> PlotResult:
+    tree = Tree(
+        tree_id=1,
+        x_m=BREAST[0] + 0.015,  # the cloud's axis is a little off
+        y_m=BREAST[1] - 0.01,
+        z_ground_m=0.0,
+        dbh_cm=None if section.dbh_m is None else 100 * section.dbh_m,
+        dbh_lo95_cm=None,
+        dbh_hi95_cm=None,
+        dbh_perimeter_cm=None,
+        dbh_min_cm=None,
+        dbh_max_cm=None,
+        bh_m=1.3,
+        arc_coverage=0.4,
+        points=100,
+        residual_cm=2.0,
+        lean_deg=1.0,
+        height_m=None,
+        status=section.status,
+        reason=section.reason,
+    )
+    return PlotResult(
+        trees=(tree,),
+        sections=(section,),
+        ground=None,
+        diagnosis="1 trees found, 0 with a DBH" if section.dbh_m is None else "1 trees found, 1 with a DBH",
+        warnings=(),
+        extent_m=(-2.0, -2.0, 2.0, 2.0),
+        spacing_m=0.01,
+    )
+
+
+@pytest.mark.parametrize("too_thick_m", [0.04, -0.03, None])
+def test_photographs_mend_a_hazy_stem(photos: StemPhotos, too_thick_m: float | None) -> None:
+    """A pixel is 1.2 cm and more at this stem, the cloud is off by 3 or 4 cm or has refused."""
+    dbh = None if too_thick_m is None else 2 * RADIUS + too_thick_m
+    section = section_of(dbh, 0.008, "" if dbh else "surface too rough: residual 3 cm; undergrowth")
+    result = measure_silhouettes(plot_of(section), photos)
+    tree, found = result.trees[0], result.sections[0]
+    assert found.silhouette is not None
+    assert tree.dbh_cm == pytest.approx(200 * RADIUS, abs=0.3)
+    assert tree.dbh_lo95_cm is not None
+    assert tree.dbh_hi95_cm is not None
+    assert tree.dbh_lo95_cm < 200 * RADIUS < tree.dbh_hi95_cm
+    assert tree.dbh_hi95_cm - tree.dbh_lo95_cm < 3.0
+    np.testing.assert_allclose([tree.x_m, tree.y_m], BREAST[:2], atol=0.004)
+    assert found.cloud_dbh_m == dbh
+    assert result.diagnosis == "1 trees found, 1 with a DBH"
+    assert tree.status == "ok"
+
+
+def test_photographs_without_the_stem_change_nothing(photos: StemPhotos, tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    for view in photos.scene.views:
+        write_image(tmp_path / f"{view.name}.png", rng.integers(60, 180, (HEIGHT, WIDTH, 3), dtype=np.uint8))
+    noise = tuple(replace(view, image_path=tmp_path / f"{view.name}.png") for view in photos.scene.views)
+    before = plot_of(section_of(0.28, 0.004))
+    after = measure_silhouettes(before, replace(photos, scene=replace(photos.scene, views=noise)))
+    assert after.trees == before.trees
+    assert after.sections[0].silhouette is None
+
+
+def fit_of(radius: float, std: float, *, photos: int = 20, sectors: float = 0.6) -> SilhouetteFit:
+    return SilhouetteFit(
+        radius_m=radius,
+        std_m=std,
+        shift_m=np.zeros(2),
+        slope=np.zeros(2),
+        taper=-0.006,
+        shape_m=np.zeros(6),
+        rays=200.0,
+        share=0.9,
+        photos=photos,
+        sectors=sectors,
+        noise_m=0.001,
+        contrast=1.7,
+        weight=np.ones(3),
+    )
+
+
+def joined(section: Section, fit: SilhouetteFit) -> Section:
+    return join(section, fit, scale_rel_std=0.002, dbh=DbhSettings(), settings=SilhouetteJoinSettings())
+
+
+def test_join_by_precision_and_alone_where_they_disagree() -> None:
+    between = joined(section_of(0.300, 0.002), fit_of(0.1515, 0.002))
+    assert between.dbh_m is not None
+    assert 0.300 < between.dbh_m < 0.303
+    alone = joined(section_of(0.330, 0.002), fit_of(0.1515, 0.002))
+    assert alone.dbh_m == pytest.approx(0.303)
+    assert alone.sd_m > between.sd_m > 2 * 0.15 * 0.002  # never surer than the scale
+
+
+def test_refused_by_the_cloud_and_hardly_seen_stays_doubtful() -> None:
+    refused = section_of(None, 0.01, "double wall: two surfaces 3 cm apart; the poses do not agree")
+    assert joined(refused, fit_of(0.15, 0.002)).status == "ok"
+    few = joined(refused, fit_of(0.15, 0.002, photos=5))
+    assert (few.status, few.dbh_m) == ("doubtful", pytest.approx(0.30))
+    assert "5 photos" in few.reason
+    assert joined(refused, fit_of(0.15, 0.05)).dbh_m is None
+
+
+def test_sheet_of_strips_shows_the_edges_where_the_stem_ends(photos: StemPhotos, tmp_path: Path) -> None:
+    result = measure_silhouettes(plot_of(section_of(0.30, 0.008)), photos, figures=tmp_path)
+    sheet = read_image(tmp_path / "tree_001_edges.png").astype(np.int64)
+    tile = StripSettings()
+    rows, columns = (sheet.shape[i] // (tile.tile_px[1 - i] + tile.gap_px) for i in (0, 1))
+    assert (rows, columns) == (2, 4)
+    shown = 0
+    assert result.sections[0].silhouette is not None
+    for row in range(rows):
+        for column in range(columns):
+            top, left = (tile.gap_px + n * (tile.tile_px[i] + tile.gap_px) for n, i in ((row, 1), (column, 0)))
+            part = sheet[top : top + tile.tile_px[1] - 25, left : left + tile.tile_px[0]]
+            green = part[..., 1] > 230  # the background has at most 212
+            at = np.flatnonzero(green.sum(axis=0) > 10)
+            if part.min() > 250:
+                continue  # an empty place at the end
+            shown += 1
+            between = part[:, at.min() + 6 : at.max() - 5].reshape(-1, 3)
+            outside = np.concatenate([part[:, : at.min() - 6], part[:, at.max() + 7 :]], axis=1).reshape(-1, 3)
+            # Bark is reddish, the background is not.
+            assert ((between[:, 0] - between[:, 1]) > 0).mean() > 0.97
+            assert ((outside[:, 0] - outside[:, 1]) > 0).mean() < 0.5
+    assert shown == 6  # nine photographs 20 degrees apart, of which those nearer than 20 degrees to another go
+
+
+def test_sources_of_a_diameter_are_written(photos: StemPhotos, tmp_path: Path) -> None:
+    result = measure_silhouettes(plot_of(section_of(0.34, 0.002)), photos)
+    write_sources(tmp_path / "sources.csv", result)
+    with (tmp_path / "sources.csv").open(encoding="utf-8", newline="") as stream:
+        (row,) = csv.DictReader(stream)
+    assert float(row["points_cm"]) == 34.0
+    assert float(row["edges_cm"]) == pytest.approx(200 * RADIUS, abs=0.3)
+    assert (row["photos"], row["points_used"]) == (str(PHOTOS), "no")
+
+
+def test_a_doubtful_stem_that_many_photographs_do_not_show_is_a_shrub(photos: StemPhotos, tmp_path: Path) -> None:
+    rng = np.random.default_rng(8)
+    for view in photos.scene.views:
+        write_image(tmp_path / f"{view.name}.png", rng.integers(60, 180, (HEIGHT, WIDTH, 3), dtype=np.uint8))
+    noise = tuple(replace(view, image_path=tmp_path / f"{view.name}.png") for view in photos.scene.views)
+    shrub = replace(photos, scene=replace(photos.scene, views=noise))
+    few = SilhouetteJoinSettings(shrub_photos=PHOTOS)
+    doubtful = plot_of(section_of(None, 0.02, "surface too rough: residual 2.8 cm"))
+    gone = measure_silhouettes(doubtful, shrub, settings=few)
+    assert gone.trees == gone.sections == ()
+    assert gone.diagnosis.startswith("no trees found")
+    assert "(0.3, -0.2)" in gone.warnings[-1]
+    # One photograph too few, a sound stem of the cloud, or a person who said so: it stays.
+    assert len(measure_silhouettes(doubtful, shrub).trees) == 1
+    assert len(measure_silhouettes(plot_of(section_of(0.28, 0.004)), shrub, settings=few).trees) == 1
+    assert len(measure_silhouettes(doubtful, shrub, settings=few, kept={1}).trees) == 1
+    # And a stem that the photographs do show stays too.
+    assert len(measure_silhouettes(doubtful, photos, settings=few).trees) == 1

@@ -1,0 +1,177 @@
+import numpy as np
+import pytest
+
+from fsinfer.errors import CloudError, InputError
+from fsinfer.trees import Tree, analyse_plot, measure_trees
+from fsinfer.trees.outputs.figures import write_figures
+from fsinfer.trees.outputs.table import COLUMNS, read_trees, write_trees
+from tests.support.places import DATA
+from tests.support.stem_clouds import stem_plot
+
+CLOUDS = DATA / "clouds"
+
+
+@pytest.fixture(scope="module")
+def plot():
+    return stem_plot(seed=8, trees=4, spacing_m=0.015, sigma_m=0.006, hidden=0.5, slope=0.1)
+
+
+@pytest.fixture(scope="module")
+def result(plot):
+    return analyse_plot(plot.points)
+
+
+def test_columns_are_those_of_the_contract():
+    assert ",".join(COLUMNS) == (
+        "tree_id,x_m,y_m,z_ground_m,dbh_cm,dbh_lo95_cm,dbh_hi95_cm,dbh_perimeter_cm,dbh_min_cm,dbh_max_cm,"
+        "bh_m,arc_coverage,points,residual_cm,lean_deg,height_m,status,reason"
+    )
+
+
+def test_table_round_trip(tmp_path, result):
+    unmeasured = Tree(
+        **{name: None for name in COLUMNS if name.startswith(("dbh", "residual", "height"))},
+        tree_id=9,
+        x_m=-1.0,
+        y_m=2.5,
+        z_ground_m=0.0,
+        bh_m=1.3,
+        arc_coverage=0.1,
+        points=0,
+        lean_deg=0.0,
+        status="unmeasured",
+        reason="only 40 degrees, of the stem",
+    )
+    write_trees(tmp_path / "trees.csv", [*result.trees, unmeasured])
+    back = read_trees(tmp_path / "trees.csv")
+    assert back[-1] == unmeasured
+    assert [tree.dbh_cm for tree in back[:-1]] == pytest.approx([tree.dbh_cm for tree in result.trees], abs=0.006)
+    assert [tree.x_m for tree in back[:-1]] == pytest.approx([tree.x_m for tree in result.trees], abs=0.0006)
+
+
+def test_bad_cell_names_row_and_column(tmp_path, result):
+    path = tmp_path / "trees.csv"
+    write_trees(path, result.trees[:1])
+    lines = path.read_text().splitlines()
+    path.write_text(lines[0] + "\n" + lines[1].replace("1,", "1,x", 1) + "\n")
+    with pytest.raises(InputError, match=r"row 2, column x_m"):
+        read_trees(path)
+
+
+def test_empty_table_is_its_header(tmp_path):
+    write_trees(tmp_path / "trees.csv", [])
+    assert read_trees(tmp_path / "trees.csv") == []
+    assert (tmp_path / "trees.csv").read_text().strip() == ",".join(COLUMNS)
+
+
+def test_ids_count_from_one_and_runs_agree(plot, result):
+    assert [tree.tree_id for tree in result.trees] == [1, 2, 3, 4]
+    assert measure_trees(plot.points) == list(result.trees)
+
+
+def test_far_from_the_origin_nothing_changes(plot, result):
+    shift = np.array([4.5e5, 5.2e6, 300.0])
+    moved = analyse_plot(plot.points + shift)
+    for a, b in zip(result.trees, moved.trees, strict=True):
+        assert b.dbh_cm == pytest.approx(a.dbh_cm, abs=0.05)
+        assert [b.x_m - shift[0], b.y_m - shift[1], b.z_ground_m - shift[2]] == pytest.approx(
+            [a.x_m, a.y_m, a.z_ground_m], abs=0.01
+        )
+
+
+def test_nan_points_are_left_out_with_a_warning(plot, result):
+    dirty = np.concatenate([plot.points, [[np.nan, 0, 0], [0, np.inf, 0]]])
+    found = analyse_plot(dirty)
+    assert any("2 points" in warning for warning in found.warnings)
+    assert len(found.trees) == len(result.trees)
+
+
+def test_a_point_a_mile_away_does_not_matter(plot, result):
+    found = analyse_plot(np.concatenate([plot.points, [[1609.0, 0.0, 0.0]]]))
+    assert any("far outside" in warning for warning in found.warnings)
+    assert [tree.dbh_cm for tree in found.trees] == pytest.approx([tree.dbh_cm for tree in result.trees], abs=0.05)
+
+
+def test_without_scale_there_are_positions_and_no_dbh(plot, result):
+    found = analyse_plot(3.0 * plot.points, metric=False, units_per_m_hint=3.0)
+    assert len(found.trees) == len(result.trees)
+    for tree, reference in zip(found.trees, result.trees, strict=True):
+        assert tree.dbh_cm is None
+        assert tree.reason == "no scale"
+        assert tree.x_m == pytest.approx(3.0 * reference.x_m, abs=0.02)
+
+
+def test_bare_ground_is_a_result_with_a_diagnosis():
+    rng = np.random.default_rng(0)
+    found = analyse_plot(np.column_stack([rng.uniform(0, 8, (20000, 2)), rng.normal(0, 0.01, 20000)]))
+    assert found.trees == ()
+    assert found.diagnosis.startswith("no trees found")
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda points: points[:50], "only 50 usable points"),
+        (lambda points: points[:0], "only 0 usable points"),
+        (lambda points: points * 0.001, "not in metres"),
+        (lambda points: points * 1000.0, "centimetres or millimetres"),
+        (lambda points: points[:, :2], "shape"),
+        (lambda points: points * np.nan, "only 0 usable points"),
+        (lambda points: points * [1.0, -1.0, -1.0], "z points down"),
+        (lambda points: points[:, [0, 2, 1]] * [1.0, 1.0, -1.0], "y points up"),
+        (lambda points: points[:, [2, 1, 0]] * [-1.0, 1.0, 1.0], "x points down"),
+        (lambda points: (points + np.array([5e5, 5.4e6, 0.0])).astype(np.float32), "steps of 50 cm"),
+    ],
+    ids=[
+        "few", "empty", "millimetric", "thousandfold", "flat", "all nan", "upside down", "y up", "x down",
+        "map coordinates in single precision",
+    ],
+)  # fmt: skip
+def test_bad_clouds_say_what_is_wrong(plot, make, message):
+    with pytest.raises(CloudError, match=message):
+        analyse_plot(make(plot.points))
+
+
+def test_duplicate_points_change_little(plot, result):
+    twice = analyse_plot(np.concatenate([plot.points, plot.points]))
+    assert [t.dbh_cm for t in twice.trees] == pytest.approx([t.dbh_cm for t in result.trees], abs=0.1)
+
+
+def test_stems_without_ground_are_measured_with_a_warning(plot):
+    found = analyse_plot(plot.points[plot.points[:, 2] > 1.0])
+    assert any("little ground" in text for text in found.warnings)
+
+
+def test_a_canopy_alone_is_one_clear_message():
+    rng = np.random.default_rng(1)
+    with pytest.raises(CloudError, match="no ground"):
+        analyse_plot(np.column_stack([rng.uniform(0, 10, (40000, 2)), rng.normal(12, 1.5, 40000)]))
+
+
+def test_a_building_has_no_diameters():
+    rng = np.random.default_rng(2)
+    count = 15000
+    along, up = rng.uniform(0, 7, (4, count)), rng.uniform(0, 3, (4, count))
+    walls = [np.column_stack([np.full(count, side), along[i], up[i]]) for i, side in enumerate((0.0, 7.0))]
+    walls += [np.column_stack([along[i + 2], np.full(count, side), up[i + 2]]) for i, side in enumerate((0.0, 7.0))]
+    floor = np.column_stack([rng.uniform(0, 7, (count, 2)), np.zeros(count)])
+    found = analyse_plot(np.concatenate([*walls, floor]) + rng.normal(0, 0.005, (5 * count, 3)))
+    assert all(tree.dbh_cm is None and tree.reason for tree in found.trees)
+
+
+def test_figures_are_written(tmp_path, result):
+    paths = write_figures(tmp_path, result)
+    assert [path.name for path in paths] == ["stem_map.png", *[f"tree_{n:03d}.png" for n in range(1, 5)]]
+    for path in paths:
+        assert path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+        assert path.stat().st_size > 5000
+
+
+@pytest.mark.skipif(not CLOUDS.exists(), reason="the clouds of ../shared/data are not here")
+@pytest.mark.parametrize(("name", "least", "most"), [("pine_plot.laz", 15, 19), ("LPine1_demo.laz", 14, 14)])
+def test_real_scans_work_with_defaults(name, least, most):
+    laspy = pytest.importorskip("laspy")
+    found = analyse_plot(laspy.read(CLOUDS / name).xyz)
+    assert least <= len(found.trees) <= most
+    assert all(7.0 < tree.dbh_cm < 40.0 for tree in found.trees if tree.dbh_cm is not None)
+    assert sum(tree.height_m is not None and 10 < tree.height_m < 25 for tree in found.trees) >= least - 2

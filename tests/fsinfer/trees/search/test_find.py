@@ -1,0 +1,72 @@
+import numpy as np
+import pytest
+
+from fsinfer.trees import find_stems
+from fsinfer.trees.cylinder.axis import axis_coordinates, fit_axis
+from fsinfer.trees.search.stem import StemSettings
+from tests.support.stem_clouds import board, post, stem_plot
+
+
+def test_every_stem_is_found_between_shrubs():
+    plot = stem_plot(
+        seed=3, trees=16, spacing_m=0.018, top_m=3.0, sigma_m=0.01, outliers=0.1, hidden=0.3, shrubs=20, ground=False
+    )
+    found = find_stems(plot.points).stems
+    centers = np.array([stem.axis.center_at(1.3) for stem in found])
+    distance = np.linalg.norm(plot.xy[:, None] - centers[None], axis=2)
+    assert len(found) == 16
+    assert distance.min(axis=1).max() < 0.03
+
+
+def test_looking_ahead_finds_the_stems_of_one_round_after_the_other():
+    plot = stem_plot(seed=3, trees=20, sigma_m=0.012, shrubs=12, outliers=0.1, hidden=0.3)
+    ahead = find_stems(plot.points)
+    in_turn = find_stems(plot.points, settings=StemSettings(together=1))
+    assert len(ahead.stems) == len(in_turn.stems) > 15
+    assert ahead.rejected == in_turn.rejected
+    for stem, same in zip(ahead.stems, in_turn.stems, strict=True):
+        np.testing.assert_allclose(stem.axis.parameters, same.axis.parameters, atol=1e-6)
+
+
+def test_leaning_stem_keeps_its_axis():
+    plot = stem_plot(seed=5, trees=1, spacing_m=0.012, sigma_m=0.004, lean_deg=12.0, ground=False)
+    (stem,) = find_stems(plot.points).stems
+    np.testing.assert_allclose(stem.axis.center_at(1.3), plot.xy[0], atol=0.01)
+
+
+def test_shrubs_alone_are_no_stems():
+    rng = np.random.default_rng(0)
+    blobs = [rng.normal(0, 1, (2500, 3)) * [0.3, 0.3, 0.5] + [*rng.uniform(0, 8, 2), 1.0] for _ in range(8)]
+    assert find_stems(np.concatenate(blobs)).stems == ()
+
+
+@pytest.mark.parametrize("sigma_m", [0.003, 0.008])
+def test_post_and_board_are_no_trees(sigma_m):
+    rng = np.random.default_rng(1)
+    plot = stem_plot(seed=2, trees=4, spacing_m=0.018, top_m=3.0, sigma_m=sigma_m, ground=False)
+    things = [
+        post(rng, at=(6.0, 6.0), width_m=0.05, top_m=1.6, sigma_m=sigma_m),
+        board(rng, at=(7.0, 2.0), sigma_m=sigma_m),
+    ]
+    assert len(find_stems(np.concatenate([plot.points, *things])).stems) == 4
+
+
+def test_axis_coordinates_measure_the_distance_to_the_line():
+    rng = np.random.default_rng(2)
+    points = rng.normal(0, 1, (50, 3))
+    parameters = np.array([0.1, -0.2, 0.2, -0.1, 0.15, 0.0])
+    direction = np.array([0.2, -0.1, 1.0]) / np.linalg.norm([0.2, -0.1, 1.0])
+    expected = np.linalg.norm(np.cross(points - [0.1, -0.2, 1.3], direction), axis=1)
+    offsets, _ = axis_coordinates(points, parameters, 1.3)
+    np.testing.assert_allclose(np.linalg.norm(offsets, axis=1), expected, atol=1e-12)
+
+
+def test_outward_tail_does_not_pull_the_radius():
+    rng = np.random.default_rng(3)
+    angle, height = rng.uniform(0, 2 * np.pi, 3000), rng.uniform(0.9, 1.7, 3000)
+    tail = np.where(rng.random(3000) < 0.2, rng.exponential(0.03, 3000), 0.0)
+    rho = 0.15 + rng.normal(0, 0.008, 3000) + tail
+    points = np.column_stack([rho * np.cos(angle), rho * np.sin(angle), height])
+    fit = fit_axis(points, np.array([0.02, 0.0, 0.0, 0.0, 0.13, 0.0]), 1.3)
+    assert abs(fit.radius_m - 0.15) < 0.001
+    assert np.mean(rho) > 0.155  # what a plain mean would say

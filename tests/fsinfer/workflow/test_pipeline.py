@@ -1,0 +1,386 @@
+"""The run as a whole: what it leaves, what it does not repeat, and that it goes on after a kill.
+
+Frames, poses and depth are replaced by exact ones (they have their own tests, and ``test_demo`` runs the real ones);
+everything from fusion on is real.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from collections import Counter
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fsinfer.silhouettes.join as silhouettes
+import fsinfer.workflow.photo_stages as photo_stages
+import fsinfer.workflow.pipeline as pipeline
+from fsinfer.depth.stage import DepthResult, DepthSettings
+from fsinfer.errors import CloudError, InputError
+from fsinfer.fusion.fuse import FusionSettings
+from fsinfer.io.cloud import read_cloud
+from fsinfer.io.files import make_folder, write_text
+from fsinfer.io.images import list_images, write_image
+from fsinfer.poses.estimate import PosesResult
+from fsinfer.scale.request import ScaleRequest
+from fsinfer.trees import TreeSettings
+from fsinfer.trees.outputs.table import read_trees
+from fsinfer.workflow.pipeline import RunSettings, run
+from fsinfer.workflow.single_stages import measure_cloud_file
+from tests.support.synthetic_plot import M_PER_UNIT, STEMS, VIEWS, write_depth_folder, write_scene_folder
+
+METRIC = RunSettings(scale=ScaleRequest(factor=M_PER_UNIT))
+ALL = ["frames", "poses", "depth", "check", "fuse", "scale", "cloud", "trees", "report"]
+
+
+class FakeManifest:
+    """Of a model in float32 alone; with an int8 regularizer, its graphs have another hash."""
+
+    int8_regularizer: str | None = None
+
+    def sha256_of(self, *, int8: bool) -> str:
+        return ("1" if int8 else "0") * 64
+
+
+@dataclass
+class Fakes:
+    """Counts the calls of the replaced stages; ``fail_in`` makes one of them raise."""
+
+    calls: Counter[str]
+    fail_in: str = ""
+
+    def enter(self, stage: str) -> None:
+        self.calls[stage] += 1
+        if self.fail_in == stage:
+            raise KeyboardInterrupt
+
+
+@pytest.fixture
+def fakes(monkeypatch: pytest.MonkeyPatch) -> Fakes:
+    fakes = Fakes(calls=Counter())
+
+    def select_frames(source: Path, out: Path, **_: Any) -> Any:
+        fakes.enter("frames")
+        (out / "images").mkdir(parents=True)
+        copied = [Path(shutil.copy(path, out / "images" / path.name)) for path in list_images(source)]
+        rows = [SimpleNamespace(name=path.stem, kept=True, reason="") for path in copied]
+        rows.append(SimpleNamespace(name="dark", kept=False, reason="too dark"))
+        return SimpleNamespace(images=tuple(copied), rows=tuple(rows), warnings=("one photo is too dark",))
+
+    def estimate_poses(images: Path, out: Path, **_: Any) -> PosesResult:
+        fakes.enter("poses")
+        write_scene_folder(out)
+        photos = len(list_images(images))
+        return PosesResult(scene=out, photos=photos, registered=VIEWS, warnings=("one photo was not placed",))
+
+    def estimate_depth(scene: Any, out: Path, *, settings: DepthSettings, **_: Any) -> DepthResult:
+        fakes.enter("depth")
+        write_depth_folder(scene, out)
+        return DepthResult(
+            depth_folder=out,
+            views=VIEWS,
+            model=settings.model,
+            model_sha256="0" * 64,
+            precision="float32",
+            seconds=1.0,
+        )
+
+    def fuse(*args: Any, **kwargs: Any) -> Any:
+        fakes.enter("fuse")
+        return real_fuse(*args, **kwargs)
+
+    def write_trees(*args: Any, **kwargs: Any) -> Any:
+        fakes.enter("trees")
+        return real_trees(*args, **kwargs)
+
+    real_fuse, real_trees = pipeline.fuse, pipeline.write_tree_outputs
+    monkeypatch.setattr(photo_stages, "select_frames", select_frames)
+    monkeypatch.setattr(photo_stages, "estimate_poses", estimate_poses)
+    monkeypatch.setattr(pipeline, "estimate_depth", estimate_depth)
+    monkeypatch.setattr(pipeline, "fuse", fuse)
+    monkeypatch.setattr(pipeline, "write_tree_outputs", write_trees)
+    monkeypatch.setattr(pipeline, "read_manifest", lambda _: FakeManifest())
+    # The fake scene has no COLMAP model to compare with.
+    monkeypatch.setattr(pipeline, "read_sparse", lambda _: None)
+    monkeypatch.setattr(pipeline, "depth_vs_sfm", lambda *_: 0.0025)
+    # Drawing takes most of the time; test_cli and the tests of the report draw.
+    monkeypatch.setattr("fsinfer.report.make_report", lambda out: write_text(out / "report.html", "<html>"))
+    monkeypatch.setattr("fsinfer.trees.outputs.figures.write_figures", lambda folder, *_, **__: make_folder(folder))
+    return fakes
+
+
+@pytest.fixture
+def photos(tmp_path: Path) -> Path:
+    folder = tmp_path / "photos"
+    for index in range(VIEWS):
+        write_image(folder / f"view_{index:02d}.jpg", np.full((8, 8, 3), index, np.uint8))
+    write_image(folder / "view_99.jpg", np.full((8, 8, 3), 255, np.uint8))
+    return folder
+
+
+def dbh_cm(out: Path) -> list[str]:
+    with (out / "trees.csv").open(encoding="utf-8", newline="") as stream:
+        return [row["dbh_cm"] for row in csv.DictReader(stream)]
+
+
+def ran(result: pipeline.RunResult) -> list[str]:
+    return [record.name for record in result.stages if record.ran]
+
+
+def test_everything_then_nothing(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    first = run(photos, out, settings=METRIC)
+    assert ran(first) == ALL
+    np.testing.assert_allclose(sorted(float(d) for d in dbh_cm(out)), sorted(200 * STEMS[:, 2]), atol=1.0)
+    for name in ("cloud.ply", "cloud.laz", "trees.csv", "plot.json", "report.html"):
+        assert (out / name).stat().st_size > 0
+    written = {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()}
+    second = run(photos, out, settings=METRIC)
+    assert ran(second) == []
+    assert {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()} == written
+    assert second.plot == first.plot
+
+
+def test_plot_json(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    result = run(photos, out, settings=METRIC)
+    plot = json.loads((out / "plot.json").read_text(encoding="utf-8"))
+    assert plot == result.plot
+    assert (plot["photos"], plot["registered"], plot["left_out"]) == (VIEWS + 1, VIEWS, ["view_99"])
+    assert (plot["photos_given"], plot["rejected"]) == (VIEWS + 2, [{"name": "dark", "reason": "too dark"}])
+    assert plot["warnings"][:2] == ["one photo is too dark", "one photo was not placed"]
+    assert (plot["units"], plot["scale_m_per_unit"], plot["scale_source"]) == ("m", M_PER_UNIT, "factor")
+    assert plot["depth_vs_sfm_median_rel"] == 0.0025
+    assert plot["points"] == len(read_cloud(out / "cloud.ply"))
+    assert plot["density_per_m2"] > 100
+    assert plot["trees"] == plot["trees_with_dbh"] == len(STEMS)
+    assert set(ALL) | {"total"} == set(plot["seconds"])
+    assert plot["peak_rss_mb"] is None or plot["peak_rss_mb"] > 10
+    assert plot["model_sha256"] == "0" * 64
+    assert plot["model_precision"] == "float32"
+    assert plot["settings"]["trees"]["bh_m"] == 1.3
+    assert plot["versions"]["numpy"] == np.__version__
+    similarity = np.array(plot["cloud_from_scene"])
+    assert np.cbrt(np.linalg.det(similarity[:3, :3])) == pytest.approx(M_PER_UNIT)
+    assert plot["camera_height"] == pytest.approx(1.5, abs=0.02)
+    # The scene's own origin lies on the ground.
+    assert similarity[2, 3] == pytest.approx(0, abs=0.02)
+
+
+def test_scale_and_tree_options_repeat_nothing_dear(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    unscaled = run(photos, out)
+    assert dbh_cm(out) == ["", "", ""]
+    assert unscaled.plot["units"] == "model units"
+    assert unscaled.plot["density_per_m2"] is None
+    # Said once, though the trees stage would say it as well.
+    assert [text.split(":")[0] for text in unscaled.plot["warnings"] if "no scale" in text] == ["no scale was given"]
+    ends = ((-1.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+    scaled = run(photos, out, settings=RunSettings(scale=ScaleRequest(endpoints=ends, length_m=2 * M_PER_UNIT)))
+    assert ran(scaled) == ["scale", "cloud", "trees", "report"]
+    assert all(float(value) > 0 for value in dbh_cm(out))
+    higher = run(photos, out, settings=replace(METRIC, trees=TreeSettings(bh_m=1.37)))
+    assert ran(higher)[-2:] == ["trees", "report"]
+    assert not {"frames", "poses", "depth", "fuse"} & {*ran(higher)}
+    assert fakes.calls == {"frames": 1, "poses": 1, "depth": 1, "fuse": 1, "trees": 3}
+
+
+def test_end_points_read_off_a_metric_cloud_are_doubted(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
+    def endpoints(length_units: float, length_m: float) -> RunSettings:
+        ends = ((0.0, 0.0, 0.0), (length_units, 0.0, 0.0))
+        return RunSettings(scale=ScaleRequest(endpoints=ends, length_m=length_m))
+
+    out = tmp_path / "out"
+    run(photos, out)
+    # Off the cloud in model units, then the length corrected: nothing to doubt.
+    for length_m in (1.05, 1.0):
+        plot = run(photos, out, settings=endpoints(1.0 / M_PER_UNIT, length_m)).plot
+        assert not [text for text in plot["warnings"] if "end points" in text or "above the ground" in text]
+    # Another length, read off a copy of the cloud in model units: the phone's height tells that it is right.
+    plot = run(photos, out, settings=endpoints(2.0 / M_PER_UNIT, 2.0)).plot
+    assert not [text for text in plot["warnings"] if "end points" in text or "above the ground" in text]
+    # In centimetres.
+    plot = run(photos, out, settings=endpoints(2.0 / M_PER_UNIT, 200.0)).plot
+    (height,) = [text for text in plot["warnings"] if "end points" in text or "above the ground" in text]
+    assert "150 m above the ground" in height
+    assert "in centimetres?" in height
+    run(photos, out, settings=endpoints(1.0 / M_PER_UNIT, 1.0))
+    # The same metre off the cloud that is in metres now.
+    doubted = run(photos, out, settings=endpoints(1.0, 1.0)).plot
+    (way_out,) = [text for text in doubted["warnings"] if "end points" in text]
+    factor = float(way_out.split("--scale ")[1].split()[0])
+    assert factor == pytest.approx(M_PER_UNIT, rel=1e-4)
+    mended = run(photos, out, settings=RunSettings(scale=ScaleRequest(factor=factor))).plot
+    assert not [text for text in mended["warnings"] if "end points" in text or "above the ground" in text]
+    assert any("not in the intervals" in text for text in mended["warnings"])
+
+
+def test_a_scale_that_has_the_phone_in_the_tree_tops_is_doubted(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
+    for factor, doubted in ((1.0, False), (6.0, True), (0.1, True)):
+        settings = RunSettings(scale=ScaleRequest(factor=factor * M_PER_UNIT))
+        warnings = run(photos, tmp_path / "out", settings=settings).plot["warnings"]
+        assert any("above the ground (a phone" in text for text in warnings) is doubted
+
+
+def test_threads_change_nothing(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
+    run(photos, tmp_path / "out", settings=METRIC)
+    again = run(photos, tmp_path / "out", settings=replace(METRIC, depth=DepthSettings(threads=7)))
+    assert not {"frames", "poses", "depth", "fuse", "cloud", "trees"} & {*ran(again)}
+
+
+def test_memory_repeats_the_fusion_only_where_it_makes_the_cloud_coarser(
+    fakes: Fakes, photos: Path, tmp_path: Path
+) -> None:
+    def fused(memory_gb: float) -> int:
+        settings = replace(METRIC, fusion=FusionSettings(memory_gb=memory_gb), depth=DepthSettings(memory_gb=memory_gb))
+        run(photos, tmp_path / "out", settings=settings)
+        return fakes.calls["fuse"]
+
+    assert [fused(3.0), fused(8.0), fused(0.5), fused(3.0)] == [1, 1, 2, 3]
+    assert fakes.calls["depth"] == 1
+
+
+def test_other_depth_settings_repeat_depth_and_what_follows(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
+    run(photos, tmp_path / "out", settings=METRIC)
+    again = run(photos, tmp_path / "out", settings=replace(METRIC, depth=DepthSettings(source_views=2)))
+    assert {"depth", "fuse", "cloud", "trees", "report"} <= {*ran(again)}
+    assert not {"frames", "poses"} & {*ran(again)}
+
+
+def test_depth_is_repeated_where_the_precision_in_use_changes_and_not_the_wish(
+    fakes: Fakes, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def settings(precision: str) -> RunSettings:
+        return replace(METRIC, depth=DepthSettings(precision=precision))
+
+    monkeypatch.setattr(FakeManifest, "int8_regularizer", "int8.onnx")
+    run(photos, tmp_path / "out", settings=settings("float32"))
+    monkeypatch.setattr("fsinfer.depth.precision._this_machine_is_fast", lambda: False)
+    assert not {"depth", "fuse"} & {*ran(run(photos, tmp_path / "out", settings=settings("auto")))}
+    monkeypatch.setattr("fsinfer.depth.precision._this_machine_is_fast", lambda: True)
+    assert {"depth", "fuse"} <= {*ran(run(photos, tmp_path / "out", settings=settings("auto")))}
+    assert not {"depth", "fuse"} & {*ran(run(photos, tmp_path / "out", settings=settings("int8")))}
+    assert {"depth", "fuse"} <= {*ran(run(photos, tmp_path / "out", settings=settings("float32")))}
+
+
+def test_killed_run_goes_on(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
+    whole, out = tmp_path / "whole", tmp_path / "out"
+    run(photos, whole, settings=METRIC)
+    fakes.calls.clear()
+    for stage in ("poses", "depth", "fuse", "trees"):
+        fakes.fail_in = stage
+        with pytest.raises(KeyboardInterrupt):
+            run(photos, out, settings=METRIC)
+        assert not (out / "plot.json").exists()
+    fakes.fail_in = ""
+    run(photos, out, settings=METRIC)
+    # Each was called once in vain and once for good; none that was finished was called again.
+    assert fakes.calls == {"frames": 1, "poses": 2, "depth": 2, "fuse": 2, "trees": 2}
+    assert (out / "trees.csv").read_bytes() == (whole / "trees.csv").read_bytes()
+
+
+def test_corrections_by_hand_repeat_only_the_trees(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    first = run(photos, out, settings=METRIC)
+    trees = read_trees(out / "trees.csv")
+    (out / "edits.csv").write_text("action,tree_id\ndelete,2\n", encoding="utf-8")
+    edited = run(photos, out, settings=METRIC)
+    assert ran(edited) == ["trees", "report"]
+    assert read_trees(out / "trees.csv") == [tree for tree in trees if tree.tree_id != 2]
+    assert edited.plot["trees"] == first.plot["trees"] - 1
+    assert ran(run(photos, out, settings=METRIC)) == []
+    # A file that is given counts instead of the one in the folder.
+    (tmp_path / "mine.csv").write_text("action,tree_id\ndelete,1\ndelete,9\n", encoding="utf-8")
+    with pytest.raises(InputError, match="row 3 of the edits names tree 9"):
+        run(photos, out, settings=METRIC, edits=tmp_path / "mine.csv")
+    (out / "edits.csv").unlink()
+    run(photos, out, settings=METRIC)
+    assert read_trees(out / "trees.csv") == trees
+
+
+def test_new_photo_repeats_everything(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
+    run(photos, tmp_path / "out", settings=METRIC)
+    write_image(photos / "view_98.jpg", np.zeros((8, 8, 3), np.uint8))
+    assert ran(run(photos, tmp_path / "out", settings=METRIC)) == ALL
+
+
+def test_deleted_result_is_made_again(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    run(photos, out, settings=METRIC)
+    before = (out / "trees.csv").read_bytes()
+    (out / "trees.csv").unlink()
+    (out / "plot.json").unlink()
+    again = run(photos, out, settings=METRIC)
+    assert ran(again) == ["trees", "report"]
+    assert (out / "trees.csv").read_bytes() == before
+    assert (out / "plot.json").is_file()
+
+
+def test_markers_not_found_keeps_everything_else(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    result = run(photos, out, settings=RunSettings(scale=ScaleRequest(aruco_length_m=0.25)))
+    assert result.plot["scale_source"] == "none"
+    assert any("ArUco" in text for text in result.plot["warnings"])
+    assert (out / "report.html").is_file()
+    assert dbh_cm(out) == ["", "", ""]
+
+
+def test_cloud_without_a_plot_is_reported_not_lost(
+    fakes: Fakes, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_ground(*_: Any, **__: Any) -> Any:
+        raise CloudError("no ground was seen")
+
+    monkeypatch.setattr(pipeline, "write_tree_outputs", no_ground)
+    result = run(photos, tmp_path / "out", settings=METRIC)
+    assert result.plot["trees"] == 0
+    assert "no trees measured: no ground was seen" in result.plot["warnings"]
+    assert dbh_cm(tmp_path / "out") == []
+    assert (tmp_path / "out" / "report.html").is_file()
+
+
+def test_progress_names_the_stages(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
+    seen: list[str] = []
+
+    def progress(stage: str) -> Any:
+        seen.append(stage)
+        return lambda *_: None
+
+    run(photos, tmp_path / "out", settings=METRIC, progress=progress)
+    assert [name for name in ALL if name in seen] == [name for name in ALL if name != "check"]
+    seen.clear()
+    run(photos, tmp_path / "out", settings=METRIC, progress=progress)
+    assert seen == []
+
+
+def test_folder_of_other_origin_is_refused(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
+    mine = tmp_path / "out" / "depth" / "measured.txt"
+    mine.parent.mkdir(parents=True)
+    mine.write_text("precious", encoding="utf-8")
+    with pytest.raises(InputError, match="choose another output folder"):
+        run(photos, tmp_path / "out", settings=METRIC)
+    assert mine.read_text(encoding="utf-8") == "precious"
+
+
+def test_trees_of_the_runs_own_cloud_with_and_without_its_photographs(
+    fakes: Fakes, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    run(photos, out, settings=METRIC)
+    expected = dbh_cm(out)
+    looked_at = []
+    real = silhouettes.find_edges
+    monkeypatch.setattr(silhouettes, "find_edges", lambda *a, **k: looked_at.append(len(a[0])) or real(*a, **k))
+    for gone in (None, out / "scene" / "images"):
+        if gone is not None:
+            shutil.rmtree(gone)
+        measure_cloud_file(out / "cloud.ply", out, request=ScaleRequest(), settings=TreeSettings())
+        assert dbh_cm(out) == expected
+    # The photographs were looked at the first time; without them the points have to do.
+    assert looked_at == [len(STEMS)]

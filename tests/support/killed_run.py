@@ -1,0 +1,84 @@
+"""A whole run with exact frames, poses and depth that kills itself: ``python killed_run.py PHOTOS OUT STAGE WRITES``.
+
+SIGKILL strikes once ``STAGE`` has begun and ``WRITES`` more files have been replaced; with STAGE "never" it ends.
+The stages from fusion on are the real ones; drawing is left out for speed.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+from fsinfer.depth.stage import DepthResult
+from fsinfer.io.files import make_folder, write_text
+from fsinfer.io.images import list_images
+from fsinfer.poses.estimate import PosesResult
+from fsinfer.scale.request import ScaleRequest
+from fsinfer.workflow import photo_stages, pipeline
+from tests.support.synthetic_plot import M_PER_UNIT, VIEWS, write_depth_folder, write_scene_folder
+
+
+def main(source: Path, out: Path, stage: str, writes: int) -> None:
+    kill_after(out / ".fsinfer" / f"{stage}.json", writes)
+    photo_stages.select_frames = select_frames
+    photo_stages.estimate_poses = estimate_poses
+    pipeline.estimate_depth = estimate_depth
+    pipeline.read_manifest = lambda _: SimpleNamespace(int8_regularizer=None, sha256_of=lambda *, int8: "0" * 64)
+    pipeline.read_sparse = lambda _: None
+    pipeline.depth_vs_sfm = lambda *_: 0.0025
+    import fsinfer.report
+    import fsinfer.trees.outputs.figures
+
+    fsinfer.report.make_report = lambda folder: write_text(folder / "report.html", "<html>")
+    fsinfer.trees.outputs.figures.write_figures = lambda folder, *_, **__: make_folder(folder)
+    settings = pipeline.RunSettings(scale=ScaleRequest(factor=M_PER_UNIT))
+    result = pipeline.run(source, out, settings=settings)
+    print(*(record.name for record in result.stages if record.ran))
+
+
+def kill_after(record: Path, writes: int) -> None:
+    """Every file is put in its place by ``Path.replace``: count from the one that says that the stage has begun."""
+    replace = Path.replace
+    seen = -1
+
+    def counting(self: Path, target: Path) -> Any:
+        nonlocal seen
+        done = replace(self, target)
+        if seen >= 0 or Path(target) == record:
+            seen += 1
+        if seen == writes:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return done
+
+    Path.replace = counting  # type: ignore[method-assign,assignment]
+
+
+def select_frames(source: Path, out: Path, **_: Any) -> Any:
+    (out / "images").mkdir(parents=True, exist_ok=True)
+    copied = []
+    for path in list_images(source):
+        part = Path(shutil.copy(path, out / "images" / f".{path.name}"))
+        copied.append(part.replace(out / "images" / path.name))
+    rows = [SimpleNamespace(name=path.stem, kept=True, reason="") for path in copied]
+    return SimpleNamespace(images=tuple(copied), rows=tuple(rows), warnings=())
+
+
+def estimate_poses(images: Path, out: Path, **_: Any) -> PosesResult:
+    write_scene_folder(out)
+    return PosesResult(scene=out, photos=len(list_images(images)), registered=VIEWS, warnings=())
+
+
+def estimate_depth(scene: Any, out: Path, **_: Any) -> DepthResult:
+    write_depth_folder(scene, out)
+    return DepthResult(
+        depth_folder=out, views=VIEWS, model="exact", model_sha256="0" * 64, precision="float32", seconds=1.0
+    )
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3], int(sys.argv[4]))

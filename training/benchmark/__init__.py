@@ -1,0 +1,1 @@
+"""The DTU benchmark's own evaluation."""

@@ -1,0 +1,1 @@
+"""Simulated clouds of stems, without a renderer."""

@@ -1,0 +1,1 @@
+"""Where the cameras of a rendering stand, and what a photograph adds."""

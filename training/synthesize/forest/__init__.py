@@ -1,0 +1,1 @@
+"""The rendered forest: terrain, stems, foliage, light, materials."""
