@@ -294,7 +294,7 @@ def main(argv: list[str] | None = None) -> int:
     if args.full:
         plot = json.loads((result / "plot.json").read_text(encoding="utf-8"))
         figures |= run_figures(plot) | compare_trees(args.out, plot, scene)
-        print("photos", plot["photos"], "placed", plot["registered"], "seconds", plot["seconds"])
+        print("photos", plot["photos"], "registered", plot["registered"], "seconds", plot["seconds"])
     drawn = {"seed": args.seed, "places": args.places}
     save_result(args, figures, module="tests.bench.video", arguments=argv, settings=drawn)
     return 0
