@@ -1,6 +1,6 @@
-"""``python -m training.evaluate`` with a result file: ``python -m tests.bench.depth SCENES --result NAME --data KIND``.
+"""``python -m training.evaluate`` with a result file: ``python -m tests.bench.depth SCENES --result NAME``.
 
-Every other option is one of ``training.evaluate``. Its JSON becomes figures: ``mean_`` of the views' figures,
+Every option but ``--result…`` and ``--unit-m`` is one of ``training.evaluate``. Its JSON becomes figures: ``mean_`` of the views' figures,
 ``pooled_`` over all pixels together, shares in per cent, lengths in centimetres where ``--unit-m`` says how long a
 scene's unit is.
 """

@@ -166,7 +166,8 @@ def main(argv: list[str] | None = None) -> int:
         if str(tree.tree_id) not in {pair.extracted_id for pair in result.pairs}:
             print(f"without partner: ({tree.x_m:.1f}, {tree.y_m:.1f}), DBH {tree.dbh_cm}, {tree.status} {tree.reason}")
     print(
-        f"photos registered: {len(names)} of {summary['photos']}, cameras rms {1000 * np.sqrt((residual**2).mean()):.1f} mm"
+        f"photos registered: {len(names)} of {summary['photos']}, "
+        f"cameras rms {1000 * np.sqrt((residual**2).mean()):.1f} mm"
     )
     print(f"scale error {100 * (1 / scale - 1):+.3f} %, depth to SfM points {summary['depth_vs_sfm_median_rel']:.5f}")
     print(

@@ -1,7 +1,7 @@
 """Figures of a benchmark as a file: ``docs/results/NAME.json``, from which the documents are made.
 
-Every benchmark takes ``--result NAME --data blind|development``; :mod:`tests.bench.tables` puts the figures into the
-documents. A set is *blind* when no rule, constant or network was chosen with it in view, else *development*.
+Every benchmark takes ``--result NAME --result-set blind|development``; :mod:`tests.bench.tables` puts the figures into
+the documents. A set is *blind* when no rule, constant or network was chosen with it in view, else *development*.
 """
 
 from __future__ import annotations
@@ -144,19 +144,17 @@ def rounded(value: Any) -> float:
 
 
 def add_result_options(parser: argparse.ArgumentParser) -> None:
-    """``--result``, ``--data`` and ``--note``."""
+    """``--result``, ``--result-set`` and ``--note``."""
     group = parser.add_argument_group("result file")
     group.add_argument("--result", metavar="NAME", help="write docs/results/NAME.json")
-    group.add_argument(
-        "--data", dest="data_kind", choices=KINDS, help="whether anything was chosen with this set in view"
-    )
+    group.add_argument("--result-set", choices=KINDS, help="whether anything was chosen with this set in view")
     group.add_argument("--note", default="", help="what a reader has to know of the set")
 
 
 def check_result_options(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
     """Refuse a result without the kind of its set, before hours are spent."""
-    if args.result and not args.data_kind:
-        parser.error("--result needs --data blind or --data development")
+    if args.result and not args.result_set:
+        parser.error("--result needs --result-set blind or --result-set development")
     if args.result and not NAME.fullmatch(args.result):
         parser.error(f"--result {args.result}: use a-z, 0-9 and '-'")
 
@@ -173,7 +171,7 @@ def save_result(
     if not args.result:
         return
     command = command_line(module, sys.argv[1:] if arguments is None else arguments)
-    path = write_result(args.result, figures, command=command, kind=args.data_kind, settings=settings, note=args.note)
+    path = write_result(args.result, figures, command=command, kind=args.result_set, settings=settings, note=args.note)
     print(f"figures in {path}")
 
 
@@ -184,9 +182,9 @@ def command_line(module: str, arguments: Sequence[str]) -> str:
     for word in arguments:
         if skip:
             skip = False
-        elif word in ("--result", "--data", "--note"):
+        elif word in ("--result", "--result-set", "--note"):
             skip = True
-        elif not word.startswith(("--result=", "--data=", "--note=")):
+        elif not word.startswith(("--result=", "--result-set=", "--note=")):
             words.append(Path(word).name if word.startswith("/") else word)
     return shlex.join(["python", "-m", module, *words])
 

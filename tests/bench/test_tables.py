@@ -121,5 +121,5 @@ def test_what_is_no_figure_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_command_names_no_folder_of_the_machine_and_no_option_of_the_result() -> None:
-    words = ["/data/plots/plot", "out", "--result", "a", "--data=blind", "--note", "x y", "--slow"]
+    words = ["/data/plots/plot", "out", "--result", "a", "--result-set=blind", "--note", "x y", "--slow"]
     assert command_line("tests.bench.plot", words) == "python -m tests.bench.plot plot out --slow"
