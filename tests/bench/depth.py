@@ -1,8 +1,8 @@
 """``python -m training.evaluate`` with a result file: ``python -m tests.bench.depth SCENES --result NAME``.
 
-Every option but ``--result…`` and ``--unit-m`` is one of ``training.evaluate``. Its JSON becomes figures: ``mean_`` of the views' figures,
-``pooled_`` over all pixels together, shares in per cent, lengths in centimetres where ``--unit-m`` says how long a
-scene's unit is.
+Every option but ``--result…`` and ``--unit-m`` is one of ``training.evaluate``. Its JSON becomes figures: ``mean_`` of
+the views' figures, ``pooled_`` over all pixels together, shares in per cent, lengths in centimetres where ``--unit-m``
+says how long a scene's unit is.
 """
 
 from __future__ import annotations
