@@ -36,6 +36,8 @@ PACKAGES = {
     "pycolmap": "pycolmap",
     "fsinfer": "fsinfer",
 }
+#: Whoever sets them changes the times of a run.
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 NAME = re.compile(r"[a-z0-9][a-z0-9-]*")
 FIGURE = re.compile(r"[a-z][a-z0-9_]*")
 #: Of the last minute, before the benchmark itself adds to it: this module is imported first.
@@ -112,6 +114,7 @@ def write_result(
         "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "processor": processor(),
         "load_average_at_start": LOAD_AT_START,
+        "thread_variables": {name: os.environ[name] for name in THREAD_VARIABLES if name in os.environ},
         "versions": versions(),
     }
     folder.mkdir(parents=True, exist_ok=True)

@@ -96,11 +96,14 @@ def test_the_headline_refuses_a_set_that_is_not_blind(folder: Path) -> None:
         check("<!-- figures: headline seen -->\n<!-- /figures -->\n", folder)
 
 
-def test_a_result_says_what_it_was_measured_on(folder: Path) -> None:
+def test_a_result_says_what_it_was_measured_on(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    write_result("try", FIGURES, command="python -m x", kind="blind", folder=folder)
     record: dict[str, Any] = json.loads((folder / "try.json").read_text(encoding="utf-8"))
     assert record["figures"] == FIGURES
     assert record["set"] == "blind"
     assert record["processor"]["cores"] >= 1
+    assert record["thread_variables"]["OMP_NUM_THREADS"] == "3"
     assert set(record["versions"]) == {"python", "numpy", "onnxruntime", "opencv", "pycolmap", "fsinfer"}
     assert record["commit"]
 
