@@ -58,20 +58,11 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.bench.demo", description=__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--fsinfer", type=Path, help="the installed command; without it the one beside this Python")
+    parser.add_argument("--judge", action="store_true", help="compare what OUT holds, and run nothing")
     add_result_options(parser)
     args = parser.parse_args(argv)
     check_result_options(parser, args)
-    beside = shutil.which("fsinfer", path=str(Path(sys.executable).parent))
-    command = args.fsinfer or (Path(beside) if beside else None)
-    if command is None or not command.is_file():
-        parser.error("there is no fsinfer command beside this Python; install the package or give --fsinfer")
-    if args.out.exists():
-        parser.error(f"{args.out} is there already: what it holds would not be computed again")
-    if args.result and digest_of(installed_package(command)) != digest_of(ROOT / "fsinfer"):
-        parser.error(f"{command} is not the code of this working tree; install it again")
-    start = time.perf_counter()
-    subprocess.run([str(command), "demo", str(args.out.resolve())], env=user_environment(), check=True)
-    seconds = time.perf_counter() - start
+    figures: dict[str, float | None] = {} if args.judge else {"clock_s": run_command(args, parser)}
     summary = json.loads((args.out / "plot.json").read_text(encoding="utf-8"))
     trees = read_trees(args.out / "trees.csv")
     # As the command itself compares: the plot's frame begins somewhere, and trees beyond the plot are nobody's.
@@ -83,11 +74,26 @@ def main(argv: list[str] | None = None) -> int:
         if tree.dbh_lo95_cm is not None and tree.dbh_hi95_cm is not None:
             inside.append(tree.dbh_lo95_cm <= pair.measured_cm <= tree.dbh_hi95_cm)
     sources = source_errors(args.out / "dbh_sources.csv", {p.extracted_id: p.measured_cm for p in result.pairs})
-    figures = {**run_figures(summary), "clock_s": seconds, **tree_figures(result, inside), **sources}
+    figures |= {**run_figures(summary), **tree_figures(result, inside), **sources}
     for name, value in figures.items():
         print(f"{name:24s} {value}")
     save_result(args, figures, module="tests.bench.demo", arguments=argv)
     return 0
+
+
+def run_command(args: argparse.Namespace, parser: argparse.ArgumentParser) -> float:
+    """Run ``fsinfer demo``; seconds by the clock."""
+    beside = shutil.which("fsinfer", path=str(Path(sys.executable).parent))
+    command = args.fsinfer or (Path(beside) if beside else None)
+    if command is None or not command.is_file():
+        parser.error("there is no fsinfer command beside this Python; install the package or give --fsinfer")
+    if args.out.exists():
+        parser.error(f"{args.out} is there already: what it holds would not be computed again")
+    if args.result and digest_of(installed_package(command)) != digest_of(ROOT / "fsinfer"):
+        parser.error(f"{command} is not the code of this working tree; install it again")
+    start = time.perf_counter()
+    subprocess.run([str(command), "demo", str(args.out.resolve())], env=user_environment(), check=True)
+    return time.perf_counter() - start
 
 
 if __name__ == "__main__":

@@ -99,7 +99,7 @@ def run_figures(summary: dict[str, Any]) -> dict[str, float | None]:
         "photos_registered": summary["registered"],
         "photos_not_registered": summary["photos"] - summary["registered"],
         "depth_vs_sfm_percent": None if difference is None else 100 * difference,
-        "minutes": sum(seconds.values()) / 60,
+        "minutes": seconds["total"] / 60,
         "peak_mib": summary["peak_rss_mb"],
         **{f"{name}_s": value for name, value in seconds.items()},
     }

@@ -109,6 +109,14 @@ def test_trees_of_a_plot_as_figures() -> None:
     assert (figures["inside_interval"], figures["with_interval"]) == (1, 2)
 
 
+def test_a_run_takes_as_long_as_its_stages_and_not_twice_as_long() -> None:
+    summary = {"seconds": {"poses": 90.0, "depth": 30.0, "total": 120.0}, "depth_vs_sfm_median_rel": 0.002}
+    figures = plot.run_figures(summary | {"photos": 9, "registered": 7, "peak_rss_mb": 1})
+    assert (figures["minutes"], figures["poses_s"]) == (2, 90)
+    assert figures["photos_not_registered"] == 2
+    assert figures["depth_vs_sfm_percent"] == pytest.approx(0.2)
+
+
 def test_shares_become_per_cent_and_units_centimetres() -> None:
     errors = dict.fromkeys((*depth.SHARES, *depth.LENGTHS), 0.25) | {"flying": float("nan")}
     report = {"views": {"a": 0.0, "b": 0.0}, "mean": errors, "pooled": errors}
