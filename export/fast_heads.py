@@ -143,7 +143,7 @@ class TilePlaneHead(FastPlaneHead):
 
         def excite(level: int, slabs_schw: Tensor) -> Tensor:
             levels.append(slabs_schw.mean(dim=0))
-            return torch.as_tensor(self.regularizer.se[level].by_mean(slabs_schw, (mean0, mean1, mean2)[level]))
+            return self.regularizer.excitation(level).by_mean(slabs_schw, (mean0, mean1, mean2)[level])
 
         index, confidence = self.read(volume, excite)
         return index, confidence, *levels

@@ -16,7 +16,8 @@ from training.model.config import DEPTH_PLANES
 from training.model.fsmvsnet import REFINE_GROUPS
 
 ModuleT = TypeVar("ModuleT", bound=nn.Module)
-EXAMPLE_SIZE = (96, 128)  # height, width of the image that the exporter traces with
+#: Height and width of the image that the exporter traces with. Source: numerics.
+EXAMPLE_SIZE = (96, 128)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,6 +119,7 @@ def graphs(model: FSMVSNet) -> list[Graph]:
 #: Tiles begin at multiples of 8 quarter-resolution pixels, the coarsest stride of the packed regularizer. Its levels
 #: see 3, 9 and 29 of them far (a convolution of stride 2 and one or two more at each of the strides 2, 4 and 8); with
 #: the enlarged levels coming up and the head the result sees 49. The refiner sees 21 half-resolution pixels.
+#: Source: these fields of view, rounded up.
 TILE_ALIGN, TILE_LEVEL_HALOS, TILE_HALO = 8, (8, 16, 32), 56
 
 
@@ -130,7 +132,8 @@ def tile_graph(model: FSMVSNet) -> Graph | None:
     height, width = EXAMPLE_SIZE
     packed = config.packed_planes
     volume = torch.randn(DEPTH_PLANES // packed, packed * config.groups, height // 4, width // 4)
-    channels = [int(excitation.fc[0].in_features) for excitation in head.regularizer.se]
+    regularizer = head.regularizer
+    channels = [regularizer.excitation(level).channels for level in range(len(regularizer.se))]
     return Graph(
         role="tile_regularizer",
         module=head,

@@ -17,6 +17,7 @@ from fsinfer.errors import ModelError
 from training.model import FSMVSNet
 from training.model.config import DEPTH_PLANES
 
+#: Source: format; the least that the exporter writes.
 OPSET = 18
 
 

@@ -1,6 +1,6 @@
 """``python -m fsinfer`` is ``fsinfer``."""
 
-from fsinfer.cli import main
+from fsinfer.cli.app import main
 
 if __name__ == "__main__":
     main()

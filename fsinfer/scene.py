@@ -6,6 +6,7 @@ integer coordinates, so the centre of the top left pixel is (0, 0).
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,9 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import SceneError
+from fsinfer.io.digest import file_digest
 from fsinfer.io.files import write_text
 
+#: Planes of a camera file that tells no number. Source: format; MVSNet (Yao et al. 2018).
 DEPTH_PLANES = 192
+#: Depth that stands for none where a point lies in the plane of the camera. Source: numerics.
+_LEAST_DEPTH = 1e-12
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".JPG", ".JPEG", ".PNG")
 
 
@@ -70,7 +75,9 @@ def project(
     in_camera = points @ camera.cam_from_world[:3, :3].T + camera.cam_from_world[:3, 3]
     depth = in_camera[..., 2]
     homogeneous = in_camera @ (camera.intrinsic if intrinsic is None else intrinsic).T
-    return homogeneous[..., :2] / np.where(np.abs(depth) < 1e-12, 1e-12, depth)[..., None], np.asarray(depth)
+    return homogeneous[..., :2] / np.where(np.abs(depth) < _LEAST_DEPTH, _LEAST_DEPTH, depth)[..., None], np.asarray(
+        depth
+    )
 
 
 def read_camera(path: Path | str) -> Camera:
@@ -164,3 +171,14 @@ def read_scene(folder: Path | str) -> Scene:
         camera = read_camera(folder / "cams" / f"{name}_cam.txt")
         views.append(View(name=name, image_path=image_path, camera=camera, sources=sources))
     return Scene(folder=folder, views=tuple(views))
+
+
+def scene_digest(scene: Scene) -> str:
+    """Digest of what depth and fusion read of a scene: its photographs, cameras, depth ranges and sources."""
+    digest = hashlib.sha256()
+    for view in scene.views:
+        camera = view.camera
+        digest.update(f"{view.name} {file_digest(view.image_path)} {view.sources} ".encode())
+        digest.update(camera.intrinsic.tobytes() + camera.cam_from_world.tobytes())
+        digest.update(np.array([camera.depth_min, camera.depth_max]).tobytes())
+    return digest.hexdigest()[:24]

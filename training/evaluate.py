@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from fsinfer.depth.median_filter import settle_unsure
 from fsinfer.depth.model import DepthModel
 from fsinfer.depth.precision import FLOAT32, PRECISIONS
-from fsinfer.depth.stage import DepthSettings, search_range
+from fsinfer.depth.settings import DepthSettings
+from fsinfer.depth.stage import search_range
 from fsinfer.errors import FsinferError, SceneError
 from fsinfer.io.images import read_image
 from fsinfer.scene import Scene, View

@@ -12,7 +12,8 @@ from torch import Tensor
 from training.model.config import ModelConfig
 from training.model.fsmvsnet import DepthOutput, ScaleOutput
 
-SUBPLANE_LIMIT = 3.0  # planes; beyond it L1 is the business of the cross-entropy
+#: Planes; beyond it L1 is the business of the cross-entropy. Source: the radius of the local soft-argmin.
+SUBPLANE_LIMIT = 3.0
 
 
 def at_stride(depth_hw: Tensor, stride: int) -> Tensor:

@@ -9,6 +9,7 @@ import argparse
 import json
 import math
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,22 @@ from training.model.fsmvsnet import Window
 
 @dataclass(frozen=True, kw_only=True)
 class TrainSettings:
-    """One training run. The paper: Adam, lr 1e-3, weight decay 1e-5."""
+    """One training run.
+
+    Attributes
+    ----------
+    data, validation: folders of scenes; out: of the checkpoints. Source: option.
+    preset: key of :data:`training.model.config.PRESETS`. Source: option.
+    minutes, steps: the run ends with whichever comes first. Source: option.
+    learning_rate, weight_decay: of Adam. Source: FS-MVSNet, Forests 2025, 16, 927.
+    crop: width and height of the window at quarter resolution. Source: numerics; what a laptop trains on.
+    accumulate: samples of a step. Source: numerics.
+    min_sources, max_sources: of a sample, see :class:`training.data.samples.SamplingSettings`.
+    ema_decay: of the mean of the weights over the steps. Source: judgement.
+    freeze_norm_from: share of the run after which batch-norm statistics stay fixed. Source: judgement.
+    checkpoint_every, validate_every: steps. Source: numerics.
+    seed, threads, device: of the run; init: a checkpoint to begin from. Source: option.
+    """
 
     data: tuple[Path, ...]
     out: Path
@@ -40,12 +56,12 @@ class TrainSettings:
     steps: int = 10**9
     learning_rate: float = 1e-3
     weight_decay: float = 1e-5
-    crop: tuple[int, int] = (64, 48)  # width, height of the window at quarter resolution
+    crop: tuple[int, int] = (64, 48)
     accumulate: int = 1
-    min_sources: int = 2
-    max_sources: int = 4
+    min_sources: int = SamplingSettings.min_sources
+    max_sources: int = SamplingSettings.max_sources
     ema_decay: float = 0.998
-    freeze_norm_from: float = 0.75  # share of the run after which batch-norm statistics stay fixed
+    freeze_norm_from: float = 0.75
     checkpoint_every: int = 200
     validate_every: int = 500
     seed: int = 1
@@ -209,7 +225,7 @@ def train(settings: TrainSettings) -> Path:
             for name, value in parts.items():
                 running[name] = 0.98 * running.get(name, value) + 0.02 * value
             if trainer.step % 50 == 0:
-                row: dict[str, float] = {"step": trainer.step, "spent_s": round(trainer.spent_s, 1), **running}
+                row: dict[str, float | int] = {"step": trainer.step, "spent_s": round(trainer.spent_s, 1), **running}
                 _log(row, log, board, trainer.step)
             if settings.validation and trainer.step % settings.validate_every == 0:
                 _log(
@@ -229,10 +245,10 @@ def _tensorboard(folder: Path) -> Any:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError:
         return None
-    return SummaryWriter(str(folder / "tensorboard"))  # type: ignore[no-untyped-call]
+    return SummaryWriter(str(folder / "tensorboard"))
 
 
-def _log(row: dict[str, float], log: Any, board: Any, step: int) -> None:
+def _log(row: Mapping[str, float | int], log: Any, board: Any, step: int) -> None:
     line = json.dumps({k: round(v, 5) if isinstance(v, float) else v for k, v in row.items()})
     log.write(line + "\n")
     log.flush()

@@ -9,16 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.check.compass import Compass
-from fsinfer.check.coverage import CoverageSettings, StemCoverage
+from fsinfer.check.coverage import StemCoverage
 from fsinfer.check.open_sides import OpenSide
+from fsinfer.check.settings import CoverageSettings
+from fsinfer.scale.aruco import GOOD_SIGHTINGS
 from fsinfer.scale.scale import Scale
 
-# Photos in directions so near to the middle of the unseen side are named as places to stand.
+#: Photos in directions so near to the middle of the unseen side are named as places to stand. Source: judgement.
 _PLACE_DEG = 20.0
-# A board is measured well from so many photos with sides of so many pixels: 0.07 px of every edge is 0.35 % of 40.
-_BOARD_VIEWS, _BOARD_SIDE_PX = 5, 40.0
-# Photos missing beyond this share are a part of the walk, not a few blurred ones.
+#: A board is measured well with sides of so many pixels. Source: 0.07 px of both edges is 0.35 % of 40.
+_BOARD_SIDE_PX = 40.0
+#: Photos missing beyond this share are a part of the walk, not a few blurred ones. Source: judgement.
 _TORN_SHARE = 0.15
+#: Gaps of the walk that are named at most. Source: layout.
+_MOST_GAPS = 10
 
 
 def advice(
@@ -117,7 +121,7 @@ def _gaps_of_the_walk(given: Sequence[str], left_out: set[str]) -> list[str]:
             runs.append([])
         runs[-1].append(given[rank])
     lines = []
-    for run in sorted(runs, key=len, reverse=True)[:10]:
+    for run in sorted(runs, key=len, reverse=True)[:_MOST_GAPS]:
         which = f"Photos {run[0]} to {run[-1]} ({len(run)})" if len(run) > 1 else f"Photo {run[0]}"
         again = "walk this stretch again, slower, with two thirds of each photo in the next"
         single = "its neighbours make up for it if no tree is named here"
@@ -127,16 +131,16 @@ def _gaps_of_the_walk(given: Sequence[str], left_out: set[str]) -> list[str]:
 
 def marker_lines(scale: Scale, *, given: bool) -> list[str]:
     """How well each board was seen, and what to do about it."""
-    found = scale.details.get("markers", [])
+    found = scale.markers
     lines = []
     for entry in found:
-        views, side_px = len(entry["views"]), float(entry["near_side_px"])
-        good = views >= _BOARD_VIEWS and side_px >= _BOARD_SIDE_PX
+        views, side_px = len(entry.views), entry.near_side_px
+        good = views >= GOOD_SIGHTINGS and side_px >= _BOARD_SIDE_PX
         hint = "good" if good else "pass it again at 2 to 3 m, facing it, for five sharp photos"
-        lines.append(f"Board {entry['id']}: in {views} photos, its side up to {side_px:.0f} pixels: {hint}.")
-    usable = {entry["id"] for entry in found}
-    for entry in (entry for entry in scale.details.get("rejected", []) if entry["id"] not in usable):
-        lines.append(f"Board {entry['id']} cannot be used ({entry['reason']}): pass it again at 2 to 3 m, facing it.")
+        lines.append(f"Board {entry.id}: in {views} photos, its side up to {side_px:.0f} pixels: {hint}.")
+    usable = {entry.id for entry in found}
+    for marker in (marker for marker in scale.rejected if marker.id not in usable):
+        lines.append(f"Board {marker.id} cannot be used ({marker.reason}): pass it again at 2 to 3 m, facing it.")
     if not found:
         lines.append(
             "No board can be used: no diameter is measured, unless something else of known length is in the photos, "

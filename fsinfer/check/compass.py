@@ -13,9 +13,10 @@ from fsinfer.io.exif import gnss_degrees
 
 Floats = NDArray[np.float64]
 
+#: Radius of the earth, metres. Source: format; the mean radius of geodesy.
 _EARTH_M = 6_371_000.0
-# A phone under leaves is 5 to 10 m off, and stays off the same way for minutes: the walk must be wider than that, and
-# the fit must explain most of it, before a compass direction is believed.
+#: Photos, extent of the walk in metres, and share of it that the fit must explain before a direction is believed.
+#: Source: judgement; a phone under leaves is 5 to 10 m off, and stays off the same way for minutes.
 _MIN_PHOTOS, _MIN_EXTENT_M, _MIN_EXPLAINED = 8, 15.0, 0.75
 _POINTS = ("the east", "the north-east", "the north", "the north-west", "the west", "the south-west", "the south")
 COMPASS_WORDS = (*_POINTS, "the south-east")

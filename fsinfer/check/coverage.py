@@ -8,29 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.check.settings import CoverageSettings
 from fsinfer.check.visible_stems import VisibleStem
 
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, kw_only=True)
-class CoverageSettings:
-    """When a direction counts as seen, and when a stem is named.
-
-    Attributes
-    ----------
-    one_sided_deg: a stem is called seen from one side where no photo sees it in so wide a fan of directions. On two
-        rendered plots, walked all round, the widest fans were 161 and 147 degrees (both stems of 10 cm, in a corner
-        of the plot), the next 130; a half-plane has 180.
-    far_m: a stem that no five photos are nearer to is called far.
-    few_photos, few_share: with fewer photos than this number and this share of all, a stem was hardly seen, and its
-        directions mean little.
-    """
-
-    one_sided_deg: float = 165.0
-    far_m: float = 9.0
-    few_photos: int = 10
-    few_share: float = 0.08
+#: A stem was hardly seen by fewer photos than this, however few there are; and it is far that no five are near. Source:
+#: judgement.
+_FEWEST_PHOTOS, _NEAR_PHOTOS = 4, 5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,14 +76,14 @@ def judge_stems(
         distances = np.linalg.norm(offsets, axis=1)
         views = np.flatnonzero(by)
         gap_deg, middle_deg = widest_gap(azimuths[views])
-        few = min(settings.few_photos, max(4, round(settings.few_share * len(cameras))))
+        few = min(settings.few_photos, max(_FEWEST_PHOTOS, round(settings.few_share * len(cameras))))
         if not within:
             verdict = "outside"
         elif len(views) < few:
             verdict = "hardly seen"
         elif gap_deg >= settings.one_sided_deg:
             verdict = "one side"
-        elif np.sort(distances[views])[min(4, len(views) - 1)] > settings.far_m:
+        elif np.sort(distances[views])[min(_NEAR_PHOTOS, len(views)) - 1] > settings.far_m:
             verdict = "far"
         else:
             verdict = "good"

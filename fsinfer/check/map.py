@@ -18,9 +18,23 @@ Floats = NDArray[np.float64]
 
 # Told apart by people who see no red and green (Okabe and Ito 2008), and by their form.
 _SEEN, _MISSING, _WEAK, _OUTSIDE, _PATH = "#0072B2", "#D55E00", "#E69F00", "#999999", "#56B4E9"
-# A photo shows the bark on this side and that side of its direction.
+#: A photo shows the bark on this side and that side of its direction. Source: layout.
 _HALF_FAN_DEG = 15.0
-_PX_PER_INCH = 130
+#: Width and height in inches, and pixels an inch. Source: layout.
+_WIDTH_INCH, _HEIGHT_INCH, _PX_PER_INCH = 8.5, 9.5, 130
+#: Free room round what is drawn, metres. Source: layout.
+_MARGIN_M = 1.5
+#: Stems that are not judged, and the least of those that are: radius, metres. Source: layout.
+_OUTSIDE_M, _LEAST_STEM_M = 0.1, 0.06
+#: Rings round a stem, metres: the whole circle, the arcs that were seen, the side that was not; each with its width.
+#: Source: layout.
+_RING_M, _SEEN_RING_M, _MISSING_RING_M = (0.38, 0.06), (0.42, 0.14), (0.62, 0.34)
+#: Where the arrow from the missing side begins, and the circle round a stem hardly seen, metres. Source: layout.
+_ARROW_M, _WEAK_RING_M = 1.25, 0.6
+#: Sizes of letters, points: title, named stem, other stem, legend, photo. Source: layout.
+_TITLE_PT, _NAMED_PT, _STEM_PT, _LEGEND_PT, _PHOTO_PT = 11, 11, 8, 8, 6.5
+#: Photos that are named at most, and letters of a name. Source: layout.
+_NAMED_PHOTOS, _NAME_LETTERS = 13, 12
 
 
 def draw_map(result: CheckResult, path: Path) -> None:
@@ -32,7 +46,7 @@ def draw_map(result: CheckResult, path: Path) -> None:
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     cameras = result.cameras @ rotation.T
     inside = [entry for entry in result.stems if entry.inside]
-    figure = Figure(figsize=(8.5, 9.5), dpi=_PX_PER_INCH, layout="constrained")
+    figure = Figure(figsize=(_WIDTH_INCH, _HEIGHT_INCH), dpi=_PX_PER_INCH, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     axes.plot(*cameras.T, "-", color=_PATH, linewidth=1, zorder=1)
@@ -44,7 +58,7 @@ def draw_map(result: CheckResult, path: Path) -> None:
         _draw_stem(axes, entry, rotation @ entry.stem.center, result.compass.turn_deg)
     shown = [entry for entry in result.stems if entry.inside or entry.verdict == "beyond"]
     corners = np.concatenate([cameras, *[(rotation @ entry.stem.center)[None] for entry in shown]])
-    low, high = corners.min(axis=0) - 1.5, corners.max(axis=0) + 1.5
+    low, high = corners.min(axis=0) - _MARGIN_M, corners.max(axis=0) + _MARGIN_M
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
     axes.set_aspect("equal")
@@ -56,7 +70,7 @@ def draw_map(result: CheckResult, path: Path) -> None:
     figure.suptitle(
         f"{result.registered} of {result.photos} photos placed, {len(inside)} {stems} within the walk, "
         f"{again} to photograph again\n{up}",
-        fontsize=11,
+        fontsize=_TITLE_PT,
     )
     with atomic_path(path) as temporary:
         figure.savefig(temporary)
@@ -68,30 +82,33 @@ def _draw_stem(axes: Any, entry: StemCoverage, place: Floats, turn_deg: float) -
     at = (float(place[0]), float(place[1]))
     if not entry.inside:
         named = entry.verdict == "beyond"
-        axes.add_patch(Circle(at, 0.1, color=_MISSING if named else _OUTSIDE, zorder=2, linewidth=0))
+        axes.add_patch(Circle(at, _OUTSIDE_M, color=_MISSING if named else _OUTSIDE, zorder=2, linewidth=0))
         if named:
-            axes.annotate(str(entry.number), place, (5, 5), textcoords="offset points", fontsize=8, zorder=5)
+            axes.annotate(str(entry.number), place, (5, 5), textcoords="offset points", fontsize=_STEM_PT, zorder=5)
         return
-    axes.add_patch(Wedge(at, 0.38, 0, 360, width=0.06, color="0.88", zorder=2, linewidth=0))
+    axes.add_patch(Wedge(at, _RING_M[0], 0, 360, width=_RING_M[1], color="0.88", zorder=2, linewidth=0))
     for first, last in seen_arcs(entry.azimuths_deg + turn_deg):
-        axes.add_patch(Wedge(at, 0.42, first, last, width=0.14, color=_SEEN, zorder=3, linewidth=0))
+        axes.add_patch(
+            Wedge(at, _SEEN_RING_M[0], first, last, width=_SEEN_RING_M[1], color=_SEEN, zorder=3, linewidth=0)
+        )
     if entry.verdict == "one side":
         middle, half = entry.gap_center_deg + turn_deg, entry.gap_deg / 2 - _HALF_FAN_DEG
-        axes.add_patch(Wedge(at, 0.62, middle - half, middle + half, width=0.34, color=_MISSING, zorder=3))
-        tip = place + 1.25 * np.array([np.cos(np.radians(middle)), np.sin(np.radians(middle))])
+        radius, width = _MISSING_RING_M
+        axes.add_patch(Wedge(at, radius, middle - half, middle + half, width=width, color=_MISSING, zorder=3))
+        tip = place + _ARROW_M * np.array([np.cos(np.radians(middle)), np.sin(np.radians(middle))])
         axes.annotate(
             "", place, tip, arrowprops={"arrowstyle": "-|>", "color": _MISSING, "linewidth": 2, "shrinkB": 14}, zorder=4
         )
     elif entry.verdict == "hardly seen":
-        axes.add_patch(Circle(at, 0.6, fill=False, color=_WEAK, linewidth=2.5, linestyle="--", zorder=3))
-    axes.add_patch(Circle(at, max(entry.stem.radius, 0.06), color="0.25", zorder=4, linewidth=0))
+        axes.add_patch(Circle(at, _WEAK_RING_M, fill=False, color=_WEAK, linewidth=2.5, linestyle="--", zorder=3))
+    axes.add_patch(Circle(at, max(entry.stem.radius, _LEAST_STEM_M), color="0.25", zorder=4, linewidth=0))
     bold = entry.verdict in ("one side", "hardly seen")
     axes.annotate(
         str(entry.number),
         place,
         (7, 7),
         textcoords="offset points",
-        fontsize=11 if bold else 8,
+        fontsize=_NAMED_PT if bold else _STEM_PT,
         fontweight="bold" if bold else "normal",
         zorder=5,
     )
@@ -116,12 +133,11 @@ def seen_arcs(azimuths_deg: Floats) -> list[tuple[float, float]]:
 def _name_photos(axes: Any, cameras: Floats, names: tuple[str, ...]) -> None:
     """The first photo, the last, and about a dozen between."""
     axes.plot(*cameras[0], ">", color="black", markersize=8, zorder=4)
-    shown = np.unique(np.linspace(0, len(names) - 1, min(len(names), 13)).astype(int))
+    shown = np.unique(np.linspace(0, len(names) - 1, min(len(names), _NAMED_PHOTOS)).astype(int))
     for rank in shown:
-        label = names[rank] if len(names[rank]) <= 12 else "…" + names[rank][-11:]
-        axes.annotate(
-            label, cameras[rank], (0, -9), textcoords="offset points", fontsize=6.5, color="0.35", ha="center", zorder=2
-        )
+        label = names[rank] if len(names[rank]) <= _NAME_LETTERS else "…" + names[rank][1 - _NAME_LETTERS :]
+        style = {"fontsize": _PHOTO_PT, "color": "0.35", "ha": "center", "zorder": 2}
+        axes.annotate(label, cameras[rank], (0, -9), textcoords="offset points", **style)
 
 
 def _legend(axes: Any) -> None:
@@ -144,6 +160,6 @@ def _legend(axes: Any) -> None:
         ],
         loc="outside lower center",
         ncols=4,
-        fontsize=8,
+        fontsize=_LEGEND_PT,
         frameon=False,
     )

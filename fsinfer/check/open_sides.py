@@ -10,10 +10,10 @@ from scipy.spatial import ConvexHull, QhullError
 
 Floats = NDArray[np.float64]
 
-# Whoever walks round a plot takes a photo every half metre. The end of a spiral comes 4.5 m short of its beginning on
-# one rendered plot that was walked all round, which is no open side.
+#: Shortest open side, metres. Source: a photo is taken every half metre; the end of a spiral comes 4.5 m short of its
+#: beginning on one rendered plot that was walked all round, which is no open side; renders only.
 _MIN_LENGTH_M = 5.0
-# A walk round a plot is no polygon: photos so near to its hull are on it.
+#: A walk round a plot is no polygon: photos so near to its hull are on it, metres. Source: judgement.
 _ON_HULL_M = 1.0
 
 

@@ -6,37 +6,49 @@ import json
 import shutil
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fsinfer.check.advice import advice, marker_lines
-from fsinfer.check.coarse_depth import GlanceSettings, take_glance
+from fsinfer.check.coarse_depth import Glance, GlanceSettings, read_glance, take_glance
 from fsinfer.check.compass import find_compass, gnss_places
-from fsinfer.check.coverage import CoverageSettings, StemCoverage, judge_stems
+from fsinfer.check.coverage import StemCoverage, judge_stems
 from fsinfer.check.open_sides import OpenSide, open_sides
 from fsinfer.check.result import CheckResult
+from fsinfer.check.settings import CoverageSettings
 from fsinfer.check.survey import Survey, SurveySettings, survey_scene
 from fsinfer.errors import ScaleError
-from fsinfer.frames.select import FrameSettings
+from fsinfer.frames.settings import FrameSettings
 from fsinfer.geometry.hull import in_hull
+from fsinfer.geometry.similarity import scale_of
 from fsinfer.io.files import make_folder, write_text
 from fsinfer.io.images import list_images
-from fsinfer.poses.colmap import PoseSettings
+from fsinfer.notices.sentences import sentences
+from fsinfer.output.layout import OutputFolder
+from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.sparse import read_sparse
 from fsinfer.progress import Progress, StageProgress, silent_stages
 from fsinfer.scale.aruco import scale_from_aruco
 from fsinfer.scale.doubts import boards_at_two_places
 from fsinfer.scale.find import find_scale, scale_from_printed_boards
 from fsinfer.scale.request import ScaleRequest
-from fsinfer.scale.scale import Scale, marker_centers
-from fsinfer.scene import Scene, read_scene
-from fsinfer.workflow.ledger import RECORDS_FOLDER, StageBook
-from fsinfer.workflow.photo_stages import choose_frames, is_placed, is_placed_so, place_photos, source_files
+from fsinfer.scale.scale import CAMERA_HEIGHT_M, UNKNOWN, Scale, marker_centers
+from fsinfer.scene import Scene, read_scene, scene_digest
+from fsinfer.workflow.cloud_stages import DEPTH
+from fsinfer.workflow.ledger import Ledger, Stage
+from fsinfer.workflow.photo_stages import (
+    choose_frames,
+    is_registered,
+    is_registered_so,
+    register_photos,
+    source_files,
+)
 
-# A board's middle lies so near to the wall of its post, which a few points put a little off.
+#: A board's middle lies so near to the wall of its post, which a few points put a little off. Source: judgement, on
+#: rendered plots; renders only.
 _POST_M = 0.35
 
 
@@ -47,7 +59,6 @@ class CheckSettings:
     Attributes
     ----------
     frames, poses: of the stages that a run shares; with a run's settings it does not repeat them.
-    margin_m: stems are judged up to so far outside the walk; farther ones cannot be seen from all sides.
     """
 
     frames: FrameSettings = field(default_factory=FrameSettings)
@@ -56,7 +67,18 @@ class CheckSettings:
     survey: SurveySettings = field(default_factory=SurveySettings)
     coverage: CoverageSettings = field(default_factory=CoverageSettings)
     scale: ScaleRequest = field(default_factory=ScaleRequest)
-    margin_m: float = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoarseDepth:
+    """Points of the surface that the quick look at the depth gave."""
+
+    points: int
+
+
+#: Where the quick look keeps its maps until the check is done.
+WORK = Path("check") / "work"
+COARSE_DEPTH = Stage(name="check_depth", version=1, result=CoarseDepth, outputs=(WORK.as_posix(),), keeps_partial=True)
 
 
 def check_capture(
@@ -77,49 +99,60 @@ def check_capture(
     settings = settings or CheckSettings()
     source, out = Path(source), Path(out)
     files = source_files(source, out)
-    make_folder(out)
+    ledger = Ledger(make_folder(out))
     start = time.monotonic()
     seconds: dict[str, float] = {}
     notes = []
-    if _belongs_to_run(files, out):
-        if not is_placed_so(out, frames=settings.frames, poses=settings.poses):
+    if _belongs_to_run(files, ledger):
+        if not is_registered_so(out, frames=settings.frames, poses=settings.poses):
             notes.append(
                 f"{out} holds what a run made of these photos with other settings; its poses are used. For a check "
                 "with the settings given here choose another output folder."
             )
     else:
-        book = StageBook(out)
-        choose_frames(book, source, files, settings=settings.frames, progress=progress)
+        choose_frames(ledger, source, files, settings=settings.frames, progress=progress)
         seconds["frames"] = time.monotonic() - start
-        place_photos(book, source, settings=settings.poses, progress=progress)
+        images = out / "frames" / "images"
+        register_photos(ledger, images, settings=settings.poses, origin=source, progress=progress)
     seconds["poses"] = time.monotonic() - start - sum(seconds.values())
-    folder = out / "scene"
     photos = {path.stem: path for path in (list_images(source) if source.is_dir() else [])}
     # Frames that were coded again lost their place; the photos themselves have it.
-    originals = [photos.get(path.stem, path) for path in list_images(out / "frames" / "images")]
-    scene, sparse = read_scene(folder), read_sparse(folder / "sparse")
+    originals = [photos.get(path.stem, path) for path in list_images(OutputFolder(out).frame_images)]
+    scene, sparse = read_scene(OutputFolder(out).scene), read_sparse(OutputFolder(out).sparse)
     report = progress("check")
     scale, visible = _scale(settings.scale, scene, report)
     seconds["boards"] = time.monotonic() - start - sum(seconds.values())
-    work = out / "check" / "work"
-    glance = take_glance(scene, work, settings=settings.glance, progress=report)
+    glance = _coarse_depth(ledger, scene, settings.glance, report)
     seconds["depth"] = time.monotonic() - start - sum(seconds.values())
     survey = survey_scene(scene, sparse, glance, m_per_unit=scale.m_per_unit, settings=settings.survey)
     result = judge_survey(survey, originals, scale, visible, settings=settings)
     seconds["stems"] = time.monotonic() - start - sum(seconds.values())
-    result = _write(replace(result, notes=(*result.notes, *notes)), out / "check", seconds)
-    shutil.rmtree(work, ignore_errors=True)
+    result = _write(replace(result, notes=(*result.notes, *notes)), OutputFolder(out), seconds)
+    shutil.rmtree(out / WORK, ignore_errors=True)
     return result
 
 
-def _belongs_to_run(files: Sequence[Path], out: Path) -> bool:
+def _belongs_to_run(files: Sequence[Path], ledger: Ledger) -> bool:
     """Whether there are poses of these photos that the check must not make anew, whatever its settings.
 
     Those that only an earlier check has made may go: no depth hangs on them.
     """
-    records = out / RECORDS_FOLDER
-    made_by_check = (records / "poses.json").is_file() and not (records / "depth.json").is_file()
-    return not made_by_check and is_placed(files, out)
+    return ledger.has(DEPTH.name) and is_registered(files, ledger.out)
+
+
+def _coarse_depth(ledger: Ledger, scene: Scene, settings: GlanceSettings, progress: Progress) -> Glance | None:
+    """The quick look at the depth; one that was stopped goes on, and its maps go when the check is done."""
+
+    def work(resume: bool) -> CoarseDepth:
+        glance = take_glance(scene, ledger.out / WORK, settings=settings, resume=resume, progress=progress)
+        taken.append(glance)
+        return CoarseDepth(points=0 if glance is None else len(glance.points))
+
+    taken: list[Glance | None] = []
+    inputs = {"scene": scene_digest(scene), "settings": settings}
+    ledger.run(COARSE_DEPTH, work, inputs=inputs)
+    # Done before, where the check was stopped after it.
+    return taken[0] if taken else read_glance(scene, ledger.out / WORK, settings=settings, progress=progress)
 
 
 def judge_survey(
@@ -142,7 +175,7 @@ def judge_survey(
     names, cameras = survey.names, survey.cameras
     notes = [f"{len(names)} of {len(given)} photos placed."]
     left_out = sorted({path.stem for path in given} - set(names))
-    at_boards = marker_centers(asdict(boards), survey.plot_from_scene)[:, :2]
+    at_boards = marker_centers(boards, survey.plot_from_scene)[:, :2]
     # The post of a board is upright and round, too.
     kept = [
         row
@@ -151,13 +184,14 @@ def judge_survey(
     ]
     stems = [survey.stems[row] for row in kept]
     # A straight walk has no inside: everything beside it can be walked round as well.
-    inside = in_hull(cameras, np.array([stem.center for stem in stems]).reshape(-1, 2), settings.margin_m)
+    inside = in_hull(cameras, np.array([stem.center for stem in stems]).reshape(-1, 2), settings.coverage.margin_m)
     judged = judge_stems(stems, survey.seen[kept], cameras, inside, settings=settings.coverage)
     sides = open_sides(cameras)
     judged = [_beyond(entry, sides) for entry in judged]
     by_name = {path.stem: path for path in given}
     compass = find_compass(cameras, gnss_places([by_name.get(name, Path(name)) for name in names]))
-    lines = boards_at_two_places(boards, float(np.cbrt(np.linalg.det(survey.plot_from_scene[:3, :3]))))
+    twice = boards_at_two_places(boards, scale_of(survey.plot_from_scene))
+    lines = [f"{text}." for text in sentences(twice)]
     lines += advice(
         names=names,
         left_out=left_out,
@@ -168,7 +202,7 @@ def judge_survey(
         offsets_m=[cameras - entry.stem.center for entry in judged],
     )
     if scale.m_per_unit is None:
-        notes.append(f"No scale: lengths are guessed from a phone held {settings.survey.camera_height_m:g} m high.")
+        notes.append(f"No scale: lengths are guessed from a phone held {CAMERA_HEIGHT_M:g} m high.")
     notes += marker_lines(boards, given=settings.scale.given or scale.m_per_unit is not None)
     within = [entry for entry in judged if entry.inside]
     good = sum(entry.verdict in ("good", "far") for entry in within)
@@ -204,27 +238,27 @@ def _beyond(entry: StemCoverage, sides: Sequence[OpenSide]) -> StemCoverage:
 
 def _scale(request: ScaleRequest, scene: Scene, progress: Progress) -> tuple[Scale, Scale]:
     """The metric scale, and how the boards are seen where their length is not known."""
-    unknown = Scale(m_per_unit=None, source="none", rel_std=None)
     if request.given:
-        scale, _ = find_scale(request, scene=scene, progress=progress)
+        scale = find_scale(request, scene=scene, progress=progress).scale
     else:
-        scale = scale_from_printed_boards(scene, progress) or unknown
+        scale = scale_from_printed_boards(scene, progress) or UNKNOWN
     if scale.source == "aruco":
         return scale, scale
     try:
         # The length does not matter for how well a board is seen.
         return scale, scale_from_aruco(scene, 1.0, dictionary=request.aruco_dictionary, progress=progress)
     except ScaleError:
-        return scale, unknown
+        return scale, UNKNOWN
 
 
-def _write(result: CheckResult, folder: Path, seconds: dict[str, float]) -> CheckResult:
+def _write(result: CheckResult, folder: OutputFolder, seconds: dict[str, float]) -> CheckResult:
     from fsinfer.check.map import draw_map
 
-    path = folder / "check.png"
-    draw_map(result, path)
-    result = replace(result, map_path=path, seconds={key: round(value, 1) for key, value in seconds.items()})
-    write_text(folder / "check.json", json.dumps(_as_json(result), indent=1) + "\n")
+    draw_map(result, folder.check_map)
+    result = replace(
+        result, map_path=folder.check_map, seconds={key: round(value, 1) for key, value in seconds.items()}
+    )
+    write_text(folder.check_json, json.dumps(_as_json(result), indent=1) + "\n")
     return result
 
 

@@ -3,44 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from fsinfer.check.settings import SightingSettings
 from fsinfer.check.visible_stems import VisibleStem
+from fsinfer.conventions.breast_height import BREAST_HEIGHT_M
 from fsinfer.depth.maps import DepthMap, DepthMaps, look_up
+from fsinfer.geometry.similarity import apply, scale_of
 from fsinfer.scene import Camera, Scene
 from fsinfer.trees.ground.ground import Ground
 
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, kw_only=True)
-class SightingSettings:
-    """When a photo counts as seeing a stem; metres.
-
-    Attributes
-    ----------
-    heights_m: lowest and highest of the places on the stem that are looked up, ``step_m`` apart.
-    tolerance_m, of_radius, of_distance: how far the depth may be off, in all. Small depth maps are off by 2 % of the
-        distance; stems seldom have something else so near behind them.
-    min_share: of the places. A photo from nearby shows only some of them.
-    near: what is nearer than so many times the nearest depth that was searched has none, and counts as seen: a photo
-        taken an arm's length from a stem.
-    together_m: a photo counts where another one, not farther off than this, sees the stem too: one alone may be
-        mistaken, and gives no depth.
-    """
-
-    heights_m: tuple[float, float] = (0.5, 2.4)
-    step_m: float = 0.1
-    tolerance_m: float = 0.1
-    of_radius: float = 0.5
-    of_distance: float = 0.02
-    min_share: float = 0.2
-    near: float = 1.25
-    together_m: float = 1.5
+#: Distance of the places on a stem that are looked up, metres. Source: numerics.
+_STEP_M = 0.1
+#: Distances that stand for none. Source: numerics.
+_LEAST_M = 1e-9
 
 
 def find_sightings(
@@ -68,10 +50,10 @@ def find_sightings(
     if not stems:
         return seen
 
-    m_per_unit = float(np.cbrt(np.linalg.det(plot_from_scene[:3, :3])))
-    scene_from_plot = np.linalg.inv(plot_from_scene)
-    heights = np.arange(s.heights_m[0], s.heights_m[1] + s.step_m / 2, s.step_m)
-    plans = np.array([stem.center + (heights[:, None] - 1.3) * stem.lean for stem in stems])
+    m_per_unit = scale_of(plot_from_scene)
+    scene_from_plot = np.asarray(np.linalg.inv(plot_from_scene), dtype=np.float64)
+    heights = np.arange(s.heights_m[0], s.heights_m[1] + _STEP_M / 2, _STEP_M)
+    plans = np.array([stem.center + (heights[:, None] - BREAST_HEIGHT_M) * stem.lean for stem in stems])
     foot = (
         np.zeros(plans.shape[:2]) if ground is None else ground.height_at(plans.reshape(-1, 2)).reshape(plans.shape[:2])
     )
@@ -83,8 +65,8 @@ def find_sightings(
         towards = places[index, :2] - axes[..., :2]
         distance = np.linalg.norm(towards, axis=2)
         front = axes.copy()
-        front[..., :2] += towards * (np.minimum(radii, distance) / np.maximum(distance, 1e-9))[..., None]
-        points = (front @ scene_from_plot[:3, :3].T + scene_from_plot[:3, 3]).reshape(-1, 3)
+        front[..., :2] += towards * (np.minimum(radii, distance) / np.maximum(distance, _LEAST_M))[..., None]
+        points = apply(scene_from_plot, front).reshape(-1, 3)
         tolerance = (s.tolerance_m + s.of_radius * radii + s.of_distance * distance).ravel() / m_per_unit
         there = _shown(points, tolerance, camera, found, s.near * camera.depth_min)
         seen[:, index] = there.reshape(distance.shape).mean(axis=1) >= s.min_share

@@ -17,45 +17,23 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from fsinfer.check.settings import SparseStemSettings
+from fsinfer.conventions.breast_height import BREAST_HEIGHT_M
 from fsinfer.trees.diameter.circle import residuals_to
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-# 11 degrees.
-_MAX_LEAN = 0.2
-
-
-@dataclass(frozen=True, kw_only=True)
-class SparseStemSettings:
-    """Constants of the search, metres where the scale is known (else by the height of the cameras).
-
-    Attributes
-    ----------
-    min_height_m, max_height_m: part of the stems that is looked at; below are ferns, above branches.
-    min_track, max_error_px: points that are trusted.
-    reach_m: points this near in plan belong together; a stem leaning by 5 degrees shifts by 0.1 m over a metre.
-    slice_m, min_slices: a point is part of something upright when its neighbours fill so many slices of this height.
-    min_points: fewer points on the circle are no stem. On five rendered plots 15 find one stem of 8 cm more than 20,
-        and nothing that is no tree.
-    max_radius_m: of a stem.
-    tolerance_m: distance from the circle of a point on it; sparse points of a stem scatter by 1 to 3 cm.
-    min_inlier_share: of the cluster's points; shrubs and stacks of wood stay below.
-    trials: random circles through three points; with half of the points on the circle, 150 all miss with 2e-9.
-    """
-
-    min_height_m: float = 0.4
-    max_height_m: float = 2.6
-    min_track: int = 3
-    max_error_px: float = 2.0
-    reach_m: float = 0.13
-    slice_m: float = 0.25
-    min_slices: int = 5
-    min_points: int = 15
-    max_radius_m: float = 0.6
-    tolerance_m: float = 0.03
-    min_inlier_share: float = 0.5
-    trials: int = 150
+#: Random circles through three points. Source: numerics; with half of the points on the circle, 150 all miss with 2e-9.
+_TRIALS = 150
+#: Steps of the fit at most. Source: numerics.
+_MOST_STEPS = 50
+#: Members are looked for from this share of the least height to so many times the greatest. Source: judgement.
+_MEMBERS_FROM, _MEMBERS_TO = 0.5, 1.15
+#: Points of a slice, and slices, that tell how a stem leans. Source: judgement.
+_LEAN_POINTS, _LEAN_SLICES = 3, 4
+#: What stands for none. Source: numerics.
+_LEAST = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,14 +123,14 @@ def _fit(
     points: Floats, heights: Floats, own: Ints, settings: SparseStemSettings, rng: np.random.Generator
 ) -> SparseStem | None:
     """A leaning cylinder through the cluster, by its plan position at 1.3 m; None where too few points lie on one."""
-    plan, up = points[own, :2], heights[own] - 1.3
+    plan, up = points[own, :2], heights[own] - BREAST_HEIGHT_M
     best, best_score = None, 0.0
     # Bark that is seen on one side below and on another above looks like lean: upright is tried as well.
     for lean in (np.zeros(2), _lean(plan, heights[own], settings)):
         flat = plan - up[:, None] * lean
-        for _ in range(settings.trials):
+        for _ in range(_TRIALS):
             circle = _through(flat[rng.choice(len(flat), 3, replace=False)])
-            if circle is None or not 0.02 < circle[2] < settings.max_radius_m:
+            if circle is None or not settings.min_radius_m < circle[2] < settings.max_radius_m:
                 continue
             off = np.abs(residuals_to(flat, circle))
             score = float(np.clip(1 - (off / settings.tolerance_m) ** 2, 0, None).sum())
@@ -165,38 +143,39 @@ def _fit(
         best,
         loss="soft_l1",
         f_scale=settings.tolerance_m / 2,
-        max_nfev=50,
+        max_nfev=_MOST_STEPS,
     ).x
-    if 0.02 < refined[2] < settings.max_radius_m and np.linalg.norm(refined[3:]) < _MAX_LEAN:
+    if settings.min_radius_m < refined[2] < settings.max_radius_m and np.linalg.norm(refined[3:]) < settings.max_lean:
         best = refined
     off = np.abs(np.linalg.norm(plan - best[:2] - up[:, None] * best[3:], axis=1) - best[2])
     if (off < settings.tolerance_m).mean() < settings.min_inlier_share:
         return None
     # Stems are no exact cylinders: what belongs to one is judged by twice the tolerance.
-    band = np.flatnonzero((heights > 0.5 * settings.min_height_m) & (heights < 1.15 * settings.max_height_m))
-    axis = best[:2] + (heights[band, None] - 1.3) * best[3:]
+    low, high = _MEMBERS_FROM * settings.min_height_m, _MEMBERS_TO * settings.max_height_m
+    band = np.flatnonzero((heights > low) & (heights < high))
+    axis = best[:2] + (heights[band, None] - BREAST_HEIGHT_M) * best[3:]
     near = np.abs(np.linalg.norm(points[band, :2] - axis, axis=1) - best[2]) < 2 * settings.tolerance_m
     return SparseStem(center=best[:2], radius=float(best[2]), lean=best[3:], members=band[near])
 
 
 def _lean(plan: Floats, heights: Floats, settings: SparseStemSettings) -> Floats:
-    """Metres sideways for each metre up (2,), from the medians of the slices; at most ``_MAX_LEAN``."""
+    """Metres sideways for each metre up (2,), from the medians of the slices; at most ``max_lean``."""
     slices = ((heights - settings.min_height_m) / settings.slice_m).astype(np.int64)
     numbers, counts = np.unique(slices, return_counts=True)
-    members = [slices == number for number in numbers[counts >= 3]]
+    members = [slices == number for number in numbers[counts >= _LEAN_POINTS]]
     rows = np.array([(heights[own].mean(), *np.median(plan[own], axis=0)) for own in members])
-    if len(rows) < 4:
+    if len(rows) < _LEAN_SLICES:
         return np.zeros(2)
     design = np.column_stack([rows[:, 0], np.ones(len(rows))])
     slope = np.linalg.lstsq(design, rows[:, 1:], rcond=None)[0][0]
-    return np.asarray(slope * min(1.0, _MAX_LEAN / max(float(np.linalg.norm(slope)), 1e-9)))
+    return np.asarray(slope * min(1.0, settings.max_lean / max(float(np.linalg.norm(slope)), _LEAST)))
 
 
 def _through(three: Floats) -> Floats | None:
     """Circle (x, y, radius) through three points (3, 2), None for points on a line."""
     a, b = three[1] - three[0], three[2] - three[0]
     cross = 2 * (a[0] * b[1] - a[1] * b[0])
-    if abs(cross) < 1e-9:
+    if abs(cross) < _LEAST:
         return None
     aa, bb = a @ a, b @ b
     offset = np.array([b[1] * aa - a[1] * bb, a[0] * bb - b[0] * aa]) / cross

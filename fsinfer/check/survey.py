@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.check.coarse_depth import Glance
-from fsinfer.check.sightings import SightingSettings, find_sightings
-from fsinfer.check.sparse_stems import SparseStemSettings, find_sparse_stems
+from fsinfer.check.settings import SightingSettings, SparseStemSettings
+from fsinfer.check.sightings import find_sightings
+from fsinfer.check.sparse_stems import find_sparse_stems
 from fsinfer.check.visible_stems import VisibleStem, join_stems
 from fsinfer.errors import CloudError
+from fsinfer.geometry.similarity import apply, compose, scaling
 from fsinfer.placement.place import level_scene
-from fsinfer.poses.sparse import SparseModel
+from fsinfer.poses.sparse import LONG_TRACK, SparseModel
 from fsinfer.scale.scale import CAMERA_HEIGHT_M
 from fsinfer.scene import Scene
 from fsinfer.trees.ground.ground import Ground, find_ground
@@ -25,6 +27,9 @@ _log = logging.getLogger(__name__)
 
 Floats = NDArray[np.float64]
 
+#: Height of the cameras that stands for none, scene units. Source: numerics.
+_LEAST_HEIGHT = 1e-9
+
 
 @dataclass(frozen=True, kw_only=True)
 class SurveySettings:
@@ -33,14 +38,12 @@ class SurveySettings:
     Attributes
     ----------
     surface, sparse: the search in the surface and in the sparse points.
-    camera_height_m: people hold a phone about so high; gives the size of things where no board does.
-    max_reach_m: points farther from the middle of the walk are left out.
+    max_reach_m: points farther from the middle of the walk are left out. Source: judgement; wider than a plot.
     """
 
     surface: StemSettings = field(default_factory=StemSettings)
     sparse: SparseStemSettings = field(default_factory=SparseStemSettings)
     sightings: SightingSettings = field(default_factory=SightingSettings)
-    camera_height_m: float = CAMERA_HEIGHT_M
     max_reach_m: float = 30.0
 
 
@@ -87,33 +90,27 @@ def survey_scene(
     settings = settings or SurveySettings()
     motion, camera_height = level_scene(sparse.points, scene, m_per_unit=m_per_unit)
     if m_per_unit is None:
-        guess = settings.camera_height_m / max(camera_height, 1e-9)
-        motion = np.diag([guess, guess, guess, 1.0]) @ motion
+        guess = CAMERA_HEIGHT_M / max(camera_height, _LEAST_HEIGHT)
+        motion = compose(scaling(guess), motion)
     centers = np.array([view.camera.center for view in scene.views])
     stems: list[VisibleStem] = []
     seen = np.zeros((0, len(scene.views)), dtype=bool)
     if glance is not None:
-        surface, points = (_moved(xyz, motion) for xyz in (glance.points, sparse.points))
+        surface, points = (apply(motion, xyz) for xyz in (glance.points, sparse.points))
         ground = _find_ground(surface, settings.max_reach_m)
         found = find_stems(_above(surface, ground, settings.max_reach_m), settings=settings.surface)
-        trusted = (sparse.track_lengths >= settings.sparse.min_track) & (
-            sparse.errors_px < settings.sparse.max_error_px
-        )
+        trusted = (sparse.track_lengths >= LONG_TRACK) & (sparse.errors_px < settings.sparse.max_error_px)
         trusted &= np.hypot(*points[:, :2].T) < settings.max_reach_m
         heights = _heights(points, ground)
         stems = join_stems(found.stems, find_sparse_stems(points, heights, trusted, settings=settings.sparse))
         seen = find_sightings(stems, ground, scene, glance.maps, motion, settings=settings.sightings)
     return Survey(
         names=tuple(view.name for view in scene.views),
-        cameras=_moved(centers, motion)[:, :2],
+        cameras=apply(motion, centers)[:, :2],
         plot_from_scene=motion,
         stems=tuple(stems),
         seen=seen,
     )
-
-
-def _moved(points: Floats, motion: Floats) -> Floats:
-    return np.asarray(points @ motion[:3, :3].T + motion[:3, 3])
 
 
 def _find_ground(points: Floats, reach_m: float) -> Ground | None:

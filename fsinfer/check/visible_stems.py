@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.check.sparse_stems import SparseStem
+from fsinfer.conventions.breast_height import BREAST_HEIGHT_M
 from fsinfer.trees.search.stem import Stem
 
 Floats = NDArray[np.float64]
 
-# Two stems nearer than this, wall to wall, are one: a noisy one may be found 0.15 m from its place.
+#: Two stems nearer than this, wall to wall, are one. Source: judgement; a noisy one may be found 0.15 m from its place.
 _SAME_M = 0.2
 
 
@@ -40,7 +41,7 @@ def join_stems(surface: Sequence[Stem], sparse: Sequence[SparseStem]) -> list[Vi
     """
     joined = [
         VisibleStem(
-            center=np.asarray(stem.axis.center_at(1.3)),
+            center=np.asarray(stem.axis.center_at(BREAST_HEIGHT_M)),
             radius=float(stem.axis.radius_m),
             lean=np.asarray(stem.axis.parameters[2:4]),
         )

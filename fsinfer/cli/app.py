@@ -22,22 +22,22 @@ from fsinfer.cli.console import (
 )
 from fsinfer.cli.field_commands import register_field
 from fsinfer.cli.options import (
+    DEFAULT_EQUALIZE,
+    DEFAULT_PRECISION,
+    DEFAULT_VIEWS,
     ArucoDictionary,
     ArucoLength,
-    BhRule,
     BreastHeight,
     BreastHeightRule,
     Edits,
     Endpoints,
     EndpointsLength,
-    Equalize,
     EqualizeHow,
     IntervalS,
     MaxSize,
     MemoryGb,
     Model,
     Out,
-    Precision,
     PrecisionHow,
     Provider,
     ScaleFactor,
@@ -49,7 +49,12 @@ from fsinfer.cli.options import (
     tree_settings,
 )
 from fsinfer.cli.stage_commands import register_stages
+from fsinfer.cli.support_command import register_support
 from fsinfer.cli.tables import demo_rows, unmeasured_rows
+from fsinfer.conventions.breast_height import BREAST_HEIGHT_M, BhRule
+from fsinfer.depth.settings import DepthSettings
+from fsinfer.frames.settings import FrameSettings
+from fsinfer.scale.request import ScaleRequest
 
 EXAMPLES = {
     "run": "photos my-plot",
@@ -62,6 +67,7 @@ EXAMPLES = {
     "trees": "plot.laz my-trees",
     "evaluate": "measured.csv my-plot/trees.csv",
     "report": "my-plot",
+    "support": "my-plot",
 }
 
 
@@ -108,7 +114,7 @@ def _main_options(
 
 @app.command()
 @reports_errors
-def demo(out: Out, threads: Threads = 0, quiet: Quiet = False, debug: Debug = False) -> None:
+def demo(out: Out, threads: Threads = DepthSettings.threads, quiet: Quiet = False, debug: Debug = False) -> None:
     """Measure a small plot that comes with fsinfer, and compare the result with the truth."""
     from fsinfer.workflow.demo import run_demo
 
@@ -128,21 +134,21 @@ def run(
     out: Out,
     scale: ScaleFactor = None,
     aruco_length_m: ArucoLength = None,
-    aruco_dictionary: ArucoDictionary = "4X4_50",
+    aruco_dictionary: ArucoDictionary = ScaleRequest.aruco_dictionary,
     endpoints: Endpoints = None,
     length_m: EndpointsLength = None,
-    interval_s: IntervalS = 2.0,
-    equalize: EqualizeHow = Equalize.none,
-    model: Model = "field",
-    views: Views = 5,
-    max_size: MaxSize = 1280,
-    bh: BreastHeight = 1.3,
+    interval_s: IntervalS = FrameSettings.interval_s,
+    equalize: EqualizeHow = DEFAULT_EQUALIZE,
+    model: Model = DepthSettings.model,
+    views: Views = DEFAULT_VIEWS,
+    max_size: MaxSize = DepthSettings.max_size_px,
+    bh: BreastHeight = BREAST_HEIGHT_M,
     bh_rule: BreastHeightRule = BhRule.midpoint,
     edits: Edits = None,
-    threads: Threads = 0,
-    memory_gb: MemoryGb = 3.0,
-    provider: Provider = "cpu",
-    precision: PrecisionHow = Precision.auto,
+    threads: Threads = DepthSettings.threads,
+    memory_gb: MemoryGb = DepthSettings.memory_gb,
+    provider: Provider = DepthSettings.provider,
+    precision: PrecisionHow = DEFAULT_PRECISION,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
@@ -154,10 +160,9 @@ def run(
     request = scale_request(scale, aruco_length_m, aruco_dictionary, endpoints, length_m)
     from fsinfer.cli.remaining import RemainingTime
     from fsinfer.fusion.fuse import FusionSettings
-    from fsinfer.poses.colmap import PoseSettings
-    from fsinfer.trees.outputs.table import read_trees
-    from fsinfer.workflow.pipeline import RunSettings
+    from fsinfer.poses.settings import PoseSettings
     from fsinfer.workflow.pipeline import run as run_pipeline
+    from fsinfer.workflow.settings import RunSettings
 
     settings = RunSettings(
         frames=frame_settings(interval_s=interval_s, equalize=equalize),
@@ -177,20 +182,21 @@ def run(
     )
     with stage_progress(quiet=quiet, whole=RemainingTime()) as progress:
         result = run_pipeline(source, out, settings=settings, edits=edits, progress=progress)
-    plot = result.plot
-    warn(plot["warnings"])
+    poses, cloud, trees = result.records.poses.result, result.records.cloud.result, result.records.trees.result
+    warn(result.plot["warnings"])
     if not any(record.ran for record in result.stages):
         typer.echo("Nothing to do: everything was finished before.")
-    typer.echo(f"Photos: {plot['registered']} of {plot['photos']} placed")
-    typer.echo(f"Cloud: {plot['points']} points in {plot['units']}, {out / 'cloud.ply'}")
-    typer.echo(f"Trees: {plot['trees']}, with DBH {plot['trees_with_dbh']}, {out / 'trees.csv'}")
-    for row in unmeasured_rows(read_trees(out / "trees.csv")):
+    typer.echo(f"Photos: {poses.registered} of {poses.photos} placed")
+    typer.echo(f"Cloud: {cloud.points} points in {result.plot['units']}, {cloud.path}")
+    typer.echo(f"Trees: {trees.trees}, with DBH {trees.trees_with_dbh}, {out / 'trees.csv'}")
+    for row in unmeasured_rows(trees.unmeasured):
         typer.echo(row)
-    typer.echo(f"Report: {out / 'report.html'}")
+    typer.echo(f"Report: {result.report.result.path}")
 
 
 register_field(app)
 register_stages(app)
+register_support(app)
 
 
 def main() -> None:

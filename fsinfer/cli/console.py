@@ -19,9 +19,8 @@ from fsinfer.cli.remaining import RemainingTime, as_words
 from fsinfer.errors import FsinferError
 from fsinfer.progress import Progress, silent
 
-EXIT_OUR_FAULT = 1
-EXIT_USER_ERROR = 2
-EXIT_INTERRUPTED = 130
+#: Source: format; what the shell is told.
+EXIT_OUR_FAULT, EXIT_USER_ERROR, EXIT_INTERRUPTED = 1, 2, 130
 
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress; results and errors still appear.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the full technical trace when something fails.")]
@@ -29,8 +28,11 @@ Debug = Annotated[bool, typer.Option("--debug", help="Show the full technical tr
 # Errors of the operating system that the user can do something about.
 _USER_ERRNOS = frozenset({errno.ENOSPC, errno.EACCES, errno.EPERM, errno.EROFS, errno.EDQUOT})
 
-# Stage, counts, time, step, what is left in all: "poses     300/300 0:07:12 matching photos, about 12 min left in all".
+#: Stage, counts, time, step, what is left: "poses     300/300 0:07:12 matching photos, about 12 min left in all".
+#: Source: layout.
 _WIDTH_OF_WORDS = 76
+#: Letters of the bar, at least and at most. Source: layout.
+_LEAST_BAR, _MOST_BAR = 4, 40
 
 P = ParamSpec("P")
 
@@ -126,7 +128,7 @@ def stage_progress(*, quiet: bool, whole: RemainingTime | None = None) -> Iterat
 
         console = Console(stderr=True)
         # What is left of the width after the numbers and the words, which matter more.
-        bar = min(max(console.width - _WIDTH_OF_WORDS, 4), 40)
+        bar = min(max(console.width - _WIDTH_OF_WORDS, _LEAST_BAR), _MOST_BAR)
         columns = (
             TextColumn("{task.fields[stage]:<7}"),
             BarColumn(bar_width=bar),

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from fsinfer.check.settings import CoverageSettings
 from fsinfer.cli.console import Debug, Quiet, reports_errors, stage_progress
 from fsinfer.cli.options import ArucoDictionary, ArucoLength, IntervalS, Out, decimal, scale_request
-
-
-class Paper(StrEnum):
-    """Paper of the boards."""
-
-    a4 = "A4"
-    a3 = "A3"
-    letter = "Letter"
+from fsinfer.frames.settings import FrameSettings
+from fsinfer.scale.printed_boards import BOARDS, DICTIONARY, Paper
+from fsinfer.scale.request import ScaleRequest
 
 
 def register_field(app: typer.Typer) -> None:
@@ -39,7 +34,7 @@ def marker(
             show_default=False,
         ),
     ] = None,
-    count: Annotated[int, typer.Option("--count", min=1, max=50, help="How many different boards.")] = 4,
+    count: Annotated[int, typer.Option("--count", min=1, max=50, help="How many different boards.")] = BOARDS,
     ids: Annotated[
         str,
         typer.Option(
@@ -50,7 +45,7 @@ def marker(
     ] = "",
     dictionary: Annotated[
         str, typer.Option("--aruco-dictionary", help="Which markers; only 4X4_50 tells fsinfer the length.")
-    ] = "4X4_50",
+    ] = DICTIONARY,
     debug: Debug = False,
 ) -> None:
     """Print boards that give the plot its scale: a PDF at true size, to be put up in the plot.
@@ -79,11 +74,11 @@ def check(
     source: Annotated[Path, typer.Argument(help="Folder of photos, or a video.", show_default=False)],
     out: Out,
     aruco_length_m: ArucoLength = None,
-    aruco_dictionary: ArucoDictionary = "4X4_50",
-    interval_s: IntervalS = 2.0,
+    aruco_dictionary: ArucoDictionary = ScaleRequest.aruco_dictionary,
+    interval_s: IntervalS = FrameSettings.interval_s,
     margin_m: Annotated[
         float, typer.Option("--margin-m", min=0.0, help="Judge stems up to so many metres outside your walk.")
-    ] = 0.5,
+    ] = CoverageSettings.margin_m,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
@@ -94,9 +89,12 @@ def check(
     """
     request = scale_request(None, aruco_length_m, aruco_dictionary, None, None)
     from fsinfer.check import CheckSettings, check_capture
-    from fsinfer.frames.select import FrameSettings
 
-    settings = CheckSettings(scale=request, margin_m=margin_m, frames=FrameSettings(interval_s=interval_s))
+    settings = CheckSettings(
+        scale=request,
+        coverage=CoverageSettings(margin_m=margin_m),
+        frames=FrameSettings(interval_s=interval_s),
+    )
     with stage_progress(quiet=quiet) as progress:
         result = check_capture(source, out, settings=settings, progress=progress)
     for line in result.notes:

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import re
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fsinfer.conventions.breast_height import BhRule
+from fsinfer.depth.settings import DepthSettings, Precision
+from fsinfer.frames.settings import Equalize, FrameSettings
 from fsinfer.scale.request import ScaleRequest, parse_point
 
 if TYPE_CHECKING:
-    from fsinfer.depth.stage import DepthSettings
-    from fsinfer.frames.select import FrameSettings
     from fsinfer.trees import TreeSettings
 
 _SCALE = "Scale (one of)"
+
+# What the settings have by default, as the options show it.
+DEFAULT_EQUALIZE = Equalize(FrameSettings.equalize)
+DEFAULT_PRECISION = Precision(DepthSettings.precision)
+#: The reference among them. Source: option.
+DEFAULT_VIEWS = DepthSettings.source_views + 1
 
 
 def decimal(text: str) -> float:
@@ -39,14 +45,6 @@ Provider = Annotated[
     str,
     typer.Option("--provider", help="Where depth is computed, with another build of onnxruntime: cuda, coreml ..."),
 ]
-
-
-class Precision(StrEnum):
-    """Numbers that depth is computed with."""
-
-    auto = "auto"
-    float32 = "float32"
-    int8 = "int8"
 
 
 PrecisionHow = Annotated[
@@ -91,14 +89,6 @@ EndpointsLength = Annotated[
 ]
 
 
-class Equalize(StrEnum):
-    """How the brightness of the frames is evened out."""
-
-    none = "none"
-    clahe = "clahe"
-    hist = "hist"
-
-
 IntervalS = Annotated[
     float, typer.Option("--interval-s", min=0.05, help="Seconds of video between frames at most; less where you turn.")
 ]
@@ -116,13 +106,6 @@ MaxSize = Annotated[
 BreastHeight = Annotated[
     float, typer.Option("--bh", min=0.3, max=3.0, help="Breast height above the ground, in metres (US: 1.37).")
 ]
-
-
-class BhRule(StrEnum):
-    """Where breast height is counted from."""
-
-    midpoint = "midpoint"
-    uphill = "uphill"
 
 
 Edits = Annotated[
@@ -159,8 +142,6 @@ def scale_request(
 
 def frame_settings(*, interval_s: float, equalize: Equalize) -> FrameSettings:
     """Settings of the choice of frames."""
-    from fsinfer.frames.select import FrameSettings
-
     return FrameSettings(interval_s=interval_s, equalize=equalize.value)
 
 
@@ -175,8 +156,6 @@ def depth_settings(
     precision: Precision,
 ) -> DepthSettings:
     """Settings of the depth stage; ``views`` counts the reference photograph too."""
-    from fsinfer.depth.stage import DepthSettings
-
     return DepthSettings(
         model=model,
         source_views=views - 1,

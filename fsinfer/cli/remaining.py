@@ -22,13 +22,20 @@ class Step:
     cost: Callable[[int], float]
 
 
+#: Photos among which costs that grow hold, and the power of the photos with which they do. Source: layout; measured, 50
+#: to 300 photos of rendered plots; renders only.
+_AMONG_PHOTOS, _GROWTH = 300, 0.4
+#: Seconds up to which seconds are told, in steps of so many. Source: layout.
+_SHORT_S, _STEP_S = 90, 5
+
+
 def _each(cost: float) -> Callable[[int], float]:
     return lambda _photos: cost
 
 
 def _growing(cost: float) -> Callable[[int], float]:
-    """Cost among 300 photos; where there are more, each takes a little longer."""
-    return lambda photos: cost * (photos / 300) ** 0.4
+    """Cost among ``_AMONG_PHOTOS`` photos; where there are more, each takes a little longer."""
+    return lambda photos: cost * (photos / _AMONG_PHOTOS) ** _GROWTH
 
 
 def _besides(once: float, cost: float) -> Callable[[int], float]:
@@ -43,7 +50,8 @@ def _pairs_per_photo(photos: int) -> float:
     return most_pairs(photos, PairSettings()) / photos
 
 
-#: For each photo of 1280x720, about seconds on two cores; their proportions matter. From the runs in test_remaining.py.
+#: For each photo of 1280x720, about seconds on two cores; their proportions matter. Source: layout; measured, the runs
+#: in tests/fsinfer/cli/test_remaining.py.
 STEPS = (
     Step(stage="frames", what="", cost=_each(0.02)),
     Step(stage="poses", what="reading photos", cost=_each(0.01)),
@@ -59,9 +67,10 @@ STEPS = (
     Step(stage="trees", what="", cost=_besides(8.5, 0.07)),
     Step(stage="report", what="", cost=_besides(4.3, 0.015)),
 )
-# What goes so many times faster than on the machine of the costs, which are about seconds there, was there already.
+#: What goes so many times faster than on the machine of the costs, which are about seconds there, was there already.
+#: Source: layout; judgement; no machine is so much faster.
 _SKIPPED = 50.0
-# Before this share of the cost is done an estimate would be a guess.
+#: Before this share of the cost is done an estimate would be a guess. Source: layout; judgement.
 _LEAST_SHARE = 0.02
 
 
@@ -120,7 +129,7 @@ class RemainingTime:
 
 def as_words(seconds: float) -> str:
     """Write "40 s", "12 min", "1 h 50 min"; no finer than the estimate deserves."""
-    if seconds < 90:
-        return f"{max(5, 5 * round(seconds / 5))} s"
+    if seconds < _SHORT_S:
+        return f"{max(_STEP_S, _STEP_S * round(seconds / _STEP_S))} s"
     minutes = round(seconds / 60)
     return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -11,22 +10,22 @@ import typer
 
 from fsinfer.cli.console import Debug, Quiet, reports_errors, stage_progress, warn
 from fsinfer.cli.options import (
+    DEFAULT_EQUALIZE,
+    DEFAULT_PRECISION,
+    DEFAULT_VIEWS,
     ArucoDictionary,
     ArucoLength,
-    BhRule,
     BreastHeight,
     BreastHeightRule,
     Edits,
     Endpoints,
     EndpointsLength,
-    Equalize,
     EqualizeHow,
     IntervalS,
     MaxSize,
     MemoryGb,
     Model,
     Out,
-    Precision,
     PrecisionHow,
     Provider,
     ScaleFactor,
@@ -38,18 +37,16 @@ from fsinfer.cli.options import (
     tree_settings,
 )
 from fsinfer.cli.tables import evaluation_rows, unmeasured_rows
+from fsinfer.conventions.breast_height import BREAST_HEIGHT_M, BhRule
+from fsinfer.depth.settings import DepthSettings
+from fsinfer.evaluation.settings import MAX_DISTANCE_M, Align
+from fsinfer.frames.settings import FrameSettings
+from fsinfer.output.layout import FRAMES_FILE, OutputFolder
+from fsinfer.scale.request import ScaleRequest
 
 SceneFolder = Annotated[
     Path, typer.Argument(help="Scene in MVSNet format: images/, cams/, pair.txt.", show_default=False)
 ]
-
-
-class Align(StrEnum):
-    """Whether the extracted positions may be moved and turned onto the measured ones."""
-
-    auto = "auto"
-    never = "never"
-    always = "always"
 
 
 def register_stages(app: typer.Typer) -> None:
@@ -62,35 +59,38 @@ def register_stages(app: typer.Typer) -> None:
 def frames(
     source: Annotated[Path, typer.Argument(help="Folder of photos, or a video.", show_default=False)],
     out: Out,
-    interval_s: IntervalS = 2.0,
-    equalize: EqualizeHow = Equalize.none,
+    interval_s: IntervalS = FrameSettings.interval_s,
+    equalize: EqualizeHow = DEFAULT_EQUALIZE,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
     """Choose sharp, well exposed photos or video frames and even out their brightness."""
     settings = frame_settings(interval_s=interval_s, equalize=equalize)
-    from fsinfer.frames.select import select_frames
+    from fsinfer.notices.sentences import sentences
+    from fsinfer.workflow.single_stages import frames_of
 
     with stage_progress(quiet=quiet) as progress:
-        result = select_frames(source, out, settings=settings, progress=progress("frames"))
-    warn(result.warnings)
-    typer.echo(f"{len(result.images)} of {len(result.rows)} frames chosen; reasons in {out / 'frames.csv'}")
+        result = frames_of(source, out, settings=settings, progress=progress).result
+    warn(sentences(result.warnings))
+    typer.echo(f"{len(result.images)} of {len(result.rows)} frames chosen; reasons in {out / FRAMES_FILE}")
 
 
 @reports_errors
 def poses(
     images: Annotated[Path, typer.Argument(help="Folder of photos.", show_default=False)],
     out: Out,
-    threads: Threads = 0,
+    threads: Threads = DepthSettings.threads,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
     """Find where each photo was taken; writes a scene in MVSNet format and the COLMAP model."""
-    from fsinfer.poses.estimate import PoseSettings, estimate_poses
+    from fsinfer.notices.sentences import sentences
+    from fsinfer.poses.settings import PoseSettings
+    from fsinfer.workflow.single_stages import poses_of
 
     with stage_progress(quiet=quiet) as progress:
-        result = estimate_poses(images, out, settings=PoseSettings(threads=threads), progress=progress("poses"))
-    warn(result.warnings)
+        result = poses_of(images, out, settings=PoseSettings(threads=threads), progress=progress).result
+    warn(sentences(result.warnings))
     typer.echo(f"{result.registered} of {result.photos} photos placed; scene in {result.scene}")
 
 
@@ -98,13 +98,13 @@ def poses(
 def depth(
     scene: SceneFolder,
     out: Out,
-    model: Model = "field",
-    views: Views = 5,
-    max_size: MaxSize = 1280,
-    threads: Threads = 0,
-    memory_gb: MemoryGb = 3.0,
-    provider: Provider = "cpu",
-    precision: PrecisionHow = Precision.auto,
+    model: Model = DepthSettings.model,
+    views: Views = DEFAULT_VIEWS,
+    max_size: MaxSize = DepthSettings.max_size_px,
+    threads: Threads = DepthSettings.threads,
+    memory_gb: MemoryGb = DepthSettings.memory_gb,
+    provider: Provider = DepthSettings.provider,
+    precision: PrecisionHow = DEFAULT_PRECISION,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
@@ -118,12 +118,11 @@ def depth(
         provider=provider,
         precision=precision,
     )
-    from fsinfer.depth.stage import estimate_depth
-    from fsinfer.scene import read_scene
+    from fsinfer.workflow.single_stages import depth_of
 
     with stage_progress(quiet=quiet) as progress:
-        result = estimate_depth(read_scene(scene), out, settings=settings, progress=progress("depth"))
-    typer.echo(f"{result.views} depth maps in {out / 'depth'}, {result.seconds:.0f} s")
+        record = depth_of(scene, out, settings=settings, progress=progress)
+    typer.echo(f"{record.result.views} depth maps in {OutputFolder(out).depth}, {record.seconds:.0f} s")
 
 
 @reports_errors
@@ -145,8 +144,8 @@ def fuse(
     from fsinfer.workflow.single_stages import fuse_scene
 
     with stage_progress(quiet=quiet) as progress:
-        points = fuse_scene(scene, out, level=level, progress=progress("fuse"))
-    typer.echo(f"{points} points in {out / 'cloud.ply'} and {out / 'cloud.laz'}")
+        cloud = fuse_scene(scene, out, level=level, progress=progress).result
+    typer.echo(f"{cloud.points} points in {OutputFolder(out).cloud_ply} and {OutputFolder(out).cloud_laz}")
 
 
 @reports_errors
@@ -155,10 +154,10 @@ def trees(
     out: Out,
     scale: ScaleFactor = None,
     aruco_length_m: ArucoLength = None,
-    aruco_dictionary: ArucoDictionary = "4X4_50",
+    aruco_dictionary: ArucoDictionary = ScaleRequest.aruco_dictionary,
     endpoints: Endpoints = None,
     length_m: EndpointsLength = None,
-    bh: BreastHeight = 1.3,
+    bh: BreastHeight = BREAST_HEIGHT_M,
     bh_rule: BreastHeightRule = BhRule.midpoint,
     edits: Edits = None,
     quiet: Quiet = False,
@@ -169,22 +168,19 @@ def trees(
     A cloud is taken to be in metres unless fsinfer made it without a scale.
     """
     request = scale_request(scale, aruco_length_m, aruco_dictionary, endpoints, length_m)
-    from fsinfer.trees.outputs.table import read_trees
-    from fsinfer.workflow.single_stages import measure_cloud_file
+    from fsinfer.notices.sentences import sentences
+    from fsinfer.workflow.measure_cloud import MeasureSettings, measure_cloud_file
+    from fsinfer.workflow.tree_stage import TreeStageSettings
 
+    settings = MeasureSettings(stage=TreeStageSettings(trees=tree_settings(bh_m=bh, bh_rule=bh_rule)))
     with stage_progress(quiet=quiet) as progress:
-        result = measure_cloud_file(
-            cloud,
-            out,
-            request=request,
-            settings=tree_settings(bh_m=bh, bh_rule=bh_rule),
-            edits=edits,
-            progress=progress("trees"),
-        )
-    warn(result["warnings"])
-    trees = "tree" if result["trees"] == 1 else "trees"
-    typer.echo(f"{result['trees']} {trees}, {result['trees_with_dbh']} with DBH, in {out / 'trees.csv'}")
-    for row in unmeasured_rows(read_trees(out / "trees.csv")):
+        found = measure_cloud_file(
+            cloud, out, request=request, settings=settings, edits=edits, progress=progress("trees")
+        ).result.trees
+    warn(sentences(found.warnings))
+    trees = "tree" if found.trees == 1 else "trees"
+    typer.echo(f"{found.trees} {trees}, {found.trees_with_dbh} with DBH, in {OutputFolder(out).trees_csv}")
+    for row in unmeasured_rows(found.unmeasured):
         typer.echo(row)
 
 
@@ -194,7 +190,7 @@ def evaluate(
     extracted: Annotated[Path, typer.Argument(help="trees.csv of fsinfer.", show_default=False)],
     max_distance_m: Annotated[
         float, typer.Option("--max-distance-m", min=0.0, help="Farthest that two positions of one tree may lie apart.")
-    ] = 0.5,
+    ] = MAX_DISTANCE_M,
     by_id: Annotated[bool, typer.Option("--by-id", help="Match by tree_id instead of by position.")] = False,
     align: Annotated[
         Align, typer.Option("--align", help="Move and turn the positions onto the measured ones first.")

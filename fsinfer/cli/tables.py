@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from fsinfer.notices.sentences import joined
+from fsinfer.notices.stems import StemCode
+
 if TYPE_CHECKING:
     from fsinfer.evaluation.metrics import Evaluation
-    from fsinfer.trees import Tree
     from fsinfer.workflow.demo import DemoResult
+    from fsinfer.workflow.tree_stage import UnmeasuredTree
 
-# Of more trees than this without a DBH, the table tells the rest.
+#: Of more trees than this without a DBH, the table tells the rest. Source: layout.
 _MOST_REASONS = 8
 
 
@@ -41,11 +44,11 @@ def evaluation_rows(evaluation: Evaluation) -> list[str]:
     ]
 
 
-def unmeasured_rows(trees: Sequence[Tree]) -> list[str]:
+def unmeasured_rows(trees: Sequence[UnmeasuredTree]) -> list[str]:
     """Why trees have no DBH, one a line; the first of them where there are many."""
     # That no scale is known is said by itself.
-    missing = [tree for tree in trees if tree.dbh_cm is None and tree.reason != "no scale"]
-    rows = [f"  tree {tree.tree_id} has no DBH: {tree.reason}" for tree in missing[:_MOST_REASONS]]
+    missing = [tree for tree in trees if all(reason.code != StemCode.no_scale for reason in tree.reasons)]
+    rows = [f"  tree {tree.tree_id} has no DBH: {joined(tree.reasons)}" for tree in missing[:_MOST_REASONS]]
     more = len(missing) - len(rows)
     return [*rows, f"  and {more} more: see the column reason of trees.csv"] if more else rows
 

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import ModelError
 
-DEFAULT_MODEL = "field"
+#: Channels of the feature maps at a quarter and at half resolution, where a manifest does not tell. Source: format;
+#: those of the model that is shipped.
+_FEATURE_CHANNELS, _REFINE_CHANNELS = 16, 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +47,7 @@ class ModelManifest:
         that the regularizer takes as channels; 0 where it takes the whole volume.
     planes: number of planes of the volume (192); inverse_depth: uniform in 1/depth.
     groups: values of the volume at each plane and pixel: groups of the correlation, or channels of the variance.
+    feature_channels: of a feature map at a quarter; refine_channels: at half resolution, 0 where nothing is refined.
     refine_planes, refine_span: the narrow volume at half resolution; span in plane intervals on each side.
     sha256: over the graphs' bytes, in the order features, regularizer, refiner.
     int8_regularizer, int8_sha256: the regularizer in 8-bit integers, and the hash with it in place of the other one;
@@ -64,6 +67,8 @@ class ModelManifest:
     packed_planes: int
     planes: int
     groups: int
+    feature_channels: int
+    refine_channels: int
     inverse_depth: bool
     refine_planes: int
     refine_span: float
@@ -132,6 +137,8 @@ def read_manifest(name_or_path: str | Path) -> ModelManifest:
             packed_planes=data["volume"]["packed_planes"],
             planes=data["volume"]["planes"],
             groups=_groups(data),
+            feature_channels=_config(data, "feature_channels", _FEATURE_CHANNELS),
+            refine_channels=_config(data, "refine_channels", _REFINE_CHANNELS) if "refiner" in data["graphs"] else 0,
             inverse_depth=data["volume"]["inverse_depth"],
             refine_planes=data["refine"]["planes"],
             refine_span=data["refine"]["span"],
@@ -167,6 +174,11 @@ def _check_files(manifest: ModelManifest, files: list[Path], sha256: str) -> Non
             f"{sha256[:12]}…; install fsinfer again or re-export the model"
         )
         raise ModelError(msg)
+
+
+def _config(data: dict[str, Any], name: str, default: int) -> int:
+    """A number of the network, where the manifest tells it."""
+    return int(data.get("config", {}).get(name, default))
 
 
 def _groups(data: dict[str, Any]) -> int:

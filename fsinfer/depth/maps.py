@@ -18,6 +18,9 @@ from fsinfer.scene import Camera, Scene, project
 
 _log = logging.getLogger(__name__)
 
+#: Maps kept in memory where nobody says how many. Source: numerics.
+CACHED_MAPS = 24
+
 
 @dataclass(frozen=True, kw_only=True)
 class PixelGrid:
@@ -115,7 +118,7 @@ class DepthMaps:
         No view of the scene has a depth map, or ``depth.json`` does not say where their pixels lie.
     """
 
-    def __init__(self, scene: Scene, folder: Path, *, cache_maps: int = 24) -> None:
+    def __init__(self, scene: Scene, folder: Path, *, cache_maps: int = CACHED_MAPS) -> None:
         self.scene = scene
         self.folder = folder
         self._cache: OrderedDict[int, DepthMap] = OrderedDict()

@@ -8,23 +8,16 @@ it fall on one of them. Sure pixels stay as they are.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
+
+from fsinfer.depth.settings import UnsureSettings
 
 Float32 = NDArray[np.float32]
 
 
-@dataclass(frozen=True, kw_only=True)
-class UnsureSettings:
-    """Constants of :func:`settle_unsure`; what was compared stands in models/README.md."""
-
-    below: float = 0.35  # confidence; at 0.5 leaves lose more than walls gain
-    radius_px: int = 3
-    power: float = 4.0  # of the confidence
-    least_weight: float = 1e-3  # where nobody is sure a plain median is left
-    chunk: int = 100_000  # pixels at a time: 40 MB
+#: Pixels at a time: 40 MB. Source: numerics.
+CHUNK_PIXELS = 100_000
 
 
 def settle_unsure(depth: Float32, confidence: Float32, *, settings: UnsureSettings | None = None) -> Float32:
@@ -40,8 +33,8 @@ def settle_unsure(depth: Float32, confidence: Float32, *, settings: UnsureSettin
     inverse, weight = np.pad(inverse, r), np.pad(weight, r)
     rows, columns = np.nonzero(confidence < s.below)
     settled = depth.copy()
-    for start in range(0, len(rows), s.chunk):
-        y, x = rows[start : start + s.chunk], columns[start : start + s.chunk]
+    for start in range(0, len(rows), CHUNK_PIXELS):
+        y, x = rows[start : start + CHUNK_PIXELS], columns[start : start + CHUNK_PIXELS]
         median = _weighted_median(inverse, weight, y, x, 2 * r + 1)
         settled[y, x] = np.divide(1.0, median, out=np.zeros_like(median), where=median > 0)
     return settled

@@ -10,18 +10,23 @@ from dataclasses import dataclass
 
 from fsinfer.errors import InputError
 
-MEGABYTE = 1_000_000
-GIGABYTE = 1_000_000_000
+#: Source: format; decimal, as memory_gb is.
+MEGABYTE, GIGABYTE = 1_000_000, 1_000_000_000
 
-#: Python, NumPy, OpenCV, onnxruntime and the model before any work.
+#: Python, NumPy, OpenCV, onnxruntime and the model before any work. Source: numerics; measured, docs/speed.md.
 BASE_BYTES = 150 * MEGABYTE
 #: Peak of a depth map over the cost volume itself: the volume, what the regularizer holds at once, the narrow volume.
-#: 7.3 to 7.9 times at 960x540 to 1920x1080 in float32, 3.8 to 4.1 in int8 at 960x540 to 2400x1800.
+#: Source: numerics; measured, 7.3 to 7.9 times at 960x540 to 1920x1080 in float32, 3.8 to 4.1 in int8 at 960x540 to
+#: 2400x1800.
 _PEAK_OVER_VOLUME, _INT8_PEAK_OVER_VOLUME = 8.2, 4.4
-#: The same in tiles, of which the volume is a copy, and bytes a pixel that the feature network leaves behind.
-#: 1600x1200 and 2400x1800 in tiles of 128: 2.13 and 3.06 GB.
+#: The same in tiles, of which the volume is a copy, and bytes a pixel that the feature network leaves behind. Source:
+#: numerics; measured, 1600x1200 and 2400x1800 in tiles of 128 take 2.13 and 3.06 GB.
 _PEAK_OVER_TILE, _FEATURES_BYTES = 9.2, 105
+#: Sides of tiles that are tried, quarter pixels. Source: numerics; multiples of the network's coarsest level.
 _TILE_SIZES = range(512, 56, -8)
+#: Sizes that a message proposes: multiples of the one, none below the other, pixels. Source: layout; the least that
+#: --max-size takes.
+_SIZE_STEP_PX, _LEAST_SIZE_PX = 32, 160
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +56,8 @@ def plan_depth(
     groups: int,
     views: int,
     most_cached: int,
+    feature_channels: int,
+    refine_channels: int,
     int8: bool = False,
     tile_halo: int | None = None,
 ) -> DepthPlan:
@@ -61,6 +68,7 @@ def plan_depth(
     memory_gb: limit, 1e9 bytes.
     width, height: of the image given to the network, pixels.
     planes, groups: of the cost volume at a quarter of that.
+    feature_channels, refine_channels: of the feature maps at a quarter and at half resolution.
     views: photographs compared at a time, the reference among them.
     int8: the regularizer is in 8-bit integers; in tiles it never is.
     tile_halo: of the model's tiles, quarter pixels; None where it cannot be cut into tiles.
@@ -72,8 +80,8 @@ def plan_depth(
     """
     quarter = -(-width // 4) * -(-height // 4)
     volume = 4 * planes * groups * quarter
-    # 16 channels at a quarter, 8 at half resolution, float32.
-    of_view = 4 * quarter * (16 + 4 * 8)
+    # float32, at a quarter and at half resolution.
+    of_view = 4 * quarter * (feature_channels + 4 * refine_channels)
     fixed = BASE_BYTES + (_INT8_PEAK_OVER_VOLUME if int8 else _PEAK_OVER_VOLUME) * volume
     limit = memory_gb * GIGABYTE
     least = fixed + views * of_view
@@ -91,8 +99,8 @@ def plan_depth(
             )
     if least > limit:
         share = max(0.0, (limit - BASE_BYTES) / (least - BASE_BYTES))
-        size = 32 * int(max(width, height) * share**0.5 / 32)
-        way_out = f"give a larger --memory-gb, or --max-size {size}" if size >= 160 else "give a larger --memory-gb"
+        size = _SIZE_STEP_PX * int(max(width, height) * share**0.5 / _SIZE_STEP_PX)
+        way_out = "give a larger --memory-gb" + (f", or --max-size {size}" if size >= _LEAST_SIZE_PX else "")
         msg = (
             f"depth of {width}x{height} photos takes about {least / GIGABYTE:.1f} GB, more than the "
             f"{memory_gb:g} GB of --memory-gb; {way_out}"

@@ -19,14 +19,20 @@ from fsinfer.depth.cost_volume import (
     upsample_twice,
     variance_volume,
 )
-from fsinfer.depth.manifest import DEFAULT_MODEL, ModelManifest, read_manifest
+from fsinfer.depth.manifest import ModelManifest, read_manifest
 from fsinfer.depth.precision import AUTO, INT8, choose_precision
 from fsinfer.depth.session import available_providers, find_providers, load_graph
+from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.warping import relative_projection
 from fsinfer.errors import InputError
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
+
+#: Least 1/depth of a hypothesis: what lies beyond infinity is nowhere. Source: numerics.
+_LEAST_INVERSE = np.float32(1e-6)
+#: Least side of an image, pixels. Source: judgement.
+_LEAST_SIDE_PX = 32
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +92,7 @@ class DepthModel:
     @classmethod
     def load(
         cls,
-        name_or_path: str | Path = DEFAULT_MODEL,
+        name_or_path: str | Path = DepthSettings.model,
         *,
         threads: int = 0,
         calibrate: bool = True,
@@ -111,8 +117,9 @@ class DepthModel:
 
     def features(self, image: NDArray[np.uint8]) -> ViewFeatures:
         """Feature maps of one (H, W, 3) RGB uint8 image; they can be kept and given to several reference views."""
-        if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or min(image.shape[:2]) < 32:
-            msg = f"an image must be (H, W, 3) uint8 RGB of at least 32x32 pixels, is {image.shape=}, {image.dtype=}"
+        if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or min(image.shape[:2]) < _LEAST_SIDE_PX:
+            least = f"{_LEAST_SIDE_PX}x{_LEAST_SIDE_PX}"
+            msg = f"an image must be (H, W, 3) uint8 RGB of at least {least} pixels, is {image.shape=}, {image.dtype=}"
             raise InputError(msg)
         nchw = np.ascontiguousarray(image.transpose(2, 0, 1)[None], dtype=np.float32)
         outputs = self._sessions["features"].run(None, {"images": nchw})
@@ -236,7 +243,7 @@ class DepthModel:
         offsets = np.linspace(-manifest.refine_span, manifest.refine_span, manifest.refine_planes, dtype=np.float32)
         interval = np.float32((1 / near - 1 / far) / (manifest.planes - 1))
         narrow = np.float32(1 / far) + (centre[None] + offsets[:, None, None]) * interval
-        np.maximum(narrow, np.float32(1e-6), out=narrow)
+        np.maximum(narrow, _LEAST_INVERSE, out=narrow)
         fine_volume, _ = correlation_volume(
             half[0],
             half[1:],
@@ -273,5 +280,5 @@ class DepthModel:
         fraction = index / np.float32(self.manifest.planes - 1)
         if self.manifest.inverse_depth:
             inverse = np.float32(1 / far) + fraction * np.float32(1 / near - 1 / far)
-            return np.asarray(1 / np.maximum(inverse, np.float32(1e-6)), np.float32)
+            return np.asarray(1 / np.maximum(inverse, _LEAST_INVERSE), np.float32)
         return np.asarray(np.float32(near) + fraction * np.float32(far - near), np.float32)

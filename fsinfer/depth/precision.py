@@ -10,10 +10,11 @@ import platform
 from pathlib import Path
 
 from fsinfer.depth.manifest import ModelManifest
+from fsinfer.depth.settings import Precision
 from fsinfer.errors import InputError, ModelError
 
-AUTO, FLOAT32, INT8 = "auto", "float32", "int8"
-PRECISIONS = (AUTO, FLOAT32, INT8)
+AUTO, FLOAT32, INT8 = Precision.auto.value, Precision.float32.value, Precision.int8.value
+PRECISIONS = tuple(precision.value for precision in Precision)
 
 # Names of the flags in /proc/cpuinfo.
 _X86_FLAGS = frozenset({"avx512_vnni", "avx_vnni"})

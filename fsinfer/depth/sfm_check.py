@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.poses.sparse import SparseModel
+from fsinfer.poses.sparse import LONG_TRACK, SparseModel
 from fsinfer.scene import Camera, Scene
 
 if TYPE_CHECKING:
@@ -25,13 +25,19 @@ class SfmCheckSettings:
 
     Attributes
     ----------
-    min_track, max_error_px: points seen in so many photos with so small an error are as good as truth.
-    min_points: with fewer such points in the whole scene, all points of tracks of 3 and more are taken.
+    min_track, max_error_px: points seen in so many photos with so small an error are as good as truth. Source:
+        judgement; the median difference to them is what a run reports.
+    min_points: with fewer such points in the whole scene, weaker points are taken. Source: judgement.
     """
 
     min_track: int = 4
     max_error_px: float = 0.5
     min_points: int = 50
+
+
+#: Neighbouring pixels of one surface differ by less than this factor: a slope; more is the edge of a stem. Source:
+#: judgement.
+_ONE_SURFACE = 1.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +81,7 @@ def check_depth(
             settings.min_track,
             settings.max_error_px,
         )
-        good = sparse.track_lengths >= 3
+        good = sparse.track_lengths >= LONG_TRACK
     maps = DepthMaps(scene, Path(depth_folder), cache_maps=2)
     differences, per_view, asked = [], {}, 0
     for index in maps.available:
@@ -131,8 +137,7 @@ def compare_depth(
     nearest = inverse_depth[
         np.clip(np.rint(y).astype(np.int64), 0, height - 1), np.clip(np.rint(x).astype(np.int64), 0, width - 1)
     ]
-    # 5 % between neighbouring pixels is a slope; more is the edge of a stem.
-    one_surface = (corners.min(axis=0) > 0) & (corners.max(axis=0) < 1.05 * corners.min(axis=0))
+    one_surface = (corners.min(axis=0) > 0) & (corners.max(axis=0) < _ONE_SURFACE * corners.min(axis=0))
     sampled = np.where(one_surface, (weights * corners).sum(axis=0), nearest)
     valid = inside & (sampled > 0)
     depth = 1.0 / np.where(valid, sampled, 1.0)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import json
 import logging
-import time
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +14,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.depth.manifest import DEFAULT_MODEL
 from fsinfer.depth.maps import read_depth_index
-from fsinfer.depth.median_filter import UnsureSettings, settle_unsure
+from fsinfer.depth.median_filter import settle_unsure
 from fsinfer.depth.memory import DepthPlan, plan_depth
 from fsinfer.depth.model import DepthModel, ViewFeatures
-from fsinfer.depth.precision import AUTO, FLOAT32, INT8
+from fsinfer.depth.precision import FLOAT32, INT8
+from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.tiles import TiledDepth
 from fsinfer.errors import SceneError
 from fsinfer.io.files import make_folder, write_text
@@ -31,43 +30,9 @@ from fsinfer.scene import Scene, View
 
 _log = logging.getLogger(__name__)
 
-CACHED_VIEWS = 24  # feature maps of neighbours are asked for again within a few views; 1280x720 takes 11 MB each
-DEFAULT_MEMORY_GB = 3.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class DepthSettings:
-    """Settings of the stage.
-
-    Attributes
-    ----------
-    model: name of a shipped model or path of a manifest.
-    source_views: sources for each reference view, best first; the paper's N is this plus one.
-    max_size_px: longer side of the image given to the network; larger photographs are reduced to it.
-    min_far_over_near: the far bound is at least this many times the near one. Camera files often hold a range cut to
-        the subject, and whatever stands behind it would be given a wrong depth; with planes uniform in 1/depth all that
-        lies beyond seven times the near bound takes a seventh of them at most.
-    max_far_over_near: the near bound is at least the far one divided by this. A leaf right before the lens would draw
-        the planes to itself: from 0.2 m on they lie half a metre apart at 4 m. What is nearer is lost instead, so the
-        bound must stay nearer than the trunks beside the path: 30 lost those within 1.5 m of the camera.
-    unsure: of the last step, in which unsure pixels follow their surroundings (:mod:`fsinfer.depth.median_filter`).
-    threads: 0 uses every core.
-    memory_gb: limit of the resident memory, 1e9 bytes; fewer feature maps are kept where it is tight, and depth is
-        computed in tiles where a whole map does not fit.
-    provider: of onnxruntime, see :mod:`fsinfer.depth.session`.
-    precision: of the regularizer: ``auto``, ``float32`` or ``int8``, see :mod:`fsinfer.depth.precision`.
-    """
-
-    model: str = DEFAULT_MODEL
-    source_views: int = 4
-    max_size_px: int = 1280
-    min_far_over_near: float = 7.0
-    max_far_over_near: float = 100.0
-    unsure: UnsureSettings = field(default_factory=UnsureSettings)
-    threads: int = 0
-    memory_gb: float = DEFAULT_MEMORY_GB
-    provider: str = "cpu"
-    precision: str = AUTO
+#: Feature maps kept at most; those of neighbours are asked for again within a few views, and 1280x720 takes 11 MB each.
+#: Source: numerics.
+CACHED_VIEWS = 24
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +47,6 @@ class DepthResult:
     model: str
     model_sha256: str
     precision: str
-    seconds: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,12 +60,17 @@ class LoadedView:
 
 
 def estimate_depth(
-    scene: Scene, out: Path, *, settings: DepthSettings | None = None, progress: Progress = silent
+    scene: Scene,
+    out: Path,
+    *,
+    settings: DepthSettings | None = None,
+    resume: bool = False,
+    progress: Progress = silent,
 ) -> DepthResult:
     """Write ``out/depth/NAME.pfm``, ``out/confidence/NAME.pfm`` and ``out/depth/depth.json``.
 
-    Views whose maps are there already, made with the same settings, model and cameras, are kept: a stage that was
-    killed goes on where it stopped.
+    ``resume``: views whose maps are there already are kept; for an attempt with the same scene, settings and model,
+    which was stopped.
 
     Raises
     ------
@@ -111,7 +80,6 @@ def estimate_depth(
         A depth map takes more than ``settings.memory_gb``.
     """
     settings = settings or DepthSettings()
-    started = time.monotonic()
     model = DepthModel.load(
         settings.model, threads=settings.threads, provider=settings.provider, precision=settings.precision
     )
@@ -126,7 +94,7 @@ def estimate_depth(
     predictor = TiledDepth(model, plan.tile_size, keeps_volume=plan.keeps_volume) if plan.tile_size else model
     make_folder(out / "depth")
     make_folder(out / "confidence")
-    index = _resume(out, settings, model.sha256)
+    index = _begin(out, settings, model.sha256, resume=resume)
     cached_views = plan.cached_views
     threads_before = cv2.getNumThreads()
     cv2.setNumThreads(1)  # the volume is shared out over blocks of rows already
@@ -135,8 +103,7 @@ def estimate_depth(
         for done, view in enumerate(usable):
             progress(done, len(usable), f"depth of {view.name}")
             sources = [scene.views[i] for i in view.sources[: settings.source_views]]
-            key = _fingerprint(view, sources)
-            if index["views"].get(view.name, {}).get("key") == key and _complete(out, view.name):
+            if view.name in index["views"] and _complete(out, view.name):
                 continue
             loaded = [_recall(model, v, settings.max_size_px, cache, cached_views) for v in (view, *sources)]
             estimate = predictor.predict_from_features(
@@ -152,7 +119,6 @@ def estimate_depth(
             write_pfm(out / "confidence" / f"{view.name}.pfm", estimate.confidence)
             scale_x, scale_y = loaded[0].scale_x, loaded[0].scale_y
             index["views"][view.name] = {
-                "key": key,
                 "width": estimate.depth.shape[1],
                 "height": estimate.depth.shape[0],
                 "pixel_step_x": estimate.stride / scale_x,
@@ -175,7 +141,6 @@ def estimate_depth(
         model=model.manifest.name,
         model_sha256=model.sha256,
         precision=model.precision,
-        seconds=time.monotonic() - started,
     )
 
 
@@ -200,6 +165,8 @@ def _plan(views: Sequence[View], settings: DepthSettings, model: DepthModel) -> 
         height=round(height * factor),
         planes=model.manifest.planes,
         groups=model.manifest.groups,
+        feature_channels=model.manifest.feature_channels,
+        refine_channels=model.manifest.refine_channels,
         views=settings.source_views + 1,
         most_cached=CACHED_VIEWS,
         int8=model.precision == INT8,
@@ -248,40 +215,25 @@ def load_view(model: DepthModel, view: View, max_size_px: int) -> LoadedView:
     return LoadedView(features=model.features(image), intrinsic=intrinsic, scale_x=scale_x, scale_y=scale_y)
 
 
-def _resume(out: Path, settings: DepthSettings, model_sha256: str) -> dict[str, Any]:
+def _begin(out: Path, settings: DepthSettings, model_sha256: str, *, resume: bool) -> dict[str, Any]:
+    """The index to go on with: that of the attempt before, or one without views."""
     # The model's hash stands for its name and its precision too: two manifests of the same graphs give the same maps.
-    wanted: dict[str, Any] = {
+    index: dict[str, Any] = {
         "model": settings.model,
         "model_sha256": model_sha256,
         "source_views": settings.source_views,
         "max_size_px": settings.max_size_px,
-        "min_far_over_near": settings.min_far_over_near,
-        "max_far_over_near": settings.max_far_over_near,
-        "unsure": [settings.unsure.below, settings.unsure.radius_px, settings.unsure.power],
+        "views": {},
     }
     try:
-        index = read_depth_index(out)
+        before = read_depth_index(out) if resume else index
     except SceneError:
-        index = {}
-    if {key: index.get(key) for key in wanted} != wanted:
-        index = {**wanted, "views": {}}
-    return index
+        return index
+    return before if before.get("model_sha256") == model_sha256 else index
 
 
 def _write_index(out: Path, index: dict[str, Any]) -> None:
     write_text(out / "depth" / "depth.json", json.dumps(index, indent=1))
-
-
-def _fingerprint(view: View, sources: list[View]) -> str:
-    import hashlib
-
-    digest = hashlib.sha256()
-    for item in (view, *sources):
-        camera = item.camera
-        digest.update(f"{item.name} {item.image_path.stat().st_size} ".encode())
-        digest.update(camera.intrinsic.tobytes() + camera.cam_from_world.tobytes())
-        digest.update(np.array([camera.depth_min, camera.depth_max]).tobytes())
-    return digest.hexdigest()[:16]
 
 
 def _complete(out: Path, name: str) -> bool:

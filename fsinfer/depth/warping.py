@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 
 Float32 = NDArray[np.float32]
 
-#: OpenCV addresses a remap target with 16-bit coordinates.
+#: OpenCV addresses a remap target with 16-bit coordinates. Source: format.
 MAX_REMAP_ROWS = 32_000
-#: Coordinate given to hypotheses behind the source view: outside every image.
+#: Coordinate given to hypotheses behind the source view: outside every image. Source: numerics.
 OUTSIDE = np.float32(-1e4)
+#: Nearer than this to the plane of the camera counts as behind it, scene units. Source: numerics.
+_BEHIND = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +75,7 @@ def source_coordinates(
     y = np.empty_like(x)
     z = np.empty_like(x)
     np.add(far[2], shift[2], out=z)
-    behind = z < 1e-6
+    behind = z < _BEHIND
     some_behind = bool(behind.any())
     if some_behind:
         z[behind] = 1.0

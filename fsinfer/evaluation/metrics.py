@@ -16,7 +16,6 @@ found from pairs of trees at equal distances, and used only when it explains cle
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -27,11 +26,19 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import InputError
 from fsinfer.evaluation.registration import apply, assign, register
+from fsinfer.evaluation.settings import MAX_DISTANCE_M, Align
 from fsinfer.geometry.hull import in_hull
-from fsinfer.io.csv_text import has_semicolons
+from fsinfer.io.csv_text import read_table
 
 Floats = NDArray[np.float64]
-ALIGNMENTS = ("auto", "never", "always")
+ALIGNMENTS = tuple(align.value for align in Align)
+
+#: A measured diameter is below this, cm. Source: format; no tree is thicker, millimetres are.
+_MOST_DBH_CM = 1000.0
+#: Frames are registered where fewer than this share of the trees match as given. Source: judgement.
+_FEW_MATCHES = 0.5
+#: Registration counts where it finds so many times the matches, so many more, and so many at least. Source: judgement.
+_MORE_TIMES, _MORE_MATCHES, _LEAST_MATCHES = 1.5, 2, 3
 
 
 class HasDbh(Protocol):
@@ -105,48 +112,31 @@ def read_measured(path: Path, *, need_dbh: bool = True, need_position: bool = Tr
     With ``need_dbh=False`` empty DBH cells become None, as in a ``trees.csv``; with ``need_position=False`` empty or
     missing positions become NaN, for matching by id. Raises :class:`~fsinfer.errors.InputError` naming row and column.
     """
-    path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        why = "there is no such file" if isinstance(error, FileNotFoundError) else str(error)
-        msg = f"cannot read {path}: {why}; give a CSV file with the columns tree_id, x_m, y_m, dbh_cm"
-        raise InputError(msg) from error
-    lines = text.splitlines()
-    semicolon = has_semicolons(lines)
-    reader = csv.DictReader(lines, delimiter=";" if semicolon else ",")
-    names = {(name or "").strip().lower(): name for name in reader.fieldnames or []}
-    required = ("tree_id", "x_m", "y_m", "dbh_cm") if need_position else ("tree_id", "dbh_cm")
-    missing = [name for name in required if name not in names]
-    if missing:
-        msg = f"{path} has no column {', '.join(missing)}; the first line must be: tree_id,x_m,y_m,dbh_cm"
-        raise InputError(msg)
+    table = read_table(
+        path,
+        what="the trees",
+        required=("tree_id", "x_m", "y_m", "dbh_cm") if need_position else ("tree_id", "dbh_cm"),
+        way_out="give a CSV file whose first line is tree_id,x_m,y_m,dbh_cm",
+    )
     trees: list[MeasuredTree] = []
     seen: dict[str, int] = {}
-    for row in reader:
-        number = reader.line_num
-        cells = {key: (row.get(name) or "").strip() for key, name in names.items()}
-        if not any(cells.values()):
-            continue
-        tree_id = cells["tree_id"]
+    for row in table.rows:
+        tree_id = row.text("tree_id")
         if not tree_id:
-            msg = f"{path}, row {number}: the tree_id is empty; give every tree its own"
+            msg = f"{row.place}: the tree_id is empty; give every tree its own"
             raise InputError(msg)
         if tree_id in seen:
-            msg = f"{path}, row {number}: tree_id {tree_id} was used in row {seen[tree_id]} already; make it unique"
+            msg = f"{row.place}: tree_id {tree_id} was used in row {seen[tree_id]} already; make it unique"
             raise InputError(msg)
-        seen[tree_id] = number
-        if cells.get("reason") == "no scale":
+        seen[tree_id] = row.row
+        if row.text("reason") == "no scale":
             msg = f"{path} was made without a scale: its positions are no metres; give fsinfer run a scale first"
             raise InputError(msg)
-        dbh = _number(path, number, "dbh_cm", cells["dbh_cm"], semicolon, optional=not need_dbh)
-        if dbh is not None and not 0.0 < dbh < 1000.0:
-            msg = f"{path}, row {number}: dbh_cm is {dbh:g}; it must lie between 0 and 1000 cm (0 is not 'unmeasured')"
+        dbh = row.given("dbh_cm") if need_dbh else row.number("dbh_cm")
+        if dbh is not None and not 0.0 < dbh < _MOST_DBH_CM:
+            msg = f"{row.place}: dbh_cm is {dbh:g}; it must lie between 0 and 1000 cm (0 is not 'unmeasured')"
             raise InputError(msg)
-        x, y = (
-            _number(path, number, name, cells.get(name, ""), semicolon, optional=not need_position)
-            for name in ("x_m", "y_m")
-        )
+        x, y = (row.given(name) if need_position else row.number(name) for name in ("x_m", "y_m"))
         trees.append(
             MeasuredTree(
                 tree_id=tree_id,
@@ -162,9 +152,9 @@ def evaluate(
     measured: Sequence[HasDbh],
     extracted: Sequence[HasDbh],
     *,
-    max_distance_m: float = 0.5,
+    max_distance_m: float = MAX_DISTANCE_M,
     by_id: bool = False,
-    align: str = "auto",
+    align: str = Align.auto.value,
     area_margin_m: float | None = None,
 ) -> Evaluation:
     """Compare ``extracted`` trees with ``measured`` ones, one to one.
@@ -195,13 +185,13 @@ def evaluate(
         truth, found = _positions(measured, "measured"), _positions(extracted, "extracted")
         truth_cm, found_cm = _diameters(measured), _diameters(extracted)
         links, moved = assign(truth, found, max_distance_m), found
-        if align == "always" or (align == "auto" and len(links) < 0.5 * min(len(truth), len(found))):
+        if align == Align.always or (align == Align.auto and len(links) < _FEW_MATCHES * min(len(truth), len(found))):
             registered = register(truth, found, truth_cm, found_cm, max_distance_m)
             if registered is not None:
                 candidate = apply(registered, found)
                 better = assign(truth, candidate, max_distance_m)
-                clearly = len(better) >= max(len(links) + 2, 3, 1.5 * len(links))
-                if align == "always" or clearly:
+                clearly = len(better) >= max(len(links) + _MORE_MATCHES, _LEAST_MATCHES, _MORE_TIMES * len(links))
+                if align == Align.always or clearly:
                     links, moved = better, candidate
                     motion = {
                         "rotation_deg": float(np.degrees(registered[0])),
@@ -255,20 +245,6 @@ def _metrics(
         measured_from_extracted=motion,
         pairs=pairs,
     )
-
-
-def _number(path: Path, row: int, column: str, text: str, semicolon: bool, *, optional: bool) -> float | None:
-    if text == "" and optional:
-        return None
-    # Spreadsheets that separate by semicolons write decimal commas.
-    try:
-        value = float(text.replace(",", ".") if semicolon else text)
-    except ValueError:
-        value = float("nan")
-    if not np.isfinite(value):
-        msg = f"{path}, row {row}, column {column}: {text!r} is not a number; correct the cell"
-        raise InputError(msg)
-    return value
 
 
 def _positions(trees: Sequence[HasDbh], which: str) -> Floats:

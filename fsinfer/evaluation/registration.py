@@ -7,7 +7,20 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 Floats = NDArray[np.float64]
+#: Distance that stands for none in the assignment, metres. Source: numerics.
 _FAR = 1e6
+#: Pairs of trees whose distances differ by less may be the same, metres; shorter pairs fix no angle. Source: judgement.
+_PAIR_TOLERANCE_M, _SHORTEST_PAIR_M = 0.3, 1.0
+#: Pairs are tried in an order: two diameters are unlike by their difference over this, cm (an unknown one is by all of
+#: it), and a metre of length is worth so much likeness. Source: numerics; the order only.
+_UNLIKE_CM, _WORTH_OF_A_METRE = 5.0, 0.05
+#: Noise that breaks ties, and pairs that are tried at most. Source: numerics.
+_TIE, _MOST_TRIALS = 1e-3, 4000
+#: Rounds of refinement. Source: numerics.
+_ROUNDS = 5
+#: What a like diameter and a near place add to a match, and the difference of diameters at which likeness falls to 1/e,
+#: cm. Source: judgement; tie-breakers, a match counts 1.
+_WORTH_OF_LIKENESS, _WORTH_OF_NEARNESS, _LIKE_CM = 0.5, 0.1, 4.0
 
 
 def assign(truth: Floats, found: Floats, limit: float) -> list[tuple[int, int]]:
@@ -29,7 +42,7 @@ def register(truth: Floats, found: Floats, truth_cm: Floats, found_cm: Floats, l
     """Rigid motion (angle, x, y) that puts ``found`` onto ``truth``: from pairs at equal distances, refined."""
     if len(truth) < 2 or len(found) < 2:
         return None
-    tolerance = min(0.3, limit)
+    tolerance = min(_PAIR_TOLERANCE_M, limit)
     a = np.array([(i, j) for i in range(len(truth)) for j in range(len(truth)) if i != j])
     b = np.array([(i, j) for i in range(len(found)) for j in range(i + 1, len(found))])
     length_a = np.linalg.norm(truth[a[:, 1]] - truth[a[:, 0]], axis=1)
@@ -41,14 +54,14 @@ def register(truth: Floats, found: Floats, truth_cm: Floats, found_cm: Floats, l
     # Long pairs fix the angle best; short ones are skipped, and equal diameters go first.
     pair = np.repeat(np.arange(len(b)), high - low)
     match = order[np.concatenate([np.arange(x, y) for x, y in zip(low, high, strict=True)] or [np.zeros(0, int)])]
-    usable = length_b[pair] >= 1.0
+    usable = length_b[pair] >= _SHORTEST_PAIR_M
     pair, match = pair[usable], match[usable]
     if len(pair) == 0:
         return None
     unlike = np.abs(truth_cm[a[match]] - found_cm[b[pair]])
-    unlike = np.where(np.isfinite(unlike), unlike, 5.0).sum(axis=1) / 5.0 + rng.random(len(pair)) * 1e-3
+    unlike = np.where(np.isfinite(unlike), unlike, _UNLIKE_CM).sum(axis=1) / _UNLIKE_CM + rng.random(len(pair)) * _TIE
     best, best_score = None, -1.0
-    for k in np.argsort(unlike - 0.05 * length_b[pair])[:4000]:
+    for k in np.argsort(unlike - _WORTH_OF_A_METRE * length_b[pair])[:_MOST_TRIALS]:
         (i0, i1), (j0, j1) = a[match[k]], b[pair[k]]
         v, w = truth[i1] - truth[i0], found[j1] - found[j0]
         angle = np.arctan2(v[1], v[0]) - np.arctan2(w[1], w[0])
@@ -57,7 +70,7 @@ def register(truth: Floats, found: Floats, truth_cm: Floats, found_cm: Floats, l
         score = _score(truth, apply(motion, found), truth_cm, found_cm, limit)
         if score > best_score:
             best, best_score = motion, score
-    for _ in range(5):
+    for _ in range(_ROUNDS):
         links = assign(truth, apply(best, found), limit) if best is not None else []
         if len(links) < 2:
             break
@@ -71,9 +84,9 @@ def _score(truth: Floats, moved: Floats, truth_cm: Floats, found_cm: Floats, lim
     nearest = np.argmin(distance, axis=1)
     near = distance[np.arange(len(truth)), nearest] <= limit
     unlike = np.abs(truth_cm - found_cm[nearest])
-    like = np.where(np.isfinite(unlike), np.exp(-((unlike / 4.0) ** 2)), 0.0)
+    like = np.where(np.isfinite(unlike), np.exp(-((unlike / _LIKE_CM) ** 2)), 0.0)
     closeness = 1.0 - (distance[np.arange(len(truth)), nearest] / limit) ** 2
-    return float((near * (1.0 + 0.5 * like + 0.1 * closeness)).sum())
+    return float((near * (1.0 + _WORTH_OF_LIKENESS * like + _WORTH_OF_NEARNESS * closeness)).sum())
 
 
 def _rigid(truth: Floats, found: Floats) -> Floats:

@@ -12,9 +12,16 @@ from numpy.typing import NDArray
 
 from fsinfer.io.images import write_image
 
-#: Longest side of a picture on the sheet, pixels.
+#: Longest side of a picture on the sheet, pixels. Source: layout.
 TILE_PX = 240
+#: Room for the text and between the tiles, tiles a row, and tiles at most. Source: layout.
 _TEXT_PX, _MARGIN_PX, _COLUMNS, _MOST = 40, 8, 5, 60
+#: Size of the letters, distance of two lines, pixels; letters of a line. Source: layout.
+_FONT_PX, _LINE_PX, _LINE_LETTERS = 13, 17, 34
+#: Paper, empty tile, name and reason, RGB. Source: layout.
+_PAPER, _EMPTY, _NAME, _REASON = (245, 245, 245), (205, 205, 205), (60, 60, 60), (180, 40, 0)
+#: JPEG quality of the sheet. Source: layout.
+_QUALITY = 85
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,23 +58,23 @@ def write_contact_sheet(path: Path, tiles: Sequence[Tile], *, total: int) -> Non
     rows = -(-len(shown) // columns)
     cell_w, cell_h = TILE_PX + _MARGIN_PX, TILE_PX + _TEXT_PX + _MARGIN_PX
     width = max(columns * cell_w + _MARGIN_PX, 2 * TILE_PX)
-    sheet = Image.new("RGB", (width, rows * cell_h + _TEXT_PX + _MARGIN_PX), (245, 245, 245))
+    sheet = Image.new("RGB", (width, rows * cell_h + _TEXT_PX + _MARGIN_PX), _PAPER)
     draw = ImageDraw.Draw(sheet)
-    font = ImageFont.load_default(13)
+    font = ImageFont.load_default(_FONT_PX)
     more = f"; the first {len(shown)} are shown" if len(shown) < len(tiles) else ""
     draw.text((_MARGIN_PX, 10), f"{len(tiles)} of {total} frames were not used{more}", fill=(0, 0, 0), font=font)
     for index, tile in enumerate(shown):
         x = _MARGIN_PX + index % columns * cell_w
         y = _TEXT_PX + index // columns * cell_h
         if tile.image is None:
-            draw.rectangle((x, y, x + TILE_PX, y + TILE_PX * 3 // 4), fill=(205, 205, 205))
+            draw.rectangle((x, y, x + TILE_PX, y + TILE_PX * 3 // 4), fill=_EMPTY)
         else:
             small = Image.fromarray(np.ascontiguousarray(thumbnail(tile.image)))
             sheet.paste(small, (x, y))
-        draw.text((x, y + TILE_PX), _fitting(tile.name, 34), fill=(60, 60, 60), font=font)
-        draw.text((x, y + TILE_PX + 17), _fitting(tile.reason, 34), fill=(180, 40, 0), font=font)
-    write_image(path, np.asarray(sheet, dtype=np.uint8), quality=85)
+        draw.text((x, y + TILE_PX), _fitting(tile.name), fill=_NAME, font=font)
+        draw.text((x, y + TILE_PX + _LINE_PX), _fitting(tile.reason), fill=_REASON, font=font)
+    write_image(path, np.asarray(sheet, dtype=np.uint8), quality=_QUALITY)
 
 
-def _fitting(text: str, letters: int) -> str:
-    return text if len(text) <= letters else text[: letters - 3] + "..."
+def _fitting(text: str) -> str:
+    return text if len(text) <= _LINE_LETTERS else text[: _LINE_LETTERS - 3] + "..."

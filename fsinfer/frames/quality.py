@@ -10,14 +10,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import ImageError
+from fsinfer.frames.settings import Equalize, QualityLimits
 from fsinfer.io.images import luminance
+from fsinfer.notices.capture import CaptureCode
+from fsinfer.notices.notice import Notice, notice
 
-# Longer side at which scores are taken, so that photos of 48 megapixels and video frames are judged alike.
+#: Longer side at which scores are taken, pixels, so that photos of 48 megapixels and video frames are judged alike.
+#: Source: judgement.
 SCORE_SIZE_PX = 1000
-# Luminance at and beyond which a pixel says nothing, of 255 (the last levels are JPEG rounding).
-DARK_LEVEL, BRIGHT_LEVEL = 5, 250
+#: White, of a photo of 8 bits. Source: format.
+_WHITE = 255
+#: Luminance so near to black or white says nothing. Source: the last levels are JPEG rounding.
+_BLANK_LEVELS = 5
+#: Width of the Gaussian before the Laplacian, pixels: single-pixel noise of a dark photo must not pass for sharpness.
+#: Source: about the 5x5 Laplacian of Gaussian.
+_SMOOTH_PX = 0.8
+#: Width and height of the thumbnails that repetitions are found by. Source: numerics.
 _THUMBNAIL = (64, 48)
-EQUALIZERS = ("none", "clahe", "hist")
+#: An exposure may change by this factor between two photos that are the same: a stop. Source: judgement.
+_EXPOSURE_CHANGE = 2.0
+#: Clip limit, and tiles a side. Source: the values of OpenCV's tutorial on CLAHE, a mild setting.
+_CLAHE_CLIP, _CLAHE_TILES = 2.0, 8
+#: Sharpness that stands for none where the logarithm is taken. Source: numerics.
+_LEAST_SHARPNESS = 1e-9
+#: Standard deviation over median absolute deviation of a normal distribution. Source: numerics.
+_STD_OVER_MAD = 1.4826
+EQUALIZERS = tuple(method.value for method in Equalize)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,33 +58,6 @@ class FrameScore:
     thumbnail: NDArray[np.float32]
 
 
-@dataclass(frozen=True, kw_only=True)
-class QualityLimits:
-    """When a photograph is dropped.
-
-    Attributes
-    ----------
-    min_relative_sharpness: share of the set's median sharpness.
-    min_robust_z: and this many robust standard deviations (1.4826 MAD of the logarithm) below the median: photos of
-        smooth bark beside photos of leaves differ by nature.
-    max_blurred_share: at most this share of a set is dropped as blurred, the worst first. A person chose the photos,
-        and a gap in the walk costs more than a soft photo.
-    min_mean, max_mean: of the luminance, 0 to 255.
-    max_dark_share, max_bright_share: a forest against the sky easily has 30 % of white.
-    min_difference: mean difference of luminance thumbnails (0 to 255) from the last kept photo; less is a repetition.
-        A change of the exposure alone, up to a stop each way, makes no difference.
-    """
-
-    min_relative_sharpness: float = 0.35
-    min_robust_z: float = 3.0
-    max_blurred_share: float = 0.2
-    min_mean: float = 15.0
-    max_mean: float = 240.0
-    max_dark_share: float = 0.7
-    max_bright_share: float = 0.7
-    min_difference: float = 1.0
-
-
 def score_frame(image: NDArray[np.uint8]) -> FrameScore:
     """Score an (H, W, 3) RGB uint8 photograph."""
     grey = luminance(image)
@@ -74,37 +65,36 @@ def score_frame(image: NDArray[np.uint8]) -> FrameScore:
     if scale < 1:
         grey = np.asarray(cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     values = grey.astype(np.float32)
-    # 5x5 Laplacian of Gaussian, roughly: single-pixel noise of a dark photo must not pass for sharpness.
-    smooth = cv2.GaussianBlur(values, (0, 0), 0.8)
+    smooth = cv2.GaussianBlur(values, (0, 0), _SMOOTH_PX)
     response = cv2.Laplacian(smooth, cv2.CV_32F)
     return FrameScore(
         sharpness=float(response.var() / (values.var() + 1.0)),
         mean_luminance=float(values.mean()),
-        dark_share=float((grey <= DARK_LEVEL).mean()),
-        bright_share=float((grey >= BRIGHT_LEVEL).mean()),
+        dark_share=float((grey <= _BLANK_LEVELS).mean()),
+        bright_share=float((grey >= _WHITE - _BLANK_LEVELS).mean()),
         thumbnail=np.asarray(cv2.resize(values, _THUMBNAIL, interpolation=cv2.INTER_AREA), dtype=np.float32),
     )
 
 
-def reasons_to_drop(scores: Sequence[FrameScore], limits: QualityLimits) -> list[str]:
-    """For each photograph of a set, in order of capture, why it is dropped; empty text keeps it."""
+def reasons_to_drop(scores: Sequence[FrameScore], limits: QualityLimits) -> list[Notice | None]:
+    """For each photograph of a set, in order of capture, why it is dropped; None keeps it."""
     reasons = [_exposure_reason(score, limits) for score in scores]
-    usable = [index for index, reason in enumerate(reasons) if not reason]
+    usable = [index for index, reason in enumerate(reasons) if reason is None]
     if not usable:
         return reasons
-    logs = np.log([max(scores[index].sharpness, 1e-9) for index in usable])
+    logs = np.log([max(scores[index].sharpness, _LEAST_SHARPNESS) for index in usable])
     median = float(np.median(logs))
-    spread = 1.4826 * float(np.median(np.abs(logs - median)))
+    spread = _STD_OVER_MAD * float(np.median(np.abs(logs - median)))
     limit = min(median + float(np.log(limits.min_relative_sharpness)), median - limits.min_robust_z * spread)
     blurred = [usable[rank] for rank in np.argsort(logs, kind="stable") if logs[rank] < limit]
     for index in blurred[: int(limits.max_blurred_share * len(usable))]:
-        reasons[index] = "blurred"
+        reasons[index] = notice(CaptureCode.blurred)
     last: FrameScore | None = None
     for index, score in enumerate(scores):
-        if reasons[index]:
+        if reasons[index] is not None:
             continue
-        if last is not None and difference(score.thumbnail, last.thumbnail) < limits.min_difference:
-            reasons[index] = "same as the one before"
+        if last is not None and difference(score.thumbnail, last.thumbnail) < limits.min_difference_levels:
+            reasons[index] = notice(CaptureCode.repeated)
         else:
             last = score
     return reasons
@@ -112,16 +102,16 @@ def reasons_to_drop(scores: Sequence[FrameScore], limits: QualityLimits) -> list
 
 def difference(first: NDArray[np.float32], second: NDArray[np.float32]) -> float:
     """Mean absolute difference of two luminance thumbnails after the exposure of the second is matched to the first."""
-    gain = float(np.clip((first.mean() + 1) / (second.mean() + 1), 0.5, 2.0))
+    gain = float(np.clip((first.mean() + 1) / (second.mean() + 1), 1 / _EXPOSURE_CHANGE, _EXPOSURE_CHANGE))
     return float(np.abs(first - gain * second).mean())
 
 
-def _exposure_reason(score: FrameScore, limits: QualityLimits) -> str:
-    if score.mean_luminance < limits.min_mean or score.dark_share > limits.max_dark_share:
-        return "too dark"
-    if score.mean_luminance > limits.max_mean or score.bright_share > limits.max_bright_share:
-        return "too bright"
-    return ""
+def _exposure_reason(score: FrameScore, limits: QualityLimits) -> Notice | None:
+    if score.mean_luminance < limits.blank_mean_levels or score.dark_share > limits.max_blank_share:
+        return notice(CaptureCode.too_dark)
+    if score.mean_luminance > _WHITE - limits.blank_mean_levels or score.bright_share > limits.max_blank_share:
+        return notice(CaptureCode.too_bright)
+    return None
 
 
 def equalize(image: NDArray[np.uint8], method: str) -> NDArray[np.uint8]:
@@ -136,15 +126,16 @@ def equalize(image: NDArray[np.uint8], method: str) -> NDArray[np.uint8]:
     ImageError
         There is no such method.
     """
-    if method == "none":
+    if method == Equalize.none:
         return image
     if method not in EQUALIZERS:
         msg = f"there is no equalization {method!r}; choose one of {', '.join(EQUALIZERS)}"
         raise ImageError(msg)
     lab = cv2.cvtColor(image, cv2.COLOR_RGB2LAB)
     lightness = np.ascontiguousarray(lab[:, :, 0])
-    if method == "clahe":
-        lightness = np.asarray(cv2.createCLAHE(clipLimit=2.0, tileGridSize=(8, 8)).apply(lightness), dtype=np.uint8)
+    if method == Equalize.clahe:
+        clahe = cv2.createCLAHE(clipLimit=_CLAHE_CLIP, tileGridSize=(_CLAHE_TILES, _CLAHE_TILES))
+        lightness = np.asarray(clahe.apply(lightness), dtype=np.uint8)
     else:
         lightness = np.asarray(cv2.equalizeHist(lightness), dtype=np.uint8)
     lab[:, :, 0] = lightness

@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import shutil
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from fsinfer.errors import ImageError, OutputError
 from fsinfer.frames.contact_sheet import Tile, thumbnail, write_contact_sheet
-from fsinfer.frames.quality import EQUALIZERS, FrameScore, QualityLimits, equalize, reasons_to_drop, score_frame
-from fsinfer.frames.table import FrameRow, frames_csv, read_frames_csv
-from fsinfer.frames.video import VIDEO_SUFFIXES, VideoSettings, sharpest_frames
-from fsinfer.io.digest import file_digest
+from fsinfer.frames.quality import EQUALIZERS, FrameScore, equalize, reasons_to_drop, score_frame
+from fsinfer.frames.settings import FrameSettings, VideoSettings
+from fsinfer.frames.table import FrameRow, frames_csv
+from fsinfer.frames.video import VIDEO_SUFFIXES, sharpest_frames
 from fsinfer.io.exif import camera_exif, named_camera_exif
 from fsinfer.io.files import make_folder, write_text
 from fsinfer.io.images import PHOTO_SUFFIXES, is_upright_jpeg_or_png, list_images, read_image, write_image
+from fsinfer.notices.capture import CaptureCode
+from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.sentences import sentence, sentences
 from fsinfer.progress import Progress, silent
 
 __all__ = ["FrameRow", "FrameSettings", "FramesResult", "list_captures", "select_frames"]
@@ -29,34 +30,17 @@ CONTACT_SHEET = "frames_contact.jpg"
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrameSettings:
-    """How frames are chosen.
-
-    Attributes
-    ----------
-    interval_s, window_s, max_shift: of video, see :class:`fsinfer.frames.video.VideoSettings`.
-    equalize: ``none``, ``clahe`` or ``hist`` (the paper's histogram equalization). None by default: SIFT and the depth
-        network take out brightness and contrast themselves, upright photos are copied without coding them again,
-        and the colours of the cloud stay those of the photos.
-    limits: when a frame is dropped.
-    jpeg_quality: of frames that are written anew; upright JPEG photos are copied as they are.
-    """
-
-    interval_s: float = 2.0
-    window_s: float = 0.5
-    max_shift: float = 0.3
-    equalize: str = "none"
-    limits: QualityLimits = field(default_factory=QualityLimits)
-    jpeg_quality: int = 97
-
-
-@dataclass(frozen=True, kw_only=True)
 class FramesResult:
-    """The chosen images in order, a row for every candidate, and sentences for the user."""
+    """The frames that were chosen into ``folder/images``: a row for every candidate, and warnings."""
 
-    images: tuple[Path, ...]
+    folder: Path
     rows: tuple[FrameRow, ...]
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Notice, ...] = ()
+
+    @property
+    def images(self) -> tuple[Path, ...]:
+        """The chosen images in order."""
+        return tuple(self.folder / "images" / f"{row.name}.jpg" for row in self.rows if row.kept)
 
 
 def list_captures(source: Path) -> list[Path]:
@@ -91,7 +75,7 @@ def select_frames(
     its own later. The contact sheet shows what was dropped and why; there is none when nothing was.
 
     A photo that cannot be read is a row with a reason, not the end: it may be one of a hundred. Photos may differ in
-    size. Called again with the same source and settings it returns what was chosen before.
+    size. What an earlier call chose into ``out`` goes.
 
     Parameters
     ----------
@@ -116,12 +100,9 @@ def select_frames(
         msg = f"{source} would be overwritten by the chosen frames; choose another output folder than {out}"
         raise ImageError(msg)
     paths = list_captures(source)
-    key = {"settings": asdict(settings), "source": {path.name: file_digest(path) for path in paths}}
-    finished = _finished(out, key)
-    if finished is not None:
-        return finished
     _clear(out)
-    write_text(out / "frames.json", json.dumps({"key": None}) + "\n")
+    # From here on the folder is known for this stage's, also after a kill.
+    write_text(out / "frames.csv", frames_csv(()))
     tiles: list[Tile] = []
     rows: list[FrameRow] = []
     clips = [path for path in paths if path.suffix.lower() in VIDEO_SUFFIXES or not source.is_dir()]
@@ -137,27 +118,25 @@ def select_frames(
         except ImageError as error:
             if len(paths) == 1:
                 raise
-            rows.append(_row(clip.stem, clip.name, None, None, f"cannot be read: {error}"))
+            rows.append(_row(clip.stem, clip.name, None, None, notice(CaptureCode.unreadable, error=str(error))))
     rows.sort(key=lambda row: row.name)
     write_contact_sheet(out / CONTACT_SHEET, tiles, total=len(rows))
-    images = tuple(out / "images" / f"{row.name}.jpg" for row in rows if row.kept)
-    warnings = _warnings(rows)
     write_text(out / "frames.csv", frames_csv(rows))
-    write_text(out / "frames.json", json.dumps({"key": key, "warnings": warnings}, indent=1) + "\n")
-    if not images:
+    result = FramesResult(folder=out, rows=tuple(rows), warnings=_warnings(rows))
+    if not result.images:
         counts = "; ".join(sorted({row.reason for row in rows if row.reason}))
         msg = f"none of the {len(rows)} photos in {source} can be used ({counts}); see {out / 'frames.csv'}"
         raise ImageError(msg)
-    for warning in warnings:
+    for warning in sentences(result.warnings):
         _log.warning(warning)
-    return FramesResult(images=images, rows=tuple(rows), warnings=tuple(warnings))
+    return result
 
 
 def _from_photos(
     paths: Sequence[Path], folder: Path, settings: FrameSettings, tiles: list[Tile], progress: Progress
 ) -> list[FrameRow]:
     scores: dict[Path, FrameScore] = {}
-    reasons: dict[Path, str] = {}
+    reasons: dict[Path, Notice | None] = {}
     first_of: dict[str, Path] = {}
     first_error: ImageError | None = None
     for done, path in enumerate(paths):
@@ -166,11 +145,11 @@ def _from_photos(
             score = score_frame(read_image(path))
         except ImageError as error:
             first_error = first_error or error
-            reasons[path] = f"cannot be read: {error}"
+            reasons[path] = notice(CaptureCode.unreadable, error=str(error))
             continue
         if path.stem in first_of:
             # Many phones write IMG_1.HEIC and IMG_1.JPG of the same moment.
-            reasons[path] = f"same name as {first_of[path.stem].name}"
+            reasons[path] = notice(CaptureCode.same_name, other=first_of[path.stem].name)
             continue
         first_of[path.stem] = path
         scores[path] = score
@@ -181,12 +160,12 @@ def _from_photos(
         reasons[path] = reason
     for done, path in enumerate(paths):
         progress(len(paths) + done, 2 * len(paths), "writing frames")
-        if not reasons[path]:
+        reason = reasons[path]
+        if reason is None:
             _write_photo(path, folder / f"{path.stem}.jpg", settings)
         else:
-            readable = path in scores or not reasons[path].startswith("cannot be read")
-            small = thumbnail(read_image(path)) if readable else None
-            tiles.append(Tile(image=small, name=path.name, reason=reasons[path]))
+            small = None if reason.code == CaptureCode.unreadable else thumbnail(read_image(path))
+            tiles.append(Tile(image=small, name=path.name, reason=sentence(reason)))
     progress(2 * len(paths), 2 * len(paths), "writing frames")
     return [_row(path.stem, path.name, None, scores.get(path), reasons[path]) for path in paths]
 
@@ -230,15 +209,15 @@ def _from_video(
     reasons = reasons_to_drop([score for _, _, score in found], settings.limits)
     rows = []
     for (name, time_s, score), reason in zip(found, reasons, strict=True):
-        if reason:
-            tiles.append(Tile(image=thumbnail(read_image(folder / f"{name}.jpg")), name=name, reason=reason))
+        if reason is not None:
+            tiles.append(Tile(image=thumbnail(read_image(folder / f"{name}.jpg")), name=name, reason=sentence(reason)))
             (folder / f"{name}.jpg").unlink(missing_ok=True)
         rows.append(_row(name, path.name, time_s, score, reason))
     taken += [row.name for row in rows]
     return rows
 
 
-def _row(name: str, source: str, time_s: float | None, score: FrameScore | None, reason: str) -> FrameRow:
+def _row(name: str, source: str, time_s: float | None, score: FrameScore | None, reason: Notice | None) -> FrameRow:
     return FrameRow(
         name=name,
         source=source,
@@ -247,46 +226,29 @@ def _row(name: str, source: str, time_s: float | None, score: FrameScore | None,
         mean_luminance=None if score is None else score.mean_luminance,
         dark_share=None if score is None else score.dark_share,
         bright_share=None if score is None else score.bright_share,
-        kept=not reason,
-        reason=reason,
+        kept=reason is None,
+        reason="" if reason is None else sentence(reason),
     )
 
 
-def _warnings(rows: Sequence[FrameRow]) -> list[str]:
+def _warnings(rows: Sequence[FrameRow]) -> tuple[Notice, ...]:
     dropped = [row for row in rows if not row.kept]
     if not dropped:
-        return []
-    shown = "; ".join(f"{row.source if row.time_s is None else row.name}: {row.reason}" for row in dropped[:5])
-    more = f"; and {len(dropped) - 5} more" if len(dropped) > 5 else ""
-    return [f"{len(dropped)} of {len(rows)} frames were not used ({shown}{more})"]
-
-
-def _finished(out: Path, key: dict[str, Any]) -> FramesResult | None:
-    """The result of an earlier run with the same source, if all of it is still there."""
-    try:
-        record = json.loads((out / "frames.json").read_text(encoding="utf-8"))
-        if record["key"] != json.loads(json.dumps(key)):
-            return None
-        rows = read_frames_csv(out / "frames.csv")
-        warnings = tuple(record["warnings"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-    images = tuple(out / "images" / f"{row.name}.jpg" for row in rows if row.kept)
-    if not images or not all(path.is_file() for path in images):
-        return None
-    return FramesResult(images=images, rows=rows, warnings=warnings)
+        return ()
+    rejected = tuple(f"{row.source if row.time_s is None else row.name}: {row.reason}" for row in dropped)
+    return (notice(CaptureCode.frames_not_used, frames=len(rows), rejected=rejected),)
 
 
 def _clear(out: Path) -> None:
     """Take away the frames of an earlier choice, so that two choices never mix."""
-    if not (out / "frames.json").is_file():
+    if not (out / "frames.csv").is_file():
         if any((out / "images").glob("*")):
             msg = f"{out / 'images'} holds files that this stage did not make; choose another output folder"
             raise OutputError(msg)
         return
     try:
         shutil.rmtree(out / "images", ignore_errors=True)
-        for name in ("frames.json", "frames.csv", CONTACT_SHEET):
+        for name in ("frames.csv", CONTACT_SHEET):
             (out / name).unlink(missing_ok=True)
     except OSError as error:
         msg = f"cannot clear {out} ({error.strerror or error}); choose another output folder"

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
+
+from fsinfer.io.csv_text import CsvRow, read_table, table_text
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,35 +34,36 @@ class FrameRow:
     reason: str
 
 
+#: Decimals of the columns. Source: format.
 _DIGITS = {"time_s": 3, "sharpness": 6, "mean_luminance": 2, "dark_share": 5, "bright_share": 5}
 
 
 def frames_csv(rows: Sequence[FrameRow]) -> str:
     """The text of the file."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     names = [entry.name for entry in fields(FrameRow)]
-    writer.writerow(names)
-    for row in rows:
-        values = asdict(row)
-        writer.writerow([_cell(name, values[name]) for name in names])
-    return text.getvalue()
+    return table_text(names, ([_cell(name, value) for name, value in asdict(row).items()] for row in rows))
 
 
-def _cell(name: str, value: Any) -> str:
-    if value is None:
-        return ""
-    if isinstance(value, bool):
-        return str(int(value))
-    return f"{value:.{_DIGITS[name]}f}" if name in _DIGITS else str(value)
+def _cell(name: str, value: Any) -> str | bool | None:
+    return f"{value:.{_DIGITS[name]}f}" if name in _DIGITS and value is not None else value
 
 
 def read_frames_csv(path: Path) -> tuple[FrameRow, ...]:
-    """Rows of a file that :func:`frames_csv` made; OSError, ValueError or KeyError where it is missing or damaged."""
-    with path.open(encoding="utf-8", newline="") as stream:
-        return tuple(_parse(row) for row in csv.DictReader(stream))
+    """Rows of a file that :func:`frames_csv` made; :class:`~fsinfer.errors.InputError` where it cannot be read."""
+    table = read_table(
+        path,
+        what="the table of frames",
+        required=[entry.name for entry in fields(FrameRow)],
+        way_out="run 'fsinfer frames' again",
+    )
+    return tuple(_parse(row) for row in table.rows)
 
 
-def _parse(row: dict[str, str]) -> FrameRow:
-    numbers = {name: float(row[name]) if row[name] else None for name in _DIGITS}
-    return FrameRow(name=row["name"], source=row["source"], kept=row["kept"] == "1", reason=row["reason"], **numbers)
+def _parse(row: CsvRow) -> FrameRow:
+    return FrameRow(
+        name=row.cells["name"],
+        source=row.cells["source"],
+        kept=row.text("kept") == "1",
+        reason=row.cells["reason"],
+        **{name: row.number(name) for name in _DIGITS},
+    )

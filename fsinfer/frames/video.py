@@ -12,34 +12,22 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import ImageError
 from fsinfer.frames.quality import score_frame
+from fsinfer.frames.settings import VideoSettings
 from fsinfer.frames.view_shift import ViewChange
 from fsinfer.progress import Progress
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".3gp", ".mts", ".mpg", ".mpeg"})
-#: The way of the picture is looked up so often.
+#: The way of the picture is looked up so often. Source: numerics; every third frame of 30 a second.
 _LOOK_S = 0.095
-#: A frame may be taken once the picture has moved by this share of what it may move.
+#: A frame may be taken once the picture has moved by this share of what it may move. Source: judgement.
 _READY = 0.5
-#: A frame is sharp that has this share of the median sharpness of so many taken before.
+#: A frame is sharp that has this share of the median sharpness of so many taken before. Source: one
+#: rendered video of a walker; renders only.
 _SHARP_ENOUGH, _REMEMBERED = 0.7, 20
-
-
-@dataclass(frozen=True, kw_only=True)
-class VideoSettings:
-    """When the next frame is taken.
-
-    Attributes
-    ----------
-    interval_s: after so many seconds at the latest (the paper: 2).
-    window_s: the sharpest frame within so many seconds is taken: of a walker's frames most are blurred by his steps.
-    max_shift: sooner where the picture has moved by this share of its width (or height) since the last frame, as it
-        does when a person turns or passes a near stem: photos must share two thirds of their view. The window opens
-        at half of it.
-    """
-
-    interval_s: float = 2.0
-    window_s: float = 0.5
-    max_shift: float = 0.3
+#: Rate of a video that tells none, frames a second. Source: usual for phones.
+_USUAL_RATE = 30.0
+#: Time stamps nearer than this are the same, seconds. Source: numerics.
+_SAME_S = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +89,7 @@ def _choose(capture: cv2.VideoCapture, settings: VideoSettings, progress: Progre
         frame = VideoFrame(index=index, time_s=time_s, image=np.ascontiguousarray(image[:, :, ::-1], dtype=np.uint8))
         if look:
             shift, looked_s = change.shift(frame.image), time_s
-        if best is not None and ripe_s is None and (shift >= settings.max_shift or time_s > due_s + window_s + 1e-6):
+        if best is not None and ripe_s is None and (shift >= settings.max_shift or time_s > due_s + window_s + _SAME_S):
             ripe_s = time_s
         # Where no frame was sharp, it stays open a little longer: a blurred frame joins nothing.
         sharp = not taken or best_score >= _SHARP_ENOUGH * float(np.median(taken))
@@ -114,7 +102,7 @@ def _choose(capture: cv2.VideoCapture, settings: VideoSettings, progress: Progre
             change.start(best.image)
             shift, looked_s = change.shift(frame.image), time_s
             is_open, ripe_s, best, best_score = False, None, None, -1.0
-        is_open = is_open or shift >= _READY * settings.max_shift or time_s >= due_s - 1e-6
+        is_open = is_open or shift >= _READY * settings.max_shift or time_s >= due_s - _SAME_S
         if is_open:
             score = score_frame(frame.image).sharpness
             if score > best_score:
@@ -126,7 +114,7 @@ def _choose(capture: cv2.VideoCapture, settings: VideoSettings, progress: Progre
 def _times(capture: cv2.VideoCapture) -> Iterator[tuple[int, float]]:
     """Number and time of every frame, which is ready to be decoded when it is named."""
     rate = capture.get(cv2.CAP_PROP_FPS)
-    rate = rate if np.isfinite(rate) and rate > 0 else 30.0
+    rate = rate if np.isfinite(rate) and rate > 0 else _USUAL_RATE
     index, last_s = -1, -1.0
     while capture.grab():
         index += 1

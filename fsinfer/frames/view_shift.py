@@ -8,11 +8,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-#: Longer side at which corners are followed, pixels: a blur of 20 pixels of full HD is 3 there.
+#: Longer side at which corners are followed, pixels: a blur of 20 pixels of full HD is 3 there. Source: numerics.
 LOOK_SIZE_PX = 320
-_MOST_CORNERS, _FEWEST_CORNERS = 200, 25
-# A corner followed there and back ends so near to where it began, in pixels of the small picture.
+#: Corners followed at most; how good the worst of them is beside the best, and how far apart they are, pixels. Source:
+#: numerics.
+_MOST_CORNERS, _WORST_CORNER, _CORNERS_APART_PX = 200, 0.01, 7
+#: With fewer corners nothing can be told. Source: judgement.
+_FEWEST_CORNERS = 25
+#: A corner followed there and back ends so near to where it began, in pixels of the small picture. Source: judgement.
 _RETURN_PX = 1.0
+#: Window and levels of the pyramid: 15 pixels at a sixteenth. Source: numerics.
 _FLOW = {"winSize": (15, 15), "maxLevel": 4}
 
 
@@ -31,7 +36,8 @@ class ViewChange:
     def start(self, image: NDArray[np.uint8]) -> None:
         """Take ``image`` as the frame from which the change is counted."""
         small = _small(image)
-        found: Any = cv2.goodFeaturesToTrack(small, _MOST_CORNERS, 0.01, 7)  # None on a picture without any
+        # None on a picture without any.
+        found: Any = cv2.goodFeaturesToTrack(small, _MOST_CORNERS, _WORST_CORNER, _CORNERS_APART_PX)
         corners = np.zeros((0, 2), np.float32) if found is None else np.asarray(found, np.float32).reshape(-1, 2)
         self._last, self._first_px, self._now_px, self._corners = small, corners, corners, len(corners)
 

@@ -17,13 +17,20 @@ from numpy.typing import NDArray
 
 from fsinfer.depth.maps import DepthMap
 
+#: Levels of the tolerances. Source: D2HC-RMVSNet (Yan et al. 2020, section 3.3) grades by the number of views.
 LEVELS = 10
+#: Of a pixel that no level holds. Source: format; the last value of a byte.
 NO_LEVEL = 255
-# Width of the table in which scattered lookups are handed to cv2.remap: its height must stay below 32767.
+#: Width of the table in which scattered lookups are handed to cv2.remap: its height must stay below 32767. Source:
+#: numerics.
 _REMAP_WIDTH = 2048
-# Where bilinear and nearest lookup differ by more than this part, the four pixels lie on two surfaces (or one has no
-# depth): the mixture is on neither, so the nearest one counts.
+#: Where bilinear and nearest lookup differ by more than this part, the four pixels lie on two surfaces (or one has no
+#: depth): the mixture is on neither, so the nearest one counts. Source: judgement.
 _SAME_SURFACE = 0.01
+#: Nearer than this part of the depth to the plane of a camera counts as behind it. Source: numerics.
+_BEHIND = 1e-6
+#: Least baseline times focal length. Source: numerics.
+_LEAST_BASELINE = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,13 +39,14 @@ class Tolerances:
 
     Attributes
     ----------
-    reprojection_step_px: in pixels of the depth map (D2HC-RMVSNet and DESIGN section 5: i/2).
-    relative_depth_step: part of the depth (DESIGN section 5: about i * 1e-3).
+    reprojection_step_px: in pixels of the depth map. Source: D2HC-RMVSNet (i/2).
+    relative_depth_step: part of the depth. Source: D2HC-RMVSNet grades alike; this step is judgement.
     disparity_step_px: no tolerance is tighter than a matching error of so many map pixels means for the baseline of
-        the pair, because what is below the noise of a pair says nothing: z / (f b) * disparity_step_px. Matching is
-        precise to 0.1-0.3 px. Capped at ``relative_depth_step_max``.
+        the pair, because what is below the noise of a pair says nothing: z / (f b) * disparity_step_px. Capped at
+        ``relative_depth_step_max``. Source: matching is precise to 0.1-0.3 px, which level 2 to 5 reach.
+    relative_depth_step_max: see above. Source: judgement.
     seen_through: a confident depth of the other view that lies behind the point by more than so many times the
-        tolerance of level 10, all around, says that the point floats in empty space.
+        tolerance of level 10, all around, says that the point floats in empty space. Source: judgement.
     """
 
     reprojection_step_px: float = 0.5
@@ -69,7 +77,7 @@ class PairEvidence:
 def depth_tolerance_step(reference: DepthMap, source: DepthMap, tolerances: Tolerances) -> float:
     """Return k such that the relative depth tolerance of one level is ``clip(k * z, lowest, highest)``."""
     baseline = float(np.linalg.norm(source.center - reference.center))
-    return tolerances.disparity_step_px / max(float(source.intrinsic[0, 0]) * baseline, 1e-12)
+    return tolerances.disparity_step_px / max(float(source.intrinsic[0, 0]) * baseline, _LEAST_BASELINE)
 
 
 def check_pair(
@@ -95,7 +103,7 @@ def check_pair(
     shift = source.intrinsic @ relative[:3, 3]
     height, width = source.inverse_depth.shape
     x, y, z = _map_rays(forth, u, v, depth, shift)
-    ahead = z > 1e-6 * depth
+    ahead = z > _BEHIND * depth
     safe = np.where(ahead, z, np.float32(1))
     su, sv = x / safe, y / safe
     inside = ahead & (su >= 0) & (su <= width - 1) & (sv >= 0) & (sv <= height - 1)
@@ -109,7 +117,7 @@ def check_pair(
     found = np.float32(1) / np.where(known, inverse, np.float32(1))
     # Back into the reference: K_r R^T (K_s^-1 z_s p_s - t) = back (z_s p_s - shift).
     bx, by, bz = _map_rays(back, su, sv, found, -(back @ shift))
-    known &= bz > 1e-6 * depth
+    known &= bz > _BEHIND * depth
     bz = np.where(known, bz, np.float32(1))
     error = np.hypot(bx / bz - u, by / bz - v) / np.float32(tolerances.reprojection_step_px)
     step = np.clip(

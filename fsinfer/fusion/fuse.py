@@ -16,16 +16,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.depth.maps import DepthMap, DepthMaps
+from fsinfer.depth.settings import DepthSettings
 from fsinfer.errors import CloudError
-from fsinfer.fusion.consistency import LEVELS, Tolerances, check_pair
+from fsinfer.fusion.consistency import LEVELS, NO_LEVEL, Tolerances, check_pair
 from fsinfer.fusion.memory import FusionPlan, plan_fusion
-from fsinfer.fusion.surfaces import MAX_SLOPE, pixel_normals, smooth_pixels
+from fsinfer.fusion.surfaces import pixel_normals, smooth_pixels
 from fsinfer.fusion.voxels import MAX_EXTENT_VOXELS, Samples, VoxelMerger, much_worse_than_nearby, select, sum_within
 from fsinfer.io.cloud import PointCloud
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene
 
 _log = logging.getLogger(__name__)
+
+#: A pixel of no confidence still counts so much in a mean. Source: numerics.
+_LEAST_CONFIDENCE = 0.05
+#: Views and pixels that the confidences and footprints of a scene are sampled from: so many views, each so-many-th
+#: pixel. Source: numerics.
+_SAMPLED_VIEWS, _PIXEL_STRIDE = 16, 7
+#: The same for the noise of the maps. Source: numerics.
+_NOISE_VIEWS, _NOISE_STRIDE = 8, 11
+#: Side of the cells in whose neighbourhood of three specks are looked for, voxels. Source: judgement.
+_SPECK_CELL = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,36 +45,46 @@ class FusionSettings:
 
     Attributes
     ----------
-    min_confidence: pixels below are left out; None takes the 30th percentile of the scene's confidences (the surer
-        70 % of pixels held 94-99 % within 1 % in DESIGN section 4), but not more than ``confidence_cap``.
-    confidence_cap: see above; a scene in which everything is sure loses nothing.
-    source_confidence_part: other views may witness with so much of that confidence.
+    min_confidence: pixels below are left out; None takes ``unsure_percent`` of the scene's confidences, but not more
+        than ``confidence_cap``. Source: option.
+    unsure_percent: share of the pixels that is left out, the least sure. Source: saharov32, four views: the surer 70 %
+        of pixels held 94-99 % within 1 %.
+    confidence_cap: a scene in which everything is sure loses nothing. Source: calibrated confidence: even odds.
+    source_confidence_part: other views may witness with so much of that confidence. Source: judgement.
     tolerances: of the comparison of two views.
     noise_part: the step of the depth tolerance is at least so much of the median difference between neighbouring maps,
-        up to ``noise_step_max``; 0 = off. On rendered maps with 0.5 % noise a step of 0.002 kept twice the surface of
-        0.001 with the same error: a tolerance below the noise only makes holes.
-    max_sources: views asked for each view, those of pair.txt first, then those that list it.
-    extra_views: level i needs i + extra_views agreeing views (D2HC-RMVSNet starts at two views); fewer only where the
-        view has fewer neighbours.
+        up to ``noise_step_max``; 0 = off. Source: rendered maps with 0.5 % noise, on which a step of 0.002 kept twice
+        the surface of 0.001 with the same error: a tolerance below the noise only makes holes; renders only.
+    noise_step_max: see above. Source: judgement.
+    max_sources: views asked for each view, those of pair.txt first, then those that list it. Source: judgement.
+    extra_views: level i needs i + extra_views agreeing views; fewer only where the view has fewer neighbours. Source:
+        D2HC-RMVSNet starts at two views.
     average_level: views agreeing within this level (or the level at which the pixel passed) enter the mean depth.
         Wider than the level that passes, because views chosen for being near the reference's value average its noise
-        less.
-    min_smooth_neighbours: of the 8 neighbours, so many must lie on the same surface; 3 of 8 are missing at a straight
-        silhouette, so 5 keeps edges and drops the mixed pixels between foreground and background.
-    max_slope: steepest surface, see :data:`fsinfer.fusion.surfaces.MAX_SLOPE`.
-    min_seen_through: points that so many views look through, and more than agree with them, are removed.
-    voxel: side in scene units; None takes the 25th percentile of the pixel footprints.
-    max_points: the voxel grows until no more points are left.
+        less. Source: judgement.
+    min_smooth_neighbours: of the 8 neighbours, so many must lie on the same surface. Source: 3 of 8 are missing at a
+        straight silhouette, so 5 keeps edges and drops the mixed pixels between foreground and background.
+    min_seen_through: points that so many views look through, and more than agree with them, are removed. Source:
+        judgement; one view may be wrong.
+    voxel: side in scene units; None takes ``voxel_percent`` of the pixel footprints. Source: option.
+    voxel_percent: percentile of the pixel footprints that is the voxel's side. Source: judgement; the nearer quarter
+        of the pixels keeps its detail.
+    max_points: the voxel grows until no more points are left. Source: option; what a viewer shows and trees take in
+        seconds.
     halo_ratio, halo_cell: points whose standard deviation is over ``halo_ratio`` times that of what lies within
-        ``halo_cell`` voxels and faces the same way are the halo of far views; ``None`` keeps them.
-    min_cell_pixels: points with fewer depth pixels in the 12-voxel neighbourhood are lone specks and removed.
-    cache_maps: depth maps kept in memory.
-    batch_points: points merged at a time.
+        ``halo_cell`` voxels and faces the same way are the halo of far views; ``None`` keeps them. Source: the demo
+        plot and one rendered plot (`tests.bench.plot --halo-ratio`); renders only.
+    min_cell_pixels: points with fewer depth pixels in the neighbourhood of 12 voxels are lone specks and removed.
+        Source: judgement.
+    cache_maps: depth maps kept in memory. Source: numerics.
+    batch_points: points merged at a time. Source: numerics.
     memory_gb: limit of the resident memory, 1e9 bytes; where it is tight fewer maps are kept, batches are smaller and,
-        with a warning, fewer points are kept (:func:`fsinfer.fusion.memory.plan_fusion`).
+        with a warning, fewer points are kept (:func:`fsinfer.fusion.memory.plan_fusion`). Source: option; that of
+        depth.
     """
 
     min_confidence: float | None = None
+    unsure_percent: float = 30.0
     confidence_cap: float = 0.5
     source_confidence_part: float = 0.5
     tolerances: Tolerances = field(default_factory=Tolerances)
@@ -73,16 +94,16 @@ class FusionSettings:
     extra_views: int = 1
     average_level: int = 6
     min_smooth_neighbours: int = 5
-    max_slope: float = MAX_SLOPE
     min_seen_through: int = 2
     voxel: float | None = None
+    voxel_percent: float = 25.0
     max_points: int = 4_000_000
     min_cell_pixels: int = 8
     halo_ratio: float | None = 3.0
     halo_cell: float = 6.0
     cache_maps: int = 40
     batch_points: int = 1_500_000
-    memory_gb: float = 3.0
+    memory_gb: float = DepthSettings.memory_gb
 
 
 def fuse(
@@ -191,7 +212,6 @@ def fuse_view(
     keep &= smooth_pixels(
         reference,
         min_neighbours=settings.min_smooth_neighbours,
-        max_slope=settings.max_slope,
         noise=settings.tolerances.relative_depth_step,
     )
     rows, columns = np.nonzero(keep)
@@ -217,8 +237,8 @@ def fuse_view(
     levels = np.stack([e.level for e in evidence])
     passed = passing_level(levels, extra_views=settings.extra_views)
     averaged = levels <= np.maximum(np.where(passed > LEVELS, 0, passed), settings.average_level)
-    weights = averaged * np.maximum(np.stack([e.confidence for e in evidence]), 0.05)
-    own = np.maximum(reference.confidence[rows, columns], 0.05)
+    weights = averaged * np.maximum(np.stack([e.confidence for e in evidence]), _LEAST_CONFIDENCE)
+    own = np.maximum(reference.confidence[rows, columns], _LEAST_CONFIDENCE)
     mean_depth = (own * depth + (weights * np.stack([e.depth for e in evidence])).sum(axis=0)) / (
         own + weights.sum(axis=0)
     )
@@ -242,7 +262,7 @@ def passing_level(levels: NDArray[np.uint8], *, extra_views: int) -> NDArray[np.
     (N,) uint8.
     """
     sources = len(levels)
-    passed = np.full(levels.shape[1], 255, dtype=np.uint8)
+    passed = np.full(levels.shape[1], NO_LEVEL, dtype=np.uint8)
     for level in range(min(LEVELS, max(2, sources - extra_views)), 0, -1):
         needed = min(level + extra_views, sources)
         passed[(levels <= level).sum(axis=0) >= needed] = level
@@ -267,12 +287,10 @@ def _samples(
         # x_world = R^T (x_cam - t); as rows this is (x_cam - t) R.
         xyz=(in_camera - reference.cam_from_world[:3, 3]) @ rotation,
         rgb=_colours(scene, index, reference, rows, columns),
-        normals=pixel_normals(
-            reference, rows, columns, max_slope=settings.max_slope, noise=settings.tolerances.relative_depth_step
-        )
+        normals=pixel_normals(reference, rows, columns, noise=settings.tolerances.relative_depth_step)
         @ rotation.astype(np.float32),
         # Variance of a depth grows with the fourth power of the distance and falls with the number of views.
-        weight=np.maximum(confidence, 0.05) * views / depth.astype(np.float64) ** 4,
+        weight=np.maximum(confidence, _LEAST_CONFIDENCE) * views / depth.astype(np.float64) ** 4,
         confidence=confidence,
         views=views,
         count=np.ones(len(rows), dtype=np.int32),
@@ -297,35 +315,35 @@ def _colours(
 
 
 def _adapt(maps: DepthMaps, settings: FusionSettings) -> tuple[float, float]:
-    """Confidence threshold and voxel side from up to 16 views spread over the scene."""
+    """Confidence threshold and voxel side from views spread over the scene."""
     confidences, footprints = [], []
-    for index in maps.available[:: -(-len(maps.available) // 16)]:
+    for index in maps.available[:: -(-len(maps.available) // _SAMPLED_VIEWS)]:
         found = maps.get(index)
         valid = found.inverse_depth > 0
-        confidences.append(found.confidence[valid][::7])
-        footprints.append((1 / (found.inverse_depth[valid] * found.intrinsic[0, 0]))[::7])
+        confidences.append(found.confidence[valid][::_PIXEL_STRIDE])
+        footprints.append((1 / (found.inverse_depth[valid] * found.intrinsic[0, 0]))[::_PIXEL_STRIDE])
     confidence, footprint = np.concatenate(confidences), np.concatenate(footprints)
     if not len(confidence):
         msg = f"the depth maps in {maps.folder / 'depth'} are empty; run again: fsinfer depth"
         raise CloudError(msg)
     threshold = settings.min_confidence
     if threshold is None:
-        threshold = min(settings.confidence_cap, float(np.percentile(confidence, 30)))
+        threshold = min(settings.confidence_cap, float(np.percentile(confidence, settings.unsure_percent)))
     sure = footprint[confidence >= threshold]
-    voxel = settings.voxel or float(np.percentile(sure if len(sure) else footprint, 25))
+    voxel = settings.voxel or float(np.percentile(sure if len(sure) else footprint, settings.voxel_percent))
     return threshold, voxel
 
 
 def adapt_tolerances(
     maps: DepthMaps, neighbours: dict[int, tuple[int, ...]], min_confidence: float, settings: FusionSettings
 ) -> Tolerances:
-    """Widen the depth tolerance to the noise of the maps, measured between up to 8 views and their first neighbour."""
+    """Widen the depth tolerance to the noise of the maps, measured between some views and their first neighbour."""
     loose = Tolerances(relative_depth_step=settings.noise_step_max)
     differences = []
-    for index in maps.available[:: -(-len(maps.available) // 8)]:
+    for index in maps.available[:: -(-len(maps.available) // _NOISE_VIEWS)]:
         reference = maps.get(index)
         rows, columns = np.nonzero((reference.confidence >= min_confidence) & (reference.inverse_depth > 0))
-        rows, columns = rows[::11], columns[::11]
+        rows, columns = rows[::_NOISE_STRIDE], columns[::_NOISE_STRIDE]
         if not len(rows) or not neighbours[index]:
             continue
         depth = np.asarray(1 / reference.inverse_depth[rows, columns], dtype=np.float32)
@@ -344,4 +362,4 @@ def adapt_tolerances(
 def _drop_specks(samples: Samples, voxel: float, min_pixels: int) -> Samples:
     if min_pixels <= 1:
         return samples
-    return select(samples, sum_within(samples.xyz, 4 * voxel, samples.count) >= min_pixels)
+    return select(samples, sum_within(samples.xyz, _SPECK_CELL * voxel, samples.count) >= min_pixels)

@@ -10,10 +10,17 @@ from dataclasses import dataclass
 from fsinfer.depth.memory import BASE_BYTES, GIGABYTE
 from fsinfer.errors import InputError
 
-#: A point while it is merged: itself (68 bytes), its joined, sorted and averaged copies. 312 bytes for 5.5 million.
+#: A point while it is merged: itself (68 bytes), its joined, sorted and averaged copies. Source: numerics; measured,
+#: 312 bytes for 5.5 million.
 _BYTES_PER_MERGED_POINT = 320
-_LEAST_BATCH_POINTS = 250_000
-_LEAST_POINTS = 250_000
+#: Points in a batch and of a cloud at least. Source: numerics.
+_LEAST_BATCH_POINTS = _LEAST_POINTS = 250_000
+#: A depth map and its confidence, bytes a pixel. Source: format; float32.
+_BYTES_PER_PIXEL = 8
+#: Comparing two views takes about as much as so many maps. Source: numerics; measured.
+_MAPS_OF_A_PAIR = 10
+#: Share of the memory that maps may take, and maps kept at least. Source: numerics.
+_SHARE_OF_MAPS, _LEAST_MAPS = 0.2, 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,13 +49,14 @@ def plan_fusion(
         Less than the least that a cloud takes.
     """
     limit = memory_gb * GIGABYTE - BASE_BYTES
-    # Comparing two views takes about as much as ten maps.
-    maps = min(cache_maps, max(4, int(0.2 * limit / (8 * map_pixels)) - 10))
-    points = int((limit - (maps + 10) * 8 * map_pixels) / _BYTES_PER_MERGED_POINT)
+    of_map = _BYTES_PER_PIXEL * map_pixels
+    maps = min(cache_maps, max(_LEAST_MAPS, int(_SHARE_OF_MAPS * limit / of_map) - _MAPS_OF_A_PAIR))
+    of_maps = (maps + _MAPS_OF_A_PAIR) * of_map
+    points = int((limit - of_maps) / _BYTES_PER_MERGED_POINT)
     if points < _LEAST_POINTS + _LEAST_BATCH_POINTS:
         msg = f"{memory_gb:g} GB of --memory-gb are too few for a cloud; give 1 or more"
         raise InputError(msg)
     batch = min(batch_points, max(_LEAST_BATCH_POINTS, points - max_points))
     kept = min(max_points, points - batch)
-    peak = BASE_BYTES + (maps + 10) * 8 * map_pixels + (kept + batch) * _BYTES_PER_MERGED_POINT
+    peak = BASE_BYTES + of_maps + (kept + batch) * _BYTES_PER_MERGED_POINT
     return FusionPlan(cache_maps=maps, batch_points=batch, max_points=kept, peak_bytes=int(peak))

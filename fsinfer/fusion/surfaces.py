@@ -1,7 +1,7 @@
 """The surface around the pixels of one depth map: flying pixels and normals.
 
 Both ask which neighbours of a pixel lie on the same surface: those whose depth differs by no more than a surface as
-steep as ``max_slope`` would, plus noise.
+steep as :data:`MAX_SLOPE` would, plus noise.
 """
 
 from __future__ import annotations
@@ -12,28 +12,27 @@ from numpy.typing import NDArray
 
 from fsinfer.depth.maps import DepthMap
 
-# Depth change from pixel to pixel, in pixel footprints (z / f), still taken for one surface: the tangent of the angle
-# between ray and normal, 80 degrees.
+#: Depth change from pixel to pixel, in pixel footprints (z / f), still taken for one surface: the tangent of the angle
+#: between ray and normal. Source: judgement; 80 degrees.
 MAX_SLOPE = 5.7
-# Neighbours for normals: a square ring at distance 1 and one at distance 2 around the pixel.
+#: Neighbours for normals: a square ring at distance 1 and one at distance 2 around the pixel. Source: numerics.
 _RING = tuple((du, dv) for r in (1, 2) for du in (-r, 0, r) for dv in (-r, 0, r) if (du, dv) != (0, 0))
+#: Sums whose determinant is less have no plane; lengths that stand for none. Source: numerics.
+_LEAST_DETERMINANT, _LEAST_LENGTH = 1e-9, 1e-30
 
 
-def smooth_pixels(
-    reference: DepthMap, *, min_neighbours: int = 5, max_slope: float = MAX_SLOPE, noise: float = 1e-3
-) -> NDArray[np.bool_]:
+def smooth_pixels(reference: DepthMap, *, min_neighbours: int, noise: float) -> NDArray[np.bool_]:
     """(h, w) bool: enough of the 8 neighbours lie on the same surface as the pixel (others are flying pixels).
 
     Parameters
     ----------
     min_neighbours: of 8.
-    max_slope: see :data:`MAX_SLOPE`.
     noise: relative depth difference of neighbours that is noise.
     """
     inverse = reference.inverse_depth
     height, width = inverse.shape
     padded = np.pad(inverse, 1)
-    slope = max_slope / reference.intrinsic[0, 0]
+    slope = MAX_SLOPE / reference.intrinsic[0, 0]
     count = np.zeros((height, width), dtype=np.uint8)
     for du in (-1, 0, 1):
         for dv in (-1, 0, 1):
@@ -58,8 +57,7 @@ def pixel_normals(
     rows: NDArray[np.intp],
     columns: NDArray[np.intp],
     *,
-    max_slope: float = MAX_SLOPE,
-    noise: float = 1e-3,
+    noise: float,
 ) -> NDArray[np.float32]:
     """(N, 3) unit normals in camera coordinates, towards the camera, from the depths around N pixels.
 
@@ -69,7 +67,7 @@ def pixel_normals(
     inverse = reference.inverse_depth
     height, width = inverse.shape
     here = inverse[rows, columns].astype(np.float64)
-    slope = max_slope / reference.intrinsic[0, 0]
+    slope = MAX_SLOPE / reference.intrinsic[0, 0]
     sums = np.zeros((5, len(rows)))
     for du, dv in _RING:
         other_row, other_column = np.clip(rows + dv, 0, height - 1), np.clip(columns + du, 0, width - 1)
@@ -81,7 +79,7 @@ def pixel_normals(
         sums += (x * x, x * y, y * y, x * difference, y * difference)
     xx, xy, yy, xq, yq = sums
     determinant = xx * yy - xy * xy
-    solvable = determinant > 1e-9
+    solvable = determinant > _LEAST_DETERMINANT
     determinant = np.where(solvable, determinant, 1)
     a = np.where(solvable, (yy * xq - xy * yq) / determinant, 0)
     b = np.where(solvable, (xx * yq - xy * xq) / determinant, 0)
@@ -89,4 +87,4 @@ def pixel_normals(
     # n points along +z (away) with h > 0, so the normal towards the camera is its opposite.
     normals = -np.stack([a, b, c], axis=1) @ reference.intrinsic
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.asarray(normals / np.maximum(lengths, 1e-30), dtype=np.float32)
+    return np.asarray(normals / np.maximum(lengths, _LEAST_LENGTH), dtype=np.float32)

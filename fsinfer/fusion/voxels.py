@@ -7,10 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-# 21 bits for each axis fit into one signed 64-bit key.
+#: Bits for each axis: three fit into one signed 64-bit key. Source: format.
 _AXIS_BITS = 21
-_AXIS_CELLS = 1 << _AXIS_BITS
-MAX_EXTENT_VOXELS = _AXIS_CELLS - 4
+#: Cells that they count, and how far apart points may lie, neighbours on both sides left free. Source: format.
+_AXIS_CELLS, MAX_EXTENT_VOXELS = 1 << _AXIS_BITS, (1 << _AXIS_BITS) - 4
+#: Where more points are left than wanted, the voxel grows by so much more than the square root of their number, lest
+#: one step be not quite enough. Source: numerics; points on surfaces fall with the square of the voxel.
+_GROWTH = 1.05
+#: Lengths and weights that stand for none. Source: numerics.
+_LEAST_LENGTH, _LEAST_WEIGHT = 1e-12, 1e-300
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +75,7 @@ def merge_voxels(samples: Samples, voxel: float) -> Samples:
         )
 
     normals = mean(samples.normals)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), _LEAST_LENGTH)
     count = samples.count[order]
     counts = np.add.reduceat(count, starts)
     return Samples(
@@ -136,7 +141,7 @@ def much_worse_than_nearby(samples: Samples, cell: float, ratio: float) -> NDArr
     axis = np.abs(samples.normals).argmax(axis=1)
     facing = 2 * axis + (samples.normals[np.arange(len(axis)), axis] > 0)
     best = sum_within(samples.xyz, cell, samples.weight * quality, facing) / np.maximum(
-        sum_within(samples.xyz, cell, samples.weight, facing), 1e-300
+        sum_within(samples.xyz, cell, samples.weight, facing), _LEAST_WEIGHT
     )
     return np.asarray(quality * ratio**2 < best)
 
@@ -144,7 +149,7 @@ def much_worse_than_nearby(samples: Samples, cell: float, ratio: float) -> NDArr
 class VoxelMerger:
     """Collects batches and merges them whenever ``batch_points`` new ones have come."""
 
-    def __init__(self, voxel: float, *, max_points: int, batch_points: int = 1_500_000) -> None:
+    def __init__(self, voxel: float, *, max_points: int, batch_points: int) -> None:
         self.voxel = voxel
         self._max_points = max_points
         self._batch_points = batch_points
@@ -170,7 +175,6 @@ class VoxelMerger:
         self._waiting = []
         merged = merge_voxels(joined, self.voxel)
         while len(merged) > self._max_points:
-            # Points on surfaces fall with the square of the voxel; the 5 % keep one step from being not quite enough.
-            self.voxel *= 1.05 * (len(merged) / self._max_points) ** 0.5
+            self.voxel *= _GROWTH * (len(merged) / self._max_points) ** 0.5
             merged = merge_voxels(merged, self.voxel)
         self._merged = [merged]

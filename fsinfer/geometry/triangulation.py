@@ -8,7 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+#: Steps of the fit at most. Source: numerics.
 _ITERATIONS = 10
+#: A step smaller than this share of the depth is the last. Source: numerics.
+_LAST_STEP = 1e-10
+#: Condition of the normal equations from which there is no solution, and depths that stand for none. Source: numerics.
+_WORST_CONDITION, _LEAST_DEPTH = 1e14, 1e-12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,21 +55,21 @@ def triangulate(projections: Sequence[NDArray[np.float64]], pixels: NDArray[np.f
     )
     rows /= np.linalg.norm(rows, axis=1, keepdims=True)
     solution = np.linalg.svd(rows)[2][3]
-    if abs(solution[3]) < 1e-12:
+    if abs(solution[3]) < _LEAST_DEPTH:
         return None
     xyz = solution[:3] / solution[3]
     for _ in range(_ITERATIONS):
         residual, jacobian, depth = _linearize(matrices, pixels, xyz)
         normal = jacobian.T @ jacobian
-        if (depth <= 0).any() or np.linalg.cond(normal) > 1e14:
+        if (depth <= 0).any() or np.linalg.cond(normal) > _WORST_CONDITION:
             return None
         step = np.linalg.solve(normal, -jacobian.T @ residual)
         xyz = xyz + step
-        if float(np.linalg.norm(step)) < 1e-10 * float(depth.min()):
+        if float(np.linalg.norm(step)) < _LAST_STEP * float(depth.min()):
             break
     residual, jacobian, depth = _linearize(matrices, pixels, xyz)
     normal = jacobian.T @ jacobian
-    if (depth <= 0).any() or not np.isfinite(xyz).all() or np.linalg.cond(normal) > 1e14:
+    if (depth <= 0).any() or not np.isfinite(xyz).all() or np.linalg.cond(normal) > _WORST_CONDITION:
         return None
     errors_px = np.linalg.norm(residual.reshape(-1, 2), axis=1)
     return TriangulatedPoint(
@@ -78,7 +83,7 @@ def _linearize(
     """Residuals (2V,), their derivatives by the point (2V, 3) and the depths (V,)."""
     projected = matrices[:, :, :3] @ xyz + matrices[:, :, 3]
     depth = projected[:, 2]
-    safe = np.where(np.abs(depth) < 1e-12, 1e-12, depth)
+    safe = np.where(np.abs(depth) < _LEAST_DEPTH, _LEAST_DEPTH, depth)
     image = projected[:, :2] / safe[:, None]
     jacobian = (matrices[:, :2, :3] - image[:, :, None] * matrices[:, 2:, :3]) / safe[:, None, None]
     return (image - pixels).reshape(-1), jacobian.reshape(-1, 3), depth

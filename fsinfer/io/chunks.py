@@ -19,10 +19,19 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class ChunkSettings:
-    """How :class:`ChunkedCloud` reads."""
+    """How :class:`ChunkedCloud` reads.
 
-    chunk_points: int = 1_000_000  # 24 MB of coordinates, and a few times that while laspy unpacks them
-    sample_slices: int = 256  # pieces of the file: a scan is stored along its path, so that few pieces see all of it
+    Attributes
+    ----------
+    chunk_points: points that are read at once. Source: numerics; 24 MB of coordinates, and a few times that while
+        laspy unpacks them.
+    sample_slices: pieces of the file that a sample is made of: a scan is stored along its path, so that few pieces see
+        all of it. Source: judgement.
+    slice_points: points of each piece. Source: judgement.
+    """
+
+    chunk_points: int = 1_000_000
+    sample_slices: int = 256
     slice_points: int = 2000
 
 

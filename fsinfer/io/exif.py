@@ -13,11 +13,10 @@ from fsinfer.io.images import image_size, open_header
 if TYPE_CHECKING:
     from PIL.Image import Exif
 
-_EXIF_IFD = 0x8769
-_MAKE, _MODEL = 0x010F, 0x0110
-_FOCAL_LENGTH, _FOCAL_LENGTH_35MM = 0x920A, 0xA405
-_GNSS_IFD = 0x8825
-_LATITUDE_REF, _LATITUDE, _LONGITUDE_REF, _LONGITUDE = 1, 2, 3, 4
+#: Tags of the camera and its lens, and the part of the file that the lens stands in. Source: format; Exif 2.32.
+_EXIF_IFD, _MAKE, _MODEL, _FOCAL_LENGTH, _FOCAL_LENGTH_35MM = 0x8769, 0x010F, 0x0110, 0x920A, 0xA405
+#: Tags of the place, and the part of the file that they stand in. Source: format; Exif 2.32.
+_GNSS_IFD, _LATITUDE_REF, _LATITUDE, _LONGITUDE_REF, _LONGITUDE = 0x8825, 1, 2, 3, 4
 
 
 def camera_exif(path: Path | str) -> bytes | None:

@@ -1,6 +1,6 @@
 """Reading and writing photographs: RGB uint8, upright, complete or an error.
 
-Pillow reads (it comes with matplotlib and pillow-heif) because OpenCV fills the missing part of a cut JPEG with grey
+Pillow reads because OpenCV fills the missing part of a cut JPEG with grey
 and says nothing.
 """
 
@@ -25,8 +25,10 @@ if TYPE_CHECKING:
 PHOTO_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".heic", ".heif"})
 _HEIF_SUFFIXES = frozenset({".heic", ".heif"})
 
-# EXIF tags (Exif 2.32, CIPA DC-008): what structure from motion needs, without place, time, owner and thumbnail.
+#: Tag that says how to turn a photo upright. Source: format; Exif 2.32 (CIPA DC-008).
 _ORIENTATION = 0x0112
+#: JPEG from this quality on keeps colours at full resolution. Source: judgement; those who ask for more want them.
+_FULL_COLOUR_QUALITY = 90
 
 
 def list_images(folder: Path | str) -> list[Path]:
@@ -119,7 +121,7 @@ def write_image(path: Path | str, image: NDArray[np.uint8], quality: int = 95, *
         raise ImageError(msg)
     options: dict[str, object] = {} if exif is None else {"exif": exif}
     if formats[suffix] == "JPEG":
-        options |= {"quality": quality, "subsampling": 0 if quality >= 90 else 2}
+        options |= {"quality": quality, "subsampling": 0 if quality >= _FULL_COLOUR_QUALITY else 2}
     with atomic_path(path) as temporary:
         Image.fromarray(np.ascontiguousarray(image)).save(temporary, format=formats[suffix], **options)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,16 +12,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import CloudError, FsinferError
+from fsinfer.io.crs import horizontal_epsg
 from fsinfer.io.files import atomic_path
 
 # Names under which CloudCompare stores and finds normals in LAS extra dimensions.
 NORMAL_NAMES = ("NormalX", "NormalY", "NormalZ")
 # Standard dimensions worth keeping when they say anything (are not all zero).
 _KEPT_DIMENSIONS = ("intensity", "classification")
-# LAS stores 32-bit integers; the finest step is 0.1 mm for a plot (30 m), coarser only for extents of 100 m and more.
+#: Steps of the stored integers in the extent of a cloud, at least: 0.1 mm on a plot of 30 m. Source: numerics.
 _STEPS_PER_EXTENT = 1e5
-_STEP_RANGE = (1e-7, 1e-3)
-# GeoTIFF keys: ProjectedCSTypeGeoKey, GeographicTypeGeoKey, and the value for "user defined".
+#: Finest and coarsest step, metres: a millimetre is told of any forest. Source: numerics.
+_STEP_RANGE_M = (1e-7, 1e-3)
+#: Steps that a stored integer can count. Source: format; LAS stores 32 bits with a sign.
+_MOST_STEPS = 2e9
+#: Factor from 8-bit colours to those of 16 bits. Source: format; LAS 1.4, 65535 over 255.
+_COLOUR_FACTOR = 257
+#: A header that promises more points in a byte of the file is damaged. Source: judgement; LAZ takes about one.
+_MOST_POINTS_PER_BYTE = 1000
+#: Keys ProjectedCSTypeGeoKey and GeographicTypeGeoKey, and the value for "user defined". Source: format; GeoTIFF 1.1.
 _PROJECTED_KEY, _GEOGRAPHIC_KEY, _USER_DEFINED = 3072, 2048, 32767
 
 
@@ -70,7 +77,7 @@ def open_las(path: Path) -> Iterator[Any]:
         with laspy.open(path) as reader:
             # Each chunk of LAZ has at least one byte a point or so; a header that promises far more is damaged, and
             # believing it would ask for all the memory there is.
-            if int(reader.header.point_count) > 1000 * path.stat().st_size:
+            if int(reader.header.point_count) > _MOST_POINTS_PER_BYTE * path.stat().st_size:
                 raise _damaged(path, "its header promises more points than the file can hold")
             yield reader
     except FsinferError:
@@ -113,7 +120,7 @@ def sample_las(path: Path, starts: Sequence[int], count: int) -> NDArray[np.floa
 def read_epsg(path: Path) -> int | None:
     """EPSG code of the horizontal frame that a LAS or LAZ header names, None where it names none.
 
-    Looks at the GeoTIFF keys (projected, then geographic) and at the last code of a WKT record's projected part.
+    Looks at the WKT records, and after them at the GeoTIFF keys (projected, then geographic).
     """
     with open_las(path) as reader:
         records = [*reader.header.vlrs, *(reader.header.evlrs or [])]
@@ -122,11 +129,9 @@ def read_epsg(path: Path) -> int | None:
         for key in getattr(record, "geo_keys", ()):
             keys[int(key.id)] = int(key.value_offset)
         text = getattr(record, "string", "")
-        if isinstance(text, str) and "AUTHORITY" in text.upper():
-            # A compound frame ends with the vertical part; the projected one ends before it.
-            codes = re.findall(r'AUTHORITY\["EPSG","(\d+)"\]', text.split("VERT_CS")[0], flags=re.IGNORECASE)
-            if codes:
-                return int(codes[-1])
+        code = horizontal_epsg(text.rstrip("\x00")) if isinstance(text, str) and "[" in text else None
+        if code is not None:
+            return code
     for key_id in (_PROJECTED_KEY, _GEOGRAPHIC_KEY):
         if keys.get(key_id, 0) not in (0, _USER_DEFINED):
             return keys[key_id]
@@ -164,9 +169,9 @@ def las_writer(
 
     extent = float((high - low).max())
     step = 10.0 ** math.floor(math.log10(extent / _STEPS_PER_EXTENT)) if extent > 0 else 1e-4
-    step = min(max(step, _STEP_RANGE[0]), _STEP_RANGE[1])
+    step = min(max(step, _STEP_RANGE_M[0]), _STEP_RANGE_M[1])
     # Beyond 2^31 steps the integers overflow; no forest is 2,000 km wide, but broken poses can be.
-    step = max(step, extent / 2e9)
+    step = max(step, extent / _MOST_STEPS)
     header = laspy.LasHeader(point_format=7 if colour else 6, version="1.4")
     header.scales = np.full(3, step)
     header.offsets = np.floor(low)
@@ -179,7 +184,7 @@ def las_writer(
             record = laspy.ScaleAwarePointRecord.zeros(len(xyz), header=header)
             record.x, record.y, record.z = xyz.T
             if rgb is not None:
-                record.red, record.green, record.blue = rgb.T.astype(np.uint16) * 257
+                record.red, record.green, record.blue = rgb.T.astype(np.uint16) * _COLOUR_FACTOR
             for name, values in extra.items():
                 record[own.get(name, name)] = values
             writer.write_points(record)

@@ -21,7 +21,7 @@ _TYPES = {
 }  # fmt: skip
 _NAMES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint", "f4": "float"}
 _NAMES["f8"] = "double"
-# A header longer than this is not a header: it keeps a random binary file from being searched to its end.
+#: A header longer than this is none: a random binary file is not searched to its end. Source: numerics.
 _MAX_HEADER_BYTES = 65536
 
 

@@ -2,14 +2,132 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from enum import StrEnum
+from typing import Any
+
+#: Names of photographs that a sentence lists. Source: three lines of a terminal.
+MOST_NAMES = 20
+#: Rejected frames that a sentence lists with their reasons. Source: two lines of a terminal.
+MOST_REASONS = 5
 
 
 class CaptureCode(StrEnum):
-    """Warnings of the stages before the trees."""
+    """Warnings of the stages before the trees, and reasons why a frame was not used."""
+
+    # Frames
+    too_dark = "too_dark"
+    too_bright = "too_bright"
+    blurred = "blurred"
+    repeated = "repeated"
+    unreadable = "unreadable"
+    same_name = "same_name"
+    frames_not_used = "frames_not_used"
+    # Poses
+    photo_of_same_name = "photo_of_same_name"
+    photo_unreadable = "photo_unreadable"
+    photos_unplaced = "photos_unplaced"
+    photos_astray = "photos_astray"
+    photos_contradicted = "photos_contradicted"
+    photos_loose = "photos_loose"
+    # Scale
+    no_scale_given = "no_scale_given"
+    no_scale_from_markers = "no_scale_from_markers"
+    markers_of_unknown_length = "markers_of_unknown_length"
+    one_board = "one_board"
+    board_at_two_places = "board_at_two_places"
+    endpoints_of_metric_cloud = "endpoints_of_metric_cloud"
+    unlikely_camera_height = "unlikely_camera_height"
+    scale_error_unknown = "scale_error_unknown"
 
 
-#: What each code says; ``{name}`` is filled with the notice's values.
-SENTENCES: dict[CaptureCode, str] = {}
+def _frames_not_used(values: Mapping[str, Any]) -> str:
+    listed = "; ".join(values["rejected"][:MOST_REASONS])
+    more = len(values["rejected"]) - MOST_REASONS
+    return (
+        f"{len(values['rejected'])} of {values['frames']} frames were not used "
+        f"({listed}{f'; and {more} more' if more > 0 else ''})"
+    )
+
+
+def _left_out(why: str) -> Callable[[Mapping[str, Any]], str]:
+    def say(values: Mapping[str, Any]) -> str:
+        names = sorted(values["names"])
+        shown = ", ".join(names[:MOST_NAMES]) + (", ..." if len(names) > MOST_NAMES else "")
+        return f"{len(names)} of {values['photos']} photos left out ({shown}): {why}"
+
+    return say
+
+
+def _unlikely_height(values: Mapping[str, Any]) -> str:
+    height_m = values["height_m"]
+    shown = f"{height_m:.0f}" if height_m >= 10 else f"{height_m:.2g}"
+    hint = "; was the length given in centimetres?" if values["centimetres"] else ""
+    return (
+        f"with this scale the photos were taken {shown} m above the ground (a phone is held at about "
+        f"{values['usual_m']:g} m): the scale, and with it every DBH, is probably wrong; look at the length given{hint}"
+    )
+
+
+#: What each code says: a template that is filled with the notice's values, or a function of them.
+SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
+    CaptureCode.too_dark: "too dark",
+    CaptureCode.too_bright: "too bright",
+    CaptureCode.blurred: "blurred",
+    CaptureCode.repeated: "same as the one before",
+    CaptureCode.unreadable: "cannot be read: {error}",
+    CaptureCode.same_name: "same name as {other}",
+    CaptureCode.frames_not_used: _frames_not_used,
+    CaptureCode.photo_of_same_name: "{name} was left out: {other} has the same name",
+    CaptureCode.photo_unreadable: "left out: {error}",
+    CaptureCode.photos_unplaced: _left_out("they could not be placed with the others; more photos between would help"),
+    CaptureCode.photos_astray: _left_out(
+        "the steps between them do not fit the rest of the walk, so they were joined to it by false matches; turn more "
+        "slowly, with more photos between"
+    ),
+    CaptureCode.photos_contradicted: _left_out(
+        "most of their matches with other photos speak against where the rest put them; places that look alike were "
+        "mixed up; take more photos where the view changes"
+    ),
+    CaptureCode.photos_loose: _left_out(
+        "they share too few points with the other photos for their place to be sure; take more photos where the view "
+        "changes, and where the walk comes back to a place"
+    ),
+    CaptureCode.no_scale_given: (
+        "no scale was given: the cloud is in model units and no DBH is measured; photograph boards printed by fsinfer "
+        "marker, or ArUco markers of your own and give --aruco-length-m, or give --endpoints with --length-m (two "
+        "points read off cloud.ply), or --scale"
+    ),
+    CaptureCode.no_scale_from_markers: (
+        "no scale from ArUco markers, the result is in model units and no DBH is measured: {error}"
+    ),
+    CaptureCode.markers_of_unknown_length: (
+        "no scale was given, but ArUco markers are seen (number {numbers}) whose length is not known: measure the "
+        "side of the black square and run again with --aruco-length-m, in metres; until then the cloud is in model "
+        "units and no DBH is measured"
+    ),
+    CaptureCode.one_board: (
+        "the scale rests on one board (number {number}, {length_m:g} m by its number); measure it with a ruler, and "
+        "put up three or more next time"
+    ),
+    CaptureCode.board_at_two_places: (
+        "Board {number} was found at two places {apart_m:.1f} m apart. Unless two boards have this number, photos were "
+        "placed wrongly, perhaps {first} to {last}, and what is said of the trees cannot be trusted: take more photos "
+        "there and on the way there, and turn slowly"
+    ),
+    CaptureCode.endpoints_of_metric_cloud: (
+        "the end points count in the model units of the cloud without a scale, and cloud.ply was in metres before this "
+        "run; if they were read off that cloud, the scale is wrong now: give --scale {factor:.6g} instead"
+    ),
+    CaptureCode.unlikely_camera_height: _unlikely_height,
+    CaptureCode.scale_error_unknown: (
+        "the error of a scale given as a number is not known: it is not in the intervals, and one per cent of it is "
+        "one per cent of every DBH"
+    ),
+}
 #: Of use to those who look closely, nothing to act upon.
-REMARKS: frozenset[CaptureCode] = frozenset()
+REMARKS: frozenset[CaptureCode] = frozenset({CaptureCode.scale_error_unknown})
+#: That no scale is known: said once, by the stage that looked for one.
+NO_SCALE: frozenset[CaptureCode] = frozenset(
+    {CaptureCode.no_scale_given, CaptureCode.no_scale_from_markers, CaptureCode.markers_of_unknown_length}
+)

@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any, TypeAlias
 
 from fsinfer.errors import InputError
 
-#: What a notice may hold: JSON scalars, and lists of texts as tuples.
-Value = str | int | float | bool | None | tuple[str, ...]
+#: What a notice may hold: JSON scalars, other notices, and tuples of texts or of notices.
+Value: TypeAlias = "str | int | float | bool | Notice | tuple[str, ...] | tuple[Notice, ...] | None"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,8 +43,13 @@ def notice(code: StrEnum, **values: Value) -> Notice:
 
 def notice_json(given: Notice) -> dict[str, object]:
     """``{"code", "values"}`` of a notice as JSON values."""
-    values = {key: list(value) if isinstance(value, tuple) else value for key, value in given.items}
-    return {"code": given.code, "values": values}
+    return {"code": given.code, "values": {key: _value_json(value) for key, value in given.items}}
+
+
+def _value_json(value: Value) -> object:
+    if isinstance(value, tuple):
+        return [_value_json(item) for item in value]
+    return notice_json(value) if isinstance(value, Notice) else value
 
 
 def notice_of_json(entry: object) -> Notice:
@@ -52,5 +58,10 @@ def notice_of_json(entry: object) -> Notice:
         msg = f"{entry!r} is no notice; delete the output folder's .fsinfer and run the command again"
         raise InputError(msg)
     values = entry.get("values") or {}
-    items = tuple((str(key), tuple(value) if isinstance(value, list) else value) for key, value in values.items())
-    return Notice(code=entry["code"], items=items)
+    return Notice(code=entry["code"], items=tuple((str(key), _value_of_json(v)) for key, v in values.items()))
+
+
+def _value_of_json(value: Any) -> Any:
+    if isinstance(value, list):
+        return tuple(_value_of_json(item) for item in value)
+    return notice_of_json(value) if isinstance(value, Mapping) else value

@@ -2,26 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
 
 from fsinfer.notices import capture, stems
-from fsinfer.notices.notice import Notice
+from fsinfer.notices.notice import Notice, Value
 
-_TEMPLATES: Mapping[str, str] = {
-    code.value: text for part in (capture.SENTENCES, stems.SENTENCES) for code, text in part.items()
+_SAID: dict[str, str | Callable[[Mapping[str, Any]], str]] = {
+    **{code.value: text for code, text in capture.SENTENCES.items()},
+    **{code.value: text for code, text in stems.SENTENCES.items()},
 }
+_ADVICE: Mapping[str, str] = {code.value: text for code, text in stems.ADVICE.items()}
 _REMARKS = frozenset(code.value for code in (*capture.REMARKS, *stems.REMARKS))
 _ADVISES_REVISIT = frozenset(code.value for code in stems.ADVISES_REVISIT)
 
 
 def sentence(given: Notice) -> str:
-    """What a notice says; that of an unknown code, of a later version, is the code with its values."""
-    template = _TEMPLATES.get(given.code)
-    if template is None:
+    """What a notice says, with the advice that follows; an unknown code, of a later version, stands for itself."""
+    advice = _ADVICE.get(given.code)
+    said = headline(given)
+    return said if advice is None else f"{said}; {advice}"
+
+
+def headline(given: Notice) -> str:
+    """What a notice says, without the advice that follows."""
+    said = _SAID.get(given.code)
+    if said is None:
         values = ", ".join(f"{key} {value}" for key, value in given.items)
         return f"{given.code}: {values}" if values else given.code
-    listed = {key: ", ".join(value) if isinstance(value, tuple) else value for key, value in given.items}
-    return template.format(**listed)
+    if not isinstance(said, str):
+        return said(given.values)
+    return said.format(**{key: _in_words(value) for key, value in given.items})
+
+
+def _in_words(value: Value) -> str | int | float | None:
+    if isinstance(value, tuple):
+        return ", ".join(headline(item) if isinstance(item, Notice) else item for item in value)
+    return headline(value) if isinstance(value, Notice) else value
 
 
 def sentences(given: Iterable[Notice]) -> tuple[str, ...]:

@@ -6,19 +6,155 @@ from enum import StrEnum
 
 
 class StemCode(StrEnum):
-    """Warnings of the tree stage, and reasons for a tree's status."""
+    """Warnings of the tree stage, its diagnosis, and reasons for a tree's status."""
 
+    # Why a tree has no diameter.
+    no_scale = "no_scale"
+    too_few_at_breast_height = "too_few_at_breast_height"
+    too_few_on_bark = "too_few_on_bark"
+    too_little_seen = "too_little_seen"
+    double_wall = "double_wall"
+    too_rough = "too_rough"
+    too_uncertain = "too_uncertain"
+    not_round = "not_round"
+    no_stem_here = "no_stem_here"
+    # Why a diameter is doubtful.
+    above_breast_height = "above_breast_height"
+    below_breast_height = "below_breast_height"
+    little_seen = "little_seen"
+    wide_interval = "wide_interval"
+    rougher_than_others = "rougher_than_others"
+    edges_alone = "edges_alone"
+    # What else is said of a tree.
+    added_by_hand = "added_by_hand"
+    merged_by_hand = "merged_by_hand"
     #: A reason that was read back as text, from a table.
     as_written = "as_written"
-    no_scale = "no_scale"
+    # Why a stem curve has no diameter at a height; it may say ``little_seen`` too.
+    few_at_height = "few_at_height"
+    few_on_bark_at_height = "few_on_bark_at_height"
+    rough_at_height = "rough_at_height"
+    curvature_differs = "curvature_differs"
+    uncertain_at_height = "uncertain_at_height"
+    # Why a candidate is no stem, with how many there were.
+    candidate_few_points = "candidate_few_points"
+    candidate_no_ring = "candidate_no_ring"
+    candidate_not_round = "candidate_not_round"
+    candidate_radius = "candidate_radius"
+    candidate_leans = "candidate_leans"
+    candidate_short = "candidate_short"
+    candidate_small_arc = "candidate_small_arc"
+    candidate_rough_and_short = "candidate_rough_and_short"
+    candidate_filled = "candidate_filled"
+    candidate_flush = "candidate_flush"
+    candidate_post = "candidate_post"
+    # What was found, or why nothing was.
+    trees_found = "trees_found"
+    trees_corrected = "trees_corrected"
+    none_in_photos = "none_in_photos"
+    none_at_stem_height = "none_at_stem_height"
+    none_holds = "none_holds"
+    none_round = "none_round"
+    nothing_measured = "nothing_measured"
+    # Warnings of a plot.
+    model_units = "model_units"
+    not_finite = "not_finite"
+    far_outside = "far_outside"
+    coarse_steps = "coarse_steps"
+    ground_in_part = "ground_in_part"
+    little_ground = "little_ground"
+    turned = "turned"
+    thinned = "thinned"
+    post_of_marker = "post_of_marker"
+    shrubs_left_out = "shrubs_left_out"
+    corrected_by_hand = "corrected_by_hand"
+    # Parts of ``corrected_by_hand``.
+    tree_added = "tree_added"
+    tree_deleted = "tree_deleted"
+    tree_merged = "tree_merged"
 
 
 #: What each code says; ``{name}`` is filled with the notice's values.
 SENTENCES: dict[StemCode, str] = {
-    StemCode.as_written: "{text}",
     StemCode.no_scale: "no scale",
+    StemCode.too_few_at_breast_height: "too few points at breast height: fewer than {least}",
+    StemCode.too_few_on_bark: "too few points at breast height: {points}",
+    StemCode.too_little_seen: "only {seen_deg:.0f} degrees of the stem are seen",
+    StemCode.double_wall: "double wall: two surfaces {gap_cm:.1f} cm apart",
+    StemCode.too_rough: "surface too rough: residual {residual_cm:.1f} cm",
+    StemCode.too_uncertain: "too uncertain: {dbh_cm:.0f} cm +- {half_width_cm:.0f} cm",
+    StemCode.not_round: (
+        "no round surface at breast height: its curvature changes too much with the part that is looked at"
+    ),
+    StemCode.no_stem_here: "no stem to be measured is seen here",
+    StemCode.above_breast_height: "measured {off_cm:.0f} cm above breast height",
+    StemCode.below_breast_height: "measured {off_cm:.0f} cm below breast height",
+    StemCode.little_seen: "only {seen_deg:.0f} degrees of the stem are seen",
+    StemCode.wide_interval: "wide interval (+- {half_width_cm:.1f} cm)",
+    StemCode.rougher_than_others: (
+        "residual {residual_cm:.1f} cm, far above the plot's other stems: perhaps a double wall"
+    ),
+    StemCode.edges_alone: "only from its edges in {photos} photos ({refused})",
+    StemCode.added_by_hand: "added by hand",
+    StemCode.merged_by_hand: "{tree_id} and {other_id} merged by hand",
+    StemCode.as_written: "{text}",
+    StemCode.few_at_height: "too few points: {points}",
+    StemCode.few_on_bark_at_height: "too few points on the bark: {points}",
+    StemCode.rough_at_height: "surface too rough: residual {residual_cm:.1f} cm",
+    StemCode.curvature_differs: "its curvature does not fit the stem next to it: a whorl, a fork, or twigs",
+    StemCode.uncertain_at_height: "too uncertain: {diameter_cm:.0f} cm, standard deviation {std_cm:.0f} cm",
+    StemCode.candidate_few_points: "{count} too few points",
+    StemCode.candidate_no_ring: "{count} no ring",
+    StemCode.candidate_not_round: "{count} not round",
+    StemCode.candidate_radius: "{count} radius out of range",
+    StemCode.candidate_leans: "{count} leans too much",
+    StemCode.candidate_short: "{count} too short",
+    StemCode.candidate_small_arc: "{count} arc too small",
+    StemCode.candidate_rough_and_short: "{count} rough and short",
+    StemCode.candidate_filled: "{count} filled inside",
+    StemCode.candidate_flush: "{count} does not stand out",
+    StemCode.candidate_post: "{count} post or board",
+    StemCode.trees_found: "{trees} trees found, {measured} with a DBH",
+    StemCode.trees_corrected: "{trees} trees after corrections by hand, {measured} with a DBH",
+    StemCode.none_in_photos: "no trees found: what looked like stems in the cloud are none in the photos",
+    StemCode.none_at_stem_height: (
+        "no trees found: hardly a point lies {low_m}-{high_m} m above the ground (the cloud reaches {top_m:.2f} m)"
+    ),
+    StemCode.none_holds: "no trees found: {candidates} candidates, none holds as a stem ({rejected})",
+    StemCode.none_round: ("no trees found: {points} points at stem height, but no round vertical surface among them"),
+    StemCode.nothing_measured: "no trees measured: {error}",
+    StemCode.model_units: "no scale: positions are in model units and no diameter is given",
+    StemCode.not_finite: "{points} points with NaN or infinite coordinates were left out",
+    StemCode.far_outside: "{points} points far outside the plot were left out",
+    StemCode.coarse_steps: ("the coordinates come in steps of {step_mm:.0f} mm: diameters cannot be better than that"),
+    StemCode.ground_in_part: "ground seen in only {percent:.0f} % of the lowest parts of the plot",
+    StemCode.little_ground: "little ground is seen: breast height is counted from the lowest points of the stems",
+    StemCode.turned: "the cloud did not stand upright: {how} in it",
+    StemCode.thinned: (
+        "the cloud has {total:,} points: {kept:,} of them, drawn at random, were measured (up to {fine:.0f} in each "
+        "cell of {cell_cm:.0f} cm between {low_m} and {high_m} m above the ground, {elsewhere:.0f} elsewhere)"
+    ),
+    StemCode.post_of_marker: ("an object at ({x_m:.1f}, {y_m:.1f}) was taken for the post of a marker, not for a tree"),
+    StemCode.shrubs_left_out: (
+        "left out as shrubs, where the cloud has something like a stem and the photos show none: {places}"
+    ),
+    StemCode.corrected_by_hand: "stem map corrected by hand: tree {changes}",
+    StemCode.tree_added: "{tree_id} added",
+    StemCode.tree_deleted: "{tree_id} deleted",
+    StemCode.tree_merged: "{other_id} merged into {tree_id}",
+}
+#: What is said after it, behind a semicolon: the cause, or the way out.
+ADVICE: dict[StemCode, str] = {
+    StemCode.too_few_on_bark: "photograph the stem from more places",
+    StemCode.too_little_seen: "walk round it",
+    StemCode.double_wall: "the poses or scans do not agree at this stem",
+    StemCode.too_rough: "undergrowth or bad depth at breast height",
+    StemCode.too_uncertain: "walk round the stem",
+    StemCode.none_at_stem_height: "check the scale, or photograph the stems as well as the ground",
+    StemCode.none_round: "check the scale",
+    StemCode.turned: "it was turned, and so is the frame of all results",
 }
 #: Of use to those who look closely, nothing to act upon.
-REMARKS: frozenset[StemCode] = frozenset()
+REMARKS: frozenset[StemCode] = frozenset({StemCode.far_outside, StemCode.post_of_marker, StemCode.corrected_by_hand})
 #: The sentence says already that the stem has to be walked round again.
-ADVISES_REVISIT: frozenset[StemCode] = frozenset()
+ADVISES_REVISIT: frozenset[StemCode] = frozenset({StemCode.too_little_seen, StemCode.too_uncertain})

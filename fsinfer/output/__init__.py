@@ -1,1 +1,1 @@
-"""What lies in an output folder, and what ``plot.json`` says."""
+"""What lies in an output folder, what ``plot.json`` says, and what is packed from it for support."""

@@ -15,14 +15,14 @@ from fsinfer._version import __version__
 from fsinfer.errors import InputError
 from fsinfer.io.files import write_text
 from fsinfer.output.json_values import as_json
+from fsinfer.output.layout import OutputFolder
 
-PLOT_FILE = "plot.json"
 _PACKAGES = ("fsinfer", "numpy", "scipy", "onnxruntime", "opencv-python-headless", "pycolmap", "laspy")
 
 
 def write_plot(out: Path, plot: Mapping[str, Any]) -> Path:
     """Write ``plot.json`` into ``out`` unless it holds the same already."""
-    path = out / PLOT_FILE
+    path = OutputFolder(out).plot_json
     text = json.dumps(finite(as_json(plot)), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     if not path.is_file() or path.read_bytes() != text.encode():
         write_text(path, text)
@@ -34,7 +34,7 @@ def read_plot(out: Path) -> dict[str, Any]:
 
     Raises :class:`InputError` when it is damaged.
     """
-    path = out / PLOT_FILE
+    path = OutputFolder(out).plot_json
     try:
         plot = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:

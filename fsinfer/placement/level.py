@@ -20,6 +20,33 @@ _log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 
+#: With fewer points nothing is levelled. Source: judgement.
+_MIN_POINTS = 100
+#: Where no ground plane is found, this percentile of the heights stands for the ground. Source: judgement.
+_LOW_PERCENT = 5
+#: Patches whose normals are estimated where the cloud brings none, points that are looked at for each, and its nearest
+#: points. Source: numerics.
+_MOST_NORMALS, _POINTS_PER_NORMAL, _NEIGHBOURS = 12_000, 8, 24
+#: Variance along a patch over that across it, at least: thicker than a third of its width it has no normal. Source:
+#: judgement.
+_FLAT = 9
+#: Cells, and points in each, that a ground needs. Source: judgement; twice what a plane needs.
+_MIN_CELLS, _MIN_CELL_POINTS = 6, 3
+#: One in so many points of a cell lies below the one that stands for it. Source: judgement; single points below the
+#: ground are common in clouds from images.
+_BELOW_SEED = 10
+#: RANSAC trials, and rounds of fits to what a plane holds. Source: numerics; with half of the cells ground, 200 trials
+#: miss with probability 3e-12.
+_TRIALS, _PLANE_ROUNDS = 200, 5
+#: Rounds that find up from the cameras, and from the stems. Source: numerics.
+_CAMERA_ROUNDS, _STEM_ROUNDS = 10, 15
+#: The window for stems shrinks so from round to round, down to so many times ``lean_scale``. Source: numerics.
+_SHRINK, _LEAST_WINDOW = 0.85, 3
+#: Lengths that stand for none. Source: numerics.
+_LEAST_LENGTH, _LEAST_NORM = 1e-12, 1e-300
+#: An axis nearer than this to up (its cosine) gives way to another. Source: numerics.
+_TOO_UPRIGHT = 0.9
+
 
 @dataclass(frozen=True, kw_only=True)
 class LevelSettings:
@@ -27,31 +54,37 @@ class LevelSettings:
 
     Attributes
     ----------
-    max_tilt_deg: the ground's normal and the stems' up lie this near to the cameras' up (people tilt a phone down by
-        20-30 degrees; slopes of forests stay below 35).
+    max_tilt_deg: the ground's normal and the stems' up lie this near to the cameras' up. Source: people tilt a phone
+        down by 20-30 degrees; slopes of forests stay below 35.
     min_second_spread: the x axes of the cameras fix up only if they point in different directions: the second
-        eigenvalue of their scatter, as part of the whole (0.5 for a full circle, 0.03 for a fan of about 20 degrees).
-    max_normals: patches whose normals are estimated where the cloud brings none.
-    stem_window: |n.up| below which a patch may belong to a stem, at first; 0.3 = 17 degrees.
-    blind_window: the same when up is only known from the cameras' downward axes, which pitch biases.
-    lean_scale: |n.up| at which a patch counts half (Cauchy weight), so that leaning stems pull little.
-    min_stem_patches, min_stem_part: fewer patches (number, part of all) are no evidence for stems.
-    cells: the ground is sought among the lowest points of so many cells a side.
-    plane_tolerance: distance to the ground plane of what counts as ground, part of the extent.
-    plane_trials: RANSAC trials; with half of the cells ground, 200 miss with probability 3e-12.
+        eigenvalue of their scatter, as part of the whole. Source: 0.5 for a full circle, 0.03 for a fan of about 20
+        degrees.
+    stem_window: |n.up| below which a patch may belong to a stem, at first. Source: judgement; 17 degrees.
+    blind_window: the same when up is only known from the cameras' downward axes, which pitch biases. Source: judgement;
+        27 degrees.
+    lean_scale: |n.up| at which a patch counts half (Cauchy weight), so that leaning stems pull little. Source:
+        judgement; 3.4 degrees.
+    min_stem_patches: fewer patches are no evidence for stems. Source: judgement.
+    min_gathered: of the patches within three times ``lean_scale`` this part lies within it. Source: isotropic normals
+        (foliage) fill any window evenly, a third; around stems they gather at zero.
+    roll_scale: sine of the roll at which a camera counts half. Source: judgement; a tenth of a radian, because single
+        photographs are taken with the phone turned.
+    cells: the ground is sought among the lowest points of so many cells a side. Source: judgement.
+    plane_tolerance: distance to the ground plane of what counts as ground, part of the extent. Source: judgement.
+    min_ground_part: a plane must hold this part of the cells. Source: judgement.
     """
 
     max_tilt_deg: float = 35.0
     min_second_spread: float = 0.03
-    max_normals: int = 12_000
     stem_window: float = 0.3
     blind_window: float = 0.45
     lean_scale: float = 0.06
     min_stem_patches: int = 150
-    min_stem_part: float = 0.01
+    min_gathered: float = 0.45
+    roll_scale: float = 0.1
     cells: int = 30
     plane_tolerance: float = 0.01
-    plane_trials: int = 200
+    min_ground_part: float = 0.2
 
 
 def level(
@@ -84,7 +117,7 @@ def level(
     """
     settings = settings or LevelSettings()
     points = np.asarray(points, dtype=np.float64)
-    if len(points) < 100 or len(camera_centers) == 0:
+    if len(points) < _MIN_POINTS or len(camera_centers) == 0:
         msg = f"{len(points)} points and {len(camera_centers)} cameras are too few to level; take more photographs"
         raise CloudError(msg)
     # Everything below works near the origin: georeferenced models would lose digits in the plane fits.
@@ -99,7 +132,7 @@ def level(
     center = np.median(cameras[:, :2], axis=0)
     ground = ground_plane(upright, cameras, settings=settings)
     if ground is None:
-        height = float(np.percentile(upright[:, 2], 5))
+        height = float(np.percentile(upright[:, 2], _LOW_PERCENT))
         _log.warning(
             "no ground plane found: the lowest points stand for the ground, and breast height may be off; photograph "
             "the ground between the trees as well"
@@ -138,9 +171,9 @@ def estimate_up(
     prior = None if camera_right is None else _up_from_right(np.asarray(camera_right), tilted, settings)
     start, window = (tilted, settings.blind_window) if prior is None else (prior, settings.stem_window)
     if normals is None:
-        normals = sample_normals(points, settings.max_normals)
+        normals = sample_normals(points, _MOST_NORMALS)
     else:
-        normals = np.asarray(normals[:: -(-len(normals) // settings.max_normals)], dtype=np.float64)
+        normals = np.asarray(normals[:: -(-len(normals) // _MOST_NORMALS)], dtype=np.float64)
     stems = _up_from_normals(np.asarray(normals, dtype=np.float64), start, window, settings)
     if stems is not None:
         return stems, "stems"
@@ -154,19 +187,19 @@ def estimate_up(
     return tilted, "camera tilt"
 
 
-def sample_normals(points: Array, count: int, *, neighbours: int = 24, seed: int = 0) -> Array:
+def sample_normals(points: Array, count: int, *, neighbours: int = _NEIGHBOURS, seed: int = 0) -> Array:
     """(M, 3) unit normals (of either sign) of up to ``count`` flat patches, by PCA of the nearest points.
 
     Patches whose thickness exceeds a third of their width are left out: foliage and noise have no normal.
     """
     rng = np.random.default_rng(seed)
-    if len(points) > 8 * count:
-        points = points[rng.choice(len(points), 8 * count, replace=False)]
+    if len(points) > _POINTS_PER_NORMAL * count:
+        points = points[rng.choice(len(points), _POINTS_PER_NORMAL * count, replace=False)]
     chosen = points if len(points) <= count else points[rng.choice(len(points), count, replace=False)]
     _, near = cKDTree(points).query(chosen, k=min(neighbours, len(points)))
     patches = points[near] - points[near].mean(axis=1, keepdims=True)
     values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", patches, patches))
-    flat = values[:, 0] < values[:, 1] / 9
+    flat = values[:, 0] < values[:, 1] / _FLAT
     return np.asarray(vectors[flat, :, 0])
 
 
@@ -186,7 +219,7 @@ def ground_plane(
     settings = settings or LevelSettings()
     center = np.median(cameras, axis=0)
     low = upright[upright[:, 2] < np.median(cameras[:, 2])]
-    if len(low) < 10:
+    if len(low) < _MIN_CELLS * _MIN_CELL_POINTS:
         return None
     # Backgrounds far away are no ground of this plot: look as far as twice the reach of most points.
     distance = np.hypot(*(low[:, :2] - center[:2]).T)
@@ -198,17 +231,17 @@ def ground_plane(
     starts = np.flatnonzero(np.diff(own[order], prepend=-1))
     counts = np.diff(np.append(starts, len(order)))
     # The lowest tenth, not the lowest: single points below the ground are common in clouds from images.
-    seeds = low[order[starts + counts // 10]][counts >= 3]
-    if len(seeds) < 6:
+    seeds = low[order[starts + counts // _BELOW_SEED]][counts >= _MIN_CELL_POINTS]
+    if len(seeds) < _MIN_CELLS:
         return None
     rng = np.random.default_rng(seed)
     tolerance = settings.plane_tolerance * 2 * reach
-    best, best_score = None, 0.2 * len(seeds)
-    for _ in range(settings.plane_trials):
+    best, best_score = None, settings.min_ground_part * len(seeds)
+    for _ in range(_TRIALS):
         three = seeds[rng.choice(len(seeds), 3, replace=False)]
         normal = np.cross(three[1] - three[0], three[2] - three[0])
         length = float(np.linalg.norm(normal))
-        if length < 1e-12 or abs(normal[2]) < length * np.cos(np.radians(settings.max_tilt_deg)):
+        if length < _LEAST_LENGTH or abs(normal[2]) < length * np.cos(np.radians(settings.max_tilt_deg)):
             continue
         residual = (seeds - three[0]) @ normal / length
         # MSAC: what lies within counts by how near it lies, so that the best of several full planes wins.
@@ -218,11 +251,11 @@ def ground_plane(
     if best is None:
         return None
     plane = np.zeros(3)
-    for _ in range(5):
+    for _ in range(_PLANE_ROUNDS):
         inliers = seeds[best]
         plane = np.linalg.lstsq(np.column_stack([inliers[:, :2], np.ones(len(inliers))]), inliers[:, 2], rcond=None)[0]
         best = np.abs(seeds[:, :2] @ plane[:2] + plane[2] - seeds[:, 2]) < tolerance
-        if best.sum() < 6:
+        if best.sum() < _MIN_CELLS:
             break
     return np.asarray(plane)
 
@@ -232,27 +265,26 @@ def _up_from_right(right: Array, tilted: Array, settings: LevelSettings) -> Arra
     right = right / np.linalg.norm(right, axis=1, keepdims=True)
     weights = np.ones(len(right))
     up = tilted
-    for _ in range(10):
+    for _ in range(_CAMERA_ROUNDS):
         values, vectors = np.linalg.eigh((right * weights[:, None]).T @ right)
         if values[1] < settings.min_second_spread * values.sum():
             # All look the same way: only the roll is known, the pitch stays that of the cameras.
             up = _unit(tilted - (tilted @ vectors[:, 2]) * vectors[:, 2])
         else:
             up = vectors[:, 0] * (1 if vectors[:, 0] @ tilted > 0 else -1)
-        # A tenth of a radian of roll halves the weight: single photographs are taken with the phone turned.
-        weights = 1 / (1 + (right @ up / 0.1) ** 2)
+        weights = 1 / (1 + (right @ up / settings.roll_scale) ** 2)
     return up if up @ tilted > np.cos(np.radians(settings.max_tilt_deg)) else None
 
 
 def _up_from_normals(normals: Array, start: Array, window: float, settings: LevelSettings) -> Array | None:
     """Return the direction most orthogonal to the normals of nearly vertical surface; None with too little of it."""
     up = start
-    for step in range(15):
+    for step in range(_STEM_ROUNDS):
         cosine = normals @ up
         # The window shrinks, so that ground on a slope and branches, near its rim, lose their say.
-        limit = max(window * 0.85**step, 3 * settings.lean_scale)
+        limit = max(window * _SHRINK**step, _LEAST_WINDOW * settings.lean_scale)
         near = normals[np.abs(cosine) < limit]
-        if len(near) < max(settings.min_stem_patches, settings.min_stem_part * len(normals)):
+        if len(near) < settings.min_stem_patches:
             return None
         weights = 1 / (1 + (near @ up / settings.lean_scale) ** 2)
         values, vectors = np.linalg.eigh((near * weights[:, None]).T @ near)
@@ -261,18 +293,18 @@ def _up_from_normals(normals: Array, start: Array, window: float, settings: Leve
         up = vectors[:, 0] * (1 if vectors[:, 0] @ up > 0 else -1)
     # Isotropic normals (foliage) fill any window evenly; around stems they gather at zero.
     cosine = np.abs(normals @ up)
-    inner, outer = (cosine < settings.lean_scale).sum(), (cosine < 3 * settings.lean_scale).sum()
-    gathered = inner > 0.45 * outer
+    inner, outer = (cosine < settings.lean_scale).sum(), (cosine < _LEAST_WINDOW * settings.lean_scale).sum()
+    gathered = inner > settings.min_gathered * outer
     close = up @ start > np.cos(np.radians(settings.max_tilt_deg))
     return up if gathered and close else None
 
 
 def _upright(up: Array) -> Array:
     """(3, 3) rotation with ``up`` as third row and the model's x axis (else y) as first, made horizontal."""
-    axis = np.array([1.0, 0, 0]) if abs(up[0]) < 0.9 else np.array([0, 1.0, 0])
+    axis = np.array([1.0, 0, 0]) if abs(up[0]) < _TOO_UPRIGHT else np.array([0, 1.0, 0])
     first = _unit(axis - (axis @ up) * up)
     return np.stack([first, np.cross(up, first), up])
 
 
 def _unit(vector: Array) -> Array:
-    return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-300))
+    return np.asarray(vector / max(float(np.linalg.norm(vector)), _LEAST_NORM))

@@ -8,12 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.geometry.similarity import apply, compose, rotation_of, scaling
+from fsinfer.placement.level import LevelSettings, level
+
 if TYPE_CHECKING:
     from fsinfer.io.cloud import PointCloud
     from fsinfer.scene import Scene
 
-# Side of the cells whose area counts as covered for the density, metres: wide against the point spacing of a cloud
-# from photographs (1-2 cm), narrow against a plot. The paper gives points per square metre without saying of what.
+#: Side of the cells whose area counts as covered for the density, metres. Source: judgement; wide against the point
+#: spacing of a cloud from photographs (1-2 cm), narrow against a plot. The paper gives points per square metre without
+#: saying of what.
 DENSITY_CELL_M = 0.25
 
 
@@ -33,7 +37,9 @@ class PlacedCloud:
     camera_height: float | None = None
 
 
-def place_cloud(cloud: PointCloud, scene: Scene, *, m_per_unit: float | None = None) -> PlacedCloud:
+def place_cloud(
+    cloud: PointCloud, scene: Scene, *, m_per_unit: float | None = None, settings: LevelSettings | None = None
+) -> PlacedCloud:
     """Level a fused cloud by its ground and the cameras, and scale it.
 
     Parameters
@@ -47,14 +53,18 @@ def place_cloud(cloud: PointCloud, scene: Scene, *, m_per_unit: float | None = N
     CloudError
         The cloud has too few points to find the ground in.
     """
-    cloud_from_scene, camera_height = level_scene(cloud.xyz, scene, m_per_unit=m_per_unit)
+    cloud_from_scene, camera_height = level_scene(cloud.xyz, scene, m_per_unit=m_per_unit, settings=settings)
     return PlacedCloud(
         cloud=transform_cloud(cloud, cloud_from_scene), cloud_from_scene=cloud_from_scene, camera_height=camera_height
     )
 
 
 def level_scene(
-    points: NDArray[np.float64], scene: Scene, *, m_per_unit: float | None = None
+    points: NDArray[np.float64],
+    scene: Scene,
+    *,
+    m_per_unit: float | None = None,
+    settings: LevelSettings | None = None,
 ) -> tuple[NDArray[np.float64], float]:
     """Find the plot's frame from points (N, 3) and cameras in scene units: z up, ground near z = 0.
 
@@ -71,24 +81,20 @@ def level_scene(
     CloudError
         There are too few points to find the ground in.
     """
-    from fsinfer.placement.level import level
-
     centers = np.array([view.camera.center for view in scene.views])
     # The image's downward axis in world coordinates: the second row of the rotation.
     down = np.array([view.camera.cam_from_world[1, :3] for view in scene.views])
     # People tilt a phone up or down more than they roll it: its horizontal axis tells what is level.
     right = np.array([view.camera.cam_from_world[0, :3] for view in scene.views])
     scale = 1.0 if m_per_unit is None else m_per_unit
-    plot_from_scene = np.diag([scale, scale, scale, 1.0]) @ level(points, centers, down, camera_right=right)
+    plot_from_scene = compose(scaling(scale), level(points, centers, down, camera_right=right, settings=settings))
     return plot_from_scene, float(np.median(centers @ plot_from_scene[2, :3] + plot_from_scene[2, 3]))
 
 
 def transform_cloud(cloud: PointCloud, similarity: NDArray[np.float64]) -> PointCloud:
     """Apply a (4, 4) similarity to points and normals."""
-    linear = similarity[:3, :3]
-    rotation = linear / np.cbrt(np.linalg.det(linear))
-    normals = None if cloud.normals is None else (cloud.normals @ rotation.T).astype(np.float32)
-    return replace(cloud, xyz=cloud.xyz @ linear.T + similarity[:3, 3], normals=normals)
+    normals = None if cloud.normals is None else (cloud.normals @ rotation_of(similarity).T).astype(np.float32)
+    return replace(cloud, xyz=apply(similarity, cloud.xyz), normals=normals)
 
 
 def density_per_m2(xyz: NDArray[np.float64]) -> float | None:

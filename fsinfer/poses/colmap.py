@@ -7,73 +7,38 @@ kill goes on from the database.
 from __future__ import annotations
 
 import logging
-import os
 import signal
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from fsinfer.errors import PosesError
-from fsinfer.poses.pairs import PairSettings, first_pairs, most_pairs, pairs_beside
+from fsinfer.poses.pairs import MIN_INLIERS, first_pairs, most_pairs, pairs_beside
+from fsinfer.poses.refinement import ENOUGH
+from fsinfer.poses.settings import PoseSettings
 from fsinfer.progress import Progress
 
 _log = logging.getLogger(__name__)
 
-# COLMAP draws random samples; a fixed seed, and one thread where sums are taken, make two runs on one machine alike.
+#: COLMAP draws random samples; a fixed seed, and one thread where sums are taken, make two runs on one machine alike.
+#: Source: numerics.
 SEED = 1
 
 
-@dataclass(frozen=True, kw_only=True)
-class PoseSettings:
-    """How poses are found.
-
-    Attributes
-    ----------
-    max_image_size: longer side at which features are found, pixels. 23 photos of 2016x1512 at 1600: all registered.
-    double_below_px: photos whose longer side is shorter are doubled before looking for features, as COLMAP does with
-        all. Doubled photos of 1280x720 give four times the features, the smallest of them: matching takes 15 times as
-        long, and the walk through a video of which most is blurred tore in two places, which it did not without.
-    max_features: per photo, about; the smallest features go first. COLMAP's default is 8192.
-    pairs: which photos are matched with which.
-    default_focal_factor: focal length over longer side where the photo does not tell; 0.9 is a phone's main camera
-        (26-28 mm equivalent is 0.72-0.78, video is cropped). It is refined from the photos.
-    mapper: ``incremental`` (robust) or ``global`` (GLOMAP; as good and as fast on 23 photos).
-    min_registered: fewer photos than this in the largest model are no result.
-    min_inliers: matches that a pair needs after the geometric check (COLMAP's default is 15).
-    sources: at most this many source views in ``pair.txt`` (MVSNet writes 10).
-    jpeg_quality: of the undistorted images.
-    threads: 0 for one per core.
-    """
-
-    max_image_size: int = 1600
-    double_below_px: int = 1000
-    max_features: int = 6000
-    pairs: PairSettings = field(default_factory=PairSettings)
-    default_focal_factor: float = 0.9
-    mapper: str = "incremental"
-    min_registered: int = 3
-    min_inliers: int = 15
-    sources: int = 10
-    jpeg_quality: int = 95
-    threads: int = 0
-
-    @property
-    def thread_count(self) -> int:
-        """Threads really used."""
-        return self.threads if self.threads > 0 else (os.cpu_count() or 1)
-
-
-# Pairs and photos handed to COLMAP at a time: large enough that its indices are built once for many pairs.
-_PHOTOS_PER_BATCH = 8
-_PAIRS_PER_BATCH = 120
-# Of the geometric check of a pair. With COLMAP's 10,000 it takes as long as matching, most of it on pairs that do not
-# belong together: on 360 pairs of a plot 6.4 s against 3.0, 281 pairs and 92,629 matches against 279 and 92,574.
+#: Photos and pairs handed to COLMAP at a time: large enough that its indices are built once for many pairs. Source:
+#: numerics.
+_PHOTOS_PER_BATCH, _PAIRS_PER_BATCH = 8, 120
+#: Trials of the geometric check of a pair. With COLMAP's 10,000 it takes as long as matching, most of it on pairs that
+#: do not belong together. Source: numerics; 360 pairs of a rendered plot: 6.4 s with 10,000 against 3.0, 281 pairs and
+#: 92,629 matches against 279 and 92,574; renders only.
 _MOST_TRIALS = 2500
-# An adjustment of all photos ends where a step gains less than this share; COLMAP goes on to its limit of steps.
-ENOUGH = 1e-5
+#: All photos are adjusted together when so many times more have come, not at every tenth (COLMAP: 1.1). Source:
+#: numerics; 300 photos of a rendered plot in 82 instead of 150 s, their places as exact; renders only.
+_ADJUST_GROWTH = 1.6
+#: Parts that the mapper begins at most, of which the largest counts. Source: numerics.
+_MOST_PARTS = 5
 
 
 @contextmanager
@@ -249,7 +214,7 @@ def _match(
     options.use_gpu = False
     options.num_threads = settings.thread_count
     verification = pycolmap.TwoViewGeometryOptions()
-    verification.min_num_inliers = settings.min_inliers
+    verification.min_num_inliers = MIN_INLIERS
     verification.ransac.random_seed = SEED
     verification.ransac.max_num_trials = _MOST_TRIALS
     listed = database.parent / "pairs.txt"
@@ -309,10 +274,9 @@ def reconstruct(
         incremental.num_threads = 1
         incremental.random_seed = SEED
         incremental.min_model_size = settings.min_registered
-        incremental.max_num_models = 5
-        # All photos are adjusted together when so many more have come, not at every tenth, and without points that add
-        # nothing: 300 photos in 82 instead of 150 s, their places as exact, and refined once more at the end.
-        incremental.ba_global_frames_ratio = incremental.ba_global_points_ratio = 1.6
+        incremental.max_num_models = _MOST_PARTS
+        # Without points that add nothing; the model is refined once more at the end.
+        incremental.ba_global_frames_ratio = incremental.ba_global_points_ratio = _ADJUST_GROWTH
         incremental.ba_global_function_tolerance = ENOUGH
         incremental.mapper.ba_global_ignore_redundant_points3D = True
         # Colours are taken from the photographs at fusion.

@@ -6,28 +6,29 @@ import json
 import logging
 import shutil
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fsinfer.errors import ImageError, OutputError, PosesError
-from fsinfer.io.digest import file_digest
 from fsinfer.io.exif import camera_exif, camera_key
 from fsinfer.io.files import make_folder, write_text
 from fsinfer.io.images import is_upright_jpeg_or_png, list_images, read_image, write_image
-from fsinfer.poses.colmap import PoseSettings, colmap_errors, extract_features, match_features, reconstruct
-from fsinfer.poses.refinement import RefinementSettings, refine
+from fsinfer.notices.capture import CaptureCode
+from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.sentences import sentences
+from fsinfer.poses.colmap import colmap_errors, extract_features, match_features, reconstruct
+from fsinfer.poses.refinement import refine
+from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.sparse import sparse_of
 from fsinfer.poses.undistortion import intrinsic_of, undistort, undistort_model, undistortion_maps
-from fsinfer.poses.verification.misplaced import drop_blind_views, misplaced_message
+from fsinfer.poses.verification.misplaced import LEFT_OUT, drop_blind_views
 from fsinfer.poses.verification.repair import repair
 from fsinfer.poses.view_selection import depth_range, select_views
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Camera, write_camera, write_pairs
-
-__all__ = ["PoseSettings", "PosesResult", "estimate_poses"]
 
 _log = logging.getLogger(__name__)
 
@@ -35,8 +36,6 @@ ADVICE = (
     "photos must overlap by two thirds or more, be sharp, and show bark, litter or other texture in good light; "
     "walk on a little between photos and do not only turn on the spot"
 )
-# Raised when scenes written before must not be taken for finished ones.
-_FORMAT = 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,13 +47,15 @@ class PosesResult:
     scene: folder in MVSNet format, with the COLMAP model of its images in ``sparse``.
     photos: how many were given.
     registered: how many have a pose.
-    warnings: sentences for the user, with the names of photos left out.
+    left_out: names of those that have none.
+    warnings: with the names of photos left out.
     """
 
     scene: Path
     photos: int
     registered: int
-    warnings: tuple[str, ...]
+    left_out: tuple[str, ...] = ()
+    warnings: tuple[Notice, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,19 +73,21 @@ def estimate_poses(
     *,
     settings: PoseSettings | None = None,
     origin: Path | None = None,
+    resume: bool = False,
     progress: Progress = silent,
 ) -> PosesResult:
     """Find where each photo was taken and write ``out`` as a scene.
 
     Photos of different cameras or sizes may be mixed: each camera and size gets a calibration of its own. Photos
-    that cannot be read or have no place in the largest model are left out with a warning. Called again with the same
-    photos and settings it returns at once; after a kill it goes on from the database in ``out/work``.
+    that cannot be read or have no place in the largest model are left out with a warning.
 
     Parameters
     ----------
     images: folder of photos; above ``settings.pairs.exhaustive_up_to`` of them in the order of walking, by name.
     out: folder for ``images``, ``cams``, ``pair.txt``, ``sparse`` and ``poses.json``.
     origin: what messages call the photos: the folder or video that the user gave and ``images`` were chosen from.
+    resume: go on from the database in ``out/work``, which an attempt with the same photos and settings left; else it
+        goes, and so does a scene that this stage made.
 
     Raises
     ------
@@ -107,19 +110,15 @@ def estimate_poses(
             f"places: {ADVICE}"
         )
         raise PosesError(msg)
-    key = _key(paths, settings)
-    finished = _finished(out, key)
-    if finished is not None:
-        return finished
-    work = _work_folder(out, key)
-    warnings: list[str] = []
+    work = _work_folder(out, resume=resume)
+    warnings: list[Notice] = []
     photos = _prepare(paths, work / "images", warnings, progress)
     if len(photos) < settings.min_registered:
         msg = f"{given} holds {len(photos)} photos that can be used, {settings.min_registered} are needed: {ADVICE}"
         raise PosesError(msg)
     with colmap_errors("finding poses", work):
         model, misplaced = _structure_from_motion(photos, given, work, settings, progress)
-        model = refine(model, RefinementSettings(), progress)
+        model = refine(model, settings.refinement, progress)
     drop_blind_views(model)
     placed = {model.images[i].name for i in model.reg_image_ids()}
     named = {file for files in misplaced.values() for file in files}
@@ -127,51 +126,29 @@ def estimate_poses(
     names = {photo.file: photo.name for photo in photos}
     for how, files in misplaced.items():
         if files:
-            warnings.append(misplaced_message(how, [names[file] for file in files], len(photos)))
-    registered = _write_scene(model, photos, out, settings, progress)
-    for warning in warnings:
+            warnings.append(notice(LEFT_OUT[how], photos=len(photos), names=tuple(names[file] for file in files)))
+    seen = _write_scene(model, photos, out, settings, progress)
+    for warning in sentences(warnings):
         _log.warning(warning)
-    record = {"photos": len(paths), "registered": registered, "warnings": warnings, "key": key}
-    write_text(out / "poses.json", json.dumps(record | _quality(model), indent=1) + "\n")
+    result = PosesResult(
+        scene=out,
+        photos=len(paths),
+        registered=len(seen),
+        left_out=tuple(sorted({path.stem for path in paths} - set(seen))),
+        warnings=tuple(warnings),
+    )
+    told = {"photos": result.photos, "registered": result.registered, "warnings": sentences(result.warnings)}
+    write_text(out / "poses.json", json.dumps(told | _quality(model), indent=1) + "\n")
     shutil.rmtree(work, ignore_errors=True)
-    return PosesResult(scene=out, photos=len(paths), registered=registered, warnings=tuple(warnings))
+    return result
 
 
-def _key(paths: Sequence[Path], settings: PoseSettings) -> dict[str, Any]:
-    """What the result depends on."""
-    chosen = {name: value for name, value in asdict(settings).items() if name != "threads"}
-    return {"format": _FORMAT, "settings": chosen, "photos": {path.name: file_digest(path) for path in paths}}
-
-
-def _finished(out: Path, key: dict[str, Any]) -> PosesResult | None:
-    """The result of an earlier run with the same input, if all of it is still there."""
-    try:
-        record = json.loads((out / "poses.json").read_text(encoding="utf-8"))
-        registered = int(record["registered"])
-        complete = (
-            record["key"] == key
-            and len(list((out / "cams").glob("*_cam.txt"))) == registered
-            and len(list((out / "images").glob("*.jpg"))) == registered
-            and (out / "pair.txt").is_file()
-            and (out / "sparse" / "points3D.bin").is_file()
-        )
-        if not complete:
-            return None
-        return PosesResult(
-            scene=out, photos=int(record["photos"]), registered=registered, warnings=tuple(record["warnings"])
-        )
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-
-
-def _work_folder(out: Path, key: dict[str, Any]) -> Path:
-    """``out/work``, emptied unless it belongs to the same photos and settings; old results go, so none are mixed."""
+def _work_folder(out: Path, *, resume: bool) -> Path:
+    """``out/work``, emptied unless the stage goes on with it; old results go, so that none are mixed."""
     make_folder(out)
     work = out / "work"
-    text = json.dumps(key, sort_keys=True)
-    stamp = work / "key.json"
     try:
-        if (out / "poses.json").is_file() or stamp.is_file():
+        if (out / "poses.json").is_file() or work.is_dir():
             # Only a folder that this stage began or finished is cleared: nothing of the user's can be in it.
             for name in ("images", "cams", "sparse"):
                 shutil.rmtree(out / name, ignore_errors=True)
@@ -179,17 +156,15 @@ def _work_folder(out: Path, key: dict[str, Any]) -> Path:
         elif any((out / "images").glob("*")) or any((out / "cams").glob("*")):
             msg = f"{out} holds images or cams that this stage did not make; choose another output folder"
             raise OutputError(msg)
-        if work.is_dir() and not (stamp.is_file() and stamp.read_text(encoding="utf-8") == text):
+        if work.is_dir() and not resume:
             shutil.rmtree(work)
     except OSError as error:
         msg = f"cannot clear {out} ({error.strerror or error}); choose another output folder"
         raise OutputError(msg) from error
-    make_folder(work)
-    write_text(stamp, text)
-    return work
+    return make_folder(work)
 
 
-def _prepare(paths: Sequence[Path], folder: Path, warnings: list[str], progress: Progress) -> list[_Photo]:
+def _prepare(paths: Sequence[Path], folder: Path, warnings: list[Notice], progress: Progress) -> list[_Photo]:
     """Put every usable photo into ``folder``, upright and under a name that COLMAP's lists can hold."""
     make_folder(folder)
     photos: list[_Photo] = []
@@ -199,14 +174,14 @@ def _prepare(paths: Sequence[Path], folder: Path, warnings: list[str], progress:
         progress(done, len(paths), "reading photos")
         # Many phones write IMG_1.HEIC and IMG_1.JPG of the same moment.
         if path.stem in names:
-            warnings.append(f"{path.name} was left out: {names[path.stem].name} has the same name")
+            warnings.append(notice(CaptureCode.photo_of_same_name, name=path.name, other=names[path.stem].name))
             continue
         try:
             pixels = read_image(path)
             plain = is_upright_jpeg_or_png(path)
         except ImageError as error:
             first_error = first_error or error
-            warnings.append(f"left out: {error}")
+            warnings.append(notice(CaptureCode.photo_unreadable, error=str(error)))
             continue
         names[path.stem] = path
         file = f"{done:05d}{path.suffix.lower() if plain else '.jpg'}"
@@ -246,8 +221,10 @@ def _structure_from_motion(
     return model, misplaced
 
 
-def _write_scene(model: Any, photos: Sequence[_Photo], out: Path, settings: PoseSettings, progress: Progress) -> int:
-    """Write images, cams, pair.txt and sparse of a refined model; returns the number of views."""
+def _write_scene(
+    model: Any, photos: Sequence[_Photo], out: Path, settings: PoseSettings, progress: Progress
+) -> tuple[str, ...]:
+    """Write images, cams, pair.txt and sparse of a refined model; returns the names of the views."""
     by_file = {photo.file: photo for photo in photos}
     lenses = undistort_model(model)
     image_ids = {by_file[model.images[i].name].name: i for i in model.reg_image_ids()}
@@ -270,7 +247,7 @@ def _write_scene(model: Any, photos: Sequence[_Photo], out: Path, settings: Pose
         pose[:3] = image.cam_from_world().matrix()
         intrinsic = intrinsic_of(pinhole)
         size = (int(pinhole.width), int(pinhole.height))
-        depths = depth_range(sparse, sparse.observations[name], intrinsic, pose, size)
+        depths = depth_range(sparse, sparse.observations[name], intrinsic, pose, size, settings=settings.selection)
         if depths is None:
             # _drop_blind_views has taken such views out.
             msg = f"{name} sees no point of the model; take it out of the photos and run again"
@@ -278,13 +255,13 @@ def _write_scene(model: Any, photos: Sequence[_Photo], out: Path, settings: Pose
         cameras[name] = Camera(intrinsic=intrinsic, cam_from_world=pose, depth_min=depths[0], depth_max=depths[1])
     for name, camera in cameras.items():
         write_camera(out / "cams" / f"{name}_cam.txt", camera)
-    write_pairs(out / "pair.txt", select_views(sparse, cameras, settings.sources))
+    write_pairs(out / "pair.txt", select_views(sparse, cameras, settings.sources, settings=settings.selection))
     model.write_binary(make_folder(out / "sparse"))
     progress(len(image_ids), len(image_ids), "undistorting")
-    return len(image_ids)
+    return tuple(image_ids)
 
 
-def _quality(model: Any) -> dict[str, Any]:
+def _quality(model: Any) -> dict[str, float]:
     """Figures that tell a good model from a poor one, for ``poses.json``."""
     return {
         "points": int(model.num_points3D()),

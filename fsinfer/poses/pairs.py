@@ -10,6 +10,11 @@ from statistics import median
 
 Pair = tuple[int, int]
 
+#: Matches that a pair needs after the geometric check; fewer are none. Source: COLMAP's default.
+MIN_INLIERS = 15
+#: So many matches of a pair promise as much for those beside it as more would. Source: judgement.
+_ENOUGH_INLIERS = 100
+
 
 @dataclass(frozen=True, kw_only=True)
 class PairSettings:
@@ -18,21 +23,22 @@ class PairSettings:
     Attributes
     ----------
     exhaustive_up_to: with at most this many photos every pair is matched; above, photos are taken to be in the order
-        of walking (names).
+        of walking (names). Source: their 1,770 pairs take about a minute on two cores.
     overlap: above that, each photo is matched with this many next ones.
     loop_stride: and every so many-th photo with every other such photo: the net.
     net_pairs_per_photo: the stride grows with the photos, so that the net holds at most so many pairs a photo.
     rounds, pairs_per_round: beside pairs that did match, others are tried: so many rounds, so many pairs a photo each.
     reach: at most so many photos beside, on both sides.
-    min_inliers: matches of a pair that make others beside it worth trying.
     order_ratio, order_share: few photos are in the order of walking if, of those that follow each other, this share
-        match, and their median is so many times that of photos farther apart.
+        match, and their median is so many times that of photos farther apart. Source: judgement.
 
     Notes
     -----
     Chosen on 200 photos of a rendered plot, walked round outside and inside, all 19,900 pairs of which were matched:
     3,505 pairs more than 12 apart hold 15 matches or more. A net of every fifth photo, twelve neighbours and those 16,
     32, 64 and 128 further on found 242 of them with 3,585 pairs; these settings find 1,162 with 3,292.
+
+    Source of the rest: 200 photos of a rendered plot with all pairs matched, see the notes; renders only.
     """
 
     exhaustive_up_to: int = 60
@@ -42,7 +48,6 @@ class PairSettings:
     rounds: int = 2
     pairs_per_round: float = 3.0
     reach: int = 3
-    min_inliers: int = 15
     order_ratio: float = 3.0
     order_share: float = 0.8
 
@@ -87,7 +92,7 @@ def in_walking_order(inliers: Mapping[Pair, int], count: int, settings: PairSett
     apart = [inliers.get(pair, 0) for pair in combinations(range(count), 2) if pair[1] - pair[0] > settings.overlap]
     if not apart:
         return False
-    matching = sum(found >= settings.min_inliers for found in following)
+    matching = sum(found >= MIN_INLIERS for found in following)
     return matching >= settings.order_share * len(following) and median(following) >= settings.order_ratio * max(
         1.0, median(apart)
     )
@@ -104,7 +109,7 @@ def pairs_beside(inliers: Mapping[Pair, int], count: int, settings: PairSettings
     promise: dict[Pair, float] = {}
     steps = range(-settings.reach, settings.reach + 1)
     for (first, second), found in inliers.items():
-        if found < settings.min_inliers or second - first <= settings.overlap:
+        if found < MIN_INLIERS or second - first <= settings.overlap:
             continue
         for left in steps:
             for right in steps:
@@ -112,5 +117,5 @@ def pairs_beside(inliers: Mapping[Pair, int], count: int, settings: PairSettings
                 if pair[0] < 0 or pair[1] >= count or pair[1] - pair[0] <= settings.overlap or pair in inliers:
                     continue
                 # A pair in the middle of several good ones is the best guess; a hundred matches are as good as more.
-                promise[pair] = promise.get(pair, 0.0) + min(found, 100) / (1 + abs(left) + abs(right))
+                promise[pair] = promise.get(pair, 0.0) + min(found, _ENOUGH_INLIERS) / (1 + abs(left) + abs(right))
     return sorted(sorted(promise, key=lambda pair: (-promise[pair], pair))[: _budget(count, settings)])

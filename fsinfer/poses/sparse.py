@@ -6,17 +6,17 @@ import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import SceneError
 
-if TYPE_CHECKING:
-    pass
-
 _log = logging.getLogger(__name__)
+
+#: Photos that see a point which can be trusted. Source: a third one is the first that can contradict two.
+LONG_TRACK = 3
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.poses.sparse import SparseModel
+from fsinfer.poses.sparse import LONG_TRACK, SparseModel
 from fsinfer.scene import Camera
 
 
@@ -19,28 +19,33 @@ class SelectionSettings:
     Attributes
     ----------
     best_angle_deg, narrow_deg, wide_deg: a shared point counts exp(-(angle - best)² / 2 sigma²), sigma = narrow below
-        the best angle and wide above: 5, 1 and 10 in MVSNet (Yao et al. 2018, section 4.1).
-    near_percentile, far_percentile: of the depths of the points seen in a view.
-    near_margin, far_margin: the range is widened by these factors.
-    max_ratio: the far end is at most this many times the near end. Planes are uniform in inverse depth, so that
-        everything beyond takes up 1 / max_ratio of them.
-    min_ratio: and at least this many times.
+        the best angle and wide above. Source: MVSNet (Yao et al. 2018, section 4.1).
+    outer_percent: of the depths of the points seen in a view, these nearest and farthest do not count. Source:
+        judgement; false points.
+    near_margin, far_margin: the range is widened by these factors. Source: judgement; what has no features lies
+        before and behind what has.
+    max_ratio: the far end is at most this many times the near end. Source: planes are uniform in inverse depth, so
+        that everything beyond takes up 1 / max_ratio of them.
+    min_ratio: and at least this many times. Source: judgement.
     """
 
     best_angle_deg: float = 5.0
     narrow_deg: float = 1.0
     wide_deg: float = 10.0
-    near_percentile: float = 1.0
-    far_percentile: float = 99.0
+    outer_percent: float = 1.0
     near_margin: float = 0.75
     far_margin: float = 1.5
     max_ratio: float = 60.0
     min_ratio: float = 1.5
 
 
-# Below this many well seen points a range is made of all points.
+#: Below this many well seen points a range is made of all points. Source: judgement.
 _ENOUGH_POINTS = 50
-_LONG_TRACK = 3
+#: Points of other views pull the near end in, down to this share of it. Source: judgement; the ground at the
+#: photographer's feet.
+_NEAREST_SHARE = 0.4
+#: A shared point scores at least this. Source: numerics.
+_LEAST_SCORE = 1e-6
 
 
 def score_pairs(
@@ -75,7 +80,7 @@ def score_pairs(
             angle_deg = _angles_deg(centers[i] - shared, centers[j] - shared)
             sigma = np.where(angle_deg <= settings.best_angle_deg, settings.narrow_deg, settings.wide_deg)
             weight = np.exp(-((angle_deg - settings.best_angle_deg) ** 2) / (2 * sigma**2))
-            scores[i, j] = scores[j, i] = float(np.maximum(weight, 1e-6).sum())
+            scores[i, j] = scores[j, i] = float(np.maximum(weight, _LEAST_SCORE).sum())
     return scores
 
 
@@ -104,7 +109,7 @@ def depth_range(
     """The z depths between which a view's scene lies.
 
     Percentiles of the points that the view sees. The ground at the photographer's feet has few features, so that
-    points of other views that fall into the picture and lie nearer pull the near end in, down to 0.4 of it.
+    points of other views that fall into the picture and lie nearer pull the near end in, down to a share of it.
 
     Parameters
     ----------
@@ -116,22 +121,22 @@ def depth_range(
     ``(near, far)`` in scene units, or None where the view sees no point in front of it.
     """
     settings = settings or SelectionSettings()
-    steady = seen[sparse.track_lengths[seen] >= _LONG_TRACK]
+    steady = seen[sparse.track_lengths[seen] >= LONG_TRACK]
     used = steady if len(steady) >= _ENOUGH_POINTS else seen
     depths = _in_camera(sparse.points[used], cam_from_world)[:, 2]
     depths = depths[depths > 0]
     if not len(depths):
         return None
-    near = float(np.percentile(depths, settings.near_percentile))
-    far = float(np.percentile(depths, settings.far_percentile)) * settings.far_margin
-    others = _in_camera(sparse.points[sparse.track_lengths >= _LONG_TRACK], cam_from_world)
+    near = float(np.percentile(depths, settings.outer_percent))
+    far = float(np.percentile(depths, 100 - settings.outer_percent)) * settings.far_margin
+    others = _in_camera(sparse.points[sparse.track_lengths >= LONG_TRACK], cam_from_world)
     others = others[others[:, 2] > 0]
     pixels = others @ intrinsic.T
     pixels = pixels[:, :2] / pixels[:, 2:]
     inside = ((pixels >= 0) & (pixels <= np.array(size) - 1)).all(axis=1)
     if inside.sum() >= _ENOUGH_POINTS:
-        nearest = float(np.percentile(others[inside, 2], settings.near_percentile / 2))
-        near = min(near, max(nearest, 0.4 * near))
+        nearest = float(np.percentile(others[inside, 2], settings.outer_percent / 2))
+        near = min(near, max(nearest, _NEAREST_SHARE * near))
     near *= settings.near_margin
     return near, float(np.clip(far, settings.min_ratio * near, settings.max_ratio * near))
 

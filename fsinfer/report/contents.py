@@ -19,6 +19,22 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True)
+class StageWarning:
+    """A warning of a stage: its ``text``, and what it is about.
+
+    Attributes
+    ----------
+    code: the kind of warning; empty in ``plot.json`` of a version that wrote sentences only.
+    text: the sentence, as written for the terminal.
+    remark: True for what is of use to those who look closely, but asks for nothing.
+    """
+
+    code: str
+    text: str
+    remark: bool
+
+
+@dataclass(frozen=True, kw_only=True)
 class Contents:
     """The parts of an output folder that are text.
 
@@ -27,6 +43,8 @@ class Contents:
     out: the folder.
     plot: ``plot.json``, {} when missing.
     trees: rows of ``trees.csv``, None when there is no table.
+    revisit_advised: numbers of the trees whose reason in ``trees.csv`` says already to walk round the stem again, after
+        ``trees.json``; none where that is missing.
     frames: rows of ``frames.csv``, None when there is none.
     notes: what could not be read, in plain words.
     """
@@ -34,6 +52,7 @@ class Contents:
     out: Path
     plot: dict[str, Any]
     trees: list[dict[str, str]] | None
+    revisit_advised: frozenset[int]
     frames: list[dict[str, str]] | None
     notes: tuple[str, ...]
 
@@ -71,15 +90,37 @@ class Contents:
         factor = number(scale.get("m_per_unit")) if isinstance(scale, dict) else None
         return factor if factor is not None and factor > 0 else 1.0
 
+    @property
+    def warnings(self) -> tuple[StageWarning, ...]:
+        """What the stages warned of; without ``warning_codes`` every sentence is an ordinary warning."""
+        coded = self.plot.get("warning_codes")
+        if isinstance(coded, list):
+            return tuple(
+                StageWarning(code=str(one.get("code") or ""), text=str(one["text"]), remark=one.get("remark") is True)
+                for one in coded
+                if isinstance(one, dict) and one.get("text")
+            )
+        given = self.plot.get("warnings")
+        texts = given if isinstance(given, list) else [given] if given else []
+        return tuple(StageWarning(code="", text=str(text), remark=False) for text in texts)
+
 
 def read_contents(out: Path) -> Contents:
     """Read the text parts of ``out``."""
     notes: list[str] = []
     plot = _lenient(lambda: _read_plot(out / "plot.json"), "plot.json", notes)
     trees = _lenient(lambda: _read_rows(out / "trees.csv"), "trees.csv", notes)
+    advised = _lenient(lambda: _read_revisit_advised(out / "trees.json"), "trees.json", notes)
     frames_path = next((p for p in (out / "frames" / "frames.csv", out / "frames.csv") if p.is_file()), None)
     frames = None if frames_path is None else _lenient(lambda: _read_rows(frames_path), "frames.csv", notes)
-    return Contents(out=out, plot=plot or {}, trees=trees, frames=frames, notes=tuple(notes))
+    return Contents(
+        out=out,
+        plot=plot or {},
+        trees=trees,
+        revisit_advised=advised or frozenset(),
+        frames=frames,
+        notes=tuple(notes),
+    )
 
 
 def number(text: object) -> float | None:
@@ -91,8 +132,8 @@ def number(text: object) -> float | None:
     return value if value - value == 0 else None
 
 
-def tree_number(tree: Mapping[str, str]) -> int | None:
-    """The number of a row of ``trees.csv``; None where the cell is empty or damaged."""
+def tree_number(tree: Mapping[str, object]) -> int | None:
+    """The number of a row of ``trees.csv`` or an entry of ``trees.json``; None where it is empty or damaged."""
     value = number(tree.get("tree_id"))
     return None if value is None else int(value)
 
@@ -113,6 +154,22 @@ def _read_plot(path: Path) -> dict[str, Any]:
         msg = "it is no JSON object"
         raise ValueError(msg)
     return plot
+
+
+def _read_revisit_advised(path: Path) -> frozenset[int]:
+    """Numbers of the trees with a reason that carries ``advises_revisit``; entries of another shape are passed over."""
+    trees = json.loads(path.read_text(encoding="utf-8"))
+    if not isinstance(trees, list):
+        msg = "it is no JSON list"
+        raise ValueError(msg)
+    advised = set()
+    for tree in trees:
+        reasons = tree.get("reasons") if isinstance(tree, dict) else None
+        if not isinstance(reasons, list) or (tree_id := tree_number(tree)) is None:
+            continue
+        if any(isinstance(reason, dict) and reason.get("advises_revisit") is True for reason in reasons):
+            advised.add(tree_id)
+    return frozenset(advised)
 
 
 def _read_rows(path: Path) -> list[dict[str, str]]:

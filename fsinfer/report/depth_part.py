@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,33 +12,51 @@ from fsinfer.errors import FsinferError
 from fsinfer.io.images import read_image
 from fsinfer.io.pfm import read_pfm
 from fsinfer.report.contents import Contents
-from fsinfer.report.html import embedded_image, paragraph, section, shrink
+from fsinfer.report.page import Part, missing_part
+from fsinfer.report.picture import Picture, picture_of, shrink
 from fsinfer.report.previews import depth_preview
 from fsinfer.scene import IMAGE_SUFFIXES
 
 DEPTH_SAMPLES = 3
 SAMPLE_WIDTH_PX = 640
+_ANCHOR, _TITLE = "depth", "Depth samples"
 
 
-def depth_section(contents: Contents) -> str:
-    """Return a few depth maps beside their photos."""
+@dataclass(frozen=True, kw_only=True)
+class DepthSample:
+    """A photo and its depth map; without pictures, why there are none."""
+
+    pictures: tuple[Picture, ...]
+    missing: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthView:
+    """The samples, out of ``maps`` depth maps."""
+
+    samples: tuple[DepthSample, ...]
+    maps: int
+
+
+def depth_part(contents: Contents) -> Part:
+    """A few depth maps beside their photos."""
     paths = sorted((contents.out / "depth").glob("*.pfm"))
     if not paths:
-        return section("Depth samples", paragraph("There are no depth maps in this folder.", "missing"), anchor="depth")
+        return missing_part(_ANCHOR, _TITLE, "There are no depth maps in this folder.")
     middle = [paths[int((i + 0.5) * len(paths) / DEPTH_SAMPLES)] for i in range(min(DEPTH_SAMPLES, len(paths)))]
-    parts = [paragraph(f"{len(middle)} of {len(paths)}. Red is near, blue is far, grey has no depth.", "note")]
-    for path in dict.fromkeys(middle):
-        try:
-            picture = depth_preview(read_pfm(path))
-            photo = _photo(contents.out, path.stem)
-        except FsinferError as error:
-            parts.append(paragraph(f"{path.name} could not be shown: {error}", "missing"))
-            continue
-        figures = [embedded_image(shrink(picture, SAMPLE_WIDTH_PX), f"Depth of {path.stem}", suffix=".webp")]
-        if photo is not None:
-            figures.insert(0, embedded_image(shrink(photo, SAMPLE_WIDTH_PX), f"Photo {path.stem}", suffix=".webp"))
-        parts.append(f'<div class="pair">{"".join(figures)}</div>')
-    return section("Depth samples", *parts, anchor="depth")
+    samples = tuple(_sample(contents.out, path) for path in dict.fromkeys(middle))
+    return Part(anchor=_ANCHOR, title=_TITLE, view=DepthView(samples=samples, maps=len(paths)))
+
+
+def _sample(out: Path, path: Path) -> DepthSample:
+    try:
+        depth = depth_preview(read_pfm(path))
+        photo = _photo(out, path.stem)
+    except FsinferError as error:
+        return DepthSample(pictures=(), missing=f"{path.name} could not be shown: {error}")
+    pictures = [] if photo is None else [picture_of(shrink(photo, SAMPLE_WIDTH_PX), f"Photo {path.stem}")]
+    pictures.append(picture_of(shrink(depth, SAMPLE_WIDTH_PX), f"Depth of {path.stem}"))
+    return DepthSample(pictures=tuple(pictures))
 
 
 def _photo(out: Path, name: str) -> NDArray[np.uint8] | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Literal
 
 import cv2
@@ -10,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.io.cloud import PointCloud
-from fsinfer.io.images import write_image
 
-Direction = Literal["top", "side", "front"]
+Direction = Literal["top", "side"]
 
 # Grey for "no depth": the colour map has no grey, so it cannot be taken for a distance.
 NO_DEPTH_RGB = (60, 60, 60)
@@ -23,7 +21,6 @@ MAX_VIEW_POINTS = 800_000
 _AXES: dict[str, tuple[tuple[int, int], tuple[int, int], tuple[int, int]]] = {
     "top": ((0, 1), (1, 1), (2, 1)),
     "side": ((0, 1), (2, 1), (1, -1)),
-    "front": ((1, 1), (2, 1), (0, 1)),
 }
 
 
@@ -53,18 +50,13 @@ def depth_preview(
     return np.where(valid[..., None], coloured, np.array(NO_DEPTH_RGB)).astype(np.uint8)
 
 
-def write_depth_preview(path: Path, depth: NDArray[np.float32]) -> None:
-    """Write :func:`depth_preview` as an image, atomically."""
-    write_image(path, depth_preview(depth))
-
-
 def cloud_view(cloud: PointCloud, direction: Direction = "top", *, size_px: int = 900) -> NDArray[np.uint8]:
     """Draw the cloud in parallel projection, nearer points in front (a z-buffer of square splats).
 
     Parameters
     ----------
     cloud: z up. Without colours the height is coloured.
-    direction: ``top`` (x right, y up), ``side`` (x right, z up, seen from -y) or ``front`` (y right, z up).
+    direction: ``top`` (x right, y up) or ``side`` (x right, z up, seen from -y).
     size_px: longer side of the picture, within a pixel.
 
     Returns
@@ -96,14 +88,6 @@ def cloud_view(cloud: PointCloud, direction: Direction = "top", *, size_px: int 
     picture = np.full((height * width, 3), BACKGROUND_RGB, dtype=np.uint8)
     picture[pixels[last]] = colours[which[last]]
     return picture.reshape(height, width, 3)
-
-
-def write_cloud_views(folder: Path, cloud: PointCloud) -> tuple[Path, ...]:
-    """Write ``cloud_top.png`` and ``cloud_side.png`` into ``folder``."""
-    paths = (folder / "cloud_top.png", folder / "cloud_side.png")
-    write_image(paths[0], cloud_view(cloud, "top"))
-    write_image(paths[1], cloud_view(cloud, "side"))
-    return paths
 
 
 def _range(values: NDArray[np.float64]) -> tuple[float, float]:

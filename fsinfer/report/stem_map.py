@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import FsinferError
 from fsinfer.report.contents import Contents, number, tree_number
-from fsinfer.report.html import escape
+from fsinfer.report.tree_row import STATUS_WORDS, status_of
 from fsinfer.scene import read_scene
 
 WIDTH = 640.0
@@ -25,8 +27,51 @@ STRAY_SHARE = 0.6
 NEAR_M = 8.0
 
 
-def stem_map(contents: Contents) -> str:
-    """Return the map with its legend; empty where no tree has a position."""
+@dataclass(frozen=True, kw_only=True)
+class Mark:
+    """A tree on the map: its circle in pixels of the drawing, its status, and what is said of it."""
+
+    tree_id: int
+    u: float
+    v: float
+    radius: float
+    halo: float
+    status: str
+    said: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class GridLine:
+    """A line of the grid at pixel ``at``, and the coordinate that it stands for."""
+
+    at: float
+    label: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapView:
+    """The drawing, in its own pixels.
+
+    Attributes
+    ----------
+    columns, rows: lines of the grid at constant x and at constant y.
+    cameras: (u, v) of the photos.
+    legend: (CSS class, words) of each kind of mark that is there.
+    """
+
+    width: float
+    height: float
+    margin: float
+    unit: str
+    columns: tuple[GridLine, ...]
+    rows: tuple[GridLine, ...]
+    cameras: tuple[tuple[float, float], ...]
+    marks: tuple[Mark, ...]
+    legend: tuple[tuple[str, str], ...]
+
+
+def stem_map(contents: Contents) -> MapView | None:
+    """The map with its legend; None where no tree has a position."""
     trees = [
         (tree_id, x, y, tree)
         for tree in contents.trees or ()
@@ -35,7 +80,7 @@ def stem_map(contents: Contents) -> str:
         and (y := number(tree.get("y_m"))) is not None
     ]
     if not trees:
-        return ""
+        return None
     stems = np.array([[x, y] for _, x, y, _ in trees])
     low, high = stems.min(axis=0), stems.max(axis=0)
     cameras = camera_places(contents)
@@ -52,20 +97,21 @@ def stem_map(contents: Contents) -> str:
     def place(x: float, y: float) -> tuple[float, float]:
         return MARGIN + per_unit * (x - low[0]), height - MARGIN - per_unit * (y - low[1])
 
-    dots = "".join(f'<circle cx="{u:.1f}" cy="{v:.1f}" r="2.4"/>' for x, y in near for u, v in [place(x, y)])
-    marks = "".join(_tree(tree_id, *place(x, y), tree, per_unit) for tree_id, x, y, tree in trees)
-    unit = "m" if contents.metric else "units"
-    kinds = ("ok", "doubtful", "unmeasured")
-    names = {"ok": "measured", "doubtful": "doubtful", "unmeasured": "no diameter"}
-    present = [kind for kind in kinds if any(tree.get("status") == kind for _, _, _, tree in trees)]
-    legend = "".join(f'<span><i class="{kind}"></i>{names[kind]}</span>' for kind in present)
+    step = round_step(float(max(high - low)) / 6)
+    present = {tree.get("status") for _, _, _, tree in trees}
+    legend = [(status, words) for status, words in STATUS_WORDS.items() if status in present]
     if len(near):
-        legend += '<span><i class="camera"></i>photo taken here</span>'
-    return (
-        f'<div class="map"><svg viewBox="0 0 {WIDTH:.0f} {height:.0f}" role="group" '
-        f'aria-label="Stem map with {len(trees)} trees; choose one to see its card">'
-        f"{_frame(low, high, per_unit, height, unit)}"
-        f'<g fill="#7a8dbd" aria-hidden="true">{dots}</g>{marks}</svg><div class="legend">{legend}</div></div>'
+        legend.append(("camera", "photo taken here"))
+    return MapView(
+        width=WIDTH,
+        height=height,
+        margin=MARGIN,
+        unit="m" if contents.metric else "units",
+        columns=tuple(GridLine(at=place(x, low[1])[0], label=f"{x:g}") for x in _multiples(step, low[0], high[0])),
+        rows=tuple(GridLine(at=place(low[0], y)[1], label=f"{y:g}") for y in _multiples(step, low[1], high[1])),
+        cameras=tuple(place(x, y) for x, y in near),
+        marks=tuple(_mark(tree_id, *place(x, y), tree, per_unit) for tree_id, x, y, tree in trees),
+        legend=tuple(legend),
     )
 
 
@@ -83,40 +129,19 @@ def camera_places(contents: Contents) -> NDArray[np.float64]:
     return np.asarray(contents.trees_per_cloud * placed[:, :2])
 
 
-def _tree(tree_id: int, u: float, v: float, tree: dict[str, str], per_unit: float) -> str:
-    dbh_cm = number(tree.get("dbh_cm"))
+def _mark(tree_id: int, u: float, v: float, tree: Mapping[str, str], per_unit: float) -> Mark:
+    dbh_cm, status = number(tree.get("dbh_cm")), status_of(tree)
     radius = max(0.0 if dbh_cm is None else per_unit * dbh_cm / 200, LEAST_RADIUS)
-    status = tree.get("status", "")
-    kind = status if status in ("ok", "doubtful", "unmeasured") else "ok"
     said = f"Tree {tree_id}: " + ("no diameter" if dbh_cm is None else f"DBH {dbh_cm:.1f} cm")
-    if kind == "doubtful":
+    if status == "doubtful":
         said += ", doubtful"
-    return (
-        f'<g class="tree {kind}" data-tree="{tree_id}" tabindex="0" role="button" aria-pressed="false" '
-        f'aria-label="{escape(said)}"><title>{escape(said)}</title>'
-        f'<circle class="halo" cx="{u:.1f}" cy="{v:.1f}" r="{max(radius + 5, HALO):.1f}"/>'
-        f'<circle class="stem" cx="{u:.1f}" cy="{v:.1f}" r="{radius:.1f}"/>'
-        f'<text x="{u:.1f}" y="{v - radius - 4:.1f}">{tree_id}</text></g>'
-    )
+    halo = max(radius + 5, HALO)
+    return Mark(tree_id=tree_id, u=u, v=v, radius=radius, halo=halo, status=status, said=said)
 
 
-def _frame(low: NDArray[np.float64], high: NDArray[np.float64], per_unit: float, height: float, unit: str) -> str:
-    """A grid with round numbers on both axes."""
-    step = round_step(float(max(high - low)) / 6)
-    lines, texts = [], []
-    for k in range(math.ceil(low[0] / step), math.floor(high[0] / step) + 1):
-        u = MARGIN + per_unit * (k * step - low[0])
-        lines.append(f"M{u:.1f} {MARGIN:.1f}V{height - MARGIN:.1f}")
-        texts.append(
-            f'<text class="axis" x="{u:.1f}" y="{height - MARGIN + 16:.1f}" text-anchor="middle">{k * step:g}</text>'
-        )
-    for k in range(math.ceil(low[1] / step), math.floor(high[1] / step) + 1):
-        v = height - MARGIN - per_unit * (k * step - low[1])
-        lines.append(f"M{MARGIN:.1f} {v:.1f}H{WIDTH - MARGIN:.1f}")
-        texts.append(f'<text class="axis" x="{MARGIN - 5:.1f}" y="{v + 4:.1f}" text-anchor="end">{k * step:g}</text>')
-    texts.append(f'<text class="axis" x="{WIDTH - 4:.0f}" y="{height - 4:.1f}" text-anchor="end">x ({unit})</text>')
-    texts.append(f'<text class="axis" x="4" y="14">y ({unit})</text>')
-    return f'<path d="{"".join(lines)}" stroke="#e2e7e3" fill="none"/><g aria-hidden="true">{"".join(texts)}</g>'
+def _multiples(step: float, low: float, high: float) -> list[float]:
+    """The multiples of ``step`` between ``low`` and ``high``."""
+    return [k * step for k in range(math.ceil(low / step), math.floor(high / step) + 1)]
 
 
 def round_step(least: float) -> float:

@@ -1,16 +1,14 @@
-"""The head of the report: the plot in a few numbers, the stand table, and the warnings in plain words."""
+"""The head of the report: the plot in a few large numbers, and a table of all that is known of it."""
 
 from __future__ import annotations
 
-import math
-from collections import Counter
 from dataclasses import dataclass
 
 from fsinfer.report.contents import Contents, number
-from fsinfer.report.html import escape, facts, section
+from fsinfer.report.number_table import NumberTable
+from fsinfer.report.page import Part
+from fsinfer.report.stand_figures import basal_area_m2, class_table, diameters_cm, stand_of
 
-# Width of the diameter classes of the stand table: inventories use 2, 4 or 5 cm.
-CLASS_CM = 5
 SCALE_SOURCES = {
     "aruco": "markers in the photos",
     "factor": "the factor that was given",
@@ -20,86 +18,75 @@ SCALE_SOURCES = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stand:
-    """The stand table.
+class TilesView:
+    """Large numbers: (value, what it is)."""
 
-    Attributes
-    ----------
-    stems, measured: trees found; those with a DBH.
-    dbh_mean_cm, quadratic_mean_dbh_cm: over the measured; None without one.
-    basal_area_m2: of the measured stems, sum of pi/4 DBH^2.
-    area_m2: of the plot, where it was given.
-    """
-
-    stems: int
-    measured: int
-    dbh_mean_cm: float | None
-    quadratic_mean_dbh_cm: float | None
-    basal_area_m2: float | None
-    area_m2: float | None
+    tiles: tuple[tuple[str, str], ...]
 
 
-def stand_of(contents: Contents) -> Stand:
-    """Compute the stand table from ``trees.csv`` (and ``plot_area_m2`` of ``plot.json`` where it is given)."""
-    trees = contents.trees or []
-    dbh_cm = [d for d in (number(tree.get("dbh_cm")) for tree in trees) if d is not None]
-    area_m2 = number(contents.plot.get("plot_area_m2"))
-    return Stand(
-        stems=len(trees),
-        measured=len(dbh_cm),
-        dbh_mean_cm=sum(dbh_cm) / len(dbh_cm) if dbh_cm else None,
-        quadratic_mean_dbh_cm=math.sqrt(sum(d * d for d in dbh_cm) / len(dbh_cm)) if dbh_cm else None,
-        basal_area_m2=math.pi / 4 * sum((d / 100) ** 2 for d in dbh_cm) if dbh_cm else None,
-        area_m2=area_m2 if area_m2 and area_m2 > 0 else None,
-    )
+@dataclass(frozen=True, kw_only=True)
+class PlotView:
+    """Names and values, then the tables of the stand and of the markers."""
+
+    facts: tuple[tuple[str, str], ...]
+    tables: tuple[NumberTable, ...]
 
 
-def tiles(contents: Contents) -> str:
-    """Return the row of large numbers; only what is known."""
+def tiles_part(contents: Contents) -> Part:
+    """The row of large numbers; only what is known."""
     plot, stand = contents.plot, stand_of(contents)
     shown: list[tuple[str, str]] = []
     if contents.trees is not None:
         shown += [(str(stand.stems), "stems found"), (str(stand.measured), "with a DBH")]
     if stand.quadratic_mean_dbh_cm is not None:
         shown.append((f"{stand.quadratic_mean_dbh_cm:.1f} cm", "quadratic mean DBH"))
-    if stand.basal_area_m2 is not None:
-        shown.append((f"{stand.basal_area_m2:.2f} m²", "basal area of these stems"))
+    if stand.measured:
+        shown.append((f"{basal_area_m2(diameters_cm(contents)):.2f} m²", "basal area of these stems"))
     if plot.get("photos") is not None:
         shown.append((f"{plot.get('registered', '?')} of {plot['photos']}", "photos used"))
-    if number(plot.get("points")) is not None:
-        shown.append((f"{int(float(plot['points'])):,}", "points in the cloud"))
-    cells = "".join(
-        f'<div class="tile"><b>{escape(value)}</b><span>{escape(name)}</span></div>' for value, name in shown
+    points = number(plot.get("points"))
+    if points is not None:
+        shown.append((f"{int(points):,}", "points in the cloud"))
+    return Part(anchor="tiles", view=TilesView(tiles=tuple(shown)))
+
+
+def plot_part(contents: Contents) -> Part:
+    """Plot summary and stand table."""
+    tables = (class_table(contents, stand_of(contents)), _markers(contents))
+    facts = (*_stand_facts(contents), *_cloud_facts(contents))
+    return Part(
+        anchor="plot", title="Plot", view=PlotView(facts=facts, tables=tuple(t for t in tables if t is not None))
     )
-    return f'<div class="tiles">{cells}</div>' if cells else ""
 
 
-def plot_section(contents: Contents) -> str:
-    """Return plot summary and stand table."""
-    plot, stand = contents.plot, stand_of(contents)
-    unit = "m" if contents.metric else "model units"
+def _stand_facts(contents: Contents) -> list[tuple[str, str]]:
     rows: list[tuple[str, str]] = []
-    if plot.get("source"):
-        rows.append(("Photos from", str(plot["source"])))
+    if contents.plot.get("source"):
+        rows.append(("Photos from", str(contents.plot["source"])))
     if contents.trees is None:
-        rows.append(("Trees", "trees.csv is not in this folder"))
-    else:
-        rows += [("Stems found", str(stand.stems)), ("Stems with a DBH", str(stand.measured))]
-    if stand.dbh_mean_cm is not None and stand.quadratic_mean_dbh_cm is not None and stand.basal_area_m2 is not None:
-        rows += [
-            ("Mean DBH", f"{stand.dbh_mean_cm:.1f} cm"),
-            ("Quadratic mean DBH", f"{stand.quadratic_mean_dbh_cm:.1f} cm"),
-            ("Basal area of these stems", f"{stand.basal_area_m2:.3f} m²"),
-        ]
-        if stand.area_m2 is not None:
-            hectares = stand.area_m2 / 10_000
-            rows += [
-                ("Plot area", f"{stand.area_m2:.0f} m²"),
-                ("Stems per hectare", f"{stand.stems / hectares:.0f}"),
-                ("Basal area per hectare, stems with a DBH", f"{stand.basal_area_m2 / hectares:.1f} m²/ha"),
-            ]
-        else:
-            rows.append(("Per hectare", "not given: the area of the plot is not known"))
+        return [*rows, ("Trees", "trees.csv is not in this folder")]
+    stand = stand_of(contents)
+    rows += [("Stems found", str(stand.stems)), ("Stems with a DBH", str(stand.measured))]
+    if stand.mean_dbh_cm is None or stand.quadratic_mean_dbh_cm is None:
+        return rows
+    rows += [
+        ("Mean DBH", f"{stand.mean_dbh_cm:.1f} cm"),
+        ("Quadratic mean DBH", f"{stand.quadratic_mean_dbh_cm:.1f} cm"),
+        ("Basal area of these stems", f"{basal_area_m2(diameters_cm(contents)):.3f} m²"),
+    ]
+    if stand.stems_per_ha is None or stand.basal_area_m2_per_ha is None:
+        return [*rows, ("Per hectare", "not given: the area of the plot is not known")]
+    return [
+        *rows,
+        ("Plot area", f"{stand.plot_area_m2:.0f} m²"),
+        ("Stems per hectare", f"{stand.stems_per_ha:.0f}"),
+        ("Basal area per hectare, stems with a DBH", f"{stand.basal_area_m2_per_ha:.1f} m²/ha"),
+    ]
+
+
+def _cloud_facts(contents: Contents) -> list[tuple[str, str]]:
+    plot = contents.plot
+    rows: list[tuple[str, str]] = []
     points, density = number(plot.get("points")), number(plot.get("density_per_m2"))
     if points is not None:
         rows.append(("Points", f"{points:,.0f}"))
@@ -119,65 +106,28 @@ def plot_section(contents: Contents) -> str:
     difference = number(plot.get("depth_vs_sfm_median_rel"))
     if difference is not None:
         rows.append(("Depth against tie points (median)", f"{100 * difference:.2f} %"))
-    rows.append(("Lengths in", unit))
-    return section("Plot", facts(rows), _classes(contents, stand), _boards(contents), anchor="plot")
+    rows.append(("Lengths in", "m" if contents.metric else "model units"))
+    return rows
 
 
-def _classes(contents: Contents, stand: Stand) -> str:
-    """The stand table: stems and basal area by classes of diameter."""
-    dbh_cm = [d for d in (number(tree.get("dbh_cm")) for tree in contents.trees or ()) if d is not None]
-    if not dbh_cm:
-        return ""
-    per_hectare = None if stand.area_m2 is None else 10_000 / stand.area_m2
-    head = ["DBH class (cm)", "Stems", "Basal area (m²)"]
-    if per_hectare is not None:
-        head += ["Stems per ha", "Basal area (m²/ha)"]
-    counted = Counter(int(d // CLASS_CM) for d in dbh_cm)
-    rows = []
-    for k in range(min(counted), max(counted) + 1):
-        own = [d for d in dbh_cm if int(d // CLASS_CM) == k]
-        rows.append(_class_row(f"{k * CLASS_CM} to under {(k + 1) * CLASS_CM}", own, per_hectare))
-    rows.append(_class_row("All with a DBH", dbh_cm, per_hectare))
-    return _wide_table("Stand table", head, rows, total=True)
-
-
-def _wide_table(title: str, head: list[str], rows: list[list[str]], *, total: bool = False) -> str:
-    """A table of numbers under a heading; ``total`` sets its last row off."""
-    top = "".join(f'<th scope="col">{escape(text)}</th>' for text in head)
-    body = "".join("<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>" for row in rows)
-    return (
-        f'<h3>{escape(title)}</h3><div class="wide" tabindex="0" role="region" aria-label="{escape(title)}">'
-        f'<table class="stand{" total" if total else ""}"><thead><tr>{top}</tr></thead>'
-        f"<tbody>{body}</tbody></table></div>"
-    )
-
-
-def _boards(contents: Contents) -> str:
+def _markers(contents: Contents) -> NumberTable | None:
     """The markers that gave the scale, each with how far it disagrees with the others."""
     details = contents.plot.get("scale_details")
-    boards = details.get("markers") if isinstance(details, dict) else None
-    if not isinstance(boards, list) or not boards or not all(isinstance(board, dict) for board in boards):
-        return ""
+    markers = details.get("markers") if isinstance(details, dict) else None
+    if not isinstance(markers, list) or not markers or not all(isinstance(marker, dict) for marker in markers):
+        return None
     rows = []
-    for board in boards:
-        views, residual = board.get("views"), number(board.get("residual_rel"))
-        without, pixels = number(board.get("leave_one_out_rel")), number(board.get("error_px"))
+    for marker in markers:
+        views, residual = marker.get("views"), number(marker.get("residual_rel"))
+        without, pixels = number(marker.get("leave_one_out_rel")), number(marker.get("error_px"))
         rows.append(
-            [
-                str(board.get("id", "?")),
+            (
+                str(marker.get("id", "?")),
                 str(len(views)) if isinstance(views, list) else "",
                 "" if residual is None else f"{100 * residual:+.2f} %",
                 "" if without is None else f"{100 * without:+.2f} %",
                 "" if pixels is None else f"{pixels:.2f}",
-            ]
+            )
         )
-    head = ["Marker", "Photos", "Its length differs by", "Scale without it", "Error (pixels)"]
-    return _wide_table("Scale by markers", head, rows)
-
-
-def _class_row(name: str, dbh_cm: list[float], per_hectare: float | None) -> list[str]:
-    basal_m2 = math.pi / 4 * sum((d / 100) ** 2 for d in dbh_cm)
-    row = [name, str(len(dbh_cm)), f"{basal_m2:.3f}"]
-    if per_hectare is not None:
-        row += [f"{len(dbh_cm) * per_hectare:.0f}", f"{basal_m2 * per_hectare:.1f}"]
-    return row
+    head = ("Marker", "Photos", "Its length differs by", "Scale without it", "Error (pixels)")
+    return NumberTable(title="Scale by markers", head=head, rows=tuple(rows))

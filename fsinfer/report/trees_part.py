@@ -1,105 +1,87 @@
-"""The trees in the report: the map beside the card of the tree picked on it, and the sortable table."""
+"""The map of the stems, and the card of every tree: diameter, photos that see it, its section at breast height."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from fsinfer.errors import FsinferError
 from fsinfer.io.images import read_image
 from fsinfer.report.contents import Contents, number, tree_number
-from fsinfer.report.html import embedded_image, escape, facts, paragraph, section, shrink, sortable_table
-from fsinfer.report.stem_map import stem_map
+from fsinfer.report.page import Part
+from fsinfer.report.picture import Picture, picture_of, shrink
+from fsinfer.report.stem_map import MapView, stem_map
 from fsinfer.report.tree_photos import TreePhoto, tree_photos
+from fsinfer.report.tree_row import STATUS_WORDS, interval_of, interval_text, status_of
 
-KINDS = ("ok", "doubtful", "unmeasured")
-STATUS_WORDS = {"ok": "measured", "doubtful": "doubtful", "unmeasured": "no diameter"}
 # The page stays below 15 MB: of many trees each gets fewer and smaller pictures.
 MAX_PHOTOS = 180
 PHOTOS_PER_TREE = 3
 MANY_TREES = 90
+_ROWS = (
+    ("DBH as a tape reads it", "dbh_perimeter_cm", "{:.1f} cm"),
+    ("Seen of the stem's girth", "arc_coverage", "{:.0%}"),
+    ("Points in the section", "points", "{:.0f}"),
+    ("Unevenness of the section", "residual_cm", "{:.1f} cm"),
+    ("Lean", "lean_deg", "{:.1f}°"),
+    ("Height", "height_m", "{:.1f} m"),
+)
 
 
-def table_section(contents: Contents) -> str:
-    """Return the table of all trees; a column's head sorts, a tree's number shows its card."""
-    if contents.trees is None:
-        return section("Tree table", paragraph("trees.csv is not in this folder.", "missing"), anchor="trees")
-    if not contents.trees:
-        why = str(contents.plot.get("diagnosis") or "The table of trees is empty.")
-        return section("Tree table", paragraph("No trees were found."), paragraph(why), anchor="trees")
-    unit = "m" if contents.metric else "units"
-    columns: tuple[tuple[str, str, str], ...] = (
-        ("Tree", "tree_id", "{:.0f}"),
-        ("DBH (cm)", "dbh_cm", "{:.1f}"),
-        ("95 % interval (cm)", "", ""),
-        ("Status", "status", ""),
-        ("Seen all round (%)", "arc_coverage", "{:.0%}"),
-        ("DBH by tape (cm)", "dbh_perimeter_cm", "{:.1f}"),
-        ("Unevenness (cm)", "residual_cm", "{:.2f}"),
-        ("Points", "points", "{:.0f}"),
-        ("Lean (°)", "lean_deg", "{:.1f}"),
-        ("Height (m)", "height_m", "{:.1f}"),
-        (f"x ({unit})", "x_m", "{:.2f}"),
-        (f"y ({unit})", "y_m", "{:.2f}"),
-    )
-    # A column without a single value only takes room.
-    columns = tuple(
-        c for c in columns if c[1] in ("", "status") or any(number(t.get(c[1])) is not None for t in contents.trees)
-    )
-    rows = []
-    for tree in contents.trees:
-        cells = []
-        for _, name, form in columns:
-            if name == "status":
-                cells.append((STATUS_WORDS.get(tree.get("status", ""), tree.get("status", "")), tree.get("status", "")))
-            elif name:
-                value = number(tree.get(name))
-                cells.append(("" if value is None else form.format(value), "" if value is None else repr(value)))
-            else:
-                cells.append(_interval(tree))
-        rows.append([*cells, (tree.get("reason", ""), tree.get("reason", ""))])
-    kinds = [tree["status"] if tree.get("status") in KINDS else "ok" for tree in contents.trees]
-    ids = [tree_number(tree) for tree in contents.trees]
-    return section(
-        "Tree table",
-        paragraph(
-            "Choose a heading to sort, a number to see the tree. An empty DBH was not measured; the remark says why.",
-            "note screen",
-        ),
-        sortable_table([*(head for head, _, _ in columns), "Remark"], rows, kinds, ids=ids, label="Trees of the plot"),
-        anchor="trees",
-    )
+@dataclass(frozen=True, kw_only=True)
+class Drawing:
+    """A picture of ``figures/``, or why it cannot be shown."""
+
+    picture: Picture | None
+    missing: str = ""
 
 
-def stems_section(contents: Contents) -> str:
-    """Return the stem map and the card of every tree: diameter, photos that see it, its section at breast height."""
+@dataclass(frozen=True, kw_only=True)
+class Card:
+    """A tree.
+
+    Attributes
+    ----------
+    status, status_words: CSS class, and what is shown of it.
+    dbh, interval, reason: texts; the last two may be empty.
+    photos, photo_note: crops, and what their line means or why there are none.
+    facts: names and values.
+    drawings: of its section and its edges.
+    """
+
+    tree_id: int
+    status: str
+    status_words: str
+    dbh: str
+    interval: str
+    reason: str
+    photos: tuple[Picture, ...]
+    photo_note: str
+    facts: tuple[tuple[str, str], ...]
+    drawings: tuple[Drawing, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StemsView:
+    """Map and cards; ``missing`` says why no tree has photos, where none has."""
+
+    missing: str
+    map: MapView | None
+    cards: tuple[Card, ...]
+
+
+def stems_part(contents: Contents) -> Part | None:
+    """The map beside the card of the tree picked on it; None without a tree."""
     trees = [(i, tree) for tree in contents.trees or () if (i := tree_number(tree)) is not None]
     if not trees:
-        return ""
-    photos, why = _photos(contents, len(trees))
-    cards = "".join(_card(contents, tree_id, tree, photos, small=len(trees) > MANY_TREES) for tree_id, tree in trees)
-    options = "".join(f'<option value="{i}">Tree {i}</option>' for i, _ in trees)
-    steps = (
-        '<div class="steps"><button type="button" data-step="-1" aria-label="Previous tree">‹ Previous</button>'
-        f'<select id="choose-tree" aria-label="Show tree">{options}</select>'
-        '<button type="button" data-step="1" aria-label="Next tree">Next ›</button></div>'
-    )
-    told = paragraph(
-        "Choose a tree on the map: its card shows how it was measured and which photos see it.", "note screen"
-    )
-    if why:
-        told += paragraph(why, "missing")
-    return section(
-        "Stem map and trees",
-        told,
-        f'<div class="stems">{stem_map(contents)}<div>{steps}<p class="said" role="status"></p>{cards}</div></div>',
-        anchor="stems",
-    )
-
-
-def _photos(contents: Contents, trees: int) -> tuple[dict[int, list[TreePhoto]], str]:
-    per_tree = min(max(MAX_PHOTOS // trees, 1), PHOTOS_PER_TREE)
-    return tree_photos(contents, per_tree=per_tree, height_px=480 if trees <= MANY_TREES else 330)
+        return None
+    small = len(trees) > MANY_TREES
+    per_tree = min(max(MAX_PHOTOS // len(trees), 1), PHOTOS_PER_TREE)
+    photos, missing = tree_photos(contents, per_tree=per_tree, height_px=330 if small else 480)
+    cards = tuple(_card(contents, tree_id, tree, photos, small=small) for tree_id, tree in trees)
+    view = StemsView(missing=missing, map=stem_map(contents), cards=cards)
+    return Part(anchor="stems", title="Stem map and trees", view=view)
 
 
 def _card(
@@ -109,62 +91,45 @@ def _card(
     photos: Mapping[int, Sequence[TreePhoto]],
     *,
     small: bool,
-) -> str:
-    status = tree.get("status", "")
-    kind = status if status in KINDS else "ok"
-    dbh_cm = number(tree.get("dbh_cm"))
-    interval, _ = _interval(tree)
-    shown = "DBH not measured" if dbh_cm is None else f"DBH {dbh_cm:.1f} cm"
-    head = (
-        f'<h3>Tree {tree_id} <span class="status {kind}">{escape(STATUS_WORDS[kind])}</span></h3>'
-        f'<div class="dbh">{escape(shown)}</div>'
-    )
-    if interval:
-        head += paragraph(f"95 % interval: {interval} cm", "note")
-    if tree.get("reason"):
-        head += paragraph(tree["reason"], "reason")
-    pictures = "".join(
-        embedded_image(
-            photo.image,
-            f"{photo.name}, {photo.distance_m:.1f} {'m' if contents.metric else 'm (guessed)'} away",
-            suffix=".webp",
-            alt=f"Tree {tree_id} in photo {photo.name}, with the line at breast height",
-        )
-        for photo in photos.get(tree_id, ())
-    )
+) -> Card:
+    status, dbh_cm, interval_cm = status_of(tree), number(tree.get("dbh_cm")), interval_of(tree)
+    pictures = tuple(_crop(photo, tree_id, metric=contents.metric) for photo in photos.get(tree_id, ()))
+    photo_note = ""
     if pictures:
-        what = (
-            "Orange: breast height, as wide as the measured stem." if dbh_cm is not None else "Orange: breast height."
-        )
-        pictures = f'<div class="photos">{pictures}</div>' + paragraph(what, "note")
+        photo_note = "Orange: breast height" + (", as wide as the measured stem." if dbh_cm is not None else ".")
     elif photos:
         guess = "" if contents.metric else " (its height is guessed: no scale is known)"
-        pictures = paragraph(f"No photo shows this stem unhidden at breast height{guess}.", "note")
-    button = (
-        f'<p class="viewer"><button type="button" data-cloud="{tree_id}">Show tree {tree_id} in the cloud</button></p>'
-    )
+        photo_note = f"No photo shows this stem unhidden at breast height{guess}."
     folder = contents.out / "figures"
     section = f"Section of tree {tree_id} at breast height, from above"
-    figure = _figure(folder / f"tree_{tree_id:03d}.png", section, small=small)
     edges = f"Edges of tree {tree_id} at breast height, found in the photos (green)"
-    figure += _figure(folder / f"tree_{tree_id:03d}_edges.png", edges, small=small)
-    return (
-        f'<article class="card" id="tree-{tree_id}" data-tree="{tree_id}" aria-label="Tree {tree_id}">'
-        f"{head}{pictures}{facts(_rows(tree, contents.metric))}{figure}{button}</article>"
+    drawings = (
+        _drawing(folder / f"tree_{tree_id:03d}.png", section, small=small),
+        _drawing(folder / f"tree_{tree_id:03d}_edges.png", edges, small=small),
+    )
+    return Card(
+        tree_id=tree_id,
+        status=status,
+        status_words=STATUS_WORDS[status],
+        dbh="DBH not measured" if dbh_cm is None else f"DBH {dbh_cm:.1f} cm",
+        interval="" if interval_cm is None else interval_text(interval_cm),
+        reason=tree.get("reason", ""),
+        photos=pictures,
+        photo_note=photo_note,
+        facts=tuple(_facts(tree, "m" if contents.metric else "model units")),
+        drawings=tuple(drawing for drawing in drawings if drawing is not None),
     )
 
 
-def _rows(tree: Mapping[str, str], metric: bool) -> list[tuple[str, str]]:
-    unit = "m" if metric else "model units"
+def _crop(photo: TreePhoto, tree_id: int, *, metric: bool) -> Picture:
+    caption = f"{photo.name}, {photo.distance_m:.1f} {'m' if metric else 'm (guessed)'} away"
+    alt = f"Tree {tree_id} in photo {photo.name}, with the line at breast height"
+    return picture_of(photo.image, caption, alt=alt)
+
+
+def _facts(tree: Mapping[str, str], unit: str) -> list[tuple[str, str]]:
     rows = []
-    for name, column, form in (
-        ("DBH as a tape reads it", "dbh_perimeter_cm", "{:.1f} cm"),
-        ("Seen of the stem's girth", "arc_coverage", "{:.0%}"),
-        ("Points in the section", "points", "{:.0f}"),
-        ("Unevenness of the section", "residual_cm", "{:.1f} cm"),
-        ("Lean", "lean_deg", "{:.1f}°"),
-        ("Height", "height_m", "{:.1f} m"),
-    ):
+    for name, column, form in _ROWS:
         value = number(tree.get(column))
         if value is not None:
             rows.append((name, form.format(value)))
@@ -177,20 +142,11 @@ def _rows(tree: Mapping[str, str], metric: bool) -> list[tuple[str, str]]:
     return rows
 
 
-def _figure(path: Path, caption: str, *, small: bool) -> str:
+def _drawing(path: Path, caption: str, *, small: bool) -> Drawing | None:
     if not path.is_file():
-        return ""
+        return None
     try:
         image = read_image(path)
     except FsinferError as error:
-        return paragraph(f"{path.name} could not be read ({error}).", "missing")
-    image = shrink(image, 420 if small else 620)
-    return f'<div class="section">{embedded_image(image, caption, suffix=".webp")}</div>'
-
-
-def _interval(tree: Mapping[str, str]) -> tuple[str, str]:
-    low, high = number(tree.get("dbh_lo95_cm")), number(tree.get("dbh_hi95_cm"))
-    if low is None or high is None:
-        return "", ""
-    # Sorted by its width: the surest tree first.
-    return f"{low:.1f} to {high:.1f}", repr(high - low)
+        return Drawing(picture=None, missing=f"{path.name} could not be read ({error}).")
+    return Drawing(picture=picture_of(shrink(image, 420 if small else 620), caption))

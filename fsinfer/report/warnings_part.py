@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
+from fsinfer.notices.capture import CaptureCode
+from fsinfer.notices.stems import StemCode
 from fsinfer.report.contents import Contents, number, tree_number
-from fsinfer.report.html import bullets, escape, paragraph, section
+from fsinfer.report.page import Part
 
 NO_SCALE = (
     "No scale is known: all lengths, positions and densities are in model units, not metres, and no DBH is given. "
     "Photograph a marker of known size and run again with --aruco-length-m, or give --endpoints with --length-m."
+)
+# Warnings of stages that NO_SCALE says in other words. That markers of unknown length were seen is another one.
+NO_SCALE_CODES = frozenset(
+    {CaptureCode.no_scale_given.value, CaptureCode.no_scale_from_markers.value, StemCode.model_units.value}
 )
 # Below this share of the photos placed, parts of the plot are likely to be missing.
 LEAST_PLACED = 0.8
@@ -22,44 +28,54 @@ LARGE_SCALE_STD = 0.01
 MOST_REASONS = 3
 # Less of the girth than this was seen from one side only.
 ONE_SIDE = 0.45
-# Said by a stage, of use to those who look closely, but nothing to act upon.
-_REMARKS = re.compile(
-    r"error of a scale given as a number|points far outside the plot|no finite coordinates|"
-    r"was taken for the post of a marker|corrected by hand"
-)
 
 
-def warnings_section(contents: Contents) -> str:
-    """Return scale alarm and warnings in plain words, each with what to do about it; below them mere remarks."""
+@dataclass(frozen=True, kw_only=True)
+class TreesWarning:
+    """A warning about ``trees`` (their numbers): it begins with links to their cards and goes on with text."""
+
+    trees: tuple[int, ...]
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class WarningsView:
+    """What the section shows.
+
+    Attributes
+    ----------
+    alarm: that there is no scale; empty where there is one.
+    sentences, trees: warnings of the plot, and of its trees.
+    remarks: sentences that ask for nothing.
+    known: False where there is no ``plot.json``.
+    """
+
+    alarm: str
+    sentences: tuple[str, ...]
+    trees: tuple[TreesWarning, ...]
+    remarks: tuple[str, ...]
+    known: bool
+
+
+def warnings_part(contents: Contents) -> Part:
+    """Scale alarm and warnings in plain words, each with what to do about it; below them mere remarks."""
     plot = contents.plot
-    parts = []
-    if plot and not contents.metric:
-        parts.append(paragraph(NO_SCALE, "alarm"))
-    given = plot.get("warnings")
-    said = [str(text) for text in given] if isinstance(given, list) else [str(given)] if given else []
-    if parts:
-        # The alarm above says it already, unless markers were seen.
-        said = [text for text in said if not text.startswith("no scale") or "markers are seen" in text]
-    remarks = [text for text in said if _REMARKS.search(text)]
-    texts = [text for text in said if text not in remarks]
-    diagnosis = plot.get("diagnosis")
-    if diagnosis and diagnosis not in texts and not (contents.trees or []):
-        texts.append(str(diagnosis))
+    alarm = NO_SCALE if plot and not contents.metric else ""
+    said = [warning for warning in contents.warnings if not (alarm and warning.code in NO_SCALE_CODES)]
+    texts = [warning.text for warning in said if not warning.remark]
+    if plot.get("diagnosis") and not contents.trees:
+        texts.append(str(plot["diagnosis"]))
     texts += _measurement_warnings(contents)
     texts += contents.notes
-    items = [escape(_sentence(text)) for text in texts] + _tree_warnings(contents)
-    if items:
-        parts.append(f'<ul class="warnings">{"".join(f"<li>{item}</li>" for item in items)}</ul>')
-    elif not parts:
-        known = "Nothing: photos, scale and stems are as they should be."
-        parts.append(
-            paragraph(known, "well")
-            if plot
-            else paragraph("plot.json is not in this folder, so nothing is known.", "note")
-        )
-    if remarks:
-        parts.append(f"<details><summary>Remarks</summary>{bullets(map(_sentence, remarks))}</details>")
-    return section("What to look out for", *parts, anchor="warnings")
+    view = WarningsView(
+        alarm=alarm,
+        # The diagnosis may be a warning of its stage, too.
+        sentences=tuple(_sentence(text) for text in dict.fromkeys(texts)),
+        trees=tuple(_tree_warnings(contents)),
+        remarks=tuple(_sentence(warning.text) for warning in said if warning.remark),
+        known=bool(plot),
+    )
+    return Part(anchor="warnings", title="What to look out for", view=view)
 
 
 def _measurement_warnings(contents: Contents) -> list[str]:
@@ -91,44 +107,42 @@ def _better_scale(plot: Mapping[str, object]) -> str:
     return "Put up more markers, and photograph each from several places."
 
 
-def _tree_warnings(contents: Contents) -> list[str]:
-    """One sentence (HTML with links to the cards) for each kind of tree that asks for a second visit."""
+def _tree_warnings(contents: Contents) -> list[TreesWarning]:
+    """One sentence for each kind of tree that asks for a second visit."""
     trees = [(i, tree) for tree in contents.trees or () if (i := tree_number(tree)) is not None]
-    doubtful = [i for i, tree in trees if tree.get("status") == "doubtful"]
-    missing = [i for i, tree in trees if tree.get("status") == "unmeasured"]
-    reasons = [escape(tree["reason"]) for _, tree in trees if tree.get("status") == "unmeasured" and tree.get("reason")]
-    one_side = [
+    doubtful = tuple(i for i, tree in trees if tree.get("status") == "doubtful")
+    missing = [(i, tree.get("reason", "")) for i, tree in trees if tree.get("status") == "unmeasured"]
+    one_side = tuple(
         i
         for i, tree in trees
         if tree.get("status") == "ok" and (share := number(tree.get("arc_coverage"))) is not None and share < ONE_SIDE
-    ]
+    )
     items = []
     if doubtful:
-        items.append(
-            f"{_trees(doubtful)} {'is' if len(doubtful) == 1 else 'are'} doubtful: look at the card, and check with "
-            "a tape before you use the diameter."
-        )
+        verb = "is" if len(doubtful) == 1 else "are"
+        text = f"{verb} doubtful: look at the card, and check with a tape before you use the diameter."
+        items.append(TreesWarning(trees=doubtful, text=text))
     if missing and contents.metric:
-        shown = reasons if len(reasons) == len(missing) <= MOST_REASONS else []
-        why = ": " + "; ".join(shown) if shown else "; the card says why"
-        text = f"{_trees(missing)} {'has' if len(missing) == 1 else 'have'} no diameter{why}."
-        # Where a reason says it already, not twice.
-        if not any("walk round" in reason for reason in shown):
-            text += " Mostly it helps to walk round the stem again, within three to six metres."
-        items.append(text)
+        items.append(_without_diameter(missing, contents.revisit_advised))
     if one_side:
-        items.append(
-            f"{_trees(one_side)} {'was' if len(one_side) == 1 else 'were'} seen from one side only (less than "
-            f"{100 * ONE_SIDE:.0f} % of the girth): the diameter holds if the stem is round."
+        text = (
+            f"{'was' if len(one_side) == 1 else 'were'} seen from one side only (less than {100 * ONE_SIDE:.0f} % of "
+            "the girth): the diameter holds if the stem is round."
         )
+        items.append(TreesWarning(trees=one_side, text=text))
     return items
 
 
-def _trees(ids: Sequence[int]) -> str:
-    links = [f'<a href="#tree-{i}" data-card="{i}">{i}</a>' for i in ids]
-    if len(links) == 1:
-        return f"Tree {links[0]}"
-    return f"Trees {', '.join(links[:-1])} and {links[-1]}"
+def _without_diameter(missing: Sequence[tuple[int, str]], revisit_advised: frozenset[int]) -> TreesWarning:
+    """``missing``: number and reason of each tree without a diameter."""
+    trees, reasons = tuple(i for i, _ in missing), [reason for _, reason in missing]
+    shown = len(missing) <= MOST_REASONS and all(reasons)
+    text = "has no diameter" if len(missing) == 1 else "have no diameter"
+    text += f": {'; '.join(reasons)}." if shown else "; the card says why."
+    # Where a reason that is shown says it already, not twice.
+    if not (shown and revisit_advised.intersection(trees)):
+        text += " Mostly it helps to walk round the stem again, within three to six metres."
+    return TreesWarning(trees=trees, text=text)
 
 
 def _sentence(text: str) -> str:

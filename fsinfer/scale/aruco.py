@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,18 +12,25 @@ from fsinfer.errors import ScaleError
 from fsinfer.io.images import read_image
 from fsinfer.progress import Progress, silent
 from fsinfer.scale.detection import detect_markers, make_detector
-from fsinfer.scale.scale import Scale, check_length
+from fsinfer.scale.printed_boards import DICTIONARY
+from fsinfer.scale.scale import MarkerDetails, MarkerScale, RejectedMarker, Scale, check_length
 from fsinfer.scale.square_fit import FittedMarker, MarkerSettings, Sighting, find_markers
 from fsinfer.scene import Scene
 
 _log = logging.getLogger(__name__)
+
+#: A board is measured well from so many photos; of its largest sightings the least side is told. Source: judgement; a
+#: mean of five is twice as good as one.
+GOOD_SIGHTINGS = 5
+#: Photos and reasons that an error names at most. Source: layout.
+_NAMED_PHOTOS, _NAMED_REASONS = 6, 4
 
 
 def scale_from_aruco(
     scene: Scene,
     length_m: float | Mapping[int, float],
     *,
-    dictionary: str = "4X4_50",
+    dictionary: str = DICTIONARY,
     settings: MarkerSettings | None = None,
     progress: Progress = silent,
 ) -> Scale:
@@ -67,30 +73,39 @@ def scale_from_aruco(
     projections = [view.camera.intrinsic @ view.camera.cam_from_world[:3] for view in scene.views]
     centers = np.array([view.camera.center for view in scene.views])
     markers: list[FittedMarker] = []
-    rejected: list[dict[str, Any]] = []
+    rejected: list[RejectedMarker] = []
     for number in sorted({sighting.marker_id for sighting in sightings}):
         own = [sighting for sighting in sightings if sighting.marker_id == number]
         found, reasons = find_markers(own, projections, centers, settings)
         markers += found
-        rejected += [{"id": number, "reason": reason} for reason in reasons]
-    searched = {
-        "photos_searched": len(scene.views),
-        "photos_with_markers": len({sighting.view for sighting in sightings}),
-        "dictionary": dictionary,
-        "length_m": None if isinstance(length_m, Mapping) else length_m,
-        "rejected": rejected,
-    }
+        rejected += [RejectedMarker(id=number, reason=reason) for reason in reasons]
     if not markers:
         raise ScaleError(_nothing_found(scene, sightings, rejected, dictionary, settings))
     numbers = [marker.sightings[0].marker_id for marker in markers]
     lengths = [length_m[number] if isinstance(length_m, Mapping) else length_m for number in numbers]
-    return _combine(scene, markers, np.array(lengths), settings, searched)
+    combined, rel_std, each = _combine(scene, markers, np.array(lengths), settings)
+    # Blooming moves every edge the same way: no averaging over views or markers takes it out.
+    side_px = float(np.mean([sighting.side_px for marker in markers for sighting in marker.sightings]))
+    edge_rel_std = 2 * settings.edge_std_px / side_px
+    rel_std = float(np.hypot(rel_std, edge_rel_std))
+    details = MarkerDetails(
+        photos_searched=len(scene.views),
+        photos_with_markers=len({sighting.view for sighting in sightings}),
+        dictionary=dictionary,
+        length_m=None if isinstance(length_m, Mapping) else length_m,
+        rejected=tuple(rejected),
+        mean_side_px=side_px,
+        edge_rel_std=edge_rel_std,
+        markers=each,
+    )
+    _log.info("scale %.6g m per unit from %d markers, %.2f %%", combined, len(markers), 100 * rel_std)
+    return Scale(m_per_unit=combined, source="aruco", rel_std=rel_std, details=details)
 
 
 def _nothing_found(
     scene: Scene,
     sightings: Sequence[Sighting],
-    rejected: Sequence[dict[str, Any]],
+    rejected: Sequence[RejectedMarker],
     dictionary: str,
     settings: MarkerSettings,
 ) -> str:
@@ -101,8 +116,8 @@ def _nothing_found(
             "check --aruco-dictionary, take photos nearer to the markers, or give --endpoints or --scale"
         )
     seen = sorted({names[sighting.view] for sighting in sightings})
-    shown = ", ".join(seen[:6]) + (", ..." if len(seen) > 6 else "")
-    why = "; ".join(f"marker {entry['id']}: {entry['reason']}" for entry in rejected[:4])
+    shown = ", ".join(seen[:_NAMED_PHOTOS]) + (", ..." if len(seen) > _NAMED_PHOTOS else "")
+    why = "; ".join(f"marker {entry.id}: {entry.reason}" for entry in rejected[:_NAMED_REASONS])
     return (
         f"no ArUco marker of {dictionary} can be used, of {len(sightings)} found in {shown} ({why}); each marker must "
         f"be seen in {settings.min_views} photos from different places, flat and sharp, or give --endpoints or --scale"
@@ -110,47 +125,39 @@ def _nothing_found(
 
 
 def _combine(
-    scene: Scene,
-    markers: Sequence[FittedMarker],
-    lengths_m: NDArray[np.float64],
-    settings: MarkerSettings,
-    searched: dict[str, Any],
-) -> Scale:
+    scene: Scene, markers: Sequence[FittedMarker], lengths_m: NDArray[np.float64], settings: MarkerSettings
+) -> tuple[float, float, tuple[MarkerScale, ...]]:
+    """Metres per unit by all markers, its relative standard deviation without blooming, and each marker's say."""
     scales = lengths_m / np.array([marker.side_units for marker in markers])
     rel_stds = np.array([marker.side_rel_std for marker in markers])
     # Markers differ by the warp of the model too, which no residual shows: none counts for much more than another.
     weights = 1 / (rel_stds**2 + settings.length_rel_std**2)
     combined = weighted_median(scales, weights)
-    entries = []
+    each = []
     for index, marker in enumerate(markers):
         others = np.arange(len(markers)) != index
         without = weighted_median(scales[others], weights[others]) if others.any() else None
-        entries.append(
-            {
-                "id": marker.sightings[0].marker_id,
-                "views": [scene.views[sighting.view].name for sighting in marker.sightings],
-                "center": marker.corners.mean(axis=0).tolist(),
-                "length_m": float(lengths_m[index]),
-                "side_units": marker.side_units,
-                "m_per_unit": float(scales[index]),
-                "rel_std": float(rel_stds[index]),
-                "residual_rel": float(marker.side_units * combined / lengths_m[index] - 1),
-                "residual_mm": float(1000 * (marker.side_units * combined - lengths_m[index])),
-                "error_px": marker.error_px,
-                # Of the five largest the smallest: what the photos from near by can measure.
-                "near_side_px": float(np.sort([sighting.side_px for sighting in marker.sightings])[-5:][0]),
-                "angle_deg": marker.angle_deg,
-                "leave_one_out_m_per_unit": without,
-                "leave_one_out_rel": None if without is None else without / combined - 1,
-            }
+        x, y, z = marker.corners.mean(axis=0)
+        each.append(
+            MarkerScale(
+                id=marker.sightings[0].marker_id,
+                views=tuple(scene.views[sighting.view].name for sighting in marker.sightings),
+                center=(float(x), float(y), float(z)),
+                length_m=float(lengths_m[index]),
+                side_units=marker.side_units,
+                m_per_unit=float(scales[index]),
+                rel_std=float(rel_stds[index]),
+                residual_rel=float(marker.side_units * combined / lengths_m[index] - 1),
+                residual_mm=float(1000 * (marker.side_units * combined - lengths_m[index])),
+                error_px=marker.error_px,
+                near_side_px=float(np.sort([sighting.side_px for sighting in marker.sightings])[-GOOD_SIGHTINGS:][0]),
+                angle_deg=marker.angle_deg,
+                leave_one_out_m_per_unit=without,
+                leave_one_out_rel=None if without is None else without / combined - 1,
+            )
         )
-    # Blooming moves every edge the same way: no averaging over views or markers takes it out.
-    side_px = float(np.mean([sighting.side_px for marker in markers for sighting in marker.sightings]))
-    edge_rel_std = 2 * settings.edge_std_px / side_px
-    rel_std = float(np.hypot(_combined_rel_std(scales / combined, rel_stds, weights, settings), edge_rel_std))
-    details = searched | {"mean_side_px": side_px, "edge_rel_std": edge_rel_std, "markers": entries}
-    _log.info("scale %.6g m per unit from %d markers, %.2f %%", combined, len(markers), 100 * rel_std)
-    return Scale(m_per_unit=combined, source="aruco", rel_std=rel_std, details=details)
+    rel_std = _combined_rel_std(scales / combined, rel_stds, weights, settings)
+    return combined, rel_std, tuple(each)
 
 
 def _combined_rel_std(

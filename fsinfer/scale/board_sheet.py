@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -13,22 +13,38 @@ import numpy as np
 from fsinfer.errors import InputError
 from fsinfer.io.files import atomic_path
 from fsinfer.scale.detection import predefined_dictionary
-from fsinfer.scale.printed_boards import DICTIONARY, board_lengths, numbers_of_length
+from fsinfer.scale.printed_boards import BOARDS, DICTIONARY, SAME_LENGTH_M, Paper, board_lengths, numbers_of_length
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Width and height upright, millimetres (ISO 216; ANSI A).
-PAPERS_MM: dict[str, tuple[float, float]] = {"A4": (210.0, 297.0), "A3": (297.0, 420.0), "Letter": (215.9, 279.4)}
-#: The length printed where none is asked for, metres.
-DEFAULT_LENGTH_M: dict[str, float] = {"A4": 0.15, "A3": 0.25, "Letter": 0.15}
-# White round the black square, in modules: detectors want one, and find it with half of one (A3 with 0.25 m).
+#: Width and height upright, millimetres. Source: format; ISO 216 and ANSI A.
+PAPERS_MM: dict[str, tuple[float, float]] = {
+    Paper.a4.value: (210.0, 297.0),
+    Paper.a3.value: (297.0, 420.0),
+    Paper.letter.value: (215.9, 279.4),
+}
+#: The length printed where none is asked for, metres. Source: option; the largest round one that fits.
+DEFAULT_LENGTH_M: dict[str, float] = {Paper.a4.value: 0.15, Paper.a3.value: 0.25, Paper.letter.value: 0.15}
+#: The shortest length that is printed, millimetres. Source: layout; nothing shorter is found in photos.
+_LEAST_SIDE_MM = 10
+#: White round the black square, in modules, and the least of it. Source: layout; detectors want one, and find the
+#: square with half of one (A3 with 0.25 m).
 _RIM_MODULES, _LEAST_RIM_MODULES = 1.0, 0.5
-_TOP_MM = 8.0
-_TEXT_MM = 60.0
-_BAR_MM = 100.0
-_MM_PER_INCH = 25.4
+#: Free room above the square, room for the text below it, the bar, its line and ticks, millimetres. Source: layout.
+_TOP_MM, _TEXT_MM, _BAR_MM, _LINE_MM, _TICK_MM, _LONG_TICK_MM = 8.0, 60.0, 100.0, 0.3, 2.5, 4.0
+#: From the rim down to the title, the bar and the lines of text, half the width of these, and from the bar to its
+#: number, millimetres. Source: layout.
+_TITLE_DOWN_MM, _BAR_DOWN_MM, _LINES_DOWN_MM, _HALF_LINES_MM, _NUMBER_MM = 3, 15, 23, 88, 3
+#: Letters of the title and the text, points; distance of lines over their height. Source: layout.
+_TITLE_PT, _TEXT_PT, _LINE_SPACING = 13, 9, 1.35
+#: Ticks of the bar. Source: layout; a centimetre each.
+_TICKS = 10
+#: Source: format.
+_MM_PER_INCH, _MM_PER_M = 25.4, 1000
+#: Fonts are put into the PDF as outlines that printers know (TrueType). Source: format.
+_FONT_TYPE = 42
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,21 +62,23 @@ class Board:
     number: int
     length_m: float
     dictionary: str = DICTIONARY
-    paper: str = "A4"
+    paper: str = Paper.a4.value
 
     @property
     def speaks(self) -> bool:
         """Whether the number tells fsinfer the length, so that no scale option is needed."""
-        return self.dictionary == DICTIONARY and abs(board_lengths().get(self.number, 0.0) - self.length_m) < 1e-6
+        return (
+            self.dictionary == DICTIONARY and abs(board_lengths().get(self.number, 0.0) - self.length_m) < SAME_LENGTH_M
+        )
 
 
 def write_marker_pdf(
     path: Path,
     *,
-    paper: str = "A4",
+    paper: str = Paper.a4.value,
     length_m: float | None = None,
     numbers: Sequence[int] = (),
-    count: int = 4,
+    count: int = BOARDS,
     dictionary: str = DICTIONARY,
 ) -> tuple[Board, ...]:
     """Write boards at true size into a PDF of vector graphics, a page each.
@@ -91,7 +109,7 @@ def write_marker_pdf(
     facts = {"Title": "fsinfer marker boards", "Creator": "fsinfer", "CreationDate": None}
     with (
         atomic_path(path) as temporary,
-        rc_context({"pdf.fonttype": 42}),
+        rc_context({"pdf.fonttype": _FONT_TYPE}),
         PdfPages(temporary, metadata=facts) as pages,
     ):
         for board in boards:
@@ -117,8 +135,9 @@ def plan_boards(
         width_mm / (1 + 2 * _LEAST_RIM_MODULES / modules),
         (height_mm - _TOP_MM - _TEXT_MM) / (1 + 2 * _LEAST_RIM_MODULES / modules),
     )
-    if not 10 <= 1000 * length_m <= widest_mm:
-        msg = f"a black square of {length_m:g} m does not fit on {paper}; give 0.01 to {np.floor(widest_mm) / 1000:g} m"
+    if not _LEAST_SIDE_MM <= _MM_PER_M * length_m <= widest_mm:
+        least_m, most_m = _LEAST_SIDE_MM / _MM_PER_M, np.floor(widest_mm) / _MM_PER_M
+        msg = f"a black square of {length_m:g} m does not fit on {paper}; give {least_m:g} to {most_m:g} m"
         raise InputError(msg)
     last = len(available.bytesList) - 1
     numbers = list(numbers) or (
@@ -129,7 +148,7 @@ def plan_boards(
             msg = f"marker {number} does not exist: {dictionary} has the numbers 0 to {last}"
             raise InputError(msg)
         meant_m = board_lengths().get(number) if dictionary == DICTIONARY else None
-        if meant_m is not None and abs(meant_m - length_m) > 1e-6:
+        if meant_m is not None and abs(meant_m - length_m) > SAME_LENGTH_M:
             msg = (
                 f"number {number} tells fsinfer a side of {meant_m:g} m, not {length_m:g} m; "
                 "take a number below 20, or leave the numbers out"
@@ -150,7 +169,7 @@ def draw_board(board: Board) -> Figure:
     axes.set_ylim(0, height_mm)
     axes.set_axis_off()
     left_mm, bottom_mm, rim_mm = square_place_mm(board)
-    side_mm = 1000 * board.length_m
+    side_mm = _MM_PER_M * board.length_m
     white = marker_cells(board) > 0
     module_mm = side_mm / len(white)
     axes.add_patch(Rectangle((left_mm, bottom_mm), side_mm, side_mm, facecolor="black", linewidth=0))
@@ -168,7 +187,7 @@ def draw_board(board: Board) -> Figure:
 def square_place_mm(board: Board) -> tuple[float, float, float]:
     """Left and bottom edge of the black square on the page, and the width of its white rim, millimetres."""
     width_mm, height_mm = PAPERS_MM[board.paper]
-    side_mm = 1000 * board.length_m
+    side_mm = _MM_PER_M * board.length_m
     rim_mm = _RIM_MODULES * side_mm / len(marker_cells(board))
     left_mm = (width_mm - side_mm) / 2
     rim_mm = min(rim_mm, left_mm)
@@ -196,18 +215,18 @@ def _runs(
 
 def _write_text(axes: Axes, board: Board, top_mm: float) -> None:
     width_mm = PAPERS_MM[board.paper][0]
-    side_mm = 1000 * board.length_m
+    side_mm = _MM_PER_M * board.length_m
     middle = width_mm / 2
     axes.text(
         middle,
-        top_mm - 3,
+        top_mm - _TITLE_DOWN_MM,
         f"fsinfer board {board.number}: side of the black square {side_mm:g} mm",
         ha="center",
         va="top",
-        fontsize=13,
+        fontsize=_TITLE_PT,
         fontweight="bold",
     )
-    _draw_bar(axes, middle - _BAR_MM / 2, top_mm - 15)
+    _draw_bar(axes, middle - _BAR_MM / 2, top_mm - _BAR_DOWN_MM)
     option = f"--aruco-length-m {board.length_m:g}"
     if board.dictionary != DICTIONARY:
         option += f" --aruco-dictionary {board.dictionary}"
@@ -227,17 +246,18 @@ def _write_text(axes: Axes, board: Board, top_mm: float) -> None:
         "    shade. Pass each at 2 to 3 m, so that it is sharp in at least five photos from different places.",
         f"4. {told}",
     )
-    axes.text(middle - 88, top_mm - 23, "\n".join(lines), ha="left", va="top", fontsize=9, linespacing=1.35)
+    left_mm, lines_mm = middle - _HALF_LINES_MM, top_mm - _LINES_DOWN_MM
+    style: dict[str, Any] = {"fontsize": _TEXT_PT, "linespacing": _LINE_SPACING}
+    axes.text(left_mm, lines_mm, "\n".join(lines), ha="left", va="top", **style)
 
 
 def _draw_bar(axes: Axes, left_mm: float, y_mm: float) -> None:
     """A bar of 100 mm with a tick every 10 mm; its ends are the outer edges of the end ticks."""
     from matplotlib.patches import Rectangle
 
-    thin = 0.3
-    axes.add_patch(Rectangle((left_mm, y_mm), _BAR_MM, thin, facecolor="black", linewidth=0))
-    for tick in range(11):
-        x_mm = left_mm + tick * (_BAR_MM - thin) / 10
-        height = 4.0 if tick in (0, 5, 10) else 2.5
-        axes.add_patch(Rectangle((x_mm, y_mm), thin, height, facecolor="black", linewidth=0))
-    axes.text(left_mm + _BAR_MM + 3, y_mm, f"{_BAR_MM:g} mm", ha="left", va="bottom", fontsize=9)
+    axes.add_patch(Rectangle((left_mm, y_mm), _BAR_MM, _LINE_MM, facecolor="black", linewidth=0))
+    for tick in range(_TICKS + 1):
+        x_mm = left_mm + tick * (_BAR_MM - _LINE_MM) / _TICKS
+        height = _LONG_TICK_MM if tick in (0, _TICKS // 2, _TICKS) else _TICK_MM
+        axes.add_patch(Rectangle((x_mm, y_mm), _LINE_MM, height, facecolor="black", linewidth=0))
+    axes.text(left_mm + _BAR_MM + _NUMBER_MM, y_mm, f"{_BAR_MM:g} mm", ha="left", va="bottom", fontsize=_TEXT_PT)

@@ -33,8 +33,6 @@ def make_detector(dictionary: str) -> cv2.aruco.ArucoDetector:
     parameters = cv2.aruco.DetectorParameters()
     # A start for our own refinement, which is not biased.
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    parameters.cornerRefinementWinSize = 5
-    parameters.relativeCornerRefinmentWinSize = 0.3
     return cv2.aruco.ArucoDetector(predefined_dictionary(dictionary), parameters)
 
 

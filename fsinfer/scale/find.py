@@ -3,29 +3,39 @@
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 from fsinfer.errors import ScaleError
+from fsinfer.notices.capture import CaptureCode
+from fsinfer.notices.notice import Notice, notice
 from fsinfer.progress import Progress, silent
+from fsinfer.scale.aruco import scale_from_aruco
 from fsinfer.scale.doubts import boards_at_two_places
+from fsinfer.scale.printed_boards import DICTIONARY, board_lengths
 from fsinfer.scale.request import ScaleRequest
-
-if TYPE_CHECKING:
-    from fsinfer.scale.scale import Scale
-    from fsinfer.scene import Scene
+from fsinfer.scale.scale import UNKNOWN, Scale, scale_from_endpoints, scale_from_factor
+from fsinfer.scale.square_fit import MarkerSettings
+from fsinfer.scene import Scene
 
 _log = logging.getLogger(__name__)
-NO_SCALE = (
-    "no scale was given: the cloud is in model units and no DBH is measured; photograph boards printed by fsinfer "
-    "marker, or ArUco markers of your own and give --aruco-length-m, or give --endpoints with --length-m (two points "
-    "read off cloud.ply), or --scale"
-)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoundScale:
+    """The scale of a scene, unknown where nothing gave one, with warnings."""
+
+    scale: Scale
+    warnings: tuple[Notice, ...] = ()
 
 
 def find_scale(
-    request: ScaleRequest, *, scene: Scene | None, progress: Progress = silent
-) -> tuple[Scale, tuple[str, ...]]:
-    """Turn the request into a :class:`fsinfer.scale.scale.Scale`, with warnings.
+    request: ScaleRequest,
+    *,
+    scene: Scene | None,
+    settings: MarkerSettings | None = None,
+    progress: Progress = silent,
+) -> FoundScale:
+    """Turn the request into a scale.
 
     Markers that were asked for and not found are a warning, not an error: everything computed so far stays useful in
     model units, and the next run with another source of scale takes seconds.
@@ -35,21 +45,17 @@ def find_scale(
     ScaleError
         ArUco markers were asked for where there are no photographs to look for them in.
     """
-    from fsinfer.scale.aruco import scale_from_aruco
-    from fsinfer.scale.scale import Scale, scale_from_endpoints, scale_from_factor
-
-    nothing = Scale(m_per_unit=None, source="none", rel_std=None, details={})
     if request.factor is not None:
-        return scale_from_factor(request.factor), ()
+        return FoundScale(scale=scale_from_factor(request.factor))
     if request.endpoints is not None and request.length_m is not None:
-        return scale_from_endpoints(*request.endpoints, request.length_m), ()
+        return FoundScale(scale=scale_from_endpoints(*request.endpoints, request.length_m))
     if request.aruco_length_m is None:
         if scene is None or not request.printed_boards:
-            return nothing, (NO_SCALE,)
-        boards = scale_from_printed_boards(scene, progress)
+            return FoundScale(scale=UNKNOWN, warnings=(notice(CaptureCode.no_scale_given),))
+        boards = scale_from_printed_boards(scene, progress, settings=settings)
         if boards is not None:
-            return boards, (*_few_boards(boards), *_twice(boards))
-        return nothing, (_of_unknown_length(request, scene, progress) or NO_SCALE,)
+            return FoundScale(scale=boards, warnings=(*_few_boards(boards), *_twice(boards)))
+        return FoundScale(scale=UNKNOWN, warnings=(_of_unknown_length(request, scene, settings, progress),))
     if scene is None:
         msg = (
             "--aruco-length-m looks for the markers in the photographs, and there is no scene here; use it with "
@@ -57,51 +63,45 @@ def find_scale(
         )
         raise ScaleError(msg)
     try:
-        scale = scale_from_aruco(scene, request.aruco_length_m, dictionary=request.aruco_dictionary, progress=progress)
+        scale = scale_from_aruco(
+            scene, request.aruco_length_m, dictionary=request.aruco_dictionary, settings=settings, progress=progress
+        )
     except ScaleError as error:
-        return nothing, (f"no scale from ArUco markers, the result is in model units and no DBH is measured: {error}",)
-    return scale, _twice(scale)
+        return FoundScale(scale=UNKNOWN, warnings=(notice(CaptureCode.no_scale_from_markers, error=str(error)),))
+    return FoundScale(scale=scale, warnings=_twice(scale))
 
 
-def scale_from_printed_boards(scene: Scene, progress: Progress) -> Scale | None:
+def scale_from_printed_boards(
+    scene: Scene, progress: Progress, *, settings: MarkerSettings | None = None
+) -> Scale | None:
     """The scale by boards that tell their length, or None where no such board can be used."""
-    from fsinfer.scale.aruco import scale_from_aruco
-    from fsinfer.scale.printed_boards import DICTIONARY, board_lengths
-
     try:
-        return scale_from_aruco(scene, board_lengths(), dictionary=DICTIONARY, progress=progress)
+        return scale_from_aruco(scene, board_lengths(), dictionary=DICTIONARY, settings=settings, progress=progress)
     except ScaleError as error:
         # No board, or none that is seen well enough: nobody asked for boards, so that this is no warning of its own.
         _log.info("no scale from printed boards: %s", error)
         return None
 
 
-def _of_unknown_length(request: ScaleRequest, scene: Scene, progress: Progress) -> str:
-    """What to say where markers are seen whose numbers do not tell their length; empty where there are none."""
-    from fsinfer.scale.aruco import scale_from_aruco
-
+def _of_unknown_length(
+    request: ScaleRequest, scene: Scene, settings: MarkerSettings | None, progress: Progress
+) -> Notice:
+    """What to say without a scale: the numbers of markers where some are seen that do not tell their length."""
     try:
         # Which ones are seen does not depend on the length.
-        seen = scale_from_aruco(scene, 1.0, dictionary=request.aruco_dictionary, progress=progress)
+        seen = scale_from_aruco(scene, 1.0, dictionary=request.aruco_dictionary, settings=settings, progress=progress)
     except ScaleError:
-        return ""
-    numbers = ", ".join(str(marker["id"]) for marker in seen.details["markers"])
-    return (
-        f"no scale was given, but ArUco markers are seen (number {numbers}) whose length is not known: measure the "
-        "side of the black square and run again with --aruco-length-m, in metres; until then the cloud is in model "
-        "units and no DBH is measured"
-    )
+        return notice(CaptureCode.no_scale_given)
+    numbers = tuple(str(marker.id) for marker in seen.markers)
+    return notice(CaptureCode.markers_of_unknown_length, numbers=numbers)
 
 
-def _twice(scale: Scale) -> tuple[str, ...]:
-    return tuple(line.removesuffix(".") for line in boards_at_two_places(scale, scale.m_per_unit or 1.0))
+def _twice(scale: Scale) -> tuple[Notice, ...]:
+    return boards_at_two_places(scale, scale.m_per_unit or 1.0)
 
 
-def _few_boards(scale: Scale) -> tuple[str, ...]:
-    found = scale.details["markers"]
-    if len(found) > 1:
+def _few_boards(scale: Scale) -> tuple[Notice, ...]:
+    if len(scale.markers) > 1:
         return ()
-    return (
-        f"the scale rests on one board (number {found[0]['id']}, {found[0]['length_m']:g} m by its number); "
-        "measure it with a ruler, and put up three or more next time",
-    )
+    only = scale.markers[0]
+    return (notice(CaptureCode.one_board, number=only.id, length_m=only.length_m),)

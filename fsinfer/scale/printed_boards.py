@@ -17,12 +17,27 @@ Numbers below 20 mean nothing on purpose: they are what people print first when 
 
 from __future__ import annotations
 
+from enum import StrEnum
+
 from fsinfer.errors import InputError
 
-#: The only dictionary whose numbers mean a size.
+#: The only dictionary whose numbers mean a size. Source: OpenCV; 4x4 modules are seen from farthest.
 DICTIONARY = "4X4_50"
-#: First number, number after the last, side of the black square in metres.
+#: First number, number after the last, side of the black square in metres. Source: format; what fits on A4, Letter
+#: and A3.
 RANGES: tuple[tuple[int, int, float], ...] = ((20, 30, 0.150), (30, 40, 0.200), (40, 50, 0.250))
+#: Lengths nearer than this are the same, metres. Source: numerics.
+SAME_LENGTH_M = 1e-6
+#: Boards that are printed where nobody says how many. Source: option; three or more show a wrong one.
+BOARDS = 4
+
+
+class Paper(StrEnum):
+    """Paper of the boards."""
+
+    a4 = "A4"
+    a3 = "A3"
+    letter = "Letter"
 
 
 def board_lengths() -> dict[int, float]:
@@ -38,7 +53,7 @@ def numbers_of_length(length_m: float, count: int) -> list[int]:
     InputError
         More boards than the dictionary has numbers for.
     """
-    own = [number for number, meant_m in board_lengths().items() if abs(meant_m - length_m) < 1e-6]
+    own = [number for number, meant_m in board_lengths().items() if abs(meant_m - length_m) < SAME_LENGTH_M]
     free = own or list(range(RANGES[0][0]))
     if not 1 <= count <= len(free):
         msg = f"{count} boards of {length_m:g} m: there are 1 to {len(free)} numbers for them; print some of them twice"

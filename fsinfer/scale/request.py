@@ -5,17 +5,14 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from fsinfer.errors import InputError
-
-if TYPE_CHECKING:
-    pass
+from fsinfer.scale.printed_boards import DICTIONARY
 
 _log = logging.getLogger(__name__)
 
 Point = tuple[float, float, float]
-# Larger squares than this are a length in centimetres or millimetres.
+#: Larger squares than this are a length in centimetres or millimetres. Source: format; no printer makes them.
 LONGEST_BOARD_M = 2.0
 
 
@@ -25,13 +22,15 @@ class ScaleRequest:
 
     Attributes
     ----------
-    factor: metres per unit of the cloud or scene.
-    aruco_length_m: side of the black square of every ArUco marker in the photographs, metres.
-    aruco_dictionary: name of the marker dictionary, as printed on the markers.
-    endpoints: two points, in the units of the cloud without a scale; only their distance matters.
-    length_m: the true distance of the two points, metres.
+    factor: metres per unit of the cloud or scene. Source: option.
+    aruco_length_m: side of the black square of every ArUco marker in the photographs, metres. Source: option.
+    aruco_dictionary: name of the marker dictionary, as printed on the markers. Source: option.
+    endpoints: two points, in the units of the cloud without a scale; only their distance matters. Source:
+        option.
+    length_m: the true distance of the two points, metres. Source: option.
     printed_boards: without another source, look for boards printed by ``fsinfer marker``, whose numbers tell their
-        length (:mod:`fsinfer.scale.printed_boards`); the result is in model units where there are none.
+        length (:mod:`fsinfer.scale.printed_boards`); the result is in model units where there are none. Source:
+        option.
 
     Raises
     ------
@@ -41,7 +40,7 @@ class ScaleRequest:
 
     factor: float | None = None
     aruco_length_m: float | None = None
-    aruco_dictionary: str = "4X4_50"
+    aruco_dictionary: str = DICTIONARY
     endpoints: tuple[Point, Point] | None = None
     length_m: float | None = None
     printed_boards: bool = True

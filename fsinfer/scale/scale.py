@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fsinfer.errors import ScaleError
+from fsinfer.geometry.similarity import apply
 from fsinfer.geometry.triangulation import triangulate
-
-if TYPE_CHECKING:
-    from fsinfer.scene import Scene
-
+from fsinfer.scale.request import Point
 
 if TYPE_CHECKING:
     from fsinfer.scene import Scene
@@ -28,10 +26,92 @@ __all__ = [
     "scale_from_factor",
 ]
 
-# A click on a photograph shown full screen lands within about two pixels of what was meant.
+#: A click on a photograph shown full screen lands within about so many pixels of what was meant. Source: judgement.
 CLICK_SIGMA_PX = 2.0
-# Picked in a viewer, the end of a stick in a cloud from photographs is hit to about a centimetre.
+#: Picked in a viewer, the end of a stick in a cloud from photographs is hit to so much. Source: judgement.
 PICK_SIGMA_M = 0.01
+#: Rays that miss each other by so many standard deviations of a click do not meet. Source: judgement.
+_MEETING_SIGMAS = 10
+#: End points nearer to each other than this share of their coordinates are the same. Source: numerics.
+_SAME_POINT = 1e-12
+#: Height at which a standing person holds a phone: the guess at a metre while the scale is unknown. Source: adults.
+CAMERA_HEIGHT_M = 1.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarkerScale:
+    """What one marker says of the scale.
+
+    Attributes
+    ----------
+    id: its number. views: names of the photographs that it was used in.
+    center: in scene units.
+    length_m: true side of the black square; side_units: the same in the scene.
+    m_per_unit, rel_std: the scale by this marker alone, and its relative standard deviation.
+    residual_rel, residual_mm: how much longer its side comes out with the scale of all.
+    error_px: root mean square distance of its corners in the images.
+    near_side_px: of the five largest images of its side the smallest: what the photographs from near by can measure.
+    angle_deg: largest angle between the rays of its views.
+    leave_one_out_m_per_unit, leave_one_out_rel: the scale without this marker; None where it is the only one.
+    """
+
+    id: int
+    views: tuple[str, ...]
+    center: Point
+    length_m: float
+    side_units: float
+    m_per_unit: float
+    rel_std: float
+    residual_rel: float
+    residual_mm: float
+    error_px: float
+    near_side_px: float
+    angle_deg: float
+    leave_one_out_m_per_unit: float | None
+    leave_one_out_rel: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RejectedMarker:
+    """A marker number that could not be used, and why."""
+
+    id: int
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarkerDetails:
+    """A scale by ArUco markers.
+
+    Attributes
+    ----------
+    photos_searched, photos_with_markers: numbers of photographs.
+    dictionary: of the markers.
+    length_m: side of every marker; None where their numbers tell it.
+    rejected: numbers that could not be used.
+    mean_side_px: of all detections; edge_rel_std: what blooming may add to it, common to all.
+    markers: each one's say.
+    """
+
+    photos_searched: int
+    photos_with_markers: int
+    dictionary: str
+    length_m: float | None
+    rejected: tuple[RejectedMarker, ...]
+    mean_side_px: float
+    edge_rel_std: float
+    markers: tuple[MarkerScale, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class EndpointDetails:
+    """A scale by the two ends of a known length; ``views`` and ``errors_px`` where they were clicked in photographs."""
+
+    endpoints: tuple[Point, Point]
+    length_units: float
+    length_m: float
+    views: tuple[str, ...] = ()
+    errors_px: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,13 +123,27 @@ class Scale:
     m_per_unit: metres per scene unit, or None where it is not known.
     source: ``none``, ``factor``, ``endpoints`` or ``aruco``.
     rel_std: relative standard deviation of ``m_per_unit``, or None where nothing is known about it.
-    details: what it was made from; JSON values only.
+    details: what it was made from; None for a factor, or none.
     """
 
     m_per_unit: float | None
     source: str
     rel_std: float | None
-    details: dict[str, Any] = field(default_factory=dict)
+    details: MarkerDetails | EndpointDetails | None = None
+
+    @property
+    def markers(self) -> tuple[MarkerScale, ...]:
+        """The markers that it was made from; empty where it comes from elsewhere."""
+        return self.details.markers if isinstance(self.details, MarkerDetails) else ()
+
+    @property
+    def rejected(self) -> tuple[RejectedMarker, ...]:
+        """The marker numbers that could not be used."""
+        return self.details.rejected if isinstance(self.details, MarkerDetails) else ()
+
+
+#: No scale is known.
+UNKNOWN = Scale(m_per_unit=None, source="none", rel_std=None)
 
 
 def scale_from_factor(m_per_unit: float) -> Scale:
@@ -87,10 +181,10 @@ def scale_from_endpoints(first: Sequence[float], second: Sequence[float], length
         raise ScaleError(msg)
     points = np.array([first, second], dtype=np.float64)
     length_units = float(np.linalg.norm(points[1] - points[0]))
-    if not length_units > 1e-12 * float(np.abs(points).max()):
+    if not length_units > _SAME_POINT * float(np.abs(points).max()):
         msg = f"the end points {first} and {second} are the same; give the two ends of the {length_m} m length"
         raise ScaleError(msg)
-    details = {"endpoints": points.tolist(), "length_units": length_units, "length_m": float(length_m)}
+    details = _end_details(points, length_units, length_m)
     rel_std = math.sqrt(2) * PICK_SIGMA_M / length_m
     return Scale(m_per_unit=length_m / length_units, source="endpoints", rel_std=rel_std, details=details)
 
@@ -128,7 +222,7 @@ def scale_from_clicks(scene: Scene, clicks: Mapping[str, Sequence[tuple[float, f
     for end in range(2):
         pixels = np.array([clicks[name][end] for name in clicks], dtype=np.float64)
         point = triangulate(projections, pixels)
-        if point is None or point.max_error_px > 10 * CLICK_SIGMA_PX:
+        if point is None or point.max_error_px > _MEETING_SIGMAS * CLICK_SIGMA_PX:
             far = "do not meet" if point is None else f"miss each other by {point.max_error_px:.0f} pixels"
             msg = f"the rays to end {end + 1} of the length {far}; click the same spot in photos from different places"
             raise ScaleError(msg)
@@ -138,9 +232,16 @@ def scale_from_clicks(scene: Scene, clicks: Mapping[str, Sequence[tuple[float, f
     scale = scale_from_endpoints(ends[0].tolist(), ends[1].tolist(), length_m)
     direction = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
     std_units = math.sqrt(float(direction @ (covariances[0] + covariances[1]) @ direction))
-    details = scale.details | {"views": list(clicks), "errors_px": errors_px}
-    rel_std = std_units / float(scale.details["length_units"])
-    return Scale(m_per_unit=scale.m_per_unit, source="endpoints", rel_std=rel_std, details=details)
+    length_units = float(np.linalg.norm(ends[1] - ends[0]))
+    details = replace(
+        _end_details(np.array(ends), length_units, length_m), views=tuple(clicks), errors_px=tuple(errors_px)
+    )
+    return Scale(m_per_unit=scale.m_per_unit, source="endpoints", rel_std=std_units / length_units, details=details)
+
+
+def _end_details(ends: NDArray[np.float64], length_units: float, length_m: float) -> EndpointDetails:
+    first, second = ((float(x), float(y), float(z)) for x, y, z in ends)
+    return EndpointDetails(endpoints=(first, second), length_units=length_units, length_m=float(length_m))
 
 
 def check_length(value: float, what: str) -> None:
@@ -150,18 +251,11 @@ def check_length(value: float, what: str) -> None:
         raise ScaleError(msg)
 
 
-#: Where a standing person holds a phone: the guess at a metre while the scale is unknown.
-CAMERA_HEIGHT_M = 1.5
+def marker_centers(scale: Scale, cloud_from_scene: ArrayLike) -> NDArray[np.float64]:
+    """Centres of the markers of a scale in the frame of the cloud: (M, 3), M = 0 without markers.
 
-
-def marker_centers(scale: Mapping[str, Any], cloud_from_scene: ArrayLike) -> NDArray[np.float64]:
-    """Centres of the markers of a scale record in the frame of the cloud: (M, 3), M = 0 without markers.
-
-    Parameters
-    ----------
-    scale: the record of the scale stage; ``details["markers"][i]["center"]`` is in scene units.
-    cloud_from_scene: (4, 4) similarity.
+    ``cloud_from_scene``: (4, 4) similarity from the scene to the cloud.
     """
-    centers = np.array([marker["center"] for marker in scale.get("details", {}).get("markers", [])]).reshape(-1, 3)
+    centers = np.array([marker.center for marker in scale.markers], dtype=np.float64).reshape(-1, 3)
     similarity = np.asarray(cloud_from_scene, dtype=np.float64)
-    return np.asarray(centers @ similarity[:3, :3].T + similarity[:3, 3])
+    return apply(similarity, centers)

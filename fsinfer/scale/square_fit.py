@@ -20,17 +20,19 @@ class MarkerSettings:
 
     Attributes
     ----------
-    min_views: a marker seen in fewer views is not trusted: two views always agree along the epipolar line.
-    min_side_px: smaller detections are noise of leaves, and a pixel is too much of them.
+    min_views: a marker seen in fewer views is not trusted. Source: two views always agree along the epipolar line.
+    min_side_px: smaller detections are noise of leaves, and a pixel is too much of them. Source: judgement.
     gate_side_share, gate_px: a detection belongs to a marker when its corners lie within this share of its side, or
-        so many pixels if that is more.
+        so many pixels if that is more. Source: judgement.
     min_angle_deg: largest angle between the rays of a marker's views; below, depth and with it size are guesses.
-    max_side_spread: sides of the freely triangulated square may differ by this share; false detections do.
-    max_off_plane: and its corners lie off their plane by this share of the side.
-    max_pairs: hypotheses tried for one number.
-    length_rel_std: of the printed length: half a millimetre on a quarter of a metre is 0.2 %; common to all markers.
+        Source: judgement.
+    max_side_spread: sides of the freely triangulated square may differ by this share; false detections do. Source:
+        judgement.
+    max_off_plane: and its corners lie off their plane by this share of the side. Source: judgement.
+    length_rel_std: of the printed length; common to all markers. Source: half a millimetre on a quarter of a metre.
     edge_std_px: how far blooming and the camera's tone curve may shift the edge between black and white; common to
-        all edges, and the reason to go near the markers.
+        all edges, and the reason to go near the markers. Source: judgement.
+    least_corner_std_px: a corner is hit no better. Source: judgement; OpenCV's refinement promises about a tenth.
     """
 
     min_views: int = 3
@@ -40,9 +42,20 @@ class MarkerSettings:
     min_angle_deg: float = 3.0
     max_side_spread: float = 0.12
     max_off_plane: float = 0.08
-    max_pairs: int = 150
     length_rel_std: float = 0.002
     edge_std_px: float = 0.07
+    least_corner_std_px: float = 0.1
+
+
+#: Pairs of detections that are tried for one number. Source: numerics.
+_MOST_PAIRS = 150
+#: Residual from which the robust loss grows linearly, pixels. Source: judgement.
+_SOFT_PX = 0.5
+#: Condition of the normal equations from which there is no solution, and depths that stand for none. Source: numerics.
+_WORST_CONDITION, _LEAST_DEPTH = 1e14, 1e-12
+#: Corners of a unit square round its centre, in the order in which OpenCV gives them (clockwise from top left, x right
+#: and y down in the plane of the print). Source: format.
+_UNIT_SQUARE = np.array([[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [-0.5, 0.5, 0.0]])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +80,7 @@ class FittedMarker:
     ----------
     corners: (4, 3) float64 of the fitted square, scene units.
     side_units: its side, scene units.
-    side_rel_std: relative standard deviation of the side from the pixel residuals, at least 0.1 pixel of them.
+    side_rel_std: relative standard deviation of the side from the pixel residuals, at least ``least_corner_std_px``.
     error_px: root mean square distance of the corners in the images.
     angle_deg: largest angle between rays.
     sightings: the detections that it was made from.
@@ -110,7 +123,7 @@ def find_markers(
         if len(members) < settings.min_views:
             break
         left = [sighting for sighting in left if not any(sighting is member for member in members)]
-        fitted = _fit_square(members, projections, centers)
+        fitted = _fit_square(members, projections, centers, settings)
         reason = "the corners do not make a square" if fitted is None else _objection(fitted, projections, settings)
         if fitted is not None and not reason:
             found.append(fitted)
@@ -125,8 +138,8 @@ def _best_group(
     sightings: Sequence[Sighting], projections: Sequence[NDArray[np.float64]], settings: MarkerSettings
 ) -> list[Sighting]:
     pairs = [pair for pair in combinations(sightings, 2) if pair[0].view != pair[1].view]
-    if len(pairs) > settings.max_pairs:
-        chosen = np.random.default_rng(0).choice(len(pairs), settings.max_pairs, replace=False)
+    if len(pairs) > _MOST_PAIRS:
+        chosen = np.random.default_rng(0).choice(len(pairs), _MOST_PAIRS, replace=False)
         pairs = [pairs[index] for index in chosen]
     best: list[Sighting] = []
     best_error = np.inf
@@ -170,13 +183,11 @@ def _corner_error_px(
     return float(np.linalg.norm(projected[:, :2] / projected[:, 2:] - sighting.corners_px, axis=1).max())
 
 
-# Corners of a unit square round its centre, in the order in which OpenCV gives them (clockwise from top left,
-# x right and y down in the plane of the print).
-_UNIT_SQUARE = np.array([[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [-0.5, 0.5, 0.0]])
-
-
 def _fit_square(
-    members: Sequence[Sighting], projections: Sequence[NDArray[np.float64]], centers: NDArray[np.float64]
+    members: Sequence[Sighting],
+    projections: Sequence[NDArray[np.float64]],
+    centers: NDArray[np.float64],
+    settings: MarkerSettings,
 ) -> FittedMarker | None:
     """Least squares of centre, rotation and logarithm of the side on all corners, with a robust loss."""
     start = _corners_in_space(members, projections)
@@ -200,17 +211,17 @@ def _fit_square(
 
     def residuals(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
         projected = np.einsum("vij,cj->vci", matrices[:, :, :3], square(parameters)) + matrices[:, None, :, 3]
-        depth = np.where(np.abs(projected[..., 2:]) < 1e-12, 1e-12, projected[..., 2:])
+        depth = np.where(np.abs(projected[..., 2:]) < _LEAST_DEPTH, _LEAST_DEPTH, projected[..., 2:])
         return np.asarray((projected[..., :2] / depth - pixels).ravel())
 
-    fit = least_squares(residuals, np.zeros(7), loss="soft_l1", f_scale=0.5)
+    fit = least_squares(residuals, np.zeros(7), loss="soft_l1", f_scale=_SOFT_PX)
     errors = residuals(fit.x)
     error_px = float(np.sqrt(2 * np.mean(errors**2)))
     normal = fit.jac.T @ fit.jac
-    if np.linalg.cond(normal) > 1e14:
+    if np.linalg.cond(normal) > _WORST_CONDITION:
         return None
-    # Seven parameters are taken from the degrees of freedom; 0.1 pixel of corner error is the best to be had.
-    sigma_px = max(0.1, float(np.sqrt((errors**2).sum() / max(1, len(errors) - 7))))
+    # The parameters are taken from the degrees of freedom.
+    sigma_px = max(settings.least_corner_std_px, float(np.sqrt((errors**2).sum() / max(1, len(errors) - len(fit.x)))))
     rel_std = sigma_px * float(np.sqrt(np.linalg.inv(normal)[6, 6]))
     corners = square(fit.x)
     rays = corners.mean(axis=0) - centers[[member.view for member in members]]

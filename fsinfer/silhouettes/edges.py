@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from fsinfer.depth.maps import DepthMap, DepthMaps, seen_and_hidden
+from fsinfer.geometry.similarity import scale_of, scaling
 from fsinfer.io.images import read_image
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Camera, Scene, project
@@ -24,25 +25,57 @@ from fsinfer.trees.diameter.silhouette import Edges
 Floats = NDArray[np.float64]
 
 
+#: Numerics: samples of a strip across the stem for each pixel, and for each radius at most; and least metres between
+#: its rows, and their least number.
+SAMPLES_PER_PX, MOST_SAMPLES_OF_RADIUS, LEAST_ROW_M, LEAST_ROWS = 2.0, 60.0, 0.004, 8
+#: Numerics: points of the near side by which it is told whether it is hidden: along the stem and across it, the latter
+#: up to this share of the radius.
+SIDE_POINTS, SIDE_OF_RADIUS = (9, 5), 0.6
+#: Numerics: a camera nearer than this to a stem, in radii and metres, or of which it is less deep, sees it too slanted.
+NEAREST_RADII, NEAREST_M, LEAST_DEPTH_M = 2.5, 0.5, 0.3
+#: Both edges must lie inside the photograph with this much room, in radii and pixels, and above and below in pixels.
+#: Source: not recorded.
+ROOM_RADII, ROOM_PX, ROOM_ABOVE_PX = 1.3, 3.0, 5
+#: Share of its rows that must lie inside the photograph, or a strip is not used. Source: not recorded.
+LEAST_INSIDE = 0.7
+
+
 @dataclass(frozen=True, kw_only=True)
 class EdgeSettings:
-    """Constants of :func:`find_edges`; lengths in metres."""
+    """Constants of :func:`find_edges`; lengths in metres. "Two renders" are the open and the sloped plot.
 
-    half_length_m: float = 0.25  # of the strip: long enough to average, short enough for a straight axis
+    Attributes
+    ----------
+    half_length_m: of the strip: long enough to average, short enough for a straight axis. Source: renders only, strips
+        of 30 to 80 cm are all the same (docs/accuracy.md).
+    band_m: in which gradients are averaged, a sixth of the strip. Source: renders only, two renders.
+    margin: the strip reaches this many radii ... Source: renders only, two renders.
+    margin_m: ... and this much to either side. Source: renders only, two renders.
+    max_distance_m: beyond, a pixel of a phone is 1.5 cm. Source: geometry.
+    min_radius_px: of a stem in the photograph. Source: renders only, two renders.
+    blur_px: of the derivative. Source: renders only, two renders.
+    clip: standard deviations of the bark, beyond which an edge is not surer. Source: renders only, two renders.
+    inner: of the radius: surely bark. Source: renders only, two renders.
+    floor: grey values per pixel that count as noise of the camera. Source: renders only, two renders.
+    min_strength: of an edge, standard deviations of the bark. Source: renders only, two renders.
+    min_seen: share of the near side at which the depth map shows the stem. Source: renders only, two renders.
+    max_hidden: share behind something nearer. Source: renders only, two renders.
+    tolerance_of_depth: of the depth map, share of the depth. Source: renders only, two renders.
+    """
+
+    half_length_m: float = 0.25
     band_m: float = 0.0834
-    margin: float = 1.6  # the strip reaches this many radii ...
-    margin_m: float = 0.04  # ... and this much to either side
-    max_distance_m: float = 16.0  # beyond, a pixel of a phone is 1.5 cm
+    margin: float = 1.6
+    margin_m: float = 0.04
+    max_distance_m: float = 16.0
     min_radius_px: float = 4.0
-    samples_per_px: float = 2.0
-    max_samples_of_radius: float = 60.0
-    blur_px: float = 1.2  # of the derivative
-    clip: float = 20.0  # standard deviations of the bark: beyond, an edge is not surer
-    inner: float = 0.7  # of the radius: surely bark
-    floor: float = 0.5  # grey values per pixel that count as noise of the camera
-    min_strength: float = 1.2  # standard deviations of the bark
-    min_seen: float = 0.5  # share of the near side at which the depth map shows the stem
-    max_hidden: float = 0.2  # share behind something nearer
+    blur_px: float = 1.2
+    clip: float = 20.0
+    inner: float = 0.7
+    floor: float = 0.5
+    min_strength: float = 1.2
+    min_seen: float = 0.5
+    max_hidden: float = 0.2
     tolerance_of_depth: float = 0.05
 
 
@@ -131,7 +164,7 @@ def strips_of_photo(
     s = settings or EdgeSettings()
     view = scene.views[index]
     camera = _in_cloud(view.camera, cloud_from_scene)
-    metres = float(np.cbrt(np.linalg.det(cloud_from_scene[:3, :3])))
+    metres = scale_of(cloud_from_scene)
     near = [(n, stem) for n, stem in enumerate(stems) if _in_reach(stem, camera, s)]
     if not near:
         return []
@@ -150,8 +183,8 @@ def strips_of_photo(
 
 def _in_cloud(camera: Camera, cloud_from_scene: Floats) -> Camera:
     """Return the camera with metres of the cloud instead of scene units: same rays, z depth in metres."""
-    metres = float(np.cbrt(np.linalg.det(cloud_from_scene[:3, :3])))
-    pose = np.diag([metres, metres, metres, 1.0]) @ camera.cam_from_world @ np.linalg.inv(cloud_from_scene)
+    metres = scale_of(cloud_from_scene)
+    pose = scaling(metres) @ camera.cam_from_world @ np.linalg.inv(cloud_from_scene)
     return Camera(
         intrinsic=camera.intrinsic,
         cam_from_world=pose,
@@ -172,7 +205,8 @@ def _facing(stem: StemAxis, camera: Camera) -> tuple[Floats, Floats, float]:
 def _in_reach(stem: StemAxis, camera: Camera, s: EdgeSettings) -> bool:
     _, _, distance = _facing(stem, camera)
     depth = float(project(stem.breast, camera)[1])
-    if not max(2.5 * stem.radius_m, 0.5) <= distance <= s.max_distance_m or depth < 0.3:
+    nearest = max(NEAREST_RADII * stem.radius_m, NEAREST_M)
+    if not nearest <= distance <= s.max_distance_m or depth < LEAST_DEPTH_M:
         return False
     return float(camera.intrinsic[0, 0]) * stem.radius_m / depth >= s.min_radius_px
 
@@ -180,14 +214,18 @@ def _in_reach(stem: StemAxis, camera: Camera, s: EdgeSettings) -> bool:
 def _inside(stem: StemAxis, camera: Camera, size: Floats) -> bool:
     """Whether both edges at breast height lie well inside the photograph of ``size`` (2,)."""
     pixel, depth = project(stem.breast, camera)
-    reach = 1.3 * float(camera.intrinsic[0, 0]) * stem.radius_m / float(depth) + 3.0
-    return bool((pixel[0] >= reach) and (pixel[0] <= size[0] - reach) and (pixel[1] >= 5) and (pixel[1] <= size[1] - 5))
+    reach = ROOM_RADII * float(camera.intrinsic[0, 0]) * stem.radius_m / float(depth) + ROOM_PX
+    room = np.array([reach, ROOM_ABOVE_PX])
+    return bool(np.all((pixel >= room) & (pixel <= size - room)))
 
 
 def _unhidden(stem: StemAxis, camera: Camera, depth_map: DepthMap, metres: float, s: EdgeSettings) -> bool:
     """Whether the depth map shows the near side of the stem where it is, and little before it."""
     right, towards, _ = _facing(stem, camera)
-    height, side = np.meshgrid(np.linspace(-s.half_length_m, s.half_length_m, 9), np.linspace(-0.6, 0.6, 5))
+    height, side = np.meshgrid(
+        np.linspace(-s.half_length_m, s.half_length_m, SIDE_POINTS[0]),
+        np.linspace(-SIDE_OF_RADIUS, SIDE_OF_RADIUS, SIDE_POINTS[1]),
+    )
     height, side = height.reshape(-1, 1), side.reshape(-1, 1)
     surface = stem.radius_m * (side * right + np.sqrt(1.0 - side**2) * towards)
     points = stem.breast + height * stem.along + surface
@@ -200,10 +238,10 @@ def _cut(stem: StemAxis, camera: Camera, image: NDArray[np.float32], index: int,
     right, towards, distance = _facing(stem, camera)
     depth = float(project(stem.breast, camera)[1])
     pixel_m = depth / float(camera.intrinsic[0, 0])
-    step = max(pixel_m / s.samples_per_px, stem.radius_m / s.max_samples_of_radius)
+    step = max(pixel_m / SAMPLES_PER_PX, stem.radius_m / MOST_SAMPLES_OF_RADIUS)
     count = int(np.ceil((s.margin * stem.radius_m + s.margin_m) / step))
     offsets = np.asarray(np.arange(-count, count + 1) * step, dtype=np.float64)
-    rows = max(int(np.ceil(2 * s.half_length_m / max(pixel_m, 0.004))), 8)
+    rows = max(int(np.ceil(2 * s.half_length_m / max(pixel_m, LEAST_ROW_M))), LEAST_ROWS)
     heights = np.linspace(-s.half_length_m, s.half_length_m, rows)
     widened = offsets[None] * (1.0 + stem.taper * heights[:, None] / stem.radius_m)
     points = stem.breast + heights[:, None, None] * stem.along + widened[:, :, None] * right
@@ -211,7 +249,7 @@ def _cut(stem: StemAxis, camera: Camera, image: NDArray[np.float32], index: int,
     size = np.array(image.shape[1::-1])
     inside = np.all((pixels >= 0) & (pixels <= size - 1), axis=2)
     whole = np.all(inside, axis=1)
-    if whole.mean() < 0.7:
+    if whole.mean() < LEAST_INSIDE:
         return None
     x, y = pixels[whole, :, 0].astype(np.float32), pixels[whole, :, 1].astype(np.float32)
     return Strip(

@@ -17,17 +17,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.depth.maps import DepthMaps
-from fsinfer.io.files import atomic_path
+from fsinfer.io.csv_text import write_table
+from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.stems import StemCode
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene
 from fsinfer.silhouettes.edges import EdgeSettings, StemAxis, Strip, find_edges
 from fsinfer.silhouettes.strips import draw_strips, keep_strip
 from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
+from fsinfer.trees.cylinder.axis import LEAST_RADIUS_M
 from fsinfer.trees.diameter.dbh import too_uncertain, wide_interval
 from fsinfer.trees.diameter.outline import Outline
 from fsinfer.trees.diameter.silhouette import Edges, SilhouetteFit, SilhouetteSettings, edge_contrast, fit_silhouette
 from fsinfer.trees.measure import trees_found
-from fsinfer.trees.stem_measurement import diameter_columns
+from fsinfer.trees.stem_measurement import with_diameter
 
 Floats = NDArray[np.float64]
 
@@ -35,6 +38,9 @@ SOURCE_COLUMNS = (
     "tree_id", "points_cm", "edges_cm", "edges_std_cm", "photos", "sides_seen", "rays_agreeing", "contrast",
     "points_used",
 )  # fmt: skip
+
+#: Doubts of the cloud that photographs do not lift.
+OFF_BREAST_HEIGHT = frozenset({StemCode.above_breast_height, StemCode.below_breast_height})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,18 +55,36 @@ class StemPhotos:
     cloud_from_scene: Floats
 
 
+#: Numerics: depth maps held at once, and directions in which an outline is drawn.
+CACHED_MAPS, DIRECTIONS = 2, 180
+
+
 @dataclass(frozen=True, kw_only=True)
 class SilhouetteJoinSettings:
-    """Constants of :func:`measure_silhouettes`; metres. Chosen on three rendered plots (docs/accuracy.md)."""
+    """Constants of :func:`measure_silhouettes`. "Three renders" are the open, the sloped and the test plot.
 
-    cloud_floor_m: float = 0.0015  # added to the error of the cloud's radius: depth maps fatten edges
-    gate: float = 2.0  # standard deviations between the two beyond which the silhouette stands alone
+    Attributes
+    ----------
+    cloud_floor_m: added to the error of the cloud's radius: depth maps fatten edges. Source: renders only, three
+        renders.
+    gate: standard deviations between the two beyond which the silhouette stands alone. Source: renders only, three
+        renders.
+    min_photos: in which the stem's edges agree. Source: renders only, three renders.
+    sure_photos: fewer, and a stem that the cloud could not measure stays doubtful. Source: renders only, three renders.
+    sure_sectors: the same for the directions that they cover. Source: renders only, three renders.
+    shrub_photos: so many photographs show the place, and ... Source: renders only, undergrown plot, afterwards.
+    shrub_contrast: ... their edges agree no better than this on a stem: a shrub. Source: renders only, undergrown plot,
+        afterwards: 1.02 to 1.07, a half-hidden stem 1.18.
+    edges, fit: of the steps.
+    """
+
+    cloud_floor_m: float = 0.0015
+    gate: float = 2.0
     min_photos: int = 4
-    sure_photos: int = 8  # fewer, and a stem that the cloud could not measure stays doubtful
+    sure_photos: int = 8
     sure_sectors: float = 0.3
-    outline_sectors: float = 0.8  # least and greatest diameter need the way round
-    shrub_photos: int = 15  # so many photographs show the place, and their edges agree no better than this on a stem:
-    shrub_contrast: float = 1.12  # a shrub (1.02 to 1.07 on a rendered plot; a half-hidden stem 1.18)
+    shrub_photos: int = 15
+    shrub_contrast: float = 1.12
     edges: EdgeSettings = field(default_factory=EdgeSettings)
     fit: SilhouetteSettings = field(default_factory=SilhouetteSettings)
 
@@ -88,7 +112,7 @@ def measure_silhouettes(
     stems = [_axis(tree, section) for tree, section in zip(result.trees, result.sections, strict=True)]
     if not stems:
         return result
-    maps = DepthMaps(photos.scene, photos.depth_folder, cache_maps=2)
+    maps = DepthMaps(photos.scene, photos.depth_folder, cache_maps=CACHED_MAPS)
     strips: list[list[Strip]] = [[] for _ in stems]
 
     def on_strip(number: int, strip: Strip) -> None:
@@ -152,7 +176,7 @@ def join(
         "scale": radius * scale_rel_std,
     }
     sd = 2.0 * float(np.sqrt(sum(part**2 for part in parts.values())))
-    status, reason = _status(section, fit, 2.0 * radius, sd, dbh, s)
+    status, reasons = _status(section, fit, 2.0 * radius, sd, dbh, s)
     measured = status != "unmeasured"
     return replace(
         section,
@@ -160,9 +184,9 @@ def join(
         sd_m=sd,
         parts_m=parts,
         status=status,
-        reason=reason,
+        reasons=reasons,
         circle_m=np.array([*fit.shift_m, radius]),
-        outline=_outline(fit, radius, s) if measured and fit.sectors >= s.outline_sectors else None,
+        outline=_outline(fit, radius) if measured and fit.sectors >= dbh.outline_coverage else None,
         silhouette=fit,
         cloud_dbh_m=section.dbh_m,
     )
@@ -170,19 +194,16 @@ def join(
 
 def write_sources(path: Path, result: PlotResult) -> None:
     """Write what the points alone and the photographs' edges said of each diameter, a row for each tree with edges."""
-    import csv
-
-    with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as handle:
-        writer = csv.writer(handle, lineterminator="\n")
-        writer.writerow(SOURCE_COLUMNS)
-        for tree, section in zip(result.trees, result.sections, strict=True):
-            fit = section.silhouette
-            if fit is None:
-                continue
-            points = "" if section.cloud_dbh_m is None else f"{100 * section.cloud_dbh_m:.2f}"
-            edges = (f"{200 * fit.radius_m:.2f}", f"{200 * fit.std_m:.2f}", fit.photos)
-            shares = (f"{fit.sectors:.2f}", f"{fit.share:.2f}", f"{fit.contrast:.2f}")
-            writer.writerow((tree.tree_id, points, *edges, *shares, "yes" if section.parts_m["cloud"] > 0 else "no"))
+    rows = []
+    for tree, section in zip(result.trees, result.sections, strict=True):
+        fit = section.silhouette
+        if fit is None:
+            continue
+        points = None if section.cloud_dbh_m is None else f"{100 * section.cloud_dbh_m:.2f}"
+        edges = (f"{200 * fit.radius_m:.2f}", f"{200 * fit.std_m:.2f}", fit.photos)
+        shares = (f"{fit.sectors:.2f}", f"{fit.share:.2f}", f"{fit.contrast:.2f}")
+        rows.append((tree.tree_id, points, *edges, *shares, "yes" if section.parts_m["cloud"] > 0 else "no"))
+    write_table(path, SOURCE_COLUMNS, rows)
 
 
 def _axis(tree: Tree, section: Section) -> StemAxis:
@@ -191,29 +212,29 @@ def _axis(tree: Tree, section: Section) -> StemAxis:
     return StemAxis(
         breast=np.array([tree.x_m, tree.y_m, tree.z_ground_m + section.bh_m]),
         along=along / np.linalg.norm(along),
-        radius_m=max(radius, 0.01),
+        radius_m=max(radius, LEAST_RADIUS_M),
         taper=section.taper,
     )
 
 
 def _status(
     section: Section, fit: SilhouetteFit, dbh_m: float, sd: float, dbh: DbhSettings, s: SilhouetteJoinSettings
-) -> tuple[str, str]:
-    """Return status and reason anew: what the cloud doubted or refused, the silhouette may know."""
+) -> tuple[str, tuple[Notice, ...]]:
+    """Status and reasons anew: what the cloud doubted or refused, the silhouette may know."""
     refused = too_uncertain(dbh_m, sd, dbh)
     if refused:
         return "unmeasured", refused
-    doubts = [part for part in section.reason.split("; ") if "breast height" in part and section.dbh_m is not None]
+    doubts = [why for why in section.reasons if why.code in OFF_BREAST_HEIGHT and section.dbh_m is not None]
     few = fit.photos < s.sure_photos or fit.sectors < s.sure_sectors
     if section.dbh_m is None and few:
-        doubts.append(f"only from its edges in {fit.photos} photos ({section.reason.split(';')[0]})")
+        doubts.append(notice(StemCode.edges_alone, photos=fit.photos, refused=section.reasons[0]))
     doubts += wide_interval(dbh_m, sd, dbh)
-    return ("doubtful", "; ".join(doubts)) if doubts else ("ok", "")
+    return ("doubtful" if doubts else "ok"), tuple(doubts)
 
 
-def _outline(fit: SilhouetteFit, radius: float, s: SilhouetteJoinSettings) -> Outline:
+def _outline(fit: SilhouetteFit, radius: float) -> Outline:
     """Hull whose support function is the fit's about ``radius``: x = p n + p' n' (Santalo 2004, section 1.2)."""
-    angle = np.linspace(0.0, 2.0 * np.pi, 180, endpoint=False)
+    angle = np.linspace(0.0, 2.0 * np.pi, DIRECTIONS, endpoint=False)
     support = fit.support(angle) + radius - fit.radius_m
     slope = (np.roll(support, -1) - np.roll(support, 1)) / (angle[2] - angle[0])
     normal, along = np.column_stack([np.cos(angle), np.sin(angle)]), np.column_stack([-np.sin(angle), np.cos(angle)])
@@ -229,7 +250,7 @@ def _outline(fit: SilhouetteFit, radius: float, s: SilhouetteJoinSettings) -> Ou
 def _tree(tree: Tree, section: Section, stem: StemAxis, fit: SilhouetteFit) -> Tree:
     first, second = stem.across
     moved = stem.breast + fit.shift_m[0] * first + fit.shift_m[1] * second
-    return replace(tree, x_m=float(moved[0]), y_m=float(moved[1]), **diameter_columns(section))
+    return with_diameter(replace(tree, x_m=float(moved[0]), y_m=float(moved[1])), section)
 
 
 def _is_shrub(tree: Tree, stem: StemAxis, edges: Edges, s: SilhouetteJoinSettings) -> bool:
@@ -238,14 +259,14 @@ def _is_shrub(tree: Tree, stem: StemAxis, edges: Edges, s: SilhouetteJoinSetting
     return edge_contrast(edges, stem.radius_m, taper=stem.taper, settings=s.fit) < s.shrub_contrast
 
 
-def _shrub_warning(shrubs: Sequence[Tree]) -> tuple[str, ...]:
+def _shrub_warning(shrubs: Sequence[Tree]) -> tuple[Notice, ...]:
     if not shrubs:
         return ()
-    places = ", ".join(f"({tree.x_m:.1f}, {tree.y_m:.1f})" for tree in shrubs)
-    return (f"left out as shrubs, where the cloud has something like a stem and the photos show none: {places}",)
+    places = tuple(f"({tree.x_m:.1f}, {tree.y_m:.1f})" for tree in shrubs)
+    return (notice(StemCode.shrubs_left_out, places=places),)
 
 
-def _diagnosis(trees: Sequence[Tree]) -> str:
+def _diagnosis(trees: Sequence[Tree]) -> Notice:
     if not trees:
-        return "no trees found: what looked like stems in the cloud are none in the photos"
+        return notice(StemCode.none_in_photos)
     return trees_found(trees)

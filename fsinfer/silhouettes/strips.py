@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -15,26 +14,19 @@ from fsinfer.silhouettes.edges import StemAxis, Strip, normal_angles
 from fsinfer.trees.diameter.silhouette import SilhouetteFit
 
 Floats = NDArray[np.float64]
+#: Drawing: of the fitted edges.
 EDGE_COLOUR = (60, 255, 60)
+#: Drawing: strips of a stem, from directions at least so far apart, the nearest camera first.
+MOST_STRIPS, APART_DEG = 8, 20.0
+#: Drawing: width and height of a strip, strips in a row, and the gap between them.
+TILE_PX, COLUMNS, GAP_PX = (320, 200), 4, 4
 
 
-@dataclass(frozen=True, kw_only=True)
-class StripSettings:
-    """Constants of :func:`keep_strip` and :func:`draw_strips`."""
-
-    most: int = 8
-    apart_deg: float = 20.0  # strips kept look from directions at least this far apart, the nearest camera first
-    tile_px: tuple[int, int] = (320, 200)
-    columns: int = 4
-    gap_px: int = 4
-
-
-def keep_strip(kept: list[Strip], strip: Strip, *, settings: StripSettings | None = None) -> None:
+def keep_strip(kept: list[Strip], strip: Strip) -> None:
     """Keep a strip in ``kept`` if it looks from a new side, or from nearer than the one that looks from this side."""
-    s = settings or StripSettings()
-    cosine = float(np.cos(np.radians(s.apart_deg)))
+    cosine = float(np.cos(np.radians(APART_DEG)))
     alike = next((i for i, other in enumerate(kept) if float(other.towards @ strip.towards) > cosine), None)
-    if alike is None and len(kept) < s.most:
+    if alike is None and len(kept) < MOST_STRIPS:
         kept.append(strip)
     elif alike is not None and strip.pixel_m < kept[alike].pixel_m:
         kept[alike] = strip
@@ -46,19 +38,16 @@ def draw_strips(
     names: Sequence[str],
     stem: StemAxis,
     fit: SilhouetteFit,
-    *,
-    settings: StripSettings | None = None,
 ) -> None:
     """Write the strips as a sheet: each with the fitted edges in green, the photograph's name and the distance."""
-    s = settings or StripSettings()
-    width, height = s.tile_px
-    rows = -(-len(strips) // s.columns)
-    columns = min(s.columns, len(strips))
-    gap = s.gap_px
+    width, height = TILE_PX
+    rows = -(-len(strips) // COLUMNS)
+    columns = min(COLUMNS, len(strips))
+    gap = GAP_PX
     sheet = np.full((rows * (height + gap) + gap, columns * (width + gap) + gap, 3), 255, np.uint8)
     for number, (strip, name) in enumerate(zip(strips, names, strict=True)):
         upright = strip.image[::-1].clip(0, 255).astype(np.uint8)  # rows of a strip count upwards
-        tile = np.ascontiguousarray(cv2.resize(upright, s.tile_px, interpolation=cv2.INTER_LINEAR))
+        tile = np.ascontiguousarray(cv2.resize(upright, TILE_PX, interpolation=cv2.INTER_LINEAR))
         for side in (-1.0, 1.0):
             offsets = edge_offsets(strip, stem, fit, side)
             x = (offsets - strip.offsets_m[0]) / np.ptp(strip.offsets_m) * (width - 1)
@@ -68,7 +57,7 @@ def draw_strips(
         label = f"{name}  {strip.distance_m:.1f} m"
         cv2.putText(tile, label, (5, height - 7), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (0, 0, 0), 3, cv2.LINE_AA)
         cv2.putText(tile, label, (5, height - 7), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (255, 255, 255), 1, cv2.LINE_AA)
-        row, column = divmod(number, s.columns)
+        row, column = divmod(number, COLUMNS)
         top, left = gap + row * (height + gap), gap + column * (width + gap)
         sheet[top : top + height, left : left + width] = tile
     write_image(path, sheet)

@@ -6,7 +6,6 @@ their order. Depth and cloud are not touched.
 
 from __future__ import annotations
 
-import csv
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -17,7 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import InputError
-from fsinfer.io.csv_text import has_semicolons
+from fsinfer.io.csv_text import CsvRow, read_table
+from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.stems import StemCode
 from fsinfer.trees.diameter.section import Section, unmeasured_section
 from fsinfer.trees.measure import PlotResult
 from fsinfer.trees.search.find import find_stems
@@ -31,16 +32,20 @@ Floats = NDArray[np.float64]
 EDITS_FILE = "edits.csv"
 #: The columns that each action needs.
 ACTIONS = {"delete": ("tree_id",), "add": ("x_m", "y_m"), "merge": ("tree_id", "other_id")}
-# A point set by hand on a map lies within this of the stem's middle, besides its radius.
+#: A point set by hand on a map lies within this of the stem's middle, besides its radius, metres. Source: not recorded.
 REACH_M = 0.35
-# Points around a place that are looked at: the widest stem, and what it has to stand out from.
+#: Points around a place that are looked at, metres: the widest stem, and what it has to stand out from.
+#: Source: not recorded.
 AROUND_M = 1.5
-# Room for a label on the map where nothing is measured.
+#: Drawing: radius in metres of the ring on the map where nothing is measured.
 LABEL_RADIUS_M = 0.1
-# A person says that a stem stands there: much less evidence is asked for than where nobody said so.
+#: Numerics: of two stems as near to a place the better one is taken; metres a unit of quality.
+TIE = 1e-3
+#: A person says that a stem stands there: much less evidence is asked for than where nobody said so. Source: not
+#: recorded.
 SEEN_BY_PERSON = StemSettings(
     min_votes=0.8, min_length_m=0.3, min_arc=0.08, max_filled=0.6, max_noise=0.6, min_contrast=1.1, rough_m=0.025,
-    min_rough_length_m=0.3, thin_m=0.0, min_fork_length_m=0.3, min_fork_arc=0.08,
+    sure_length_m=0.3, sure_arc=0.08, thin_m=0.0,
 )  # fmt: skip
 
 
@@ -66,37 +71,19 @@ def read_edits(path: Path | str) -> tuple[TreeEdit, ...]:
     InputError
         The file cannot be read, a column that an action needs is missing, or a cell is wrong; file and row are named.
     """
-    path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else error
-        msg = f"cannot read the edits {path}: {reason}; give a CSV with the column action (see docs/trees.md)"
-        raise InputError(msg) from error
-    lines = text.splitlines()
-    semicolon = has_semicolons(lines)
-    reader = csv.DictReader(lines, delimiter=";" if semicolon else ",", skipinitialspace=True)
-    columns = [name.strip() for name in reader.fieldnames or []]
-    reader.fieldnames = columns
-    if "action" not in columns:
-        msg = f"{path} has no column action; its first line must be: action,tree_id,other_id,x_m,y_m"
-        raise InputError(msg)
-    edits = tuple(
-        _read_row(path, row, _with_points(cells) if semicolon else cells, columns)
-        for row, cells in enumerate(reader, start=2)
-        if any(cells.values())
+    table = read_table(
+        path,
+        what="the edits",
+        required=("action",),
+        way_out="give a CSV whose first line is action,tree_id,other_id,x_m,y_m (see docs/trees.md)",
     )
+    edits = tuple(_read_row(row, table.columns) for row in table.rows)
     given = Counter(edit.tree_id for edit in edits if edit.action == "add" and edit.tree_id is not None)
     for number, count in given.items():
         if count > 1:
             msg = f"{path}: {count} added trees have the tree_id {number}; give each its own, or leave the cell empty"
             raise InputError(msg)
     return edits
-
-
-def _with_points(cells: dict[str, str]) -> dict[str, str]:
-    """The cells of a row with decimal points for decimal commas."""
-    return {key: value.replace(",", ".") if key in ("x_m", "y_m") and value else value for key, value in cells.items()}
 
 
 def find_edits(out: Path, given: Path | None) -> tuple[TreeEdit, ...]:
@@ -131,7 +118,7 @@ def apply_edits(
     """
     trees = {tree.tree_id: (tree, section) for tree, section in zip(result.trees, result.sections, strict=True)}
     first_free = max([0, *trees, *(edit.tree_id or 0 for edit in edits if edit.action == "add")]) + 1
-    done: list[str] = []
+    done: list[Notice] = []
     for edit in edits:
         if edit.action == "add":
             number = edit.tree_id if edit.tree_id is not None else first_free
@@ -141,27 +128,30 @@ def apply_edits(
             first_free += edit.tree_id is None
             place = np.array([_number(edit.x_m), _number(edit.y_m)])
             found = _measured_at(result, points, place[None], settings, scale_rel_std) if metric else None
-            trees[number] = _numbered(found, number, place, settings, "added by hand", metric=metric)
-            done.append(f"{number} added")
+            said = notice(StemCode.added_by_hand)
+            trees[number] = _numbered(found, number, place, settings, said, metric=metric)
+            done.append(notice(StemCode.tree_added, tree_id=number))
         elif edit.action == "delete":
-            trees.pop(_known(edit.tree_id, trees, edit.row))
-            done.append(f"{edit.tree_id} deleted")
+            number = _known(edit.tree_id, trees, edit.row)
+            del trees[number]
+            done.append(notice(StemCode.tree_deleted, tree_id=number))
         else:
             number, other = _known(edit.tree_id, trees, edit.row), _known(edit.other_id, trees, edit.row)
             places = np.array([[trees[i][0].x_m, trees[i][0].y_m] for i in (number, other)])
             found = _measured_at(result, points, places, settings, scale_rel_std) if metric else None
-            said = f"{number} and {other} merged by hand"
+            said = notice(StemCode.merged_by_hand, tree_id=number, other_id=other)
             del trees[other]
             trees[number] = _numbered(found, number, places.mean(axis=0), settings, said, metric=metric)
-            done.append(f"{other} merged into {number}")
+            done.append(notice(StemCode.tree_merged, other_id=other, tree_id=number))
     ordered = [trees[number] for number in sorted(trees)]
     measured = sum(tree.dbh_cm is not None for tree, _ in ordered)
+    told = (notice(StemCode.corrected_by_hand, changes=tuple(done)),) if done else ()
     return replace(
         result,
         trees=tuple(tree for tree, _ in ordered),
         sections=tuple(section for _, section in ordered),
-        diagnosis=f"{len(ordered)} trees after corrections by hand, {measured} with a DBH",
-        warnings=(*result.warnings, f"stem map corrected by hand: tree {', '.join(done)}") if done else result.warnings,
+        diagnosis=notice(StemCode.trees_corrected, trees=len(ordered), measured=measured),
+        warnings=(*result.warnings, *told),
     )
 
 
@@ -185,14 +175,14 @@ def _measured_at(
     stand[:, 2] -= ground.height_at(stand[:, :2])
     best: tuple[Stem, float] | None = None
     for wanted in (settings.stems, SEEN_BY_PERSON):
-        search = find_stems(stand, settings=wanted, seed=settings.seed)
+        search = find_stems(stand, bh_m=settings.bh_m, settings=wanted, seed=settings.seed)
         for stem in search.stems:
             center = stem.axis.center_at(settings.bh_m) + origin[:2]
             off = float(np.linalg.norm(center - middle))
             if off > REACH_M + apart + stem.axis.radius_m:
                 continue
             # One place: the nearest. Two: the one with the most to show for itself.
-            worth = stem.quality if len(places) > 1 else -max(off - stem.axis.radius_m, 0.0) + 1e-3 * stem.quality
+            worth = stem.quality if len(places) > 1 else -max(off - stem.axis.radius_m, 0.0) + TIE * stem.quality
             if best is None or worth > best[1]:
                 best = stem, worth
         if best is not None:
@@ -203,14 +193,20 @@ def _measured_at(
 
 
 def _numbered(
-    found: tuple[Tree, Section] | None, number: int, place: Floats, settings: TreeSettings, said: str, *, metric: bool
+    found: tuple[Tree, Section] | None,
+    number: int,
+    place: Floats,
+    settings: TreeSettings,
+    said: Notice,
+    *,
+    metric: bool,
 ) -> tuple[Tree, Section]:
     if found is not None:
         tree, section = found
-        reason = f"{said}; {tree.reason}" if tree.reason else said
-        return replace(tree, tree_id=number, reason=reason), replace(section, reason=reason)
-    reason = f"{said}; " + ("no stem to be measured is seen here" if metric else "no scale")
-    section = unmeasured_section(place, settings.bh_m, reason, radius_m=LABEL_RADIUS_M)
+        reasons = (said, *tree.reasons)
+        return replace(tree, tree_id=number, reasons=reasons), replace(section, reasons=reasons)
+    reasons = (said, notice(StemCode.no_stem_here if metric else StemCode.no_scale))
+    section = unmeasured_section(place, settings.bh_m, reasons, radius_m=LABEL_RADIUS_M)
     tree = tree_of(section, 0.0, None, np.zeros(3))
     return replace(tree, tree_id=number), section
 
@@ -228,40 +224,34 @@ def _number(value: float | None) -> float:
     return math.nan if value is None else value
 
 
-def _read_row(path: Path, row: int, cells: dict[str, str], columns: Sequence[str]) -> TreeEdit:
-    where = f"{path}, row {row}"
-    action = (cells.get("action") or "").strip().lower()
+def _read_row(row: CsvRow, columns: Sequence[str]) -> TreeEdit:
+    action = row.text("action").lower()
     if action not in ACTIONS:
-        msg = f"{where}: the action is '{action}'; it must be {', '.join(ACTIONS)}"
+        msg = f"{row.place}: the action is '{action}'; it must be {', '.join(ACTIONS)}"
         raise InputError(msg)
     missing = [name for name in ACTIONS[action] if name not in columns]
     if missing:
-        msg = f"{where}: '{action}' needs the column {' and '.join(missing)}, which the file does not have; add it"
+        msg = f"{row.place}: '{action}' needs the column {' and '.join(missing)}, which the file does not have; add it"
         raise InputError(msg)
     numbers: dict[str, float | None] = {}
     for name in ("tree_id", "other_id", "x_m", "y_m"):
-        text = (cells.get(name) or "").strip()
-        needed = name in ACTIONS[action]
-        if not text and not needed:
+        value = row.value(name)
+        if value is None and name not in ACTIONS[action]:
             numbers[name] = None
             continue
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
         whole = name.endswith("_id")
-        if not math.isfinite(value) or (whole and (value != int(value) or value < 1)):
+        if value is None or not math.isfinite(value) or (whole and (value != int(value) or value < 1)):
             kind = "the number of a tree" if whole else "a number"
-            msg = f"{where}: '{action}' needs {kind} in the column {name}, not '{text}'"
+            msg = f"{row.place}: '{action}' needs {kind} in the column {name}, not '{row.text(name)}'"
             raise InputError(msg)
         numbers[name] = value
     tree_id, other_id = numbers["tree_id"], numbers["other_id"]
     if action == "merge" and tree_id == other_id:
-        msg = f"{where}: a tree cannot be merged with itself; name two trees"
+        msg = f"{row.place}: a tree cannot be merged with itself; name two trees"
         raise InputError(msg)
     return TreeEdit(
         action=action,
-        row=row,
+        row=row.row,
         tree_id=None if tree_id is None else int(tree_id),
         other_id=None if other_id is None else int(other_id),
         x_m=numbers["x_m"],

@@ -10,36 +10,62 @@ from numpy.typing import NDArray
 from fsinfer.trees.points.cells import PlanIndex, rows, thin
 from fsinfer.trees.points.sums import lengths
 from fsinfer.trees.search.stem import Stem
+from fsinfer.trees.tree import BREAST_HEIGHT_M
 
 Floats = NDArray[np.float64]
 
 
+#: Numerics: crowns are thinned to cells of this width, metres: their form, not their density, tells the top.
+CELL_M = 0.05
+#: Numerics: cell of the index of crowns, metres, of the order of a crown's radius.
+INDEX_CELL_M = 0.5
+#: Above it lies what may be crown, metres; below stand shrubs. Source: not recorded.
+FOOT_M = 1.0
+#: Least points of a crown, and of a layer that is not empty. Source: not recorded.
+LEAST_POINTS, LEAST_OF_LAYER = 20, 3
+#: The spread of the upper third is told by this percentile of the distances. Source: not recorded.
+SPREAD_PERCENTILE = 80
+
+
 @dataclass(frozen=True, kw_only=True)
 class TopSettings:
-    """Constants of :func:`tree_height`."""
+    """Constants of :func:`tree_height`.
 
-    crown_radius_m: float = 0.8  # about the continued axis; wider takes in the neighbours' crowns
-    reach_m: float = 4.0  # from the stem's place at breast height; leaning tops farther off are not followed
-    lean_share: float = 0.5  # heavy leans measured over two metres must not be continued over twenty
-    cell_m: float = 0.05  # crowns are thinned to this: their form, not their density, tells the top
-    index_cell_m: float = 0.5  # of the order of a crown's radius
+    Attributes
+    ----------
+    crown_radius_m: about the continued axis; wider takes in the neighbours' crowns. Source: not recorded.
+    reach_m: from the stem's place at breast height; leaning tops farther off are not followed. Source: not recorded.
+    lean_share: heavy leans measured over two metres must not be continued over twenty. Source: not recorded.
+    layer_m: layers in which a gap is looked for. Source: not recorded.
+    max_gap_m: a longer empty stretch separates a tree from what hangs above it. Source: not recorded.
+    min_height_m: lower tops are shrubs or cuts. Source: not recorded.
+    min_slenderness: height over diameter. Source: forest trees have 50-120, open-grown ones 30-50.
+    crown_spread: the upper third must spread wider than this times the stem's radius. Source: not recorded.
+    thinning: points in the top layer against the crown's densest: a crown tapers, a cut does not. Source: not recorded.
+    """
+
+    crown_radius_m: float = 0.8
+    reach_m: float = 4.0
+    lean_share: float = 0.5
     layer_m: float = 0.5
-    max_gap_m: float = 1.5  # a longer empty stretch separates a tree from what hangs above it
+    max_gap_m: float = 1.5
     min_height_m: float = 3.0
-    min_slenderness: float = 35.0  # height over diameter; forest trees have 50-120, open-grown ones 30-50
-    crown_spread: float = 2.0  # the upper third must spread wider than this times the stem's radius
-    thinning: float = 0.6  # points in the top layer against the crown's densest: a crown tapers, a cut does not
+    min_slenderness: float = 35.0
+    crown_spread: float = 2.0
+    thinning: float = 0.6
 
 
-def axis_path(stem: Stem, highest_m: float, *, settings: TopSettings | None = None) -> tuple[Floats, Floats]:
+def axis_path(
+    stem: Stem, highest_m: float, *, bh_m: float = BREAST_HEIGHT_M, settings: TopSettings | None = None
+) -> tuple[Floats, Floats]:
     """Where the continued axis stands in plan at 1 m above the ground and ``highest_m``, or leaves reach (2,)."""
     s = settings or TopSettings()
-    start = stem.axis.center_at(1.3)
+    start = stem.axis.center_at(bh_m)
     slope = stem.axis.parameters[2:4] * s.lean_share
-    rise = max(highest_m, 1.3) - 1.3
+    rise = max(highest_m, bh_m) - bh_m
     lean = float(np.hypot(*slope))
     rise = min(rise, (s.reach_m + s.crown_radius_m) / lean) if lean > 0 else rise
-    return start - 0.3 * slope, start + rise * slope
+    return start - (bh_m - FOOT_M) * slope, start + rise * slope
 
 
 def top_may_be_seen(stem: Stem, dbh_m: float | None, highest_m: float, *, settings: TopSettings | None = None) -> bool:
@@ -57,6 +83,7 @@ def tree_height(
     dbh_m: float | None,
     *,
     highest_m: float,
+    bh_m: float = BREAST_HEIGHT_M,
     settings: TopSettings | None = None,
 ) -> float | None:
     """Height above ground of the stem's top from an index of x, y, height; None where it was not seen.
@@ -67,18 +94,18 @@ def tree_height(
     s = settings or TopSettings()
     if not top_may_be_seen(stem, dbh_m, highest_m, settings=s):
         return None
-    start = stem.axis.center_at(1.3)
+    start = stem.axis.center_at(bh_m)
     slope = stem.axis.parameters[2:4] * s.lean_share
     # All that lies within the crown's radius of the continued axis and within reach, found by one disc about both.
-    low, high = axis_path(stem, highest_m, settings=s)
+    low, high = axis_path(stem, highest_m, bh_m=bh_m, settings=s)
     disc = stand.near(0.5 * (low + high), s.crown_radius_m + 0.5 * float(np.hypot(*(high - low))))
-    x, y, rise = disc[:, 0] - start[0], disc[:, 1] - start[1], disc[:, 2] - 1.3
-    inside = (x * x + y * y <= s.reach_m**2) & (disc[:, 2] > 1.0)
+    x, y, rise = disc[:, 0] - start[0], disc[:, 1] - start[1], disc[:, 2] - bh_m
+    inside = (x * x + y * y <= s.reach_m**2) & (disc[:, 2] > FOOT_M)
     x -= slope[0] * rise
     y -= slope[1] * rise
     inside &= x * x + y * y <= s.crown_radius_m**2
-    near = thin(rows(disc, inside), s.cell_m)
-    if len(near) < 20:
+    near = thin(rows(disc, inside), CELL_M)
+    if len(near) < LEAST_POINTS:
         return None
     own = centers[number]
     apart = lengths(centers - own)
@@ -88,24 +115,24 @@ def tree_height(
         # Not beyond the line half way between the two stems.
         own_side &= gap[0] * x + gap[1] * y <= 0.5 * (gap[0] ** 2 + gap[1] ** 2)
     near = rows(near, own_side)
-    layer = np.floor((near[:, 2] - 1.0) / s.layer_m).astype(np.int64)
+    layer = np.floor((near[:, 2] - FOOT_M) / s.layer_m).astype(np.int64)
     if len(layer) == 0:
         return None
     count = np.bincount(layer)
     empty = 0
     top = 0
     for level, here in enumerate(count):
-        empty = 0 if here >= 3 else empty + 1
+        empty = 0 if here >= LEAST_OF_LAYER else empty + 1
         if empty * s.layer_m > s.max_gap_m:
             break
-        top = level if here >= 3 else top
+        top = level if here >= LEAST_OF_LAYER else top
     height = float(near[layer <= top, 2].max())
     diameter = dbh_m if dbh_m is not None else 2.0 * stem.axis.radius_m
     if height < s.min_height_m or height < s.min_slenderness * diameter:
         return None
-    upper = rows(near, (near[:, 2] > 1.0 + (height - 1.0) * 2.0 / 3.0) & (near[:, 2] <= height))
+    upper = rows(near, (near[:, 2] > FOOT_M + (height - FOOT_M) * 2.0 / 3.0) & (near[:, 2] <= height))
     axis = np.median(upper[:, :2], axis=0)
-    spread = float(np.percentile(lengths(upper[:, :2] - axis), 80)) if len(upper) else 0.0
+    spread = float(np.percentile(lengths(upper[:, :2] - axis), SPREAD_PERCENTILE)) if len(upper) else 0.0
     crown = count[max(top // 3, 0) : top + 1]
     tapers = count[top] <= s.thinning * crown.max()
     return height if spread > s.crown_spread * 0.5 * diameter and tapers else None

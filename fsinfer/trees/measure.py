@@ -9,26 +9,39 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fsinfer.errors import CloudError
+from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.stems import StemCode
 from fsinfer.progress import Progress, silent
 from fsinfer.trees.diameter.section import Section
 from fsinfer.trees.ground.ground import Ground, find_ground
-from fsinfer.trees.points.cells import rows
+from fsinfer.trees.points.cells import BOX_MARGIN_M, BOX_PERCENTILES, rows
 from fsinfer.trees.points.sums import median
-from fsinfer.trees.sanity import TURNS, TurnedCloudError, check_unit, check_upside_down, clean, turned_message
-from fsinfer.trees.search.find import StemSearch, find_stems
+from fsinfer.trees.sanity import (
+    BOX_POINTS,
+    TURNED_POINTS,
+    TURNS,
+    TurnedCloudError,
+    check_unit,
+    check_upside_down,
+    clean,
+    turned_message,
+)
+from fsinfer.trees.search.find import LEAST_POINTS, StemSearch, find_stems
 from fsinfer.trees.settings import TreeSettings
 from fsinfer.trees.stand import NEAR_GROUND_M, StandTable, seen_area, stand_table
 from fsinfer.trees.stem_measurement import doubt_the_rough, measure_stems
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
+#: What is said of how high a cloud reaches: this percentile, for the sake of strays. Source: not recorded.
+TOP_PERCENTILE = 99.9
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlotResult:
     """Trees with their sections (same order), the ground, and what the forester should know.
 
-    ``diagnosis`` is one sentence on what was found, or why nothing was. ``extent_m`` is x_min, y_min, x_max, y_max.
+    ``diagnosis`` says what was found, or why nothing was. ``extent_m`` is x_min, y_min, x_max, y_max.
     With ``units_per_m`` the scale is unknown: positions and ``extent_m`` are in model units, of which so many are
     guessed to make a metre, and the sections are in metres by that guess.
     """
@@ -36,8 +49,8 @@ class PlotResult:
     trees: tuple[Tree, ...]
     sections: tuple[Section, ...]
     ground: Ground | None
-    diagnosis: str
-    warnings: tuple[str, ...]
+    diagnosis: Notice
+    warnings: tuple[Notice, ...]
     extent_m: tuple[float, float, float, float]
     spacing_m: float
     plot_area_m2: float = 0.0
@@ -99,21 +112,21 @@ def analyse_plot(
         return _without_scale(points, settings, units_per_m_hint, progress)
     xyz, warnings = clean(points, settings.sanity)
     # Work about a local origin: map coordinates of 10^6 m would cost precision in the fits.
-    few = np.ascontiguousarray(xyz[:: max(len(xyz) // settings.sanity.box_points, 1), :2].T)
+    few = np.ascontiguousarray(xyz[:: max(len(xyz) // BOX_POINTS, 1), :2].T)
     origin = np.floor([median(few[0]), median(few[1]), 0.0])
     # Column by column in memory, which is how it is looked at.
     columns = np.empty((3, len(xyz)))
     for axis in range(3):
         np.subtract(xyz[:, axis], origin[axis], out=columns[axis])
-    box = np.percentile(few, [0.5, 99.5], axis=1) - origin[:2]
+    box = np.percentile(few, BOX_PERCENTILES, axis=1) - origin[:2]
     check_unit(box, settings.sanity)
     # A single point a kilometre away must not blow up the rasters.
-    margin = 0.5 * float(np.max(box[1] - box[0])) + 2.0
+    margin = 0.5 * float(np.max(box[1] - box[0])) + BOX_MARGIN_M
     near = np.ones(len(xyz), dtype=bool)
     for axis in range(2):
         near &= np.abs(columns[axis] - box[:, axis].mean()) <= 0.5 * np.ptp(box[:, axis]) + margin
     if not near.all():
-        warnings.append(f"{int((~near).sum())} points far outside the plot were left out")
+        warnings.append(notice(StemCode.far_outside, points=int((~near).sum())))
         columns = columns.compress(near, axis=1)
     local = columns.T
     extent = box + origin[:2]
@@ -121,14 +134,14 @@ def analyse_plot(
     progress(0, 3, "finding the ground")
     ground = find_ground(local, settings=settings.ground, seed=settings.seed)
     check_upside_down(local, ground, settings.ground, settings.sanity, seed=settings.seed)
-    if ground.share < 0.6:
-        warnings.append(f"ground seen in only {100 * ground.share:.0f} % of the lowest parts of the plot")
+    if ground.share < settings.sanity.min_ground:
+        warnings.append(notice(StemCode.ground_in_part, percent=100.0 * ground.share))
     stand = np.stack([*columns[:2], columns[2] - ground.height_at(local[:, :2])]).T
     low = rows(stand[:, :2], np.abs(stand[:, 2]) <= NEAR_GROUND_M)
     if seen_area(low, np.zeros((0, 2)), close=False) < settings.sanity.little_ground * plan_m2:
-        warnings.append("little ground is seen: breast height is counted from the lowest points of the stems")
+        warnings.append(notice(StemCode.little_ground))
     progress(1, 3, "looking for stems")
-    search = find_stems(stand, settings=settings.stems, progress=progress, seed=settings.seed)
+    search = find_stems(stand, bh_m=settings.bh_m, settings=settings.stems, progress=progress, seed=settings.seed)
     progress(2, 3, "measuring stems")
     pairs = doubt_the_rough(measure_stems(stand, search, ground, settings, scale_rel_std, origin))
     if not turned and not any(tree.dbh_cm is not None for tree, _ in pairs):
@@ -153,7 +166,7 @@ def analyse_plot(
 def _check_turned(points: Floats, settings: TreeSettings) -> None:
     """Raise where stems stand along another axis than z: clouds of computer graphics are y up."""
     sanity = settings.sanity
-    few = points[:: max(len(points) // sanity.turned_points, 1)]
+    few = points[:: max(len(points) // TURNED_POINTS, 1)]
     seen: list[tuple[float, str, Floats]] = []
     for how, turn in TURNS:
         try:
@@ -173,27 +186,25 @@ def _check_turned(points: Floats, settings: TreeSettings) -> None:
     raise TurnedCloudError(how, turn)
 
 
-def trees_found(trees: Sequence[Tree]) -> str:
+def trees_found(trees: Sequence[Tree]) -> Notice:
     """How many there are and how many of them have a DBH."""
     measured = sum(tree.dbh_cm is not None for tree in trees)
-    return f"{len(trees)} trees found, {measured} with a DBH"
+    return notice(StemCode.trees_found, trees=len(trees), measured=measured)
 
 
-def _diagnosis(trees: list[Tree], search: StemSearch, stand: Floats, settings: TreeSettings) -> str:
+def _diagnosis(trees: list[Tree], search: StemSearch, stand: Floats, settings: TreeSettings) -> Notice:
     if trees:
         return trees_found(trees)
     low, high = settings.stems.heights_m
     slab = int(np.count_nonzero((stand[:, 2] >= low) & (stand[:, 2] <= high)))
-    if slab < 20:
-        top = float(np.percentile(stand[:, 2], 99.9))
-        return (
-            f"no trees found: hardly a point lies {low}-{high} m above the ground (the cloud reaches {top:.2f} m); "
-            "check the scale, or photograph the stems as well as the ground"
-        )
-    reasons = ", ".join(f"{count} {why}" for why, count in sorted(search.rejected.items(), key=lambda item: -item[1]))
-    if reasons:
-        return f"no trees found: {search.candidates} candidates, none holds as a stem ({reasons})"
-    return f"no trees found: {slab} points at stem height, but no round vertical surface among them; check the scale"
+    if slab < LEAST_POINTS:
+        top = float(np.percentile(stand[:, 2], TOP_PERCENTILE))
+        return notice(StemCode.none_at_stem_height, low_m=low, high_m=high, top_m=top)
+    by_count = sorted(search.rejected.items(), key=lambda item: -item[1])
+    if by_count:
+        rejected = tuple(notice(why, count=count) for why, count in by_count)
+        return notice(StemCode.none_holds, candidates=search.candidates, rejected=rejected)
+    return notice(StemCode.none_round, points=slab)
 
 
 def _without_scale(
@@ -220,16 +231,15 @@ def _without_scale(
             residual_cm=None,
             height_m=None,
             status="unmeasured",
-            reason="no scale",
+            reasons=(notice(StemCode.no_scale),),
         )
         for tree in result.trees
     ]
-    warning = "no scale: positions are in model units and no diameter is given"
     x_min, y_min, x_max, y_max = (units * value for value in result.extent_m)
     return replace(
         result,
         trees=tuple(trees),
-        warnings=(*result.warnings, warning),
+        warnings=(*result.warnings, notice(StemCode.model_units)),
         extent_m=(x_min, y_min, x_max, y_max),
         plot_area_m2=0.0,
         units_per_m=units,

@@ -9,27 +9,52 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fsinfer.errors import CloudError
+from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.sentences import sentence
+from fsinfer.notices.stems import StemCode
 from fsinfer.trees.ground.ground import Ground, GroundSettings, find_ground, reach_of
 
 Floats = NDArray[np.float64]
 _log = logging.getLogger(__name__)
 
 
+#: Numerics: every k-th point so that so many are left tells the percentiles of a plot's extent to a centimetre, and as
+#: many coordinates the step in which they come.
+BOX_POINTS, STEP_POINTS = 200_000, 20_000
+#: Numerics: points that are enough to find stems, few enough for a second a side.
+TURNED_POINTS = 300_000
+
+
 @dataclass(frozen=True, kw_only=True)
 class SanitySettings:
-    """Limits beyond which a cloud is doubted or refused."""
+    """Limits beyond which a cloud is doubted or refused.
+
+    Attributes
+    ----------
+    min_points: of a cloud. Source: not recorded.
+    warn_step_m: single precision beyond 40 km: as coarse as a photogrammetric cloud's noise. Source: arithmetic.
+    coarse_step_m: beyond 300 km, as in map coordinates: no circle is left. Source: arithmetic.
+    extent_m: a slice of one stem; the widest plot, which is 50 hectares. Source: not recorded.
+    head_ground: a plot whose ground is under less of it than this may be lying on its head. Source: not recorded.
+    head_gain: it does where the other way up more than so many times that can be ground. Source: not recorded.
+    min_ground: share of the lowest parts that show ground: less is said. Source: not recorded.
+    little_ground: of the plot's box in plan: less is said. Source: not recorded.
+    turned_trees: measured beyond doubt, to turn a cloud: one may be chance. Source: not recorded.
+    max_turned_cm: corners of a building measure as thicker trees. Source: not recorded.
+    turned_ground: times more ground seen than the other way round, where both ways show stems. Source: not recorded.
+    """
 
     min_points: int = 100
-    warn_step_m: float = 0.005  # single precision beyond 40 km: as coarse as a photogrammetric cloud's noise
-    coarse_step_m: float = 0.03  # beyond 300 km, as in map coordinates: no circle is left
-    extent_m: tuple[float, float] = (0.3, 700.0)  # a slice of one stem; the widest plot, which is 50 hectares
-    box_points: int = 200_000  # every k-th point tells the percentiles of a plot's extent to a centimetre
-    head_ground: float = 0.5  # a plot whose ground is under less of it than this may be lying on its head
-    little_ground: float = 0.33  # of the plot's box in plan: less is said
-    turned_points: int = 300_000  # enough to find stems, few enough for a second a side
-    turned_trees: int = 2  # measured beyond doubt: one may be chance
-    max_turned_cm: float = 100.0  # corners of a building measure as thicker trees
-    turned_ground: float = 1.5  # times more ground seen than the other way round, where both ways show stems
+    warn_step_m: float = 0.005
+    coarse_step_m: float = 0.03
+    extent_m: tuple[float, float] = (0.3, 700.0)
+    head_ground: float = 0.5
+    head_gain: float = 2.0
+    min_ground: float = 0.6
+    little_ground: float = 0.33
+    turned_trees: int = 2
+    max_turned_cm: float = 100.0
+    turned_ground: float = 1.5
 
 
 #: Ways a cloud may lie: rotation matrices that turn it z up, with the words for the user.
@@ -55,9 +80,9 @@ class TurnedCloudError(CloudError):
         self.how, self.turn = how, turn
 
     @property
-    def warning(self) -> str:
+    def warning(self) -> Notice:
         """What to say where the cloud was turned for the user."""
-        return f"the cloud did not stand upright: {self.how} in it; it was turned, and so is the frame of all results"
+        return notice(StemCode.turned, how=self.how)
 
 
 def check_upside_down(
@@ -66,8 +91,8 @@ def check_upside_down(
     """Raise where the points (N, 3) show much more ground with the cloud turned on its head."""
     if ground.reach >= sanity.head_ground:
         return
-    turned = points[:: max(len(points) // sanity.turned_points, 1)] * [1.0, -1.0, -1.0]
-    if reach_of(turned, settings=settings) <= 2.0 * ground.reach:
+    turned = points[:: max(len(points) // TURNED_POINTS, 1)] * [1.0, -1.0, -1.0]
+    if reach_of(turned, settings=settings) <= sanity.head_gain * ground.reach:
         return
     try:
         find_ground(turned, settings=settings, seed=seed)
@@ -78,12 +103,12 @@ def check_upside_down(
 
 def coordinate_step(xyz: Floats) -> float:
     """Smallest step between different x or y coordinates of a sample of points (N, 3): the resolution of storage."""
-    sample = xyz[:: max(len(xyz) // 20_000, 1), :2]
+    sample = xyz[:: max(len(xyz) // STEP_POINTS, 1), :2]
     steps = [np.diff(np.unique(sample[:, axis])) for axis in (0, 1)]
     return max((float(step.min()) for step in steps if len(step)), default=0.0)
 
 
-def clean(points: ArrayLike, sanity: SanitySettings) -> tuple[Floats, list[str]]:
+def clean(points: ArrayLike, sanity: SanitySettings) -> tuple[Floats, list[Notice]]:
     """Finite points (N, 3) float64 with warnings; raises where too few are left or their steps are too coarse."""
     xyz = np.asarray(points, dtype=np.float64)
     if xyz.ndim != 2 or xyz.shape[1] != 3:
@@ -93,8 +118,8 @@ def clean(points: ArrayLike, sanity: SanitySettings) -> tuple[Floats, list[str]]
     finite = np.isfinite(xyz[:, 0] + xyz[:, 1] + xyz[:, 2])
     warnings = []
     if not finite.all():
-        warnings.append(f"{int((~finite).sum())} points with NaN or infinite coordinates were left out")
-        _log.warning(warnings[-1])
+        warnings.append(notice(StemCode.not_finite, points=int((~finite).sum())))
+        _log.warning(sentence(warnings[-1]))
         xyz = xyz[finite]
     if len(xyz) < sanity.min_points:
         msg = f"the cloud holds only {len(xyz)} usable points; a plot needs thousands: check the file and the fusion"
@@ -107,7 +132,7 @@ def clean(points: ArrayLike, sanity: SanitySettings) -> tuple[Floats, list[str]]
         )
         raise CloudError(msg)
     if step >= sanity.warn_step_m:
-        warnings.append(f"the coordinates come in steps of {1000 * step:.0f} mm: diameters cannot be better than that")
+        warnings.append(notice(StemCode.coarse_steps, step_mm=1000.0 * step))
     return xyz, warnings
 
 

@@ -9,19 +9,26 @@ from fsinfer.trees.ground.ground import GroundSettings
 from fsinfer.trees.height import TopSettings
 from fsinfer.trees.sanity import SanitySettings
 from fsinfer.trees.search.stem import StemSettings
+from fsinfer.trees.tree import BREAST_HEIGHT_M
 
 
 @dataclass(frozen=True, kw_only=True)
 class TreeSettings:
     """Settings of :func:`analyse_plot` and :func:`measure_trees`.
 
-    ``bh_rule``: breast height counts from the ground at the stem's middle ("midpoint") or from the highest ground at
-    its foot ("uphill", as on forest inventories in many countries).
+    Attributes
+    ----------
+    bh_m: breast height. Source: convention, 1.3 m; 1.37 m in the US.
+    bh_rule: it counts from the ground at the stem's middle ("midpoint") or from the highest ground at its foot
+        ("uphill"). Source: forest inventories of many countries.
+    min_dbh_cm: below lies undergrowth. Source: forest inventories start at 4 to 7 cm.
+    seed: of all random draws.
+    ground, stems, dbh, sanity, top: of the steps.
     """
 
-    bh_m: float = 1.3
+    bh_m: float = BREAST_HEIGHT_M
     bh_rule: str = "midpoint"
-    min_dbh_cm: float = 4.0  # below lies undergrowth; forest inventories start at 4 to 7 cm
+    min_dbh_cm: float = 4.0
     seed: int = 0
     ground: GroundSettings = field(default_factory=GroundSettings)
     stems: StemSettings = field(default_factory=StemSettings)

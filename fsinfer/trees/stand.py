@@ -14,12 +14,18 @@ from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
 
+#: Cells by which the area is counted, metres. Source: not recorded.
 CELL_M = 0.5
-NEAR_GROUND_M = 0.3  # herbs and noise; what lies so low stands for ground that was seen
-CLOSE_M = 1.0  # the shadow of a stem or a shrub on the ground belongs to the plot
+#: Herbs and noise: what lies so low, metres, stands for ground that was seen. Source: not recorded.
+NEAR_GROUND_M = 0.3
+#: Half the width of gaps that are closed, metres: the shadow of a stem or a shrub on the ground belongs to the plot.
+#: Source: not recorded.
+CLOSE_M = 1.0
 AREA_METHOD = "ground seen in the cloud, gaps of up to 2 m closed"
 NO_AREA = "unknown: the cloud shows too little ground around the stems"
-LEAST_ON_GROUND = 0.8  # of the stems must stand on ground that was seen, or its area says nothing of the plot
+#: Share of the stems that must stand on ground that was seen, or its area says nothing of the plot.
+#: Source: not recorded.
+LEAST_ON_GROUND = 0.8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,15 +48,22 @@ class StandTable:
 
 def stand_table(trees: Sequence[Tree], plot_area_m2: float, *, area_method: str = AREA_METHOD) -> StandTable:
     """Summarise ``trees`` on ``plot_area_m2`` square metres (0 when unknown: nothing is given a hectare)."""
-    dbh = np.array([tree.dbh_cm for tree in trees if tree.dbh_cm is not None], dtype=np.float64)
+    return stand_of_diameters([tree.dbh_cm for tree in trees], plot_area_m2, area_method=area_method)
+
+
+def stand_of_diameters(
+    dbh_cm: Sequence[float | None], plot_area_m2: float, *, area_method: str = AREA_METHOD
+) -> StandTable:
+    """:func:`stand_table` of one DBH a stem, None where it was not measured."""
+    dbh = np.array([d for d in dbh_cm if d is not None], dtype=np.float64)
     hectares = plot_area_m2 / 10_000.0
     basal_m2 = float(np.pi / 4.0 * ((dbh / 100.0) ** 2).sum())
     return StandTable(
-        stems=len(trees),
+        stems=len(dbh_cm),
         measured=len(dbh),
         plot_area_m2=plot_area_m2,
         area_method=area_method if hectares > 0 else NO_AREA,
-        stems_per_ha=len(trees) / hectares if hectares > 0 else None,
+        stems_per_ha=len(dbh_cm) / hectares if hectares > 0 else None,
         basal_area_m2_per_ha=basal_m2 / hectares if hectares > 0 and len(dbh) else None,
         quadratic_mean_dbh_cm=float(np.sqrt((dbh**2).mean())) if len(dbh) else None,
         mean_dbh_cm=float(dbh.mean()) if len(dbh) else None,

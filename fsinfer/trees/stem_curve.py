@@ -15,42 +15,63 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.io.files import atomic_path
-from fsinfer.trees.cylinder.axis import axis_coordinates, fit_axis
+from fsinfer.io.csv_text import write_table
+from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.sentences import sentence
+from fsinfer.notices.stems import StemCode
+from fsinfer.trees.cylinder.axis import AxisSettings, axis_coordinates, fit_axis, wider
 from fsinfer.trees.diameter.circle import covered_bins
 from fsinfer.trees.diameter.section import Section
 from fsinfer.trees.diameter.spread import fit_spread
 from fsinfer.trees.measure import PlotResult
 from fsinfer.trees.points.cells import PlanIndex
+from fsinfer.trees.points.surface import SECTORS, WALL_SIGMAS, reach_about_wall
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
 
 
+#: Numerics: points of a window; more do not move the fit.
+MOST_POINTS = 2000
+#: Numerics: no curve goes on above, metres.
+HIGHEST_M = 30.0
+#: Numerics: a fit starts with no smaller radius, metres.
+LEAST_START_M = 0.015
+
+
 @dataclass(frozen=True, kw_only=True)
 class CurveSettings:
-    """Constants of :func:`stem_curves`."""
+    """Constants of :func:`stem_curves`.
+
+    Attributes
+    ----------
+    step_m: from height to height. Source: convention.
+    half_window_m: of the piece of stem fitted; below half a step, so that heights share no points. Source: geometry.
+    reach_m: in plan about the stem's place at breast height; stems that lean farther are not followed. Source: not
+        recorded.
+    min_points: of a window. Source: not recorded.
+    min_coverage: without the metre around it, an arc must tell more than at breast height. Source: not recorded.
+    max_noise: noise against that at breast height: times, and metres on top; more is twigs and leaves. Source: not
+        recorded.
+    max_std: of the diameter, share of it. Source: not recorded.
+    max_growth: diameter from one height to the next farther up, least and greatest; stems taper. Source: not recorded.
+    max_lost_m: without a diameter so far, the stem is not followed any farther. Source: not recorded.
+    """
 
     step_m: float = 0.5
-    half_window_m: float = 0.2  # below half a step: the heights share no points
-    highest_m: float = 30.0
-    reach_m: float = 1.5  # in plan about the stem's place at breast height; stems that lean farther are not followed
-    near_m: tuple[float, float] = (0.05, 0.12)  # about the wall expected: least and greatest, and ...
-    near_of_radius: float = 0.8  # ... this share of the radius
+    half_window_m: float = 0.2
+    reach_m: float = 1.5
     min_points: int = 30
-    min_coverage: float = 90.0 / 360.0  # without the metre around it, an arc must tell more than at breast height
-    max_noise: float = 1.6  # times that at breast height, and ...
-    slack_noise_m: float = 0.004  # ... this; more is twigs and leaves
-    max_std: float = 0.04  # of the diameter
-    max_growth: float = 1.06  # from one height to the next farther up; stems taper
-    max_loss: float = 0.75
-    max_lost_m: float = 2.0  # without a diameter, the stem is not followed any farther
-    max_points: int = 2000
+    min_coverage: float = 90.0 / 360.0
+    max_noise: tuple[float, float] = (1.6, 0.004)
+    max_std: float = 0.04
+    max_growth: tuple[float, float] = (0.75, 1.06)
+    max_lost_m: float = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class CurvePoint:
-    """One height of a stem: diameter in cm, or None and why; ``std_cm`` is the standard deviation of the fit."""
+    """One height of a stem: diameter in cm, or None and ``why``; ``std_cm`` is the standard deviation of the fit."""
 
     tree_id: int
     height_m: float
@@ -58,7 +79,12 @@ class CurvePoint:
     std_cm: float | None
     arc_coverage: float
     points: int
-    reason: str
+    why: Notice | None = None
+
+    @property
+    def reason(self) -> str:
+        """Why there is no diameter, in words; empty where there is one."""
+        return "" if self.why is None else sentence(self.why)
 
 
 COLUMNS = ("tree_id", "height_m", "diameter_cm", "std_cm", "arc_coverage", "points", "reason")
@@ -85,13 +111,7 @@ def stem_curves(
 
 def write_curves(path: Path, curves: Iterable[tuple[CurvePoint, ...]]) -> None:
     """Write ``stem_curve.csv``: a row a height, empty where no diameter could be measured."""
-    import csv
-
-    with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as handle:
-        writer = csv.writer(handle, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        for point in (point for curve in curves for point in curve):
-            writer.writerow(curve_row(point))
+    write_table(path, COLUMNS, (curve_row(point) for curve in curves for point in curve))
 
 
 def curve_row(point: CurvePoint) -> tuple[int | float | str, ...]:
@@ -109,7 +129,7 @@ def curve_row(point: CurvePoint) -> tuple[int | float | str, ...]:
 
 def _curve(near: Floats, tree: Tree, section: Section, origin: Floats, s: CurveSettings) -> tuple[CurvePoint, ...]:
     start = np.array([tree.x_m - origin[0], tree.y_m - origin[1], *section.slope, section.circle_m[2], section.taper])
-    top = min(s.highest_m, float(near[:, 2].max(initial=0.0)))
+    top = min(HIGHEST_M, float(near[:, 2].max(initial=0.0)))
     # The highest window is full: half a one would tell of a lower height.
     up = np.arange(np.ceil(tree.bh_m / s.step_m) * s.step_m, top - s.half_window_m, s.step_m)
     down = np.arange(np.ceil(tree.bh_m / s.step_m) * s.step_m - s.step_m, 0.0, -s.step_m)
@@ -136,40 +156,44 @@ def _at(
 ) -> tuple[CurvePoint, Floats | None]:
     expected = state.copy()
     expected[:2] += state[2:4] * (height - at)
-    expected[4] = max(state[4] + state[5] * (height - at), 0.015)
+    expected[4] = max(state[4] + state[5] * (height - at), LEAST_START_M)
     window = near[np.abs(near[:, 2] - height) <= s.half_window_m]
     offset, _ = axis_coordinates(window, expected, height)
-    reach = float(np.clip(s.near_of_radius * expected[4], *s.near_m))
+    reach = reach_about_wall(expected[4], AxisSettings().window_m)
     window = window[np.abs(np.hypot(offset[:, 0], offset[:, 1]) - expected[4]) <= reach]
-    window = window[:: max(len(window) // s.max_points, 1)]
+    window = window[:: max(len(window) // MOST_POINTS, 1)]
 
-    def none(reason: str, coverage: float = 0.0) -> tuple[CurvePoint, None]:
+    def none(why: Notice, coverage: float = 0.0) -> tuple[CurvePoint, None]:
         point = CurvePoint(
             tree_id=tree.tree_id, height_m=height, diameter_cm=None, std_cm=None, arc_coverage=coverage,
-            points=len(window), reason=reason,
+            points=len(window), why=why,
         )  # fmt: skip
         return point, None
 
     if len(window) < s.min_points:
-        return none(f"too few points: {len(window)}")
+        return none(notice(StemCode.few_at_height, points=len(window)))
     noise = section.residual_m
-    fit = fit_axis(window, expected, height, sigma_m=max(1.5 * noise, 0.006))
+    fit = fit_axis(window, expected, height, sigma_m=wider(noise))
     offset, foot = axis_coordinates(window, fit.parameters, height)
-    wall = np.abs(fit.residuals_m) <= 2.5 * fit.sigma_m
-    coverage = float(covered_bins(offset[wall], bins=36).mean())
+    wall = np.abs(fit.residuals_m) <= WALL_SIGMAS * fit.sigma_m
+    coverage = float(covered_bins(offset[wall], bins=SECTORS[1]).mean())
     if wall.sum() < s.min_points:
-        return none(f"too few points on the bark: {int(wall.sum())}", coverage)
+        return none(notice(StemCode.few_on_bark_at_height, points=int(wall.sum())), coverage)
     if coverage < s.min_coverage:
-        return none(f"only {360 * coverage:.0f} degrees of the stem are seen", coverage)
-    if fit.sigma_m > s.max_noise * noise + s.slack_noise_m:
-        return none(f"surface too rough: residual {100 * fit.sigma_m:.1f} cm", coverage)
+        return none(notice(StemCode.little_seen, seen_deg=360.0 * coverage), coverage)
+    times, slack = s.max_noise
+    if fit.sigma_m > times * noise + slack:
+        return none(notice(StemCode.rough_at_height, residual_cm=100.0 * fit.sigma_m), coverage)
     growth = fit.radius_m / max(float(state[4]), 1e-3)
-    low, high = (s.max_loss, s.max_growth) if height > at else (1.0 / s.max_growth, 1.0 / s.max_loss)
+    low, high = s.max_growth
+    if height < at:
+        low, high = 1.0 / high, 1.0 / low
     if not low <= growth <= high:
-        return none("its curvature does not fit the stem next to it: a whorl, a fork, or twigs", coverage)
+        return none(notice(StemCode.curvature_differs), coverage)
     std = float(np.sqrt(max(fit_spread(fit, offset, foot).covariance[4, 4], 0.0)))
     if std > s.max_std * fit.radius_m:
-        return none(f"too uncertain: {200 * fit.radius_m:.0f} cm, standard deviation {200 * std:.0f} cm", coverage)
+        why = notice(StemCode.uncertain_at_height, diameter_cm=200.0 * fit.radius_m, std_cm=200.0 * std)
+        return none(why, coverage)
     point = CurvePoint(
         tree_id=tree.tree_id,
         height_m=height,
@@ -177,6 +201,5 @@ def _at(
         std_cm=200.0 * std,
         arc_coverage=coverage,
         points=int(wall.sum()),
-        reason="",
     )
     return point, fit.parameters

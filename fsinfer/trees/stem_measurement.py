@@ -4,24 +4,41 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.notices.notice import notice
+from fsinfer.notices.stems import StemCode
 from fsinfer.trees.diameter.dbh import measure_together
 from fsinfer.trees.diameter.section import Section
 from fsinfer.trees.ground.ground import Ground
-from fsinfer.trees.height import TopSettings, axis_path, top_may_be_seen, tree_height
+from fsinfer.trees.height import FOOT_M, axis_path, top_may_be_seen, tree_height
+from fsinfer.trees.height import INDEX_CELL_M as TOP_CELL_M
 from fsinfer.trees.points.cells import PlanIndex, near_paths, rows
-from fsinfer.trees.points.sums import lengths
+from fsinfer.trees.points.sums import Z95, lengths
 from fsinfer.trees.search.find import StemSearch
 from fsinfer.trees.search.stem import Stem
 from fsinfer.trees.settings import TreeSettings
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
-TOGETHER = 16  # stems whose points are held at once
+#: Numerics: stems whose points are held at once; cell of the index of points at stem height, metres; and directions in
+#: which the ground at a stem's foot is looked up.
+TOGETHER, INDEX_CELL_M, FOOT_DIRECTIONS = 16, 0.375, 16
+#: Above and below the heights of the search, metres, points are used too: a stem is measured on its own ground.
+#: Source: not recorded.
+SLAB_MARGIN_M = 0.5
+#: Points this far outside a stem are looked at, metres. Source: not recorded.
+BESIDE_M = 0.35
+#: Stems whose surfaces are nearer than this share their points out, metres; the same stem found twice, whose axes are
+#: nearer than ``SAME_M``, does not. Source: not recorded.
+NEIGHBOUR_M, SAME_M = 0.25, 0.05
+#: The ground's noise over that of the ground level at a stem. Source: not recorded.
+GROUND_POINTS_STD = 3.0
+#: A stem is rougher than the plot's others beyond so many times their median residual and so many centimetres, where
+#: there are enough of them. Source: chosen on simulated double walls.
+ROUGHER, ROUGHER_CM, LEAST_STEMS = 1.7, 0.3, 5
 
 
 def measure_stems(
@@ -34,8 +51,8 @@ def measure_stems(
 ) -> list[tuple[Tree, Section]]:
     """Measure the stems of a search in points (N, 3) of x, y, height above ``ground``, metres about ``origin`` (3,)."""
     low, high = settings.stems.heights_m
-    slab = rows(stand, (stand[:, 2] >= low - 0.5) & (stand[:, 2] <= high + 0.5))
-    index = PlanIndex(slab, settings.stems.index_cell_m)
+    slab = rows(stand, (stand[:, 2] >= low - SLAB_MARGIN_M) & (stand[:, 2] <= high + SLAB_MARGIN_M))
+    index = PlanIndex(slab, INDEX_CELL_M)
     centers = np.array([stem.axis.center_at(settings.bh_m) for stem in search.stems]).reshape(-1, 2)
     measured = []
     for first in range(0, len(search.stems), TOGETHER):
@@ -43,14 +60,16 @@ def measure_stems(
         own, stems = [], []
         for number in numbers:
             stem = search.stems[number]
-            near, stem = _on_own_ground(index.near(centers[number], stem.axis.radius_m + 0.35), stem, ground, settings)
-            own.append(_without_neighbours(near, stem, search.stems))
+            near, stem = _on_own_ground(
+                index.near(centers[number], stem.axis.radius_m + BESIDE_M), stem, ground, settings
+            )
+            own.append(_without_neighbours(near, stem, search.stems, settings.bh_m))
             stems.append(stem)
         sections = measure_together(
             own,
             stems,
             bh_m=settings.bh_m,
-            ground_noise_m=ground.noise_m / 3.0,
+            ground_noise_m=ground.noise_m / GROUND_POINTS_STD,
             scale_rel_std=scale_rel_std,
             settings=settings.dbh,
             seed=settings.seed,
@@ -60,39 +79,47 @@ def measure_stems(
                 measured.append((number, stem, section))
     highest = float(stand[:, 2].max(initial=0.0))
     tall = [(stem, s) for _, stem, s in measured if top_may_be_seen(stem, s.dbh_m, highest, settings=settings.top)]
-    crowns = PlanIndex(_crowns(stand, [stem for stem, _ in tall], highest, settings.top), settings.top.index_cell_m)
+    crowns = PlanIndex(_crowns(stand, [stem for stem, _ in tall], highest, settings), TOP_CELL_M)
     pairs = []
     for number, stem, section in measured:
-        height = tree_height(crowns, stem, centers, number, section.dbh_m, highest_m=highest, settings=settings.top)
+        height = tree_height(
+            crowns,
+            stem,
+            centers,
+            number,
+            section.dbh_m,
+            highest_m=highest,
+            bh_m=settings.bh_m,
+            settings=settings.top,
+        )
         z_ground = float(ground.height_at(section.center[None])[0])
         pairs.append((tree_of(section, z_ground, height, origin), section))
     return pairs
 
 
-def _crowns(stand: Floats, stems: Sequence[Stem], highest: float, settings: TopSettings) -> Floats:
+def _crowns(stand: Floats, stems: Sequence[Stem], highest: float, settings: TreeSettings) -> Floats:
     """Points above 1 m that may belong to one of the stems."""
     if not stems:
         return stand[:0]
-    paths = [axis_path(stem, highest, settings=settings) for stem in stems]
+    paths = [axis_path(stem, highest, bh_m=settings.bh_m, settings=settings.top) for stem in stems]
     starts = np.array([low for low, _ in paths]).reshape(-1, 2)
     ends = np.array([high for _, high in paths]).reshape(-1, 2)
-    above = rows(stand, stand[:, 2] > 1.0)
-    return rows(above, near_paths(above, starts, ends, settings.crown_radius_m))
+    above = rows(stand, stand[:, 2] > FOOT_M)
+    return rows(above, near_paths(above, starts, ends, settings.top.crown_radius_m))
 
 
 def doubt_the_rough(pairs: list[tuple[Tree, Section]]) -> list[tuple[Tree, Section]]:
     """Mark stems much rougher than the others of the plot: double walls too close together to be told apart."""
     residuals = [tree.residual_cm for tree, _ in pairs if tree.dbh_cm is not None and tree.residual_cm is not None]
-    if len(residuals) < 5:
+    if len(residuals) < LEAST_STEMS:
         return pairs
-    limit = 1.7 * float(np.median(residuals)) + 0.3
+    limit = ROUGHER * float(np.median(residuals)) + ROUGHER_CM
     marked = []
     for tree, section in pairs:
         if tree.dbh_cm is not None and tree.residual_cm is not None and tree.residual_cm > limit:
-            doubt = f"residual {tree.residual_cm:.1f} cm, far above the plot's other stems: perhaps a double wall"
-            reason = f"{tree.reason}; {doubt}" if tree.reason else doubt
-            tree = replace(tree, status="doubtful", reason=reason)
-            section = replace(section, status="doubtful", reason=reason)
+            reasons = (*tree.reasons, notice(StemCode.rougher_than_others, residual_cm=tree.residual_cm))
+            tree = replace(tree, status="doubtful", reasons=reasons)
+            section = replace(section, status="doubtful", reasons=reasons)
         marked.append((tree, section))
     return marked
 
@@ -103,7 +130,7 @@ def _on_own_ground(near: Floats, stem: Stem, ground: Ground, settings: TreeSetti
     level = float(ground.height_at(foot[None])[0])
     reference = level
     if settings.bh_rule == "uphill":
-        angle = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
+        angle = np.linspace(0.0, 2.0 * np.pi, FOOT_DIRECTIONS, endpoint=False)
         ring = foot + stem.axis.radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
         reference = float(ground.height_at(ring).max())
     z = near[:, 2] + ground.height_at(near[:, :2]) - reference
@@ -113,13 +140,13 @@ def _on_own_ground(near: Floats, stem: Stem, ground: Ground, settings: TreeSetti
     return np.column_stack([near[:, :2], z]), moved
 
 
-def _without_neighbours(near: Floats, stem: Stem, stems: tuple[Stem, ...]) -> Floats:
+def _without_neighbours(near: Floats, stem: Stem, stems: tuple[Stem, ...], bh_m: float) -> Floats:
     """Drop points that lie closer to the surface of another stem."""
     keep = np.ones(len(near), dtype=bool)
     own = np.abs(_surface_distance(near, stem))
     for other in stems:
-        gap = np.linalg.norm(other.axis.center_at(1.3) - stem.axis.center_at(1.3))
-        if 0.05 < gap < other.axis.radius_m + stem.axis.radius_m + 0.25:
+        gap = np.linalg.norm(other.axis.center_at(bh_m) - stem.axis.center_at(bh_m))
+        if SAME_M < gap < other.axis.radius_m + stem.axis.radius_m + NEIGHBOUR_M:
             keep &= own <= np.abs(_surface_distance(near, other))
     return rows(near, keep)
 
@@ -132,7 +159,7 @@ def _surface_distance(points: Floats, stem: Stem) -> Floats:
 
 def tree_of(section: Section, z_ground: float, height: float | None, origin: Floats) -> Tree:
     """The row of ``trees.csv`` of a section about ``origin`` (3,), in metres; its number is still 0."""
-    return Tree(
+    blank = Tree(
         tree_id=0,
         x_m=float(section.center[0] + origin[0]),
         y_m=float(section.center[1] + origin[1]),
@@ -143,22 +170,31 @@ def tree_of(section: Section, z_ground: float, height: float | None, origin: Flo
         residual_cm=100.0 * section.residual_m if np.isfinite(section.residual_m) else None,
         lean_deg=section.lean_deg,
         height_m=height,
-        **diameter_columns(section),
+        dbh_cm=None,
+        dbh_lo95_cm=None,
+        dbh_hi95_cm=None,
+        dbh_perimeter_cm=None,
+        dbh_min_cm=None,
+        dbh_max_cm=None,
+        status=section.status,
+        reasons=section.reasons,
     )
+    return with_diameter(blank, section)
 
 
-def diameter_columns(section: Section) -> dict[str, Any]:
-    """The fields of :class:`Tree` that say what the diameter is, how sure, and why there is none."""
+def with_diameter(tree: Tree, section: Section) -> Tree:
+    """The tree with what ``section`` says of its diameter, how sure that is, and why there is none."""
     dbh = None if section.dbh_m is None else 100.0 * section.dbh_m
-    half = 1.96 * 100.0 * section.sd_m
+    half = Z95 * 100.0 * section.sd_m
     outline = section.outline if dbh is not None else None
-    return {
-        "dbh_cm": dbh,
-        "dbh_lo95_cm": None if dbh is None else max(dbh - half, 0.0),
-        "dbh_hi95_cm": None if dbh is None else dbh + half,
-        "dbh_perimeter_cm": None if outline is None else 100.0 * outline.girth_diameter_m,
-        "dbh_min_cm": None if outline is None else 100.0 * outline.min_diameter_m,
-        "dbh_max_cm": None if outline is None else 100.0 * outline.max_diameter_m,
-        "status": section.status,
-        "reason": section.reason,
-    }
+    return replace(
+        tree,
+        dbh_cm=dbh,
+        dbh_lo95_cm=None if dbh is None else max(dbh - half, 0.0),
+        dbh_hi95_cm=None if dbh is None else dbh + half,
+        dbh_perimeter_cm=None if outline is None else 100.0 * outline.girth_diameter_m,
+        dbh_min_cm=None if outline is None else 100.0 * outline.min_diameter_m,
+        dbh_max_cm=None if outline is None else 100.0 * outline.max_diameter_m,
+        status=section.status,
+        reasons=section.reasons,
+    )

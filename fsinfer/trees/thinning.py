@@ -17,25 +17,42 @@ from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
 
 from fsinfer.errors import CloudError
 from fsinfer.io.chunks import ChunkedCloud
+from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.stems import StemCode
 from fsinfer.progress import Progress, silent
+from fsinfer.trees.points.cells import BOX_MARGIN_M, BOX_PERCENTILES
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
+#: Numerics: cells, at most, 160 MB of counts; larger plots get wider ones. And halvings by which a limit is found.
+MOST_CELLS, HALVINGS = 40_000_000, 60
+#: Numerics: the pieces of a file that are looked at first may miss a border this wide, metres.
+UNSEEN_MARGIN_M = 10.0
+#: The ground is looked for in columns of so many cells, at this quantile of a column's points (lower ones are strays),
+#: and at most so many cells above the lowest of its neighbours: 35 degrees along the diagonal. Source: not recorded.
+COLUMN_CELLS, GROUND_QUANTILE, MOST_STEP_CELLS = 5, 0.005, 5
+
+
 @dataclass(frozen=True, kw_only=True)
 class ThinningSettings:
-    """Constants of :func:`thin_while_reading`."""
+    """Constants of :func:`thin_while_reading`.
 
-    max_points: int = 8_000_000  # clouds up to this are measured whole; with it the measurement stays below 3 GB
-    cell_m: float = 0.2  # over ten times the noise of bark in photogrammetric clouds
-    max_cells: int = 40_000_000  # 160 MB of counts; larger plots get wider cells
-    fine_heights_m: tuple[float, float] = (0.3, 2.7)  # stems are looked for between 0.5 and 2.5 m
-    fine_share: float = 0.75  # of the points kept
-    column_cells: int = 5  # the ground is looked for in columns of a metre
-    max_step_cells: int = 5  # from a column to the lowest of its neighbours: 35 degrees along the diagonal
-    ground_quantile: float = 0.005  # of a column's points: lower ones are strays
-    unseen_margin_m: float = 10.0  # the pieces of the file that are looked at first may miss a border this wide
+    Attributes
+    ----------
+    max_points: clouds up to this are measured whole; with it the measurement stays below 3 GB. Source: measured
+        (tests/bench/cloud_size.py).
+    cell_m: over ten times the noise of bark in photogrammetric clouds. Source: chosen on simulated stems.
+    fine_heights_m: stems are looked for between 0.5 and 2.5 m. Source: ``StemSettings.heights_m``.
+    fine_share: of the points kept. Source: not recorded.
+    seed: of the draws.
+    """
+
+    max_points: int = 8_000_000
+    cell_m: float = 0.2
+    fine_heights_m: tuple[float, float] = (0.3, 2.7)
+    fine_share: float = 0.75
     seed: int = 0
 
 
@@ -45,7 +62,7 @@ class ThinnedCloud:
 
     xyz: Floats
     total: int
-    warnings: tuple[str, ...]
+    warnings: tuple[Notice, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,9 +121,9 @@ def thin_while_reading(
         progress((finite + read) // 2, cloud.points, "reading the cloud")
     warnings = [_told(cloud.points, sum(map(len, kept)), most, grid.cell_m, s)]
     if finite < cloud.points:
-        warnings.append(f"{cloud.points - finite} points with NaN or infinite coordinates were left out")
+        warnings.append(notice(StemCode.not_finite, points=cloud.points - finite))
     if inside < finite:
-        warnings.append(f"{finite - inside} points far outside the plot were left out")
+        warnings.append(notice(StemCode.far_outside, points=finite - inside))
     return ThinnedCloud(xyz=np.concatenate(kept), total=cloud.points, warnings=tuple(warnings))
 
 
@@ -114,31 +131,31 @@ def _grid(sample: Floats, cloud: ChunkedCloud, s: ThinningSettings) -> _Grid:
     if not len(sample):
         msg = f"{cloud.path} holds no points that can be used; export the cloud again"
         raise CloudError(msg)
-    low, high = np.percentile(sample, [0.5, 99.5], axis=0)
+    low, high = np.percentile(sample, BOX_PERCENTILES, axis=0)
     # As far as the measurement itself looks: a point a kilometre away must not widen the cells.
-    margin = 0.5 * float((high - low)[:2].max()) + 2.0
+    margin = 0.5 * float((high - low)[:2].max()) + BOX_MARGIN_M
     # Nor must cells be spent where nothing is.
-    low = np.maximum(low - margin, sample.min(axis=0) - s.unseen_margin_m)
-    high = np.minimum(high + margin, sample.max(axis=0) + s.unseen_margin_m)
+    low = np.maximum(low - margin, sample.min(axis=0) - UNSEEN_MARGIN_M)
+    high = np.minimum(high + margin, sample.max(axis=0) + UNSEEN_MARGIN_M)
     size = np.maximum(high - low, s.cell_m)
-    cell = max(s.cell_m, float(np.cbrt(np.prod(size) / s.max_cells)))
+    cell = max(s.cell_m, float(np.cbrt(np.prod(size) / MOST_CELLS)))
     shape = tuple(int(n) for n in np.ceil(size / cell).astype(np.int64))
     return _Grid(origin=low, cell_m=cell, shape=(shape[0], shape[1], shape[2]))
 
 
 def _fine_cells(counts: NDArray[np.uint32], cell_m: float, s: ThinningSettings) -> NDArray[np.bool_]:
     """Cells (X, Y, Z) at stem height over a rough ground: the low quantile of each column and its neighbours."""
-    step = max(round(s.column_cells * s.cell_m / cell_m), 1)
+    step = max(round(COLUMN_CELLS * s.cell_m / cell_m), 1)
     nx, ny, nz = counts.shape
     starts = (np.arange(0, nx, step), np.arange(0, ny, step))
     columns = np.add.reduceat(np.add.reduceat(counts, starts[0], axis=0, dtype=np.int64), starts[1], axis=1)
     cumulated = np.cumsum(columns, axis=2)
     total = cumulated[..., -1]
-    level = np.argmax(cumulated >= np.maximum(s.ground_quantile * total, 1.0)[..., None], axis=2)
+    level = np.argmax(cumulated >= np.maximum(GROUND_QUANTILE * total, 1.0)[..., None], axis=2)
     level = np.where(total > 0, level, nz)
     lowest = minimum_filter(level, size=3, mode="nearest")
     # A column that stands far above its neighbours shows a crown or a shrub and no ground.
-    level = np.where(level - lowest <= s.max_step_cells, level, lowest)
+    level = np.where(level - lowest <= MOST_STEP_CELLS, level, lowest)
     ground = np.repeat(np.repeat(level, step, axis=0)[:nx], step, axis=1)[:, :ny].astype(np.int32)
     low, high = (round(height / cell_m) for height in s.fine_heights_m)
     fine = np.empty(counts.shape, dtype=bool)
@@ -171,16 +188,22 @@ def _most(counts: NDArray[np.uint32], crowd: NDArray[np.float32], budget: int) -
     crowds, group = np.unique(np.rint(crowd), return_inverse=True)
     points = np.bincount(group, weights=counts)
     low, high = 0.0, float(crowds[-1])
-    for _ in range(60):
+    for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
         kept = float((points * np.minimum(middle / np.maximum(crowds, 1.0), 1.0)).sum())
         low, high = (middle, high) if kept <= budget else (low, middle)
     return low
 
 
-def _told(total: int, kept: int, most: tuple[float, ...], cell_m: float, s: ThinningSettings) -> str:
+def _told(total: int, kept: int, most: tuple[float, ...], cell_m: float, s: ThinningSettings) -> Notice:
     low, high = s.fine_heights_m
-    return (
-        f"the cloud has {total:,} points: {kept:,} of them, drawn at random, were measured (up to {most[0]:.0f} in "
-        f"each cell of {100 * cell_m:.0f} cm between {low} and {high} m above the ground, {most[1]:.0f} elsewhere)"
+    return notice(
+        StemCode.thinned,
+        total=total,
+        kept=kept,
+        fine=most[0],
+        elsewhere=most[1],
+        cell_cm=100.0 * cell_m,
+        low_m=low,
+        high_m=high,
     )

@@ -4,6 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from fsinfer.notices.notice import Notice
+from fsinfer.notices.sentences import joined
+
+#: Metres above the ground. Source: convention of most countries; 1.37 m in the US.
+BREAST_HEIGHT_M = 1.3
+
 
 @dataclass(frozen=True, kw_only=True)
 class Tree:
@@ -13,7 +19,7 @@ class Tree:
     ground there. ``dbh_cm`` and its 95 % interval come from the circle; ``dbh_perimeter_cm`` is what a diameter tape
     reads (girth / pi) and ``dbh_min_cm``, ``dbh_max_cm`` what callipers read, where the stem was seen nearly all round.
     ``arc_coverage`` in [0, 1]; ``points`` are those the circle used; ``residual_cm`` is the noise of the bark about
-    the model. None means "not measured", and ``reason`` says why. ``status`` is ok, doubtful or unmeasured.
+    the model. None means "not measured", and ``reasons`` say why. ``status`` is ok, doubtful or unmeasured.
     """
 
     tree_id: int
@@ -33,4 +39,9 @@ class Tree:
     lean_deg: float
     height_m: float | None
     status: str
-    reason: str
+    reasons: tuple[Notice, ...]
+
+    @property
+    def reason(self) -> str:
+        """The reasons in words, with semicolons between; empty where there is none."""
+        return joined(self.reasons)

@@ -11,7 +11,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fsinfer.depth.stage import DepthSettings
+from fsinfer.depth.settings import DepthSettings
 from fsinfer.errors import InputError
 from fsinfer.evaluation.metrics import Evaluation, MeasuredTree, evaluate, read_measured
 from fsinfer.io.files import atomic_path, make_folder
@@ -20,7 +20,8 @@ from fsinfer.progress import StageProgress, silent_stages
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.trees import Tree
 from fsinfer.trees.outputs.table import read_trees
-from fsinfer.workflow.pipeline import RunResult, RunSettings, run
+from fsinfer.workflow.pipeline import RunResult, run
+from fsinfer.workflow.settings import RunSettings
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable

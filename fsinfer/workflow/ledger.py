@@ -1,10 +1,11 @@
-"""Bookkeeping of the stages of a run: what is done, from which inputs, in how many seconds, with how much memory.
+"""The ledger of an output folder: which stages are done, from which inputs, in how many seconds, with how much memory.
 
 Each stage has one small JSON record in ``OUT/.fsinfer/NAME.json``. It is written with state ``started`` before the
 work and with state ``done`` *after* everything else, so that a kill at any moment leaves a stage that is not done.
-A stage is skipped when its record is done, its fingerprint (settings and inputs) is the same, and its outputs are
-still what the stage wrote. Later stages put the ``run_id`` of the earlier ones into their inputs: a stage that ran
-again, for whatever reason, makes those that depend on it run again.
+A stage is skipped when its record is done, its fingerprint is the same, and its outputs are still what the stage wrote.
+
+The fingerprint holds what the stage reads, every setting it uses, the version of its own algorithm, and the ``run_id``
+of the stages it follows: one that ran again, for whatever reason, makes those that depend on it run again.
 """
 
 from __future__ import annotations
@@ -18,32 +19,56 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
+from fsinfer._version import __version__
 from fsinfer.errors import InputError, OutputError
 from fsinfer.io.digest import file_digest
 from fsinfer.io.files import make_folder, write_text
-from fsinfer.output.json_values import as_json
+from fsinfer.output.json_values import as_json, of_json
 from fsinfer.workflow.memory_peak import MemoryPeak
 
 RECORDS_FOLDER = ".fsinfer"
-# Raised when a record of an older layout must not be trusted any more.
-RECORD_FORMAT = 1
+#: Raised when records of an older layout must not be trusted any more. Source: the layout of the record.
+RECORD_FORMAT = 2
 
+T = TypeVar("T")
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
-class StageRecord:
-    """What is known of one stage.
+class Stage(Generic[T]):
+    """What is fixed about a stage.
+
+    Attributes
+    ----------
+    name: of the stage and of its record.
+    version: of its algorithm: raised with every change after which the same inputs give another result.
+    result: type of what it returns, a frozen dataclass.
+    outputs: files and folders below the output folder that it owns. Folders are emptied before the work.
+    keeps_partial: the work goes on with what an interrupted attempt *with the same fingerprint* left, instead of
+        starting with empty folders.
+    """
+
+    name: str
+    version: int
+    result: type[T]
+    outputs: tuple[str, ...] = ()
+    keeps_partial: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageRecord(Generic[T]):
+    """What is known of one stage that is done.
 
     Attributes
     ----------
     name: the stage.
     run_id: changes each time that the stage really runs.
-    seconds: wall-clock time of the work, summed over interrupted attempts with the same inputs.
+    seconds: wall-clock time of the work, summed over interrupted attempts with the same fingerprint.
     peak_rss_mb: largest resident memory while it ran, MiB; None where the system does not tell.
-    result: what the stage returned (JSON values).
+    made_by: version of fsinfer that did the work.
+    result: what the stage returned.
     ran: False when the stage was skipped because it was done before.
     """
 
@@ -51,40 +76,35 @@ class StageRecord:
     run_id: str
     seconds: float
     peak_rss_mb: float | None
-    result: dict[str, Any]
+    made_by: str
+    result: T
     ran: bool
 
 
-class StageBook:
+class Ledger:
     """The records of one output folder; :meth:`run` does a stage or skips it."""
 
     def __init__(self, out: Path) -> None:
         self.out = out
         self.folder = out / RECORDS_FOLDER
-        self.records: dict[str, StageRecord] = {}
 
     def run(
         self,
-        name: str,
-        work: Callable[[], Mapping[str, Any]],
+        stage: Stage[T],
+        work: Callable[[bool], T],
         *,
         inputs: Mapping[str, Any],
-        after: Sequence[str] = (),
-        outputs: Sequence[str] = (),
-        keeps_partial: bool = False,
-    ) -> StageRecord:
+        after: Sequence[StageRecord[Any]] = (),
+    ) -> StageRecord[T]:
         """Do ``work`` unless it was done before with the same inputs.
 
         Parameters
         ----------
-        name: name of the stage, used as a file name.
-        work: returns the stage's result, JSON values only.
+        stage: what is fixed about it.
+        work: returns the stage's result. It is given True where it may go on with what an attempt left.
         inputs: everything the result depends on (settings dataclasses, digests of files); made JSON by
-            :func:`as_json`.
-        after: names of the stages whose outputs this one reads; they must have been run in this book.
-        outputs: files and folders below the output folder that the stage owns. Folders are emptied before the work.
-        keeps_partial: the work goes on with what an interrupted attempt *with the same inputs* left, instead of
-            starting with empty folders.
+            :func:`fsinfer.output.json_values.as_json`.
+        after: records of the stages whose outputs this one reads.
 
         Raises
         ------
@@ -93,35 +113,64 @@ class StageBook:
         FsinferError
             Whatever ``work`` raises; the stage stays not done.
         """
-        before = {earlier: self.records[earlier].run_id for earlier in after}
-        fingerprint = _digest({"format": RECORD_FORMAT, "stage": name, "inputs": as_json(inputs), "after": before})
-        saved = self._read(name)
+        told = {
+            "format": RECORD_FORMAT,
+            "stage": stage.name,
+            "version": stage.version,
+            "inputs": as_json(inputs),
+            "after": {record.name: record.run_id for record in after},
+        }
+        fingerprint = _digest(told)
+        saved = self._read(stage.name)
         same = saved.get("fingerprint") == fingerprint
-        if same and saved.get("state") == "done" and saved.get("outputs") == self._describe(outputs):
-            _log.info("stage %s: done before, skipped", name)
-            record = _record(name, saved, ran=False)
-            self.records[name] = record
-            return record
-        carried_on = same and saved.get("state") == "started" and keeps_partial
+        if same and saved.get("state") == "done" and saved.get("outputs") == self._describe(stage.outputs):
+            try:
+                record = self._record(stage, saved, ran=False)
+            except (TypeError, ValueError, KeyError):
+                _log.info("stage %s: its record is of another version", stage.name)
+            else:
+                _log.info("stage %s: done before, skipped", stage.name)
+                return record
+        carried_on = same and saved.get("state") == "started" and stage.keeps_partial
         if not carried_on:
-            self._empty(name, outputs, known=bool(saved))
+            self._empty(stage, known=bool(saved))
         spent_s = float(saved.get("seconds", 0.0)) if carried_on else 0.0
         entry: dict[str, Any] = {"state": "started", "fingerprint": fingerprint, "run_id": secrets.token_hex(8)}
-        self._write(name, entry | {"seconds": spent_s})
+        entry |= {"version": stage.version, "made_by": __version__, "inputs": told["inputs"]}
+        self._write(stage.name, entry | {"seconds": spent_s})
         start = time.perf_counter()
         peak = MemoryPeak()
         try:
-            result = dict(work())
+            result = work(carried_on)
         except BaseException:
             # Only for the clock: the time of an attempt that a later one goes on from is part of the cost.
-            self._write(name, entry | {"seconds": spent_s + time.perf_counter() - start})
+            self._write(stage.name, entry | {"seconds": spent_s + time.perf_counter() - start})
             raise
         entry |= {"seconds": round(spent_s + time.perf_counter() - start, 3), "peak_rss_mb": peak.read_mb()}
-        entry |= {"result": as_json(result), "outputs": self._describe(outputs), "state": "done"}
-        self._write(name, entry)
-        record = _record(name, entry, ran=True)
-        self.records[name] = record
-        return record
+        entry |= {"result": as_json(result, folder=self.out), "outputs": self._describe(stage.outputs), "state": "done"}
+        self._write(stage.name, entry)
+        return self._record(stage, entry, ran=True)
+
+    def inputs_of(self, name: str) -> dict[str, Any] | None:
+        """The inputs that a stage was done with, JSON values; None where it is not done."""
+        saved = self._read(name)
+        inputs = saved.get("inputs")
+        return inputs if saved.get("state") == "done" and isinstance(inputs, dict) else None
+
+    def has(self, name: str) -> bool:
+        """Whether the stage was ever begun in this folder."""
+        return self._path(name).is_file()
+
+    def _record(self, stage: Stage[T], entry: Mapping[str, Any], *, ran: bool) -> StageRecord[T]:
+        return StageRecord(
+            name=stage.name,
+            run_id=str(entry["run_id"]),
+            seconds=float(entry["seconds"]),
+            peak_rss_mb=entry.get("peak_rss_mb"),
+            made_by=str(entry["made_by"]),
+            result=of_json(stage.result, entry["result"], folder=self.out),
+            ran=ran,
+        )
 
     def _path(self, name: str) -> Path:
         return self.folder / f"{name}.json"
@@ -143,8 +192,8 @@ class StageBook:
         """Say what lies at each output, so that a deleted, emptied or overwritten one is noticed."""
         return {output: _describe_path(self.out / output) for output in outputs}
 
-    def _empty(self, name: str, outputs: Sequence[str], *, known: bool) -> None:
-        for output in outputs:
+    def _empty(self, stage: Stage[T], *, known: bool) -> None:
+        for output in stage.outputs:
             folder = self.out / output
             if not folder.is_dir() or not any(folder.iterdir()):
                 continue
@@ -154,7 +203,7 @@ class StageBook:
             try:
                 shutil.rmtree(folder)
             except OSError as error:
-                msg = f"cannot empty {folder} for stage {name} ({error.strerror or error}); delete it by hand"
+                msg = f"cannot empty {folder} for stage {stage.name} ({error.strerror or error}); delete it by hand"
                 raise OutputError(msg) from error
             make_folder(folder)
 
@@ -168,14 +217,3 @@ def _describe_path(path: Path) -> Any:
         sizes = [item.stat().st_size for item in path.rglob("*") if item.is_file()]
         return [len(sizes), sum(sizes)]
     return file_digest(path) if path.is_file() else None
-
-
-def _record(name: str, entry: Mapping[str, Any], *, ran: bool) -> StageRecord:
-    return StageRecord(
-        name=name,
-        run_id=str(entry["run_id"]),
-        seconds=float(entry["seconds"]),
-        peak_rss_mb=entry.get("peak_rss_mb"),
-        result=dict(entry["result"]),
-        ran=ran,
-    )

@@ -5,27 +5,26 @@ Whichever comes first does them, into ``OUT/frames`` and ``OUT/scene``; the othe
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from fsinfer.errors import InputError
-from fsinfer.frames.select import FrameSettings, list_captures, select_frames
+from fsinfer.frames.select import FramesResult, list_captures, select_frames
+from fsinfer.frames.settings import FrameSettings
 from fsinfer.io.digest import file_digest
 from fsinfer.io.images import list_images
-from fsinfer.output.json_values import as_json
-from fsinfer.poses.estimate import PoseSettings, estimate_poses
+from fsinfer.poses.estimate import PosesResult, estimate_poses
+from fsinfer.poses.settings import PoseSettings
 from fsinfer.progress import StageProgress, silent_stages
-from fsinfer.scene import read_scene
-from fsinfer.workflow.ledger import StageBook
+from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
+from fsinfer.workflow.settings import speedless
 
 #: Folders that a run empties and fills.
 STAGE_FOLDERS = ("frames", "scene", "depth", "confidence", "fused", "figures")
-# How the work is spread over the machine does not change what comes out. The precision asked for may, but the hash of
-# the graphs that it led to on this machine says so better.
-_SPEED_OPTIONS = frozenset({"threads", "memory_gb", "provider", "precision"})
+FRAMES = Stage(name="frames", version=1, result=FramesResult, outputs=("frames",))
+POSES = Stage(name="poses", version=1, result=PosesResult, outputs=("scene",), keeps_partial=True)
 
 
 def source_files(source: Path, out: Path) -> list[Path]:
@@ -51,87 +50,76 @@ def source_files(source: Path, out: Path) -> list[Path]:
 
 
 def choose_frames(
-    book: StageBook,
+    ledger: Ledger,
     source: Path,
     files: Sequence[Path],
     *,
     settings: FrameSettings,
+    folder: Path | None = None,
+    outputs: tuple[str, ...] = FRAMES.outputs,
     progress: StageProgress = silent_stages,
-) -> None:
-    """Stage ``frames``: the photos worth using into ``OUT/frames``, unless that was done before."""
-
-    def work() -> Mapping[str, Any]:
-        result = select_frames(source, book.out / "frames", settings=settings, progress=progress("frames"))
-        rejected = [{"name": row.name, "reason": row.reason} for row in result.rows if not row.kept]
-        return {
-            "chosen": len(result.images),
-            "given": len(result.rows),
-            "rejected": rejected,
-            "warnings": result.warnings,
-        }
-
-    digests = [file_digest(path) for path in files]
-    book.run("frames", work, inputs={"source": digests, "settings": speedless(settings)}, outputs=["frames"])
-
-
-def place_photos(
-    book: StageBook, source: Path, *, settings: PoseSettings, progress: StageProgress = silent_stages
-) -> None:
-    """Stage ``poses``, after ``frames``: where each photo was taken into ``OUT/scene``, unless that was done before.
-
-    ``source`` is what messages call the photos.
-    """
-    images, folder = book.out / "frames" / "images", book.out / "scene"
-
-    def work() -> Mapping[str, Any]:
-        result = estimate_poses(images, folder, settings=settings, origin=source, progress=progress("poses"))
-        names = {path.stem for path in list_images(images)}
-        left_out = sorted(names - {view.name for view in read_scene(folder).views})
-        return {
-            "photos": result.photos,
-            "registered": result.registered,
-            "left_out": left_out,
-            "warnings": result.warnings,
-        }
-
-    book.run(
-        "poses",
-        work,
-        inputs={"settings": speedless(settings)},
-        after=["frames"],
-        outputs=["scene"],
-        keeps_partial=True,
+) -> StageRecord[FramesResult]:
+    """Stage ``frames``: the photos worth using into ``folder`` (``OUT/frames``), unless that was done before."""
+    target = folder or ledger.out / "frames"
+    return ledger.run(
+        replace(FRAMES, outputs=outputs),
+        lambda _: select_frames(source, target, settings=settings, progress=progress("frames")),
+        inputs=_frames_inputs(files, settings),
     )
 
 
-def is_placed(files: Sequence[Path], out: Path) -> bool:
+def register_photos(
+    ledger: Ledger,
+    images: Path,
+    *,
+    settings: PoseSettings,
+    origin: Path | None = None,
+    folder: Path | None = None,
+    outputs: tuple[str, ...] = POSES.outputs,
+    after: Sequence[StageRecord[Any]] = (),
+    progress: StageProgress = silent_stages,
+) -> StageRecord[PosesResult]:
+    """Stage ``poses``: where each photo was taken into ``folder`` (``OUT/scene``), unless that was done before.
+
+    ``origin`` is what messages call the photos in ``images``.
+    """
+    target = folder or ledger.out / "scene"
+    return ledger.run(
+        replace(POSES, outputs=outputs),
+        lambda resume: estimate_poses(
+            images, target, settings=settings, origin=origin, resume=resume, progress=progress("poses")
+        ),
+        inputs=_poses_inputs(list_images(images), settings),
+        after=after,
+    )
+
+
+def is_registered(files: Sequence[Path], out: Path) -> bool:
     """Whether ``out`` holds finished poses of frames of just these source files, whatever the settings were."""
-    frames, poses = _read_key(out / "frames" / "frames.json"), _read_key(out / "scene" / "poses.json")
-    if frames.get("source") != {path.name: file_digest(path) for path in files}:
+    ledger = Ledger(out)
+    frames, poses = ledger.inputs_of(FRAMES.name), ledger.inputs_of(POSES.name)
+    if frames is None or poses is None or frames.get("source") != _digests(files):
         return False
     # Frames may have been chosen anew since.
     images = out / "frames" / "images"
     chosen = list_images(images) if images.is_dir() and any(images.iterdir()) else []
-    return bool(chosen) and poses.get("photos") == {path.name: file_digest(path) for path in chosen}
+    return bool(chosen) and poses.get("photos") == _digests(chosen)
 
 
-def is_placed_so(out: Path, *, frames: FrameSettings, poses: PoseSettings) -> bool:
+def is_registered_so(out: Path, *, frames: FrameSettings, poses: PoseSettings) -> bool:
     """Whether the frames and the poses in ``out`` were made with these settings."""
-    pairs = (("frames/frames.json", frames), ("scene/poses.json", poses))
-    found = [_read_key(out / name).get("settings") for name, _ in pairs]
-    asked = [json.loads(json.dumps(asdict(settings))) for _, settings in pairs]
-    return [speedless(entry) for entry in asked] == [speedless(entry or {}) for entry in found]
+    ledger = Ledger(out)
+    made = [(ledger.inputs_of(name) or {}).get("settings") for name in (FRAMES.name, POSES.name)]
+    return made == [speedless(frames), speedless(poses)]
 
 
-def speedless(settings: Any) -> dict[str, Any]:
-    """Settings as JSON values, without those that say how the work is spread over the machine."""
-    return {key: value for key, value in as_json(settings).items() if key not in _SPEED_OPTIONS}
+def _frames_inputs(files: Sequence[Path], settings: FrameSettings) -> dict[str, Any]:
+    return {"source": _digests(files), "settings": speedless(settings)}
 
 
-def _read_key(path: Path) -> dict[str, Any]:
-    """What the stage's own record says that its result was made from; empty where it was not finished."""
-    try:
-        key = json.loads(path.read_text(encoding="utf-8"))["key"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return {}
-    return key if isinstance(key, dict) else {}
+def _poses_inputs(photos: Sequence[Path], settings: PoseSettings) -> dict[str, Any]:
+    return {"photos": _digests(photos), "settings": speedless(settings)}
+
+
+def _digests(files: Sequence[Path]) -> list[str]:
+    return [file_digest(path) for path in files]

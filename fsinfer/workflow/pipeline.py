@@ -6,52 +6,49 @@ that depend on it and no others: another scale or other tree options never repea
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from fsinfer.depth.manifest import read_manifest
-from fsinfer.depth.precision import INT8, choose_precision
-from fsinfer.depth.sfm_check import check_depth
-from fsinfer.depth.stage import DepthSettings, estimate_depth
-from fsinfer.errors import CloudError, InputError
-from fsinfer.frames.select import FrameSettings
-from fsinfer.fusion.fuse import FusionSettings, fuse, most_points
-from fsinfer.io.cloud import read_cloud, write_cloud
+from fsinfer.errors import CloudError
+from fsinfer.io.cloud import read_cloud
 from fsinfer.io.files import make_folder
+from fsinfer.notices.notice import notice
+from fsinfer.notices.stems import StemCode
 from fsinfer.output.json_values import as_json
-from fsinfer.output.plot_json import package_versions, read_plot, write_plot
-from fsinfer.placement.place import density_per_m2, place_cloud
-from fsinfer.poses.colmap import PoseSettings
-from fsinfer.poses.sparse import read_sparse
+from fsinfer.output.plot_json import write_plot
 from fsinfer.progress import StageProgress, silent_stages
-from fsinfer.scale.doubts import doubt_endpoints, doubt_height, unknown_error
-from fsinfer.scale.find import find_scale
-from fsinfer.scale.request import ScaleRequest
+from fsinfer.scale.find import FoundScale
 from fsinfer.scale.scale import marker_centers
-from fsinfer.scene import Scene, read_scene
 from fsinfer.silhouettes.join import StemPhotos
-from fsinfer.trees import TreeSettings
 from fsinfer.trees.edits import TreeEdit, find_edits
-from fsinfer.workflow.ledger import StageBook, StageRecord
-from fsinfer.workflow.photo_stages import choose_frames, place_photos, source_files, speedless
-from fsinfer.workflow.summary import summarize
-from fsinfer.workflow.tree_stage import write_no_trees, write_tree_outputs
+from fsinfer.workflow.cloud_stages import (
+    PlotCloud,
+    compare_with_sfm,
+    compute_depth,
+    fuse_depth,
+    measure_scale,
+    model_digest,
+    place_plot,
+    scene_of,
+)
+from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
+from fsinfer.workflow.photo_stages import choose_frames, register_photos, source_files
+from fsinfer.workflow.settings import RunSettings, speedless
+from fsinfer.workflow.summary import PlotRecords, summarize
+from fsinfer.workflow.tree_stage import PlotCloudInput, TreesResult, TreeStageSettings, measure_plot, no_trees
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunSettings:
-    """The settings of every stage; the defaults suit a plot photographed with a phone."""
+class ReportResult:
+    """The report that was written."""
 
-    frames: FrameSettings = field(default_factory=FrameSettings)
-    poses: PoseSettings = field(default_factory=PoseSettings)
-    depth: DepthSettings = field(default_factory=DepthSettings)
-    fusion: FusionSettings = field(default_factory=FusionSettings)
-    trees: TreeSettings = field(default_factory=TreeSettings)
-    scale: ScaleRequest = field(default_factory=ScaleRequest)
+    path: Path
+
+
+TREES = Stage(name="trees", version=1, result=TreesResult, outputs=("trees.csv", "figures"))
+REPORT = Stage(name="report", version=1, result=ReportResult, outputs=("report.html",))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,27 +59,18 @@ class RunResult:
     ----------
     out: the folder.
     plot: the content of ``plot.json``.
-    stages: the record of every stage, in order; ``ran`` says which were done now.
+    records: of the stages, each with its typed result; report: of the report.
     """
 
     out: Path
     plot: dict[str, Any]
-    stages: tuple[StageRecord, ...]
+    records: PlotRecords
+    report: StageRecord[ReportResult]
 
-
-@dataclass(frozen=True, kw_only=True)
-class _Job:
-    source: Path
-    files: list[Path]
-    out: Path
-    settings: RunSettings
-    model_sha256: str
-    book: StageBook
-    progress: StageProgress
-    edits: tuple[TreeEdit, ...] = ()
-
-    def scene(self) -> Scene:
-        return read_scene(self.out / "scene")
+    @property
+    def stages(self) -> tuple[StageRecord[Any], ...]:
+        """The record of every stage, in order; ``ran`` says which were done now."""
+        return (*self.records.in_order, self.report)
 
 
 def run(
@@ -111,192 +99,83 @@ def run(
     source, out = Path(source), Path(out)
     settings = settings or RunSettings()
     files = source_files(source, out)
-    # A wrong model name must not show after an hour of structure from motion.
-    manifest = read_manifest(settings.depth.model)
-    precision = choose_precision(settings.depth.precision, manifest, provider=settings.depth.provider)
+    # A wrong model name, or an edit that cannot be read, must not show after an hour of structure from motion.
+    model_digest(settings.depth)
     corrections = find_edits(out, edits)
-    make_folder(out)
-    job = _Job(
-        source=source,
-        files=files,
-        out=out,
-        settings=settings,
-        model_sha256=manifest.sha256_of(int8=precision == INT8),
-        book=StageBook(out),
-        progress=progress,
-        edits=corrections,
+    ledger = Ledger(make_folder(out))
+
+    frames = choose_frames(ledger, source, files, settings=settings.frames, progress=progress)
+    poses = register_photos(
+        ledger, out / "frames" / "images", settings=settings.poses, origin=source, progress=progress
     )
-    for stage in (_frames, _poses, _depth, _check, _fuse, _scale, _cloud, _trees):
-        stage(job)
-    _report(job)
-    records = job.book.records
-    plot = summarize(records, settings=_settings_json(job.settings), source=source.name)
+    scene = scene_of(out)
+    depth = compute_depth(ledger, scene, settings=settings.depth, progress=progress)
+    check = compare_with_sfm(ledger, scene, settings=settings.sfm_check, after=[poses, depth])
+    fused = fuse_depth(ledger, scene, settings=settings.fusion, after=[depth], progress=progress)
+    scale = measure_scale(
+        ledger, scene, request=settings.scale, settings=settings.markers, after=[poses], progress=progress
+    )
+    m_per_unit = scale.result.scale.m_per_unit
+    cloud = place_plot(ledger, scene, fused, m_per_unit=m_per_unit, settings=settings.level, progress=progress)
+    trees = _measure_trees(ledger, depth, scale, cloud, settings=settings, edits=corrections, progress=progress)
+    records = PlotRecords(
+        frames=frames, poses=poses, depth=depth, check=check, fuse=fused, scale=scale, cloud=cloud, trees=trees
+    )
+    settings_json = dict(as_json(settings))
+    report = _report(ledger, summarize(records, settings=settings_json, source=source.name), trees, progress)
+    plot = summarize(records, settings=settings_json, source=source.name, report=report)
     write_plot(out, plot)
-    return RunResult(out=out, plot=plot, stages=tuple(records.values()))
+    return RunResult(out=out, plot=plot, records=records, report=report)
 
 
-def _frames(job: _Job) -> None:
-    choose_frames(job.book, job.source, job.files, settings=job.settings.frames, progress=job.progress)
+def _measure_trees(
+    ledger: Ledger,
+    depth: StageRecord[Any],
+    found: StageRecord[FoundScale],
+    placed: StageRecord[PlotCloud],
+    *,
+    settings: RunSettings,
+    edits: Sequence[TreeEdit],
+    progress: StageProgress,
+) -> StageRecord[TreesResult]:
+    """Stage ``trees``: tables, maps and figures."""
+    out, scale, cloud = ledger.out, found.result.scale, placed.result
 
-
-def _poses(job: _Job) -> None:
-    place_photos(job.book, job.source, settings=job.settings.poses, progress=job.progress)
-
-
-def _depth(job: _Job) -> None:
-    def work() -> Mapping[str, Any]:
-        result = estimate_depth(job.scene(), job.out, settings=job.settings.depth, progress=job.progress("depth"))
-        return {
-            "views": result.views,
-            "model": result.model,
-            "model_sha256": result.model_sha256,
-            "precision": result.precision,
-        }
-
-    job.book.run(
-        "depth",
-        work,
-        inputs={"settings": speedless(job.settings.depth), "model_sha256": job.model_sha256},
-        after=["poses"],
-        outputs=["depth", "confidence"],
-        keeps_partial=True,
-    )
-
-
-def _check(job: _Job) -> None:
-    def work() -> Mapping[str, Any]:
-        scene = job.scene()
-        return {"depth_vs_sfm_median_rel": check_depth(scene, read_sparse(scene.folder / "sparse"), job.out).median_rel}
-
-    job.book.run("check", work, inputs={}, after=["poses", "depth"])
-
-
-def _fuse(job: _Job) -> None:
-    def work() -> Mapping[str, Any]:
-        cloud = fuse(job.scene(), job.out, settings=job.settings.fusion, progress=job.progress("fuse"))
-        write_cloud(job.out / "fused" / "cloud.ply", cloud)
-        return {"points": len(cloud.xyz)}
-
-    job.book.run(
-        "fuse",
-        work,
-        # Of the memory only this shows in the cloud.
-        inputs={
-            "settings": speedless(job.settings.fusion),
-            "most_points": most_points(job.scene(), job.out, settings=job.settings.fusion),
-        },
-        after=["poses", "depth"],
-        outputs=["fused"],
-    )
-
-
-def _scale(job: _Job) -> None:
-    def work() -> Mapping[str, Any]:
-        request = job.settings.scale
-        scale, warnings = find_scale(request, scene=job.scene(), progress=job.progress("scale"))
-        doubts = doubt_endpoints(request, _plot_before(job.out)) + unknown_error(scale.source, scale.rel_std)
-        return {**as_json(scale), "warnings": [*warnings, *doubts]}
-
-    job.book.run("scale", work, inputs={"request": job.settings.scale}, after=["poses"])
-
-
-def _plot_before(out: Path) -> dict[str, Any]:
-    """``plot.json`` as an earlier run left it; {} where there is none, or a damaged one, which this run replaces."""
-    try:
-        return read_plot(out)
-    except InputError:
-        return {}
-
-
-def _cloud(job: _Job) -> None:
-    m_per_unit = job.book.records["scale"].result["m_per_unit"]
-
-    def work() -> Mapping[str, Any]:
-        report = job.progress("cloud")
-        report(0, 3, "levelling")
-        placed = place_cloud(read_cloud(job.out / "fused" / "cloud.ply"), job.scene(), m_per_unit=m_per_unit)
-        for done, name in enumerate(("cloud.ply", "cloud.laz"), start=1):
-            report(done, 3, f"writing {name}")
-            write_cloud(job.out / name, placed.cloud)
-        report(3, 3, "cloud")
-        density = None if m_per_unit is None else density_per_m2(placed.cloud.xyz)
-        return {
-            "points": len(placed.cloud.xyz),
-            "density_per_m2": density,
-            "cloud_from_scene": placed.cloud_from_scene,
-            "camera_height": placed.camera_height,
-            "warnings": () if m_per_unit is None else doubt_height(placed.camera_height),
-        }
-
-    job.book.run(
-        "cloud",
-        work,
-        inputs={"m_per_unit": m_per_unit, "versions": package_versions()["fsinfer"]},
-        after=["poses", "fuse"],
-        outputs=["cloud.ply", "cloud.laz"],
-    )
-
-
-def _trees(job: _Job) -> None:
-    scale = job.book.records["scale"].result
-
-    def work() -> Mapping[str, Any]:
+    def work(_resume: bool) -> TreesResult:
+        given = PlotCloudInput(
+            cloud=read_cloud(cloud.path),
+            metric=scale.m_per_unit is not None,
+            scale_rel_std=scale.rel_std or 0.0,
+            camera_height=cloud.camera_height,
+            marker_xyz=marker_centers(scale, cloud.cloud_from_scene),
+            photos=StemPhotos(scene=scene_of(out), depth_folder=out, cloud_from_scene=cloud.cloud_from_scene),
+            edits=edits,
+        )
         try:
-            return write_tree_outputs(
-                read_cloud(job.out / "cloud.ply"),
-                job.out,
-                settings=job.settings.trees,
-                scale_rel_std=scale["rel_std"],
-                metric=scale["m_per_unit"] is not None,
-                camera_height=job.book.records["cloud"].result["camera_height"],
-                marker_xyz=marker_centers(scale, job.book.records["cloud"].result["cloud_from_scene"]),
-                edits=job.edits,
-                photos=_stem_photos(job),
-                progress=job.progress("trees"),
-            )
+            return measure_plot(given, out, settings=of_trees, progress=progress("trees"))
         except CloudError as error:
             # A cloud without ground or stems is a result of the photographs: the report has to say so.
-            return write_no_trees(job.out, reason=f"no trees measured: {error}")
+            return no_trees(out, reason=notice(StemCode.nothing_measured, error=str(error)))
 
-    job.book.run(
-        "trees",
-        work,
-        inputs={
-            "settings": speedless(job.settings.trees),
-            "rel_std": scale["rel_std"],
-            "edits": job.edits,
-            "versions": package_versions()["fsinfer"],
-        },
-        after=["poses", "depth", "cloud"],
-        outputs=["trees.csv", "figures"],
-    )
+    of_trees = TreeStageSettings(trees=settings.trees, silhouettes=settings.silhouettes, stem_curve=settings.stem_curve)
+    inputs = {"settings": speedless(of_trees), "rel_std": scale.rel_std, "edits": edits}
+    return ledger.run(TREES, work, inputs=inputs, after=[depth, found, placed])
 
 
-def _stem_photos(job: _Job) -> StemPhotos:
-    return StemPhotos(
-        scene=job.scene(),
-        depth_folder=job.out,
-        cloud_from_scene=np.asarray(job.book.records["cloud"].result["cloud_from_scene"], dtype=np.float64),
-    )
+def _report(
+    ledger: Ledger, plot: dict[str, Any], trees: StageRecord[TreesResult], progress: StageProgress
+) -> StageRecord[ReportResult]:
+    """Stage ``report``, from ``plot.json`` without the report's own time, which is not known yet."""
+    from fsinfer.report import make_report  # loads matplotlib
 
-
-def _report(job: _Job) -> None:
-    # Without the times: they change when a stage that came out the same is repeated, and the report's own is unknown.
-    plot = summarize(job.book.records, settings=_settings_json(job.settings), source=job.source.name)
-
-    def work() -> Mapping[str, Any]:
-        from fsinfer.report import make_report
-
-        report = job.progress("report")
+    def work(_resume: bool) -> ReportResult:
+        report = progress("report")
         report(0, 1, "report")
-        write_plot(job.out, plot)
-        make_report(job.out)
+        write_plot(ledger.out, plot)
+        path = make_report(ledger.out)
         report(1, 1, "report")
-        return {}
+        return ReportResult(path=path)
 
+    # Times change when a stage that came out the same is repeated.
     timeless = {key: value for key, value in plot.items() if key not in ("seconds", "peak_rss_mb")}
-    job.book.run("report", work, inputs={"plot": timeless}, after=["trees"], outputs=["report.html"])
-
-
-def _settings_json(settings: RunSettings) -> dict[str, Any]:
-    return dict(as_json(settings))
+    return ledger.run(REPORT, work, inputs={"plot": timeless}, after=[trees])

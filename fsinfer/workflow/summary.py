@@ -1,24 +1,71 @@
-"""``plot.json``: one file that says what a run found, how, with what, and how long it took."""
+"""``plot.json`` from the results of the stages."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from fsinfer.depth.sfm_check import DepthCheck
+from fsinfer.depth.stage import DepthResult
+from fsinfer.frames.select import FramesResult
+from fsinfer.notices.capture import NO_SCALE
+from fsinfer.notices.notice import Notice, notice_json
+from fsinfer.notices.sentences import is_remark, sentence
+from fsinfer.notices.stems import StemCode
 from fsinfer.output.json_values import as_json
 from fsinfer.output.plot_json import finite, package_versions, read_plot, write_plot
+from fsinfer.poses.estimate import PosesResult
+from fsinfer.scale.find import FoundScale
+from fsinfer.workflow.cloud_stages import FusedCloud, PlotCloud
 from fsinfer.workflow.ledger import StageRecord
+from fsinfer.workflow.tree_stage import TreesResult
+
+MODEL_UNITS = "model units"
+SCENE_UNITS = "scene units"
+#: Keys of ``plot.json``, in its order; those that are not known are null.
+PLOT_KEYS = (
+    "source", "photos_given", "rejected", "photos", "registered", "left_out", "units", "scale_m_per_unit",
+    "scale_source", "scale_rel_std", "scale_details", "cloud_from_scene", "camera_height", "points", "density_per_m2",
+    "depth_vs_sfm_median_rel", "ground_method", "trees", "trees_with_dbh", "trees_with_silhouette", "diagnosis",
+    "stand", "plot_area_m2", "seconds", "peak_rss_mb", "versions", "made_by", "model", "model_sha256",
+    "model_precision", "warnings", "warning_codes", "settings",
+)  # fmt: skip
 
 
-def summarize(records: Mapping[str, StageRecord], *, settings: Mapping[str, Any], source: str) -> dict[str, Any]:
+@dataclass(frozen=True, kw_only=True)
+class PlotRecords:
+    """The records of all stages but the report, in the order of their run."""
+
+    frames: StageRecord[FramesResult]
+    poses: StageRecord[PosesResult]
+    depth: StageRecord[DepthResult]
+    check: StageRecord[DepthCheck]
+    fuse: StageRecord[FusedCloud]
+    scale: StageRecord[FoundScale]
+    cloud: StageRecord[PlotCloud]
+    trees: StageRecord[TreesResult]
+
+    @property
+    def in_order(self) -> tuple[StageRecord[Any], ...]:
+        """As the stages ran."""
+        return (
+            self.frames, self.poses, self.depth, self.check, self.fuse, self.scale, self.cloud, self.trees,
+        )  # fmt: skip
+
+
+def summarize(
+    records: PlotRecords, *, settings: Mapping[str, Any], source: str, report: StageRecord[Any] | None = None
+) -> dict[str, Any]:
     """Put the results of the stages together.
 
     Parameters
     ----------
-    records: by stage name, in the order they ran; stages that are missing leave their keys ``None``.
+    records: of the stages.
     settings: of all stages, JSON values.
     source: name of the photo folder or video, without its path.
+    report: record of the report, once it is written.
 
     Returns
     -------
@@ -26,70 +73,94 @@ def summarize(records: Mapping[str, StageRecord], *, settings: Mapping[str, Any]
     ``left_out`` are those of them without a pose. ``units`` is "m", or "model units" while no scale is known.
     ``density_per_m2`` is points over the plan area of the occupied 0.25 m cells. ``cloud_from_scene`` is the 4x4
     similarity from the scene's coordinates to those of cloud.ply; ``camera_height`` is in units of the cloud.
-    ``depth_vs_sfm_median_rel`` is the median of |depth - SfM depth| / SfM depth over well-observed SfM points.
+    ``depth_vs_sfm_median_rel`` is the median of |depth - SfM depth| / SfM depth over well-observed tie points.
+    ``warning_codes`` are the ``warnings`` with their codes and values, in the same order; ``made_by`` is the version of
+    fsinfer that did each stage, which may be older than that in ``versions``.
     """
-    results: dict[str, dict[str, Any]] = {name: record.result for name, record in records.items()}
-
-    def value(stage: str, key: str) -> Any:
-        return results.get(stage, {}).get(key)
-
-    seconds = {name: record.seconds for name, record in records.items()}
-    peaks = [record.peak_rss_mb for record in records.values() if record.peak_rss_mb is not None]
+    frames, poses, scale = records.frames.result, records.poses.result, records.scale.result.scale
+    cloud, trees, depth = records.cloud.result, records.trees.result, records.depth.result
+    done = (*records.in_order, *(() if report is None else (report,)))
+    seconds = {record.name: record.seconds for record in done}
+    peaks = [record.peak_rss_mb for record in done if record.peak_rss_mb is not None]
     plot = {
         "source": source,
-        "photos_given": value("frames", "given"),
-        "rejected": value("frames", "rejected"),
-        "photos": value("poses", "photos"),
-        "registered": value("poses", "registered"),
-        "left_out": value("poses", "left_out"),
-        "units": "model units" if value("scale", "m_per_unit") is None else "m",
-        "scale_m_per_unit": value("scale", "m_per_unit"),
-        "scale_source": value("scale", "source") or "none",
-        "scale_rel_std": value("scale", "rel_std"),
-        "scale_details": value("scale", "details"),
-        "cloud_from_scene": value("cloud", "cloud_from_scene"),
-        "camera_height": value("cloud", "camera_height"),
-        "points": value("cloud", "points"),
-        "density_per_m2": value("cloud", "density_per_m2"),
-        "depth_vs_sfm_median_rel": value("check", "depth_vs_sfm_median_rel"),
-        "ground_method": value("trees", "ground_method"),
-        "trees": value("trees", "trees"),
-        "trees_with_dbh": value("trees", "trees_with_dbh"),
-        "trees_with_silhouette": value("trees", "trees_with_silhouette"),
-        "diagnosis": value("trees", "diagnosis"),
-        "stand": value("trees", "stand"),
-        "plot_area_m2": value("trees", "plot_area_m2"),
+        "photos_given": len(frames.rows),
+        "rejected": [{"name": row.name, "reason": row.reason} for row in frames.rows if not row.kept],
+        "photos": poses.photos,
+        "registered": poses.registered,
+        "left_out": poses.left_out,
+        "units": MODEL_UNITS if scale.m_per_unit is None else "m",
+        "scale_m_per_unit": scale.m_per_unit,
+        "scale_source": scale.source,
+        "scale_rel_std": scale.rel_std,
+        "scale_details": {} if scale.details is None else scale.details,
+        "cloud_from_scene": cloud.cloud_from_scene,
+        "camera_height": cloud.camera_height,
+        "points": cloud.points,
+        "density_per_m2": cloud.density_per_m2,
+        "depth_vs_sfm_median_rel": records.check.result.median_rel,
+        **tree_values(trees),
         "seconds": seconds | {"total": round(sum(seconds.values()), 3)},
         "peak_rss_mb": max(peaks, default=None),
         "versions": package_versions(),
-        "model": value("depth", "model"),
-        "model_sha256": value("depth", "model_sha256"),
-        "model_precision": value("depth", "precision"),
-        "warnings": _warnings(results),
+        "made_by": {record.name: record.made_by for record in done},
+        "model": depth.model,
+        "model_sha256": depth.model_sha256,
+        "model_precision": depth.precision,
+        **warning_values(all_warnings(records)),
         "settings": dict(settings),
     }
     return dict(finite(as_json(plot)))
 
 
-def _warnings(results: Mapping[str, Mapping[str, Any]]) -> list[str]:
+def tree_values(trees: TreesResult) -> dict[str, Any]:
+    """What ``plot.json`` tells of the trees."""
+    return {
+        "ground_method": trees.ground_method,
+        "trees": trees.trees,
+        "trees_with_dbh": trees.trees_with_dbh,
+        "trees_with_silhouette": trees.trees_with_silhouette,
+        "diagnosis": sentence(trees.diagnosis),
+        "stand": trees.stand,
+        "plot_area_m2": trees.plot_area_m2,
+    }
+
+
+def warning_values(warnings: Iterable[Notice]) -> dict[str, Any]:
+    """``warnings`` as sentences, and ``warning_codes`` as codes with values."""
+    given = tuple(warnings)
+    codes = [notice_json(item) | {"text": sentence(item), "remark": is_remark(item)} for item in given]
+    return {"warnings": [sentence(item) for item in given], "warning_codes": codes}
+
+
+def all_warnings(records: PlotRecords) -> tuple[Notice, ...]:
     """What all stages warn of; that there is no scale is said once, by the stage that looked for one."""
-    said = results.get("scale", {}).get("warnings") or ()
-    texts: list[str] = []
-    for name, result in results.items():
-        own = result.get("warnings") or ()
-        texts += no_scale_once(said, own) if name == "trees" else own
-    return texts
+    found = records.scale.result.warnings
+    return (
+        *records.frames.result.warnings,
+        *records.poses.result.warnings,
+        *found,
+        *records.cloud.result.warnings,
+        *no_scale_once(found, records.trees.result.warnings),
+    )
 
 
-def no_scale_once(said: Iterable[str], more: Iterable[str]) -> list[str]:
+def no_scale_once(said: Iterable[Notice], more: Iterable[Notice]) -> tuple[Notice, ...]:
     """Warnings ``more``, without that there is no scale where it was ``said`` already."""
-    told = any(text.startswith("no scale") for text in said)
-    return [text for text in more if not (told and text.startswith("no scale"))]
+    told = any(item.code in NO_SCALE for item in said)
+    return tuple(item for item in more if not (told and item.code == StemCode.model_units))
 
 
 def update_plot(out: Path, *, source: str, stage: str, seconds: float, values: Mapping[str, Any]) -> dict[str, Any]:
     """Put what a single command found into ``plot.json``, which need not exist yet; return its new content."""
-    plot = read_plot(out) or summarize({}, settings={}, source=source)
+    plot = read_plot(out) or dict.fromkeys(PLOT_KEYS) | {
+        "source": source,
+        "units": MODEL_UNITS,
+        "scale_source": "none",
+        "versions": package_versions(),
+        "settings": {},
+        **warning_values(()),
+    }
     times = {key: value for key, value in (plot.get("seconds") or {}).items() if key != "total"}
     times[stage] = round(seconds, 3)
     plot |= dict(values) | {"seconds": times | {"total": round(sum(times.values()), 3)}}

@@ -1,165 +1,235 @@
-"""What the tree stage leaves in the output folder: tables, maps, labelled points, figures, and why there are none."""
+"""The tree stage: find the stems, drop the posts of markers, apply edits, look at the photographs, write everything."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import OutputError
+from fsinfer.io.cloud import PointCloud, write_cloud
+from fsinfer.notices.notice import Notice
 from fsinfer.progress import Progress, silent
 from fsinfer.scale.scale import CAMERA_HEIGHT_M
+from fsinfer.silhouettes.join import SilhouetteJoinSettings, StemPhotos, measure_silhouettes, write_sources
+from fsinfer.trees import PlotResult, StandTable, TreeSettings, analyse_plot
+from fsinfer.trees.edits import TreeEdit, apply_edits
+from fsinfer.trees.outputs.labels import label_points
+from fsinfer.trees.outputs.maps import write_maps
+from fsinfer.trees.outputs.reasons import write_reasons
+from fsinfer.trees.outputs.table import write_trees
 from fsinfer.trees.outputs.workbook import write_tables
 from fsinfer.trees.posts import without_posts
-
-if TYPE_CHECKING:
-    from fsinfer.io.cloud import PointCloud
-    from fsinfer.silhouettes.join import StemPhotos
-    from fsinfer.trees import PlotResult, TreeSettings
-    from fsinfer.trees.edits import TreeEdit
+from fsinfer.trees.stem_curve import CurvePoint, CurveSettings, stem_curves, write_curves
 
 # Everything but trees.csv and the figures: what an earlier measurement in metres may have left.
 MAPS = ("trees.gpkg", "trees.geojson", "trees.laz", "trees.xlsx", "stem_curve.csv", "dbh_sources.csv")
 
 
-def write_tree_outputs(
-    cloud: PointCloud,
-    out: Path,
-    *,
-    settings: TreeSettings,
-    scale_rel_std: float | None = None,
-    metric: bool = True,
-    camera_height: float | None = None,
-    marker_xyz: NDArray[np.float64] | None = None,
-    epsg: int | None = None,
-    write_labelled: Callable[[Path, PlotResult], None] | None = None,
-    edits: Sequence[TreeEdit] = (),
-    photos: StemPhotos | None = None,
-    progress: Progress = silent,
-) -> dict[str, Any]:
-    """Measure the trees of a cloud (z up) and write table, maps, labelled points and figures into ``out``.
+@dataclass(frozen=True, kw_only=True)
+class UnmeasuredTree:
+    """A tree without a DBH, and why."""
 
-    Parameters
+    tree_id: int
+    reasons: tuple[Notice, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TreesResult:
+    """What the tree stage found.
+
+    Attributes
+    ----------
+    trees, trees_with_dbh, trees_with_silhouette: numbers of stems; of those with a DBH; with edges in photographs.
+    ground_method: how the ground was found, None where it was not.
+    diagnosis: what was found, or why nothing was.
+    stand: the stand table; plot_area_m2: None when unknown.
+    unmeasured: the trees without a DBH.
+    warnings: repeat the diagnosis when no tree was found.
+    """
+
+    trees: int = 0
+    trees_with_dbh: int = 0
+    trees_with_silhouette: int = 0
+    ground_method: str | None = None
+    diagnosis: Notice
+    stand: StandTable | None = None
+    plot_area_m2: float | None = None
+    unmeasured: tuple[UnmeasuredTree, ...] = ()
+    warnings: tuple[Notice, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlotCloudInput:
+    """A cloud to be measured and what is known of it.
+
+    Attributes
     ----------
     cloud: z up; metres, or model units with ``metric=False``: then the trees get positions and no DBH.
-    out: receives ``trees.csv`` and ``figures/*.png``, and in metres ``trees.gpkg`` (``trees.geojson`` too where the
-        frame is of WGS84) and ``trees.laz``, the cloud with a ``TreeID``, ``stem_curve.csv`` and ``trees.xlsx`` (all
-        tables as sheets), with ``photos`` also ``dbh_sources.csv`` and ``figures/*_edges.png``; what an earlier
-        measurement left is removed.
-    settings: of the measurement.
-    scale_rel_std: relative standard deviation of the scale, if known; it widens every interval.
+    metric: whether the unit is the metre.
+    scale_rel_std: relative standard deviation of the scale; it widens every interval.
     camera_height: median height of the cameras above the ground, in units of the cloud; a person holds a camera at
         about 1.5 m, which tells roughly how large the trees are while the scale is unknown.
-    marker_xyz: (M, 3) centres of the markers that gave the scale, in the cloud's frame: see :func:`without_posts`.
+    marker_xyz: (M, 3) centres of the markers that gave the scale: see :func:`fsinfer.trees.posts.without_posts`.
     epsg: code of the cloud's horizontal frame; None for local metres.
-    edits: corrections by hand (:mod:`fsinfer.trees.edits`), applied to what was found.
     photos: those the cloud was made of; the stems' edges in them make the diameters sharper (metres only).
+    edits: corrections by hand (:mod:`fsinfer.trees.edits`), applied to what was found.
     write_labelled: writes ``trees.laz`` instead, for a cloud of which only a part is in memory.
+    """
 
-    Returns
-    -------
-    JSON values: ``trees``, ``trees_with_dbh``, ``ground_method``, ``diagnosis``, ``stand`` (the stand table),
-    ``plot_area_m2`` (None when unknown), and ``warnings``, which repeat the diagnosis when no tree was found.
+    cloud: PointCloud
+    metric: bool = True
+    scale_rel_std: float = 0.0
+    camera_height: float | None = None
+    marker_xyz: NDArray[np.float64] | None = None
+    epsg: int | None = None
+    photos: StemPhotos | None = None
+    edits: Sequence[TreeEdit] = ()
+    write_labelled: Callable[[Path, PlotResult], None] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class TreeStageSettings:
+    """Of the measurement in the cloud, of the edges in the photographs, of the stem curves."""
+
+    trees: TreeSettings = field(default_factory=TreeSettings)
+    silhouettes: SilhouetteJoinSettings = field(default_factory=SilhouetteJoinSettings)
+    stem_curve: CurveSettings = field(default_factory=CurveSettings)
+
+
+def measure_plot(
+    given: PlotCloudInput, out: Path, *, settings: TreeStageSettings | None = None, progress: Progress = silent
+) -> TreesResult:
+    """Measure the trees of a cloud and write table, maps, labelled points and figures into ``out``.
+
+    ``out`` receives ``trees.csv``, ``trees.json`` (the reasons as codes) and ``figures/*.png``, and in metres
+    ``trees.gpkg`` (``trees.geojson`` too where the frame's place on earth is known) and ``trees.laz``, the cloud with a
+    ``TreeID``, ``stem_curve.csv`` and ``trees.xlsx`` (all tables as sheets), with photographs also ``dbh_sources.csv``
+    and ``figures/*_edges.png``; what an earlier measurement left is removed.
 
     Raises
     ------
     CloudError
         The cloud holds no plot: too few points, no ground, or a size that cannot be in metres.
     """
-    from fsinfer.io.cloud import write_cloud
-    from fsinfer.trees import analyse_plot
-    from fsinfer.trees.outputs.figures import write_figures
-    from fsinfer.trees.outputs.labels import label_points
-    from fsinfer.trees.outputs.maps import write_maps
-    from fsinfer.trees.outputs.table import write_trees
-    from fsinfer.trees.stem_curve import stem_curves, write_curves
+    settings = settings or TreeStageSettings()
+    found = _find(given, settings, progress)
+    edited = _edit(found, given, settings)
+    clear_outputs(out)
+    measured = _look_at_photos(edited, given, out, settings, found=found, progress=progress)
+    curves = stem_curves(given.cloud.xyz, measured, settings=settings.stem_curve) if given.metric else {}
+    _write(measured, given, out, curves)
+    return _summary(measured)
 
-    hint = None if camera_height is None or camera_height <= 0 else camera_height / CAMERA_HEIGHT_M
+
+def no_trees(out: Path, *, reason: Notice) -> TreesResult:
+    """Write an empty ``trees.csv`` where measuring is impossible."""
+    write_trees(out / "trees.csv", [])
+    write_reasons(out / "trees.json", [])
+    clear_outputs(out)
+    return TreesResult(diagnosis=reason, warnings=(reason,))
+
+
+def clear_outputs(out: Path) -> None:
+    """Remove maps and figures of an earlier measurement; :class:`OutputError` where a program holds them."""
+    _remove((out / "figures").glob("*.png"))
+    _remove(path for name in MAPS if (path := out / name).is_file())
+
+
+def _find(given: PlotCloudInput, settings: TreeStageSettings, progress: Progress) -> PlotResult:
+    """The stems of the cloud, without the posts of markers."""
+    height = given.camera_height
+    hint = None if height is None or height <= 0 else height / CAMERA_HEIGHT_M
     result = analyse_plot(
-        cloud.xyz,
-        settings=settings,
-        scale_rel_std=scale_rel_std or 0.0,
-        metric=metric,
-        units_per_m_hint=None if metric else hint,
-        turned=camera_height is not None,
+        given.cloud.xyz,
+        settings=settings.trees,
+        scale_rel_std=given.scale_rel_std,
+        metric=given.metric,
+        units_per_m_hint=None if given.metric else hint,
+        turned=height is not None,
         progress=progress,
     )
-    if marker_xyz is not None and metric:
-        result = without_posts(result, marker_xyz)
-    found = set(result.trees)
-    if edits:
-        from fsinfer.trees.edits import apply_edits
+    if given.marker_xyz is None or not given.metric:
+        return result
+    return without_posts(result, given.marker_xyz)
 
-        result = apply_edits(
-            result, cloud.xyz, edits, settings=settings, scale_rel_std=scale_rel_std or 0.0, metric=metric
-        )
-    _clear_figures(out)
-    _clear_maps(out)
-    if photos is not None and metric:
-        from fsinfer.silhouettes.join import measure_silhouettes, write_sources
 
-        result = measure_silhouettes(
-            result,
-            photos,
-            scale_rel_std=scale_rel_std or 0.0,
-            dbh=settings.dbh,
-            figures=out / "figures",
-            kept={tree.tree_id for tree in result.trees if tree not in found},  # by hand: a person knows better
-            progress=progress,
-        )
-        write_sources(out / "dbh_sources.csv", result)
+def _edit(found: PlotResult, given: PlotCloudInput, settings: TreeStageSettings) -> PlotResult:
+    """The stem map as corrected by hand."""
+    if not given.edits:
+        return found
+    return apply_edits(
+        found,
+        given.cloud.xyz,
+        given.edits,
+        settings=settings.trees,
+        scale_rel_std=given.scale_rel_std,
+        metric=given.metric,
+    )
+
+
+def _look_at_photos(
+    result: PlotResult,
+    given: PlotCloudInput,
+    out: Path,
+    settings: TreeStageSettings,
+    *,
+    found: PlotResult,
+    progress: Progress,
+) -> PlotResult:
+    """Diameters joined with those of the stems' edges in the photographs, where there are any."""
+    if given.photos is None or not given.metric:
+        return result
+    by_cloud = set(found.trees)
+    joined = measure_silhouettes(
+        result,
+        given.photos,
+        scale_rel_std=given.scale_rel_std,
+        dbh=settings.trees.dbh,
+        settings=settings.silhouettes,
+        figures=out / "figures",
+        kept={tree.tree_id for tree in result.trees if tree not in by_cloud},  # by hand: a person knows better
+        progress=progress,
+    )
+    write_sources(out / "dbh_sources.csv", joined)
+    return joined
+
+
+def _write(result: PlotResult, given: PlotCloudInput, out: Path, curves: dict[int, tuple[CurvePoint, ...]]) -> None:
+    """Tables, figures, maps and labelled points."""
+    from fsinfer.trees.outputs.figures import write_figures  # loads matplotlib
+
     write_trees(out / "trees.csv", result.trees)
-    curves = stem_curves(cloud.xyz, result) if metric else {}
+    write_reasons(out / "trees.json", result.trees)
     write_figures(out / "figures", result, curves=curves)
-    if metric:
-        write_curves(out / "stem_curve.csv", curves.values())
-        write_tables(out / "trees.xlsx", result, curves)
-        write_maps(out, result.trees, epsg=epsg)
-        if write_labelled is None:
-            labels = label_points(cloud.xyz, result)
-            write_cloud(out / "trees.laz", replace(cloud, extra=cloud.extra | {"TreeID": labels}))
-        else:
-            write_labelled(out / "trees.laz", result)
-    return {
-        "trees": len(result.trees),
-        "trees_with_dbh": sum(tree.dbh_cm is not None for tree in result.trees),
-        "trees_with_silhouette": sum(section.silhouette is not None for section in result.sections),
-        "ground_method": None if result.ground is None else result.ground.method,
-        "diagnosis": result.diagnosis,
-        "stand": asdict(result.stand),
-        "plot_area_m2": result.plot_area_m2 or None,
-        "warnings": [*result.warnings, *(() if result.trees else (result.diagnosis,))],
-    }
+    if not given.metric:
+        return
+    write_curves(out / "stem_curve.csv", curves.values())
+    write_tables(out / "trees.xlsx", result, curves)
+    write_maps(out, result.trees, epsg=given.epsg)
+    if given.write_labelled is not None:
+        given.write_labelled(out / "trees.laz", result)
+        return
+    labels = label_points(given.cloud.xyz, result)
+    write_cloud(out / "trees.laz", replace(given.cloud, extra=given.cloud.extra | {"TreeID": labels}))
 
 
-def write_no_trees(out: Path, *, reason: str) -> dict[str, Any]:
-    """Write an empty ``trees.csv`` where measuring is impossible; returns what :func:`write_tree_outputs` does."""
-    from fsinfer.trees.outputs.table import write_trees
-
-    write_trees(out / "trees.csv", [])
-    _clear_figures(out)
-    _clear_maps(out)
-    nothing = {"ground_method": None, "stand": None, "plot_area_m2": None}
-    return {
-        "trees": 0,
-        "trees_with_dbh": 0,
-        "trees_with_silhouette": 0,
-        **nothing,
-        "diagnosis": reason,
-        "warnings": [reason],
-    }
-
-
-def _clear_figures(out: Path) -> None:
-    _remove((out / "figures").glob("*.png"))
-
-
-def _clear_maps(out: Path) -> None:
-    _remove(path for name in MAPS if (path := out / name).is_file())
+def _summary(result: PlotResult) -> TreesResult:
+    unmeasured = [tree for tree in result.trees if tree.dbh_cm is None]
+    return TreesResult(
+        trees=len(result.trees),
+        trees_with_dbh=len(result.trees) - len(unmeasured),
+        trees_with_silhouette=sum(section.silhouette is not None for section in result.sections),
+        ground_method=None if result.ground is None else result.ground.method,
+        diagnosis=result.diagnosis,
+        stand=result.stand,
+        plot_area_m2=result.plot_area_m2 or None,
+        unmeasured=tuple(UnmeasuredTree(tree_id=tree.tree_id, reasons=tree.reasons) for tree in unmeasured),
+        warnings=(*result.warnings, *(() if result.trees else (result.diagnosis,))),
+    )
 
 
 def _remove(paths: Iterable[Path]) -> None:

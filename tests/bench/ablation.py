@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 
 from export.onnx_export import export_model
-from fsinfer.depth.stage import DepthSettings, estimate_depth
+from fsinfer.depth.settings import DepthSettings
+from fsinfer.depth.stage import estimate_depth
 from fsinfer.errors import CloudError, FsinferError
 from fsinfer.evaluation.metrics import evaluate, read_measured
 from fsinfer.fusion.fuse import fuse

@@ -27,8 +27,9 @@ from numpy.typing import NDArray
 
 from fsinfer.check import CheckResult, check_capture
 from fsinfer.check.coarse_depth import read_glance, take_glance
-from fsinfer.check.coverage import CoverageSettings, widest_gap
+from fsinfer.check.coverage import widest_gap
 from fsinfer.check.run import judge_survey
+from fsinfer.check.settings import CoverageSettings
 from fsinfer.check.survey import survey_scene
 from fsinfer.cli.console import stage_progress
 from fsinfer.depth.maps import DepthMaps

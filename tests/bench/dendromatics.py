@@ -122,7 +122,7 @@ def compare(cloud: StemCloud, trees: list[list[float]]) -> tuple[int, int, int, 
 
 def line(name: str, rows: list[tuple[int, int, int, list[float]]], seconds: float, wall: float, points: int) -> str:
     """One line of the table."""
-    stems, found, false = (int(n) for n in np.array([row[:3] for row in rows]).sum(axis=0))
+    stems, found, false = (sum(column) for column in list(zip(*rows, strict=True))[:3])
     error = np.array([e for r in rows for e in r[3]] or [np.nan])
     return (
         f"{name:>13}: stems {stems}, found {100 * found / stems:.1f} %, false {false}, with DBH {len(error)}, "

@@ -10,7 +10,8 @@ import argparse
 import json
 from pathlib import Path
 
-from fsinfer.workflow.pipeline import RunSettings, run
+from fsinfer.workflow.pipeline import run
+from fsinfer.workflow.settings import RunSettings
 from tests.bench.plot import run_figures
 from tests.bench.results import add_result_options, check_result_options, save_result
 

@@ -19,16 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.depth.precision import AUTO, FLOAT32, PRECISIONS
-from fsinfer.depth.stage import DepthSettings
+from fsinfer.depth.settings import DepthSettings
 from fsinfer.evaluation.figure import plot_evaluation
 from fsinfer.evaluation.metrics import Evaluation, evaluate, read_measured
 from fsinfer.fusion.fuse import FusionSettings
-from fsinfer.poses.estimate import PoseSettings
 from fsinfer.poses.pairs import PairSettings
+from fsinfer.poses.settings import PoseSettings
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scene import read_scene
 from fsinfer.trees.outputs.table import read_trees
-from fsinfer.workflow.pipeline import RunSettings, run
+from fsinfer.workflow.pipeline import run
+from fsinfer.workflow.settings import RunSettings
 from tests.bench.results import add_result_options, check_result_options, save_result
 
 # Photos doubled before looking for features, as COLMAP does, and half as many neighbours again; six source views in

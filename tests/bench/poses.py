@@ -21,8 +21,9 @@ import numpy as np
 
 from fsinfer.frames.quality import EQUALIZERS, equalize
 from fsinfer.io.images import read_image, write_image
-from fsinfer.poses.estimate import PoseSettings, estimate_poses
+from fsinfer.poses.estimate import estimate_poses
 from fsinfer.poses.pairs import PairSettings
+from fsinfer.poses.settings import PoseSettings
 from fsinfer.scene import Scene, read_scene
 from tests.bench.plot import plot_settings, similarity
 from tests.bench.results import add_result_options, check_result_options, save_result

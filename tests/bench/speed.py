@@ -22,10 +22,12 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.depth.cost_volume import correlation_volume
 from fsinfer.depth.manifest import read_manifest
 from tests.bench.results import add_result_options, check_result_options, save_result
 
@@ -100,11 +102,9 @@ def ours(args: argparse.Namespace, precision: str) -> Callable[[], dict[str, flo
 
     def volume(*arguments: Any, **keywords: Any) -> Any:
         name = "volume" if keywords.get("view_weights") is None else "narrow volume"
-        return Timed(original, seconds, name)(*arguments, **keywords)
+        return Timed(correlation_volume, seconds, name)(*arguments, **keywords)
 
-    module = vars(depth_model)  # the name that predict_from_features looks up
-    original = module["correlation_volume"]
-    module["correlation_volume"] = volume
+    patch.object(depth_model, "correlation_volume", volume).start()
     images, intrinsics, poses, depth_range = make_views(args.views, args.height, args.width)
 
     def run() -> dict[str, float]:

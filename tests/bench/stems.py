@@ -161,8 +161,7 @@ def write_rows(path: Path, matches: list[Match]) -> None:
         )
         for m in matches:
             s, t = m.truth, m.tree
-            place = s or t
-            where = (place.x_m, place.y_m) if place is not None else ()
+            where = next((one.x_m, one.y_m) for one in (s, t) if one is not None)
             row = [m.seed, *where, *((s.dbh_cm, s.seen_deg, "|".join(s.tags)) if s else ("", "", "false"))]
             if t is not None:
                 row += [t.dbh_cm, t.dbh_lo95_cm, t.dbh_hi95_cm, t.arc_coverage, t.residual_cm, t.points]

@@ -55,7 +55,7 @@ def tree(tree_id: int, x_m: float, dbh_cm: float | None, half_cm: float = 1.0) -
         lean_deg=0.0,
         height_m=None,
         status="ok",
-        reason="",
+        reasons=(),
     )
 
 

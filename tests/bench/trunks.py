@@ -21,7 +21,8 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import least_squares
 
 from fsinfer.depth.maps import DepthMaps
-from fsinfer.depth.stage import DepthSettings, estimate_depth
+from fsinfer.depth.settings import DepthSettings
+from fsinfer.depth.stage import estimate_depth
 from fsinfer.geometry.triangulation import triangulate
 from fsinfer.io.images import read_image
 from fsinfer.scene import Scene, read_scene
@@ -150,11 +151,8 @@ def main(argv: list[str] | None = None) -> int:
         scene = read_scene(args.trunks / name)
         estimate_depth(scene, args.out / name, settings=DepthSettings(model=args.model))
         found = DepthMaps(scene, args.out / name).get(0)
-        depth, grid = np.asarray(1 / found.inverse_depth, np.float32), found.grid
-        picture = cv2.imread(str(args.trunks / name / "mask.png"), cv2.IMREAD_GRAYSCALE)
-        if picture is None:
-            parser.error(f"{args.trunks / name} has no mask.png")
-        mask = np.asarray(np.asarray(picture) > 127)
+        depth, grid = np.float32(1) / found.inverse_depth, found.grid
+        mask = read_image(args.trunks / name / "mask.png")[..., 0] > 127
         v, u = (
             np.rint(np.arange(n) * s + o).astype(int)
             for n, s, o in zip(

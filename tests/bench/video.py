@@ -25,15 +25,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from fsinfer.depth.stage import DepthSettings
+from fsinfer.depth.settings import DepthSettings
 from fsinfer.evaluation.metrics import evaluate, read_measured
 from fsinfer.frames.select import select_frames
-from fsinfer.poses.estimate import PoseSettings, estimate_poses
+from fsinfer.io.images import read_image
+from fsinfer.notices.sentences import sentences
+from fsinfer.poses.estimate import estimate_poses
+from fsinfer.poses.settings import PoseSettings
 from fsinfer.scale.find import find_scale
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scene import Camera, Scene, read_camera, read_scene, write_camera
 from fsinfer.trees.outputs.table import read_trees
-from fsinfer.workflow.pipeline import RunSettings, run
+from fsinfer.workflow.pipeline import run
+from fsinfer.workflow.settings import RunSettings
 from tests.bench.plot import run_figures, similarity, tree_figures
 from tests.bench.results import add_result_options, check_result_options, save_result
 from training.synthesize.cameras.camera_path import intrinsics, look_at, make_camera
@@ -171,7 +175,7 @@ def make_video(out: Path, *, places: int, seed: int) -> Path:
     part = out / "part.mp4"
     writer = cv2.VideoWriter(str(part), cv2.VideoWriter.fourcc(*"mp4v"), RATE, (HEIGHT, WIDTH))
     for index in range(places):
-        image = np.asarray(cv2.imread(str(out / "places" / f"{index:03d}.png")), np.uint8)
+        image = np.ascontiguousarray(read_image(out / "places" / f"{index:03d}.png")[..., ::-1])
         intrinsic = read_camera(out / "places" / f"{index:03d}_cam.txt").intrinsic
         # Clouds move: the exposure swings by two thirds of a stop each way during the walk.
         gain = 2 ** (0.67 * np.sin(2 * np.pi * index / places * 2.5) / 2.2)
@@ -262,14 +266,18 @@ def main(argv: list[str] | None = None) -> int:
         run(args.out / "video.mp4", result, settings=settings)
     else:
         chosen = select_frames(args.out / "video.mp4", result / "frames")
-        print(f"frames: {len(chosen.images)} of {len(chosen.rows)}", *chosen.warnings, sep="\n  ")
+        print(f"frames: {len(chosen.images)} of {len(chosen.rows)}", *sentences(chosen.warnings), sep="\n  ")
         start = time.perf_counter()
         fewer = PoseSettings(max_features=args.max_features)
         placed = estimate_poses(result / "frames" / "images", result / "scene", settings=fewer)
-        print(f"poses: {placed.registered} of {placed.photos}, {time.perf_counter() - start:.0f} s", *placed.warnings)
+        print(
+            f"poses: {placed.registered} of {placed.photos}, {time.perf_counter() - start:.0f} s",
+            *sentences(placed.warnings),
+        )
     scene = read_scene(result / "scene")
-    scale, warnings = find_scale(ScaleRequest(), scene=scene)
-    print(*warnings, sep="\n")
+    found = find_scale(ScaleRequest(), scene=scene)
+    scale = found.scale
+    print(*sentences(found.warnings), sep="\n")
     centers, expected = np.array([view.camera.center for view in scene.views]), true_centers(args.out, scene)
     true_scale, rotation, shift = similarity(centers, expected)
     residual_m = np.linalg.norm(true_scale * centers @ rotation.T + shift - expected, axis=1)
@@ -281,15 +289,15 @@ def main(argv: list[str] | None = None) -> int:
     if scale.m_per_unit is None or scale.rel_std is None:
         return 1
     figures |= {
-        "boards": len(scale.details["markers"]),
+        "boards": len(scale.markers),
         "scale_error_percent": 100 * (scale.m_per_unit / true_scale - 1),
         "scale_std_percent": 100 * scale.rel_std,
     }
     print(f"scale error {100 * (scale.m_per_unit / true_scale - 1):+.3f} % (given +- {100 * scale.rel_std:.3f} %)")
-    for marker in scale.details["markers"]:
+    for marker in scale.markers:
         print(
-            f"  board {marker['id']}: {len(marker['views'])} views, residual {marker['residual_mm']:+.2f} mm, "
-            f"error {marker['error_px']:.2f} px, without it {100 * (marker['leave_one_out_rel'] or 0):+.3f} %"
+            f"  board {marker.id}: {len(marker.views)} views, residual {marker.residual_mm:+.2f} mm, "
+            f"error {marker.error_px:.2f} px, without it {100 * (marker.leave_one_out_rel or 0):+.3f} %"
         )
     if args.full:
         plot = json.loads((result / "plot.json").read_text(encoding="utf-8"))

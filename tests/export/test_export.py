@@ -14,7 +14,8 @@ import torch
 from export.onnx_export import export_model
 from export.parity import whole_parity
 from fsinfer.depth.model import DepthModel
-from fsinfer.depth.stage import DepthSettings, search_range
+from fsinfer.depth.settings import DepthSettings
+from fsinfer.depth.stage import search_range
 from fsinfer.errors import InputError, ModelError
 from fsinfer.scene import read_scene
 from tests.support.plane_scene import write_plane_scene
@@ -127,7 +128,7 @@ def test_predict_checks_its_input(exported: tuple[FSMVSNet, Path]) -> None:
     with pytest.raises(InputError, match="near < far"):
         model.predict([image, image], k, p, (2, 1))
     with pytest.raises(InputError, match="uint8"):
-        model.predict([image.astype(np.float32), image], k, p, (1, 2))  # type: ignore[list-item]
+        model.predict([image.astype(np.float32), image], k, p, (1, 2))
     with pytest.raises(InputError, match="N,3,3"):
         model.predict([image, image], k[:1], p, (1, 2))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import pytest
 import torch
 from torch import nn
@@ -13,14 +15,18 @@ from training.model.fsmvsnet import PlaneHead, RefineHead
 from training.model.packed import DepthMix
 from training.model.regression import peak_window
 
+ModuleT = TypeVar("ModuleT", bound=nn.Module)
 
-def _lively(module: nn.Module) -> nn.Module:
+
+def _lively(module: ModuleT) -> ModuleT:
     """Weights, biases and batch norm statistics that all matter."""
     torch.manual_seed(0)
     for parameter in module.parameters():
         nn.init.normal_(parameter, std=0.15)
     for layer in module.modules():
         if isinstance(layer, nn.BatchNorm2d):
+            assert layer.running_mean is not None
+            assert layer.running_var is not None
             nn.init.normal_(layer.running_mean, std=0.3)
             nn.init.uniform_(layer.running_var, 0.5, 2.0)
     return module.eval()

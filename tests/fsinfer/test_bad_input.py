@@ -260,7 +260,7 @@ def test_trees_without_a_scale_are_not_evaluated(call: Call, tmp_path: Path) -> 
 def test_a_program_told_to_end_says_that_it_stopped(tmp_path: Path) -> None:
     code = """
 import os, signal, time, typer
-from fsinfer.cli_console import reports_errors, stop_on_signals
+from fsinfer.cli.console import reports_errors, stop_on_signals
 
 @reports_errors
 def wait() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -56,14 +57,23 @@ def test_demo_plot_is_small() -> None:
 
 
 def test_table_names_every_tree_of_the_truth(tmp_path: Path) -> None:
+    from fsinfer.notices.notice import notice
+    from fsinfer.notices.stems import StemCode
     from fsinfer.trees import Tree
 
     truth = tmp_path / "truth.csv"
     truth.write_text("tree_id,x_m,y_m,dbh_cm\n1,0,0,30\n2,5,0,40\n3,0,5,20\n", encoding="utf-8")
-    rest = {"z_ground_m": 0.0, "dbh_perimeter_cm": None, "dbh_min_cm": None, "dbh_max_cm": None, "bh_m": 1.3}
+    rest: dict[str, Any] = {
+        "z_ground_m": 0.0,
+        "dbh_perimeter_cm": None,
+        "dbh_min_cm": None,
+        "dbh_max_cm": None,
+        "bh_m": 1.3,
+    }
     rest |= {"arc_coverage": 1.0, "points": 9, "residual_cm": 0.5, "lean_deg": 1.0, "height_m": None, "status": "ok"}
-    found = Tree(tree_id=7, x_m=0, y_m=0, dbh_cm=31.2, dbh_lo95_cm=30.1, dbh_hi95_cm=32.3, reason="", **rest)
-    bare = Tree(tree_id=8, x_m=5, y_m=0, dbh_cm=None, dbh_lo95_cm=None, dbh_hi95_cm=None, reason="too narrow", **rest)
+    found = Tree(tree_id=7, x_m=0, y_m=0, dbh_cm=31.2, dbh_lo95_cm=30.1, dbh_hi95_cm=32.3, reasons=(), **rest)
+    why = (notice(StemCode.as_written, text="too narrow"),)
+    bare = Tree(tree_id=8, x_m=5, y_m=0, dbh_cm=None, dbh_lo95_cm=None, dbh_hi95_cm=None, reasons=why, **rest)
     measured = tuple(read_measured(truth))
     result = DemoResult(
         run=None,  # type: ignore[arg-type]

@@ -59,7 +59,8 @@ def test_the_walk_through_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     rows = ["tree_id,x_m,y_m,dbh_cm", *(f"{r['tree_id']},{r['x_m']},{r['y_m']},{r['dbh_cm'] + 1}" for r in tree_rows())]
     (out / "truth.csv").write_text("\n".join(rows), encoding="utf-8")
     monkeypatch.chdir(tmp_path)
-    printed, names = io.StringIO(), {}
+    printed = io.StringIO()
+    names: dict[str, object] = {}
     blocks = python_blocks("example.md")
     assert len(blocks) == 8
     with contextlib.redirect_stdout(printed):

@@ -37,7 +37,20 @@ def test_help_loads_nothing_heavy() -> None:
     )
     text, loaded = json.loads(run_python(code))
     assert "evaluate" in text
-    assert [name for name in ("torch", "pycolmap", "matplotlib", "onnxruntime", "scipy", "cv2") if name in loaded] == []
+    assert [name for name in HEAVY if name in loaded and name != "typer"] == []
+
+
+@pytest.mark.parametrize("command", ["run", "depth", "frames", "trees", "evaluate", "check", "marker"])
+def test_help_of_a_command_loads_nothing_heavy(command: str) -> None:
+    code = (
+        f"import contextlib, io, json; sys.argv = ['fsinfer', '{command}', '--help']\n"
+        "from fsinfer.cli.app import main\n"
+        "with contextlib.redirect_stdout(io.StringIO()) as text, contextlib.suppress(SystemExit): main()\n"
+        "print(json.dumps([text.getvalue(), [n for n, m in sys.modules.items() if m]]))"
+    )
+    text, loaded = json.loads(run_python(code))
+    assert "default" in text
+    assert [name for name in HEAVY if name in loaded and name != "typer"] == []
 
 
 def test_every_export_loads_without_torch() -> None:

@@ -13,30 +13,38 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import patch
 
+from fsinfer.depth.sfm_check import DepthCheck
 from fsinfer.depth.stage import DepthResult
+from fsinfer.frames.select import FramesResult
+from fsinfer.frames.table import FrameRow
 from fsinfer.io.files import make_folder, write_text
 from fsinfer.io.images import list_images
 from fsinfer.poses.estimate import PosesResult
 from fsinfer.scale.request import ScaleRequest
-from fsinfer.workflow import photo_stages, pipeline
+from fsinfer.workflow import pipeline
+from fsinfer.workflow.settings import RunSettings
 from tests.support.synthetic_plot import M_PER_UNIT, VIEWS, write_depth_folder, write_scene_folder
 
 
 def main(source: Path, out: Path, stage: str, writes: int) -> None:
     kill_after(out / ".fsinfer" / f"{stage}.json", writes)
-    photo_stages.select_frames = select_frames
-    photo_stages.estimate_poses = estimate_poses
-    pipeline.estimate_depth = estimate_depth
-    pipeline.read_manifest = lambda _: SimpleNamespace(int8_regularizer=None, sha256_of=lambda *, int8: "0" * 64)
-    pipeline.read_sparse = lambda _: None
-    pipeline.depth_vs_sfm = lambda *_: 0.0025
-    import fsinfer.report
-    import fsinfer.trees.outputs.figures
-
-    fsinfer.report.make_report = lambda folder: write_text(folder / "report.html", "<html>")
-    fsinfer.trees.outputs.figures.write_figures = lambda folder, *_, **__: make_folder(folder)
-    settings = pipeline.RunSettings(scale=ScaleRequest(factor=M_PER_UNIT))
+    manifest = SimpleNamespace(int8_regularizer=None, sha256_of=lambda *, int8: "0" * 64)
+    checked = DepthCheck(median_rel=0.0025, per_view_rel={}, compared=1, asked=1, relaxed=False)
+    stand_ins = {
+        "fsinfer.workflow.photo_stages.select_frames": select_frames,
+        "fsinfer.workflow.photo_stages.estimate_poses": estimate_poses,
+        "fsinfer.workflow.cloud_stages.estimate_depth": estimate_depth,
+        "fsinfer.workflow.cloud_stages.read_manifest": lambda _: manifest,
+        "fsinfer.workflow.cloud_stages.read_sparse": lambda _: None,
+        "fsinfer.workflow.cloud_stages.check_depth": lambda *_, **__: checked,
+        "fsinfer.report.make_report": report,
+        "fsinfer.trees.outputs.figures.write_figures": lambda folder, *_, **__: make_folder(folder),
+    }
+    for name, stand_in in stand_ins.items():
+        patch(name, stand_in).start()
+    settings = RunSettings(scale=ScaleRequest(factor=M_PER_UNIT))
     result = pipeline.run(source, out, settings=settings)
     print(*(record.name for record in result.stages if record.ran))
 
@@ -58,26 +66,41 @@ def kill_after(record: Path, writes: int) -> None:
     Path.replace = counting  # type: ignore[method-assign,assignment]
 
 
-def select_frames(source: Path, out: Path, **_: Any) -> Any:
+def report(folder: Path) -> Path:
+    write_text(folder / "report.html", "<html>")
+    return folder / "report.html"
+
+
+def select_frames(source: Path, out: Path, **_: Any) -> FramesResult:
     (out / "images").mkdir(parents=True, exist_ok=True)
-    copied = []
+    rows = []
     for path in list_images(source):
         part = Path(shutil.copy(path, out / "images" / f".{path.name}"))
-        copied.append(part.replace(out / "images" / path.name))
-    rows = [SimpleNamespace(name=path.stem, kept=True, reason="") for path in copied]
-    return SimpleNamespace(images=tuple(copied), rows=tuple(rows), warnings=())
+        part.replace(out / "images" / path.name)
+        rows.append(
+            FrameRow(
+                name=path.stem,
+                source=path.name,
+                time_s=None,
+                sharpness=1.0,
+                mean_luminance=100.0,
+                dark_share=0.0,
+                bright_share=0.0,
+                kept=True,
+                reason="",
+            )
+        )
+    return FramesResult(folder=out, rows=tuple(rows))
 
 
 def estimate_poses(images: Path, out: Path, **_: Any) -> PosesResult:
     write_scene_folder(out)
-    return PosesResult(scene=out, photos=len(list_images(images)), registered=VIEWS, warnings=())
+    return PosesResult(scene=out, photos=len(list_images(images)), registered=VIEWS)
 
 
 def estimate_depth(scene: Any, out: Path, **_: Any) -> DepthResult:
     write_depth_folder(scene, out)
-    return DepthResult(
-        depth_folder=out, views=VIEWS, model="exact", model_sha256="0" * 64, precision="float32", seconds=1.0
-    )
+    return DepthResult(depth_folder=out, views=VIEWS, model="exact", model_sha256="0" * 64, precision="float32")
 
 
 if __name__ == "__main__":

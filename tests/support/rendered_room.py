@@ -18,7 +18,7 @@ def texture(seed: int, size: int = 900) -> NDArray[np.uint8]:
     for cell in (4, 9, 20, 50):
         noise = rng.uniform(-1, 1, (size // cell + 2, size // cell + 2, 3)).astype(np.float32)
         image += 45 * cv2.resize(noise, (size, size), interpolation=cv2.INTER_CUBIC)
-    return np.clip(image, 0, 255).astype(np.uint8)
+    return image.clip(0, 255).astype(np.uint8)
 
 
 def intrinsic() -> NDArray[np.float64]:

@@ -128,4 +128,5 @@ def board(rng: np.random.Generator, *, at: tuple[float, float], sigma_m: float) 
     """A flat board 40 cm wide and 1.6 m high, seen from the front."""
     count = int(0.4 * 1.6 / 0.008**2)
     points = np.column_stack([rng.uniform(-0.2, 0.2, count), np.zeros(count), rng.uniform(0.0, 1.6, count)])
-    return points + np.array([*at, 0.0]) + rng.normal(0.0, sigma_m, (count, 3))
+    moved: Floats = points + np.array([*at, 0.0]) + rng.normal(0.0, sigma_m, (count, 3))
+    return moved

@@ -40,7 +40,8 @@ from training.data.dtu import TEST_SCANS
 
 Float64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-QUERY_CHUNK = 1_000_000  # points asked for at a time: 16 MB of answers
+#: Points asked for at a time: 16 MB of answers. Source: numerics.
+QUERY_CHUNK = 1_000_000
 
 
 @dataclass(frozen=True, kw_only=True)

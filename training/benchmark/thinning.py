@@ -6,8 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-FIRST_BATCH = 1024  # even if all of them lie within the distance of each other, their pairs fit into memory
-QUERY_CHUNK = 2_000_000  # points asked for at a time: 32 MB of answers
+#: Points whose pairs fit into memory even if all of them lie within the distance of each other. Source: numerics.
+FIRST_BATCH = 1024
+#: Points asked for at a time: 32 MB of answers. Source: numerics.
+QUERY_CHUNK = 2_000_000
 
 
 def thin(points: NDArray[np.float64], distance: float, rng: np.random.Generator) -> NDArray[np.bool_]:

@@ -43,16 +43,28 @@ class Sample:
 
 @dataclass(frozen=True, kw_only=True)
 class SamplingSettings:
-    """How samples vary from one visit of a view to the next."""
+    """How samples vary from one visit of a view to the next.
+
+    Attributes
+    ----------
+    min_sources, max_sources: views beside the reference. Source: what the depth stage takes.
+    colour_jitter: share by which brightness and colours vary. Source: judgement.
+    range_jitter: near bound down to 1/(1+j), far bound up to 1+2j of the camera file's. Source: judgement.
+    near_pull: half of the samples: near bound drawn in by up to this factor more, as a twig may do. Source: judgement.
+    mirror: share of samples seen in a mirror. Source: judgement.
+    turn: share of samples with all pictures on their side, as phones held upright often store them. Source: judgement.
+    pose_noise_px: half of the samples: each source off by up to this (standard deviation). Source: what structure from
+        motion leaves.
+    """
 
     min_sources: int = 2
     max_sources: int = 4
     colour_jitter: float = 0.2
-    range_jitter: float = 0.35  # near bound down to 1/(1+j), far bound up to 1+2j of the camera file's
-    near_pull: float = 6.0  # half of the samples: near bound drawn in by up to this factor more, as a twig may do
-    mirror: float = 0.5  # share of samples seen in a mirror
-    turn: float = 0.3  # share of samples with all pictures on their side, as phones held upright often store them
-    pose_noise_px: float = 0.3  # half of the samples: each source off by up to this (standard deviation), as after SfM
+    range_jitter: float = 0.35
+    near_pull: float = 6.0
+    mirror: float = 0.5
+    turn: float = 0.3
+    pose_noise_px: float = 0.3
 
 
 def load_sample(scene: Scene, index: int, sources: Sequence[int], depth: NDArray[np.float32] | None = None) -> Sample:

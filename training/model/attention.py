@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor, nn
 
 
@@ -10,13 +11,14 @@ class SqueezeExcitation(nn.Module):
 
     def __init__(self, channels: int, reduction: int = 16) -> None:
         super().__init__()
+        self.channels = channels
         hidden = max(channels // reduction, 2)
         self.fc = nn.Sequential(nn.Linear(channels, hidden), nn.ReLU(), nn.Linear(hidden, channels), nn.Sigmoid())
 
     def forward(self, volume: Tensor) -> Tensor:
         """(B, C, ...) volume, or (S, C, H, W) slabs of one volume when ``over_slabs`` is used by the caller."""
         weights = self.fc(volume.flatten(2).mean(dim=2))
-        return volume * weights.reshape(*weights.shape, *([1] * (volume.dim() - 2)))
+        return torch.as_tensor(volume * weights.reshape(*weights.shape, *([1] * (volume.dim() - 2))))
 
     def over_slabs(self, slabs_schw: Tensor) -> Tensor:
         """Scale slabs of ONE volume by weights from the mean over all of them: (S, C, H, W)."""
@@ -24,4 +26,4 @@ class SqueezeExcitation(nn.Module):
 
     def by_mean(self, slabs_schw: Tensor, mean_c: Tensor) -> Tensor:
         """Scale slabs of a volume, or of a part of one, by weights from the mean (C,) over the whole."""
-        return slabs_schw * self.fc(mean_c[None])[..., None, None]
+        return torch.as_tensor(slabs_schw * self.fc(mean_c[None])[..., None, None])

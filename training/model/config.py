@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
+#: Planes of the wide volume. Source: MVSNet (Yao et al. 2018).
 DEPTH_PLANES = 192
 
 

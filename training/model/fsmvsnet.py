@@ -15,10 +15,14 @@ from training.model.regularizer3d import Regularizer3D
 from training.model.volume import correlation_volume, plane_inverse_depths, variance_volume
 from training.model.warping import relative_projection
 
-WINDOW_RADIUS = 3  # planes on each side of the best one in the local soft-argmin of the 192-plane volume
-REFINE_WINDOW_RADIUS = 3
+#: Planes on each side of the best one in the local soft-argmin of the 192-plane volume, and of the narrow one. Source:
+#: judgement.
+WINDOW_RADIUS, REFINE_WINDOW_RADIUS = 3, 3
+#: Groups of the narrow volume's correlation. Source: 8 channels in groups of four.
 REFINE_GROUPS = 2
-CONFIDENCE_RADIUS = 1  # MVSNet sums four planes round the estimate; a symmetric window of three is its odd sister
+#: Planes on each side of the best one whose probability is the confidence. Source: MVSNet (Yao et al. 2018) sums four
+#: planes round the estimate; a symmetric window of three is its odd sister.
+CONFIDENCE_RADIUS = 1
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,6 +7,8 @@ at half resolution and below.
 
 from __future__ import annotations
 
+from typing import cast
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -63,11 +65,15 @@ class PackedRegularizer(nn.Module):
         u1 = self.up1(c1 + upsample_like(self.reduce1(c2), c1))
         u0 = self.up0(c0 + upsample_like(self.reduce0(u1), c0))
         fine = F.pixel_shuffle(self.head(u0), 2)[..., : slabs_schw.shape[-2], : slabs_schw.shape[-1]]
-        return (fine + self.residual(slabs_schw)).flatten(0, 1)
+        return torch.as_tensor((fine + self.residual(slabs_schw)).flatten(0, 1))
 
     def excite(self, level: int, slabs_schw: Tensor) -> Tensor:
         """Squeeze-and-excitation of a level over all slabs of the volume, where the network has it."""
-        return self.se[level].over_slabs(slabs_schw) if len(self.se) else slabs_schw
+        return self.excitation(level).over_slabs(slabs_schw) if len(self.se) else slabs_schw
+
+    def excitation(self, level: int) -> SqueezeExcitation:
+        """Squeeze-and-excitation of a level; the list of modules knows them as modules only."""
+        return cast(SqueezeExcitation, self.se[level])
 
 
 class Refiner(nn.Module):

@@ -190,8 +190,8 @@ def _tree(
             limb = _Stem(rng, spec, radius, slope + sign * gap * away / (spec.bh_m - fork + 0.1), swell=False)
             # The limbs start from the butt's middle at the height of the fork.
             start = foot - limb.slope * (fork - 0.1)
-            surface = limb.surface(rng, spacing, fork, spec.top_m, seen, middle)
-            parts.add(_noisy(rng, spec, *surface, start, z_foot), first + number)
+            bark = limb.surface(rng, spacing, fork, spec.top_m, seen, middle)
+            parts.add(_noisy(rng, spec, *bark, start, z_foot), first + number)
             stems.append(_truth(limb, spec, start, z_foot, first + number, seen, ("fork below",)))
         return stems
     stem = _Stem(rng, spec, 0.5 * diameter, slope)
@@ -213,8 +213,8 @@ def _tree(
         )
         height = rng.uniform(1.7, 2.3)
         start = foot + slope * height - limb.slope * height
-        surface = limb.surface(rng, spacing, height, spec.top_m, seen, middle)
-        parts.add(_noisy(rng, spec, *surface, start, z_foot), first)
+        bark = limb.surface(rng, spacing, height, spec.top_m, seen, middle)
+        parts.add(_noisy(rng, spec, *bark, start, z_foot), first)
     if rng.random() < spec.branchy:
         tags.append("branches")
         for _ in range(rng.integers(2, 8)):
@@ -293,7 +293,7 @@ def _truth(
 def _noisy(
     rng: np.random.Generator, spec: CloudSpec, points: Floats, normal: Floats, foot: Floats, z_foot: float
 ) -> Floats:
-    moved = points + np.array([foot[0], foot[1], z_foot]) + rng.normal(0.0, spec.sigma_m, points.shape)
+    moved: Floats = points + np.array([foot[0], foot[1], z_foot]) + rng.normal(0.0, spec.sigma_m, points.shape)
     away = rng.random(len(points)) < spec.outliers
     moved[away] += normal[away] * rng.exponential(0.03, int(away.sum()))[:, None]
     return moved
@@ -325,7 +325,7 @@ def _shrub(rng: np.random.Generator, at: Floats, ground: _Terrain, spacing: floa
     flat = rng.normal(0.0, 0.015, (leaves, each, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     flat -= (flat * normal[:, None]).sum(axis=2, keepdims=True) * normal[:, None]
-    points = (center[:, None] + flat).reshape(-1, 3)
+    points: Floats = (center[:, None] + flat).reshape(-1, 3)
     points = points[points[:, 2] > 0.0]
     points[:, 2] += ground(points[:, :2])
     return points

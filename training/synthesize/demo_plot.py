@@ -17,7 +17,7 @@ import numpy as np
 
 from fsinfer.io.images import list_images, read_image, write_image
 
-# The wheel carries the demo: more than this and its download grows noticeably.
+#: The wheel carries the demo: more than this and its download grows noticeably. Source: judgement.
 MAX_BYTES = 4_000_000
 
 

@@ -59,7 +59,8 @@ def score_pairs(
         mine = points[i][valid[i]]
         reach = np.median(np.linalg.norm(mine - centers[i], axis=1)) if len(mine) else 1.0
         scores = []
-        for j in np.flatnonzero(np.linalg.norm(centers - centers[i], axis=1) < max(2.0, 1.2 * reach)):
+        near = np.flatnonzero(np.linalg.norm(centers - centers[i], axis=1) < max(2.0, 1.2 * reach))
+        for j in near.tolist():
             if j == i or len(mine) == 0:
                 continue
             seen = mine @ cameras[j].cam_from_world[:3, :3].T + cameras[j].cam_from_world[:3, 3]

@@ -12,10 +12,12 @@ from scipy.sparse import csr_array
 
 from fsinfer.poses.verification.spanning_tree import cut, strongest_ties, tie_graph
 
-#: Points that a part must share with the rest. In models that were right no part of two photos or more shared fewer
-#: than 124 (two rendered videos, five rendered plots, 23 real photos); the turned parts of three wrong ones 45 to 84.
+#: Points that a part must share with the rest. Source: in models that were right no part of two photos or more shared
+#: fewer than 124 (two rendered videos, five rendered plots, 23 phone photos); parts of three wrong ones that were
+#: turned shared 45 to 84.
 MIN_POINTS = 100
-#: A single photo is placed by its own points: it turns nothing but itself, and consistency judges its depth.
+#: A single photo is placed by its own points: it turns nothing but itself, and consistency judges its depth. Source:
+#: this reasoning.
 MIN_PHOTOS = 2
 
 

@@ -10,29 +10,20 @@ from typing import Any
 
 import numpy as np
 
+from fsinfer.notices.capture import CaptureCode
 from fsinfer.poses.verification.loose_parts import loose_parts
 from fsinfer.poses.verification.pair_votes import contradicted, pair_votes, weight_of
 from fsinfer.poses.verification.scale_jumps import strays
 
-# A pose that hangs on fewer points than this is an accident.
+#: A pose that hangs on fewer points than this is an accident. Source: judgement.
 _MIN_POINTS = 10
 
-_MOST_NAMES = 20
-
-_WHY = {
-    "unplaced": "they could not be placed with the others; more photos between would help",
-    "astray": (
-        "the steps between them do not fit the rest of the walk, so they were joined to it by false matches; turn more "
-        "slowly, with more photos between"
-    ),
-    "contradicted": (
-        "most of their matches with other photos speak against where the rest put them; places that look alike were "
-        "mixed up; take more photos where the view changes"
-    ),
-    "loose": (
-        "they share too few points with the other photos for their place to be sure; take more photos where the view "
-        "changes, and where the walk comes back to a place"
-    ),
+#: What the user is told of photos left out, by how they were found.
+LEFT_OUT = {
+    "unplaced": CaptureCode.photos_unplaced,
+    "astray": CaptureCode.photos_astray,
+    "contradicted": CaptureCode.photos_contradicted,
+    "loose": CaptureCode.photos_loose,
 }
 
 
@@ -100,12 +91,6 @@ def drop_blind_views(model: Any) -> list[str]:
         if int((points @ pose[2, :3] + pose[2, 3] > 0).sum()) < _MIN_POINTS:
             blind.append(image_id)
     return drop(model, blind)
-
-
-def misplaced_message(how: str, names: Sequence[str], photos: int) -> str:
-    """What to tell the user of ``names`` left out of ``photos``; ``how`` is a key of the reasons above."""
-    shown = ", ".join(sorted(names)[:_MOST_NAMES]) + (", ..." if len(names) > _MOST_NAMES else "")
-    return f"{len(names)} of {photos} photos left out ({shown}): {_WHY[how]}"
 
 
 def drop(model: Any, image_ids: Sequence[int]) -> list[str]:

@@ -15,21 +15,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from fsinfer.poses.pairs import MIN_INLIERS
 from fsinfer.poses.verification.spanning_tree import cut, strongest_ties, tie_graph
 
-#: Share of a photo's matches that must speak for its place. On 200 photos of a rendered plot, whose trees share their
-#: bark, 95 of 100 rightly placed photos have 0.8 and more, and those placed metres away 0.1 to 0.7.
+#: Share of a photo's matches that must speak for its place. Source: 200 photos of a rendered plot, whose trees share
+#: their bark: 95 of 100 rightly placed photos have 0.8 and more, those placed metres away 0.1 to 0.7; renders only.
 MIN_SHARE = 0.6
 #: A pair agrees with two places when this share of its matches lies within so many pixels of the epipolar lines.
+#: Source: judgement.
 AGREEING_SHARE, MAX_ERROR_PX = 0.6, 3.0
-#: Neighbours in a walk look at the same trees, while look-alikes stand apart. With 1 the 20 wrong photos of a rendered
-#: plot of 300 had 0.51 of their matches for them and the same photos rightly placed 0.49; with 6 it was 0.29 and 0.66.
+#: Neighbours in a walk look at the same trees, while look-alikes stand apart, so that their matches count more. Source:
+#: a rendered plot of 300: with 1 its 20 wrong photos had 0.51 of their matches for them and the same photos rightly
+#: placed 0.49, with 6 0.29 and 0.66; renders only.
 NEIGHBOUR_WEIGHT = 6.0
-#: Those next to each other cannot stand metres apart, whatever looks alike. Of 20 of the first 100 of these photos, at
-#: the end of the walk, 0.52 were for the right places without this; with 24 for all neighbours two of the demo's 36
-#: photos, rightly placed, were outvoted by look-alikes six photos away.
+#: Those next to each other, so many photos on, cannot stand metres apart, whatever looks alike. Source: of 20 of the
+#: first 100 of these photos 0.52 were for the right places without this; with 24 for all neighbours two of the demo's
+#: 36 photos, rightly placed, were outvoted by look-alikes six photos away; renders only.
 CLOSE_WEIGHT, _CLOSE = 24.0, 3
-_MIN_INLIERS = 15
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,7 +227,7 @@ def _votes(model: Any, database: Path, image_ids: list[int]) -> Iterator[PairVot
             if first not in number or second not in number:
                 continue
             matches = opened.read_two_view_geometry(first, second).inlier_matches
-            if len(matches) < _MIN_INLIERS:
+            if len(matches) < MIN_INLIERS:
                 continue
             one, other = rays[first][matches[:, 0]], rays[second][matches[:, 1]]
             focal = 0.5 * sum(focal_px[model.images[i].camera_id] for i in (first, second))

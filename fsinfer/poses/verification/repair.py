@@ -7,8 +7,9 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
-from fsinfer.poses.colmap import PoseSettings, inliers_by_rank, reconstruct
+from fsinfer.poses.colmap import inliers_by_rank, reconstruct
 from fsinfer.poses.pairs import in_walking_order
+from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.verification.misplaced import (
     agreeing_matches,
     drop,

@@ -10,15 +10,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-#: Fewer photos are no walk: they may be in any order.
+#: Fewer photos are no walk: they may be in any order. Source: judgement.
 MIN_PHOTOS = 40
-#: Photos before and after whose steps count; a turn on the spot or a detour is shorter than the window.
+#: Photos before and after whose steps count. Source: a turn on the spot or a detour is shorter than the window.
 HALF_WINDOW = 5
-#: The median step of a window may differ from that of the whole walk by this factor. Rendered walks and the photos
-#: round a trunk stay between 0.57 and 1.38; the stretches of a falsely joined part lay at 0.02, 7 and 13.
+#: The median step of a window may differ from that of the whole walk by this factor. Source: rendered walks and the 23
+#: photos round a trunk stay between 0.57 and 1.38; the stretches of a falsely joined part lay at 0.02, 7 and 13.
 FACTOR = 4.0
 #: Once such a stretch is found, only unbroken stretches of so large a part of the photos are trusted: a falsely joined
-#: part comes in several pieces, some of them at the right scale and in the wrong place.
+#: part comes in several pieces, some of them at the right scale and in the wrong place. Source: judgement, on a
+#: rendered slope with a quick turn; renders only.
 TRUSTED_PART = 0.2
 
 

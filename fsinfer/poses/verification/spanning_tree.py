@@ -10,7 +10,9 @@ from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 def tie_graph(one: NDArray[np.intp], other: NDArray[np.intp], strength: NDArray[np.float64], count: int) -> csr_array:
     """Graph of ``count`` photos, (count, count), whose edges are as long as one over each tie's strength, (K,) > 0."""
-    return csr_array((1.0 / strength, (one, other)), shape=(count, count))
+    # The spanning tree of older SciPy (1.13 to 1.15 tried) takes 32-bit indices only.
+    ends = one.astype(np.int32), other.astype(np.int32)
+    return csr_array((1.0 / strength, ends), shape=(count, count))
 
 
 def strongest_ties(graph: csr_array) -> coo_array:

@@ -23,23 +23,57 @@ from fsinfer.trees.points.sums import sums_of_products, weighted_sum
 Floats = NDArray[np.float64]
 
 
+#: Numerics: steps of a fit, at most, and the last one, in metres or metres per metre, where the noise has settled too.
+STEPS, TOLERANCE, SIGMA_TOLERANCE = 40, 1e-5, 0.01
+#: Numerics: where the mixture starts: noise, mean length of the tail, and shares of bark, tail and background.
+START_SIGMA_M, START_TAIL_M, START_SHARES = 0.02, 0.03, (0.8, 0.12, 0.08)
+#: Numerics: longest step in metres, and what the noise may shrink to in one: the start is deliberately wide, and with
+#: longer steps a wrong arc captures the fit.
+LONGEST_STEP_M, LEAST_SHRINK = 0.05, 0.75
+#: Numerics: a fit that has less bark than a circle needs has lost it; no radius is smaller.
+LEAST_CORE, LEAST_RADIUS_M = 3.0, 0.01
+#: Numerics: keeps the equations solvable.
+RIDGE = 1e-9
+#: Numerics: a fit to points near a known stem starts with so many times its noise, and at least so many metres.
+WIDER_START = (1.5, 0.006)
+
+
 @dataclass(frozen=True, kw_only=True)
 class AxisSettings:
-    """Constants of :func:`fit_axis`."""
+    """Constants of :func:`fit_axis`.
 
-    iterations: int = 40
-    sigma_m: tuple[float, float] = (0.0015, 0.03)  # best TLS; beyond 3 cm no bark is left to see
-    window_m: float = 0.12  # residuals beyond this are not looked at
-    tail_m: tuple[float, float] = (0.01, 0.06)  # mean length of the outward tail
-    taper_mean: float = -0.006  # radius lost per metre of height around breast height: about 1 cm of diameter per metre
-    taper_std: float = 0.008  # between cylindrical and butt swell
-    lean_std: float = 0.10  # tangent of the lean; 6 degrees
-    # Standard deviation of each coefficient of the 2nd, 3rd and 4th harmonic, part of the radius: stems are 2-5 % oval
-    # (least against greatest diameter 0.92-0.98, forestry practice), and less and less triangular and square.
+    Attributes
+    ----------
+    sigma_m: least and greatest noise: best laser scans; beyond 3 cm no bark is left to see. Source: not recorded.
+    window_m: residuals beyond this are not looked at. Source: chosen on simulated stems.
+    window_inside_m: they are, inside, down to the axis, but at least so far. Source: the thinnest stem looked for.
+    tail_m: least and greatest mean length of the outward tail. Source: chosen on simulated stems.
+    taper_mean: change of the radius per metre of height about breast height. Source: forestry practice, the diameter
+        loses 1 cm a metre.
+    taper_std: standard deviation of it between stems. Source: forestry practice, from a cylinder to butt swell.
+    lean_std: standard deviation of the tangent of the lean, 6 degrees. Source: not recorded.
+    shape_std: standard deviation of each coefficient of the 2nd, 3rd and 4th harmonic, part of the radius.
+        Source: forestry practice, least against greatest diameter 0.92-0.98; less and less triangular and square.
+    prior_points: points that bark, tail and background count before any is seen: a fit of 20 points should not invent
+        a tail. Source: chosen on simulated stems.
+    prior_noise: points, and their noise in metres, that count before any are seen. Source: chosen on simulated stems.
+    """
+
+    sigma_m: tuple[float, float] = (0.0015, 0.03)
+    window_m: float = 0.12
+    window_inside_m: float = 0.02
+    tail_m: tuple[float, float] = (0.01, 0.06)
+    taper_mean: float = -0.006
+    taper_std: float = 0.008
+    lean_std: float = 0.10
     shape_std: tuple[float, ...] = (0.016, 0.008, 0.004)
-    tolerance: float = 1e-5  # metres, or metres per metre: the last step, where also ...
-    sigma_tolerance: float = 0.01  # ... the noise has settled to this share of itself
-    prior_points: float = 20.0  # strength of the tail shares' prior: a fit of 20 points should not invent a tail
+    prior_points: tuple[float, float, float] = (18.0, 1.0, 1.0)
+    prior_noise: tuple[float, float] = (4.0, 0.005)
+
+    @property
+    def order(self) -> int:
+        """Highest harmonic of a section that has a prior."""
+        return 1 + len(self.shape_std)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,20 +138,27 @@ def axis_coordinates(points: Floats, parameters: Floats, height_m: float) -> tup
     return np.column_stack([x * e1[0] + y * e1[1] + z * e1[2], x * e2[0] + y * e2[1] + z * e2[2]]), foot
 
 
+def wider(sigma_m: float) -> float:
+    """The noise to start a fit with where a stem of that noise is known nearby."""
+    times, least = WIDER_START
+    return max(times * sigma_m, least)
+
+
 def fit_axis(
     points: Floats,
     start: Floats,
     height_m: float,
     *,
-    sigma_m: float = 0.02,
+    sigma_m: float = START_SIGMA_M,
     order: int = 1,
     relative: Floats | None = None,
+    steps: int = STEPS,
     settings: AxisSettings | None = None,
 ) -> AxisFit:
     """Fit a tapered cylinder to points (N, 3) of x, y, height (metres) from ``start`` (6,) by EM.
 
     ``relative`` (N,) is each point's noise in units of the stem's (1 without it): hazy sides of a stem count less.
-    ``order`` is the highest harmonic of its section: 1 for a circle, up to ``1 + len(settings.shape_std)``.
+    ``order`` is the highest harmonic of its section: 1 for a circle, up to ``settings.order``.
     """
     s = settings or AxisSettings()
     shape_std = np.repeat(s.shape_std[: order - 1], 2)
@@ -126,24 +167,25 @@ def fit_axis(
     prior_mean[5] = s.taper_mean
     prior_information = np.zeros(len(p))
     prior_information[2:4], prior_information[5] = s.lean_std**-2, s.taper_std**-2
-    tiny = 1e-9 * np.eye(len(p))
-    sigma, tail, shares = sigma_m, 0.03, np.array([0.8, 0.12, 0.08])
+    tiny = RIDGE * np.eye(len(p))
+    sigma, tail, shares = sigma_m, START_TAIL_M, np.array(START_SHARES)
+    prior_count, prior_sigma = s.prior_noise
     ratio = np.ones(len(points)) if relative is None else relative
     core = np.zeros(len(points))
     residual = np.zeros(len(points))
     jacobian = np.zeros((len(p), len(points)))
     information = np.eye(len(p))
     columns = np.ascontiguousarray(points.T) - np.array([[0.0], [0.0], [height_m]])
-    for _ in range(s.iterations):
+    for _ in range(steps):
         residual, jacobian = _residuals(columns, p)
-        inner = min(s.window_m, max(p[4], 0.02))
+        inner = min(s.window_m, max(p[4], s.window_inside_m))
         inside = (residual >= -inner) & (residual <= s.window_m)
         gauss, with_tail = _densities(residual, sigma * ratio, tail)
         bark, outward = shares[0] * gauss, shares[1] * with_tail
         share = inside / np.maximum(bark + outward + shares[2] / (s.window_m + inner), 1e-300)
         core, outward = bark * share, outward * share
         total = float(core.sum())
-        if total < 3.0:
+        if total < LEAST_CORE:
             break
         weighted = jacobian * (core / (sigma * ratio) ** 2)
         information = sums_of_products(weighted, jacobian)
@@ -151,19 +193,19 @@ def fit_axis(
         regularised = information + np.diag(prior_information) + tiny
         gradient = sums_of_products(weighted, residual) + prior_information * (p - prior_mean)
         step = -np.linalg.solve(regularised, gradient)
-        step *= min(1.0, 0.05 / max(abs(step[0]), abs(step[1]), abs(step[4]), 1e-12))
+        step *= min(1.0, LONGEST_STEP_M / max(abs(step[0]), abs(step[1]), abs(step[4]), 1e-12))
         p = p + step
-        p[4] = max(p[4], 0.01)
+        p[4] = max(p[4], LEAST_RADIUS_M)
         away = float(outward.sum())
         shares = np.array([total, away, float(inside.sum()) - total - away])
-        shares += s.prior_points * np.array([0.9, 0.05, 0.05])
+        shares += np.array(s.prior_points)
         shares /= shares.sum()
-        new_sigma = float(np.sqrt((core @ (residual / ratio) ** 2 + 4.0 * 0.005**2) / (total + 4.0)))
-        # The start is deliberately wide; never shrink by more than a quarter a step, or a wrong arc captures the fit.
-        old_sigma, sigma = sigma, float(np.clip(max(new_sigma, 0.75 * sigma), *s.sigma_m))
+        squares = core @ (residual / ratio) ** 2 + prior_count * prior_sigma**2
+        new_sigma = float(np.sqrt(squares / (total + prior_count)))
+        old_sigma, sigma = sigma, float(np.clip(max(new_sigma, LEAST_SHRINK * sigma), *s.sigma_m))
         mean_tail = float(outward @ np.maximum(residual, 0.0)) / max(away, 1e-9)
         tail = float(np.clip(mean_tail, *s.tail_m))
-        if np.abs(step).max() < s.tolerance and abs(sigma - old_sigma) < s.sigma_tolerance * old_sigma:
+        if np.abs(step).max() < TOLERANCE and abs(sigma - old_sigma) < SIGMA_TOLERANCE * old_sigma:
             break
     return AxisFit(
         parameters=p[:6],

@@ -3,7 +3,7 @@
 A fit to a few hundred points spends more time on calling NumPy than on the points. The search for stems fits hundreds
 of candidates, most of which turn out to be none; here each call serves all of them. Distances are single precision
 about each start (a micrometre over ten metres), the equations of the steps double. The steps are those of
-``fit_axis``, which is the reference (tests/fsinfer/test_axis_batch.py).
+``fit_axis``, which is the reference (tests/fsinfer/trees/cylinder/test_batch.py).
 """
 
 from __future__ import annotations
@@ -13,16 +13,31 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.trees.cylinder.axis import Axis, AxisFit, AxisSettings
+from fsinfer.trees.cylinder.axis import (
+    LEAST_CORE,
+    LEAST_RADIUS_M,
+    LEAST_SHRINK,
+    LONGEST_STEP_M,
+    RIDGE,
+    SIGMA_TOLERANCE,
+    START_SHARES,
+    START_SIGMA_M,
+    START_TAIL_M,
+    STEPS,
+    TOLERANCE,
+    Axis,
+    AxisFit,
+    AxisSettings,
+)
 from fsinfer.trees.cylinder.kernels import blocked, column, residual_rows, sums_of_sets, tail_density
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Singles = NDArray[np.float32]
-# Sets and numbers in one call: their arrays (some twenty, more with harmonics) stay in the processor's cache.
-_CHUNK = 32
-_NUMBERS = 24_000
-_FAR_M = np.float32(1e3)  # where padding lies: out of the window of every fit
+#: Numerics: sets and numbers in one call; their arrays, twenty and more, stay in the processor's cache.
+_CHUNK, _NUMBERS = 32, 24_000
+#: Numerics: where padding lies, out of the window of every fit.
+_FAR_M = np.float32(1e3)
 
 
 def fit_axes(
@@ -31,19 +46,21 @@ def fit_axes(
     heights_m: Floats,
     *,
     sigma_m: Floats | None = None,
+    steps: int = STEPS,
+    tolerance: float = TOLERANCE,
     settings: AxisSettings | None = None,
 ) -> list[Axis]:
     """Fit a tapered cylinder to each of K sets of points (N_k, 3) of x, y, height (metres) by EM.
 
     ``starts`` (K, 6), ``heights_m`` (K,) and ``sigma_m`` (K,) are ``start``, ``height_m`` and ``sigma_m`` of
-    :func:`~fsinfer.trees.cylinder.axis.fit_axis`.
+    :func:`~fsinfer.trees.cylinder.axis.fit_axis`. ``steps`` and ``tolerance`` say when a fit has gone far enough.
     """
     s = settings or AxisSettings()
-    sigma = np.full(len(points), 0.02) if sigma_m is None else sigma_m
+    sigma = np.full(len(points), START_SIGMA_M) if sigma_m is None else sigma_m
     found: dict[int, Axis] = {}
     for rows in _chunks([len(p) for p in points]):
         batch = _Batch(_padded(points, starts, heights_m, rows), starts[rows], sigma[rows], s)
-        batch.run()
+        batch.run(steps, tolerance)
         for row, k in enumerate(rows):
             found[int(k)] = Axis(
                 parameters=batch.parameters[row], height_m=float(heights_m[k]), sigma_m=float(batch.noise[row])
@@ -130,19 +147,20 @@ class _Batch:
         self.noise = sigmas.astype(np.float64)
         self.last: dict[int, tuple[Singles, Singles, Floats, Floats]] = {}
 
-    def run(self) -> None:
-        """Iterate until all have arrived."""
+    def run(self, steps: int = STEPS, tolerance: float = TOLERANCE) -> None:
+        """Iterate until all have arrived, or for so many steps."""
         s, xyz, inverse_ratio = self.s, self.xyz, self.inverse_ratio
         alive = np.arange(len(self.parameters))
         p, sigma = self.parameters.copy(), self.noise.copy()
-        tail = np.full(len(p), 0.03)
-        shares = np.tile([0.8, 0.12, 0.08], (len(p), 1))
+        tail = np.full(len(p), START_TAIL_M)
+        shares = np.tile(START_SHARES, (len(p), 1))
         unknowns = p.shape[1]
         prior_mean, prior = np.zeros(unknowns), np.zeros(p.shape)
         prior_mean[5] = s.taper_mean
         prior[:, 2:4], prior[:, 5] = s.lean_std**-2, s.taper_std**-2
-        prior_shares = s.prior_points * np.array([0.9, 0.05, 0.05])
-        for turn in range(s.iterations):
+        prior_shares = np.array(s.prior_points)
+        prior_count, prior_sigma = s.prior_noise
+        for turn in range(steps):
             rows = residual_rows(xyz, p)
             residual = rows[unknowns]
             precision = column(1.0 / sigma)
@@ -159,21 +177,21 @@ class _Batch:
             information = sums[:, :, :unknowns]
             gradient = sums[:, :, unknowns] + prior * (p - prior_mean)
             regularised = information.copy()
-            regularised.reshape(len(p), -1)[:, :: unknowns + 1] += prior + 1e-9
+            regularised.reshape(len(p), -1)[:, :: unknowns + 1] += prior + RIDGE
             step = np.linalg.solve(regularised, -gradient[..., None])[..., 0]
             length = np.abs(step)
             longest = np.maximum(np.maximum(length[:, :2].max(axis=1), length[:, 4]), 1e-12)
-            step *= np.minimum(1.0, 0.05 / longest)[:, None]
-            lost = total < 3.0
+            step *= np.minimum(1.0, LONGEST_STEP_M / longest)[:, None]
+            lost = total < LEAST_CORE
             # Who has lost the bark stays where it was before this step.
             step[lost] = 0.0
             p += step
-            np.maximum(p[:, 4], 0.01, out=p[:, 4], where=~lost)
+            np.maximum(p[:, 4], LEAST_RADIUS_M, out=p[:, 4], where=~lost)
             shares = count + prior_shares
             shares /= shares.sum(axis=1, keepdims=True)
             squares = np.einsum("kn,kn->k", np.multiply(core, scaled, out=weight), scaled) * sigma**2
-            new_sigma = np.sqrt((squares + 4.0 * 0.005**2) / (total + 4.0))
-            new_sigma = np.minimum(np.maximum(np.maximum(new_sigma, 0.75 * sigma), s.sigma_m[0]), s.sigma_m[1])
+            new_sigma = np.sqrt((squares + prior_count * prior_sigma**2) / (total + prior_count))
+            new_sigma = np.minimum(np.maximum(np.maximum(new_sigma, LEAST_SHRINK * sigma), s.sigma_m[0]), s.sigma_m[1])
             old_sigma, sigma = sigma, np.where(lost, sigma, new_sigma)
             # Twice the part of the residuals that lies outside, without the slower comparison with 0.
             twice = np.abs(residual)
@@ -181,11 +199,11 @@ class _Batch:
             mean_tail = 0.5 * np.einsum("kn,kn->k", outward, twice) / np.maximum(away, 1e-9)
             tail = np.minimum(np.maximum(mean_tail, s.tail_m[0]), s.tail_m[1])
             self.parameters[alive], self.noise[alive] = p, sigma
-            moved = np.abs(step).max(axis=1) >= s.tolerance
-            moved |= np.abs(sigma - old_sigma) >= s.sigma_tolerance * old_sigma
+            moved = np.abs(step).max(axis=1) >= tolerance
+            moved |= np.abs(sigma - old_sigma) >= SIGMA_TOLERANCE * old_sigma
             going = ~lost & moved
             if len(self.shape_std):
-                for row in np.flatnonzero(~going | (turn + 1 == s.iterations)):
+                for row in np.flatnonzero(~going | (turn + 1 == steps)):
                     self.last[int(alive[row])] = rows[:, row], core[row], information[row], prior[row]
             if not going.any():
                 break
@@ -199,7 +217,7 @@ class _Batch:
         """What the fit of one set at ``height_m`` rests on; ``relative`` (N,) is its points' noise."""
         rows, core, information, prior = self.last[row]
         count = len(relative)
-        covariance = np.asarray(np.linalg.inv(information + np.diag(prior + 1e-9)), np.float64)
+        covariance = np.asarray(np.linalg.inv(information + np.diag(prior + RIDGE)), np.float64)
         return AxisFit(
             parameters=self.parameters[row, :6],
             height_m=height_m,
@@ -228,7 +246,7 @@ def _responsibilities(
     ``residual`` (K, N) is ``scaled`` over ``precision``, which are one over the noise; ``radius`` and the mean ``tail``
     (K,) in metres, ``shares`` (K, 3) those of bark, tail and background.
     """
-    inner = np.minimum(s.window_m, np.maximum(radius, 0.02))
+    inner = np.minimum(s.window_m, np.maximum(radius, s.window_inside_m))
     off_middle = residual - column(0.5 * (s.window_m - inner))
     np.abs(off_middle, out=off_middle)
     inside = off_middle <= column(0.5 * (s.window_m + inner))

@@ -60,8 +60,10 @@ def residual_rows(xyz: Singles, p: Floats) -> Singles:
     return rows
 
 
-# Abramowitz & Stegun (1964), 7.1.26: erfc(x) = (a1 t + ... + a5 t^5) exp(-x^2) to 1.5e-7, t = 1 / (1 + p x), x >= 0.
+#: Numerics: erfc(x) = (a1 t + ... + a5 t^5) exp(-x^2) to 1.5e-7, t = 1 / (1 + p x), x >= 0.
+#: Source: Abramowitz & Stegun (1964), 7.1.26.
 _ERFC_P = np.float32(0.3275911 * np.sqrt(0.5))
+#: Numerics: a1 to a5 of it, last to first.
 _ERFC_A = tuple(np.float32(a) for a in (1.061405429, -1.453152027, 1.421413741, -0.284496736, 0.254829592))
 
 

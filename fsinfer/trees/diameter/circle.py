@@ -15,27 +15,43 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fsinfer.errors import CloudError
-from fsinfer.trees.points.sums import median, sums_of_products
+from fsinfer.trees.points.sums import MAD_TO_SIGMA, median, sums_of_products
+from fsinfer.trees.points.surface import SECTORS, STRAY_SHARE, WALL_SIGMAS, sector_of
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-STEP_TOLERANCE = 1e-10  # of the radius, or of a metre: a geometric fit has arrived
+#: Numerics: steps of a geometric fit, at most, and its last one as a part of the radius, or of a metre.
+STEPS, STEP_TOLERANCE = 30, 1e-10
+#: Numerics: random triples; a circle with 40 % outliers is found with probability 1 - (1 - 0.6^3)^200 > 1 - 1e-20.
+TRIPLES = 200
+#: Numerics: points by which starts are compared; the share of points near a circle is known to 2 %.
+START_POINTS = 500
+#: Numerics: rounds of dropping and fitting again.
+DROP_ROUNDS = 25
+#: Numerics: fused random subsamples, of at most so many points, each in so many steps; the spread of the mean is stable
+#: to 10 % from about 60, and more points do not move the mean.
+SUBSAMPLES, MOST_OF_SUBSAMPLE, SUBSAMPLE_STEPS = 96, 400, 3
+#: Delete-half jackknife: the spread of half samples estimates the standard error. Source: statistics.
+SUBSAMPLE_SHARE = 0.5
+#: Numerics: guards against collinear points, metres.
+MOST_RADIUS_M = 1e6
+#: Least number of points for a circle in a noisy slice. Source: four times the circle's parameters.
+LEAST_POINTS = 12
+#: Points a sector on average, or sectors get wider. Source: statistics, one in 400 stays empty by chance.
+POINTS_A_SECTOR = 6
 
 
 @dataclass(frozen=True, kw_only=True)
 class CircleSettings:
-    """Constants of :func:`fit_circle`."""
+    """Constants of :func:`fit_circle`.
 
-    drop_residual_m: float = 0.015  # the paper: "residuals > 1.5 cm are dropped"
-    noise_factor: float = 2.5  # a cloud noisier than the paper's drops beyond 2.5 sigma instead (1.2 % of a Gaussian)
-    subsamples: int = 96  # fused random subsamples; the spread of the mean is stable to 10 % from about 60
-    subsample_fraction: float = 0.5  # delete-half jackknife: the spread of half samples estimates the standard error
-    triples: int = 200  # finds a circle with 40 % outliers with probability 1 - (1 - 0.6^3)^200 > 1 - 1e-20
-    start_points: int = 500  # the share of points near a circle is known to 2 %: the best start needs no more
-    max_subsample: int = 400  # keeps a fit below a few milliseconds; more points do not move the mean
-    subsample_steps: int = 3
-    iterations: int = 25
-    max_radius_m: float = 1e6  # only guards against collinear points
+    Attributes
+    ----------
+    drop_residual_m: points farther from the circle are dropped; in a noisy cloud those beyond ``WALL_SIGMAS`` standard
+        deviations. Source: Forests 2025, 16, 927, "residuals > 1.5 cm are dropped".
+    """
+
+    drop_residual_m: float = 0.015
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +91,7 @@ def fit_circle(points_xy: ArrayLike, *, settings: CircleSettings | None = None, 
     circle = _start(local, settings, rng)
     residuals = residuals_to(local, circle)
     kept = np.abs(residuals) <= _drop_limit(residuals, settings)
-    for _ in range(settings.iterations):
+    for _ in range(DROP_ROUNDS):
         circle = fit_geometric(local[kept], circle)
         residuals = residuals_to(local, circle)
         limit = _drop_limit(residuals, settings)
@@ -117,13 +133,13 @@ def fit_taubin(points: Floats, weights: Floats | None = None) -> Floats:
     return np.concatenate([center + mean[..., 0, :], radius[..., None]], axis=-1)
 
 
-def fit_geometric(points: Floats, start: Floats, weights: Floats | None = None, iterations: int = 30) -> Floats:
+def fit_geometric(points: Floats, start: Floats, weights: Floats | None = None) -> Floats:
     """Weighted geometric least squares from ``start`` (x, y, radius): damped Gauss-Newton, points (N, 2) -> (3,)."""
     columns = np.ascontiguousarray(points.T)
     circle = start.astype(np.float64).copy()
     damping = 1e-9
     sums = _sums_about(columns, circle, weights)
-    for _ in range(iterations):
+    for _ in range(STEPS):
         normal = sums[:3, :3]
         step = -np.linalg.solve(normal + damping * np.trace(normal) * np.eye(3) + 1e-300 * np.eye(3), sums[:3, 3])
         trial = circle + step
@@ -161,7 +177,7 @@ def residuals_to(points: Floats, circle: Floats) -> Floats:
     return np.asarray(np.sqrt(x * x + y * y) - circle[..., 2])
 
 
-def arc_coverage(offsets: Floats, *, bins: int = 72) -> float:
+def arc_coverage(offsets: Floats, *, bins: int = 2 * SECTORS[1]) -> float:
     """Share of the circumference seen by ``offsets`` (N, 2) from the centre.
 
     With few points the bins widen so that a full circle still counts as 1: six points a bin on average, of which one
@@ -171,37 +187,35 @@ def arc_coverage(offsets: Floats, *, bins: int = 72) -> float:
     return float(covered_bins(offsets, bins=bins).mean())
 
 
-def covered_bins(offsets: Floats, *, bins: int = 72) -> Bools:
+def covered_bins(offsets: Floats, *, bins: int = 2 * SECTORS[1]) -> Bools:
     """Which equal sectors of the circle hold points, as (B,) bool with B <= ``bins``; sector 0 starts at angle -pi."""
     if len(offsets) == 0:
         return np.zeros(1, dtype=bool)
-    bins = int(np.clip(len(offsets) // 6, 8, bins))
-    angle = np.arctan2(offsets[:, 1], offsets[:, 0])
-    index = np.minimum(((angle + np.pi) / (2.0 * np.pi) * bins).astype(int), bins - 1)
-    count = np.bincount(index, minlength=bins)
+    bins = int(np.clip(len(offsets) // POINTS_A_SECTOR, SECTORS[0], bins))
+    count = np.bincount(sector_of(offsets, bins), minlength=bins)
     typical = float(np.median(count[count > 0]))
-    return np.asarray(count >= max(1.0, 0.1 * typical))
+    return np.asarray(count >= max(1.0, STRAY_SHARE * typical))
 
 
 def _drop_limit(residuals: Floats, settings: CircleSettings) -> float:
-    sigma = 1.4826 * median(np.abs(residuals))
-    return max(settings.drop_residual_m, settings.noise_factor * sigma)
+    sigma = MAD_TO_SIGMA * median(np.abs(residuals))
+    return max(settings.drop_residual_m, WALL_SIGMAS * sigma)
 
 
 def _start(points: Floats, settings: CircleSettings, rng: np.random.Generator) -> Floats:
     """Best of Taubin's circle and of circles through random triples, by points within the drop limit."""
     candidates = [fit_taubin(points)[None]]
     if len(points) > 3:
-        index = rng.integers(0, len(points), size=(settings.triples, 3))
+        index = rng.integers(0, len(points), size=(TRIPLES, 3))
         candidates.append(fit_taubin(points[index]))
     circles = np.concatenate(candidates)
-    good = np.isfinite(circles).all(axis=1) & (circles[:, 2] < settings.max_radius_m) & (circles[:, 2] > 0)
+    good = np.isfinite(circles).all(axis=1) & (circles[:, 2] < MOST_RADIUS_M) & (circles[:, 2] > 0)
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if not good.any() or spread[1] <= 1e-9 * max(spread[0], 1e-300):
         msg = "the points lie on one line (or in one place): no circle goes through them; widen the slice"
         raise CloudError(msg)
     circles = circles[good]
-    most = settings.start_points
+    most = START_POINTS
     sample = points if len(points) <= most else points[rng.choice(len(points), most, replace=False)]
     residuals = residuals_to(sample[None], circles[:, None, :])
     near = np.minimum((residuals / settings.drop_residual_m) ** 2, 1.0)
@@ -212,15 +226,15 @@ def _fuse_subsamples(
     points: Floats, circle: Floats, settings: CircleSettings, rng: np.random.Generator
 ) -> tuple[Floats, float]:
     """Mean of the geometric fits of random half samples, weighted by support over squared residual, and its error."""
-    size = min(int(len(points) * settings.subsample_fraction), settings.max_subsample)
+    size = min(int(len(points) * SUBSAMPLE_SHARE), MOST_OF_SUBSAMPLE)
     if size < 8:
         return circle, float("nan")
-    keys = rng.random((settings.subsamples, len(points)), dtype=np.float32)
+    keys = rng.random((SUBSAMPLES, len(points)), dtype=np.float32)
     index = np.argpartition(keys, size - 1, axis=1)[:, :size]
     samples = points[index]
-    fits = np.repeat(circle[None], settings.subsamples, axis=0)
+    fits = np.repeat(circle[None], SUBSAMPLES, axis=0)
     # Half samples start a fraction of the noise from their optimum: a few steps of Gauss-Newton are enough.
-    for _ in range(settings.subsample_steps):
+    for _ in range(SUBSAMPLE_STEPS):
         offset = samples - fits[:, None, :2]
         distance = np.maximum(np.sqrt(offset[..., 0] ** 2 + offset[..., 1] ** 2), 1e-12)
         jacobian = np.empty((len(fits), 3, size))

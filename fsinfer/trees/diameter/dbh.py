@@ -20,44 +20,78 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.trees.cylinder.axis import AxisFit, axis_coordinates
-from fsinfer.trees.diameter.circle import covered_bins
+from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.stems import StemCode
+from fsinfer.trees.cylinder.axis import LEAST_RADIUS_M, AxisFit, axis_coordinates
+from fsinfer.trees.diameter.circle import LEAST_POINTS, covered_bins
 from fsinfer.trees.diameter.double_wall import blurred_gap, wall_gap
 from fsinfer.trees.diameter.outline import fit_outline
 from fsinfer.trees.diameter.section import Section, unmeasured_section
 from fsinfer.trees.diameter.slice import SliceSettings, fit_slice
 from fsinfer.trees.diameter.spread import Spread, SpreadSettings, fit_spread
-from fsinfer.trees.diameter.tapered_fit import JointSettings, joint_fits
-from fsinfer.trees.points.sums import lengths
+from fsinfer.trees.diameter.tapered_fit import joint_fits
+from fsinfer.trees.points.sums import Z95, lengths
+from fsinfer.trees.points.surface import LAYER_M, WALL_SIGMAS
 from fsinfer.trees.search.stem import Stem
+from fsinfer.trees.tree import BREAST_HEIGHT_M
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
 class DbhSettings:
-    """Constants of :func:`measure_together`."""
+    """Constants of :func:`measure_together`.
 
-    min_points: int = 12  # four times the circle's parameters
-    min_coverage: float = 65.0 / 360.0  # less arc than this leaves the radius open
+    Attributes
+    ----------
+    min_coverage: share of the circumference seen, below which the radius is left open. Source: chosen on simulated
+        stems.
+    doubtful_coverage: below it the diameter is doubtful. Source: chosen on simulated stems.
+    max_sigma_m: noise of bark beyond which there is no diameter. Source: chosen on simulated stems.
+    max_sigma_of_radius: the same as a share of the radius. Source: chosen on simulated stems.
+    max_interval: width of a 95 % interval, share of the DBH, beyond which there is no diameter. Source: one stem of the
+        rendered test plot and one simulated stem (docs/trees.md).
+    doubtful_interval: the same, beyond which it is doubtful. Source: not recorded.
+    max_off_m: distance from breast height beyond which it is doubtful. Source: not recorded.
+    outline_coverage: share of the circumference seen, from which girth, least and greatest diameter are given.
+        Source: not recorded.
+    local_std: how far a slice departs from the smooth taper by whorls and scars, share of the radius. Source: chosen on
+        simulated stems, seeds 0-9.
+    bark_std: a tape spans furrows that a smooth curve averages, share of the radius. Source: chosen on simulated stems,
+        seeds 0-9.
+    common_share: where blocks of bark share more error than bark's own unevenness, the cause (edges fattened by a depth
+        map, moss, poses) moves the whole circumference by so many times that, which no residual shows. Source: renders
+        only, test plot (docs/trees.md).
+    uneven_std: what blocks of bark differ by nature, share of the radius. Source: renders only, test plot.
+    noise_share: noise is not quite a Gaussian with a tail, share of its standard deviation. Source: chosen on simulated
+        stems, seeds 0-9.
+    spread_factor: of the fit's own standard deviation. Source: simulated stems, seeds 0-9, 1000-1021 and 2000-2021.
+    taper_std: what the taper near breast height may differ from the fitted one, radius per metre. Source: not recorded.
+    ground_std_m: where the ground is, between litter and mineral soil. Source: not recorded.
+    max_change: share and metres by which the radius may differ from the search's. Source: chosen on simulated stems.
+    half_windows_m: half of the piece of stem that is fitted; the next where the cloud is sparse. Source: chosen on
+        simulated stems.
+    slice, spread: of the steps.
+    """
+
+    min_coverage: float = 65.0 / 360.0
     doubtful_coverage: float = 100.0 / 360.0
     max_sigma_m: float = 0.026
     max_sigma_of_radius: float = 0.35
-    max_interval: float = 0.6  # a 95 % interval wider than this share of the DBH is no measurement
+    max_interval: float = 0.6
     doubtful_interval: float = 0.22
-    outline_coverage: float = 0.8  # perimeter, least and greatest diameter need the way round
-    local_std: float = 0.0035  # of the radius: how far a slice departs from the smooth taper (whorls, scars)
-    bark_std: float = 0.0005  # of the radius: a tape spans the furrows, a smooth curve averages them
-    # Where blocks of bark share more error than bark's own unevenness, the cause (edges fattened by a depth map, moss,
-    # poses) also moves the whole circumference, which no residual shows. Chosen on a rendered plot (docs/trees.md).
+    max_off_m: float = 0.05
+    outline_coverage: float = 0.8
+    local_std: float = 0.0035
+    bark_std: float = 0.0005
     common_share: float = 1.5
-    uneven_std: float = 0.006  # of the radius: what blocks of bark differ by nature
-    noise_share: float = 0.015  # of sigma: noise is not quite a Gaussian with an exponential tail
-    spread_factor: float = 1.15  # calibrated on simulated stems (tests/bench/stems.py, seeds below 1000)
-    taper_std: float = 0.002  # radius per metre: what the taper near breast height may differ from the fitted one
-    ground_std_m: float = 0.02  # where the ground is, between litter and mineral soil
-    max_change: tuple[float, float] = (0.35, 0.03)  # share and metres by which the radius may differ from the search's
-    joint: JointSettings = field(default_factory=JointSettings)
+    uneven_std: float = 0.006
+    noise_share: float = 0.015
+    spread_factor: float = 1.15
+    taper_std: float = 0.002
+    ground_std_m: float = 0.02
+    max_change: tuple[float, float] = (0.35, 0.03)
+    half_windows_m: tuple[float, ...] = (0.4, 0.6, 0.9)
     slice: SliceSettings = field(default_factory=SliceSettings)
     spread: SpreadSettings = field(default_factory=SpreadSettings)
 
@@ -66,7 +100,7 @@ def measure_together(
     points: Sequence[Floats],
     stems: Sequence[Stem],
     *,
-    bh_m: float = 1.3,
+    bh_m: float = BREAST_HEIGHT_M,
     ground_noise_m: float = 0.0,
     scale_rel_std: float = 0.0,
     settings: DbhSettings | None = None,
@@ -80,13 +114,14 @@ def measure_together(
     starts = np.zeros((len(stems), 6))
     heights = np.zeros(len(stems))
     for k, stem in enumerate(stems):
-        height = float(np.clip(bh_m, stem.bottom_m + 0.1, max(stem.top_m - 0.1, stem.bottom_m + 0.1)))
+        lowest = stem.bottom_m + LAYER_M
+        height = float(np.clip(bh_m, lowest, max(stem.top_m - LAYER_M, lowest)))
         start = stem.axis.parameters.copy()
         start[:2] = stem.axis.center_at(height)
-        start[4] = max(stem.axis.radius_m + start[5] * (height - stem.axis.height_m), 0.01)
+        start[4] = max(stem.axis.radius_m + start[5] * (height - stem.axis.height_m), LEAST_RADIUS_M)
         starts[k], heights[k] = start, height
     sigmas = np.array([stem.axis.sigma_m for stem in stems])
-    fits = joint_fits(points, starts, heights, sigmas, settings=s.joint, seed=seed)
+    fits = joint_fits(points, starts, heights, sigmas, half_windows_m=s.half_windows_m, seed=seed)
     return [
         _section(own, stem, fit, used, bh_m, ground_noise_m, scale_rel_std, s, seed)
         for own, stem, (fit, used) in zip(points, stems, fits, strict=True)
@@ -111,7 +146,7 @@ def _section(
         return unmeasured_section(
             fit.center_at(height),
             height,
-            f"too few points at breast height: fewer than {s.min_points}",
+            (notice(StemCode.too_few_at_breast_height, least=LEAST_POINTS),),
             radius_m=fit.radius_m,
             lean_deg=fit.lean_deg,
             slope=fit.parameters[2:4],
@@ -123,8 +158,8 @@ def _section(
     offset, foot = axis_coordinates(used, fit.parameters, height)
     spread = fit_spread(fit, offset, foot, settings=s.spread)
     taper = float(fit.parameters[5])
-    wall = np.abs(fit.residuals_m) <= 2.5 * fit.noise_m
-    coverage = float(covered_bins(offset[wall], bins=72).mean())
+    wall = np.abs(fit.residuals_m) <= WALL_SIGMAS * fit.noise_m
+    coverage = float(covered_bins(offset[wall]).mean())
     section = fit_slice(points, fit, height, coverage, settings=s.slice, seed=seed)
     joint_var = s.spread_factor**2 * float(spread.covariance[4, 4])
     local_var = (s.local_std * fit.radius_m) ** 2
@@ -135,7 +170,7 @@ def _section(
         local_var *= 1.0 - gain
     # A geometric fit to points with noise sigma overestimates the radius by sigma^2 / 2R (Chernov & Lesort 2004).
     precision = float((fit.core / fit.noise_m**2).sum() / max(float(fit.core.sum()), 1e-9))
-    radius -= 1.0 / (2.0 * precision * max(radius, 0.01))
+    radius -= 1.0 / (2.0 * precision * max(radius, LEAST_RADIUS_M))
     radius *= _girth_factor(fit, spread)
     level = (abs(taper) + s.taper_std) * float(np.hypot(s.ground_std_m, ground_noise_m))
     parts = {
@@ -158,13 +193,13 @@ def _section(
         gap = blurred_gap(offset, fit.residuals_m, fit.sigma_m)
     share, metres = s.max_change
     astray = abs(fit.radius_m - stem.axis.radius_m) > share * stem.axis.radius_m + metres
-    reason = _refuse(fit, coverage, 2.0 * radius, sd, gap, int(wall.sum()), s)
-    if astray and not reason:
-        reason = "no round surface at breast height: its curvature changes too much with the part that is looked at"
-    status = "unmeasured" if reason else "ok"
-    if not reason:
-        reason = _doubt(coverage, 2.0 * radius, sd, height - bh_m, s)
-        status = "doubtful" if reason else "ok"
+    reasons = _refused(fit, coverage, 2.0 * radius, sd, gap, int(wall.sum()), s)
+    if astray and not reasons:
+        reasons = (notice(StemCode.not_round),)
+    status = "unmeasured" if reasons else "ok"
+    if not reasons:
+        reasons = _doubts(coverage, 2.0 * radius, sd, height - bh_m, s)
+        status = "doubtful" if reasons else "ok"
     return Section(
         center=fit.center_at(height),
         bh_m=height,
@@ -180,7 +215,7 @@ def _section(
         taper=float(fit.parameters[5]),
         top_m=stem.top_m,
         status=status,
-        reason=reason,
+        reasons=reasons,
         offsets_m=section.offsets_m,
         kept=section.kept,
         circle_m=circle,
@@ -199,34 +234,41 @@ def _girth_factor(fit: AxisFit, spread: Spread) -> float:
     return 1.0 + float((order**2 * squares).sum()) / (4.0 * fit.radius_m**2)
 
 
-def _refuse(fit: AxisFit, coverage: float, dbh_m: float, sd: float, gap: float, count: int, s: DbhSettings) -> str:
-    if count < s.min_points:
-        return f"too few points at breast height: {count}; photograph the stem from more places"
+def _refused(
+    fit: AxisFit, coverage: float, dbh_m: float, sd: float, gap: float, count: int, s: DbhSettings
+) -> tuple[Notice, ...]:
+    """Why there is no diameter; empty where there is one."""
+    if count < LEAST_POINTS:
+        return (notice(StemCode.too_few_on_bark, points=count),)
     if coverage < s.min_coverage:
-        return f"only {360 * coverage:.0f} degrees of the stem are seen; walk round it"
+        return (notice(StemCode.too_little_seen, seen_deg=360.0 * coverage),)
     if gap > 0.0:
-        return f"double wall: two surfaces {100 * gap:.1f} cm apart; the poses or scans do not agree at this stem"
+        return (notice(StemCode.double_wall, gap_cm=100.0 * gap),)
     if fit.sigma_m > min(s.max_sigma_m, 0.5 * s.max_sigma_of_radius * dbh_m):
-        return f"surface too rough: residual {100 * fit.sigma_m:.1f} cm; undergrowth or bad depth at breast height"
+        return (notice(StemCode.too_rough, residual_cm=100.0 * fit.sigma_m),)
     return too_uncertain(dbh_m, sd, s)
 
 
-def too_uncertain(dbh_m: float, sd: float, s: DbhSettings) -> str:
+def too_uncertain(dbh_m: float, sd: float, s: DbhSettings) -> tuple[Notice, ...]:
     """Why a diameter with the standard deviation ``sd``, both metres, is no measurement; empty where it is one."""
-    if 2 * 1.96 * sd > s.max_interval * dbh_m:
-        return f"too uncertain: {100 * dbh_m:.0f} cm +- {100 * 1.96 * sd:.0f} cm; walk round the stem"
-    return ""
+    if 2 * Z95 * sd > s.max_interval * dbh_m:
+        return (notice(StemCode.too_uncertain, dbh_cm=100.0 * dbh_m, half_width_cm=100.0 * Z95 * sd),)
+    return ()
 
 
-def wide_interval(dbh_m: float, sd: float, s: DbhSettings) -> list[str]:
+def wide_interval(dbh_m: float, sd: float, s: DbhSettings) -> tuple[Notice, ...]:
     """The doubt about a diameter with the standard deviation ``sd``, both metres, if there is one."""
-    return [f"wide interval (+- {100 * 1.96 * sd:.1f} cm)"] if 2 * 1.96 * sd > s.doubtful_interval * dbh_m else []
+    if 2 * Z95 * sd > s.doubtful_interval * dbh_m:
+        return (notice(StemCode.wide_interval, half_width_cm=100.0 * Z95 * sd),)
+    return ()
 
 
-def _doubt(coverage: float, dbh_m: float, sd: float, shift: float, s: DbhSettings) -> str:
+def _doubts(coverage: float, dbh_m: float, sd: float, shift: float, s: DbhSettings) -> tuple[Notice, ...]:
     doubts = []
-    if abs(shift) > 0.05:
-        doubts.append(f"measured {100 * abs(shift):.0f} cm {'above' if shift > 0 else 'below'} breast height")
+    if shift > s.max_off_m:
+        doubts.append(notice(StemCode.above_breast_height, off_cm=100.0 * shift))
+    elif shift < -s.max_off_m:
+        doubts.append(notice(StemCode.below_breast_height, off_cm=-100.0 * shift))
     if coverage < s.doubtful_coverage:
-        doubts.append(f"only {360 * coverage:.0f} degrees of the stem are seen")
-    return "; ".join([*doubts, *wide_interval(dbh_m, sd, s)])
+        doubts.append(notice(StemCode.little_seen, seen_deg=360.0 * coverage))
+    return (*doubts, *wide_interval(dbh_m, sd, s))

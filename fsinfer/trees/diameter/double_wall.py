@@ -7,33 +7,58 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.trees.diameter.sides import NOISE_SECTORS, noise_sector
+from fsinfer.trees.points.surface import OUTSIDE_SIGMAS, sector_of
+
 Floats = NDArray[np.float64]
+
+
+#: Numerics: bins of the density across a wall, and limits of its kernel, metres.
+BIN_M, KERNEL_M = 0.002, (0.002, 0.008)
+#: Numerics: peaks beside the highest that are looked at.
+OTHER_PEAKS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
 class WallSettings:
-    """Constants of :func:`wall_gap` and :func:`blurred_gap`."""
+    """Constants of :func:`wall_gap` and :func:`blurred_gap`.
+
+    Attributes
+    ----------
+    sectors: in which second walls are looked for. Source: chosen on simulated stems.
+    reach_m: second walls farther away are other things. Source: chosen on simulated stems.
+    min_gap_m: closer walls only thicken the surface, which the residual tells. Source: chosen on simulated stems.
+    min_points: in a sector. Source: statistics, a density of two peaks needs twenty points each.
+    second_peak: height of the second peak, share of the first: less is a tail. Source: chosen on simulated stems.
+    valley: between them, share of the lower peak: a shoulder is no second wall. Source: chosen on simulated stems.
+    min_share: of the seen sectors; one sector can be a branch or an ivy stem. Source: chosen on simulated stems.
+    min_sectors: 60 degrees. Source: chosen on simulated stems.
+    blur_share: second harmonic of the variance over its mean. Source: simulated stems, chance gives 0.03 with 5,000
+        points.
+    blur_over_haze: second harmonic over the first, which is haze on one side. Source: chosen on simulated stems.
+    blur_gap_m: nearer walls cost less than a centimetre. Source: not recorded.
+    blur_unseen: share of the circumference that may be unseen. Source: not recorded.
+    """
 
     sectors: int = 12
-    bin_m: float = 0.002
-    reach_m: float = 0.08  # second walls farther away are other things
-    min_gap_m: float = 0.012  # closer walls only thicken the surface, which the residual tells
-    min_points: int = 40  # in a sector: a density of two peaks needs twenty points each
-    second_peak: float = 0.35  # of the first: less is a tail
-    valley: float = 0.55  # of the lower peak: a shoulder is no second wall
-    min_share: float = 0.4  # of the seen sectors; one sector can be a branch or an ivy stem
-    min_sectors: int = 2  # 60 degrees
-    blur_sectors: int = 24
-    blur_share: float = 0.25  # second harmonic of the variance over its mean; chance gives 0.03 with 5,000 points
-    blur_gap_m: float = 0.02  # nearer walls cost less than a centimetre
+    reach_m: float = 0.08
+    min_gap_m: float = 0.012
+    min_points: int = 40
+    second_peak: float = 0.35
+    valley: float = 0.55
+    min_share: float = 0.4
+    min_sectors: int = 2
+    blur_share: float = 0.25
+    blur_over_haze: float = 1.5
+    blur_gap_m: float = 0.02
+    blur_unseen: float = 0.2
 
 
 def wall_gap(offsets: Floats, residuals: Floats, sigma: float, *, settings: WallSettings | None = None) -> float:
     """Distance in metres between two walls, 0 when there is one: offsets (N, 2) and residuals (N,) of the axis fit."""
     s = settings or WallSettings()
     near = np.abs(residuals) <= s.reach_m
-    angle = np.arctan2(offsets[near, 1], offsets[near, 0])
-    sector = np.minimum(((angle + np.pi) / (2.0 * np.pi) * s.sectors).astype(int), s.sectors - 1)
+    sector = sector_of(offsets[near], s.sectors)
     residual = residuals[near]
     seen, gaps = 0, []
     for number in range(s.sectors):
@@ -42,7 +67,7 @@ def wall_gap(offsets: Floats, residuals: Floats, sigma: float, *, settings: Wall
             continue
         seen += 1
         gap = _two_peaks(values, s)
-        if gap > max(s.min_gap_m, 1.0 * sigma):
+        if gap > max(s.min_gap_m, sigma):
             gaps.append(gap)
     if len(gaps) >= s.min_sectors and len(gaps) >= s.min_share * seen:
         return float(np.median(gaps))
@@ -51,25 +76,25 @@ def wall_gap(offsets: Floats, residuals: Floats, sigma: float, *, settings: Wall
 
 def _two_peaks(values: Floats, s: WallSettings) -> float:
     """Distance between the two main peaks of a kernel density, or 0."""
-    bins = int(2 * s.reach_m / s.bin_m)
-    bin_ = np.minimum(((values + s.reach_m) / s.bin_m).astype(np.int64), bins - 1)
+    bins = int(2 * s.reach_m / BIN_M)
+    bin_ = np.minimum(((values + s.reach_m) / BIN_M).astype(np.int64), bins - 1)
     count = np.bincount(bin_, minlength=bins).astype(np.float64)
     ordered = np.sort(values)
     low, high = ordered[len(values) // 4], ordered[(3 * len(values)) // 4]
-    width = float(np.clip(0.5 * (high - low) * len(values) ** -0.2, 0.002, 0.008))
-    half = int(np.ceil(3 * width / s.bin_m))
-    kernel = np.exp(-0.5 * (np.arange(-half, half + 1) * s.bin_m / width) ** 2)
+    width = float(np.clip(0.5 * (high - low) * len(values) ** -0.2, *KERNEL_M))
+    half = int(np.ceil(3 * width / BIN_M))
+    kernel = np.exp(-0.5 * (np.arange(-half, half + 1) * BIN_M / width) ** 2)
     density = np.convolve(count, kernel / kernel.sum(), mode="same")
     peak = np.flatnonzero((density[1:-1] > density[:-2]) & (density[1:-1] >= density[2:])) + 1
     if len(peak) < 2:
         return 0.0
     first = peak[np.argmax(density[peak])]
     best = 0.0
-    for other in peak[np.argsort(-density[peak])][1:4]:
+    for other in peak[np.argsort(-density[peak])][1 : 1 + OTHER_PEAKS]:
         low_index, high_index = sorted((int(first), int(other)))
         valley = density[low_index : high_index + 1].min()
         if density[other] >= s.second_peak * density[first] and valley <= s.valley * density[other]:
-            best = max(best, (high_index - low_index) * s.bin_m)
+            best = max(best, (high_index - low_index) * BIN_M)
     return best
 
 
@@ -82,21 +107,20 @@ def blurred_gap(offsets: Floats, residuals: Floats, sigma: float, *, settings: W
     the axis fit.
     """
     s = settings or WallSettings()
-    near = np.abs(residuals) <= 3.0 * sigma
-    angle = np.arctan2(offsets[near, 1], offsets[near, 0])
-    sector = np.minimum(((angle + np.pi) / (2.0 * np.pi) * s.blur_sectors).astype(int), s.blur_sectors - 1)
-    count = np.bincount(sector, minlength=s.blur_sectors)
-    if (count < s.min_points).sum() > 0.2 * s.blur_sectors:
+    near = np.abs(residuals) <= OUTSIDE_SIGMAS * sigma
+    sector = noise_sector(offsets[near])
+    count = np.bincount(sector, minlength=NOISE_SECTORS)
+    if (count < s.min_points).sum() > s.blur_unseen * NOISE_SECTORS:
         return 0.0
     seen = count >= s.min_points
-    square = np.bincount(sector, weights=residuals[near] ** 2, minlength=s.blur_sectors)[seen] / count[seen]
-    middle = ((np.arange(s.blur_sectors) + 0.5) / s.blur_sectors * 2.0 - 1.0)[seen] * np.pi
+    square = np.bincount(sector, weights=residuals[near] ** 2, minlength=NOISE_SECTORS)[seen] / count[seen]
+    middle = ((np.arange(NOISE_SECTORS) + 0.5) / NOISE_SECTORS * 2.0 - 1.0)[seen] * np.pi
     design = np.column_stack(
         [np.ones(len(middle)), np.cos(middle), np.sin(middle), np.cos(2.0 * middle), np.sin(2.0 * middle)]
     )
     a, c1, s1, c2, s2 = np.linalg.lstsq(design, square, rcond=None)[0]
     second = float(np.hypot(c2, s2))
-    if second < s.blur_share * a or second < 1.5 * np.hypot(c1, s1):
+    if second < s.blur_share * a or second < s.blur_over_haze * np.hypot(c1, s1):
         return 0.0
     gap = 2.0 * float(np.sqrt(2.0 * second))
     return gap if gap >= s.blur_gap_m else 0.0

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.notices.notice import Notice
 from fsinfer.trees.diameter.outline import Outline
 from fsinfer.trees.diameter.silhouette import SilhouetteFit
 
@@ -23,7 +24,7 @@ class Section:
     position at ``bh_m`` in the frame of the cloud, ``slope`` (2,) its dx/dh and dy/dh, ``taper`` the radius's dr/dh,
     ``top_m`` the height to which the stem was seen (below the search's upper end). ``parts_m`` are the standard
     deviations of the radius that make up the interval, by name, ``tau_m`` the error that neighbouring points share.
-    ``dbh_m`` is None when ``reason`` says why there is none. Where photographs were looked at too
+    ``dbh_m`` is None when ``reasons`` say why there is none. Where photographs were looked at too
     (:mod:`fsinfer.silhouettes.join`), ``silhouette`` is what their edges say and ``cloud_dbh_m`` what the points alone
     gave.
     """
@@ -42,7 +43,7 @@ class Section:
     taper: float
     top_m: float
     status: str
-    reason: str
+    reasons: tuple[Notice, ...]
     offsets_m: Floats
     kept: Bools
     circle_m: Floats
@@ -55,7 +56,7 @@ class Section:
 def unmeasured_section(
     center: Floats,
     bh_m: float,
-    reason: str,
+    reasons: tuple[Notice, ...],
     *,
     radius_m: float,
     lean_deg: float = 0.0,
@@ -85,7 +86,7 @@ def unmeasured_section(
         taper=taper,
         top_m=bh_m if top_m is None else top_m,
         status="unmeasured",
-        reason=reason,
+        reasons=reasons,
         offsets_m=offsets,
         kept=np.zeros(len(offsets), dtype=bool),
         circle_m=np.array([0.0, 0.0, radius_m]),

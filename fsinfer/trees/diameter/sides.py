@@ -11,35 +11,52 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.trees.points.sums import median
+from fsinfer.trees.cylinder.axis import AxisSettings
+from fsinfer.trees.points.sums import MAD_TO_SIGMA, median
+from fsinfer.trees.points.surface import LAYER_M, SECTORS, SEEN_LAYERS, STRAY_SHARE, sector_of
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 
+#: What a well seen sector or cell holds: this percentile of them. Source: not recorded.
+WELL_SEEN_PERCENTILE = 90.0
+#: Sectors in which errors go together: by their noise sharp and hazy sides are told apart. Source: not recorded.
+NOISE_SECTORS = 24
+
+
 @dataclass(frozen=True, kw_only=True)
 class SideSettings:
-    """Constants of :func:`seen_side`."""
+    """Constants of :func:`seen_side`.
 
-    sectors: tuple[int, int] = (8, 36)  # 45 to 10 degrees
-    layer_m: float = 0.10
-    points_a_cell: float = 4.0  # fewer, and cells stay empty by chance: then only sectors are looked at
-    least_share: float = 0.10  # of what a well seen sector holds; the density of scans differs by five between sides
-    least_layers: float = 1.0 / 3.0  # of the layers in which the stem is seen; branches and shrubs fill a few
+    Attributes
+    ----------
+    points_a_cell: fewer in a sector of a layer, and cells stay empty by chance: then only sectors are looked at.
+        Source: statistics, one in 50 stays empty by chance.
+    active_layers: layers count that show this share of what the fullest shows. Source: not recorded.
+    """
+
+    points_a_cell: float = 4.0
+    active_layers: float = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseSettings:
-    """Constants of :func:`relative_noise`."""
+    """Constants of :func:`relative_noise`, which looks at residuals up to half the window of the axis's fit.
 
-    window_m: float = 0.06
-    prior_points: float = 15.0  # that the noise of the whole stem counts for in a sector's
-    sharp_percentile: float = 25.0  # a quarter of the circumference sets what sharp is
-    model_m: float = 0.008  # bark and shape depart from the model by that much: no side counts as sharper
-    most: float = 10.0  # a hazy side is at most that many times noisier than the sharp ones
+    Attributes
+    ----------
+    prior_points: points that the noise of the whole stem counts for in a sector's. Source: chosen on simulated stems.
+    sharp_percentile: of the circumference; a quarter of it sets what sharp is. Source: chosen on simulated stems.
+    model_m: bark and shape depart from the model by that much: no side counts as sharper. Source: chosen on simulated
+        stems.
+    most: a hazy side is at most that many times noisier than the sharp ones. Source: chosen on simulated stems.
+    """
 
-
-NOISE_SECTORS = 24  # what relative_noise and noise_sector agree on
+    prior_points: float = 15.0
+    sharp_percentile: float = 25.0
+    model_m: float = 0.008
+    most: float = 10.0
 
 
 def seen_side(offsets: Floats, foot: Floats, core: Floats, *, settings: SideSettings | None = None) -> Bools:
@@ -49,18 +66,17 @@ def seen_side(offsets: Floats, foot: Floats, core: Floats, *, settings: SideSett
     """
     s = settings or SideSettings()
     total = float(core.sum())
-    sectors = int(np.clip(total / (2.0 * s.points_a_cell), *s.sectors))
-    angle = np.arctan2(offsets[:, 1], offsets[:, 0]) / (2.0 * np.pi) + 0.5
-    sector = np.minimum((angle * sectors).astype(np.int64), sectors - 1)
+    sectors = int(np.clip(total / (2.0 * s.points_a_cell), *SECTORS))
+    sector = sector_of(offsets, sectors)
     count = np.bincount(sector, weights=core, minlength=sectors)
-    seen = count >= max(s.least_share * float(np.percentile(count, 90)), 0.5)
-    layer = np.floor((foot - foot.min()) / s.layer_m).astype(np.int64)
+    seen = count >= max(STRAY_SHARE * float(np.percentile(count, WELL_SEEN_PERCENTILE)), 0.5)
+    layer = np.floor((foot - foot.min()) / LAYER_M).astype(np.int64)
     layers = int(layer.max()) + 1
     if total >= s.points_a_cell * sectors * layers:
         cells = np.bincount(layer * sectors + sector, weights=core, minlength=layers * sectors).reshape(layers, sectors)
-        full = cells >= s.least_share * np.percentile(cells, 90)
-        active = full.mean(axis=1) >= 0.5 * full.mean(axis=1).max()
-        seen &= full[active].mean(axis=0) >= s.least_layers
+        full = cells >= STRAY_SHARE * np.percentile(cells, WELL_SEEN_PERCENTILE)
+        active = full.mean(axis=1) >= s.active_layers * full.mean(axis=1).max()
+        seen &= full[active].mean(axis=0) >= SEEN_LAYERS
     return np.asarray(seen[sector])
 
 
@@ -70,7 +86,7 @@ def relative_noise(offsets: Floats, residuals: Floats, *, settings: NoiseSetting
     ``offsets`` (N, 2) from the axis and ``residuals`` (N,) of all points near the wall, haze included.
     """
     s = settings or NoiseSettings()
-    near = np.abs(residuals) <= s.window_m
+    near = np.abs(residuals) <= 0.5 * AxisSettings().window_m
     sector, values = noise_sector(offsets[near]), residuals[near]
     if len(values) < NOISE_SECTORS:
         return np.ones(NOISE_SECTORS)
@@ -89,9 +105,8 @@ def relative_noise(offsets: Floats, residuals: Floats, *, settings: NoiseSetting
 
 def noise_sector(offsets: Floats) -> NDArray[np.int64]:
     """Index (N,) of the sector of ``relative_noise`` in which each of the offsets (N, 2) lies."""
-    angle = np.arctan2(offsets[:, 1], offsets[:, 0]) / (2.0 * np.pi) + 0.5
-    return np.minimum((angle * NOISE_SECTORS).astype(np.int64), NOISE_SECTORS - 1)
+    return sector_of(offsets, NOISE_SECTORS)
 
 
 def _spread(values: Floats) -> float:
-    return 1.4826 * median(np.abs(values - median(values)))
+    return MAD_TO_SIGMA * median(np.abs(values - median(values)))

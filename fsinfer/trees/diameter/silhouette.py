@@ -19,38 +19,61 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.trees.cylinder.axis import AxisSettings
+from fsinfer.trees.diameter.sides import NOISE_SECTORS
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
+#: Numerics: steps of the vote over radius and place, metres.
+RADIUS_STEP_M, PLACE_STEP_M = 0.004, 0.01
+#: Numerics: peaks of the vote that are followed up.
+STARTS = 3
+#: Numerics: rounds of a fit; tolerance of the vote and of the first ones, metres, after which it is what was found, and
+#: how much tighter harmonics are held in them: they would bend a wrong circle through a few edges.
+ROUNDS, TOLERANCES_M, ROUND_FIRST = 12, (0.012, 0.008, 0.006, 0.005, 0.004), 10.0
+#: Numerics: an edge is never surer, metres.
+LEAST_NOISE_M = 0.001
+
+
 @dataclass(frozen=True, kw_only=True)
 class SilhouetteSettings:
-    """Constants of :func:`fit_silhouette`; lengths in metres."""
+    """Constants of :func:`fit_silhouette`; lengths in metres. "Two renders" are the open and the sloped plot.
 
-    radius_range: tuple[float, float] = (0.6, 1.5)  # of the radius known before, which may come from a haze
-    radius_step_m: float = 0.004
+    Attributes
+    ----------
+    radius_range: of the radius known before, which may come from a haze. Source: renders only, two renders.
+    place_range_m: to either side of where the cloud has the axis. Source: renders only, two renders.
+    place_std_m: prior of where the cloud has the axis. Source: renders only, two renders.
+    slope_std: prior of its slope. Source: renders only, two renders.
+    taper_std: prior of its taper, radius per metre of height. Source: renders only, two renders.
+    hull_of_rough_bark: harmonics of the hull over those of the surface, in the priors of the cloud's fit. Source:
+        renders only, so that the intervals of stems seen from one side hold the truth on all plots.
+    edge_std_px: of one edge in one band. Source: renders only, two renders.
+    background: likelihood of "none of these is the stem's edge", against an edge of strength 1. Source: renders only,
+        two renders.
+    min_contrast: votes of the best radius over those of the median one. Source: renders only, stems have 1.4 to 1.9.
+    common_px: what all edges share (blur, light from one side, undistortion), typical pixels. Source: renders only, as
+        ``hull_of_rough_bark``.
+    common_std: what a few harmonics do not describe, share of the radius. Source: renders only, two renders.
+    min_edges: rays. Source: twice the unknowns that no prior holds.
+    min_share: of the rays that must agree on the stem. Source: renders only, two renders.
+    """
+
+    radius_range: tuple[float, float] = (0.6, 1.5)
     place_range_m: float = 0.04
-    place_step_m: float = 0.01
-    vote_std_m: float = 0.012
-    tolerances_m: tuple[float, ...] = (0.012, 0.008, 0.006, 0.005, 0.004)  # of the first rounds; then what was found
-    rounds: int = 12
-    starts: int = 3  # peaks of the vote that are followed up
-    round_first: float = 10.0  # harmonics are held this much tighter in the first rounds
-    place_std_m: float = 0.05  # priors: where the cloud has the axis ...
+    place_std_m: float = 0.05
     slope_std: float = 0.03
-    taper_std: float = 0.006  # ... radius per metre of height
-    # Harmonics 2, 3, 4, part of the radius: half as much again as in the cloud's fit, for the hull of rough bark.
-    # Chosen with common_px so that intervals of stems seen from one side hold the truth on rendered plots.
-    shape_std: tuple[float, ...] = (0.024, 0.012, 0.006)
-    edge_std_px: float = 0.5  # of one edge in one band
-    background: float = 0.13  # likelihood of "none of these is the stem's edge", against an edge of strength 1
-    min_contrast: float = 1.3  # votes of the best radius over those of the median one; 1.4 to 1.9 on rendered stems
-    least_noise_m: float = 0.001
-    sector_deg: float = 15.0  # edges seen under about the same angle err together: bark is no smooth curve
-    common_px: float = 0.08  # what all edges share (blur, light from one side, undistortion), typical pixels
-    common_std: float = 0.003  # of the radius: what a few harmonics do not describe
-    min_edges: int = 8  # rays; twice the unknowns that no prior holds
-    min_share: float = 0.5  # of the rays that must agree on the stem
+    taper_std: float = 0.006
+    hull_of_rough_bark: float = 1.5
+    edge_std_px: float = 0.5
+    background: float = 0.13
+    min_contrast: float = 1.3
+    common_px: float = 0.08
+    common_std: float = 0.003
+    min_edges: int = 8
+    min_share: float = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,7 +134,7 @@ class SilhouetteFit:
 
 
 def fit_silhouette(
-    edges: Edges, radius_m: float, *, taper: float = -0.006, settings: SilhouetteSettings | None = None
+    edges: Edges, radius_m: float, *, taper: float, settings: SilhouetteSettings | None = None
 ) -> SilhouetteFit | None:
     """Fit the support function of a stem whose radius is roughly ``radius_m``; None where the edges do not agree."""
     s = settings or SilhouetteSettings()
@@ -125,8 +148,9 @@ def fit_silhouette(
     weight, used = best.weight, best.weight > 0.5
     if used.sum() < s.min_edges or weight.sum() < s.min_share * problem.rays:
         return None
-    all_round = round(360.0 / s.sector_deg)
-    sector = np.floor(np.degrees(edges.angle_rad[used]) / s.sector_deg).astype(np.int64) % all_round
+    # Edges seen under about the same angle err together: bark is no smooth curve.
+    all_round = NOISE_SECTORS
+    sector = np.floor(np.degrees(edges.angle_rad[used]) / (360.0 / all_round)).astype(np.int64) % all_round
     variance = _clustered_variance(best.information, best.scores[used], sector, problem.prior)
     common_px = s.common_px * float(np.median(edges.pixel_m[used]))
     x = best.x
@@ -147,9 +171,7 @@ def fit_silhouette(
     )
 
 
-def edge_contrast(
-    edges: Edges, radius_m: float, *, taper: float = -0.006, settings: SilhouetteSettings | None = None
-) -> float:
+def edge_contrast(edges: Edges, radius_m: float, *, taper: float, settings: SilhouetteSettings | None = None) -> float:
     """How much better the edges agree on one radius than on any: 1.4 to 1.9 for stems, below 1.1 where there is none.
 
     NaN without edges.
@@ -181,8 +203,9 @@ class _Problem:
         self.rays = int(self.ray.max()) + 1
         self.log_strength = np.log(np.maximum(edges.strength, 1.0))
         self.pixel = s.edge_std_px * edges.pixel_m
-        self.design = _design(edges.angle_rad, edges.height_m, len(s.shape_std))
-        shape = np.repeat(np.array(s.shape_std) * radius_m, 2)
+        shape_std = s.hull_of_rough_bark * np.array(AxisSettings().shape_std)
+        self.design = _design(edges.angle_rad, edges.height_m, len(shape_std))
+        shape = np.repeat(shape_std * radius_m, 2)
         self.prior = 1.0 / np.r_[np.inf, s.taper_std, [s.place_std_m] * 2, [s.slope_std] * 2, shape] ** 2
         self.prior_mean = np.zeros(len(self.prior))
         self.prior_mean[1] = taper
@@ -194,13 +217,13 @@ class _Problem:
         """
         s, edges = self.s, self.edges
         level = edges.support_m - self.taper * edges.height_m
-        std = np.hypot(s.vote_std_m, self.pixel)
-        shifts = np.arange(-s.place_range_m, s.place_range_m + 1e-9, s.place_step_m)
+        std = np.hypot(TOLERANCES_M[0], self.pixel)
+        shifts = np.arange(-s.place_range_m, s.place_range_m + 1e-9, PLACE_STEP_M)
         order = np.argsort(self.ray, kind="stable")
         first = np.searchsorted(self.ray[order], np.arange(self.rays))
         cosine, sine = np.cos(edges.angle_rad), np.sin(edges.angle_rad)
         low, high = s.radius_range
-        radii = np.arange(low * self.radius_m, high * self.radius_m + 0.02, s.radius_step_m)
+        radii = np.arange(low * self.radius_m, high * self.radius_m + 5 * RADIUS_STEP_M, RADIUS_STEP_M)
         tops, places = np.zeros(len(radii)), np.zeros((len(radii), 2))
         for i, radius in enumerate(radii):
             for a in shifts:
@@ -211,31 +234,31 @@ class _Problem:
                 if votes.max() > tops[i]:
                     tops[i], places[i] = votes.max(), (a, shifts[votes.argmax()])
         peaks = [i for i in range(len(radii)) if tops[i] >= max(tops[max(i - 1, 0) : i + 2])]
-        peaks = sorted(peaks, key=lambda i: -tops[i])[: s.starts]
+        peaks = sorted(peaks, key=lambda i: -tops[i])[:STARTS]
         contrast = float(tops.max()) / max(float(np.median(tops)), 1e-9)
         return [np.array([radii[i], *places[i]]) for i in peaks], contrast
 
     def refine(self, start: Floats) -> _Solution:
         """Expectation-maximisation from ``start`` (radius and place), first round, then with harmonics."""
-        s, edges, design = self.s, self.edges, self.design
+        edges, design = self.edges, self.design
         x = self.prior_mean.copy()
         x[[0, 2, 3]] = start
-        noise = s.least_noise_m
-        for turn in range(s.rounds):
-            early = turn < len(s.tolerances_m)
-            std = np.hypot(self.pixel, s.tolerances_m[turn] if early else noise)
+        noise = LEAST_NOISE_M
+        for turn in range(ROUNDS):
+            early = turn < len(TOLERANCES_M)
+            std = np.hypot(self.pixel, TOLERANCES_M[turn] if early else noise)
             weight, log_likelihood = self._responsibility(self._log_fit(x, std))
             precision = weight / std**2
             prior = self.prior.copy()
-            if early:  # harmonics would bend a wrong circle through a few edges
-                prior[6:] *= s.round_first**2
+            if early:
+                prior[6:] *= ROUND_FIRST**2
             information = (design * precision[:, None]).T @ design + np.diag(prior)
             x = np.linalg.solve(information, design.T @ (precision * edges.support_m) + prior * self.prior_mean)
             residual = edges.support_m - design @ x
             excess = float((weight * (residual**2 - self.pixel**2)).sum()) / max(float(weight.sum()) - 4.0, 1.0)
-            noise = float(np.sqrt(max(excess, s.least_noise_m**2)))
+            noise = float(np.sqrt(max(excess, LEAST_NOISE_M**2)))
         # Starts are compared at one tolerance: a larger noise must not look like a better fit.
-        _, log_likelihood = self._responsibility(self._log_fit(x, np.hypot(self.pixel, s.tolerances_m[-1])))
+        _, log_likelihood = self._responsibility(self._log_fit(x, np.hypot(self.pixel, TOLERANCES_M[-1])))
         return _Solution(
             x=x,
             weight=weight,

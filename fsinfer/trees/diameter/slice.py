@@ -12,23 +12,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import CloudError
-from fsinfer.trees.cylinder.axis import AxisFit, axis_coordinates, harmonics
-from fsinfer.trees.diameter.circle import CircleSettings, covered_bins, fit_circle
+from fsinfer.trees.cylinder.axis import AxisFit, AxisSettings, axis_coordinates, harmonics
+from fsinfer.trees.diameter.circle import LEAST_POINTS, CircleSettings, covered_bins, fit_circle
 from fsinfer.trees.points.cells import count_cells, rows
 from fsinfer.trees.points.sums import lengths, weighted_sum
+from fsinfer.trees.points.surface import PATCH_M, SECTORS, WALL_SIGMAS
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 
+#: Numerics: points so near to a height, in metres, hold every slice across a leaning stem there.
+SLAB_HALF_M = 0.25
+#: Numerics: a slice is not taken for thinner evidence than of this share of the circumference.
+LEAST_COVERAGE = 0.05
+
+
 @dataclass(frozen=True, kw_only=True)
 class SliceSettings:
-    """Constants of :func:`fit_slice`."""
+    """Constants of :func:`fit_slice`.
 
-    half_slices_m: tuple[float, ...] = (0.015, 0.03, 0.05, 0.10)  # the paper's 1.5 cm first, then wider
-    slice_error_m: float = 0.002  # a slice is wide enough when sigma / sqrt(n * coverage) falls below this
-    min_points: int = 12  # four times the circle's parameters
-    patch_m: float = 0.015  # noise of depth maps and of bark is alike within such a patch: independent samples
+    Attributes
+    ----------
+    half_slices_m: half of a slice's thickness; the next where the cloud is sparse. Source: Forests 2025, 16, 927 for
+        the first; not recorded for the wider ones.
+    slice_error_m: a slice is thick enough when sigma / sqrt(n * coverage) falls below this. Source: not recorded.
+    min_seen: and when it shows this share of what the longer piece of the stem shows. Source: not recorded.
+    circle: of the circle in the slice.
+    """
+
+    half_slices_m: tuple[float, ...] = (0.015, 0.03, 0.05, 0.10)
+    slice_error_m: float = 0.002
+    min_seen: float = 0.85
     circle: CircleSettings = field(default_factory=CircleSettings)
 
 
@@ -65,13 +80,13 @@ def fit_slice(
     """
     s = settings or SliceSettings()
     taper = float(fit.parameters[5])
-    near = rows(points, np.abs(points[:, 2] - height) <= 0.25)
+    near = rows(points, np.abs(points[:, 2] - height) <= SLAB_HALF_M)
     offset, foot = axis_coordinates(near, fit.parameters, height)
     distance = lengths(offset)
     unit = offset / np.maximum(distance, 1e-6)[:, None]
     shape = weighted_sum(fit.shape_m, harmonics(unit[:, 0], unit[:, 1], len(fit.shape_m)).T)
     residual = distance - fit.radius_m - taper * foot - shape
-    reach = np.abs(residual) <= 0.12
+    reach = np.abs(residual) <= AxisSettings().window_m
     offset, foot, distance, residual = rows(offset, reach), foot[reach], distance[reach], residual[reach]
     # Taper and shape are taken out, so that the circle meets a round section and only sees the local difference.
     excess = taper * foot + shape[reach]
@@ -84,14 +99,14 @@ def fit_slice(
         # Symmetric about the stem's axis and blind to the tail: the joint fit already knows where bark can be.
         candidate = use & (np.abs(residual) <= limit)
         count = int(candidate.sum())
-        if count < s.min_points and half != s.half_slices_m[-1]:
+        if count < LEAST_POINTS and half != s.half_slices_m[-1]:
             continue
         chosen = np.flatnonzero(candidate)
         last = Slice(offsets_m=offset[use], kept=candidate[use], circle_m=plain, half_m=half)
-        if count < s.min_points:
+        if count < LEAST_POINTS:
             return last
-        enough = fit.sigma_m / np.sqrt(count * max(coverage, 0.05)) <= s.slice_error_m
-        seen = float(covered_bins(offset[chosen], bins=36).mean()) >= 0.85 * coverage
+        enough = fit.sigma_m / np.sqrt(count * max(coverage, LEAST_COVERAGE)) <= s.slice_error_m
+        seen = float(covered_bins(offset[chosen], bins=SECTORS[1]).mean()) >= s.min_seen * coverage
         if not (enough and seen) and half != s.half_slices_m[-1]:
             continue
         try:
@@ -102,8 +117,8 @@ def fit_slice(
         kept[chosen[circle.inliers]] = True
         fused = np.array([*circle.center, circle.radius])
         spread = circle.radius_std if np.isfinite(circle.radius_std) else fit.sigma_m
-        patches = count_cells(offset[chosen], s.patch_m)
-        spread *= np.sqrt(max(1.0, count / max(patches, 1) * s.patch_m / (2.0 * half + s.patch_m)))
+        patches = count_cells(offset[chosen], PATCH_M)
+        spread *= np.sqrt(max(1.0, count / max(patches, 1) * PATCH_M / (2.0 * half + PATCH_M)))
         return Slice(
             offsets_m=offset[use],
             kept=kept[use],
@@ -116,4 +131,4 @@ def fit_slice(
 
 
 def _slice_limit(fit: AxisFit, s: SliceSettings) -> float:
-    return max(s.circle.drop_residual_m, s.circle.noise_factor * fit.sigma_m)
+    return max(s.circle.drop_residual_m, WALL_SIGMAS * fit.sigma_m)

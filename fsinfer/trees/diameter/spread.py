@@ -13,21 +13,35 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.trees.cylinder.axis import AxisFit
+from fsinfer.trees.cylinder.axis import RIDGE, AxisFit
 from fsinfer.trees.points.sums import sums_of_products
+from fsinfer.trees.points.surface import LAYER_M, SECTORS, sector_of
 
 Floats = NDArray[np.float64]
 
 
+#: Least number of blocks, beside as many as unknowns, and of pairs of them, that tell what blocks share.
+#: Source: not recorded.
+LEAST_FREE, LEAST_PAIRS = 4, 6
+
+
 @dataclass(frozen=True, kw_only=True)
 class SpreadSettings:
-    """Constants of :func:`fit_spread`."""
+    """Constants of :func:`fit_spread`; blocks are ``LAYER_M`` high.
 
-    block_arc_m: float = 0.04  # wider than the pixels of a depth map on a stem, narrower than its shape
-    block_height_m: float = 0.10
-    sectors: tuple[int, int] = (8, 36)
-    max_correlation: float = 0.7  # of adjacent blocks; more is the shape of the stem, which the harmonics have
-    few_blocks_tau: float = 0.3  # of the noise: assumed where too few blocks are seen to tell
+    Attributes
+    ----------
+    block_arc_m: width of a block: more than the pixels of a depth map on a stem, less than its shape. Source: chosen on
+        simulated stems.
+    max_correlation: of adjacent blocks; more is the shape of the stem, which the harmonics have. Source: chosen on
+        simulated stems.
+    few_blocks_tau: share of the noise that is taken for shared where too few blocks are seen to tell. Source: chosen on
+        simulated stems.
+    """
+
+    block_arc_m: float = 0.04
+    max_correlation: float = 0.7
+    few_blocks_tau: float = 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,10 +55,9 @@ class Spread:
 def fit_spread(fit: AxisFit, offsets: Floats, foot: Floats, *, settings: SpreadSettings | None = None) -> Spread:
     """Spread of ``fit`` for its points at ``offsets`` (N, 2) from the axis and ``foot`` (N,) along it."""
     s = settings or SpreadSettings()
-    sectors = int(np.clip(round(2.0 * np.pi * fit.radius_m / s.block_arc_m), *s.sectors))
-    angle = np.arctan2(offsets[:, 1], offsets[:, 0]) / (2.0 * np.pi) + 0.5
-    sector = np.minimum((angle * sectors).astype(np.int64), sectors - 1)
-    layer = np.floor((foot - foot.min()) / s.block_height_m).astype(np.int64)
+    sectors = int(np.clip(round(2.0 * np.pi * fit.radius_m / s.block_arc_m), *SECTORS))
+    sector = sector_of(offsets, sectors)
+    layer = np.floor((foot - foot.min()) / LAYER_M).astype(np.int64)
     layers = int(layer.max()) + 1
     block = layer * sectors + sector
     size = layers * sectors
@@ -56,7 +69,7 @@ def fit_spread(fit: AxisFit, offsets: Floats, foot: Floats, *, settings: SpreadS
     seen = count >= 2.0
     parameters = fit.jacobian.shape[1]
     free = int(seen.sum()) - parameters
-    if free < 4:
+    if free < LEAST_FREE:
         tau2 = s.few_blocks_tau**2
     else:
         excess = float((count[seen] * mean[seen] ** 2).sum()) - free
@@ -68,7 +81,7 @@ def fit_spread(fit: AxisFit, offsets: Floats, foot: Floats, *, settings: SpreadS
         both = mask & np.roll(mask, -1, axis=axis)
         if axis == 0:
             both[-1] = False  # the layers do not close into a ring
-        if both.sum() >= 6 and tau2 > 0.0:
+        if both.sum() >= LEAST_PAIRS and tau2 > 0.0:
             rho = float((grid * shifted)[both].mean() / max(float((grid[both] ** 2).mean()), 1e-12))
             rho = float(np.clip(rho, 0.0, s.max_correlation))
             inflation *= (1.0 + rho) / (1.0 - rho)
@@ -78,5 +91,5 @@ def fit_spread(fit: AxisFit, offsets: Floats, foot: Floats, *, settings: SpreadS
     sums = np.stack([np.bincount(block, weights=weighted[:, k], minlength=size) for k in range(parameters)], axis=1)
     prior = np.diag(fit.prior_information)
     meat = information + inflation * tau2 * sums.T @ sums + prior
-    bread = np.linalg.inv(information + prior + 1e-9 * np.eye(parameters))
+    bread = np.linalg.inv(information + prior + RIDGE * np.eye(parameters))
     return Spread(covariance=np.asarray(bread @ meat @ bread), tau_m=fit.sigma_m * float(np.sqrt(tau2)))

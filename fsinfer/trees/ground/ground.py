@@ -17,29 +17,58 @@ from scipy.ndimage import grey_erosion
 from fsinfer.errors import CloudError
 from fsinfer.trees.ground.raster import height_on, smooth_surface
 from fsinfer.trees.points.cells import MAX_TABLE
-from fsinfer.trees.points.sums import median
+from fsinfer.trees.points.sums import MAD_TO_SIGMA, median
+from fsinfer.trees.points.surface import OUTSIDE_SIGMAS
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
+#: Numerics: cells of the raster, at most, so that its equations stay solvable in seconds; a hectare keeps its 0.4 m.
+MOST_CELLS = 60_000.0
+#: Numerics: planes through random triples; one with 30 % inliers is found with probability > 1 - 1e-4.
+TRIALS = 400
+#: Numerics: rounds of least squares on the points near the best of them.
+PLANE_ROUNDS = 5
+
+
 @dataclass(frozen=True, kw_only=True)
 class GroundSettings:
-    """Constants of :func:`find_ground`."""
+    """Constants of :func:`find_ground`.
 
-    tolerance_m: tuple[float, float] = (0.02, 0.05)  # the paper: points within 2-5 cm are ground; adapted to the noise
-    cell_m: float = 0.4  # below the 0.5-1 m of usual terrain rasters, so that root collars and bumps follow
-    max_cells: float = 60000.0  # one hectare keeps its 0.4 m
-    layer_m: float = 0.05  # height bins in which the lowest dense layer of a cell is looked for
-    search_m: float = 1.0  # the lowest dense layer lies at most this far above the lowest point of its cell
-    filter_radius_m: float = 3.0  # within this distance of a stem foot the ground cannot hide in a crown
-    filter_slack_m: float = 0.3  # stones, roots and noise may stand above what the slope allows
-    max_slope_deg: float = 40.0  # levelled clouds; steeper is a wall or a cloud that is not z up
-    trials: int = 400  # a plane with 30 % inliers is found with probability > 1 - 1e-4
-    plane_share: float = 0.9  # the plane alone is believed when 90 % of the cells lie within ...
-    plane_tolerance_m: float = 0.03  # ... this: 3 cm of height cost 0.5 mm of a tapering stem's diameter
-    smoothness: float = 2.0  # weight of squared second differences against one cell's height
-    min_ground_share: float = 0.3  # fewer of the lowest cells than this on one surface: no ground was seen
+    Attributes
+    ----------
+    tolerance_m: points within it are ground; between the two it follows the noise. Source: Forests 2025, 16, 927.
+    cell_m: below the 0.5-1 m of usual terrain rasters, so that root collars and bumps follow. Source: not recorded.
+    layer_m: height bins in which the lowest dense layer of a cell is looked for. Source: not recorded.
+    search_m: the lowest dense layer lies at most this far above the lowest point of its cell. Source: not recorded.
+    dense_share: a layer is dense with this share of what the fullest of them holds. Source: not recorded.
+    filter_radius_m: within this distance of a stem foot the ground cannot hide in a crown. Source: not recorded.
+    filter_slack_m: stones, roots and noise may stand above what the slope allows. Source: not recorded.
+    max_slope_deg: of levelled clouds; steeper is a wall or a cloud that is not z up. Source: not recorded.
+    agree_m: cells so near to the surface agree with it. Source: not recorded.
+    band_m: points so near to the surface make its second, finer form; wider where noise is. Source: not recorded.
+    plane_share: the plane alone is believed when this share of the cells lies within ``plane_tolerance_m``. Source: not
+        recorded.
+    plane_tolerance_m: 3 cm of height cost 0.5 mm of a tapering stem's diameter. Source: geometry.
+    smoothness: weight of squared second differences against one cell's height. Source: not recorded.
+    min_ground_share: fewer of the lowest cells than this on one surface: no ground was seen. Source: not recorded.
+    """
+
+    tolerance_m: tuple[float, float] = (0.02, 0.05)
+    cell_m: float = 0.4
+    layer_m: float = 0.05
+    search_m: float = 1.0
+    dense_share: float = 0.15
+    filter_radius_m: float = 3.0
+    filter_slack_m: float = 0.3
+    max_slope_deg: float = 40.0
+    agree_m: float = 0.15
+    band_m: float = 0.08
+    plane_share: float = 0.9
+    plane_tolerance_m: float = 0.03
+    smoothness: float = 2.0
+    min_ground_share: float = 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,8 +128,7 @@ def _lowest_cells(points: Floats, settings: GroundSettings) -> _LowestCells:
     x, y, z = (np.ascontiguousarray(points[:, axis]) for axis in range(3))
     origin = np.array([x.min(), y.min()])
     area = max(float(x.max() - origin[0]), settings.cell_m) * max(float(y.max() - origin[1]), settings.cell_m)
-    # Large plots get a coarser raster, so that its equations stay solvable in seconds.
-    settings = replace(settings, cell_m=max(settings.cell_m, float(np.sqrt(area / settings.max_cells))))
+    settings = replace(settings, cell_m=max(settings.cell_m, float(np.sqrt(area / MOST_CELLS))))
     index, column = (_steps(v, low, settings.cell_m) for v, low in ((y, origin[1]), (x, origin[0])))
     shape = (int(index.max()) + 1, int(column.max()) + 1)
     index *= shape[1]
@@ -144,13 +172,13 @@ def find_ground(points: Floats, *, settings: GroundSettings | None = None, seed:
     center = origin + settings.cell_m * (np.column_stack([cell % shape[1], cell // shape[1]]) + 0.5)
     plane = _ransac_plane(center, low, settings, np.random.default_rng(seed))
     relative = low - (center @ plane[:2] + plane[2])
-    noise = _core_noise(relative)
+    noise = _core_noise(relative, settings)
     tolerance = float(np.clip(2.0 * noise, *settings.tolerance_m))
     plane_share = float(np.mean(np.abs(relative) <= settings.plane_tolerance_m))
     surface = np.zeros(shape)
     if plane_share < settings.plane_share:
         surface = smooth_surface(cell, relative, shape, settings.smoothness)
-    share = float(np.mean(np.abs(relative - surface.ravel()[cell]) <= 0.15))
+    share = float(np.mean(np.abs(relative - surface.ravel()[cell]) <= settings.agree_m))
     if share < settings.min_ground_share or len(cell) < 3:
         msg = (
             f"no ground in the cloud: only {100 * share:.0f} % of the plot agrees on one surface; "
@@ -160,7 +188,7 @@ def find_ground(points: Floats, *, settings: GroundSettings | None = None, seed:
     # Second pass: the lowest layer sits below the middle of a noisy ground; medians of the ground points do not.
     above = z - (plane[0] * x + plane[1] * y + plane[2])
     over = above - surface.ravel().take(index)
-    band = np.flatnonzero(np.abs(over) <= max(3.0 * noise, 0.08))
+    band = np.flatnonzero(np.abs(over) <= max(OUTSIDE_SIGMAS * noise, settings.band_m))
     used, heights = _cell_medians(index.take(band), above.take(band))
     use_raster = plane_share < settings.plane_share
     if use_raster:
@@ -183,7 +211,7 @@ def find_ground(points: Floats, *, settings: GroundSettings | None = None, seed:
         reach=float(reachable.mean()),
     )
     final = z.take(band) - result.height_at(np.stack([x.take(band), y.take(band)]).T)
-    noise = 1.4826 * median(np.abs(final)) if len(final) else noise
+    noise = MAD_TO_SIGMA * median(np.abs(final)) if len(final) else noise
     tolerance = float(np.clip(2.0 * noise, *settings.tolerance_m))
     count = int(np.count_nonzero(np.abs(final) <= tolerance))
     return Ground(**{**vars(result), "noise_m": noise, "tolerance_m": tolerance, "points": count})
@@ -227,7 +255,7 @@ def _lowest_layers(index: Ints, z: Floats, settings: GroundSettings) -> tuple[In
     joined[adjacent] += np.r_[count[1:], 0][adjacent]
     most = np.maximum.reduceat(np.where(near, joined, 0.0), starts)
     most_each = np.repeat(most, np.diff(np.r_[starts, len(cell)]))
-    dense = near & (joined >= np.maximum(0.15 * most_each, 2.0))
+    dense = near & (joined >= np.maximum(settings.dense_share * most_each, 2.0))
     first = np.full(len(starts), -1)
     group = np.repeat(np.arange(len(starts)), np.diff(np.r_[starts, len(cell)]))
     rows = np.flatnonzero(dense)
@@ -240,11 +268,11 @@ def _lowest_layers(index: Ints, z: Floats, settings: GroundSettings) -> tuple[In
 
 def _ransac_plane(xy: Floats, z: Floats, settings: GroundSettings, rng: np.random.Generator) -> Floats:
     if len(z) < 3:
-        msg = "no ground in the cloud: it covers less than three cells of 0.4 m; is it in metres?"
+        msg = f"no ground in the cloud: it covers less than three cells of {settings.cell_m:g} m; is it in metres?"
         raise CloudError(msg)
     middle = xy.mean(axis=0)
-    index = rng.integers(0, len(z), size=(settings.trials, 3))
-    matrix = np.concatenate([xy[index] - middle, np.ones((settings.trials, 3, 1))], axis=2)
+    index = rng.integers(0, len(z), size=(TRIALS, 3))
+    matrix = np.concatenate([xy[index] - middle, np.ones((TRIALS, 3, 1))], axis=2)
     usable = np.abs(np.linalg.det(matrix)) > 1e-6
     best, best_score = np.array([0.0, 0.0, float(np.percentile(z, 10))]), -1.0
     if usable.any():
@@ -257,7 +285,7 @@ def _ransac_plane(xy: Floats, z: Floats, settings: GroundSettings, rng: np.rando
             score = np.maximum(1.0 - (residual / limit) ** 2, 0.0).sum() - 0.5 * np.count_nonzero(residual < -2 * limit)
             if score > best_score:
                 best, best_score = plane, float(score)
-    for _ in range(5):
+    for _ in range(PLANE_ROUNDS):
         residual = z - ((xy - middle) @ best[:2] + best[2])
         near = np.abs(residual) <= 2.0 * settings.tolerance_m[1]
         if near.sum() < 6:
@@ -275,9 +303,11 @@ def _least_squares_plane(xy: Floats, z: Floats) -> Floats:
     return np.array([a, b, c - a * middle[0] - b * middle[1]])
 
 
-def _core_noise(relative: Floats) -> float:
-    near = relative[np.abs(relative) <= 0.15]
-    return float(1.4826 * np.median(np.abs(near - np.median(near)))) if len(near) >= 3 else 0.05
+def _core_noise(relative: Floats, settings: GroundSettings) -> float:
+    near = relative[np.abs(relative) <= settings.agree_m]
+    if len(near) < 3:
+        return settings.tolerance_m[1]
+    return float(MAD_TO_SIGMA * np.median(np.abs(near - np.median(near))))
 
 
 def _cell_medians(index: Ints, z: Floats) -> tuple[Ints, Floats]:

@@ -6,6 +6,7 @@ the surface hardly pulls.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,22 @@ from scipy.sparse.linalg import splu
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-_SYMMETRIC: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-BLOCK = 16_384  # points at once: what is computed on the way stays in the processor's cache
+#: Numerics: SuperLU for symmetric matrices.
+_SYMMETRIC: Mapping[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+#: Numerics: points at once; what is computed on the way stays in the processor's cache.
+BLOCK = 16_384
+#: Numerics: stiffness of the surface, step by step: a stiff first one cannot climb onto shrubs, later ones follow the
+#: terrain; and of the second, finer surface.
+_STIFFNESS, _FINE_STIFFNESS = (100.0, 30.0, 10.0, 3.0, 1.0, 1.0), (1.0, 1.0, 1.0)
+#: Numerics: holds the surface where no cell has a height.
+_RIDGE = 1e-4
+#: What stands so far above the surface hardly pulls: metres at first, what becomes of them in a step, and at last.
+#: Source: not recorded.
+ABOVE_M = (0.6, 0.6, 0.06)
+#: The same for what lies below it. Source: not recorded.
+BELOW_M = (1.2, 0.7, 0.15)
+#: And what is so far from the finer surface, either way. Source: not recorded.
+OFF_M = 0.05
 
 
 def height_on(raster: Floats, origin: Floats, cell_m: float, x: Floats, y: Floats) -> Floats:
@@ -66,15 +81,13 @@ def smooth_surface(
     ``cell`` (C,) are numbers of cells by row, ``smoothness`` the weight of squared second differences against a cell.
     """
     equations = _Equations(shape, smoothness)
-    # Coarse to fine: a stiff first surface cannot climb onto shrubs, later ones follow the terrain.
     surface = np.zeros(shape[0] * shape[1])
-    stiffness = (100.0, 30.0, 10.0, 3.0, 1.0, 1.0)
-    for step, stiff in enumerate(stiffness if not symmetric else (1.0, 1.0, 1.0)):
+    for step, stiff in enumerate(_FINE_STIFFNESS if symmetric else _STIFFNESS):
         residual = height - surface[cell]
         if symmetric:
-            weight = 1.0 / (1.0 + (residual / 0.05) ** 2) if step else np.ones(len(cell))
+            weight = 1.0 / (1.0 + (residual / OFF_M) ** 2) if step else np.ones(len(cell))
         else:
-            limit_above, limit_below = max(0.6 * 0.6**step, 0.06), max(1.2 * 0.7**step, 0.15)
+            limit_above, limit_below = (max(start * factor**step, last) for start, factor, last in (ABOVE_M, BELOW_M))
             weight = np.where(residual > 0, np.exp(-((residual / limit_above) ** 2)), 1.0)
             weight = np.where(residual < -limit_below, (limit_below / np.maximum(-residual, 1e-9)) ** 2, weight)
         surface = equations.solve(stiff, cell, weight, weight * height)
@@ -91,7 +104,7 @@ class _Equations:
         rows, columns = (_second_difference(n) for n in shape)
         penalty = sparse.kron(rows.T @ rows, sparse.eye(shape[1]))
         penalty = penalty + sparse.kron(sparse.eye(shape[0]), columns.T @ columns)
-        penalty = (smoothness * penalty + 1e-4 * sparse.eye(shape[0] * shape[1])).tocsc()
+        penalty = (smoothness * penalty + _RIDGE * sparse.eye(shape[0] * shape[1])).tocsc()
         first = splu(penalty + sparse.eye(penalty.shape[0], format="csc"), permc_spec="MMD_AT_PLUS_A", **_SYMMETRIC)
         self._order = np.argsort(first.perm_c)
         self._place = first.perm_c.astype(np.int64)

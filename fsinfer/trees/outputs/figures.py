@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fsinfer.io.files import atomic_path
 from fsinfer.progress import Progress, silent
 from fsinfer.trees.measure import PlotResult
+from fsinfer.trees.points.sums import Z95
 from fsinfer.trees.tree import Tree
 
 if TYPE_CHECKING:
@@ -123,7 +124,7 @@ def plot_section(
     axes.scatter(*offsets[~kept].T, s=size, color=_DROPPED, alpha=0.6, linewidth=0, label="dropped points")
     axes.scatter(*offsets[kept].T, s=size, color=_KEPT, alpha=0.8, linewidth=0, label="points used")
     if tree.dbh_cm is not None:
-        half = 1.96 * 100.0 * section.sd_m / 2.0
+        half = Z95 * 100.0 * section.sd_m / 2.0
         band = Annulus(
             (0, 0), radius + half, min(2.0 * half, radius + half), color="0.5", alpha=0.22, linewidth=0,
             label="95 % interval",
@@ -172,7 +173,7 @@ def _sources(section: Section) -> str:
     fit = section.silhouette
     if fit is None:
         return ""
-    text = f"edges in {fit.photos} photos: {200 * fit.radius_m:.1f} cm ± {1.96 * 200 * fit.std_m:.1f} cm"
+    text = f"edges in {fit.photos} photos: {200 * fit.radius_m:.1f} cm ± {Z95 * 200 * fit.std_m:.1f} cm"
     if section.cloud_dbh_m is None:
         return f"{text}; not measurable from the points"
     return f"{text}; points alone: {100 * section.cloud_dbh_m:.1f} cm"
@@ -181,7 +182,7 @@ def _sources(section: Section) -> str:
 def _draw_curve(axes: Any, tree: Tree, measured: Sequence[CurvePoint]) -> None:
     height = [point.height_m for point in measured]
     diameter = [point.diameter_cm or 0.0 for point in measured]
-    error = [1.96 * (point.std_cm or 0.0) for point in measured]
+    error = [Z95 * (point.std_cm or 0.0) for point in measured]
     axes.errorbar(diameter, height, xerr=error, fmt="o-", color=_KEPT, markersize=4, linewidth=1.0, capsize=2)
     if tree.dbh_cm is not None:
         axes.plot(tree.dbh_cm, tree.bh_m, marker="D", color=_CURVE, linestyle="", markersize=6)

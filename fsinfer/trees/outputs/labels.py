@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 
 from fsinfer.io.cloud import cloud_of_columns, storable
 from fsinfer.io.las import NORMAL_NAMES, copy_las, las_writer
+from fsinfer.trees.points.surface import OUTSIDE_SIGMAS
 
 if TYPE_CHECKING:
     from fsinfer.io.chunks import ChunkedCloud
     from fsinfer.trees import PlotResult
 
-# A point belongs to the stem within three standard deviations of its noise; bark and moss need some room in any case.
-SIGMAS = 3.0
+#: Bark and moss need some room in any case, metres. Source: not recorded.
 LEAST_REACH_M = 0.03
-# The axis was fitted to the first metres; farther up the stem bends away from it.
+#: Metres above what was fitted that are labelled; farther up the stem bends away from its axis. Source: not recorded.
 ABOVE_SUPPORT_M = 0.5
 
 
@@ -35,7 +35,7 @@ def label_points(points: NDArray[np.float64], result: PlotResult) -> NDArray[np.
     for tree, section in zip(result.trees, result.sections, strict=True):
         radius = float(section.circle_m[2])
         noise = section.residual_m if np.isfinite(section.residual_m) else 0.0
-        reach = max(SIGMAS * noise, LEAST_REACH_M)
+        reach = max(OUTSIDE_SIGMAS * noise, LEAST_REACH_M)
         lean = float(np.abs(section.slope).max()) * max(section.top_m, tree.bh_m)
         wide = radius + reach + lean
         first, last = np.searchsorted(x_sorted, [tree.x_m - wide, tree.x_m + wide])

@@ -7,21 +7,27 @@ an SQLite file, which the standard library writes.
 from __future__ import annotations
 
 import json
-import math
 import sqlite3
 import struct
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import astuple, fields
+from dataclasses import fields
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.io.crs import WGS84, to_wgs84
 from fsinfer.io.files import atomic_path, write_text
+from fsinfer.trees.outputs.table import COLUMNS
 from fsinfer.trees.tree import Tree
 
-_APPLICATION_ID = 0x47504B47  # "GPKG"
-_VERSION = 10300
-_LOCAL = -1  # "undefined Cartesian" of the standard: local metres
-_WGS84 = 4326
+#: Names of the files.
+GEOPACKAGE, GEOJSON = "trees.gpkg", "trees.geojson"
+#: Digits of a degree: 0.1 mm on the ground. Source: numerics.
+_DEGREE_DIGITS = 9
+#: "GPKG", version 1.3, and the "undefined Cartesian" frame of local metres. Source: format; OGC 12-128r19.
+_APPLICATION_ID, _VERSION, _LOCAL = 0x47504B47, 10300, -1
 _SYSTEMS = """CREATE TABLE gpkg_spatial_ref_sys (srs_name TEXT NOT NULL, srs_id INTEGER PRIMARY KEY,
 organization TEXT NOT NULL, organization_coordsys_id INTEGER NOT NULL, definition TEXT NOT NULL, description TEXT)"""
 _CONTENTS = """CREATE TABLE gpkg_contents (table_name TEXT NOT NULL PRIMARY KEY, data_type TEXT NOT NULL,
@@ -41,15 +47,16 @@ _GEODETIC = (
 
 
 def write_maps(out: Path, trees: Sequence[Tree], *, epsg: int | None = None) -> list[Path]:
-    """Write ``trees.gpkg``, and ``trees.geojson`` for a frame of WGS84; returns the paths.
+    """Write ``trees.gpkg``, and ``trees.geojson`` where the frame can be told in WGS84; returns the paths.
 
     ``epsg`` is the code of the cloud's horizontal frame, None for local metres. A GeoJSON of an earlier run goes.
     """
-    paths = [out / "trees.gpkg"]
+    paths = [out / GEOPACKAGE]
     write_geopackage(paths[0], trees, epsg=epsg)
-    geojson = out / "trees.geojson"
-    if _zone(epsg) is not None:
-        write_geojson(geojson, trees, epsg=epsg)
+    geojson = out / GEOJSON
+    positions = to_wgs84(np.array([(tree.x_m, tree.y_m) for tree in trees]).reshape(-1, 2), epsg)
+    if positions is not None:
+        write_geojson(geojson, trees, positions)
         paths.append(geojson)
     else:
         geojson.unlink(missing_ok=True)
@@ -58,7 +65,6 @@ def write_maps(out: Path, trees: Sequence[Tree], *, epsg: int | None = None) -> 
 
 def write_geopackage(path: Path, trees: Sequence[Tree], *, epsg: int | None = None) -> None:
     """Write a layer ``trees`` of points with every column of ``trees.csv``."""
-    names = [field.name for field in fields(Tree)]
     kinds = [_sql_kind(str(field.type)) for field in fields(Tree)]
     srs = _LOCAL if epsg is None else epsg
     with atomic_path(path) as temporary:
@@ -71,13 +77,13 @@ def write_geopackage(path: Path, trees: Sequence[Tree], *, epsg: int | None = No
             systems = [
                 ("Undefined Cartesian SRS", -1, "NONE", -1, "undefined", "local metres"),
                 ("Undefined geographic SRS", 0, "NONE", 0, "undefined", None),
-                ("WGS 84 geodetic", _WGS84, "EPSG", _WGS84, _GEODETIC, None),
+                ("WGS 84 geodetic", WGS84, "EPSG", WGS84, _GEODETIC, None),
             ]
-            if srs not in (-1, 0, _WGS84):
+            if srs not in (-1, 0, WGS84):
                 # The definition by its code: programs look EPSG codes up in their own tables.
                 systems.append((f"EPSG:{srs}", srs, "EPSG", srs, "undefined", None))
             base.executemany("INSERT INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, ?)", systems)
-            columns = ", ".join(f"{name} {kind}" for name, kind in zip(names, kinds, strict=True))
+            columns = ", ".join(f"{name} {kind}" for name, kind in zip(COLUMNS, kinds, strict=True))
             base.execute(f"CREATE TABLE trees (fid INTEGER PRIMARY KEY AUTOINCREMENT, geom POINT, {columns})")
             box = [f(v) for f in (min, max) for v in zip(*((t.x_m, t.y_m) for t in trees), strict=True)] or [None] * 4
             base.execute(
@@ -86,67 +92,24 @@ def write_geopackage(path: Path, trees: Sequence[Tree], *, epsg: int | None = No
                 (*box, srs),
             )
             base.execute("INSERT INTO gpkg_geometry_columns VALUES ('trees', 'geom', 'POINT', ?, 0, 0)", (srs,))
-            marks = ", ".join("?" for _ in range(len(names) + 1))
+            marks = ", ".join("?" for _ in range(len(COLUMNS) + 1))
             base.executemany(
-                f"INSERT INTO trees (geom, {', '.join(names)}) VALUES ({marks})",
-                [(_point(tree.x_m, tree.y_m, srs), *astuple(tree)) for tree in trees],
+                f"INSERT INTO trees (geom, {', '.join(COLUMNS)}) VALUES ({marks})",
+                [(_point(tree.x_m, tree.y_m, srs), *(getattr(tree, name) for name in COLUMNS)) for tree in trees],
             )
 
 
-def write_geojson(path: Path, trees: Sequence[Tree], *, epsg: int | None) -> None:
-    """Write points in longitude and latitude (WGS84); ``epsg`` must be 4326 or a UTM zone of WGS84 (326xx, 327xx)."""
+def write_geojson(path: Path, trees: Sequence[Tree], positions_deg: NDArray[np.float64]) -> None:
+    """Write points with all columns of ``trees.csv``; ``positions_deg`` (N, 2) are longitude and latitude in WGS84."""
     features = [
         {
             "type": "Feature",
-            "geometry": {"type": "Point", "coordinates": [round(v, 9) for v in to_wgs84(tree.x_m, tree.y_m, epsg)]},
-            "properties": {field.name: getattr(tree, field.name) for field in fields(Tree)},
+            "geometry": {"type": "Point", "coordinates": [round(v, _DEGREE_DIGITS) for v in position]},
+            "properties": {name: getattr(tree, name) for name in COLUMNS},
         }
-        for tree in trees
+        for tree, position in zip(trees, positions_deg.tolist(), strict=True)
     ]
     write_text(path, json.dumps({"type": "FeatureCollection", "features": features}, indent=1, ensure_ascii=False))
-
-
-def to_wgs84(x_m: float, y_m: float, epsg: int | None) -> tuple[float, float]:
-    """Longitude and latitude in degrees of a position in a UTM zone of WGS84.
-
-    Inverse transverse Mercator by Krueger's series to the third order of n (millimetres within a zone).
-    """
-    zone = _zone(epsg)
-    if zone is None:
-        msg = f"EPSG:{epsg} is no UTM zone of WGS84"
-        raise ValueError(msg)
-    number, south = zone
-    if number == 0:
-        return x_m, y_m
-    a, f = 6378137.0, 1.0 / 298.257223563
-    n = f / (2.0 - f)
-    rectifying = a / (1.0 + n) * (1.0 + n**2 / 4.0 + n**4 / 64.0)
-    xi = (y_m - (10_000_000.0 if south else 0.0)) / (0.9996 * rectifying)
-    eta = (x_m - 500_000.0) / (0.9996 * rectifying)
-    beta = (n / 2 - 2 * n**2 / 3 + 37 * n**3 / 96, n**2 / 48 + n**3 / 15, 17 * n**3 / 480)
-    delta = (2 * n - 2 * n**2 / 3 - 2 * n**3, 7 * n**2 / 3 - 8 * n**3 / 5, 56 * n**3 / 15)
-    waves = list(enumerate(beta, start=1))
-    xi_, eta_ = (
-        xi - sum(b * math.sin(2 * j * xi) * math.cosh(2 * j * eta) for j, b in waves),
-        eta - sum(b * math.cos(2 * j * xi) * math.sinh(2 * j * eta) for j, b in waves),
-    )
-    conformal = math.asin(math.sin(xi_) / math.cosh(eta_))
-    latitude = conformal + sum(d * math.sin(2 * j * conformal) for j, d in enumerate(delta, start=1))
-    longitude = math.radians(6 * number - 183) + math.atan2(math.sinh(eta_), math.cos(xi_))
-    return math.degrees(longitude), math.degrees(latitude)
-
-
-def _zone(epsg: int | None) -> tuple[int, bool] | None:
-    """UTM zone and whether it is south of the equator; zone 0 stands for longitude and latitude themselves."""
-    if epsg is None:
-        return None
-    if epsg == _WGS84:
-        return 0, False
-    if 32601 <= epsg <= 32660:
-        return epsg - 32600, False
-    if 32701 <= epsg <= 32760:
-        return epsg - 32700, True
-    return None
 
 
 def _point(x_m: float, y_m: float, srs: int) -> bytes:
@@ -157,4 +120,4 @@ def _point(x_m: float, y_m: float, srs: int) -> bytes:
 def _sql_kind(annotation: str) -> str:
     if "int" in annotation:
         return "INTEGER"
-    return "TEXT" if "str" in annotation else "DOUBLE"
+    return "TEXT" if "str" in annotation or "Notice" in annotation else "DOUBLE"

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from fsinfer.errors import InputError
-from fsinfer.io.files import atomic_path
+from fsinfer.io.csv_text import CsvRow, read_table, write_table
+from fsinfer.notices.notice import notice
+from fsinfer.notices.stems import StemCode
 from fsinfer.trees.tree import Tree
 
-#: The columns in their order: exactly the fields of :class:`~fsinfer.trees.measure.Tree`.
-COLUMNS: tuple[str, ...] = tuple(field.name for field in fields(Tree))
+#: The columns in their order: the fields of :class:`~fsinfer.trees.tree.Tree`, the reasons in words.
+COLUMNS: tuple[str, ...] = tuple("reason" if field.name == "reasons" else field.name for field in fields(Tree))
 _OPTIONAL = frozenset(field.name for field in fields(Tree) if "None" in str(field.type))
 _INTEGERS = frozenset({"tree_id", "points"})
 _TEXT = frozenset({"status", "reason"})
@@ -21,30 +21,18 @@ _TEXT = frozenset({"status", "reason"})
 
 def write_trees(path: Path, trees: Sequence[Tree]) -> None:
     """Write ``trees`` as CSV (UTF-8, comma, point), atomically; a table without trees has its header line."""
-    with atomic_path(Path(path)) as temporary, temporary.open("w", newline="", encoding="utf-8") as handle:
-        writer = csv.writer(handle, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        for tree in trees:
-            writer.writerow([_text(name, getattr(tree, name)) for name in COLUMNS])
+    write_table(path, COLUMNS, ([_text(name, getattr(tree, name)) for name in COLUMNS] for tree in trees))
 
 
 def read_trees(path: Path) -> list[Tree]:
-    """Read a ``trees.csv``.
+    """Read a ``trees.csv``; reasons come back as they are written (``StemCode.as_written``).
 
     Raises :class:`~fsinfer.errors.InputError` naming the row and column that cannot be read.
     """
-    path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        msg = f"cannot read {path}: {error}; give the trees.csv that 'fsinfer trees' wrote"
-        raise InputError(msg) from error
-    reader = csv.DictReader(text.splitlines())
-    missing = [name for name in COLUMNS if name not in (reader.fieldnames or [])]
-    if missing:
-        msg = f"{path} has no column {', '.join(missing)}; give the trees.csv that 'fsinfer trees' wrote"
-        raise InputError(msg)
-    return [_tree(path, number, row) for number, row in enumerate(reader, start=2)]
+    table = read_table(
+        path, what="the table of trees", required=COLUMNS, way_out="give the trees.csv that 'fsinfer trees' wrote"
+    )
+    return [_tree(row) for row in table.rows]
 
 
 def table_row(tree: Tree) -> tuple[float | int | str | None, ...]:
@@ -71,18 +59,16 @@ def _decimals(name: str) -> int:
     return 3
 
 
-def _tree(path: Path, number: int, row: dict[str, str]) -> Tree:
+def _tree(row: CsvRow) -> Tree:
     values: dict[str, Any] = {}
     for name in COLUMNS:
-        text = (row[name] or "").strip()
-        try:
-            if name in _TEXT:
-                values[name] = text
-            elif text == "" and name in _OPTIONAL:
-                values[name] = None
-            else:
-                values[name] = int(text) if name in _INTEGERS else float(text)
-        except ValueError as error:
-            msg = f"{path}, row {number}, column {name}: {text!r} is not a number; correct the cell or leave it empty"
-            raise InputError(msg) from error
+        if name == "reason":
+            text = row.text(name)
+            values["reasons"] = (notice(StemCode.as_written, text=text),) if text else ()
+        elif name in _TEXT:
+            values[name] = row.text(name)
+        elif name in _INTEGERS:
+            values[name] = row.whole(name)
+        else:
+            values[name] = row.number(name) if name in _OPTIONAL else row.given(name)
     return Tree(**values)

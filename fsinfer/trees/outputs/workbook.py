@@ -1,32 +1,107 @@
-"""All tables of the trees as one workbook."""
+"""``trees.xlsx``: all tables of the trees as one workbook."""
 
 from __future__ import annotations
 
+import io
+import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
+from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from fsinfer.trees.measure import PlotResult
-from fsinfer.trees.stem_curve import CurvePoint
+from fsinfer.io.files import atomic_path
+from fsinfer.trees.outputs.table import COLUMNS, table_row
+from fsinfer.trees.stem_curve import COLUMNS as CURVE_COLUMNS
+from fsinfer.trees.stem_curve import curve_row
 
 if TYPE_CHECKING:
-    from fsinfer.trees import PlotResult
+    from fsinfer.trees.measure import PlotResult
     from fsinfer.trees.stem_curve import CurvePoint
+
+Cell = str | int | float | bool | None
+
+#: The date in the file: the same trees give the same bytes, whenever they are written. Source: layout; any would do.
+_CREATED = datetime(2000, 1, 1)
+#: Digits that are shown by the ending of a name; the cells themselves hold more. Source: layout; what a calliper tells.
+_SHOWN = (
+    ("_cm", "0.0"),
+    ("_deg", "0.0"),
+    ("_m2_per_ha", "0.0"),
+    ("_per_ha", "0"),
+    ("_m2", "0.0"),
+    ("_m", "0.00"),
+    ("_coverage", "0.00"),
+)
+#: Least and greatest width of a column, characters: wider ones push the next off the screen. Source: layout.
+_WIDTH_CHARACTERS = (8, 60)
 
 
 def write_tables(path: Path, result: PlotResult, curves: dict[int, tuple[CurvePoint, ...]]) -> None:
-    """Write the trees, the stand table and the stem curves as sheets of one XLSX workbook."""
-    from fsinfer.io.workbook import write_workbook
-    from fsinfer.trees.outputs.table import COLUMNS, table_row
-    from fsinfer.trees.stem_curve import COLUMNS as CURVE_COLUMNS
-    from fsinfer.trees.stem_curve import curve_row
+    """Write the trees, the stand table and the stem curves as sheets of one XLSX workbook, atomically.
 
-    stand = [("figure", "value"), *asdict(result.stand).items()]
-    write_workbook(
-        path,
-        {
-            "trees": [COLUMNS, *map(table_row, result.trees)],
-            "stand": stand,
-            "stem curve": [CURVE_COLUMNS, *(curve_row(point) for curve in curves.values() for point in curve)],
-        },
-    )
+    Values are those of the CSV files, numbers as numbers; what was not measured is an empty cell. Texts stay texts,
+    whatever they begin with.
+    """
+    import xlsxwriter
+
+    body = io.BytesIO()
+    # By default a text that begins with "=" or "http:" would become a formula or a link.
+    options = {"in_memory": True, "strings_to_formulas": False, "strings_to_urls": False, "strings_to_numbers": False}
+    with xlsxwriter.Workbook(body, options) as book:
+        book.set_properties({"title": "Trees of a plot", "comments": "written by fsinfer", "created": _CREATED})
+        _write_sheet(book, "trees", COLUMNS, map(table_row, result.trees), _format_of_column)
+        stand = asdict(result.stand).items()
+        _write_sheet(book, "stand", ("figure", "value"), stand, lambda _, row: _number_format(str(row[0])))
+        points = (curve_row(point) for curve in curves.values() for point in curve)
+        _write_sheet(book, "stem curve", CURVE_COLUMNS, points, _format_of_column)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(body.getvalue())
+
+
+def _write_sheet(
+    book: Any,
+    name: str,
+    header: Sequence[str],
+    rows: Iterable[Sequence[Cell]],
+    number_format: Callable[[str, Sequence[Cell]], str],
+) -> None:
+    """Write one sheet; ``number_format`` gives that of a cell from its column's name and its row."""
+    sheet = book.add_worksheet(name)
+    sheet.write_row(0, 0, header, book.add_format({"bold": True}))
+    # The names stay in view while the table is scrolled.
+    sheet.freeze_panes(1, 0)
+    formats: dict[str, Any] = {}
+    widths = [len(column) for column in header]
+    for number, row in enumerate(rows, start=1):
+        for index, (column, value) in enumerate(zip(header, row, strict=True)):
+            shown = number_format(column, row)
+            if isinstance(value, str):
+                if value:
+                    sheet.write_string(number, index, value)
+            elif isinstance(value, bool):
+                sheet.write_boolean(number, index, value)
+            elif value is not None and math.isfinite(value):
+                if shown not in formats:
+                    formats[shown] = book.add_format({"num_format": shown})
+                sheet.write_number(number, index, value, formats[shown])
+            widths[index] = max(widths[index], _width(value, shown))
+    for index, width in enumerate(widths):
+        # A character more than the longest: bold letters are wider.
+        sheet.set_column(index, index, min(max(width + 1, _WIDTH_CHARACTERS[0]), _WIDTH_CHARACTERS[1]))
+
+
+def _format_of_column(column: str, _: Sequence[Cell]) -> str:
+    return _number_format(column)
+
+
+def _number_format(name: str) -> str:
+    """Number format of what has this name: by the unit that it ends with, "General" for counts and shares."""
+    return next((shown for ending, shown in _SHOWN if name.endswith(ending)), "General")
+
+
+def _width(value: Cell, shown: str) -> int:
+    """Characters that a cell takes when shown."""
+    if isinstance(value, float) and math.isfinite(value) and shown != "General":
+        return len(f"{value:.{len(shown.partition('.')[2])}f}")
+    return 0 if value is None else len(str(value))

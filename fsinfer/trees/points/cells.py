@@ -9,9 +9,18 @@ from scipy.spatial import cKDTree
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-# A table of 32-bit numbers with an entry for each cell, of which only the pages that hold points are ever touched.
+#: Numerics: entries of a table of 32-bit numbers, one for each cell; only pages that hold points are ever touched.
 MAX_TABLE = 100_000_000
-MANY_POINTS = 50_000  # within half a metre: neighbours are centimetres apart at most
+#: Numerics: of so many points within half a metre of height others are not looked at for the spacing.
+MANY_POINTS = 50_000
+#: The extent of a plot is that between these percentiles. Source: not recorded.
+BOX_PERCENTILES = (0.5, 99.5)
+#: Points are left out that lie farther outside of that box than half its size and so many metres. Source: not recorded.
+BOX_MARGIN_M = 2.0
+#: Numerics: points whose nearest neighbour tells the spacing.
+SPACING_SAMPLE = 2000
+#: Numerics: half the height of the layer in which neighbours are looked for, and what of it has all of them, metres.
+SPACING_HALF_M, SPACING_ASKED_M = 0.25, 0.2
 
 
 def column_min(points: Floats) -> Floats:
@@ -110,13 +119,13 @@ def measured_spacing(points: Floats, *, seed: int = 0) -> float:
     """
     rng = np.random.default_rng(seed)
     rise = np.abs(points[:, 2] - np.median(points[:: max(len(points) // 10_000, 1), 2]))
-    near = rows(points, rise <= 0.25)
+    near = rows(points, rise <= SPACING_HALF_M)
     if len(near) < MANY_POINTS:
         near, asked = points, points
     else:
         # Whose neighbours are all there.
-        asked = rows(points, rise <= 0.2)
-    index = rng.choice(len(asked), min(len(asked), 2000), replace=False)
+        asked = rows(points, rise <= SPACING_ASKED_M)
+    index = rng.choice(len(asked), min(len(asked), SPACING_SAMPLE), replace=False)
     # Sliding midpoints instead of medians, and large leaves: the tree is built thrice as fast, and hardly asked.
     tree = cKDTree(near, balanced_tree=False, compact_nodes=False, leafsize=64)
     return float(np.median(tree.query(asked[index], k=2)[0][:, 1]))

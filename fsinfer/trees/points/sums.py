@@ -10,7 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-BLOCK = 512  # times 14 parameters: below the 9,216 elements from which OpenBLAS spreads a matrix-vector product
+#: Numerics: times 14 parameters, below the 9,216 elements from which OpenBLAS spreads a matrix-vector product.
+BLOCK = 512
+#: Standard deviation of a Gaussian over its median absolute deviation. Source: statistics.
+MAD_TO_SIGMA = 1.4826
+#: Standard deviations to either side that hold 95 % of a Gaussian. Source: statistics.
+Z95 = 1.96
 
 
 def sums_of_products(a: Floats, b: Floats) -> Floats:

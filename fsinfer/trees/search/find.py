@@ -18,16 +18,38 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from fsinfer.notices.stems import StemCode
 from fsinfer.progress import Progress, silent
 from fsinfer.trees.cylinder.axis import axis_coordinates
 from fsinfer.trees.points.cells import PlanIndex, measured_spacing, rows, thin
 from fsinfer.trees.search.hough import hough_seeds
 from fsinfer.trees.search.stem import Stem, StemSettings
 from fsinfer.trees.search.verify import Candidate, verify
+from fsinfer.trees.tree import BREAST_HEIGHT_M
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+#: Least points between the heights of the search. Source: not recorded.
+LEAST_POINTS = 20
+#: Numerics: candidates looked at at once: bounds the memory, and fills the batches of the fits.
+TOGETHER = 256
+#: Numerics: candidates farther apart are looked at together; both may find one stem, which is resolved. Metres.
+APART_M = 0.3
+#: Numerics: cell of the index, metres, half of the reach of a look around.
+INDEX_CELL_M = 0.375
+#: Points this far outside the widest stem are looked at, metres: what it has to stand out from. Source: not recorded.
+BESIDE_M = 0.15
+#: Cells grow with the spacing of a sparse cloud, and points are thinned to half a cell, but not below so many metres.
+#: Source: not recorded.
+CELL_OF_SPACING, LEAST_THINNING_M = 1.2, 0.008
+#: A seed so little outside of a stem's radius is inside, metres. Source: not recorded.
+INSIDE_M = 0.02
+#: The wall of a stem that another touches: its noise, and cells, whichever is more. Source: not recorded.
+OWN_SIGMAS, OWN_CELLS = 4.0, 1.5
+#: A weaker stem that touches another must keep this share of its quality without the other's points, stay within this
+#: share of its radius, and apart by this share of both radii. Source: not recorded.
+KEPT_QUALITY, KEPT_PLACE, KEPT_APART = 0.5, 0.5, 0.8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,25 +58,30 @@ class StemSearch:
 
     stems: tuple[Stem, ...]
     candidates: int
-    rejected: dict[str, int]
+    rejected: dict[StemCode, int]
     spacing_m: float
 
 
 def find_stems(
-    points: Floats, *, settings: StemSettings | None = None, progress: Progress = silent, seed: int = 0
+    points: Floats,
+    *,
+    bh_m: float = BREAST_HEIGHT_M,
+    settings: StemSettings | None = None,
+    progress: Progress = silent,
+    seed: int = 0,
 ) -> StemSearch:
-    """Find stems among points (N, 3) of x, y, height above ground, in metres."""
+    """Find stems among points (N, 3) of x, y, height above ground, in metres; neighbours meet at ``bh_m``."""
     s = settings or StemSettings()
     slab = rows(points, (points[:, 2] >= s.heights_m[0]) & (points[:, 2] <= s.heights_m[1]))
-    if len(slab) < 20:
+    if len(slab) < LEAST_POINTS:
         return StemSearch(stems=(), candidates=0, rejected={}, spacing_m=float("nan"))
     spacing = measured_spacing(slab, seed=seed)
-    cell_m = float(max(s.cell_m, 1.2 * spacing))
+    cell_m = float(max(s.cell_m, CELL_OF_SPACING * spacing))
     seeds = hough_seeds(slab, cell_m, s)
-    thinned = thin(slab, max(0.5 * cell_m, 0.008))
-    index = PlanIndex(thinned, s.index_cell_m)
+    thinned = thin(slab, max(0.5 * cell_m, LEAST_THINNING_M))
+    index = PlanIndex(thinned, INDEX_CELL_M)
     accepted, rejected = _search(seeds, index, cell_m, s, progress)
-    stems = _resolve_overlaps(accepted, index, cell_m, s)
+    stems = _resolve_overlaps(accepted, index, cell_m, bh_m, s)
     return StemSearch(stems=tuple(stems), candidates=len(seeds), rejected=rejected, spacing_m=spacing)
 
 
@@ -76,37 +103,37 @@ def _rounds(xy: Floats, apart_m: float) -> Iterator[Ints]:
 
 def _search(
     seeds: Floats, index: PlanIndex, cell_m: float, s: StemSettings, progress: Progress
-) -> tuple[list[Stem], dict[str, int]]:
+) -> tuple[list[Stem], dict[StemCode, int]]:
     """The stems at seeds (K, 3) of x, y, height, strongest first, and how many were turned down for which reason.
 
     In rounds (:func:`_rounds`): a seed inside of a stem that an earlier round has found says nothing new. Nearly all
     stems are found in the first round, so the later ones are looked at ahead, many seeds at a time; what an earlier
     round's stem makes superfluous is dropped afterwards. The stems are those of one round after the other.
     """
-    rounds = list(_rounds(seeds[:, :2], s.apart_m))
+    rounds = list(_rounds(seeds[:, :2], APART_M))
     order = np.concatenate([np.zeros(0, dtype=np.int64), *rounds])
     turn = np.repeat(np.arange(len(rounds)), [len(chosen) for chosen in rounds])
     first_turn = int(np.count_nonzero(turn == 0))
-    bounds = [*range(0, first_turn, s.together), *range(first_turn, len(order), s.together), len(order)]
+    bounds = [*range(0, first_turn, TOGETHER), *range(first_turn, len(order), TOGETHER), len(order)]
     places = seeds[order]
     covered = np.full(len(order), len(rounds))  # the first turn after which a stem stands there
-    rejected: dict[str, int] = {}
+    rejected: dict[StemCode, int] = {}
     accepted: list[Stem] = []
     for first, last in pairwise(bounds):
         progress(first, len(seeds), "looking for stems")
         ahead = [row for row in range(first, last) if covered[row] >= turn[row]]
         candidates = [
-            Candidate(near=index.near(seed[:2], s.radius_m[1] + 0.15), xy=seed[:2], height_m=float(seed[2]))
+            Candidate(near=index.near(seed[:2], s.radius_m[1] + BESIDE_M), xy=seed[:2], height_m=float(seed[2]))
             for seed in places[ahead]
         ]
-        for row, (stem, why) in zip(ahead, verify(candidates, cell_m, s), strict=True):
+        for row, found in zip(ahead, verify(candidates, cell_m, s), strict=True):
             if covered[row] < turn[row]:
                 continue
-            if stem is None:
-                rejected[why] = rejected.get(why, 0) + 1
+            if isinstance(found, StemCode):
+                rejected[found] = rejected.get(found, 0) + 1
             else:
-                accepted.append(stem)
-                inside = _inside(stem, places)
+                accepted.append(found)
+                inside = _inside(found, places)
                 covered[inside] = np.minimum(covered[inside], turn[row])
     return accepted, rejected
 
@@ -115,38 +142,38 @@ def _inside(stem: Stem, seeds: Floats) -> Bools:
     """Which of the seeds (K, 3) of x, y, height lie inside the stem."""
     p = stem.axis.parameters
     gap = seeds[:, :2] - p[:2] - p[2:4] * (seeds[:, 2:] - stem.axis.height_m)
-    return np.asarray((gap**2).sum(axis=1) <= (p[4] + 0.02) ** 2)
+    return np.asarray((gap**2).sum(axis=1) <= (p[4] + INSIDE_M) ** 2)
 
 
-def _resolve_overlaps(stems: list[Stem], index: PlanIndex, cell_m: float, s: StemSettings) -> list[Stem]:
+def _resolve_overlaps(stems: list[Stem], index: PlanIndex, cell_m: float, bh_m: float, s: StemSettings) -> list[Stem]:
     """Let the better stem own its wall: a weaker one that touches it must stand without those points.
 
     Ordered by position, so that the numbering does not depend on the order of the points.
     """
     kept: list[Stem] = []
     for stem in sorted(stems, key=lambda item: -item.quality):
-        center = stem.axis.center_at(1.3)
-        reach = stem.axis.radius_m + 0.15
-        rivals = [o for o in kept if np.linalg.norm(o.axis.center_at(1.3) - center) < reach + o.axis.radius_m]
+        center = stem.axis.center_at(bh_m)
+        reach = stem.axis.radius_m + BESIDE_M
+        rivals = [o for o in kept if np.linalg.norm(o.axis.center_at(bh_m) - center) < reach + o.axis.radius_m]
         if rivals:
-            near = index.near(center, s.radius_m[1] + 0.15)
+            near = index.near(center, s.radius_m[1] + BESIDE_M)
             for other in rivals:
                 offset, _ = axis_coordinates(near, other.axis.parameters, other.axis.height_m)
-                own = other.axis.radius_m + max(4.0 * other.axis.sigma_m, 1.5 * cell_m)
+                own = other.axis.radius_m + max(OWN_SIGMAS * other.axis.sigma_m, OWN_CELLS * cell_m)
                 near = near[np.hypot(offset[:, 0], offset[:, 1]) > own]
-            ((again, _),) = verify([Candidate(near=near, xy=center, height_m=1.3)], cell_m, s)
-            if again is None or again.quality < 0.5 * stem.quality:
+            (again,) = verify([Candidate(near=near, xy=center, height_m=bh_m)], cell_m, s)
+            if isinstance(again, StemCode) or again.quality < KEPT_QUALITY * stem.quality:
                 continue
-            shift = float(np.linalg.norm(again.axis.center_at(1.3) - center))
+            shift = float(np.linalg.norm(again.axis.center_at(bh_m) - center))
             clash = any(
-                np.linalg.norm(o.axis.center_at(1.3) - again.axis.center_at(1.3))
-                < 0.8 * (o.axis.radius_m + again.axis.radius_m)
+                np.linalg.norm(o.axis.center_at(bh_m) - again.axis.center_at(bh_m))
+                < KEPT_APART * (o.axis.radius_m + again.axis.radius_m)
                 for o in rivals
             )
             # Branch whorls and ivy make short or thin arcs beside a stem; the second stem of a fork is long and round.
-            feeble = again.length_m < s.min_fork_length_m or again.arc_coverage < s.min_fork_arc
-            if clash or feeble or shift > 0.5 * stem.axis.radius_m:
+            feeble = again.length_m < s.sure_length_m or again.arc_coverage < s.sure_arc
+            if clash or feeble or shift > KEPT_PLACE * stem.axis.radius_m:
                 continue
             stem = again
         kept.append(stem)
-    return sorted(kept, key=lambda item: (round(float(item.axis.center_at(1.3)[0]), 3), item.axis.parameters[1]))
+    return sorted(kept, key=lambda item: (round(float(item.axis.center_at(bh_m)[0]), 3), item.axis.parameters[1]))

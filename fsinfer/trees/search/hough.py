@@ -14,15 +14,25 @@ from fsinfer.trees.search.stem import StemSettings
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-_REACH_CELLS = 3.6  # surroundings of a cell, of which the line-likeness and the normal are taken
-_CHUNK = 1000  # cells whose neighbours are looked up at once: in one thread, see fsinfer.trees.points.sums
+#: Surroundings of a cell, of which the line-likeness and the normal are taken, in cells. Source: not recorded.
+_REACH_CELLS = 3.6
+#: Numerics: cells whose neighbours are looked up at once: in one thread, see fsinfer.trees.points.sums.
+_CHUNK = 1000
+#: Numerics: cells of the image of votes, at most: bounds the memory to 100 MB.
+_MOST_VOTES = 12e6
+#: Numerics: steps of a band by which its filling is told.
+_STEPS = 5
+#: Numerics: candidates, beside a few on a small plot; 30,000 a hectare bound the time in a thicket.
+_SEEDS_PER_M2, _SEEDS = 3.0, 50
+#: Cells of votes that are added up, and that a peak must exceed, to either side and itself. Source: not recorded.
+_BLUR_CELLS, _PEAK_CELLS = 3, 5
 
 
 def hough_seeds(slab: Floats, cell_m: float, s: StemSettings) -> Floats:
     """Candidate centres (K, 3) as x, y, mid height of the window, strongest first."""
     origin = column_min(slab)[:2] - s.radius_m[1]
     extent = column_max(slab)[:2] + s.radius_m[1] - origin
-    vote_cell = float(max(s.vote_cell_m, np.sqrt(extent[0] * extent[1] / 12e6)))  # bounds the memory to ~100 MB
+    vote_cell = float(max(2.0 * s.cell_m, np.sqrt(extent[0] * extent[1] / _MOST_VOTES)))
     shape = tuple(int(v) for v in np.ceil(extent / vote_cell)[::-1] + 1)
     band = np.floor((slab[:, 2] - s.heights_m[0]) / s.band_m).astype(np.int64)
     bands = int(np.ceil((s.heights_m[1] - s.heights_m[0]) / s.band_m))
@@ -37,14 +47,14 @@ def hough_seeds(slab: Floats, cell_m: float, s: StemSettings) -> Floats:
         index = np.concatenate([v[0] for v in chosen])
         weight = np.concatenate([v[1] for v in chosen])
         image = np.bincount(index, weights=weight, minlength=shape[0] * shape[1]).reshape(shape) / per_window
-        image = uniform_filter(image, size=3, mode="constant") * 9.0
-        peak = (image >= s.min_votes) & (image == maximum_filter(image, size=5, mode="constant"))
+        image = uniform_filter(image, size=_BLUR_CELLS, mode="constant") * float(_BLUR_CELLS**2)
+        peak = (image >= s.min_votes) & (image == maximum_filter(image, size=_PEAK_CELLS, mode="constant"))
         row, column = np.nonzero(peak)
         xy = origin + (np.column_stack([column, row]) + 0.5) * vote_cell
         height = s.heights_m[0] + (first + 0.5 * per_window) * s.band_m
         found.append(np.column_stack([xy, np.full(len(xy), height), image[row, column]]))
     seeds = np.concatenate(found)
-    limit = int(np.ceil(s.max_seeds_per_m2 * extent[0] * extent[1])) + 50
+    limit = int(np.ceil(_SEEDS_PER_M2 * extent[0] * extent[1])) + _SEEDS
     order = np.lexsort((seeds[:, 1], seeds[:, 0], -seeds[:, 3]))[:limit]
     return seeds[order, :3]
 
@@ -55,9 +65,9 @@ def _wall_cells(points: Floats, cell_m: float, band_m: float) -> tuple[Floats, F
     The weight is the share of the band's height that the cell fills times how line-like its surroundings are, so that
     vertical walls count and level twigs hardly do.
     """
-    if len(points) < 5:
+    if len(points) < _STEPS:
         return np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)
-    steps = 5
+    steps = _STEPS
     low = column_min(points)
     # A margin as wide as the reach, so that every cell has all its neighbours.
     margin = int(_REACH_CELLS)

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fsinfer.check.advice import advice, marker_lines
 from fsinfer.check.compass import COMPASS_WORDS, MAP_WORDS, find_compass
-from fsinfer.check.coverage import CoverageSettings, judge_stems, widest_gap
+from fsinfer.check.coverage import judge_stems, widest_gap
 from fsinfer.check.map import seen_arcs
+from fsinfer.check.settings import CoverageSettings
 from fsinfer.check.sparse_stems import SparseStem
 from fsinfer.check.visible_stems import VisibleStem, join_stems
-from fsinfer.scale.scale import Scale
+from fsinfer.scale.scale import MarkerScale, RejectedMarker, Scale
 from fsinfer.trees.cylinder.axis import Axis
 from fsinfer.trees.search.stem import Stem
+from tests.support.boards import board, scale_of_boards
 
 NO_SCALE = Scale(m_per_unit=None, source="none", rel_std=None)
 STEM = VisibleStem(center=np.array([2.0, 1.0]), radius=0.15, lean=np.zeros(2))
@@ -22,13 +25,16 @@ TURNS = np.radians(np.arange(0, 360, 10))
 HALF = np.arange(36) < 19
 
 
-def ring(reach_m: float | np.ndarray = 4.0) -> np.ndarray:
-    return STEM.center + np.broadcast_to(reach_m, 36)[:, None] * np.column_stack([np.cos(TURNS), np.sin(TURNS)])
+def ring(reach_m: float | NDArray[np.float64] = 4.0) -> NDArray[np.float64]:
+    toward = np.column_stack([np.cos(TURNS), np.sin(TURNS)])
+    circle: NDArray[np.float64] = STEM.center + np.broadcast_to(reach_m, 36)[:, None] * toward
+    return circle
 
 
 def test_a_stem_seen_from_half_of_the_ring_is_one_sided() -> None:
     judged = judge_stems([STEM], HALF[None], ring(), np.array([True]))[0]
-    assert (judged.verdict, judged.gap_deg) == ("one side", pytest.approx(180))
+    assert judged.verdict == "one side"
+    assert judged.gap_deg == pytest.approx(180)
     assert judged.gap_center_deg == pytest.approx(270)
     assert judged.one_sided
     # One photo from the other side is enough to see it by halves of a half.
@@ -80,7 +86,7 @@ def _surface(x_m: float) -> Stem:
 def test_widest_gap_and_arcs() -> None:
     assert widest_gap(np.array([])) == (360.0, 0.0)
     assert widest_gap(np.array([10.0])) == (360.0, 190.0)
-    assert widest_gap(np.array([350.0, 10.0, 100.0])) == (250.0, pytest.approx(225.0))
+    assert widest_gap(np.array([350.0, 10.0, 100.0])) == pytest.approx((250.0, 225.0))
     assert seen_arcs(np.arange(0, 360, 20.0)) == [(0.0, 360.0)]
     assert seen_arcs(np.array([350.0, 0.0, 10.0])) == [(335.0, 385.0)]
     assert seen_arcs(np.array([0.0, 10.0, 180.0])) == [(165.0, 195.0), (-15.0, 25.0)]
@@ -132,12 +138,12 @@ def test_a_few_lost_photos_are_no_torn_walk() -> None:
 
 
 def test_boards_seen_too_seldom_or_from_far() -> None:
-    def entry(number: int, views: int, side_px: float) -> dict[str, object]:
-        return {"id": number, "views": [str(i) for i in range(views)], "near_side_px": side_px}
+    def entry(number: int, views: int, side_px: float) -> MarkerScale:
+        return board(number, (0.0, 0.0, 0.0), [str(i) for i in range(views)], near_side_px=side_px)
 
     found = [entry(40, 12, 80.0), entry(41, 4, 80.0), entry(42, 12, 20.0)]
-    rejected = [{"id": 43, "reason": "1 views"}, {"id": 40, "reason": "1 views"}]
-    scale = Scale(m_per_unit=1.0, source="aruco", rel_std=0.01, details={"markers": found, "rejected": rejected})
+    rejected = tuple(RejectedMarker(id=number, reason="1 views") for number in (43, 40))
+    scale = scale_of_boards(found, rejected=rejected)
     lines = marker_lines(scale, given=True)
     assert [line.split(":")[0] for line in lines] == [
         "Board 40",

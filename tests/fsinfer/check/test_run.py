@@ -17,19 +17,22 @@ from fsinfer.check import CheckResult, CheckSettings, check_capture
 from fsinfer.check.coarse_depth import read_glance
 from fsinfer.check.map import draw_map
 from fsinfer.check.run import judge_survey
-from fsinfer.check.sightings import SightingSettings
-from fsinfer.check.sparse_stems import SparseStemSettings, find_sparse_stems
+from fsinfer.check.settings import SightingSettings, SparseStemSettings
+from fsinfer.check.sparse_stems import find_sparse_stems
 from fsinfer.check.survey import Survey, SurveySettings, survey_scene
 from fsinfer.errors import InputError
-from fsinfer.frames.select import FrameSettings
+from fsinfer.frames.settings import FrameSettings
 from fsinfer.io.images import read_image, write_image
 from fsinfer.poses.colmap import reconstruct
-from fsinfer.poses.estimate import PoseSettings, PosesResult, estimate_poses
+from fsinfer.poses.estimate import PosesResult, estimate_poses
+from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.sparse import SparseModel
-from fsinfer.scale.scale import Scale
+from fsinfer.scale.scale import MarkerScale, Scale
 from fsinfer.scene import Scene
 from fsinfer.trees import StemSettings
 from fsinfer.workflow import photo_stages, pipeline
+from fsinfer.workflow.settings import RunSettings
+from tests.support.boards import board, scale_of_boards
 from tests.support.rendered_room import photographs
 from tests.support.walked_plot import PHOTOS, STEMS, UNIT, make_plot, walk_angles
 
@@ -181,12 +184,12 @@ def test_a_board_at_two_places_tells_of_photos_placed_wrongly(plot: Plot) -> Non
     found = survey(plot({}), METRIC)
     given = [Path(f"{name}.png") for name in found.names]
 
-    def entry(number: int, x_m: float, views: list[str]) -> dict[str, Any]:
-        return {"id": number, "center": [x_m / UNIT, 0.0, 1.0], "views": views, "near_side_px": 80.0}
+    def entry(number: int, x_m: float, views: list[str]) -> MarkerScale:
+        return board(number, (x_m / UNIT, 0.0, 1.0), views)
 
     first, again = entry(40, 3.0, ["p01", "p02", "p03", "p04"]), entry(40, -1.5, ["p31", "p30", "p32"])
     for markers, told in (([first, entry(41, 0.0, ["p05", "p06", "p07"])], 0), ([again, first], 1)):
-        boards = Scale(m_per_unit=UNIT, source="aruco", rel_std=0.01, details={"markers": markers})
+        boards = scale_of_boards(markers, m_per_unit=UNIT)
         lines = judge_survey(found, given, boards, boards).lines
         assert len(lines) == told
         if told:
@@ -198,8 +201,7 @@ def test_the_post_of_a_board_is_no_stem(plot: Plot) -> None:
     found = survey(plot({1: 40.0}), METRIC)
     given = [Path(f"{name}.png") for name in found.names]
     x, y, _ = STEMS[1]
-    board = {"id": 40, "center": [x / UNIT, y / UNIT, 1.0], "views": ["p01", "p02"], "near_side_px": 80.0}
-    boards = Scale(m_per_unit=UNIT, source="aruco", rel_std=0.01, details={"markers": [board]})
+    boards = scale_of_boards([board(40, (x / UNIT, y / UNIT, 1.0), ["p01", "p02"])], m_per_unit=UNIT)
     assert judge_survey(found, given, boards, boards).lines == ()
 
 
@@ -227,7 +229,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(photo_stages, "estimate_poses", place)
-    monkeypatch.setattr(pipeline, "estimate_depth", no_depth)
+    monkeypatch.setattr("fsinfer.workflow.cloud_stages.estimate_depth", no_depth)
     return calls
 
 
@@ -245,7 +247,7 @@ def test_check_and_run_place_the_photos_once(tmp_path: Path, calls: Counter[str]
     assert (out / "check" / "check.png").is_file()
     # A run, here one that dies in its third stage, finds the first two done.
     with pytest.raises(KeyboardInterrupt):
-        pipeline.run(folder, out, settings=pipeline.RunSettings(poses=poses))
+        pipeline.run(folder, out, settings=RunSettings(poses=poses))
     again = check_capture(folder, out, settings=CheckSettings(poses=poses))
     assert (again.registered, calls["poses"]) == (8, 1)
     assert not any("other settings" in note for note in again.notes)

@@ -26,7 +26,20 @@ from fsinfer.scene import read_scene
 from tests.support.synthetic_plot import M_PER_UNIT, STEMS, write_depth_folder, write_scene_folder
 
 Call = Callable[..., tuple[int, str, str]]
-COMMANDS = ("demo", "run", "marker", "check", "frames", "poses", "depth", "fuse", "trees", "evaluate", "report")
+COMMANDS = (
+    "demo",
+    "run",
+    "marker",
+    "check",
+    "frames",
+    "poses",
+    "depth",
+    "fuse",
+    "trees",
+    "evaluate",
+    "report",
+    "support",
+)
 
 
 @pytest.fixture

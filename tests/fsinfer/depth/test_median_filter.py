@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from fsinfer.depth.median_filter import UnsureSettings, settle_unsure
+from fsinfer.depth import median_filter
+from fsinfer.depth.median_filter import settle_unsure
+from fsinfer.depth.settings import UnsureSettings
 
-SMALL = UnsureSettings(radius_px=1, chunk=7)
+SMALL = UnsureSettings(radius_px=1)
 
 
 def reference(depth: NDArray[np.float32], confidence: NDArray[np.float32], s: UnsureSettings) -> NDArray[np.float32]:
@@ -36,9 +39,10 @@ def test_is_the_weighted_median(seed: int, holes: float) -> None:
     depth = rng.uniform(1, 20, (9, 11)).astype(np.float32)
     depth[rng.random(depth.shape) < holes] = 0
     confidence = rng.random(depth.shape).astype(np.float32)
-    np.testing.assert_allclose(
-        settle_unsure(depth, confidence, settings=SMALL), reference(depth, confidence, SMALL), rtol=1e-6
-    )
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(median_filter, "CHUNK_PIXELS", 7)
+        settled = settle_unsure(depth, confidence, settings=SMALL)
+    np.testing.assert_allclose(settled, reference(depth, confidence, SMALL), rtol=1e-6)
 
 
 def test_flying_pixels_fall_on_a_surface_and_sure_ones_stay() -> None:

@@ -13,9 +13,10 @@ from fsinfer.depth.manifest import hash_files, models_folder, read_manifest
 from fsinfer.depth.maps import read_depth_index
 from fsinfer.depth.model import DepthModel
 from fsinfer.depth.precision import choose_precision, has_int8_dot_products
-from fsinfer.depth.stage import DepthSettings, estimate_depth
+from fsinfer.depth.settings import DepthSettings
 from fsinfer.errors import InputError, ModelError
 from fsinfer.scene import read_scene
+from fsinfer.workflow.single_stages import depth_of
 from tests.support.plane_scene import write_plane_scene
 
 X86 = "processor\t: {core}\nmodel name\t: Some CPU\nflags\t\t: fpu sse2 avx2 {flags}\nbugs\t\t:\n\n"
@@ -108,7 +109,7 @@ def test_depth_maps_of_two_precisions_are_not_mixed(tmp_path: Path) -> None:
     def made(wanted: str) -> tuple[str, bool]:
         first = out / "depth" / f"{scene.views[0].name}.pfm"
         before = first.stat().st_mtime_ns if first.is_file() else None
-        result = estimate_depth(scene, out, settings=DepthSettings(precision=wanted, threads=1))
+        result = depth_of(scene.folder, out, settings=DepthSettings(precision=wanted, threads=1)).result
         assert read_depth_index(out)["model_sha256"] == result.model_sha256
         return result.precision, first.stat().st_mtime_ns != before
 

@@ -15,7 +15,8 @@ from fsinfer.depth.manifest import models_folder, read_manifest
 from fsinfer.depth.maps import read_depth_index
 from fsinfer.depth.memory import DepthPlan
 from fsinfer.depth.model import DepthEstimate, DepthModel
-from fsinfer.depth.stage import DepthSettings, estimate_depth
+from fsinfer.depth.settings import DepthSettings
+from fsinfer.depth.stage import estimate_depth
 from fsinfer.depth.tiles import TiledDepth, cut
 from fsinfer.errors import ModelError
 from fsinfer.io.pfm import read_pfm
@@ -64,9 +65,9 @@ def in_tiles(*, keeps_volume: bool = True, halo: int | None = None) -> DepthEsti
     if halo is not None:
         assert model.manifest.tiles is not None
         model.manifest = replace(model.manifest, tiles=replace(model.manifest.tiles, halo=halo))
-    images, *cameras = make_views(3, 534, 618)
+    images, intrinsics, poses, depth_range = make_views(3, 534, 618)
     tiled = TiledDepth(model, 64, keeps_volume=keeps_volume)
-    return tiled.predict_from_features([model.features(image) for image in images], *cameras)
+    return tiled.predict_from_features([model.features(image) for image in images], intrinsics, poses, depth_range)
 
 
 def differing(a: DepthEstimate, b: DepthEstimate) -> float:

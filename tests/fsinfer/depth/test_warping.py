@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fsinfer.depth.cost_volume import (
     Features,
@@ -18,7 +19,7 @@ from fsinfer.depth.cost_volume import (
 from fsinfer.depth.warping import Projection, relative_projection, sample, sample_reference, source_coordinates
 
 
-def rotation(axis: int, angle: float) -> np.ndarray:
+def rotation(axis: int, angle: float) -> NDArray[np.float64]:
     c, s = np.cos(angle), np.sin(angle)
     matrix = np.eye(3)
     i, j = [k for k in range(3) if k != axis]
@@ -26,7 +27,7 @@ def rotation(axis: int, angle: float) -> np.ndarray:
     return matrix
 
 
-def two_views() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def two_views() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     k0 = np.array([[400.0, 0, 160], [0, 410, 120], [0, 0, 1]])
     k1 = np.array([[380.0, 0, 150], [0, 385, 125], [0, 0, 1]])
     pose0, pose1 = np.eye(4), np.eye(4)
@@ -74,7 +75,7 @@ def test_tall_stacks_are_cut_below_the_limit_of_remap() -> None:
     np.testing.assert_array_equal(stacked[-1], features)
 
 
-def small_scene() -> tuple[list[np.ndarray], list[Projection], np.ndarray]:
+def small_scene() -> tuple[list[NDArray[np.float32]], list[Projection], NDArray[np.float32]]:
     rng = np.random.default_rng(3)
     k0, pose0, k1, pose1 = two_views()
     maps = [rng.normal(size=(8, 37, 41)).astype(np.float32) for _ in range(3)]

@@ -1,8 +1,11 @@
 import json
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fsinfer.errors import InputError
 from fsinfer.evaluation.figure import plot_evaluation
@@ -11,7 +14,7 @@ from fsinfer.evaluation.metrics import MeasuredTree, evaluate, read_measured
 
 @dataclass(frozen=True)
 class Found:
-    tree_id: int
+    tree_id: int | str
     x_m: float
     y_m: float
     dbh_cm: float | None
@@ -26,26 +29,36 @@ MEASURED = [
 FOUND = [Found(1, 0.1, 0.0, 21.0), Found(2, 3.0, 0.2, 28.0), Found(3, 0.0, 4.1, None), Found(4, 9.0, 9.0, 15.0)]
 
 
-def _plot(count=20, seed=0):
+def _plot(count: int = 20, seed: int = 0) -> tuple[NDArray[np.float64], NDArray[np.float64], list[MeasuredTree]]:
     rng = np.random.default_rng(seed)
     xy = rng.uniform(0.0, 18.0, (count, 2))
     dbh = rng.uniform(10.0, 45.0, count)
     return xy, dbh, [MeasuredTree(tree_id=str(k), x_m=xy[k, 0], y_m=xy[k, 1], dbh_cm=dbh[k]) for k in range(count)]
 
 
-def _moved(xy, dbh, angle_deg, shift, scale=1.0, noise=0.05, seed=1):
+def _moved(
+    xy: NDArray[np.float64],
+    dbh: NDArray[np.float64],
+    angle_deg: float,
+    shift: NDArray[np.float64],
+    scale: float = 1.0,
+    noise: float = 0.05,
+    seed: int = 1,
+) -> list[Found]:
     rng = np.random.default_rng(seed)
     a = np.radians(angle_deg)
     rotation = np.array([[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]])
     moved = scale * xy @ rotation + shift + rng.normal(0.0, noise, xy.shape)
-    return [Found(100 + k, *moved[k], dbh[k] + rng.normal(0.0, 0.8)) for k in range(len(xy))]
+    return [Found(100 + k, x, y, dbh[k] + rng.normal(0.0, 0.8)) for k, (x, y) in enumerate(moved)]
 
 
-def test_metrics_by_hand():
+def test_metrics_by_hand() -> None:
     e = evaluate(MEASURED, FOUND)
     assert (e.n, e.extracted, e.detected, e.matched, e.omitted, e.false) == (4, 4, 3, 2, 1, 1)
     assert e.r == 0.5
     assert e.rmse_cm == pytest.approx(np.sqrt((1 + 4) / 2))
+    assert e.rmse_cm is not None
+    assert e.rrmse is not None
     assert e.rrmse == pytest.approx(e.rmse_cm / 25.0)
     assert e.ae == pytest.approx(1.0 - e.rrmse)
     assert e.bias_cm == pytest.approx(-0.5)
@@ -53,7 +66,7 @@ def test_metrics_by_hand():
     assert e.measured_from_extracted is None
 
 
-def test_matching_is_one_to_one_and_complete():
+def test_matching_is_one_to_one_and_complete() -> None:
     # Greedy nearest matching would give the middle stem to the first tree and lose the second.
     measured = [replace(MEASURED[0], x_m=0.0), replace(MEASURED[1], x_m=0.5)]
     found = [Found(1, 0.3, 0.0, 20.0), Found(2, 0.9, 0.0, 30.0)]
@@ -61,14 +74,14 @@ def test_matching_is_one_to_one_and_complete():
     assert links == {("a", "1"), ("b", "2")}
 
 
-def test_matching_by_id_ignores_positions():
+def test_matching_by_id_ignores_positions() -> None:
     found = [Found("b", 90.0, 0.0, 33.0), Found("x", 0.0, 0.0, 20.0)]
     e = evaluate(MEASURED, found, by_id=True)
     assert (e.detected, e.matched, e.false) == (1, 1, 1)
     assert e.bias_cm == pytest.approx(3.0)
 
 
-def test_frames_are_registered_when_they_differ():
+def test_frames_are_registered_when_they_differ() -> None:
     xy, dbh, measured = _plot()
     found = [*_moved(xy, dbh, 137.0, np.array([40.0, -7.0]))[3:], Found(7, 100.0, 0.0, 20.0)]
     e = evaluate(measured, found)
@@ -81,26 +94,26 @@ def test_frames_are_registered_when_they_differ():
     assert evaluate(measured, found, align="never").matched < 5
 
 
-def test_registration_never_scales():
+def test_registration_never_scales() -> None:
     xy, dbh, measured = _plot()
     e = evaluate(measured, _moved(xy, dbh, 30.0, np.array([5.0, 5.0]), scale=1.3), align="always")
     assert e.matched < 12
 
 
-def test_good_frames_are_left_alone():
+def test_good_frames_are_left_alone() -> None:
     xy, dbh, measured = _plot()
     e = evaluate(measured, _moved(xy, dbh, 0.0, np.zeros(2)))
     assert e.measured_from_extracted is None
     assert e.matched == 20
 
 
-def test_nothing_extracted_is_a_result():
+def test_nothing_extracted_is_a_result() -> None:
     e = evaluate(MEASURED, [])
     assert (e.r, e.omitted, e.false, e.rmse_cm, e.ae) == (0.0, 4, 0, None, None)
     assert json.loads(json.dumps(e.to_dict()))["rmse_cm"] is None
 
 
-def test_reading_measured(tmp_path):
+def test_reading_measured(tmp_path: Path) -> None:
     path = tmp_path / "m.csv"
     path.write_text("tree_id,x_m,y_m,dbh_cm,note\nA1,1.5,2,30.2,oak\n\nA2,0,0,12,\n")
     assert read_measured(path) == [
@@ -124,30 +137,30 @@ def test_reading_measured(tmp_path):
         ("", "no column"),
     ],
 )
-def test_bad_measured_files_name_the_row(tmp_path, text, message):
+def test_bad_measured_files_name_the_row(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "m.csv"
     path.write_text(text)
     with pytest.raises(InputError, match=message):
         read_measured(path)
 
 
-def test_missing_file(tmp_path):
+def test_missing_file(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot read"):
         read_measured(tmp_path / "none.csv")
 
 
 @pytest.mark.parametrize("options", [{"align": "maybe"}, {"max_distance_m": 0.0}])
-def test_bad_options(options):
+def test_bad_options(options: dict[str, Any]) -> None:
     with pytest.raises(InputError):
         evaluate(MEASURED, FOUND, **options)
 
 
-def test_no_measured_trees_is_an_error():
+def test_no_measured_trees_is_an_error() -> None:
     with pytest.raises(InputError, match="no measured trees"):
         evaluate([], FOUND)
 
 
-def test_scatter_figure(tmp_path):
+def test_scatter_figure(tmp_path: Path) -> None:
     plot_evaluation(evaluate(MEASURED, FOUND), tmp_path / "scatter.png")
     assert (tmp_path / "scatter.png").stat().st_size > 5000
     plot_evaluation(evaluate(MEASURED, []), tmp_path / "empty.png")

@@ -1,14 +1,17 @@
 import numpy as np
+from numpy.typing import NDArray
 
 from fsinfer.fusion.voxels import Samples, VoxelMerger, join, merge_voxels, much_worse_than_nearby, sum_within
 
 
-def make_samples(xyz, weight=None):
+def make_samples(
+    xyz: list[list[float]] | NDArray[np.float64], weight: list[float] | NDArray[np.float64] | None = None
+) -> Samples:
     count = len(xyz)
     return Samples(
         xyz=np.asarray(xyz, float),
-        rgb=np.tile(np.float32([10, 20, 30]), (count, 1)),
-        normals=np.tile(np.float32([0, 0, 1]), (count, 1)),
+        rgb=np.tile(np.array([10, 20, 30], np.float32), (count, 1)),
+        normals=np.tile(np.array([0, 0, 1], np.float32), (count, 1)),
         weight=np.ones(count) if weight is None else np.asarray(weight, float),
         confidence=np.linspace(0, 1, count, dtype=np.float32),
         views=np.arange(count, dtype=np.int32),
@@ -16,7 +19,7 @@ def make_samples(xyz, weight=None):
     )
 
 
-def test_points_of_a_voxel_become_their_weighted_mean():
+def test_points_of_a_voxel_become_their_weighted_mean() -> None:
     merged = merge_voxels(make_samples([[0.1, 0.1, 0.1], [0.9, 0.1, 0.1], [-0.1, 0.1, 0.1]], [1, 3, 5]), 1.0)
     order = np.argsort(merged.xyz[:, 0])
     np.testing.assert_allclose(merged.xyz[order], [[-0.1, 0.1, 0.1], [0.7, 0.1, 0.1]])
@@ -26,30 +29,32 @@ def test_points_of_a_voxel_become_their_weighted_mean():
     np.testing.assert_allclose(merged.confidence[order], [1, 0.25])
 
 
-def test_batches_give_the_same_as_all_at_once():
+def test_batches_give_the_same_as_all_at_once() -> None:
     rng = np.random.default_rng(0)
     parts = [make_samples(rng.normal(0, 3, (400, 3)), rng.uniform(0.1, 2, 400)) for _ in range(6)]
     merger = VoxelMerger(0.7, max_points=10_000, batch_points=700)
     for part in parts:
         merger.add(part)
     at_once, batched = merge_voxels(join(parts), 0.7), merger.result()
+    assert batched is not None
     np.testing.assert_allclose(batched.xyz, at_once.xyz, atol=1e-12)
     np.testing.assert_array_equal(batched.count, at_once.count)
 
 
-def test_size_stays_bounded_and_nothing_is_nothing():
+def test_size_stays_bounded_and_nothing_is_nothing() -> None:
     rng = np.random.default_rng(0)
     merger = VoxelMerger(1e-3, max_points=500, batch_points=1000)
     assert merger.result() is None
     for _ in range(5):
         merger.add(make_samples(rng.uniform(0, 1, (900, 3)) * [1, 1, 0]))
     result = merger.result()
+    assert result is not None
     assert 250 < len(result) <= 500
     assert result.count.sum() == 4500
     assert merger.voxel > 0.02
 
 
-def test_lone_specks_have_few_neighbours():
+def test_lone_specks_have_few_neighbours() -> None:
     rng = np.random.default_rng(0)
     xyz = np.concatenate([rng.uniform(0, 1, (500, 3)), [[9.0, -7, 2]], [[9.2, -7, 2]]])
     near = sum_within(xyz, 0.5, np.ones(len(xyz), np.int32))
@@ -62,7 +67,7 @@ def test_lone_specks_have_few_neighbours():
     ]
 
 
-def test_the_halo_of_far_views_goes_and_a_side_seen_only_from_far_stays():
+def test_the_halo_of_far_views_goes_and_a_side_seen_only_from_far_stays() -> None:
     rng = np.random.default_rng(1)
 
     def wall(count: int, normal: tuple[float, float, float], sigma: float, y: float) -> Samples:

@@ -1,4 +1,5 @@
 import logging
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from tests.support.places import DATA
 CLOUDS = DATA / "clouds"
 
 
-def make_cloud(count=500, offset=(0.0, 0.0, 0.0), seed=0):
+def make_cloud(count: int = 500, offset: tuple[float, float, float] = (0.0, 0.0, 0.0), seed: int = 0) -> PointCloud:
     rng = np.random.default_rng(seed)
     normals = rng.normal(size=(count, 3))
     return PointCloud(
@@ -27,13 +28,17 @@ def make_cloud(count=500, offset=(0.0, 0.0, 0.0), seed=0):
 
 @pytest.mark.parametrize("suffix", [".ply", ".las", ".laz"])
 @pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (5_423_117.25, 612_345.5, 431.0)])
-def test_round_trip_keeps_points_colours_normals_and_extra_values(tmp_path, suffix, offset):
+def test_round_trip_keeps_points_colours_normals_and_extra_values(
+    tmp_path: Path, suffix: str, offset: tuple[float, float, float]
+) -> None:
     cloud = make_cloud(offset=offset)
     path = tmp_path / f"cloud{suffix}"
     write_cloud(path, cloud)
     back = read_cloud(path)
     np.testing.assert_allclose(back.xyz, cloud.xyz, rtol=0, atol=0.51e-4)
     np.testing.assert_array_equal(back.rgb, cloud.rgb)
+    assert back.normals is not None
+    assert cloud.normals is not None
     np.testing.assert_allclose(back.normals, cloud.normals, atol=1e-6)
     assert set(back.extra) == set(cloud.extra)
     for name, values in cloud.extra.items():
@@ -43,12 +48,13 @@ def test_round_trip_keeps_points_colours_normals_and_extra_values(tmp_path, suff
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
-def test_las_stores_sixteen_bit_colour_and_reads_eight_bit_colour(tmp_path):
+def test_las_stores_sixteen_bit_colour_and_reads_eight_bit_colour(tmp_path: Path) -> None:
     import laspy
 
     cloud = make_cloud(20)
     write_cloud(tmp_path / "c.laz", cloud)
     raw = laspy.read(tmp_path / "c.laz")
+    assert cloud.rgb is not None
     np.testing.assert_array_equal(np.asarray(raw.red), cloud.rgb[:, 0].astype(np.uint16) * 257)
     assert pytest.approx(raw.header.scales[0]) == 1e-4
     raw.red, raw.green, raw.blue = cloud.rgb.T.astype(np.uint16)
@@ -56,7 +62,7 @@ def test_las_stores_sixteen_bit_colour_and_reads_eight_bit_colour(tmp_path):
     np.testing.assert_array_equal(read_cloud(tmp_path / "eight.laz").rgb, cloud.rgb)
 
 
-def test_small_model_units_keep_their_precision_in_laz(tmp_path):
+def test_small_model_units_keep_their_precision_in_laz(tmp_path: Path) -> None:
     cloud = PointCloud(xyz=np.random.default_rng(0).uniform(0, 0.02, (100, 3)))
     write_cloud(tmp_path / "c.laz", cloud)
     np.testing.assert_allclose(read_cloud(tmp_path / "c.laz").xyz, cloud.xyz, atol=1e-6)
@@ -84,7 +90,7 @@ end_header
 """
 
 
-def test_ascii_ply_with_faces_and_extra_columns(tmp_path):
+def test_ascii_ply_with_faces_and_extra_columns(tmp_path: Path) -> None:
     path = tmp_path / "a.ply"
     path.write_text(ASCII_PLY)
     cloud = read_cloud(path)
@@ -95,7 +101,7 @@ def test_ascii_ply_with_faces_and_extra_columns(tmp_path):
 
 @pytest.mark.parametrize(("form", "order"), [("binary_little_endian", "<"), ("binary_big_endian", ">")])
 @pytest.mark.parametrize("kind", ["f4", "f8"])
-def test_binary_ply_in_both_byte_orders(tmp_path, form, order, kind):
+def test_binary_ply_in_both_byte_orders(tmp_path: Path, form: str, order: str, kind: str) -> None:
     name = {"f4": "float32", "f8": "double"}[kind]
     table = np.zeros(2, dtype=[("x", order + kind), ("y", order + kind), ("z", order + kind), ("q", order + "i2")])
     table["x"], table["y"], table["z"], table["q"] = [1, 2], [3.5, 4], [5, -6], [-300, 9]
@@ -109,7 +115,9 @@ def test_binary_ply_in_both_byte_orders(tmp_path, form, order, kind):
     assert cloud.rgb is None
 
 
-def test_points_that_are_not_finite_are_dropped_with_a_warning(tmp_path, caplog):
+def test_points_that_are_not_finite_are_dropped_with_a_warning(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     path = tmp_path / "a.ply"
     path.write_text(ASCII_PLY.replace("-4.5", "nan"))
     with caplog.at_level(logging.WARNING):
@@ -122,7 +130,7 @@ def test_points_that_are_not_finite_are_dropped_with_a_warning(tmp_path, caplog)
         read_cloud(path)
 
 
-def test_text_clouds(tmp_path):
+def test_text_clouds(tmp_path: Path) -> None:
     path = tmp_path / "a.xyz"
     path.write_text("# scanner\n1 2 3\n4 5 6\n")
     np.testing.assert_array_equal(read_cloud(path).xyz, [[1, 2, 3], [4, 5, 6]])
@@ -138,7 +146,7 @@ def test_text_clouds(tmp_path):
 
 @pytest.mark.parametrize("suffix", [".ply", ".las", ".laz"])
 @pytest.mark.parametrize("part", [0.0, 0.001, 0.3, 0.97])
-def test_cut_files_are_user_errors(tmp_path, suffix, part):
+def test_cut_files_are_user_errors(tmp_path: Path, suffix: str, part: float) -> None:
     path = tmp_path / f"c{suffix}"
     write_cloud(path, make_cloud(3000))
     data = path.read_bytes()
@@ -147,7 +155,7 @@ def test_cut_files_are_user_errors(tmp_path, suffix, part):
         read_cloud(path)
 
 
-def test_cut_ascii_ply(tmp_path):
+def test_cut_ascii_ply(tmp_path: Path) -> None:
     path = tmp_path / "a.ply"
     path.write_text(ASCII_PLY[: ASCII_PLY.index("7 8 9e2")])
     with pytest.raises(CloudError, match="2 of 3 points"):
@@ -157,7 +165,7 @@ def test_cut_ascii_ply(tmp_path):
         read_cloud(path)
 
 
-def test_other_mistakes_are_user_errors(tmp_path):
+def test_other_mistakes_are_user_errors(tmp_path: Path) -> None:
     with pytest.raises(CloudError, match="no file"):
         read_cloud(tmp_path / "none.ply")
     (tmp_path / "c.e57").write_bytes(b"x")
@@ -180,7 +188,7 @@ def test_other_mistakes_are_user_errors(tmp_path):
         read_cloud(path)
 
 
-def test_failed_write_leaves_the_old_file(tmp_path):
+def test_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
     path = tmp_path / "c.ply"
     write_cloud(path, make_cloud(5))
     before = path.read_bytes()
@@ -191,7 +199,7 @@ def test_failed_write_leaves_the_old_file(tmp_path):
     assert path.read_bytes() == before
 
 
-def test_real_laser_scan():
+def test_real_laser_scan() -> None:
     path = CLOUDS / "pine_plot.laz"
     if not path.is_file():
         pytest.skip("shared/data/clouds is missing")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from PIL import Image
 
 from fsinfer.errors import ImageError
@@ -14,7 +15,7 @@ from fsinfer.io.exif import camera_exif, camera_key
 from fsinfer.io.images import image_size, list_images, read_image, write_image
 
 
-def picture(width: int = 60, height: int = 40) -> np.ndarray:
+def picture(width: int = 60, height: int = 40) -> NDArray[np.uint8]:
     """A smooth picture whose corners differ: red grows to the right, green downwards."""
     image = np.zeros((height, width, 3), np.uint8)
     image[..., 0] = np.linspace(0, 250, width)[None]

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from numpy.typing import NDArray
 
 from fsinfer.errors import OutputError, SceneError
 from fsinfer.io.files import atomic_path
@@ -21,7 +22,7 @@ from fsinfer.scene import Camera, read_camera, read_pairs, read_scene, write_cam
         np.float32, hnp.array_shapes(min_dims=2, max_dims=2, max_side=9), elements=st.floats(0, 1e6, width=32)
     )
 )
-def test_pfm_round_trip(values: np.ndarray, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_pfm_round_trip(values: NDArray[np.float32], tmp_path_factory: pytest.TempPathFactory) -> None:
     path = tmp_path_factory.mktemp("pfm") / "map.pfm"
     write_pfm(path, values)
     np.testing.assert_array_equal(read_pfm(path), values)

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fsinfer.errors import CloudError
@@ -7,12 +8,25 @@ from fsinfer.io.cloud import read_cloud
 from fsinfer.placement.level import estimate_up, ground_plane, level, sample_normals
 from tests.support.places import DATA
 
+# Points, camera centres, and the image axes down and right of every camera.
+Plot = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
-def angle_deg(a, b):
-    return np.degrees(np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1)))
+
+def angle_deg(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    return float(np.degrees(np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1))))
 
 
-def make_plot(*, slope_deg=0.0, stems=12, lean_deg=0.0, pitch_deg=20.0, roll_deg=3.0, noise=0.01, foliage=0, seed=0):
+def make_plot(
+    *,
+    slope_deg: float = 0.0,
+    stems: int = 12,
+    lean_deg: float = 0.0,
+    pitch_deg: float = 20.0,
+    roll_deg: float = 3.0,
+    noise: float = 0.01,
+    foliage: int = 0,
+    seed: int = 0,
+) -> Plot:
     """Points (z up), camera centres and image axes of a plot of 12 m with upright stems on a slope along x."""
     rng = np.random.default_rng(seed)
     slope = np.tan(np.radians(slope_deg))
@@ -41,14 +55,16 @@ def make_plot(*, slope_deg=0.0, stems=12, lean_deg=0.0, pitch_deg=20.0, roll_deg
     return points, centers, np.cos(roll) * down - np.sin(roll) * right, np.cos(roll) * right + np.sin(roll) * down
 
 
-def move(parts, seed=3, shift=(40.0, -7.0, 12.0)):
+def move(
+    parts: Plot, seed: int = 3, shift: tuple[float, float, float] = (40.0, -7.0, 12.0)
+) -> tuple[NDArray[np.float64], Plot]:
     turn = Rotation.random(random_state=seed).as_matrix()
     points, centers, down, right = parts
     return turn, (points @ turn.T + shift, centers @ turn.T + shift, down @ turn.T, right @ turn.T)
 
 
 @pytest.mark.parametrize(("slope_deg", "lean_deg"), [(0.0, 0.0), (15.0, 0.0), (15.0, 3.0), (25.0, 2.0)])
-def test_up_is_gravity_not_the_normal_of_the_slope(slope_deg, lean_deg):
+def test_up_is_gravity_not_the_normal_of_the_slope(slope_deg: float, lean_deg: float) -> None:
     turn, (points, centers, down, right) = move(make_plot(slope_deg=slope_deg, lean_deg=lean_deg))
     up, method = estimate_up(points, None, right, down, camera_centers=centers)
     assert method == "stems"
@@ -65,7 +81,7 @@ def test_up_is_gravity_not_the_normal_of_the_slope(slope_deg, lean_deg):
     assert np.linalg.det(motion[:3, :3]) == pytest.approx(1)
 
 
-def test_without_stems_the_x_axes_of_the_cameras_say_up_whatever_the_pitch():
+def test_without_stems_the_x_axes_of_the_cameras_say_up_whatever_the_pitch() -> None:
     turn, (points, centers, down, right) = move(make_plot(slope_deg=15, stems=0, pitch_deg=30))
     right[3] = turn[:, 2]  # one photograph with the phone turned by 90 degrees
     up, method = estimate_up(points, None, right, down, camera_centers=centers)
@@ -73,7 +89,7 @@ def test_without_stems_the_x_axes_of_the_cameras_say_up_whatever_the_pitch():
     assert angle_deg(up, turn[:, 2]) < 1.5
 
 
-def test_cameras_that_all_look_one_way_still_see_the_stems_upright():
+def test_cameras_that_all_look_one_way_still_see_the_stems_upright() -> None:
     turn, (points, centers, down, right) = move(make_plot(slope_deg=10, pitch_deg=20))
     few = slice(0, 4)
     up, method = estimate_up(points, None, right[few], down[few], camera_centers=centers[few])
@@ -83,7 +99,7 @@ def test_cameras_that_all_look_one_way_still_see_the_stems_upright():
     assert angle_deg(up, turn[:, 2]) < 25
 
 
-def test_downward_axes_alone_find_stems_and_else_the_ground():
+def test_downward_axes_alone_find_stems_and_else_the_ground() -> None:
     parts = make_plot(pitch_deg=20)
     turn, (points, centers, down, _) = move(parts)
     half = slice(0, 10)
@@ -96,7 +112,7 @@ def test_downward_axes_alone_find_stems_and_else_the_ground():
     assert angle_deg(-down[half].mean(axis=0), turn[:, 2]) > 8
 
 
-def test_foliage_is_no_stem():
+def test_foliage_is_no_stem() -> None:
     turn, (points, centers, down, right) = move(make_plot(slope_deg=15, stems=0, foliage=30_000))
     up, method = estimate_up(points, None, right, down, camera_centers=centers)
     assert method == "cameras"
@@ -106,7 +122,7 @@ def test_foliage_is_no_stem():
     assert angle_deg(up, turn[:, 2]) < 0.6
 
 
-def test_given_normals_are_used():
+def test_given_normals_are_used() -> None:
     turn, (points, centers, down, right) = move(make_plot())
     rng = np.random.default_rng(0)
     angle = rng.uniform(0, 2 * np.pi, len(points))
@@ -117,7 +133,7 @@ def test_given_normals_are_used():
     assert angle_deg(up, turn @ lean[:, 2]) < 0.1
 
 
-def test_result_is_reproducible_and_independent_of_the_unit_and_the_origin():
+def test_result_is_reproducible_and_independent_of_the_unit_and_the_origin() -> None:
     _, (points, centers, down, right) = move(make_plot(slope_deg=10))
     first = level(points, centers, down, camera_right=right)
     np.testing.assert_array_equal(first, level(points, centers, down, camera_right=right))
@@ -128,22 +144,23 @@ def test_result_is_reproducible_and_independent_of_the_unit_and_the_origin():
     np.testing.assert_allclose(moved[:3, :3], first[:3, :3], atol=1e-6)
 
 
-def test_georeferenced_model_keeps_its_heading():
+def test_georeferenced_model_keeps_its_heading() -> None:
     points, centers, down, right = make_plot(lean_deg=0, noise=0.005)
     motion = level(points, centers, down, camera_right=right)
     np.testing.assert_allclose(motion[:3, :3], np.eye(3), atol=0.01)
 
 
-def test_ground_plane_ignores_bushes_and_points_below():
+def test_ground_plane_ignores_bushes_and_points_below() -> None:
     points, centers, _, _ = make_plot(slope_deg=12, foliage=20_000)
     rng = np.random.default_rng(0)
     below = points[rng.choice(15_000, 150)] - [0, 0, 1.0]
     plane = ground_plane(np.concatenate([points, below]), centers)
+    assert plane is not None
     np.testing.assert_allclose(plane, [np.tan(np.radians(12)), 0, 0], atol=0.06)
     assert ground_plane(points + np.array([0, 0, 50]), centers) is None
 
 
-def test_normals_of_a_plane():
+def test_normals_of_a_plane() -> None:
     rng = np.random.default_rng(0)
     flat = np.column_stack([rng.uniform(0, 1, (2000, 2)), rng.normal(0, 1e-4, 2000)])
     normals = sample_normals(flat, 500)
@@ -152,7 +169,7 @@ def test_normals_of_a_plane():
     assert len(sample_normals(rng.uniform(0, 1, (2000, 3)), 500)) < 100
 
 
-def test_too_little_is_a_user_error():
+def test_too_little_is_a_user_error() -> None:
     points, centers, down, _ = make_plot()
     with pytest.raises(CloudError, match="too few to level"):
         level(points[:50], centers, down)
@@ -160,7 +177,7 @@ def test_too_little_is_a_user_error():
         level(points, centers[:0], down[:0])
 
 
-def test_laser_scan_of_pines_is_found_upright():
+def test_laser_scan_of_pines_is_found_upright() -> None:
     path = DATA / "clouds" / "pine_plot.laz"
     if not path.is_file():
         pytest.skip("shared/data/clouds is missing")

@@ -14,9 +14,13 @@ import pytest
 
 from fsinfer.errors import FsinferError, ImageError, OutputError, PosesError
 from fsinfer.io.images import image_size, read_image, write_image
-from fsinfer.poses.estimate import PoseSettings, PosesResult, estimate_poses
+from fsinfer.notices.sentences import sentence
+from fsinfer.poses.estimate import PosesResult, estimate_poses
+from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.sparse import read_sparse
+from fsinfer.progress import Progress
 from fsinfer.scene import Scene, read_scene
+from fsinfer.workflow.single_stages import poses_of
 from tests.support.places import DATA
 from tests.support.rendered_room import photographs, poses
 
@@ -47,7 +51,7 @@ def scene(result: PosesResult) -> Scene:
 def test_every_readable_photo_is_placed_and_the_damaged_one_is_named(result: PosesResult) -> None:
     assert (result.photos, result.registered) == (9, 8)
     assert len(result.warnings) == 1
-    assert "cut.jpg" in result.warnings[0]
+    assert "cut.jpg" in sentence(result.warnings[0])
     record = json.loads((result.scene / "poses.json").read_text(encoding="utf-8"))
     assert (record["photos"], record["registered"]) == (9, 8)
     assert record["mean_reprojection_error_px"] < 1
@@ -106,15 +110,13 @@ def test_points_lie_on_the_pictures_and_sources_are_neighbours(scene: Scene) -> 
         assert abs(view.sources[0] - index) <= 2
 
 
-def test_a_second_call_does_nothing(result: PosesResult, room: Path) -> None:
-    before = {path: path.stat().st_mtime_ns for path in result.scene.rglob("*") if path.is_file()}
-    told: list[str] = []
-    again = estimate_poses(
-        room / "photos", room / "scene", settings=SETTINGS, progress=lambda _done, _total, what: told.append(what)
-    )
-    assert again == result
-    assert not told
-    assert before == {path: path.stat().st_mtime_ns for path in result.scene.rglob("*") if path.is_file()}
+def test_a_second_call_finds_the_poses_done(room: Path, tmp_path: Path) -> None:
+    first = poses_of(room / "photos", tmp_path / "scene", settings=SETTINGS)
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*") if path.is_file()}
+    again = poses_of(room / "photos", tmp_path / "scene", settings=replace(SETTINGS, threads=2))
+    assert (first.ran, again.ran) == (True, False)
+    assert again.result == first.result
+    assert before == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*") if path.is_file()}
 
 
 def test_threads_do_not_change_the_poses(result: PosesResult, room: Path, tmp_path: Path) -> None:
@@ -137,20 +139,38 @@ def test_goes_on_from_the_features_after_a_kill(tmp_path: Path, monkeypatch: pyt
     class KillError(Exception):
         pass
 
-    def stop(_done: int, _total: int, what: str) -> None:
-        if what == "matching photos":
-            raise KillError
+    def stop(_stage: str) -> Progress:
+        def report(_done: int, _total: int, what: str) -> None:
+            if what == "matching photos":
+                raise KillError
+
+        return report
 
     with pytest.raises(KillError):
-        estimate_poses(photos, out, settings=SETTINGS, progress=stop)
+        poses_of(photos, out, settings=SETTINGS, progress=stop)
     assert not (out / "poses.json").exists()
 
     def forbidden(*_args: object, **_options: object) -> None:
         pytest.fail("features were extracted again")
 
     monkeypatch.setattr(pycolmap, "extract_features", forbidden)
-    assert estimate_poses(photos, out, settings=SETTINGS).registered == 4
+    assert poses_of(photos, out, settings=SETTINGS).result.registered == 4
     assert not (out / "work").exists()
+
+
+def test_other_photos_begin_anew_where_an_attempt_was_stopped(tmp_path: Path) -> None:
+    def stop(_done: int, _total: int, what: str) -> None:
+        if what == "matching photos":
+            raise KeyboardInterrupt
+
+    for index, image in enumerate(photographs()[:5]):
+        write_image(tmp_path / "photos" / f"p{index}.jpg", image)
+    with pytest.raises(KeyboardInterrupt):
+        estimate_poses(tmp_path / "photos", tmp_path / "out", settings=SETTINGS, progress=stop)
+    (tmp_path / "photos" / "p4.jpg").unlink()
+    # Four photos: the database of the five would have the fifth's features.
+    result = estimate_poses(tmp_path / "photos", tmp_path / "out", settings=SETTINGS)
+    assert (result.photos, result.registered, result.left_out) == (4, 4, ())
 
 
 def test_the_larger_of_two_parts_is_taken_and_the_other_named(tmp_path: Path) -> None:
@@ -161,7 +181,7 @@ def test_the_larger_of_two_parts_is_taken_and_the_other_named(tmp_path: Path) ->
     result = estimate_poses(tmp_path / "photos", tmp_path / "scene", settings=SETTINGS)
     assert (result.photos, result.registered) == (8, 5)
     assert len(result.warnings) == 1
-    assert "3 of 8 photos left out (other0, other1, other2): they could not be placed" in result.warnings[0]
+    assert "3 of 8 photos left out (other0, other1, other2): they could not be placed" in sentence(result.warnings[0])
     assert {view.name for view in read_scene(result.scene).views} == {f"p{index}" for index in range(5)}
 
 

@@ -87,7 +87,8 @@ def test_few_photos_are_in_the_order_of_walking_or_not() -> None:
     walk = {(i, j): int(600 / (j - i) ** 2) for i, j in combinations(range(count), 2)} | {(7, 8): 3}
     assert in_walking_order(walk, count, settings)
     shuffled = rng.permutation(count)
-    mixed = {tuple(sorted((int(shuffled[i]), int(shuffled[j])))): found for (i, j), found in walk.items()}
+    ends = {pair: sorted(int(shuffled[i]) for i in pair) for pair in walk}
+    mixed = {(first, last): walk[pair] for pair, (first, last) in ends.items()}
     assert not in_walking_order(mixed, count, settings)
     # All photos look at one trunk: names tell nothing that the matches would not.
     assert not in_walking_order(dict.fromkeys(combinations(range(count), 2), 200), count, settings)

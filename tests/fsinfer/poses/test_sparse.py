@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fsinfer.depth.maps import PixelGrid
 from fsinfer.depth.sfm_check import SfmCheckSettings as CheckSettings
@@ -34,7 +35,8 @@ def scene(folder: Path) -> Scene:
 def sparse(scene: Scene) -> SparseModel:
     """Surface points made of the exact depth maps of three views, each seen in its own view only."""
     rng = np.random.default_rng(0)
-    points, observations = [], {}
+    points: list[NDArray[np.float64]] = []
+    observations = {}
     for index in (0, 3, 6):
         view = scene.views[index]
         depth = depth_map(index)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fsinfer.poses.sparse import SparseModel
 from fsinfer.poses.view_selection import SelectionSettings, choose_sources, depth_range, score_pairs
 
 
-def cameras_on_a_line(angles_deg: list[float], distance: float) -> np.ndarray:
+def cameras_on_a_line(angles_deg: list[float], distance: float) -> NDArray[np.float64]:
     return np.array([[distance * np.tan(np.radians(angle)), 0, 0] for angle in angles_deg])
 
 
@@ -48,23 +49,29 @@ def test_number_of_sources_is_limited() -> None:
     assert all(len(found) == 10 and view not in dict(found) for view, found in choose_sources(scores, 10).items())
 
 
-def model(points: np.ndarray, tracks: np.ndarray | None = None) -> SparseModel:
+def model(points: NDArray[np.float64], tracks: NDArray[np.int64] | None = None) -> SparseModel:
     count = len(points)
-    tracks = np.full(count, 4) if tracks is None else tracks
+    tracks = np.full(count, 4, np.int64) if tracks is None else tracks
     return SparseModel(points=points, errors_px=np.full(count, 0.3), track_lengths=tracks, observations={})
 
 
 K = np.array([[400.0, 0, 319.5], [0, 400, 239.5], [0, 0, 1]])
 
 
-def in_view(depths: np.ndarray) -> np.ndarray:
+def in_view(depths: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([0.1 * depths, 0.1 * depths, depths], axis=1)
+
+
+def range_of(sparse: SparseModel, seen: NDArray[np.int64]) -> tuple[float, float]:
+    found = depth_range(sparse, seen, K, np.eye(4), (640, 480))
+    assert found is not None
+    return found
 
 
 def test_depth_range_holds_the_points_with_margins_and_without_outliers() -> None:
     depths = np.linspace(4, 10, 1000)
     depths[0], depths[-1] = 0.01, 1e6
-    near, far = depth_range(model(in_view(depths)), np.arange(1000), K, np.eye(4), (640, 480))
+    near, far = range_of(model(in_view(depths)), np.arange(1000))
     assert near == pytest.approx(0.75 * 4.03, rel=0.02)
     assert far == pytest.approx(1.5 * 9.95, rel=0.02)
 
@@ -74,29 +81,29 @@ def test_near_ground_seen_by_others_pulls_the_near_end_in() -> None:
     ground = in_view(np.linspace(2.4, 3.9, 60))
     points = np.concatenate([own, ground])
     seen = np.arange(300)
-    near = depth_range(model(points), seen, K, np.eye(4), (640, 480))[0]
+    near = range_of(model(points), seen)[0]
     assert 0.75 * 2.3 < near < 0.75 * 2.6
     # Behind the camera or beside the picture they do not count.
     for moved in (points * np.array([1, 1, -1]), points + np.array([100.0, 0, 0])):
         there = np.concatenate([own, moved[300:]])
-        assert depth_range(model(there), seen, K, np.eye(4), (640, 480))[0] == pytest.approx(0.75 * 4.06, rel=0.01)
+        assert range_of(model(there), seen)[0] == pytest.approx(0.75 * 4.06, rel=0.01)
 
 
 def test_weak_points_count_only_when_there_are_no_others() -> None:
     depths = np.concatenate([np.linspace(4, 10, 100), np.full(20, 40.0)])
     tracks = np.concatenate([np.full(100, 3), np.full(20, 2)])
     seen = np.arange(120)
-    far = depth_range(model(in_view(depths), tracks), seen, K, np.eye(4), (640, 480))[1]
+    far = range_of(model(in_view(depths), tracks), seen)[1]
     assert far < 16
-    far = depth_range(model(in_view(depths), np.full(120, 2)), seen, K, np.eye(4), (640, 480))[1]
+    far = range_of(model(in_view(depths), np.full(120, 2)), seen)[1]
     assert far == pytest.approx(60)
 
 
 def test_far_end_is_limited_and_an_empty_view_has_none() -> None:
     depths = np.concatenate([np.full(50, 2.0), np.full(50, 1000.0)])
-    near, far = depth_range(model(in_view(depths)), np.arange(100), K, np.eye(4), (640, 480))
+    near, far = range_of(model(in_view(depths)), np.arange(100))
     assert far == pytest.approx(SelectionSettings().max_ratio * near)
     behind = in_view(np.full(10, -3.0))
     assert depth_range(model(behind), np.arange(10), K, np.eye(4), (640, 480)) is None
-    flat = depth_range(model(in_view(np.full(100, 5.0))), np.arange(100), K, np.eye(4), (640, 480))
+    flat = range_of(model(in_view(np.full(100, 5.0))), np.arange(100))
     assert 0 < flat[0] < 5 < flat[1]

@@ -1,6 +1,8 @@
 import csv
 import json
 import re
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from fsinfer.io.images import write_image
 from fsinfer.io.pfm import write_pfm
 from fsinfer.report import make_report
 from fsinfer.report.contents import number, read_contents
-from fsinfer.report.summary import stand_of
+from fsinfer.report.stand_figures import stand_of
 
 TREE = {
     "tree_id": 1, "x_m": 1.5, "y_m": -2.0, "z_ground_m": 0.1, "dbh_cm": 30.0, "dbh_lo95_cm": 29.1, "dbh_hi95_cm": 30.9,
@@ -23,11 +25,11 @@ PLOT = {
     "scale_source": "aruco", "scale_rel_std": 0.002, "points": 5000, "density_per_m2": 50.0, "diagnosis": "all well",
     "depth_vs_sfm_median_rel": 0.004, "seconds": {"depth": 200.0, "total": 10_000.0}, "peak_rss_mb": 1500.5,
     "versions": {"fsinfer": "0.1.0", "numpy": "2.0"}, "model": "fs", "model_sha256": "abc123",
-    "warnings": ["the marker <script>alert(1)</script> was blurred"], "settings": {"trees": {"a": "</pre><i>"}},
+    "warnings": ["a marker was blurred"], "settings": {"trees": {"a": "</pre><i>"}},
 }  # fmt: skip
 
 
-def write_csv(path, rows, columns=None):
+def write_csv(path: Path, rows: list[dict[str, Any]], columns: list[str] | None = None) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("w", newline="") as stream:
         writer = csv.DictWriter(stream, columns or list(rows[0]))
@@ -35,13 +37,13 @@ def write_csv(path, rows, columns=None):
         writer.writerows(rows)
 
 
-def small_cloud(count=4000):
+def small_cloud(count: int = 4000) -> PointCloud:
     rng = np.random.default_rng(0)
     xyz = rng.uniform([-5, -5, 0], [5, 5, 4], (count, 3))
     return PointCloud(xyz=xyz, rgb=rng.integers(0, 255, (count, 3), dtype=np.uint8))
 
 
-def full_folder(out, *, plot=PLOT, trees=None):
+def full_folder(out: Path, *, plot: dict[str, Any] = PLOT, trees: list[dict[str, Any]] | None = None) -> Path:
     trees = trees or [
         TREE,
         TREE | {"tree_id": 2, "dbh_cm": 40.0, "dbh_lo95_cm": 38, "dbh_hi95_cm": 42, "status": "doubtful"},
@@ -64,7 +66,7 @@ def full_folder(out, *, plot=PLOT, trees=None):
     return out
 
 
-def test_everything_is_in_one_file_without_any_outside_reference(tmp_path):
+def test_everything_is_in_one_file_without_any_outside_reference(tmp_path: Path) -> None:
     path = make_report(full_folder(tmp_path))
     page = path.read_text(encoding="utf-8")
     assert path == tmp_path / "report.html"
@@ -81,7 +83,7 @@ def test_everything_is_in_one_file_without_any_outside_reference(tmp_path):
     assert page.index("What to look out for") < page.index("Stem map and trees") < page.index("How it was made")
 
 
-def test_warnings_name_the_trees_to_visit_again(tmp_path):
+def test_warnings_name_the_trees_to_visit_again(tmp_path: Path) -> None:
     write_csv(
         tmp_path / "trees.csv",
         [
@@ -92,40 +94,72 @@ def test_warnings_name_the_trees_to_visit_again(tmp_path):
             TREE | {"tree_id": 5, "arc_coverage": 0.3},
         ],
     )
-    warnings = ["a board lies flat", "3 points far outside the plot were left out"]
-    (tmp_path / "plot.json").write_text(json.dumps(PLOT | {"scale_rel_std": 0.02, "warnings": warnings}))
+    (tmp_path / "plot.json").write_text(json.dumps(PLOT | {"scale_rel_std": 0.02, "warnings": ["a board lies flat"]}))
     page = make_report(tmp_path).read_text(encoding="utf-8")
     assert 'Tree <a href="#tree-2" data-card="2">2</a> is doubtful' in page
     assert '<a href="#tree-3" data-card="3">3</a> and <a href="#tree-4" data-card="4">4</a> have no diameter' in page
     assert 'Tree <a href="#tree-5" data-card="5">5</a> was seen from one side only' in page
     assert "a stem of 30 cm may be 1.2 cm thicker or thinner" in page
+    assert "<li>A board lies flat.</li>" in page
+    assert "Remarks" not in page
+
+
+def coded(code: str, text: str, *, remark: bool = False, **values: object) -> dict[str, object]:
+    return {"code": code, "values": values, "text": text, "remark": remark}
+
+
+def test_remarks_are_those_that_say_so_whatever_their_words(tmp_path: Path) -> None:
+    write_csv(tmp_path / "trees.csv", [TREE])
+    codes = [
+        coded("board_flat", "a board lies flat beside points far outside the plot"),
+        coded("points_far_outside", "3 strays were left out", remark=True, points=3),
+        "no object",
+        {"code": "no_text"},
+    ]
+    plot = PLOT | {"registered": 40, "warnings": ["said in another way"], "warning_codes": codes}
+    (tmp_path / "plot.json").write_text(json.dumps(plot))
+    page = make_report(tmp_path).read_text(encoding="utf-8")
     first, remarks = page.split("<summary>Remarks</summary>")
-    assert "<li>A board lies flat.</li>" in first
-    assert "<li>3 points far outside the plot were left out.</li>" in remarks
+    assert "<li>A board lies flat beside points far outside the plot.</li>" in first
+    assert "<li>3 strays were left out.</li>" in remarks
+    assert "strays" not in first
+    assert "said in another way" not in page
+    # A plot with mere remarks is as it should be.
+    (tmp_path / "plot.json").write_text(json.dumps(plot | {"warning_codes": codes[1:]}))
+    assert "photos, scale and stems are as they should be" in make_report(tmp_path).read_text(encoding="utf-8")
 
 
-def test_a_plot_without_fault_says_so(tmp_path):
+def test_sentences_without_codes_are_all_warnings(tmp_path: Path) -> None:
+    write_csv(tmp_path / "trees.csv", [TREE])
+    sentences = ["3 points far outside the plot were left out", "tree 4 was corrected by hand"]
+    (tmp_path / "plot.json").write_text(json.dumps(PLOT | {"warnings": sentences}))
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    assert "<li>3 points far outside the plot were left out.</li>" in page
+    assert "<li>Tree 4 was corrected by hand.</li>" in page
+    assert "Remarks" not in page
+
+
+def test_a_sentence_that_stands_twice_is_said_once(tmp_path: Path) -> None:
+    write_csv(tmp_path / "trees.csv", [], columns=list(TREE))
+    codes = [coded("no_trees", "no stem reaches breast height")]
+    plot = PLOT | {"diagnosis": "no stem reaches breast height", "warning_codes": codes}
+    (tmp_path / "plot.json").write_text(json.dumps(plot))
+    assert make_report(tmp_path).read_text(encoding="utf-8").count("<li>No stem reaches breast height.</li>") == 1
+
+
+def test_a_plot_without_fault_says_so(tmp_path: Path) -> None:
     write_csv(tmp_path / "trees.csv", [TREE])
     (tmp_path / "plot.json").write_text(json.dumps(PLOT | {"registered": 40, "warnings": []}))
     assert "photos, scale and stems are as they should be" in make_report(tmp_path).read_text(encoding="utf-8")
 
 
-def test_text_from_outside_is_escaped(tmp_path):
-    page = make_report(full_folder(tmp_path)).read_text(encoding="utf-8")
-    assert "<script>alert" not in page
-    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in page
-    assert "</pre><i>" not in page
-    assert "<only>" not in page
-    assert "<b>plot</b>" not in page
-
-
-def test_stand_table(tmp_path):
+def test_stand_table(tmp_path: Path) -> None:
     full_folder(tmp_path, plot=PLOT | {"plot_area_m2": 500})
     stand = stand_of(read_contents(tmp_path))
     assert (stand.stems, stand.measured) == (3, 2)
-    assert stand.dbh_mean_cm == pytest.approx(35)
+    assert stand.mean_dbh_cm == pytest.approx(35)
     assert stand.quadratic_mean_dbh_cm == pytest.approx(35.3553, abs=1e-3)
-    assert stand.basal_area_m2 == pytest.approx(np.pi / 4 * (0.09 + 0.16))
+    assert stand.basal_area_m2_per_ha == pytest.approx(np.pi / 4 * (0.09 + 0.16) / 0.05)
     page = make_report(tmp_path).read_text(encoding="utf-8")
     assert '<th scope="row">Stems per hectare</th><td>60</td>' in page
     assert "<td>30 to under 35</td><td>1</td><td>0.071</td><td>20</td><td>1.4</td>" in page
@@ -134,7 +168,21 @@ def test_stand_table(tmp_path):
     assert "3.9 m²/ha" in page
 
 
-def test_markers_and_photos_left_out_are_shown(tmp_path):
+def test_figures_of_the_stand_are_those_of_the_run(tmp_path: Path) -> None:
+    given = {"stems": 3, "measured": 2, "plot_area_m2": 500.0, "area_method": "given", "stems_per_ha": 61.0}
+    given |= {"basal_area_m2_per_ha": 7.7, "quadratic_mean_dbh_cm": 35.4, "mean_dbh_cm": 35.1}
+    full_folder(tmp_path, plot=PLOT | {"stand": given})
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    for text in ("<td>35.1 cm</td>", "<td>35.4 cm</td>", "<td>500 m²</td>", "<td>61</td>", "<td>7.7 m²/ha</td>"):
+        assert text in page, text
+    # Somebody took trees out of the table since.
+    full_folder(tmp_path, plot=PLOT | {"stand": given | {"stems": 4}, "plot_area_m2": 500.0})
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    assert "<td>35.0 cm</td>" in page
+    assert '<th scope="row">Stems per hectare</th><td>60</td>' in page
+
+
+def test_markers_and_photos_left_out_are_shown(tmp_path: Path) -> None:
     board = {"id": 21, "views": ["a", "b", "c"], "residual_rel": 0.0012, "leave_one_out_rel": -0.0004, "error_px": 0.3}
     full_folder(tmp_path, plot=PLOT | {"scale_details": {"markers": [board, {"id": 22}]}})
     write_image(tmp_path / "frames" / "frames_contact.jpg", np.full((60, 1200, 3), 90, np.uint8))
@@ -149,17 +197,22 @@ def test_markers_and_photos_left_out_are_shown(tmp_path):
     assert "frames_contact.jpg could not be read" in page
 
 
-def test_without_a_scale_the_units_are_said(tmp_path):
+def test_without_a_scale_the_units_are_said(tmp_path: Path) -> None:
     plot = PLOT | {"units": "model units", "scale_m_per_unit": None, "scale_source": "none", "density_per_m2": None}
-    full_folder(tmp_path, plot=plot | {"warnings": ["no scale was given: the cloud is in model units"]})
+    codes = [
+        coded("no_scale_given", "no scale was given: the cloud is in model units"),
+        coded("markers_of_unknown_length", "no scale: markers are seen, but their length was not given"),
+    ]
+    full_folder(tmp_path, plot=plot | {"warning_codes": codes})
     page = make_report(tmp_path).read_text(encoding="utf-8")
     assert "No scale is known: all lengths" in page
-    assert "no scale was given" not in page
+    assert "o scale was given" not in page
+    assert "<li>No scale: markers are seen, but their length was not given.</li>" in page
     assert "x (units)" in page
     assert "x (m)" not in page
 
 
-def test_a_single_tree_without_a_scale_has_a_map_that_can_be_read(tmp_path):
+def test_a_single_tree_without_a_scale_has_a_map_that_can_be_read(tmp_path: Path) -> None:
     plot = PLOT | {"units": "model units", "scale_m_per_unit": None, "scale_source": "none", "camera_height": 0.3}
     full_folder(tmp_path, plot=plot, trees=[TREE])
     page = make_report(tmp_path).read_text(encoding="utf-8")
@@ -169,20 +222,44 @@ def test_a_single_tree_without_a_scale_has_a_map_that_can_be_read(tmp_path):
     assert len(ticks) >= 4
 
 
-def test_the_reasons_of_few_trees_without_a_diameter_are_said_at_once(tmp_path):
+def test_the_reasons_of_few_trees_without_a_diameter_are_said_at_once(tmp_path: Path) -> None:
     none = TREE | {"dbh_cm": "", "status": "unmeasured"}
     rows = [none | {"tree_id": number, "reason": f"why {number}"} for number in (1, 2, 3)]
     full_folder(tmp_path, trees=rows)
     assert "no diameter: why 1; why 2; why 3." in make_report(tmp_path).read_text(encoding="utf-8")
 
 
-def test_empty_folder_gives_a_page_that_says_what_is_missing(tmp_path):
+def test_the_advice_to_walk_round_is_given_once(tmp_path: Path) -> None:
+    none = TREE | {"dbh_cm": "", "status": "unmeasured"}
+    rows = [none | {"tree_id": 1, "reason": "do walk round it"}, none | {"tree_id": 2, "reason": "two walls"}]
+    advice = "Mostly it helps to walk round the stem again"
+
+    def page_with(entries: object) -> str:
+        (tmp_path / "trees.json").write_text(entries if isinstance(entries, str) else json.dumps(entries))
+        return make_report(tmp_path).read_text(encoding="utf-8")
+
+    full_folder(tmp_path, trees=rows)
+    # The words of a reason decide nothing.
+    assert advice in make_report(tmp_path).read_text(encoding="utf-8")
+    reason = {"code": "thin_arc", "values": {"seen_deg": 40}}
+    assert advice in page_with([{"tree_id": 1, "status": "unmeasured", "reasons": [reason]}])
+    entries = [{"tree_id": 1, "status": "unmeasured", "reasons": [reason | {"advises_revisit": True}]}]
+    assert advice not in page_with([{"tree_id": None}, 7, {"tree_id": 2, "reasons": "none"}, *entries])
+    # Not where the advice is on the card only.
+    full_folder(tmp_path, trees=[*rows, none | {"tree_id": 3}])
+    assert advice in page_with(entries)
+    page = page_with("{}")
+    assert "trees.json could not be read" in page
+    assert advice in page
+
+
+def test_empty_folder_gives_a_page_that_says_what_is_missing(tmp_path: Path) -> None:
     page = make_report(tmp_path).read_text(encoding="utf-8")
     for text in ("plot.json is not", "trees.csv is not", "no point cloud", "no depth maps", "frames.csv is not"):
         assert text in page, text
 
 
-def test_damaged_parts_are_notes(tmp_path):
+def test_damaged_parts_are_notes(tmp_path: Path) -> None:
     full_folder(tmp_path)
     (tmp_path / "plot.json").write_text("{")
     (tmp_path / "trees.csv").write_bytes(b"\xff\xfe\x00tree")
@@ -196,7 +273,7 @@ def test_damaged_parts_are_notes(tmp_path):
     assert "Depth of v2" in page
 
 
-def test_no_trees_is_a_result_with_a_diagnosis(tmp_path):
+def test_no_trees_is_a_result_with_a_diagnosis(tmp_path: Path) -> None:
     write_csv(tmp_path / "trees.csv", [], columns=list(TREE))
     (tmp_path / "plot.json").write_text(json.dumps(PLOT | {"diagnosis": "no stem reaches breast height"}))
     page = make_report(tmp_path).read_text(encoding="utf-8")
@@ -204,11 +281,11 @@ def test_no_trees_is_a_result_with_a_diagnosis(tmp_path):
     assert "no stem reaches breast height" in page
 
 
-def test_not_a_folder_is_a_user_error(tmp_path):
+def test_not_a_folder_is_a_user_error(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not a folder"):
         make_report(tmp_path / "none")
 
 
 @pytest.mark.parametrize(("text", "value"), [("1.5", 1.5), ("", None), ("nan", None), ("inf", None), (None, None)])
-def test_number(text, value):
+def test_number(text: str | None, value: float | None) -> None:
     assert number(text) == value

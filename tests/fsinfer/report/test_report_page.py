@@ -1,32 +1,41 @@
 """The report in a real browser: it renders, sorts, shows the picked tree, colours the cloud, and prints."""
 
+from __future__ import annotations
+
 import re
 import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fsinfer.report import make_report
 from tests.support.browser import browser, why_not
 from tests.support.report_plot import write_report_folder
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
 
 pytestmark = pytest.mark.skipif(bool(why_not()), reason=why_not() or "a browser is there")
 WIDTHS = (1280, 390)
 
 
 @pytest.fixture(scope="module")
-def chromium():
+def chromium() -> Iterator[Browser]:
     with browser() as started:
         yield started
 
 
 @pytest.fixture(scope="module")
-def report(tmp_path_factory):
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_report(write_report_folder(tmp_path_factory.mktemp("plot")))
 
 
 @pytest.fixture(scope="module", params=WIDTHS)
-def page(request, chromium, report):
+def page(request: pytest.FixtureRequest, chromium: Browser, report: Path) -> Iterator[Page]:
     opened = chromium.new_page(viewport={"width": request.param, "height": 844})
     opened.set_default_timeout(30_000)
     said, asked = [], []
@@ -40,11 +49,11 @@ def page(request, chromium, report):
     opened.close()
 
 
-def numbers(page):
+def numbers(page: Page) -> list[str]:
     return page.locator("table.sortable tbody tr td:first-child").all_inner_texts()
 
 
-def test_sorts_by_dbh_both_ways(page):
+def test_sorts_by_dbh_both_ways(page: Page) -> None:
     assert numbers(page) == ["1", "2", "3"]
     head = page.get_by_role("button", name="DBH (cm)", exact=True)
     head.click()
@@ -55,7 +64,7 @@ def test_sorts_by_dbh_both_ways(page):
     assert page.locator("th[aria-sort=descending]").inner_text() == "DBH (cm)"
 
 
-def test_a_tree_picked_on_the_map_shows_its_card(page):
+def test_a_tree_picked_on_the_map_shows_its_card(page: Page) -> None:
     card = page.locator("#tree-3")
     assert not card.is_visible()
     page.locator(".map .tree[data-tree='3']").click()
@@ -77,20 +86,21 @@ def test_a_tree_picked_on_the_map_shows_its_card(page):
     assert page.locator("#tree-2").is_visible()
 
 
-def pixels(page):
+def pixels(page: Page) -> NDArray[np.int_]:
     import cv2
 
     picture = cv2.imdecode(np.frombuffer(page.locator("#viewer canvas").screenshot(), np.uint8), cv2.IMREAD_COLOR)
+    assert picture is not None
     return picture.reshape(-1, 3).astype(int)
 
 
-def wait_for_cloud(page):
+def wait_for_cloud(page: Page) -> None:
     page.locator("#viewer canvas").scroll_into_view_if_needed()
     page.wait_for_function("Number(document.getElementById('viewer').dataset.drawn) > 20000")
     page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
 
-def test_the_cloud_is_drawn_coloured_and_turned(page):
+def test_the_cloud_is_drawn_coloured_and_turned(page: Page) -> None:
     wait_for_cloud(page)
     seen = {}
     for mode in ("rgb", "height", "tree", "confidence"):
@@ -114,7 +124,7 @@ def test_the_cloud_is_drawn_coloured_and_turned(page):
     assert page.locator("#viewer .names span").count() == 3
 
 
-def test_a_tree_is_shown_in_the_cloud(page):
+def test_a_tree_is_shown_in_the_cloud(page: Page) -> None:
     wait_for_cloud(page)
     before = pixels(page)
     page.locator(".map .tree[data-tree='1']").click()
@@ -125,7 +135,7 @@ def test_a_tree_is_shown_in_the_cloud(page):
     assert page.locator("#viewer .names span.picked").inner_text() == "1"
 
 
-def test_nothing_is_wider_than_the_screen(page):
+def test_nothing_is_wider_than_the_screen(page: Page) -> None:
     page.evaluate("document.querySelectorAll('details').forEach(one => { one.open = true; })")
     width, inner = page.evaluate("[document.documentElement.scrollWidth, window.innerWidth]")
     assert width <= inner
@@ -138,7 +148,7 @@ def test_nothing_is_wider_than_the_screen(page):
     assert wide == []
 
 
-def test_everything_that_acts_has_a_name(page):
+def test_everything_that_acts_has_a_name(page: Page) -> None:
     nameless = page.evaluate(
         """() => Array.from(document.querySelectorAll('button, select, input, a, canvas, img, [role], [tabindex]'))
              .filter(one => !(one.getAttribute('aria-label') || one.textContent.trim() || one.alt ||
@@ -149,7 +159,7 @@ def test_everything_that_acts_has_a_name(page):
     assert page.locator("html").get_attribute("lang") == "en"
 
 
-def test_prints_every_card_with_text(chromium, report, tmp_path):
+def test_prints_every_card_with_text(chromium: Browser, report: Path, tmp_path: Path) -> None:
     page = chromium.new_page(viewport={"width": 1280, "height": 900})
     page.goto(report.as_uri())
     page.emulate_media(media="print")
@@ -174,7 +184,7 @@ def test_prints_every_card_with_text(chromium, report, tmp_path):
     page.close()
 
 
-def test_without_webgl_the_still_pictures_are_shown(chromium, report):
+def test_without_webgl_the_still_pictures_are_shown(chromium: Browser, report: Path) -> None:
     page = chromium.new_page(viewport={"width": 800, "height": 900})
     page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
     page.goto(report.as_uri())

@@ -1,5 +1,7 @@
 """Which photographs a tree's card shows, and where the line at breast height is drawn in them."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -9,25 +11,25 @@ from fsinfer.io.pfm import read_pfm, write_pfm
 from fsinfer.report.cloud_data import MAX_IN_MEMORY, encode_cloud, read_some
 from fsinfer.report.contents import read_contents
 from fsinfer.report.tree_photos import LINE_RGB, OUTSIDE_RGB, crop_tree, standing_trees, tree_photos
-from fsinfer.report.tree_views import RatedView, breast_height_ring, choose_views, rate_view
-from fsinfer.scene import project, read_scene
+from fsinfer.report.tree_views import RatedView, StandingTree, breast_height_ring, choose_views, rate_view
+from fsinfer.scene import Scene, project, read_scene
 from tests.support.report_plot import plot_cloud, write_report_folder
 from tests.support.synthetic_plot import M_PER_UNIT, SIZE, STEMS
 
 
 @pytest.fixture(scope="module")
-def plot(tmp_path_factory):
+def plot(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_report_folder(tmp_path_factory.mktemp("plot"))
 
 
-def rate_all(plot, tree):
+def rate_all(plot: Path, tree: StandingTree) -> tuple[Scene, list[RatedView]]:
     scene = read_scene(plot / "scene")
     maps = DepthMaps(scene, plot)
     rated = [rate_view(tree, i, view.camera, SIZE, maps.get(i)) for i, view in enumerate(scene.views)]
     return scene, [one for one in rated if one is not None]
 
 
-def test_trees_stand_where_the_depth_maps_see_them(plot):
+def test_trees_stand_where_the_depth_maps_see_them(plot: Path) -> None:
     trees = standing_trees(read_contents(plot))
     scene = read_scene(plot / "scene")
     assert len(trees) == 3
@@ -40,7 +42,7 @@ def test_trees_stand_where_the_depth_maps_see_them(plot):
         assert depth <= depths[1] - 0.8 * tree.radius
 
 
-def test_a_hidden_tree_is_not_shown_from_there(plot):
+def test_a_hidden_tree_is_not_shown_from_there(plot: Path) -> None:
     # From view 0 (on +x) both right-hand stems stand clear; the left one is seen between them.
     for tree in standing_trees(read_contents(plot)):
         scene, rated = rate_all(plot, tree)
@@ -54,8 +56,8 @@ def test_a_hidden_tree_is_not_shown_from_there(plot):
         assert rate_view(tree, 0, view.camera, SIZE, behind) is None
 
 
-def test_chosen_views_look_from_different_sides():
-    def view(index, score, angle_deg):
+def test_chosen_views_look_from_different_sides() -> None:
+    def view(index: int, score: float, angle_deg: float) -> RatedView:
         angle = np.radians(angle_deg)
         direction = np.array([np.cos(angle), np.sin(angle), 0.0])
         return RatedView(tree_id=1, view=index, score=score, direction=direction, distance_m=4.0)
@@ -68,7 +70,7 @@ def test_chosen_views_look_from_different_sides():
     assert choose_views([], 3) == ()
 
 
-def test_the_line_lies_on_the_stem_at_breast_height(plot):
+def test_the_line_lies_on_the_stem_at_breast_height(plot: Path) -> None:
     scene = read_scene(plot / "scene")
     for tree in standing_trees(read_contents(plot)):
         _, rated = rate_all(plot, tree)
@@ -86,7 +88,7 @@ def test_the_line_lies_on_the_stem_at_breast_height(plot):
         assert width == pytest.approx(camera.intrinsic[0, 0] * 2 * tree.radius / distance, rel=0.05)
 
 
-def test_crops_stand_upright_and_show_the_line(plot):
+def test_crops_stand_upright_and_show_the_line(plot: Path) -> None:
     photos, why = tree_photos(read_contents(plot), per_tree=2, height_px=240)
     assert why == ""
     assert {tree_id: len(views) for tree_id, views in photos.items()} == {1: 2, 2: 2, 3: 2}
@@ -102,7 +104,7 @@ def test_crops_stand_upright_and_show_the_line(plot):
             assert np.ptp(rows) < np.ptp(columns)
 
 
-def test_a_photo_taken_on_its_side_is_turned(plot):
+def test_a_photo_taken_on_its_side_is_turned(plot: Path) -> None:
     scene = read_scene(plot / "scene")
     tree = standing_trees(read_contents(plot))[2]
     view = scene.views[11]
@@ -125,7 +127,7 @@ def test_a_photo_taken_on_its_side_is_turned(plot):
     np.testing.assert_allclose(np.ptp(drawn[0], axis=0), np.ptp(drawn[1], axis=0), atol=3)
 
 
-def test_a_photo_from_very_near_fills_its_crop(plot):
+def test_a_photo_from_very_near_fills_its_crop(plot: Path) -> None:
     scene = read_scene(plot / "scene")
     tree = standing_trees(read_contents(plot))[0]
     near = type(tree)(**{**vars(tree), "up": 30 * tree.up})
@@ -133,8 +135,9 @@ def test_a_photo_from_very_near_fills_its_crop(plot):
     assert (crop == OUTSIDE_RGB).all(axis=2).mean() < 0.02
 
 
-def test_trees_measured_with_another_scale_are_found_in_the_photos(plot, tmp_path):
+def test_trees_measured_with_another_scale_are_found_in_the_photos(plot: Path, tmp_path: Path) -> None:
     contents = read_contents(plot)
+    assert contents.trees is not None
     rows = [{**row, "x_m": str(2 * float(row["x_m"])), "y_m": str(2 * float(row["y_m"]))} for row in contents.trees]
     changed = type(contents)(
         **{**vars(contents), "trees": rows, "plot": {**contents.plot, "trees_scale": {"m_per_unit": 2.0}}}
@@ -143,7 +146,7 @@ def test_trees_measured_with_another_scale_are_found_in_the_photos(plot, tmp_pat
         np.testing.assert_allclose(one.at(0.0), other.at(0.0), atol=1e-9)
 
 
-def test_without_a_tie_to_the_photos_the_reason_is_told(plot, tmp_path):
+def test_without_a_tie_to_the_photos_the_reason_is_told(plot: Path, tmp_path: Path) -> None:
     contents = read_contents(plot)
     loose = type(contents)(**{**vars(contents), "plot": {**contents.plot, "cloud_from_scene": None}})
     assert tree_photos(loose) == ({}, "This folder does not hold what ties the trees to their photos.")
@@ -152,7 +155,7 @@ def test_without_a_tie_to_the_photos_the_reason_is_told(plot, tmp_path):
     assert "cannot be shown" in why
 
 
-def test_a_damaged_photo_or_depth_map_leaves_the_others(plot, tmp_path):
+def test_a_damaged_photo_or_depth_map_leaves_the_others(plot: Path, tmp_path: Path) -> None:
     import shutil
 
     copy = shutil.copytree(plot, tmp_path / "copy")
@@ -165,7 +168,7 @@ def test_a_damaged_photo_or_depth_map_leaves_the_others(plot, tmp_path):
     assert not shown & {"view_03", "view_04", "view_05"}
 
 
-def test_encoded_points_are_where_they_were():
+def test_encoded_points_are_where_they_were() -> None:
     import base64
 
     cloud = plot_cloud()
@@ -181,12 +184,13 @@ def test_encoded_points_are_where_they_were():
     distance, nearest = cKDTree(cloud.xyz).query(xyz)
     assert distance.max() < data.step
     np.testing.assert_array_equal(tree, cloud.extra["TreeID"][nearest])
+    assert cloud.rgb is not None
     np.testing.assert_array_equal(rgb, cloud.rgb[nearest])
     assert data.step < 0.0003
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".laz"])
-def test_a_very_large_cloud_is_read_in_part(tmp_path, monkeypatch, suffix):
+def test_a_very_large_cloud_is_read_in_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str) -> None:
     from fsinfer.io.cloud import write_cloud
 
     cloud = plot_cloud()
@@ -201,14 +205,16 @@ def test_a_very_large_cloud_is_read_in_part(tmp_path, monkeypatch, suffix):
     assert set(part.extra) == {"confidence", "TreeID"}
     np.testing.assert_allclose(np.ptp(part.xyz, axis=0), np.ptp(cloud.xyz, axis=0), atol=0.1)
     assert part.rgb is not None
+    assert cloud.rgb is not None
     assert int(part.rgb.max()) == int(cloud.rgb.max())
 
 
-def test_trees_without_scale_get_crops_by_the_height_of_the_cameras(plot):
+def test_trees_without_scale_get_crops_by_the_height_of_the_cameras(plot: Path) -> None:
     contents = read_contents(plot)
     similarity = np.array(contents.plot["cloud_from_scene"])
     similarity[:3] /= M_PER_UNIT
     larger = dict.fromkeys(("x_m", "y_m"), 1 / M_PER_UNIT)
+    assert contents.trees is not None
     rows = [
         {**row, "dbh_cm": "", **{name: str(factor * float(row[name])) for name, factor in larger.items()}}
         for row in contents.trees
@@ -220,7 +226,7 @@ def test_trees_without_scale_get_crops_by_the_height_of_the_cameras(plot):
         assert not other.measured
 
 
-def test_crop_is_no_copy_of_the_photo(plot):
+def test_crop_is_no_copy_of_the_photo(plot: Path) -> None:
     scene = read_scene(plot / "scene")
     image = read_image(scene.views[0].image_path)
     before = image.copy()

@@ -11,8 +11,11 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import ScaleError
 from fsinfer.io.images import write_image
+from fsinfer.notices.capture import CaptureCode
+from fsinfer.notices.sentences import sentences
 from fsinfer.scale.aruco import scale_from_aruco, weighted_median
 from fsinfer.scale.detection import detect_markers, make_detector
+from fsinfer.scale.scale import UNKNOWN
 from fsinfer.scale.square_fit import MarkerSettings, Sighting, find_markers
 from fsinfer.scene import Camera, Scene, View
 from tests.support.rendered_room import SIZE, WALL, draw, intrinsic, poses, texture
@@ -94,20 +97,20 @@ def test_scale_is_right_to_a_quarter_per_cent_and_inside_its_error(scene: Scene)
     assert abs(scale.m_per_unit / truth - 1) < 0.0025
     assert 0.002 <= scale.rel_std < 0.01
     assert abs(scale.m_per_unit / truth - 1) < 2.5 * scale.rel_std
-    markers = scale.details["markers"]
-    assert sorted(marker["id"] for marker in markers) == list(NUMBERS)
+    markers = scale.markers
+    assert sorted(marker.id for marker in markers) == list(NUMBERS)
     for marker in markers:
-        assert len(marker["views"]) >= 3
-        assert abs(marker["residual_rel"]) < 0.01
-        assert marker["residual_mm"] == pytest.approx(250 * marker["residual_rel"])
-        assert marker["leave_one_out_m_per_unit"] == pytest.approx(truth, rel=0.005)
-        place = PLACES[NUMBERS.index(marker["id"])]
-        assert np.allclose(marker["center"], place[0] + SIDE / 2 * (place[1] + place[2]), atol=0.01)
+        assert len(marker.views) >= 3
+        assert abs(marker.residual_rel) < 0.01
+        assert marker.residual_mm == pytest.approx(250 * marker.residual_rel)
+        assert marker.leave_one_out_m_per_unit == pytest.approx(truth, rel=0.005)
+        place = PLACES[NUMBERS.index(marker.id)]
+        assert np.allclose(marker.center, place[0] + SIDE / 2 * (place[1] + place[2]), atol=0.01)
 
 
 def test_one_number_in_three_places_is_three_markers(tmp_path: Path) -> None:
     scale = scale_from_aruco(make_scene(tmp_path, {0: 5, 1: 5, 2: 5}), 0.25)
-    assert len(scale.details["markers"]) == 3
+    assert len(scale.markers) == 3
     assert scale.m_per_unit == pytest.approx(0.25 / SIDE, rel=0.005)
 
 
@@ -220,32 +223,35 @@ def test_weighted_median() -> None:
 
 def test_printed_boards_need_no_option(tmp_path: Path) -> None:
     """Numbers 23 and 41 tell 0.15 and 0.25 m; 7 tells nothing and is left alone."""
-    from fsinfer.scale.find import NO_SCALE, find_scale
+    from fsinfer.scale.find import find_scale
     from fsinfer.scale.request import ScaleRequest
 
     only = make_scene(tmp_path / "one", {1: 23})
-    scale, warnings = find_scale(ScaleRequest(), scene=only)
+    found = find_scale(ScaleRequest(), scene=only)
+    scale, warnings = found.scale, sentences(found.warnings)
     assert scale.m_per_unit == pytest.approx(0.15 / SIDE, rel=0.004)
-    assert [entry["id"] for entry in scale.details["markers"]] == [23]
+    assert [entry.id for entry in scale.markers] == [23]
     assert "one board (number 23, 0.15 m" in warnings[0]
     anybodys = make_scene(tmp_path / "other", {0: 7})
-    scale, warnings = find_scale(ScaleRequest(), scene=anybodys)
+    found = find_scale(ScaleRequest(), scene=anybodys)
+    scale, warnings = found.scale, sentences(found.warnings)
     assert (scale.m_per_unit, scale.source) == (None, "none")
     # A marker of the user's own, whose length was forgotten.
     assert "markers are seen (number 7)" in warnings[0]
     assert "--aruco-length-m" in warnings[0]
-    scale, warnings = find_scale(ScaleRequest(), scene=make_scene(tmp_path / "none", {}))
-    assert (scale.m_per_unit, scale.source, warnings) == (None, "none", (NO_SCALE,))
+    found = find_scale(ScaleRequest(), scene=make_scene(tmp_path / "none", {}))
+    assert found.scale == UNKNOWN
+    assert [item.code for item in found.warnings] == [CaptureCode.no_scale_given]
 
 
 def test_boards_of_different_lengths_give_one_scale(tmp_path: Path) -> None:
     scene = make_scene(tmp_path, {0: 7, 1: 23, 2: 41})
     # All three are 0.30 units wide here: told different lengths they must contradict each other, told one, agree.
     agreed = scale_from_aruco(scene, {7: 0.3, 23: 0.3, 41: 0.3})
-    assert max(abs(entry["residual_mm"]) for entry in agreed.details["markers"]) < 1.5
+    assert max(abs(entry.residual_mm) for entry in agreed.markers) < 1.5
     told = scale_from_aruco(scene, {7: 0.3, 23: 0.3, 41: 0.15})
     assert told.m_per_unit == pytest.approx(1.0, rel=0.01)
-    wrong = {entry["id"]: entry["residual_mm"] for entry in told.details["markers"]}
+    wrong = {entry.id: entry.residual_mm for entry in told.markers}
     assert wrong[41] == pytest.approx(150, abs=3)
     assert told.rel_std is not None
     assert agreed.rel_std is not None

@@ -9,7 +9,7 @@ import pytest
 
 from fsinfer.errors import ScaleError
 from fsinfer.geometry.triangulation import triangulate
-from fsinfer.scale.scale import scale_from_clicks, scale_from_endpoints, scale_from_factor
+from fsinfer.scale.scale import EndpointDetails, scale_from_clicks, scale_from_endpoints, scale_from_factor
 from fsinfer.scene import Camera, Scene, View
 from tests.support.rendered_room import intrinsic, poses
 
@@ -31,7 +31,8 @@ def test_endpoints_follow_the_papers_equation() -> None:
     scale = scale_from_endpoints((1, 2, 3), (1, 5, 7), 1.0)
     assert scale.m_per_unit == pytest.approx(0.2)
     assert scale.source == "endpoints"
-    assert scale.details["length_units"] == pytest.approx(5)
+    assert isinstance(scale.details, EndpointDetails)
+    assert scale.details.length_units == pytest.approx(5)
     # A centimetre at either end.
     assert scale.rel_std == pytest.approx(0.01414, abs=1e-5)
     assert scale_from_endpoints((1, 2, 3), (1, 5, 7), 4.0).rel_std == pytest.approx(0.003536, abs=1e-6)
@@ -74,7 +75,10 @@ def test_clicks_give_the_scale_and_its_error(scene: Scene) -> None:
             name: [(u + rng.normal(0, 2), v + rng.normal(0, 2)) for u, v in clicked(scene, view)]
             for view, name in ((0, "v0"), (3, "v3"))
         }
-        ratios.append(scale_from_clicks(scene, clicks, 1.5).m_per_unit / exact.m_per_unit)
+        once = scale_from_clicks(scene, clicks, 1.5)
+        assert once.m_per_unit is not None
+        assert exact.m_per_unit is not None
+        ratios.append(once.m_per_unit / exact.m_per_unit)
     assert exact.rel_std is not None
     assert 0.7 < np.std(ratios) / exact.rel_std < 1.4
 

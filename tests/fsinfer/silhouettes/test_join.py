@@ -11,12 +11,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from fsinfer.io.images import read_image, write_image
 from fsinfer.io.pfm import write_pfm
+from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.stems import StemCode
 from fsinfer.scene import Camera, read_scene, write_camera, write_pairs
 from fsinfer.silhouettes.join import SilhouetteJoinSettings, StemPhotos, join, measure_silhouettes, write_sources
-from fsinfer.silhouettes.strips import StripSettings
+from fsinfer.silhouettes.strips import GAP_PX, TILE_PX
 from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
 from fsinfer.trees.diameter.silhouette import Edges, SilhouetteFit, fit_silhouette
 
@@ -76,8 +79,8 @@ def test_girth_of_an_oval_stem_among_junk(radius: float, known: float, oval: flo
 
 def test_a_stem_seen_from_one_side_is_less_certain() -> None:
     rng = np.random.default_rng(3)
-    round_it = fit_silhouette(edges_of(0.15, 0.02, rays=24, reach_deg=360, junk=1.0, rng=rng), 0.16)
-    one_side = fit_silhouette(edges_of(0.15, 0.02, rays=24, reach_deg=40, junk=1.0, rng=rng), 0.16)
+    round_it = fit_silhouette(edges_of(0.15, 0.02, rays=24, reach_deg=360, junk=1.0, rng=rng), 0.16, taper=TAPER)
+    one_side = fit_silhouette(edges_of(0.15, 0.02, rays=24, reach_deg=40, junk=1.0, rng=rng), 0.16, taper=TAPER)
     assert round_it is not None
     assert one_side is not None
     assert one_side.std_m > 1.3 * round_it.std_m
@@ -89,9 +92,9 @@ def test_edges_at_random_are_no_stem() -> None:
     rng = np.random.default_rng(5)
     edges = edges_of(0.15, 0.0, rays=24, reach_deg=360, junk=6.0, rng=rng)
     scattered = replace(edges, support_m=rng.uniform(0.02, 0.3, len(edges.support_m)))
-    assert fit_silhouette(scattered, 0.15) is None
+    assert fit_silhouette(scattered, 0.15, taper=TAPER) is None
     few = edges_of(0.15, 0.0, rays=1, reach_deg=10, junk=0.0, rng=rng)
-    assert fit_silhouette(replace(few, ray=np.zeros_like(few.ray)), 0.15) is None
+    assert fit_silhouette(replace(few, ray=np.zeros_like(few.ray)), 0.15, taper=TAPER) is None
 
 
 def camera(angle: float, distance: float) -> Camera:
@@ -108,7 +111,7 @@ def camera(angle: float, distance: float) -> Camera:
     return Camera(intrinsic=intrinsic, cam_from_world=pose, depth_min=1.0, depth_max=60.0)
 
 
-def render(cam: Camera, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def render(cam: Camera, rng: np.random.Generator) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
     """Photograph (H, W, 3) and depth map (H, W) of a leaning, tapering stem before a mottled background."""
     fine = 3
     u, v = np.meshgrid(np.arange(WIDTH * fine), np.arange(HEIGHT * fine))
@@ -146,14 +149,17 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> StemPhotos:
         write_camera(
             folder / "cams" / f"p{index}_cam.txt", replace(cam, cam_from_world=pose, depth_min=2.0, depth_max=120.0)
         )
-        write_pfm(folder / "depth" / f"p{index}.pfm", 2.0 * depth)
+        write_pfm(folder / "depth" / f"p{index}.pfm", np.float32(2) * depth)
         write_pfm(folder / "confidence" / f"p{index}.pfm", np.ones_like(depth))
     write_pairs(folder / "pair.txt", {i: [((i + 1) % PHOTOS, 1.0)] for i in range(PHOTOS)})
     (folder / "depth" / "depth.json").write_text(json.dumps({"pixel_step": 1.0}), encoding="utf-8")
     return StemPhotos(scene=read_scene(folder), depth_folder=folder, cloud_from_scene=np.diag([0.5, 0.5, 0.5, 1.0]))
 
 
-def section_of(dbh_m: float | None, std_m: float, reason: str = "") -> Section:
+ROUGH = notice(StemCode.too_rough, residual_cm=2.8)
+
+
+def section_of(dbh_m: float | None, std_m: float, *reasons: Notice) -> Section:
     return Section(
         center=BREAST[:2],
         bh_m=1.3,
@@ -169,7 +175,7 @@ def section_of(dbh_m: float | None, std_m: float, reason: str = "") -> Section:
         taper=-0.006,
         top_m=3.0,
         status="ok" if dbh_m else "unmeasured",
-        reason=reason,
+        reasons=reasons,
         offsets_m=np.zeros((0, 2)),
         kept=np.zeros(0, dtype=bool),
         circle_m=np.array([0.0, 0.0, 0.16]),
@@ -197,13 +203,13 @@ def plot_of(section: Section) -> PlotResult:
         lean_deg=1.0,
         height_m=None,
         status=section.status,
-        reason=section.reason,
+        reasons=section.reasons,
     )
     return PlotResult(
         trees=(tree,),
         sections=(section,),
         ground=None,
-        diagnosis="1 trees found, 0 with a DBH" if section.dbh_m is None else "1 trees found, 1 with a DBH",
+        diagnosis=notice(StemCode.trees_found, trees=1, measured=int(section.dbh_m is not None)),
         warnings=(),
         extent_m=(-2.0, -2.0, 2.0, 2.0),
         spacing_m=0.01,
@@ -214,7 +220,7 @@ def plot_of(section: Section) -> PlotResult:
 def test_photographs_mend_a_hazy_stem(photos: StemPhotos, too_thick_m: float | None) -> None:
     """A pixel is 1.2 cm and more at this stem, the cloud is off by 3 or 4 cm or has refused."""
     dbh = None if too_thick_m is None else 2 * RADIUS + too_thick_m
-    section = section_of(dbh, 0.008, "" if dbh else "surface too rough: residual 3 cm; undergrowth")
+    section = section_of(dbh, 0.008, *(() if dbh else (ROUGH,)))
     result = measure_silhouettes(plot_of(section), photos)
     tree, found = result.trees[0], result.sections[0]
     assert found.silhouette is not None
@@ -225,7 +231,7 @@ def test_photographs_mend_a_hazy_stem(photos: StemPhotos, too_thick_m: float | N
     assert tree.dbh_hi95_cm - tree.dbh_lo95_cm < 3.0
     np.testing.assert_allclose([tree.x_m, tree.y_m], BREAST[:2], atol=0.004)
     assert found.cloud_dbh_m == dbh
-    assert result.diagnosis == "1 trees found, 1 with a DBH"
+    assert result.diagnosis == notice(StemCode.trees_found, trees=1, measured=1)
     assert tree.status == "ok"
 
 
@@ -272,26 +278,36 @@ def test_join_by_precision_and_alone_where_they_disagree() -> None:
 
 
 def test_refused_by_the_cloud_and_hardly_seen_stays_doubtful() -> None:
-    refused = section_of(None, 0.01, "double wall: two surfaces 3 cm apart; the poses do not agree")
+    refused = section_of(None, 0.01, notice(StemCode.double_wall, gap_cm=3.0))
     assert joined(refused, fit_of(0.15, 0.002)).status == "ok"
     few = joined(refused, fit_of(0.15, 0.002, photos=5))
-    assert (few.status, few.dbh_m) == ("doubtful", pytest.approx(0.30))
-    assert "5 photos" in few.reason
-    assert joined(refused, fit_of(0.15, 0.05)).dbh_m is None
+    assert few.status == "doubtful"
+    assert few.dbh_m == pytest.approx(0.30)
+    assert few.reasons == (notice(StemCode.edges_alone, photos=5, refused=refused.reasons[0]),)
+    unsure = joined(refused, fit_of(0.15, 0.05))
+    assert unsure.dbh_m is None
+    assert [why.code for why in unsure.reasons] == [StemCode.too_uncertain]
+
+
+def test_photographs_lift_the_doubts_of_the_cloud_but_not_that_of_its_height() -> None:
+    high, unsure = notice(StemCode.above_breast_height, off_cm=22.0), notice(StemCode.little_seen, seen_deg=90.0)
+    found = joined(replace(section_of(0.300, 0.002, high, unsure), status="doubtful"), fit_of(0.15, 0.002))
+    assert (found.status, found.reasons) == ("doubtful", (high,))
+    found = joined(replace(section_of(0.300, 0.002, unsure), status="doubtful"), fit_of(0.15, 0.002))
+    assert (found.status, found.reasons) == ("ok", ())
 
 
 def test_sheet_of_strips_shows_the_edges_where_the_stem_ends(photos: StemPhotos, tmp_path: Path) -> None:
     result = measure_silhouettes(plot_of(section_of(0.30, 0.008)), photos, figures=tmp_path)
     sheet = read_image(tmp_path / "tree_001_edges.png").astype(np.int64)
-    tile = StripSettings()
-    rows, columns = (sheet.shape[i] // (tile.tile_px[1 - i] + tile.gap_px) for i in (0, 1))
+    rows, columns = (sheet.shape[i] // (TILE_PX[1 - i] + GAP_PX) for i in (0, 1))
     assert (rows, columns) == (2, 4)
     shown = 0
     assert result.sections[0].silhouette is not None
     for row in range(rows):
         for column in range(columns):
-            top, left = (tile.gap_px + n * (tile.tile_px[i] + tile.gap_px) for n, i in ((row, 1), (column, 0)))
-            part = sheet[top : top + tile.tile_px[1] - 25, left : left + tile.tile_px[0]]
+            top, left = (GAP_PX + n * (TILE_PX[i] + GAP_PX) for n, i in ((row, 1), (column, 0)))
+            part = sheet[top : top + TILE_PX[1] - 25, left : left + TILE_PX[0]]
             green = part[..., 1] > 230  # the background has at most 212
             at = np.flatnonzero(green.sum(axis=0) > 10)
             if part.min() > 250:
@@ -322,11 +338,12 @@ def test_a_doubtful_stem_that_many_photographs_do_not_show_is_a_shrub(photos: St
     noise = tuple(replace(view, image_path=tmp_path / f"{view.name}.png") for view in photos.scene.views)
     shrub = replace(photos, scene=replace(photos.scene, views=noise))
     few = SilhouetteJoinSettings(shrub_photos=PHOTOS)
-    doubtful = plot_of(section_of(None, 0.02, "surface too rough: residual 2.8 cm"))
+    doubtful = plot_of(section_of(None, 0.02, ROUGH))
     gone = measure_silhouettes(doubtful, shrub, settings=few)
-    assert gone.trees == gone.sections == ()
-    assert gone.diagnosis.startswith("no trees found")
-    assert "(0.3, -0.2)" in gone.warnings[-1]
+    assert gone.trees == ()
+    assert gone.sections == ()
+    assert gone.diagnosis == notice(StemCode.none_in_photos)
+    assert gone.warnings == (notice(StemCode.shrubs_left_out, places=("(0.3, -0.2)",)),)
     # One photograph too few, a sound stem of the cloud, or a person who said so: it stays.
     assert len(measure_silhouettes(doubtful, shrub).trees) == 1
     assert len(measure_silhouettes(plot_of(section_of(0.28, 0.004)), shrub, settings=few).trees) == 1

@@ -7,14 +7,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from fsinfer.errors import InputError
 from fsinfer.io.cloud import PointCloud, write_cloud
+from fsinfer.notices.notice import notice
+from fsinfer.notices.sentences import sentence
+from fsinfer.notices.stems import StemCode
 from fsinfer.trees import TreeSettings, analyse_plot
 from fsinfer.trees.edits import TreeEdit, apply_edits, find_edits, read_edits
+from fsinfer.trees.measure import PlotResult
 from fsinfer.trees.outputs.table import read_trees
-from tests.support.stem_clouds import stem_plot
+from tests.support.stem_clouds import StemPlot, stem_plot
 
 SETTINGS = TreeSettings()
 # As in a national grid: far from the origin.
@@ -22,12 +27,12 @@ MOVED = np.array([420_000.0, 5_300_000.0, 0.0])
 
 
 @pytest.fixture(scope="module")
-def plot():
+def plot() -> StemPlot:
     return stem_plot(seed=4, trees=4, spacing_m=0.02)
 
 
 @pytest.fixture(scope="module")
-def result(plot):
+def result(plot: StemPlot) -> PlotResult:
     found = analyse_plot(plot.points, settings=SETTINGS)
     assert len(found.trees) == 4
     return found
@@ -39,25 +44,30 @@ def edits_of(tmp_path: Path, text: str) -> tuple[TreeEdit, ...]:
     return read_edits(path)
 
 
-def test_a_deleted_tree_is_gone_and_the_others_keep_their_numbers(plot, result) -> None:
+def test_a_deleted_tree_is_gone_and_the_others_keep_their_numbers(plot: StemPlot, result: PlotResult) -> None:
     edited = apply_edits(result, plot.points, [TreeEdit(action="delete", row=2, tree_id=2)], settings=SETTINGS)
     assert edited.trees == tuple(tree for tree in result.trees if tree.tree_id != 2)
     assert len(edited.sections) == 3
-    assert "tree 2 deleted" in edited.warnings[-1]
-    assert edited.diagnosis == "3 trees after corrections by hand, 3 with a DBH"
+    deleted = notice(StemCode.corrected_by_hand, changes=(notice(StemCode.tree_deleted, tree_id=2),))
+    assert edited.warnings[-1] == deleted
+    assert sentence(deleted) == "stem map corrected by hand: tree 2 deleted"
+    assert edited.diagnosis == notice(StemCode.trees_corrected, trees=3, measured=3)
 
 
 @pytest.mark.parametrize("moved", [np.zeros(3), MOVED])
-def test_a_tree_the_search_missed_is_measured_where_it_was_set(plot, result, moved) -> None:
-    missing = result.trees[1]
+def test_a_tree_the_search_missed_is_measured_where_it_was_set(
+    plot: StemPlot, result: PlotResult, moved: NDArray[np.float64]
+) -> None:
+    missing, ground = result.trees[1], result.ground
+    assert ground is not None
     rest = replace(
         result,
         trees=tuple(replace(t, x_m=t.x_m + moved[0], y_m=t.y_m + moved[1]) for t in result.trees if t != missing),
         sections=tuple(s for t, s in zip(result.trees, result.sections, strict=True) if t != missing),
         ground=replace(
-            result.ground,
-            origin=result.ground.origin + moved[:2],
-            plane=result.ground.plane - np.array([0, 0, result.ground.plane[:2] @ moved[:2]]),
+            ground,
+            origin=ground.origin + moved[:2],
+            plane=ground.plane - np.array([0, 0, ground.plane[:2] @ moved[:2]]),
         ),
     )
     add = TreeEdit(action="add", row=2, x_m=missing.x_m + 0.2 + moved[0], y_m=missing.y_m - 0.1 + moved[1])
@@ -65,22 +75,23 @@ def test_a_tree_the_search_missed_is_measured_where_it_was_set(plot, result, mov
     assert edited.trees[:-1] == rest.trees
     tree = edited.trees[-1]
     assert tree.tree_id == 5
-    assert tree.reason.startswith("added by hand")
+    assert tree.reasons[0] == notice(StemCode.added_by_hand)
     assert np.hypot(tree.x_m - missing.x_m - moved[0], tree.y_m - missing.y_m - moved[1]) < 0.01
     assert tree.dbh_cm == pytest.approx(missing.dbh_cm, abs=0.5)
     assert tree.z_ground_m == pytest.approx(missing.z_ground_m, abs=0.03)
 
 
-def test_a_tree_set_where_nothing_is_seen_has_a_place_and_no_diameter(plot, result) -> None:
+def test_a_tree_set_where_nothing_is_seen_has_a_place_and_no_diameter(plot: StemPlot, result: PlotResult) -> None:
     edits = [TreeEdit(action="add", row=2, x_m=50.0, y_m=50.0), TreeEdit(action="add", row=3, tree_id=9, x_m=51, y_m=5)]
     edited = apply_edits(result, plot.points, edits, settings=SETTINGS)
     assert [tree.tree_id for tree in edited.trees] == [1, 2, 3, 4, 9, 10]
     assert [(tree.status, tree.dbh_cm) for tree in edited.trees[4:]] == [("unmeasured", None)] * 2
     assert (edited.trees[5].x_m, edited.trees[5].y_m) == (50.0, 50.0)
-    assert "no stem to be measured is seen here" in edited.trees[5].reason
+    assert edited.trees[5].reasons == (notice(StemCode.added_by_hand), notice(StemCode.no_stem_here))
+    assert sentence(edited.warnings[-1]) == "stem map corrected by hand: tree 10 added, 9 added"
 
 
-def test_two_halves_of_one_stem_are_merged(plot, result) -> None:
+def test_two_halves_of_one_stem_are_merged(plot: StemPlot, result: PlotResult) -> None:
     whole = result.trees[0]
     twin = replace(whole, tree_id=7, x_m=whole.x_m + 0.15)
     double = replace(result, trees=(*result.trees, twin), sections=(*result.sections, result.sections[0]))
@@ -88,11 +99,11 @@ def test_two_halves_of_one_stem_are_merged(plot, result) -> None:
     edited = apply_edits(double, plot.points, [merge], settings=SETTINGS)
     assert [tree.tree_id for tree in edited.trees] == [1, 2, 3, 4]
     assert edited.trees[1:] == result.trees[1:]
-    assert edited.trees[0].reason.startswith("1 and 7 merged by hand")
+    assert edited.trees[0].reasons[0] == notice(StemCode.merged_by_hand, tree_id=1, other_id=7)
     assert edited.trees[0].dbh_cm == pytest.approx(whole.dbh_cm, abs=0.5)
 
 
-def test_without_a_scale_trees_are_moved_about_but_not_measured(plot) -> None:
+def test_without_a_scale_trees_are_moved_about_but_not_measured(plot: StemPlot) -> None:
     bare = analyse_plot(plot.points, settings=SETTINGS, metric=False)
     edits = [
         TreeEdit(action="delete", row=2, tree_id=1),
@@ -104,7 +115,7 @@ def test_without_a_scale_trees_are_moved_about_but_not_measured(plot) -> None:
     assert edited.trees[0].x_m == pytest.approx((bare.trees[1].x_m + bare.trees[2].x_m) / 2)
 
 
-def test_rows_are_applied_in_their_order(plot, result) -> None:
+def test_rows_are_applied_in_their_order(plot: StemPlot, result: PlotResult) -> None:
     delete = TreeEdit(action="delete", row=2, tree_id=3)
     with pytest.raises(InputError, match=r"row 3 of the edits names tree 3, which is not there .* are: 1, 2, 4"):
         apply_edits(result, plot.points, [delete, replace(delete, row=3)], settings=SETTINGS)
@@ -114,12 +125,12 @@ def test_rows_are_applied_in_their_order(plot, result) -> None:
         apply_edits(result, plot.points, [again], settings=SETTINGS)
 
 
-def test_reading(tmp_path) -> None:
+def test_reading(tmp_path: Path) -> None:
     text = "\ufeffaction, tree_id, other_id, x_m, y_m, note\nDelete,3,,,,shrub\n\nadd,,,1.5,-2,\nmerge,4,5,,,\n"
     assert edits_of(tmp_path, text) == (
         TreeEdit(action="delete", row=2, tree_id=3),
-        TreeEdit(action="add", row=3, x_m=1.5, y_m=-2.0),
-        TreeEdit(action="merge", row=4, tree_id=4, other_id=5),
+        TreeEdit(action="add", row=4, x_m=1.5, y_m=-2.0),
+        TreeEdit(action="merge", row=5, tree_id=4, other_id=5),
     )
     spreadsheet = "action;tree_id;x_m;y_m;note\nadd;;1,5;-2;a, b\n"
     assert edits_of(tmp_path, spreadsheet) == (TreeEdit(action="add", row=2, x_m=1.5, y_m=-2.0),)
@@ -144,22 +155,22 @@ def test_reading(tmp_path) -> None:
         ("action,tree_id,x_m,y_m\nadd,8,1,1\nadd,8,2,2\n", "2 added trees have the tree_id 8"),
     ],
 )
-def test_a_wrong_row_is_told_with_its_place(tmp_path, text, told) -> None:
+def test_a_wrong_row_is_told_with_its_place(tmp_path: Path, text: str, told: str) -> None:
     with pytest.raises(InputError) as caught:
         edits_of(tmp_path, text)
     assert told in str(caught.value)
     assert "edits.csv" in str(caught.value)
 
 
-def test_a_file_that_cannot_be_read_is_told(tmp_path) -> None:
-    with pytest.raises(InputError, match=r"cannot read the edits .*none\.csv: No such file"):
+def test_a_file_that_cannot_be_read_is_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"cannot read the edits .*none\.csv: there is no such file"):
         read_edits(tmp_path / "none.csv")
     (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="cannot read the edits"):
         read_edits(tmp_path / "binary.csv")
 
 
-def test_on_the_command_line(plot, tmp_path, monkeypatch) -> None:
+def test_on_the_command_line(plot: StemPlot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from fsinfer.cli.app import app
 
     # Drawing takes most of the time, and is tested elsewhere.

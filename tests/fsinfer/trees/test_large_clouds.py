@@ -13,12 +13,15 @@ import pytest
 from fsinfer.errors import CloudError
 from fsinfer.io.chunks import ChunkSettings, open_chunks
 from fsinfer.io.cloud import PointCloud, read_cloud, write_cloud
+from fsinfer.notices.notice import notice
+from fsinfer.notices.sentences import sentences
+from fsinfer.notices.stems import StemCode
 from fsinfer.output.plot_json import read_plot
 from fsinfer.scale.request import ScaleRequest
-from fsinfer.trees import TreeSettings, analyse_plot
+from fsinfer.trees import analyse_plot
 from fsinfer.trees.outputs.table import read_trees
 from fsinfer.trees.thinning import ThinningSettings, thin_while_reading
-from fsinfer.workflow.single_stages import measure_cloud_file
+from fsinfer.workflow.measure_cloud import MeasureSettings, measure_cloud_file
 from tests.support.stem_clouds import StemPlot, stem_plot
 
 SMALL = ChunkSettings(chunk_points=7_001, sample_slices=16, slice_points=500)
@@ -40,7 +43,7 @@ def cloud(plot: StemPlot) -> PointCloud:
 
 @pytest.fixture(scope="module", params=["a.ply", "a.las", "a.laz"])
 def path(request: pytest.FixtureRequest, cloud: PointCloud, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("clouds") / request.param
+    path: Path = tmp_path_factory.mktemp("clouds") / request.param
     write_cloud(path, cloud)
     return path
 
@@ -63,11 +66,17 @@ def test_thinning_keeps_the_budget_and_breast_height(path: Path) -> None:
     assert chunked is not None
     thinned = thin_while_reading(chunked, settings=THIN)
     assert 0.9 * THIN.max_points < len(thinned.xyz) < 1.05 * THIN.max_points
-    assert f"{chunked.points:,} points" in thinned.warnings[0]
+    told = thinned.warnings[0]
+    assert (told.code, told.values["total"], told.values["kept"]) == (
+        StemCode.thinned,
+        chunked.points,
+        len(thinned.xyz),
+    )
     whole = read_cloud(path).xyz
     # Crowded cells give up most; still a larger share of breast height is kept than of the tops.
-    at_bh, tops = (lambda z: (z > 0.8) & (z < 2.2)), (lambda z: z > 3.6)
-    share = [f(thinned.xyz[:, 2]).sum() / f(whole[:, 2]).sum() for f in (at_bh, tops)]
+    after, before = thinned.xyz[:, 2], whole[:, 2]
+    bands = ((0.8, 2.2), (3.6, np.inf))
+    share = [np.sum((after > low) & (after < high)) / np.sum((before > low) & (before < high)) for low, high in bands]
     assert share[0] > 1.5 * share[1]
     # Nothing is moved: what is kept is in the file.
     kept = {tuple(row) for row in np.round(thinned.xyz[:500], 5)}
@@ -88,12 +97,12 @@ def test_thinning_does_not_move_the_diameters(plot: StemPlot, tmp_path: Path) ->
 
 def test_a_large_file_is_measured_thinned_and_labelled_whole(path: Path, cloud: PointCloud, tmp_path: Path) -> None:
     result = measure_cloud_file(
-        path, tmp_path, request=ScaleRequest(), settings=TreeSettings(), thinning=replace(THIN, max_points=50_000)
+        path, tmp_path, request=ScaleRequest(), settings=MeasureSettings(thinning=replace(THIN, max_points=50_000))
     )
-    assert any("drawn at random" in text for text in result["warnings"])
+    assert StemCode.thinned in [item.code for item in result.result.trees.warnings]
     plot = read_plot(tmp_path)
     assert plot["points"] == len(cloud)
-    assert plot["warnings"] == result["warnings"]
+    assert plot["warnings"] == list(sentences(result.result.trees.warnings))
     labelled = read_cloud(tmp_path / "trees.laz")
     np.testing.assert_allclose(labelled.xyz, cloud.xyz, atol=2e-3)
     np.testing.assert_array_equal(labelled.rgb, cloud.rgb)
@@ -111,7 +120,7 @@ def test_a_large_file_is_measured_thinned_and_labelled_whole(path: Path, cloud: 
 def test_scaled_large_files_lose_their_frame_and_keep_their_points(cloud: PointCloud, tmp_path: Path) -> None:
     write_cloud(tmp_path / "a.las", PointCloud(xyz=10.0 * cloud.xyz))
     request = ScaleRequest(factor=0.1)
-    measure_cloud_file(tmp_path / "a.las", tmp_path / "out", request=request, settings=TreeSettings(), thinning=THIN)
+    measure_cloud_file(tmp_path / "a.las", tmp_path / "out", request=request, settings=MeasureSettings(thinning=THIN))
     labelled = read_cloud(tmp_path / "out" / "trees.laz")
     np.testing.assert_allclose(labelled.xyz, cloud.xyz, atol=2e-3)
 
@@ -126,8 +135,7 @@ def test_points_far_away_and_without_a_place_are_left_out(plot: StemPlot, tmp_pa
     chunked = open_chunks(tmp_path / "a.ply", settings=SMALL)
     assert chunked is not None
     thinned = thin_while_reading(chunked, settings=THIN)
-    assert any(text.startswith("1 points with NaN") for text in thinned.warnings)
-    assert any(text.startswith("1 points far outside") for text in thinned.warnings)
+    assert thinned.warnings[1:] == (notice(StemCode.not_finite, points=1), notice(StemCode.far_outside, points=1))
     assert np.abs(thinned.xyz).max() < 100.0
 
 
@@ -137,7 +145,7 @@ def test_a_cut_file_is_one_message(cloud: PointCloud, tmp_path: Path, suffix: st
     write_cloud(path, cloud)
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     with pytest.raises(CloudError, match="cut short"):
-        measure_cloud_file(path, tmp_path, request=ScaleRequest(), settings=TreeSettings(), thinning=THIN)
+        measure_cloud_file(path, tmp_path, request=ScaleRequest(), settings=MeasureSettings(thinning=THIN))
 
 
 def test_kinds_that_are_read_whole(tmp_path: Path) -> None:
@@ -155,7 +163,7 @@ def test_kinds_that_are_read_whole(tmp_path: Path) -> None:
 
 def test_las_without_a_frame_stays_local(cloud: PointCloud, tmp_path: Path) -> None:
     write_cloud(tmp_path / "a.las", PointCloud(xyz=cloud.xyz))
-    measure_cloud_file(tmp_path / "a.las", tmp_path / "out", request=ScaleRequest(), settings=TreeSettings())
+    measure_cloud_file(tmp_path / "a.las", tmp_path / "out", request=ScaleRequest())
     assert not (tmp_path / "out" / "trees.geojson").exists()
     with closing(sqlite3.connect(tmp_path / "out" / "trees.gpkg")) as base:
         assert base.execute("SELECT srs_id FROM gpkg_contents").fetchall() == [(-1,)]

@@ -5,17 +5,24 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import Enum
 from pathlib import Path
 
-import numpy as np
 import pytest
 
+from fsinfer._version import __version__
 from fsinfer.errors import InputError, PosesError
 from fsinfer.io.digest import file_digest
-from fsinfer.output.json_values import as_json
-from fsinfer.workflow.ledger import StageBook
+from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
+
+
+@dataclass(frozen=True, kw_only=True)
+class Counted:
+    """What the stages of these tests return."""
+
+    calls: int
+    warnings: tuple[str, ...] = ()
 
 
 class Counter:
@@ -23,26 +30,43 @@ class Counter:
 
     def __init__(self, path: Path, text: str = "a") -> None:
         self.path, self.text, self.calls = path, text, 0
+        self.resumed: list[bool] = []
 
-    def __call__(self) -> dict[str, object]:
+    def __call__(self, resume: bool) -> Counted:
         self.calls += 1
+        self.resumed.append(resume)
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self.path.write_text(self.text, encoding="utf-8")
-        return {"calls": self.calls, "warnings": ("w",)}
+        return Counted(calls=self.calls, warnings=("w",))
+
+
+def run_stage(
+    out: Path,
+    work: Callable[[bool], Counted],
+    *,
+    name: str = "s",
+    version: int = 1,
+    inputs: Mapping[str, object] | None = None,
+    after: Sequence[StageRecord[Counted]] = (),
+    outputs: tuple[str, ...] = (),
+    keeps_partial: bool = False,
+) -> StageRecord[Counted]:
+    stage = Stage(name=name, version=version, result=Counted, outputs=outputs, keeps_partial=keeps_partial)
+    return Ledger(out).run(stage, work, inputs=inputs or {}, after=after)
 
 
 def test_stage_is_skipped_until_its_inputs_change(tmp_path: Path) -> None:
     work = Counter(tmp_path / "maps" / "a.txt")
-    ran = [StageBook(tmp_path).run("s", work, inputs={"k": k}, outputs=["maps"]).ran for k in (1, 1, 2, 2, 1)]
+    ran = [run_stage(tmp_path, work, inputs={"k": k}, outputs=("maps",)).ran for k in (1, 1, 2, 2, 1)]
     assert ran == [True, False, True, False, True]
     assert work.calls == 3
 
 
 def test_skipped_stage_gives_the_saved_result_and_time(tmp_path: Path) -> None:
     work = Counter(tmp_path / "maps" / "a.txt")
-    first = StageBook(tmp_path).run("s", work, inputs={}, outputs=["maps"])
-    second = StageBook(tmp_path).run("s", work, inputs={}, outputs=["maps"])
-    assert second.result == first.result == {"calls": 1, "warnings": ["w"]}
+    first = run_stage(tmp_path, work, outputs=("maps",))
+    second = run_stage(tmp_path, work, outputs=("maps",))
+    assert second.result == first.result == Counted(calls=1, warnings=("w",))
     assert (second.run_id, second.seconds) == (first.run_id, first.seconds)
 
 
@@ -50,12 +74,12 @@ def test_skipped_stage_gives_the_saved_result_and_time(tmp_path: Path) -> None:
 def test_harmed_output_makes_the_stage_run_again(tmp_path: Path, harm: str) -> None:
     output = tmp_path / "cloud.ply"
     work = Counter(output, "0123456789")
-    StageBook(tmp_path).run("s", work, inputs={}, outputs=["cloud.ply"])
+    run_stage(tmp_path, work, outputs=("cloud.ply",))
     if harm == "delete":
         output.unlink()
     else:
         output.write_text("012345" if harm == "shorten" else "987654321x", encoding="utf-8")
-    assert StageBook(tmp_path).run("s", work, inputs={}, outputs=["cloud.ply"]).ran
+    assert run_stage(tmp_path, work, outputs=("cloud.ply",)).ran
     assert output.read_text(encoding="utf-8") == "0123456789"
 
 
@@ -63,9 +87,8 @@ def test_later_stage_follows_an_earlier_one_that_ran_again(tmp_path: Path) -> No
     early, late = Counter(tmp_path / "early" / "a"), Counter(tmp_path / "late" / "a")
 
     def both(early_input: int, late_input: int) -> list[bool]:
-        book = StageBook(tmp_path)
-        first = book.run("early", early, inputs={"k": early_input}, outputs=["early"])
-        second = book.run("late", late, inputs={"k": late_input}, after=["early"], outputs=["late"])
+        first = run_stage(tmp_path, early, name="early", inputs={"k": early_input}, outputs=("early",))
+        second = run_stage(tmp_path, late, name="late", inputs={"k": late_input}, after=[first], outputs=("late",))
         return [first.ran, second.ran]
 
     assert both(1, 1) == [True, True]
@@ -77,13 +100,13 @@ def test_later_stage_follows_an_earlier_one_that_ran_again(tmp_path: Path) -> No
 
 
 def _interrupted(out: Path, *, inputs: dict[str, int], keeps_partial: bool) -> None:
-    def half() -> dict[str, object]:
+    def half(_resume: bool) -> Counted:
         (out / "maps").mkdir(exist_ok=True)
         (out / "maps" / "half.pfm").write_text("x", encoding="utf-8")
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        StageBook(out).run("s", half, inputs=inputs, outputs=["maps"], keeps_partial=keeps_partial)
+        run_stage(out, half, inputs=inputs, outputs=("maps",), keeps_partial=keeps_partial)
 
 
 @pytest.mark.parametrize(
@@ -94,9 +117,10 @@ def test_interrupted_stage_goes_on_only_with_the_same_inputs(
 ) -> None:
     _interrupted(tmp_path, inputs={"k": 1}, keeps_partial=keeps_partial)
     work = Counter(tmp_path / "maps" / "whole.pfm")
-    record = StageBook(tmp_path).run("s", work, inputs=inputs, outputs=["maps"], keeps_partial=keeps_partial)
+    record = run_stage(tmp_path, work, inputs=inputs, outputs=("maps",), keeps_partial=keeps_partial)
     assert record.ran
     assert (tmp_path / "maps" / "half.pfm").exists() is kept
+    assert work.resumed == [kept]
 
 
 def test_time_of_an_interrupted_attempt_is_counted(tmp_path: Path) -> None:
@@ -106,18 +130,18 @@ def test_time_of_an_interrupted_attempt_is_counted(tmp_path: Path) -> None:
     assert saved["state"] == "started"
     path.write_text(json.dumps(saved | {"seconds": 100.0}), encoding="utf-8")
     work = Counter(tmp_path / "maps" / "a")
-    record = StageBook(tmp_path).run("s", work, inputs={}, outputs=["maps"], keeps_partial=True)
+    record = run_stage(tmp_path, work, outputs=("maps",), keeps_partial=True)
     assert 100.0 <= record.seconds < 101.0
 
 
 def test_failed_stage_keeps_its_error_and_is_not_done(tmp_path: Path) -> None:
-    def fail() -> dict[str, object]:
+    def fail(_resume: bool) -> Counted:
         raise PosesError("no poses")
 
     with pytest.raises(PosesError, match="no poses"):
-        StageBook(tmp_path).run("s", fail, inputs={})
+        run_stage(tmp_path, fail)
     work = Counter(tmp_path / "a")
-    assert StageBook(tmp_path).run("s", work, inputs={}).ran
+    assert run_stage(tmp_path, work).ran
 
 
 def test_foreign_files_are_never_deleted(tmp_path: Path) -> None:
@@ -126,17 +150,43 @@ def test_foreign_files_are_never_deleted(tmp_path: Path) -> None:
     mine.write_text("precious", encoding="utf-8")
     work = Counter(tmp_path / "frames" / "a")
     with pytest.raises(InputError, match="choose another output folder"):
-        StageBook(tmp_path).run("s", work, inputs={}, outputs=["frames"])
+        run_stage(tmp_path, work, outputs=("frames",))
     assert work.calls == 0
     assert mine.read_text(encoding="utf-8") == "precious"
 
 
 def test_damaged_record_costs_a_repetition_only(tmp_path: Path) -> None:
     work = Counter(tmp_path / "maps" / "a")
-    StageBook(tmp_path).run("s", work, inputs={}, outputs=["maps"])
+    run_stage(tmp_path, work, outputs=("maps",))
     (tmp_path / ".fsinfer" / "s.json").write_text('{"state": "do', encoding="utf-8")
-    assert StageBook(tmp_path).run("s", work, inputs={}, outputs=["maps"]).ran
-    assert not StageBook(tmp_path).run("s", work, inputs={}, outputs=["maps"]).ran
+    assert run_stage(tmp_path, work, outputs=("maps",)).ran
+    assert not run_stage(tmp_path, work, outputs=("maps",)).ran
+
+
+def test_a_new_version_of_the_algorithm_does_the_stage_again(tmp_path: Path) -> None:
+    work = Counter(tmp_path / "maps" / "a")
+    ran = [run_stage(tmp_path, work, version=version, outputs=("maps",)).ran for version in (1, 1, 2, 2)]
+    assert ran == [True, False, True, False]
+    entry = json.loads((tmp_path / ".fsinfer" / "s.json").read_text(encoding="utf-8"))
+    assert (entry["version"], entry["made_by"]) == (2, __version__)
+
+
+def test_a_result_of_another_layout_is_made_again(tmp_path: Path) -> None:
+    work = Counter(tmp_path / "maps" / "a")
+    run_stage(tmp_path, work, outputs=("maps",))
+    path = tmp_path / ".fsinfer" / "s.json"
+    saved = json.loads(path.read_text(encoding="utf-8"))
+    path.write_text(json.dumps(saved | {"result": {"number": 1}}), encoding="utf-8")
+    assert run_stage(tmp_path, work, outputs=("maps",)).result.calls == 2
+
+
+def test_the_ledger_tells_what_a_finished_stage_was_made_from(tmp_path: Path) -> None:
+    assert Ledger(tmp_path).inputs_of("s") is None
+    _interrupted(tmp_path, inputs={"k": 1}, keeps_partial=True)
+    assert Ledger(tmp_path).inputs_of("s") is None
+    assert Ledger(tmp_path).has("s")
+    run_stage(tmp_path, Counter(tmp_path / "maps" / "a"), inputs={"k": (1, 2)}, outputs=("maps",), keeps_partial=True)
+    assert Ledger(tmp_path).inputs_of("s") == {"k": [1, 2]}
 
 
 def test_digest_sees_content_and_name_but_not_folder_or_date(tmp_path: Path) -> None:
@@ -151,26 +201,6 @@ def test_digest_sees_content_and_name_but_not_folder_or_date(tmp_path: Path) -> 
     assert len({*digests}) == 3
     with pytest.raises(InputError, match="cannot read"):
         file_digest(tmp_path / "missing.jpg")
-
-
-def test_settings_become_json() -> None:
-    class Rule(Enum):
-        uphill = "uphill"
-
-    @dataclass(frozen=True, kw_only=True)
-    class Settings:
-        rule: Rule = Rule.uphill
-        sizes: tuple[int, ...] = (1, 2)
-        matrix: object = None
-        path: Path = Path("a")
-
-    value = as_json({"s": Settings(matrix=np.eye(2)), "n": np.float32(0.5)})
-    assert value == {
-        "s": {"rule": "uphill", "sizes": [1, 2], "matrix": [[1.0, 0.0], [0.0, 1.0]], "path": "a"},
-        "n": 0.5,
-    }
-    with pytest.raises(TypeError, match="object"):
-        as_json(object())
 
 
 def test_memory_peak_sees_an_array() -> None:

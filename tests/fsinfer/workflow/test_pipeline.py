@@ -10,29 +10,44 @@ import csv
 import json
 import shutil
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+import fsinfer
 import fsinfer.silhouettes.join as silhouettes
+import fsinfer.workflow.cloud_stages as cloud_stages
 import fsinfer.workflow.photo_stages as photo_stages
 import fsinfer.workflow.pipeline as pipeline
-from fsinfer.depth.stage import DepthResult, DepthSettings
+from fsinfer.depth.settings import DepthSettings
+from fsinfer.depth.sfm_check import DepthCheck
+from fsinfer.depth.stage import DepthResult
 from fsinfer.errors import CloudError, InputError
+from fsinfer.frames.select import FramesResult
+from fsinfer.frames.table import FrameRow
 from fsinfer.fusion.fuse import FusionSettings
+from fsinfer.fusion.fuse import fuse as real_fuse
 from fsinfer.io.cloud import read_cloud
 from fsinfer.io.files import make_folder, write_text
 from fsinfer.io.images import list_images, write_image
+from fsinfer.notices.capture import CaptureCode
+from fsinfer.notices.notice import notice
 from fsinfer.poses.estimate import PosesResult
 from fsinfer.scale.request import ScaleRequest
+from fsinfer.scene import read_camera, write_camera
+from fsinfer.silhouettes.edges import find_edges
 from fsinfer.trees import TreeSettings
 from fsinfer.trees.outputs.table import read_trees
-from fsinfer.workflow.pipeline import RunSettings, run
-from fsinfer.workflow.single_stages import measure_cloud_file
+from fsinfer.workflow.measure_cloud import measure_cloud_file
+from fsinfer.workflow.pipeline import run
+from fsinfer.workflow.settings import RunSettings
+from fsinfer.workflow.single_stages import depth_of
+from fsinfer.workflow.summary import PLOT_KEYS
+from fsinfer.workflow.tree_stage import measure_plot as real_trees
 from tests.support.synthetic_plot import M_PER_UNIT, STEMS, VIEWS, write_depth_folder, write_scene_folder
 
 METRIC = RunSettings(scale=ScaleRequest(factor=M_PER_UNIT))
@@ -61,56 +76,74 @@ class Fakes:
             raise KeyboardInterrupt
 
 
+def frame_row(name: str, *, reason: str = "") -> FrameRow:
+    return FrameRow(
+        name=name, source=f"{name}.jpg", time_s=None, sharpness=1.0, mean_luminance=100.0, dark_share=0.0,
+        bright_share=0.0, kept=not reason, reason=reason,
+    )  # fmt: skip
+
+
+def _report(out: Path) -> Path:
+    write_text(out / "report.html", "<html>")
+    return out / "report.html"
+
+
 @pytest.fixture
 def fakes(monkeypatch: pytest.MonkeyPatch) -> Fakes:
     fakes = Fakes(calls=Counter())
 
-    def select_frames(source: Path, out: Path, **_: Any) -> Any:
+    def select_frames(source: Path, out: Path, **_: Any) -> FramesResult:
         fakes.enter("frames")
         (out / "images").mkdir(parents=True)
         copied = [Path(shutil.copy(path, out / "images" / path.name)) for path in list_images(source)]
-        rows = [SimpleNamespace(name=path.stem, kept=True, reason="") for path in copied]
-        rows.append(SimpleNamespace(name="dark", kept=False, reason="too dark"))
-        return SimpleNamespace(images=tuple(copied), rows=tuple(rows), warnings=("one photo is too dark",))
+        rows = [frame_row(path.stem) for path in copied]
+        rows.append(frame_row("dark", reason="too dark"))
+        warning = notice(CaptureCode.frames_not_used, frames=len(rows), rejected=("dark: too dark",))
+        return FramesResult(folder=out, rows=tuple(rows), warnings=(warning,))
 
     def estimate_poses(images: Path, out: Path, **_: Any) -> PosesResult:
         fakes.enter("poses")
         write_scene_folder(out)
-        photos = len(list_images(images))
-        return PosesResult(scene=out, photos=photos, registered=VIEWS, warnings=("one photo was not placed",))
+        names = [path.stem for path in list_images(images)]
+        # Other photographs make another scene.
+        path = next((out / "cams").glob("*"))
+        camera = read_camera(path)
+        write_camera(path, replace(camera, depth_max=camera.depth_max + 0.01 * len(names)))
+        return PosesResult(
+            scene=out,
+            photos=len(names),
+            registered=VIEWS,
+            left_out=tuple(names[VIEWS:]),
+            warnings=(notice(CaptureCode.photos_loose, photos=len(names), names=tuple(names[VIEWS:])),),
+        )
 
     def estimate_depth(scene: Any, out: Path, *, settings: DepthSettings, **_: Any) -> DepthResult:
         fakes.enter("depth")
         write_depth_folder(scene, out)
         return DepthResult(
-            depth_folder=out,
-            views=VIEWS,
-            model=settings.model,
-            model_sha256="0" * 64,
-            precision="float32",
-            seconds=1.0,
+            depth_folder=out, views=VIEWS, model=settings.model, model_sha256="0" * 64, precision="float32"
         )
 
     def fuse(*args: Any, **kwargs: Any) -> Any:
         fakes.enter("fuse")
         return real_fuse(*args, **kwargs)
 
-    def write_trees(*args: Any, **kwargs: Any) -> Any:
+    def measure_plot(*args: Any, **kwargs: Any) -> Any:
         fakes.enter("trees")
         return real_trees(*args, **kwargs)
 
-    real_fuse, real_trees = pipeline.fuse, pipeline.write_tree_outputs
     monkeypatch.setattr(photo_stages, "select_frames", select_frames)
     monkeypatch.setattr(photo_stages, "estimate_poses", estimate_poses)
-    monkeypatch.setattr(pipeline, "estimate_depth", estimate_depth)
-    monkeypatch.setattr(pipeline, "fuse", fuse)
-    monkeypatch.setattr(pipeline, "write_tree_outputs", write_trees)
-    monkeypatch.setattr(pipeline, "read_manifest", lambda _: FakeManifest())
+    monkeypatch.setattr(cloud_stages, "estimate_depth", estimate_depth)
+    monkeypatch.setattr(cloud_stages, "fuse", fuse)
+    monkeypatch.setattr(pipeline, "measure_plot", measure_plot)
+    monkeypatch.setattr(cloud_stages, "read_manifest", lambda _: FakeManifest())
     # The fake scene has no COLMAP model to compare with.
-    monkeypatch.setattr(pipeline, "read_sparse", lambda _: None)
-    monkeypatch.setattr(pipeline, "depth_vs_sfm", lambda *_: 0.0025)
+    monkeypatch.setattr(cloud_stages, "read_sparse", lambda _: None)
+    checked = DepthCheck(median_rel=0.0025, per_view_rel={}, compared=1, asked=1, relaxed=False)
+    monkeypatch.setattr(cloud_stages, "check_depth", lambda *_, **__: checked)
     # Drawing takes most of the time; test_cli and the tests of the report draw.
-    monkeypatch.setattr("fsinfer.report.make_report", lambda out: write_text(out / "report.html", "<html>"))
+    monkeypatch.setattr("fsinfer.report.make_report", lambda out: _report(out))
     monkeypatch.setattr("fsinfer.trees.outputs.figures.write_figures", lambda folder, *_, **__: make_folder(folder))
     return fakes
 
@@ -154,13 +187,17 @@ def test_plot_json(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
     assert plot == result.plot
     assert (plot["photos"], plot["registered"], plot["left_out"]) == (VIEWS + 1, VIEWS, ["view_99"])
     assert (plot["photos_given"], plot["rejected"]) == (VIEWS + 2, [{"name": "dark", "reason": "too dark"}])
-    assert plot["warnings"][:2] == ["one photo is too dark", "one photo was not placed"]
+    assert [entry["code"] for entry in plot["warning_codes"]][:2] == ["frames_not_used", "photos_loose"]
+    assert [entry["text"] for entry in plot["warning_codes"]] == plot["warnings"]
+    assert plot["warnings"][0] == f"1 of {VIEWS + 2} frames were not used (dark: too dark)"
+    assert {name: made for name, made in plot["made_by"].items() if made != fsinfer.__version__} == {}
     assert (plot["units"], plot["scale_m_per_unit"], plot["scale_source"]) == ("m", M_PER_UNIT, "factor")
     assert plot["depth_vs_sfm_median_rel"] == 0.0025
     assert plot["points"] == len(read_cloud(out / "cloud.ply"))
     assert plot["density_per_m2"] > 100
     assert plot["trees"] == plot["trees_with_dbh"] == len(STEMS)
     assert set(ALL) | {"total"} == set(plot["seconds"])
+    assert tuple(plot) == PLOT_KEYS
     assert plot["peak_rss_mb"] is None or plot["peak_rss_mb"] > 10
     assert plot["model_sha256"] == "0" * 64
     assert plot["model_precision"] == "float32"
@@ -337,7 +374,7 @@ def test_cloud_without_a_plot_is_reported_not_lost(
     def no_ground(*_: Any, **__: Any) -> Any:
         raise CloudError("no ground was seen")
 
-    monkeypatch.setattr(pipeline, "write_tree_outputs", no_ground)
+    monkeypatch.setattr(pipeline, "measure_plot", no_ground)
     result = run(photos, tmp_path / "out", settings=METRIC)
     assert result.plot["trees"] == 0
     assert "no trees measured: no ground was seen" in result.plot["warnings"]
@@ -375,12 +412,36 @@ def test_trees_of_the_runs_own_cloud_with_and_without_its_photographs(
     run(photos, out, settings=METRIC)
     expected = dbh_cm(out)
     looked_at = []
-    real = silhouettes.find_edges
-    monkeypatch.setattr(silhouettes, "find_edges", lambda *a, **k: looked_at.append(len(a[0])) or real(*a, **k))
+
+    def looking(trees: Sequence[Any], *args: Any, **kwargs: Any) -> Any:
+        looked_at.append(len(trees))
+        return find_edges(trees, *args, **kwargs)
+
+    monkeypatch.setattr(silhouettes, "find_edges", looking)
     for gone in (None, out / "scene" / "images"):
         if gone is not None:
             shutil.rmtree(gone)
-        measure_cloud_file(out / "cloud.ply", out, request=ScaleRequest(), settings=TreeSettings())
+        measure_cloud_file(out / "cloud.ply", out, request=ScaleRequest())
         assert dbh_cm(out) == expected
     # The photographs were looked at the first time; without them the points have to do.
     assert looked_at == [len(STEMS)]
+
+
+def test_depth_by_itself_finds_the_runs_maps_done_and_the_run_those_of_depth(
+    fakes: Fakes, photos: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    run(photos, out, settings=METRIC)
+    assert not depth_of(out / "scene", out, settings=DepthSettings()).ran
+    assert depth_of(out / "scene", out, settings=DepthSettings(source_views=2)).ran
+    again = run(photos, out, settings=replace(METRIC, depth=DepthSettings(source_views=2)))
+    assert "depth" not in ran(again)
+    assert "fuse" in ran(again)
+
+
+def test_a_folder_that_was_moved_is_finished_all_the_same(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
+    run(photos, tmp_path / "out", settings=METRIC)
+    (tmp_path / "out").rename(tmp_path / "elsewhere")
+    moved = run(photos, tmp_path / "elsewhere", settings=METRIC)
+    assert ran(moved) == []
+    assert moved.records.cloud.result.path == tmp_path / "elsewhere" / "cloud.ply"

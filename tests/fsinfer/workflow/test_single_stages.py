@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import fsinfer.workflow.single_stages as stage_commands
 from fsinfer.output.plot_json import read_plot
+from fsinfer.scale.find import FoundScale
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scale.scale import Scale
+from fsinfer.workflow import measure_cloud
 from fsinfer.workflow.summary import update_plot
 from tests.support.synthetic_plot import write_scene_folder
 
@@ -21,17 +22,13 @@ def test_markers_scale_the_scene_and_the_cloud_follows(
 ) -> None:
     write_scene_folder(tmp_path / "scene")
     found = Scale(m_per_unit=0.5, source="aruco", rel_std=0.01)
-    monkeypatch.setattr(stage_commands, "find_scale", lambda *_, **__: (found, ()))
+    monkeypatch.setattr(measure_cloud, "find_scale", lambda *_, **__: FoundScale(scale=found))
     turn = np.array([[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, 2.0], [0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 0.0, 1.0]])
     similarity = np.diag([cloud_per_scene] * 3 + [1.0]) @ turn
-    scale, warnings = stage_commands._cloud_scale(
-        ScaleRequest(aruco_length_m=0.25),
-        tmp_path / "cloud.ply",
-        tmp_path,
-        {"cloud_from_scene": similarity.tolist(), "units": "model units"},
-    )
-    assert scale.m_per_unit == pytest.approx(factor)
-    assert (scale.source, scale.rel_std, warnings) == ("aruco", 0.01, ())
+    origin = measure_cloud._Origin(cloud_from_scene=similarity, units="model units")
+    given = measure_cloud._cloud_scale(ScaleRequest(aruco_length_m=0.25), tmp_path / "cloud.ply", tmp_path, origin)
+    assert given.scale.m_per_unit == pytest.approx(factor)
+    assert (given.scale.source, given.scale.rel_std, given.warnings) == ("aruco", 0.01, ())
 
 
 def test_plot_json_of_single_commands_keeps_what_others_wrote(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ from training.benchmark.dtu_evaluation import (
 def grid(x: range, z: float) -> NDArray[np.float64]:
     """One point a millimetre for the given x and y = 0 … 40."""
     xs, ys = np.meshgrid(np.arange(x.start, x.stop), np.arange(41.0))
-    return np.c_[xs.ravel(), ys.ravel(), np.full(xs.size, z)]
+    return np.column_stack([xs.ravel(), ys.ravel(), np.full(xs.size, z)])
 
 
 @pytest.fixture
@@ -51,7 +51,7 @@ def reconstruction() -> NDArray[np.float64]:
 
 def completeness_by_hand() -> float:
     """Mean over the columns x = 10 … 40: the nearest point of x = 21 and 22 is that of x = 20, not the one above."""
-    return (11 * 0.5 + np.hypot(1, 0.5) + np.hypot(2, 0.5) + 18 * 3.0) / 31
+    return float(11 * 0.5 + np.hypot(1, 0.5) + np.hypot(2, 0.5) + 18 * 3.0) / 31
 
 
 def test_accuracy_and_completeness_by_hand(truth: ScanTruth) -> None:

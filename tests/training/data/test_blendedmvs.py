@@ -27,8 +27,8 @@ def write_scene(root: Path, name: str, views: int = 4) -> Path:
     folder = root / name
     for part in ("blended_images", "cams", "rendered_depth_maps"):
         (folder / part).mkdir(parents=True)
-    texture = np.random.default_rng(0).integers(0, 255, (HEIGHT // 4, 40, 3), dtype=np.uint8)
-    texture = cv2.resize(texture, (160, HEIGHT), interpolation=cv2.INTER_CUBIC)
+    coarse = np.random.default_rng(0).integers(0, 255, (HEIGHT // 4, 40, 3), dtype=np.uint8)
+    texture = cv2.resize(coarse, (160, HEIGHT), interpolation=cv2.INTER_CUBIC)
     for view in range(views):
         image = texture[:, SHIFT_PX * view : SHIFT_PX * view + WIDTH]
         cv2.imwrite(str(folder / "blended_images" / f"{view:08d}.jpg"), image, [cv2.IMWRITE_JPEG_QUALITY, 100])

@@ -88,7 +88,8 @@ def test_scans_are_listed_by_split_and_light(root: Path) -> None:
 def test_cameras_are_those_of_the_photographs(root: Path) -> None:
     scene = DtuScan(root=root, scan=2, light=3).read()
     camera = scene.views[2].camera
-    np.testing.assert_allclose(camera.intrinsic, [[1446.165, 0, 331.6025], [0, 1441.59, 265.5355], [0, 0, 1]])
+    expected = np.array([[1446.165, 0, 331.6025], [0, 1441.59, 265.5355], [0, 0, 1]])
+    np.testing.assert_allclose(camera.intrinsic, expected)
     assert camera.cam_from_world[0, 3] == pytest.approx(-16 * PLANE_MM / FOCAL_PX)
     assert camera.depth_min == 425
     assert camera.depth_max == pytest.approx(425 + 191 * 2.65)
@@ -121,7 +122,8 @@ def test_depths_out_of_the_range_are_unknown(copy: Path) -> None:
 def tilted(step: float, height: int, width: int) -> NDArray[np.float64]:
     """z depth of the plane 0.6 X + 0.3 Y + Z = 600 at every ``step``-th pixel of the photograph."""
     u, v = np.meshgrid(np.arange(width) * step, np.arange(height) * step)
-    return 600 / (1 + 0.6 * (u - 331.6) / FOCAL_PX + 0.3 * (v - 265.5) / FOCAL_PX)
+    depth: NDArray[np.float64] = 600 / (1 + 0.6 * (u - 331.6) / FOCAL_PX + 0.3 * (v - 265.5) / FOCAL_PX)
+    return depth
 
 
 def test_between_the_small_maps_pixels_runs_their_plane() -> None:

@@ -12,6 +12,8 @@ import cv2
 import numpy as np
 import pytest
 
+from training.synthesize.forest.mesh import Mesh
+
 pytest.importorskip("embreex")
 
 from fsinfer.io.pfm import read_pfm
@@ -23,7 +25,7 @@ from training.synthesize.forest.boards import SIDE_M, board_material, board_pair
 from training.synthesize.forest.light import random_light
 from training.synthesize.forest.material import Material, lookup, pyramid
 from training.synthesize.forest.mesh import make_mesh, merge
-from training.synthesize.forest.stem import measure_section, random_stem, stem_mesh
+from training.synthesize.forest.stem import Stem, measure_section, random_stem, stem_mesh
 from training.synthesize.forest.terrain import make_terrain, terrain_mesh
 from training.synthesize.forest.textures import bark
 from training.synthesize.render import Caster, pixel_rays
@@ -42,7 +44,7 @@ def plain_material() -> Material:
     return Material(levels=pyramid(np.full((16, 16, 3), 128, np.uint8)), tile_m=1.0)
 
 
-def stem_and_mesh(seed: int):
+def stem_and_mesh(seed: int) -> tuple[Stem, Mesh, list[Material]]:
     rng = np.random.default_rng(seed)
     image, height = bark(rng, 256)
     materials = [Material(levels=pyramid(image), tile_m=1.0, height=pyramid(height))]
@@ -50,7 +52,7 @@ def stem_and_mesh(seed: int):
     return stem, stem_mesh(stem, materials, sides=128, step_m=0.02), materials
 
 
-def test_depth_of_a_plane_is_exact_at_pixel_centres():
+def test_depth_of_a_plane_is_exact_at_pixel_centres() -> None:
     corners = np.array([[-50, 5, -50], [50, 5, -50], [50, 5, 50], [-50, 5, 50]], dtype=float)
     mesh = make_mesh(corners, np.array([[0, 1, 2], [0, 2, 3]]), np.zeros((4, 2)), 0)
     light = random_light(np.random.default_rng(0), forest=True, panorama_px=64)
@@ -63,7 +65,7 @@ def test_depth_of_a_plane_is_exact_at_pixel_centres():
     np.testing.assert_allclose(depth, (5 - center[1]) / rays[..., 1], rtol=2e-6)
 
 
-def test_depth_agrees_between_two_views(clusters: Path):
+def test_depth_agrees_between_two_views(clusters: Path) -> None:
     scene = read_scene(clusters / "s00003_0")
     first, second = scene.views[0].camera, scene.views[1].camera
     depth = [read_pfm(scene.folder / "depths" / f"{v.name}.pfm").astype(float) for v in scene.views[:2]]
@@ -80,7 +82,7 @@ def test_depth_agrees_between_two_views(clusters: Path):
     assert np.median(relative) < 0.01
 
 
-def test_a_round_stem_has_the_diameter_it_was_given():
+def test_a_round_stem_has_the_diameter_it_was_given() -> None:
     stem, _, materials = stem_and_mesh(1)
     zero = np.zeros(2)
     stem = replace(stem, fourier=np.zeros(5), relief_m=0.0, swell=0.0, lean=zero, sweep_m=zero)
@@ -90,7 +92,7 @@ def test_a_round_stem_has_the_diameter_it_was_given():
     assert section.dbh_area_cm == pytest.approx(section.dbh_cm, rel=3e-4)
 
 
-def test_true_section_is_the_surface_that_rays_hit():
+def test_true_section_is_the_surface_that_rays_hit() -> None:
     stem, mesh, materials = stem_and_mesh(2)
     section = measure_section(stem, mesh)
     light = random_light(np.random.default_rng(0), forest=True, panorama_px=64)
@@ -109,7 +111,7 @@ def test_true_section_is_the_surface_that_rays_hit():
     assert section.dbh_area_cm < section.dbh_cm  # the hull of a rough section is the larger circle
 
 
-def test_markers_are_found_where_the_truth_says():
+def test_markers_are_found_where_the_truth_says() -> None:
     rng = np.random.default_rng(5)
     terrain = make_terrain(rng, slope_deg=3, roughness=0.3)
     materials = [plain_material(), board_material(7), board_material(8)]
@@ -133,7 +135,7 @@ def test_markers_are_found_where_the_truth_says():
     assert np.linalg.norm(corners[0][0] - pixel[:, :2], axis=1).max() < 0.5
 
 
-def test_the_same_seed_gives_the_same_bytes(clusters: Path, tmp_path: Path):
+def test_the_same_seed_gives_the_same_bytes(clusters: Path, tmp_path: Path) -> None:
     main([str(tmp_path), "--seed", "3", "--clutter", "0", *SMALL])
     files = sorted(p.relative_to(tmp_path) for p in tmp_path.rglob("*") if p.is_file())
     assert len(files) == 2 * (3 * 3 + 3)
@@ -141,7 +143,7 @@ def test_the_same_seed_gives_the_same_bytes(clusters: Path, tmp_path: Path):
         assert (tmp_path / file).read_bytes() == (clusters / file).read_bytes(), file
 
 
-def test_written_scene_is_complete_and_a_finished_one_is_kept(clusters: Path):
+def test_written_scene_is_complete_and_a_finished_one_is_kept(clusters: Path) -> None:
     for folder in (clusters / "s00003_0", clusters / "s00003_1"):
         scene = read_scene(folder)
         assert len(scene.views) == 3
@@ -158,7 +160,7 @@ def test_written_scene_is_complete_and_a_finished_one_is_kept(clusters: Path):
     assert image.stat().st_mtime_ns == before
 
 
-def test_a_walk_is_photographs_in_a_row_of_a_plot(tmp_path: Path):
+def test_a_walk_is_photographs_in_a_row_of_a_plot(tmp_path: Path) -> None:
     arguments = [str(tmp_path), "--seed", "7", "--kind", "walk", *SMALL]
     main(arguments)
     scene = read_scene(tmp_path / "w00007")
@@ -171,7 +173,7 @@ def test_a_walk_is_photographs_in_a_row_of_a_plot(tmp_path: Path):
     assert (tmp_path / "w00007" / "images" / "00000000.jpg").stat().st_mtime_ns == before
 
 
-def test_plot_writes_truth_markers_and_walks_clear_of_stems(tmp_path: Path):
+def test_plot_writes_truth_markers_and_walks_clear_of_stems(tmp_path: Path) -> None:
     small = ["--texture-px", "256", "--width", "96", "--height", "54", "--supersample", "1"]
     main([str(tmp_path), "--seed", "4", "--kind", "plot", "--photos", "10", "--trees", "5", "--radius-m", "4", *small])
     with (tmp_path / "truth.csv").open() as stream:
@@ -191,7 +193,7 @@ def test_plot_writes_truth_markers_and_walks_clear_of_stems(tmp_path: Path):
             assert gap - float(row["dbh_cm"]) / 200 > 0.5
 
 
-def test_lookup_is_bilinear_and_wraps():
+def test_lookup_is_bilinear_and_wraps() -> None:
     image = np.random.default_rng(0).integers(0, 256, (8, 8, 3)).astype(np.uint8)
     uv = np.array([[0.0625, 0.0625], [1.0, 0.0625], [-3.0 + 0.1875, 2.0625]], np.float32)
     values = lookup(image, uv)
@@ -200,7 +202,7 @@ def test_lookup_is_bilinear_and_wraps():
     np.testing.assert_allclose(values[1], (image[0, 7].astype(float) + image[0, 0]) / 2, atol=0.51)
 
 
-def test_rays_of_a_distorted_picture_land_where_the_model_says():
+def test_rays_of_a_distorted_picture_land_where_the_model_says() -> None:
     camera = make_camera(intrinsics(64, 48, 70.0), look_at(np.zeros(3), np.array([1.0, 2.0, 0.3])))
     _, directions = pixel_rays(camera, 64, 48, (0.0, 0.0), distortion=-0.08)
     plain = directions @ camera.cam_from_world[:3, :3].T

@@ -65,7 +65,10 @@ def expose(rng: np.random.Generator, sensor: Sensor, linear: NDArray[np.float32]
     image = image + sensor.sharpening * (image - cv2.GaussianBlur(image, (0, 0), 1.2))
     image = image + sensor.contrast * image * (1 - image) * (image - 0.5)
     grey = image.mean(-1, keepdims=True)
-    return np.clip((grey + sensor.saturation * (image - grey)) * 255 + 0.5, 0, 255).astype(np.uint8)
+    photograph: NDArray[np.uint8] = np.clip((grey + sensor.saturation * (image - grey)) * 255 + 0.5, 0, 255).astype(
+        np.uint8
+    )
+    return photograph
 
 
 def _motion_kernel(rng: np.random.Generator, length_px: float) -> NDArray[np.float32]:
@@ -77,4 +80,5 @@ def _motion_kernel(rng: np.random.Generator, length_px: float) -> NDArray[np.flo
         x0, y0 = int(np.floor(x)), int(np.floor(y))
         for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
             kernel[y0 + j, x0 + i] += (1 - abs(x - x0 - i)) * (1 - abs(y - y0 - j))
-    return kernel / kernel.sum()
+    kernel /= kernel.sum()
+    return kernel

@@ -14,10 +14,14 @@ from training.synthesize.forest.material import Material, pyramid
 from training.synthesize.forest.mesh import Mesh, make_mesh, tubes
 from training.synthesize.forest.terrain import Terrain
 
+#: Side of a board, metres. Source: the largest that fsinfer marker prints.
 SIDE_M = 0.25
 #: A 4X4 marker has 4 + 2 modules; one more white module on each side is the quiet zone that detectors need.
+#: Source: OpenCV.
 MODULES, MODULES_WITH_MARGIN = 6, 8
+#: Texels of a module. Source: numerics.
 MODULE_PX = 64
+#: Length of the stick, metres. Source: judgement; what people put up.
 STICK_M = 1.0
 
 

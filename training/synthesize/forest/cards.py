@@ -15,7 +15,14 @@ from training.synthesize.forest.textures import GREEN, LEAVES, _grain, _photo, p
 KINDS = ("leaves", "needles", "fern", "grass")
 
 
-def _leaf(canvas: NDArray[np.uint8], at: NDArray, angle: float, length: float, width: float, rgb: NDArray) -> None:
+def _leaf(
+    canvas: NDArray[np.uint8],
+    at: NDArray[np.float64],
+    angle: float,
+    length: float,
+    width: float,
+    rgb: NDArray[np.float64],
+) -> None:
     t = np.linspace(0, 1, 9)
     half = width * np.sin(np.pi * t**0.8) * 0.5
     outline = np.concatenate([np.stack([t * length, half], -1), np.stack([t * length, -half], -1)[::-1]])
@@ -45,8 +52,9 @@ def procedural_card(rng: np.random.Generator, kind: str, size: int = 256) -> NDA
     base = pick(rng, palette)
     foot, up = np.array([size / 2, size * 0.98]), -np.pi / 2
 
-    def tone() -> NDArray:
-        return base * np.exp(rng.normal(0, 0.2)) * np.exp(rng.normal(0, 0.05, 3))
+    def tone() -> NDArray[np.float64]:
+        varied: NDArray[np.float64] = base * np.exp(rng.normal(0, 0.2)) * np.exp(rng.normal(0, 0.05, 3))
+        return varied
 
     if kind == "grass":
         for _ in range(int(rng.integers(14, 40))):
@@ -79,7 +87,7 @@ def card_material(rng: np.random.Generator, kind: str, photos: Sequence[Path], s
     suitable = [p for p in photos if p.name.startswith("leafcard") and p.suffix == ".png"]
     if kind == "leaves" and suitable and rng.random() < 0.6:
         image = _photo(suitable[int(rng.integers(len(suitable)))])
-        image = cv2.resize(image, (256, 256), interpolation=cv2.INTER_AREA)
+        image = np.asarray(cv2.resize(image, (256, 256), interpolation=cv2.INTER_AREA), np.uint8)
         gain = np.exp(rng.normal(0, 0.2) + rng.normal(0, 0.12, 3))
         image = np.dstack([np.clip(image[..., :3] * gain, 0, 255).astype(np.uint8), image[..., 3]])
         image = _finish(rng, image)

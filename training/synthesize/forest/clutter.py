@@ -34,7 +34,9 @@ def blob(
 
 def box(center: NDArray[np.floating], axes: NDArray[np.floating], material: int, tile_m: float) -> Mesh:
     """A box with half axes ``axes`` (3, 3), rows right-handed; sharp edges."""
-    vertices, faces, uv = [], [], []
+    vertices: list[NDArray[np.floating]] = []
+    faces: list[list[int]] = []
+    uv: list[list[float]] = []
     for axis in range(3):
         for side in (1.0, -1.0):
             normal, a, b = side * axes[axis], axes[(axis + 1) % 3], axes[(axis + 2) % 3]
@@ -42,7 +44,7 @@ def box(center: NDArray[np.floating], axes: NDArray[np.floating], material: int,
             base = len(vertices)
             vertices += [center + normal + i * a + j * b for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
             faces += [[base, base + 1, base + 2], [base, base + 2, base + 3]]
-            la, lb = 2 * np.linalg.norm(a) / tile_m, 2 * np.linalg.norm(b) / tile_m
+            la, lb = float(2 * np.linalg.norm(a) / tile_m), float(2 * np.linalg.norm(b) / tile_m)
             shift = 0.23 * len(uv)
             uv += [[shift, lb], [shift + la, lb], [shift + la, 0], [shift, 0]]
     return make_mesh(np.array(vertices), np.array(faces), np.array(uv), material)

@@ -11,6 +11,7 @@ from training.synthesize.forest.material import TO_LINEAR, lookup
 from training.synthesize.forest.noise import fractal
 
 #: Angular radius of the sun as drawn; wider than 0.27 degrees because haze and leaves widen the penumbra.
+#: Source: judgement.
 SUN_RADIUS_RAD = 0.008
 
 
@@ -79,7 +80,8 @@ def _panorama(rng: np.random.Generator, height: int, *, overcast: bool, forest: 
         top = max(int((cover > 0).any(1).argmax()), 0)
         trees = np.float32(1 - share) * green * np.roll(tone, shift, axis=1)[top:, :, None] + np.float32(share) * haze
         image[top:] += (trees - image[top:]) * cover[top:, :, None]
-    return np.clip(image, 0, 255).astype(np.uint8)
+    panorama: NDArray[np.uint8] = np.clip(image, 0, 255).astype(np.uint8)
+    return panorama
 
 
 def _rgb(red: float, green: float, blue: float) -> NDArray[np.float32]:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-#: Textures are stored gamma-encoded in 8 bits and lit in linear light.
+#: Textures are stored gamma-encoded in 8 bits and lit in linear light. Source: about sRGB.
 GAMMA = 2.2
+#: Textures in 8 bits and reliefs in single precision are looked up and made smaller alike.
+PixelT = TypeVar("PixelT", np.uint8, np.float32)
 TO_LINEAR = ((np.arange(256) / 255.0) ** GAMMA).astype(np.float32)
 
 
@@ -33,16 +36,17 @@ class Material:
     translucency: float = 0.0
 
 
-def pyramid(image: NDArray) -> tuple[NDArray, ...]:
+def pyramid(image: NDArray[PixelT]) -> tuple[NDArray[PixelT], ...]:
     """Halve ``image`` down to 4 pixels."""
     levels = [np.ascontiguousarray(image)]
     while min(levels[-1].shape[:2]) > 4:
         height, width = levels[-1].shape[:2]
-        levels.append(cv2.resize(levels[-1], (width // 2, height // 2), interpolation=cv2.INTER_AREA))
+        smaller = cv2.resize(levels[-1], (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+        levels.append(np.asarray(smaller, image.dtype))
     return tuple(levels)
 
 
-def lookup(image: NDArray[np.uint8], uv: NDArray[np.float32]) -> NDArray[np.uint8]:
+def lookup(image: NDArray[PixelT], uv: NDArray[np.float32]) -> NDArray[PixelT]:
     """Bilinear periodic lookup: ``uv`` (n, 2) in tiles -> (n, channels)."""
     height, width = image.shape[:2]
     count = len(uv)
@@ -52,9 +56,9 @@ def lookup(image: NDArray[np.uint8], uv: NDArray[np.float32]) -> NDArray[np.uint
     wrapped = uv - np.floor(uv)
     maps[0, :count] = wrapped[:, 0] * np.float32(width) - np.float32(0.5)
     maps[1, :count] = wrapped[:, 1] * np.float32(height) - np.float32(0.5)
-    maps = maps.reshape(2, rows, columns)
-    values = cv2.remap(image, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
-    return values.reshape(rows * columns, *image.shape[2:])[:count]
+    map_x, map_y = maps.reshape(2, rows, columns)
+    values = cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+    return np.asarray(values, image.dtype).reshape(rows * columns, *image.shape[2:])[:count]
 
 
 def sample(

@@ -39,16 +39,16 @@ def make_mesh(
     normals: NDArray[np.floating] | None = None,
 ) -> Mesh:
     """Build a mesh; ``uv`` is (N, 2) per vertex or (M, 3, 2) per corner; normals default to smooth ones."""
-    vertices = np.ascontiguousarray(vertices, dtype=np.float32)
-    faces = np.ascontiguousarray(faces, dtype=np.int32)
-    corner_uv = uv[faces] if uv.ndim == 2 else uv
+    corners = np.ascontiguousarray(vertices, dtype=np.float32)
+    triangles = np.ascontiguousarray(faces, dtype=np.int32)
+    corner_uv = uv[triangles] if uv.ndim == 2 else uv
     return Mesh(
-        vertices=vertices,
-        faces=faces,
+        vertices=corners,
+        faces=triangles,
         uv=np.ascontiguousarray(corner_uv, dtype=np.float32),
-        normals=smooth_normals(vertices, faces) if normals is None else normals.astype(np.float32),
-        tint=np.broadcast_to(np.asarray(tint, dtype=np.float32), vertices.shape).copy(),
-        material=np.broadcast_to(np.asarray(material, dtype=np.int32), (len(faces),)).copy(),
+        normals=smooth_normals(corners, triangles) if normals is None else normals.astype(np.float32),
+        tint=np.broadcast_to(np.asarray(tint, dtype=np.float32), corners.shape).copy(),
+        material=np.broadcast_to(np.asarray(material, dtype=np.int32), (len(triangles),)).copy(),
     )
 
 
@@ -61,7 +61,8 @@ def smooth_normals(vertices: Floats, faces: NDArray[np.int32]) -> Floats:
     for axis in range(3):
         weights = np.repeat(face_normals[:, axis], 3)
         normals[:, axis] = np.bincount(flat, weights=weights, minlength=len(vertices))
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
+    unit: Floats = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
+    return unit
 
 
 def merge(meshes: Sequence[Mesh]) -> Mesh:
@@ -166,5 +167,6 @@ def box_uv(vertices: NDArray[np.floating], faces: NDArray[np.integer], tile_m: f
     normal = np.abs(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
     axis = normal.argmax(1)
     keep = np.array([[1, 2], [0, 2], [0, 1]])[axis]
-    uv = np.take_along_axis(corners, np.broadcast_to(keep[:, None], (len(faces), 3, 2)), axis=2)
-    return uv / tile_m + axis[:, None, None] * 0.31
+    kept = np.take_along_axis(corners, np.broadcast_to(keep[:, None], (len(faces), 3, 2)), axis=2)
+    uv: NDArray[np.floating] = kept / tile_m + axis[:, None, None] * 0.31
+    return uv

@@ -7,7 +7,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-#: Noise falling at least as fast as this has no visible content in its last octave.
+#: Noise falling at least as fast as this has no visible content in its last octave. Source: numerics.
 SMOOTH_BETA = 1.3
 
 
@@ -70,10 +70,10 @@ def cells(
     return distance, value
 
 
-def warp(field: NDArray, dx: NDArray[np.float32], dy: NDArray[np.float32]) -> NDArray:
+def warp(field: NDArray[np.floating], dx: NDArray[np.float32], dy: NDArray[np.float32]) -> NDArray[np.floating]:
     """Shift a periodic image by (dx, dy) pixels a pixel."""
     size = field.shape[0]
     grid = np.arange(size, dtype=np.float32)
     map_x = (grid[None] + dx) % size
     map_y = (grid[:, None] + dy) % size
-    return cv2.remap(field, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+    return np.asarray(cv2.remap(field, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP), field.dtype)

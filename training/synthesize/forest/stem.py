@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from training.synthesize.forest.material import Material, lookup
 from training.synthesize.forest.mesh import Mesh, grid_faces, make_mesh
 
+#: Above the ground, metres. Source: convention.
 BREAST_HEIGHT_M = 1.3
 
 
@@ -45,7 +46,8 @@ class Stem:
         """Mean radius in metres at heights ``h`` without bark relief and without the butt swell's lobes."""
         top = np.clip((self.height_m - h) / (self.height_m - BREAST_HEIGHT_M), 0, None) ** self.taper
         flare = 1 + self.swell * (np.exp(-np.maximum(h, -0.2) / 0.28) - np.exp(-BREAST_HEIGHT_M / 0.28))
-        return np.maximum(self.dbh_m / 2 * top * flare, 0.004)
+        radius: NDArray[np.float64] = np.maximum(self.dbh_m / 2 * top * flare, 0.004)
+        return radius
 
     @property
     def lean_deg(self) -> float:
@@ -138,7 +140,7 @@ def stem_mesh(
 
 def lookup_field(field: NDArray[np.float32], uv: NDArray[np.float32]) -> NDArray[np.float32]:
     """Bilinear periodic lookup of a (S, S) float field at ``uv`` (n, 2) tiles."""
-    return lookup(field, uv)  # type: ignore[arg-type]
+    return lookup(field, uv)
 
 
 @dataclass(frozen=True, kw_only=True)

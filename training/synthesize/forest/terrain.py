@@ -19,7 +19,9 @@ class Terrain:
     amplitude_m: NDArray[np.float64]
     phase: NDArray[np.float64]
 
-    def height(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.float64]:
+    def height(
+        self, x: NDArray[np.floating] | np.floating, y: NDArray[np.floating] | np.floating
+    ) -> NDArray[np.float64]:
         """Ground height in metres at x, y (any shape)."""
         z = self.gradient[0] * x + self.gradient[1] * y
         for (kx, ky), amplitude, phase in zip(self.wave, self.amplitude_m, self.phase, strict=True):

@@ -26,20 +26,23 @@ GREEN = ((74, 104, 44), (96, 122, 58), (58, 84, 40), (112, 130, 60), (86, 112, 7
 def pick(rng: Rng, palette: Sequence[tuple[int, int, int]], jitter: float = 0.16) -> NDArray[np.float64]:
     """A palette colour with random hue and brightness, (3,) in 0..255."""
     colour = np.array(palette[int(rng.integers(len(palette)))], dtype=np.float64)
-    return np.clip(colour * np.exp(rng.normal(0, jitter)) * np.exp(rng.normal(0, jitter / 4, 3)), 4, 250)
+    varied: NDArray[np.float64] = colour * np.exp(rng.normal(0, jitter)) * np.exp(rng.normal(0, jitter / 4, 3))
+    return varied.clip(4, 250)
 
 
-def _mix(a: NDArray, b: NDArray, weight: NDArray) -> NDArray[np.float32]:
+def _mix(a: NDArray[np.floating], b: NDArray[np.floating], weight: NDArray[np.floating]) -> NDArray[np.float32]:
     w = np.clip(weight, 0, 1)[..., None].astype(np.float32)
-    return (a * (1 - w) + b * w).astype(np.float32)
+    mixed: NDArray[np.float32] = (a * (1 - w) + b * w).astype(np.float32)
+    return mixed
 
 
-def _to_uint8(image: NDArray) -> NDArray[np.uint8]:
-    return np.clip(image, 0, 255).astype(np.uint8)
+def _to_uint8(image: NDArray[np.floating]) -> NDArray[np.uint8]:
+    return image.clip(0, 255).astype(np.uint8)
 
 
 def _step(field: Field, threshold: float, softness: float) -> Field:
-    return np.clip((field - threshold) / softness + 0.5, 0, 1)
+    ramp: Field = (field - threshold) / softness + 0.5
+    return ramp.clip(0, 1)
 
 
 def _grain(rng: Rng, size: int) -> Field:
@@ -47,7 +50,9 @@ def _grain(rng: Rng, size: int) -> Field:
     return 0.6 * fractal(rng, size, beta=rng.uniform(0.3, 0.8)) + 0.5 * fractal(rng, size, beta=1.1)
 
 
-def _patches(rng: Rng, image: NDArray, size: int, colours: Sequence[NDArray], amount: float) -> NDArray:
+def _patches(
+    rng: Rng, image: NDArray[np.floating], size: int, colours: Sequence[NDArray[np.float64]], amount: float
+) -> NDArray[np.floating]:
     """Lichen, moss or stain patches with ragged edges."""
     for colour in colours:
         field = fractal(rng, size, beta=rng.uniform(1.1, 1.7), low=rng.uniform(2, 8))
@@ -124,7 +129,9 @@ def rock(rng: Rng, size: int = 1024) -> tuple[NDArray[np.uint8], Field]:
     """Stone: speckle, veins, cracks, lichen spots."""
     base, other = pick(rng, ROCK), pick(rng, ROCK)
     height = np.clip(0.5 + 0.2 * fractal(rng, size, beta=1.5), 0, 1).astype(np.float32)
-    image = _mix(base[None, None], other * np.ones((size, size, 3)), _step(fractal(rng, size, beta=1.5), 0.2, 1.5))
+    image: NDArray[np.floating] = _mix(
+        base[None, None], other * np.ones((size, size, 3)), _step(fractal(rng, size, beta=1.5), 0.2, 1.5)
+    )
     crack = np.abs(fractal(rng, size, beta=1.7, low=2, stretch=rng.uniform(0.4, 2.5)))
     image = image * (1 - rng.uniform(0.2, 0.6) * np.exp(-crack * rng.uniform(6, 20)))[..., None]
     image = image * np.exp(rng.uniform(0.1, 0.3) * _grain(rng, size))[..., None]
@@ -171,7 +178,7 @@ def _photo(path: Path) -> NDArray[np.uint8]:
         msg = f"cannot read the texture {path}"
         raise FileNotFoundError(msg)
     code = cv2.COLOR_BGRA2RGBA if image.shape[2] == 4 else cv2.COLOR_BGR2RGB
-    return cv2.cvtColor(image, code)
+    return np.asarray(cv2.cvtColor(image, code), np.uint8)
 
 
 def from_photo(rng: Rng, path: Path, size: int = 1024, *, turn: bool) -> NDArray[np.uint8]:
@@ -181,7 +188,7 @@ def from_photo(rng: Rng, path: Path, size: int = 1024, *, turn: bool) -> NDArray
     need = size + overlap
     scale = need / min(image.shape[:2]) * rng.uniform(1.0, 1.35)
     angle = rng.uniform(0, 360) if turn else rng.normal(0, 3)
-    matrix = cv2.getRotationMatrix2D((image.shape[1] / 2, image.shape[0] / 2), angle, scale)
+    matrix = np.asarray(cv2.getRotationMatrix2D((image.shape[1] / 2, image.shape[0] / 2), angle, scale), np.float64)
     matrix[:, 2] += need / 2 - np.array([image.shape[1], image.shape[0]]) / 2
     matrix[:, 2] += rng.uniform(-0.1, 0.1, 2) * need
     cut = cv2.warpAffine(image, matrix, (need, need), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
@@ -198,12 +205,13 @@ def from_photo(rng: Rng, path: Path, size: int = 1024, *, turn: bool) -> NDArray
     return _to_uint8(255 * np.clip(tile / 255, 0, 1) ** gamma * gain)
 
 
-def relief_of(image: NDArray[np.uint8]) -> Field:
+def relief_of(image: NDArray[np.uint8]) -> NDArray[np.floating]:
     """Relief guessed from a photograph: bright is high (fissures are dark)."""
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
-    grey = cv2.GaussianBlur(grey, (0, 0), 2)
-    low, high = np.percentile(grey, [3, 97])
-    return np.clip((grey - low) / max(high - low, 1.0), 0, 1)
+    smooth = np.asarray(cv2.GaussianBlur(grey, (0, 0), 2), np.float32)
+    low, high = np.percentile(smooth, [3, 97])
+    relief: NDArray[np.floating] = (smooth - low) / max(high - low, 1.0)
+    return relief.clip(0, 1)
 
 
 def modulation(rng: Rng, size: int = 256, strength: float = 0.18) -> NDArray[np.uint8]:

@@ -22,9 +22,9 @@ from training.synthesize.forest.terrain import Terrain, make_terrain, terrain_me
 from training.synthesize.forest.textures import make_material
 from training.synthesize.forest.undergrowth import litter, log, scatter, shrub, stones, tufts
 
-#: Leaves that lie on the ground one by one, at most; the rest of the litter is texture.
+#: Leaves that lie on the ground one by one, at most; the rest of the litter is texture. Source: numerics.
 MOST_LITTER = 15000
-#: Radius that cameras take objects other than stems to have.
+#: Radius that cameras take objects other than stems to have. Source: judgement.
 CLUTTER_RADIUS_M = 0.8
 
 
@@ -189,8 +189,8 @@ def build_world(rng: np.random.Generator, settings: WorldSettings) -> World:
         meshes, ends = branches(rng, stem, dead=dead, live=24 if near else 14, crown_m=crown, tile_m=tile)
         opaque += meshes
         if not leafless and len(ends):
-            kinds = [needles] if conifer else [leaves, leaves_2]
-            cards.append(leaf_cards(rng, ends, kinds, size_m=0.8, spread_m=0.35))
+            leaf_kinds = [needles] if conifer else [leaves, leaves_2]
+            cards.append(leaf_cards(rng, ends, leaf_kinds, size_m=0.8, spread_m=0.35))
     clutter = int(rng.integers(4, 12)) if settings.clutter else 0
     for x, y in place_stems(rng, clutter, settings.radius_m, 0.3, inner, 1.4):
         z = float(terrain.height(np.float64(x), np.float64(y)))

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
+from fsinfer.notices.notice import notice
+from fsinfer.notices.sentences import sentence
 from fsinfer.poses.verification.loose_parts import MIN_POINTS, loose_parts
-from fsinfer.poses.verification.misplaced import drop_loose_parts, misplaced_message
+from fsinfer.poses.verification.misplaced import LEFT_OUT, drop_loose_parts
 
 
 def chain(photos: int, start: int, per_pair: int, first_point: int) -> tuple[list[tuple[int, int]], int]:
@@ -22,7 +25,9 @@ def chain(photos: int, start: int, per_pair: int, first_point: int) -> tuple[lis
     return seen, point
 
 
-def two_chains(first: int, second: int, joint: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def two_chains(
+    first: int, second: int, joint: int, seed: int = 0
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
     """(points, photos, order) of two chains joined by ``joint`` points, the photos in a shuffled order."""
     left, point = chain(first, 0, 300, 0)
     right, point = chain(second, first, 300, point)
@@ -102,4 +107,6 @@ def test_photos_of_a_loose_part_leave_the_model() -> None:
     expected = {model.images[i].name for i in ids[5:]}
     assert set(drop_loose_parts(model)) == expected
     assert set(model.reg_image_ids()) == set(ids[:5])
-    assert "too few points" in misplaced_message("loose", sorted(expected), 8)
+    told = sentence(notice(LEFT_OUT["loose"], photos=8, names=tuple(expected)))
+    assert told.startswith(f"{len(expected)} of 8 photos left out ({', '.join(sorted(expected))})")
+    assert "too few points" in told

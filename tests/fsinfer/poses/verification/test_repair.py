@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fsinfer.poses.colmap import PoseSettings
+from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.verification.misplaced import agreeing_matches, without_pairs
 from fsinfer.poses.verification.repair import repair
 from fsinfer.progress import silent

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from fsinfer.poses.verification.scale_jumps import HALF_WINDOW, MIN_PHOTOS, strays
 
 
-def ring(photos: int, step: float = 0.5) -> np.ndarray:
+def ring(photos: int, step: float = 0.5) -> NDArray[np.float64]:
     angle = np.arange(photos) * step / 8.0
     rng = np.random.default_rng(photos)
     return np.stack([8 * np.cos(angle), 8 * np.sin(angle), 0 * angle], -1) + rng.normal(0, 0.05, (photos, 3))

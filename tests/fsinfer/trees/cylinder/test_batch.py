@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from fsinfer.trees.cylinder.axis import AxisSettings, _densities, fit_axis
+from fsinfer.trees.cylinder.axis import _densities, fit_axis
 from fsinfer.trees.cylinder.batch import fit_axes, fit_sections
 from fsinfer.trees.cylinder.kernels import blocked, sums_of_sets, tail_density
 from tests.support.stem_clouds import wall
@@ -14,7 +15,7 @@ from tests.support.stem_clouds import wall
 TOLERANCE_M = 2e-5
 
 
-def _candidates(rng):
+def _candidates(rng: np.random.Generator) -> tuple[list[NDArray[np.float64]], NDArray[np.float64]]:
     """Stems of all sizes with noise and a tail, among them hopeless ones; more than one chunk, of unlike sizes."""
     points, starts = [], []
     for number in range(60):
@@ -32,18 +33,17 @@ def _candidates(rng):
 
 
 @pytest.mark.parametrize("iterations", [7, 40])
-def test_a_batch_equals_one_by_one(iterations):
+def test_a_batch_equals_one_by_one(iterations: int) -> None:
     points, starts = _candidates(np.random.default_rng(0))
     heights = np.full(len(points), 1.3)
-    settings = AxisSettings(iterations=iterations)
-    batch = fit_axes(points, starts, heights, settings=settings)
+    batch = fit_axes(points, starts, heights, steps=iterations)
     for axis, own, start in zip(batch, points, starts, strict=True):
-        alone = fit_axis(own, start, 1.3, settings=settings)
+        alone = fit_axis(own, start, 1.3, steps=iterations)
         np.testing.assert_allclose(axis.parameters, alone.parameters, atol=TOLERANCE_M)
         assert axis.sigma_m == pytest.approx(alone.sigma_m, abs=TOLERANCE_M)
 
 
-def test_a_candidate_does_not_depend_on_its_company():
+def test_a_candidate_does_not_depend_on_its_company() -> None:
     points, starts = _candidates(np.random.default_rng(1))
     heights = np.full(len(points), 1.3)
     together = fit_axes(points, starts, heights)
@@ -53,7 +53,7 @@ def test_a_candidate_does_not_depend_on_its_company():
 
 
 @pytest.mark.parametrize("hazy", [False, True])
-def test_sections_of_a_batch_equal_those_fitted_one_by_one(hazy):
+def test_sections_of_a_batch_equal_those_fitted_one_by_one(hazy: bool) -> None:
     rng = np.random.default_rng(3)
     points, starts = _candidates(rng)
     points = [own if k % 5 else np.concatenate([own] * 20) for k, own in enumerate(points)]
@@ -74,7 +74,7 @@ def test_sections_of_a_batch_equal_those_fitted_one_by_one(hazy):
             np.testing.assert_allclose(fit.covariance.diagonal(), alone.covariance.diagonal(), rtol=1e-2)
 
 
-def test_the_tail_is_that_of_one_fit():
+def test_the_tail_is_that_of_one_fit() -> None:
     rng = np.random.default_rng(2)
     residual = rng.uniform(-0.12, 0.12, (2, 4000))
     sigma, tail = np.array([0.0015, 0.03]), np.array([0.06, 0.01])
@@ -88,7 +88,7 @@ def test_the_tail_is_that_of_one_fit():
 
 
 @pytest.mark.parametrize("count", [1, 100, 513, 1700])
-def test_sums_in_blocks_are_those_of_the_whole(count):
+def test_sums_in_blocks_are_those_of_the_whole(count: int) -> None:
     rng = np.random.default_rng(count)
     length = blocked(count)
     assert count <= length < count + 4
@@ -96,7 +96,7 @@ def test_sums_in_blocks_are_those_of_the_whole(count):
     np.testing.assert_allclose(sums_of_sets(a, b), np.einsum("pkn,qkn->kpq", a, b), rtol=1e-4, atol=1e-3)
 
 
-def test_nothing_gives_nothing():
+def test_nothing_gives_nothing() -> None:
     none = np.zeros((0, 6))
     assert fit_axes([], none, np.zeros(0)) == []
     assert fit_sections([], none, np.zeros(0), sigma_m=np.zeros(0), order=4) == []

@@ -2,13 +2,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from fsinfer.errors import CloudError
 from fsinfer.trees import fit_circle
 from fsinfer.trees.diameter.circle import arc_coverage, fit_geometric, fit_taubin, residuals_to
 
 
-def _arc(center, radius, start, arc, count):
+def _arc(center: tuple[float, float], radius: float, start: float, arc: float, count: int) -> NDArray[np.float64]:
     angle = start + np.linspace(0.0, arc, count)
     return np.asarray(center) + radius * np.column_stack([np.cos(angle), np.sin(angle)])
 
@@ -21,7 +22,7 @@ angles = st.floats(0.0, 6.2)
 
 @settings(max_examples=40, deadline=None)
 @given(coordinates, coordinates, radii, angles, arcs)
-def test_exact_circles_are_recovered(x, y, radius, start, arc):
+def test_exact_circles_are_recovered(x: float, y: float, radius: float, start: float, arc: float) -> None:
     fit = fit_circle(_arc((x, y), radius, start, arc, 30))
     np.testing.assert_allclose([*fit.center, fit.radius], [x, y, radius], atol=1e-6)
     assert fit.residual_rms < 1e-6
@@ -30,7 +31,9 @@ def test_exact_circles_are_recovered(x, y, radius, start, arc):
 
 @settings(max_examples=25, deadline=None)
 @given(angles, coordinates, coordinates, st.integers(0, 1000))
-def test_rotating_and_shifting_the_points_rotates_and_shifts_the_circle(turn, x, y, seed):
+def test_rotating_and_shifting_the_points_rotates_and_shifts_the_circle(
+    turn: float, x: float, y: float, seed: int
+) -> None:
     rng = np.random.default_rng(seed)
     points = _arc((0.3, -0.2), 0.15, 0.4, 4.0, 60) + rng.normal(0.0, 0.004, (60, 2))
     rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
@@ -39,7 +42,7 @@ def test_rotating_and_shifting_the_points_rotates_and_shifts_the_circle(turn, x,
     assert after.radius == pytest.approx(before.radius, abs=1e-7)
 
 
-def test_geometric_fit_is_a_minimum_of_the_squared_distances():
+def test_geometric_fit_is_a_minimum_of_the_squared_distances() -> None:
     rng = np.random.default_rng(2)
     points = _arc((1.0, 2.0), 0.2, 0.0, 3.0, 80) + rng.normal(0.0, 0.01, (80, 2))
     best = fit_geometric(points, fit_taubin(points))
@@ -48,7 +51,7 @@ def test_geometric_fit_is_a_minimum_of_the_squared_distances():
         assert (residuals_to(points, best + step) ** 2).sum() > cost
 
 
-def test_taubin_in_a_batch_equals_taubin_one_by_one():
+def test_taubin_in_a_batch_equals_taubin_one_by_one() -> None:
     rng = np.random.default_rng(3)
     points = rng.normal(0.0, 1.0, (5, 12, 2))
     batch = fit_taubin(points)
@@ -56,7 +59,7 @@ def test_taubin_in_a_batch_equals_taubin_one_by_one():
         np.testing.assert_allclose(batch[row], fit_taubin(points[row]), rtol=1e-10)
 
 
-def test_taubin_weights_count_points():
+def test_taubin_weights_count_points() -> None:
     rng = np.random.default_rng(4)
     points = _arc((0, 0), 1.0, 0.0, 5.0, 20) + rng.normal(0.0, 0.05, (20, 2))
     weights = rng.integers(1, 4, 20)
@@ -64,7 +67,7 @@ def test_taubin_weights_count_points():
     np.testing.assert_allclose(fit_taubin(points, weights.astype(float)), fit_taubin(repeated), rtol=1e-10)
 
 
-def test_a_third_of_wild_points_is_dropped():
+def test_a_third_of_wild_points_is_dropped() -> None:
     rng = np.random.default_rng(5)
     wall = _arc((0, 0), 0.15, 0.0, 6.28, 200) + rng.normal(0.0, 0.003, (200, 2))
     wild = rng.uniform(0.2, 0.5, (100, 2))
@@ -74,7 +77,7 @@ def test_a_third_of_wild_points_is_dropped():
     assert fit.inliers[:200].mean() > 0.98
 
 
-def test_radius_std_matches_the_scatter_of_repeated_measurements():
+def test_radius_std_matches_the_scatter_of_repeated_measurements() -> None:
     fits = []
     for seed in range(40):
         rng = np.random.default_rng(seed)
@@ -85,19 +88,19 @@ def test_radius_std_matches_the_scatter_of_repeated_measurements():
     assert 0.6 * scatter < said < 1.6 * scatter
 
 
-def test_the_same_seed_gives_the_same_circle():
+def test_the_same_seed_gives_the_same_circle() -> None:
     rng = np.random.default_rng(6)
     points = _arc((0, 0), 0.2, 0.0, 3.0, 100) + rng.normal(0.0, 0.01, (100, 2))
     assert fit_circle(points, seed=7).radius == fit_circle(points, seed=7).radius
 
 
 @pytest.mark.parametrize("degrees", [60, 120, 180, 360])
-def test_coverage_is_the_share_of_the_circumference(degrees):
+def test_coverage_is_the_share_of_the_circumference(degrees: int) -> None:
     offsets = _arc((0, 0), 0.2, 0.3, np.radians(degrees) * 0.999, 1000)
     assert arc_coverage(offsets) == pytest.approx(degrees / 360, abs=0.03)
 
 
-def test_nan_points_are_left_out():
+def test_nan_points_are_left_out() -> None:
     points = _arc((0, 0), 0.2, 0.0, 6.0, 50)
     points[3] = np.nan
     fit = fit_circle(points)
@@ -110,11 +113,11 @@ def test_nan_points_are_left_out():
     [np.zeros((0, 2)), np.zeros((2, 2)), np.zeros((50, 2)), np.column_stack([np.arange(20.0), 2 * np.arange(20.0)])],
     ids=["none", "two", "one place", "one line"],
 )
-def test_points_without_a_circle_are_an_error(points):
+def test_points_without_a_circle_are_an_error(points: NDArray[np.float64]) -> None:
     with pytest.raises(CloudError, match="circle"):
         fit_circle(points)
 
 
-def test_wrong_shape_is_an_error():
+def test_wrong_shape_is_an_error() -> None:
     with pytest.raises(CloudError, match="shape"):
         fit_circle(np.zeros((10, 3)))

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from fsinfer.trees.cylinder.axis import axis_coordinates, fit_axis
+from fsinfer.trees.cylinder.axis import AxisFit, axis_coordinates, fit_axis
 from fsinfer.trees.diameter.double_wall import blurred_gap
 from fsinfer.trees.diameter.sides import NOISE_SECTORS, noise_sector, relative_noise, seen_side
 from fsinfer.trees.diameter.spread import fit_spread
@@ -12,26 +13,28 @@ from tests.support.stem_clouds import wall
 START = np.array([0.0, 0.0, 0.0, 0.0, 0.15, 0.0])
 
 
-def _stem(rng, *, sigma_m=0.006, spacing_m=0.012, **kwargs):
+def _stem(
+    rng: np.random.Generator, *, sigma_m: float = 0.006, spacing_m: float = 0.012, **kwargs: float
+) -> NDArray[np.float64]:
     points = wall(rng, radius=0.15, spacing_m=spacing_m, **kwargs)
     points = points[np.abs(points[:, 2] - 1.3) < 0.4]
     return points + rng.normal(0.0, sigma_m, points.shape)
 
 
-def _fit(points):
+def _fit(points: NDArray[np.float64]) -> tuple[AxisFit, NDArray[np.float64], NDArray[np.float64]]:
     fit = fit_axis(points, START, 1.3, sigma_m=0.01, order=4)
     offset, foot = axis_coordinates(points, fit.parameters, 1.3)
     return fit, offset, foot
 
 
-def test_independent_noise_shares_nothing():
+def test_independent_noise_shares_nothing() -> None:
     fit, offset, foot = _fit(_stem(np.random.default_rng(0)))
     spread = fit_spread(fit, offset, foot)
     assert spread.tau_m < 0.0006
     assert np.sqrt(spread.covariance[4, 4]) == pytest.approx(np.sqrt(fit.covariance[4, 4]), rel=0.5)
 
 
-def test_what_patches_share_is_found_and_does_not_average_away():
+def test_what_patches_share_is_found_and_does_not_average_away() -> None:
     rng = np.random.default_rng(1)
     points = _stem(rng, sigma_m=0.003)
     angle = np.arctan2(points[:, 1], points[:, 0])
@@ -44,7 +47,7 @@ def test_what_patches_share_is_found_and_does_not_average_away():
     assert spread.covariance[4, 4] > 4.0 * fit.covariance[4, 4]
 
 
-def test_shape_is_measured_where_seen_and_doubted_where_hidden():
+def test_shape_is_measured_where_seen_and_doubted_where_hidden() -> None:
     rng = np.random.default_rng(2)
     whole, *_ = _fit(_stem(rng, ovality=0.04))
     half, *_ = _fit(_stem(rng, ovality=0.04, arc_deg=170.0))
@@ -54,7 +57,7 @@ def test_shape_is_measured_where_seen_and_doubted_where_hidden():
     assert abs(half.radius_m - 0.15) < 3.0 * np.sqrt(half.covariance[4, 4])
 
 
-def test_strays_do_not_make_a_side_seen():
+def test_strays_do_not_make_a_side_seen() -> None:
     rng = np.random.default_rng(3)
     points = _stem(rng, arc_deg=180.0)
     strays = np.column_stack([-rng.uniform(0.12, 0.18, 12), rng.uniform(-0.1, 0.1, 12), rng.uniform(1.0, 1.6, 12)])
@@ -64,7 +67,7 @@ def test_strays_do_not_make_a_side_seen():
     assert seen[: len(points)].mean() > 0.97
 
 
-def test_a_hazy_side_is_told_from_a_sharp_one():
+def test_a_hazy_side_is_told_from_a_sharp_one() -> None:
     rng = np.random.default_rng(4)
     points = wall(rng, radius=0.15, spacing_m=0.012)
     hazy = points[:, 0] < -0.03
@@ -76,7 +79,7 @@ def test_a_hazy_side_is_told_from_a_sharp_one():
     assert (relative_noise(points[:, :2], rng.normal(0.0, 0.015, len(points))) < 1.3).all()
 
 
-def test_two_walls_run_together_by_noise_are_noticed_and_one_sided_noise_is_not():
+def test_two_walls_run_together_by_noise_are_noticed_and_one_sided_noise_is_not() -> None:
     rng = np.random.default_rng(5)
     one = _stem(rng, sigma_m=0.015)
     two = np.concatenate([one, _stem(rng, sigma_m=0.015) + np.array([0.04, 0.0, 0.0])])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from fsinfer.trees import find_ground
@@ -39,7 +40,7 @@ def test_a_surface_solves_its_equations(shape: tuple[int, int]) -> None:
                     row[(at[0] + side, at[1]) if axis == 0 else (at[0], at[1] + side)] = 1.0
                 differences.append(row.ravel())
     penalty = 2.0 * sum((np.outer(d, d) for d in differences), start=np.zeros((size, size))) + 1e-4 * np.eye(size)
-    surface = np.zeros(size)
+    surface: NDArray[np.floating] = np.zeros(size)
     for step in range(3):
         weight = 1.0 / (1.0 + ((height - surface[cell]) / 0.05) ** 2) if step else np.ones(len(cell))
         equations, target = penalty.copy(), np.zeros(size)

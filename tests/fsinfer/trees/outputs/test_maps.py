@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sqlite3
 import struct
+import sys
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -12,13 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsinfer.io.cloud import PointCloud, read_cloud, write_cloud
-from fsinfer.io.las import read_epsg
-from fsinfer.trees import PlotResult, TreeSettings, analyse_plot, stand_table
+from fsinfer.io.cloud import PointCloud, read_cloud
+from fsinfer.notices.notice import notice
+from fsinfer.notices.stems import StemCode
+from fsinfer.trees import PlotResult, analyse_plot, stand_table
 from fsinfer.trees.outputs.labels import label_points
-from fsinfer.trees.outputs.maps import to_wgs84, write_maps
+from fsinfer.trees.outputs.maps import write_maps
 from fsinfer.trees.stand import AREA_METHOD, NO_AREA
-from fsinfer.workflow.tree_stage import MAPS, write_no_trees, write_tree_outputs
+from fsinfer.workflow.tree_stage import MAPS, PlotCloudInput, measure_plot, no_trees
 from tests.support.stem_clouds import StemPlot, stem_plot
 
 
@@ -33,7 +35,8 @@ def result(plot: StemPlot) -> PlotResult:
 
 
 def test_geopackage_holds_every_tree_in_a_local_frame(tmp_path: Path, result: PlotResult) -> None:
-    unmeasured = replace(result.trees[0], tree_id=9, dbh_cm=None, reason="for the test, with a comma")
+    why = (notice(StemCode.as_written, text="for the test, with a comma"),)
+    unmeasured = replace(result.trees[0], tree_id=9, dbh_cm=None, reasons=why)
     paths = write_maps(tmp_path, [*result.trees, unmeasured])
     assert [path.name for path in paths] == ["trees.gpkg"]
     with closing(sqlite3.connect(paths[0])) as base:
@@ -49,32 +52,40 @@ def test_geopackage_holds_every_tree_in_a_local_frame(tmp_path: Path, result: Pl
         assert struct.unpack("<BIdd", blob[8:]) == (1, 1, tree.x_m, tree.y_m)
 
 
-def test_geojson_only_where_longitude_and_latitude_are_known(tmp_path: Path, result: PlotResult) -> None:
+def test_geojson_only_where_longitude_and_latitude_are_known(
+    tmp_path: Path, result: PlotResult, caplog: pytest.LogCaptureFixture
+) -> None:
     at_utm = [replace(tree, x_m=tree.x_m + 691_600.0, y_m=tree.y_m + 5_334_700.0) for tree in result.trees]
     write_maps(tmp_path, at_utm, epsg=32632)
     features = json.loads((tmp_path / "trees.geojson").read_text(encoding="utf-8"))["features"]
     assert len(features) == 4
     longitude, latitude = features[0]["geometry"]["coordinates"]
     assert (longitude, latitude) == (pytest.approx(11.577, abs=0.01), pytest.approx(48.137, abs=0.01))
-    # A frame that is not of WGS84 takes the old GeoJSON away instead of leaving a wrong one.
-    assert [p.name for p in write_maps(tmp_path, at_utm, epsg=25832)] == ["trees.gpkg"]
+    # A frame that nobody knows takes the old GeoJSON away instead of leaving a wrong one.
+    with caplog.at_level("WARNING"):
+        assert [p.name for p in write_maps(tmp_path, at_utm, epsg=99999)] == ["trees.gpkg"]
     assert not (tmp_path / "trees.geojson").exists()
+    assert "EPSG:99999" in caplog.text
 
 
-@pytest.mark.parametrize(
-    ("epsg", "x_m", "y_m", "longitude", "latitude"),
-    [
-        # The central meridian and the equator are where the projection says; 84 and 0 degrees check the two ends.
-        (32632, 500_000.0, 0.0, 9.0, 0.0),
-        (32732, 500_000.0, 10_000_000.0, 9.0, 0.0),
-        # One degree of the equator east of the meridian: 0.9996 a (lambda + lambda^3 (1 - e'^2...)/6): 611,280.8 m.
-        (32632, 611_280.7, 0.0, 10.0, 0.0),
-        # Meridian arc to 45 degrees on WGS84 is 4,984,944.38 m, times 0.9996.
-        (32632, 500_000.0, 4_984_944.378 * 0.9996, 9.0, 45.0),
-    ],
-)
-def test_utm_to_longitude_and_latitude(epsg: int, x_m: float, y_m: float, longitude: float, latitude: float) -> None:
-    assert to_wgs84(x_m, y_m, epsg) == (pytest.approx(longitude, abs=2e-5), pytest.approx(latitude, abs=1e-7))
+def test_etrs89_gets_a_geojson_where_pyproj_is(
+    tmp_path: Path, result: PlotResult, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    at_utm = [replace(tree, x_m=tree.x_m + 691_600.0, y_m=tree.y_m + 5_334_700.0) for tree in result.trees]
+    monkeypatch.setitem(sys.modules, "pyproj", None)
+    with caplog.at_level("WARNING"):
+        assert [p.name for p in write_maps(tmp_path, at_utm, epsg=25832)] == ["trees.gpkg"]
+    assert "pip install fsinfer[gis]" in caplog.text
+    monkeypatch.undo()
+    pytest.importorskip("pyproj")
+    assert [p.name for p in write_maps(tmp_path, at_utm, epsg=25832)] == ["trees.gpkg", "trees.geojson"]
+    etrs89 = json.loads((tmp_path / "trees.geojson").read_text(encoding="utf-8"))["features"]
+    write_maps(tmp_path, at_utm, epsg=32632)
+    wgs84 = json.loads((tmp_path / "trees.geojson").read_text(encoding="utf-8"))["features"]
+    # The two ellipsoids differ by a tenth of a millimetre.
+    for one, other in zip(etrs89, wgs84, strict=True):
+        assert one["geometry"]["coordinates"] == pytest.approx(other["geometry"]["coordinates"], abs=2e-8)
+        assert one["properties"] == other["properties"]
 
 
 def test_labels_follow_the_stems_and_nothing_else(plot: StemPlot, result: PlotResult) -> None:
@@ -83,6 +94,7 @@ def test_labels_follow_the_stems_and_nothing_else(plot: StemPlot, result: PlotRe
     assert set(np.unique(labels)) == {0, 1, 2, 3, 4}
     for tree in result.trees:
         own = plot.points[labels == tree.tree_id]
+        assert tree.dbh_cm is not None
         away = np.hypot(own[:, 0] - tree.x_m, own[:, 1] - tree.y_m)
         assert away.max() < 0.5 * tree.dbh_cm / 100.0 + 0.25
         assert len(own) > 1000
@@ -92,20 +104,22 @@ def test_labels_follow_the_stems_and_nothing_else(plot: StemPlot, result: PlotRe
 
 
 def test_outputs_are_written_and_taken_away_again(tmp_path: Path, plot: StemPlot) -> None:
-    values = write_tree_outputs(PointCloud(xyz=plot.points), tmp_path, settings=TreeSettings())
-    assert values["stand"]["stems"] == 4
-    assert values["plot_area_m2"] > 10.0
+    values = measure_plot(PlotCloudInput(cloud=PointCloud(xyz=plot.points)), tmp_path)
+    assert values.stand is not None
+    assert values.stand.stems == 4
+    assert values.plot_area_m2 is not None
+    assert values.plot_area_m2 > 10.0
     labelled = read_cloud(tmp_path / "trees.laz")
     assert len(labelled) == len(plot.points)
     assert set(np.unique(labelled.extra["TreeID"])) == {0, 1, 2, 3, 4}
-    write_no_trees(tmp_path, reason="for the test")
+    no_trees(tmp_path, reason=notice(StemCode.nothing_measured, error="for the test"))
     assert not any((tmp_path / name).exists() for name in MAPS)
 
 
 def test_without_a_scale_there_are_no_maps(tmp_path: Path, plot: StemPlot) -> None:
-    values = write_tree_outputs(PointCloud(xyz=plot.points), tmp_path, settings=TreeSettings(), metric=False)
-    assert values["trees"] == 4
-    assert values["plot_area_m2"] is None
+    values = measure_plot(PlotCloudInput(cloud=PointCloud(xyz=plot.points), metric=False), tmp_path)
+    assert values.trees == 4
+    assert values.plot_area_m2 is None
     assert not any((tmp_path / name).exists() for name in MAPS)
 
 
@@ -122,22 +136,3 @@ def test_stand_table(result: PlotResult) -> None:
 def test_plot_area_is_the_ground_that_was_seen(result: PlotResult) -> None:
     # Ground of 6.4 m square; closing rounds its edges up to the half-metre cells.
     assert 6.4**2 <= result.plot_area_m2 <= 7.6**2
-
-
-def test_a_las_without_a_frame_has_no_epsg(tmp_path: Path) -> None:
-    write_cloud(tmp_path / "cloud.laz", PointCloud(xyz=np.random.default_rng(0).uniform(0, 1, (10, 3))))
-    assert read_epsg(tmp_path / "cloud.laz") is None
-
-
-def test_epsg_from_geotiff_keys(tmp_path: Path) -> None:
-    import laspy
-
-    path = tmp_path / "utm.las"
-    header = laspy.LasHeader(point_format=3, version="1.2")
-    header.vlrs.append(laspy.vlrs.known.GeoKeyDirectoryVlr())
-    directory = header.vlrs[-1]
-    directory.parse_record_data(struct.pack("<12H", 1, 1, 0, 2, 1024, 0, 1, 1, 3072, 0, 1, 32632))
-    cloud = laspy.LasData(header)
-    cloud.x, cloud.y, cloud.z = np.zeros((3, 4))
-    cloud.write(path)
-    assert read_epsg(path) == 32632

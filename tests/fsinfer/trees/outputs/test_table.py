@@ -1,34 +1,45 @@
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fsinfer.errors import CloudError, InputError
+from fsinfer.notices.notice import notice, notice_of_json
+from fsinfer.notices.sentences import sentence
+from fsinfer.notices.stems import StemCode
 from fsinfer.trees import Tree, analyse_plot, measure_trees
+from fsinfer.trees.measure import PlotResult
 from fsinfer.trees.outputs.figures import write_figures
+from fsinfer.trees.outputs.reasons import write_reasons
 from fsinfer.trees.outputs.table import COLUMNS, read_trees, write_trees
 from tests.support.places import DATA
-from tests.support.stem_clouds import stem_plot
+from tests.support.stem_clouds import StemPlot, stem_plot
 
 CLOUDS = DATA / "clouds"
 
 
 @pytest.fixture(scope="module")
-def plot():
+def plot() -> StemPlot:
     return stem_plot(seed=8, trees=4, spacing_m=0.015, sigma_m=0.006, hidden=0.5, slope=0.1)
 
 
 @pytest.fixture(scope="module")
-def result(plot):
+def result(plot: StemPlot) -> PlotResult:
     return analyse_plot(plot.points)
 
 
-def test_columns_are_those_of_the_contract():
+def test_columns_are_those_of_the_contract() -> None:
     assert ",".join(COLUMNS) == (
         "tree_id,x_m,y_m,z_ground_m,dbh_cm,dbh_lo95_cm,dbh_hi95_cm,dbh_perimeter_cm,dbh_min_cm,dbh_max_cm,"
         "bh_m,arc_coverage,points,residual_cm,lean_deg,height_m,status,reason"
     )
 
 
-def test_table_round_trip(tmp_path, result):
+def test_table_round_trip(tmp_path: Path, result: PlotResult) -> None:
     unmeasured = Tree(
         **{name: None for name in COLUMNS if name.startswith(("dbh", "residual", "height"))},
         tree_id=9,
@@ -40,7 +51,7 @@ def test_table_round_trip(tmp_path, result):
         points=0,
         lean_deg=0.0,
         status="unmeasured",
-        reason="only 40 degrees, of the stem",
+        reasons=(notice(StemCode.as_written, text="only 40 degrees, of the stem; walk round it"),),
     )
     write_trees(tmp_path / "trees.csv", [*result.trees, unmeasured])
     back = read_trees(tmp_path / "trees.csv")
@@ -49,7 +60,32 @@ def test_table_round_trip(tmp_path, result):
     assert [tree.x_m for tree in back[:-1]] == pytest.approx([tree.x_m for tree in result.trees], abs=0.0006)
 
 
-def test_bad_cell_names_row_and_column(tmp_path, result):
+def test_reasons_are_written_as_codes_with_values_and_words(tmp_path: Path, result: PlotResult) -> None:
+    why = notice(StemCode.edges_alone, photos=5, refused=notice(StemCode.double_wall, gap_cm=3.04))
+    doubtful = replace(result.trees[0], status="doubtful", reasons=(why, notice(StemCode.too_little_seen, seen_deg=41)))
+    sound = replace(result.trees[1], status="ok", reasons=())
+    write_reasons(tmp_path / "trees.json", [doubtful, sound])
+    first, second = json.loads((tmp_path / "trees.json").read_text(encoding="utf-8"))
+    assert second == {"tree_id": 2, "status": "ok", "reasons": []}
+    assert (first["tree_id"], first["status"]) == (1, "doubtful")
+    assert first["reasons"] == [
+        {
+            "code": "edges_alone",
+            "values": {"photos": 5, "refused": {"code": "double_wall", "values": {"gap_cm": 3.04}}},
+            "text": "only from its edges in 5 photos (double wall: two surfaces 3.0 cm apart)",
+            "advises_revisit": False,
+        },
+        {
+            "code": "too_little_seen",
+            "values": {"seen_deg": 41},
+            "text": "only 41 degrees of the stem are seen; walk round it",
+            "advises_revisit": True,
+        },
+    ]
+    assert tuple(notice_of_json(entry) for entry in first["reasons"]) == doubtful.reasons
+
+
+def test_bad_cell_names_row_and_column(tmp_path: Path, result: PlotResult) -> None:
     path = tmp_path / "trees.csv"
     write_trees(path, result.trees[:1])
     lines = path.read_text().splitlines()
@@ -58,18 +94,18 @@ def test_bad_cell_names_row_and_column(tmp_path, result):
         read_trees(path)
 
 
-def test_empty_table_is_its_header(tmp_path):
+def test_empty_table_is_its_header(tmp_path: Path) -> None:
     write_trees(tmp_path / "trees.csv", [])
     assert read_trees(tmp_path / "trees.csv") == []
     assert (tmp_path / "trees.csv").read_text().strip() == ",".join(COLUMNS)
 
 
-def test_ids_count_from_one_and_runs_agree(plot, result):
+def test_ids_count_from_one_and_runs_agree(plot: StemPlot, result: PlotResult) -> None:
     assert [tree.tree_id for tree in result.trees] == [1, 2, 3, 4]
     assert measure_trees(plot.points) == list(result.trees)
 
 
-def test_far_from_the_origin_nothing_changes(plot, result):
+def test_far_from_the_origin_nothing_changes(plot: StemPlot, result: PlotResult) -> None:
     shift = np.array([4.5e5, 5.2e6, 300.0])
     moved = analyse_plot(plot.points + shift)
     for a, b in zip(result.trees, moved.trees, strict=True):
@@ -79,33 +115,34 @@ def test_far_from_the_origin_nothing_changes(plot, result):
         )
 
 
-def test_nan_points_are_left_out_with_a_warning(plot, result):
+def test_nan_points_are_left_out_with_a_warning(plot: StemPlot, result: PlotResult) -> None:
     dirty = np.concatenate([plot.points, [[np.nan, 0, 0], [0, np.inf, 0]]])
     found = analyse_plot(dirty)
-    assert any("2 points" in warning for warning in found.warnings)
+    assert notice(StemCode.not_finite, points=2) in found.warnings
     assert len(found.trees) == len(result.trees)
 
 
-def test_a_point_a_mile_away_does_not_matter(plot, result):
+def test_a_point_a_mile_away_does_not_matter(plot: StemPlot, result: PlotResult) -> None:
     found = analyse_plot(np.concatenate([plot.points, [[1609.0, 0.0, 0.0]]]))
-    assert any("far outside" in warning for warning in found.warnings)
+    assert notice(StemCode.far_outside, points=1) in found.warnings
     assert [tree.dbh_cm for tree in found.trees] == pytest.approx([tree.dbh_cm for tree in result.trees], abs=0.05)
 
 
-def test_without_scale_there_are_positions_and_no_dbh(plot, result):
+def test_without_scale_there_are_positions_and_no_dbh(plot: StemPlot, result: PlotResult) -> None:
     found = analyse_plot(3.0 * plot.points, metric=False, units_per_m_hint=3.0)
     assert len(found.trees) == len(result.trees)
     for tree, reference in zip(found.trees, result.trees, strict=True):
         assert tree.dbh_cm is None
-        assert tree.reason == "no scale"
+        assert tree.reasons == (notice(StemCode.no_scale),)
         assert tree.x_m == pytest.approx(3.0 * reference.x_m, abs=0.02)
 
 
-def test_bare_ground_is_a_result_with_a_diagnosis():
+def test_bare_ground_is_a_result_with_a_diagnosis() -> None:
     rng = np.random.default_rng(0)
     found = analyse_plot(np.column_stack([rng.uniform(0, 8, (20000, 2)), rng.normal(0, 0.01, 20000)]))
     assert found.trees == ()
-    assert found.diagnosis.startswith("no trees found")
+    assert found.diagnosis.code in {StemCode.none_at_stem_height, StemCode.none_holds, StemCode.none_round}
+    assert sentence(found.diagnosis).startswith("no trees found")
 
 
 @pytest.mark.parametrize(
@@ -127,28 +164,30 @@ def test_bare_ground_is_a_result_with_a_diagnosis():
         "map coordinates in single precision",
     ],
 )  # fmt: skip
-def test_bad_clouds_say_what_is_wrong(plot, make, message):
+def test_bad_clouds_say_what_is_wrong(
+    plot: StemPlot, make: Callable[[NDArray[np.float64]], NDArray[np.float64]], message: str
+) -> None:
     with pytest.raises(CloudError, match=message):
         analyse_plot(make(plot.points))
 
 
-def test_duplicate_points_change_little(plot, result):
+def test_duplicate_points_change_little(plot: StemPlot, result: PlotResult) -> None:
     twice = analyse_plot(np.concatenate([plot.points, plot.points]))
     assert [t.dbh_cm for t in twice.trees] == pytest.approx([t.dbh_cm for t in result.trees], abs=0.1)
 
 
-def test_stems_without_ground_are_measured_with_a_warning(plot):
+def test_stems_without_ground_are_measured_with_a_warning(plot: StemPlot) -> None:
     found = analyse_plot(plot.points[plot.points[:, 2] > 1.0])
-    assert any("little ground" in text for text in found.warnings)
+    assert notice(StemCode.little_ground) in found.warnings
 
 
-def test_a_canopy_alone_is_one_clear_message():
+def test_a_canopy_alone_is_one_clear_message() -> None:
     rng = np.random.default_rng(1)
     with pytest.raises(CloudError, match="no ground"):
         analyse_plot(np.column_stack([rng.uniform(0, 10, (40000, 2)), rng.normal(12, 1.5, 40000)]))
 
 
-def test_a_building_has_no_diameters():
+def test_a_building_has_no_diameters() -> None:
     rng = np.random.default_rng(2)
     count = 15000
     along, up = rng.uniform(0, 7, (4, count)), rng.uniform(0, 3, (4, count))
@@ -156,10 +195,10 @@ def test_a_building_has_no_diameters():
     walls += [np.column_stack([along[i + 2], np.full(count, side), up[i + 2]]) for i, side in enumerate((0.0, 7.0))]
     floor = np.column_stack([rng.uniform(0, 7, (count, 2)), np.zeros(count)])
     found = analyse_plot(np.concatenate([*walls, floor]) + rng.normal(0, 0.005, (5 * count, 3)))
-    assert all(tree.dbh_cm is None and tree.reason for tree in found.trees)
+    assert all(tree.dbh_cm is None and tree.reasons for tree in found.trees)
 
 
-def test_figures_are_written(tmp_path, result):
+def test_figures_are_written(tmp_path: Path, result: PlotResult) -> None:
     paths = write_figures(tmp_path, result)
     assert [path.name for path in paths] == ["stem_map.png", *[f"tree_{n:03d}.png" for n in range(1, 5)]]
     for path in paths:
@@ -169,7 +208,7 @@ def test_figures_are_written(tmp_path, result):
 
 @pytest.mark.skipif(not CLOUDS.exists(), reason="the clouds of ../shared/data are not here")
 @pytest.mark.parametrize(("name", "least", "most"), [("pine_plot.laz", 15, 19), ("LPine1_demo.laz", 14, 14)])
-def test_real_scans_work_with_defaults(name, least, most):
+def test_real_scans_work_with_defaults(name: str, least: int, most: int) -> None:
     laspy = pytest.importorskip("laspy")
     found = analyse_plot(laspy.read(CLOUDS / name).xyz)
     assert least <= len(found.trees) <= most

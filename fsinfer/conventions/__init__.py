@@ -1,0 +1,1 @@
+"""What forest mensuration has agreed on and several packages share; light to import."""

@@ -1,0 +1,76 @@
+"""Settings of the depth stage; light to import, for the command line shows their defaults."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+
+class Precision(StrEnum):
+    """Numbers that depth is computed with."""
+
+    auto = "auto"
+    float32 = "float32"
+    int8 = "int8"
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnsureSettings:
+    """Of the last step, in which unsure pixels follow their surroundings (:mod:`fsinfer.depth.median_filter`).
+
+    Attributes
+    ----------
+    below: confidence of a pixel that follows; at 0.5 leaves lose more than walls gain.
+    radius_px: half the side of the window, without its middle.
+    power: of the confidence, the weight of a pixel.
+    least_weight: added to it, so that a plain median is left where nobody is sure. Source: numerics.
+
+    Notes
+    -----
+    Source of the rest: saharov32 (84.5 to 85.5 % within 1 %) and test walks (flying pixels 2.7 to 2.4 %), compared in
+    models/README.md; neither is blind to it.
+    """
+
+    below: float = 0.35
+    radius_px: int = 3
+    power: float = 4.0
+    least_weight: float = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthSettings:
+    """Settings of the stage.
+
+    Attributes
+    ----------
+    model: name of a shipped model or path of a manifest. Source: option; the only one that is shipped.
+    source_views: sources for each reference view, best first; N of MVSNet is this plus one. Source: option; saharov32,
+        on which seven sources gave 82.8 instead of 83.3 % within 1 %, and took half as long again.
+    max_size_px: longer side of the image given to the network; larger photographs are reduced to it. Source: option;
+        what a laptop computes in 1.5 s a view.
+    min_far_over_near: the far bound is at least this many times the near one. Camera files often hold a range cut to
+        the subject, and whatever stands behind it would be given a wrong depth; with planes uniform in 1/depth all that
+        lies beyond seven times the near bound takes a seventh of them at most. Source: saharov32, whose median error
+        fell from 0.27 to 0.11 %.
+    max_far_over_near: the near bound is at least the far one divided by this. A leaf right before the lens would draw
+        the planes to itself: from 0.2 m on they lie half a metre apart at 4 m. What is nearer is lost instead, so the
+        bound must stay nearer than the trunks beside the path. Source: a rendered plot, on which 30 lost those within
+        1.5 m of the camera and the RMSE of the DBH went from 0.45 to 1.71 cm; renders only.
+    unsure: of the last step.
+    threads: 0 uses every core. Source: option.
+    memory_gb: limit of the resident memory, 1e9 bytes; fewer feature maps are kept where it is tight, and depth is
+        computed in tiles where a whole map does not fit. Source: option; leaves a laptop of 8 GB usable.
+    provider: of onnxruntime, see :mod:`fsinfer.depth.session`. Source: option.
+    precision: of the regularizer, one of :class:`Precision`, see :mod:`fsinfer.depth.precision`. Source: option.
+    """
+
+    model: str = "field"
+    source_views: int = 4
+    max_size_px: int = 1280
+    min_far_over_near: float = 7.0
+    max_far_over_near: float = 100.0
+    unsure: UnsureSettings = field(default_factory=UnsureSettings)
+    threads: int = 0
+    memory_gb: float = 3.0
+    provider: str = "cpu"
+    precision: str = Precision.auto.value

@@ -1,0 +1,56 @@
+"""Every setting of the poses stage."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+
+from fsinfer.poses.pairs import PairSettings
+from fsinfer.poses.refinement import FEATURE_SIZE_PX, RefinementSettings
+from fsinfer.poses.view_selection import SelectionSettings
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseSettings:
+    """How poses are found.
+
+    Attributes
+    ----------
+    max_image_size: longer side at which features are found, pixels. Source: 23 phone photos of 2016x1512, all of which
+        are registered at it.
+    double_below_px: photos whose longer side is shorter are doubled before looking for features, as COLMAP does with
+        all. Source: the rendered video of 1280x720; doubled, its photos give four times the features, the smallest of
+        them, matching takes 15 times as long, and the walk tore in two places, which it did not without; renders only.
+    max_features: per photo, about; the smallest features go first. Source: judgement; COLMAP's default is
+        8192, and matching grows with its square.
+    pairs: which photos are matched with which.
+    default_focal_factor: focal length over longer side where the photo does not tell; it is refined from the photos.
+        Source: a phone's main camera of 26-28 mm equivalent has 0.72-0.78, and video is cropped.
+    mapper: ``incremental`` (robust) or ``global`` (GLOMAP). Source: option; 200 photos of a rendered plot, of which it
+        placed 188 within 5 cm and the global one 170; renders only.
+    min_registered: fewer photos than this in the largest model are no result. Source: a third photo is the first that
+        can contradict two.
+    refinement: of the last adjustment of the model.
+    selection: of source views and depth ranges.
+    sources: at most this many source views in ``pair.txt``. Source: MVSNet (Yao et al. 2018) writes 10.
+    jpeg_quality: of the undistorted images. Source: numerics; the coding is not seen.
+    threads: 0 for one per core. Source: option.
+    """
+
+    max_image_size: int = FEATURE_SIZE_PX
+    double_below_px: int = 1000
+    max_features: int = 6000
+    pairs: PairSettings = field(default_factory=PairSettings)
+    default_focal_factor: float = 0.9
+    mapper: str = "incremental"
+    min_registered: int = 3
+    refinement: RefinementSettings = field(default_factory=RefinementSettings)
+    selection: SelectionSettings = field(default_factory=SelectionSettings)
+    sources: int = 10
+    jpeg_quality: int = 95
+    threads: int = 0
+
+    @property
+    def thread_count(self) -> int:
+        """Threads really used."""
+        return self.threads if self.threads > 0 else (os.cpu_count() or 1)

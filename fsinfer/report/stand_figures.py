@@ -1,0 +1,69 @@
+"""The figures of the stand: from ``plot.json`` where a run gave them, else from the diameters in ``trees.csv``."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+
+from fsinfer.report.contents import Contents, number
+from fsinfer.report.number_table import NumberTable
+from fsinfer.trees.stand import StandTable, stand_of_diameters
+
+# Width of the diameter classes of the stand table: inventories use 2, 4 or 5 cm.
+CLASS_CM = 5
+
+
+def stand_of(contents: Contents) -> StandTable:
+    """The stand's figures; a table that was changed since the run counts for itself."""
+    dbh_cm = [number(tree.get("dbh_cm")) for tree in contents.trees or ()]
+    own = stand_of_diameters(dbh_cm, max(number(contents.plot.get("plot_area_m2")) or 0.0, 0.0))
+    given = contents.plot.get("stand")
+    if not isinstance(given, dict) or (given.get("stems"), given.get("measured")) != (own.stems, own.measured):
+        return own
+    return StandTable(
+        stems=own.stems,
+        measured=own.measured,
+        plot_area_m2=number(given.get("plot_area_m2")) or 0.0,
+        area_method=str(given.get("area_method") or own.area_method),
+        stems_per_ha=number(given.get("stems_per_ha")),
+        basal_area_m2_per_ha=number(given.get("basal_area_m2_per_ha")),
+        quadratic_mean_dbh_cm=number(given.get("quadratic_mean_dbh_cm")),
+        mean_dbh_cm=number(given.get("mean_dbh_cm")),
+    )
+
+
+def diameters_cm(contents: Contents) -> list[float]:
+    """DBH of the measured stems."""
+    return [d for tree in contents.trees or () if (d := number(tree.get("dbh_cm"))) is not None]
+
+
+def basal_area_m2(dbh_cm: Sequence[float]) -> float:
+    """Sum of pi/4 DBH^2."""
+    return math.pi / 4 * sum((d / 100) ** 2 for d in dbh_cm)
+
+
+def class_table(contents: Contents, stand: StandTable) -> NumberTable | None:
+    """Stems and basal area by classes of diameter; None where no stem has one."""
+    dbh_cm = diameters_cm(contents)
+    if not dbh_cm:
+        return None
+    per_hectare = 10_000 / stand.plot_area_m2 if stand.plot_area_m2 > 0 else None
+    head = ["DBH class (cm)", "Stems", "Basal area (m²)"]
+    if per_hectare is not None:
+        head += ["Stems per ha", "Basal area (m²/ha)"]
+    counted = Counter(int(d // CLASS_CM) for d in dbh_cm)
+    rows = []
+    for k in range(min(counted), max(counted) + 1):
+        own = [d for d in dbh_cm if int(d // CLASS_CM) == k]
+        rows.append(_class_row(f"{k * CLASS_CM} to under {(k + 1) * CLASS_CM}", own, per_hectare))
+    rows.append(_class_row("All with a DBH", dbh_cm, per_hectare))
+    return NumberTable(title="Stand table", head=tuple(head), rows=tuple(rows), total=True)
+
+
+def _class_row(name: str, dbh_cm: Sequence[float], per_hectare: float | None) -> tuple[str, ...]:
+    basal_m2 = basal_area_m2(dbh_cm)
+    row = (name, str(len(dbh_cm)), f"{basal_m2:.3f}")
+    if per_hectare is None:
+        return row
+    return (*row, f"{len(dbh_cm) * per_hectare:.0f}", f"{basal_m2 * per_hectare:.1f}")

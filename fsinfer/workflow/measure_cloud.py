@@ -1,0 +1,307 @@
+"""``fsinfer trees``: the trees of a cloud file of any origin, and of any size."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.errors import CloudError, ScaleError
+from fsinfer.geometry.similarity import scale_of
+from fsinfer.io.chunks import ChunkedCloud, open_chunks
+from fsinfer.io.cloud import PointCloud, read_cloud
+from fsinfer.io.digest import file_digest
+from fsinfer.io.files import make_folder
+from fsinfer.io.las import read_epsg
+from fsinfer.notices.capture import CaptureCode
+from fsinfer.notices.notice import Notice, notice
+from fsinfer.output.json_values import of_json
+from fsinfer.output.plot_json import package_versions, read_plot
+from fsinfer.placement.place import density_per_m2, transform_cloud
+from fsinfer.progress import Progress, silent
+from fsinfer.scale.find import FoundScale, find_scale
+from fsinfer.scale.request import ScaleRequest
+from fsinfer.scale.scale import UNKNOWN, MarkerDetails, Scale, marker_centers
+from fsinfer.scene import read_scene, scene_digest
+from fsinfer.silhouettes.join import StemPhotos
+from fsinfer.trees import PlotResult
+from fsinfer.trees.edits import find_edits
+from fsinfer.trees.outputs.labels import write_labelled
+from fsinfer.trees.sanity import TurnedCloudError
+from fsinfer.trees.thinning import ThinningSettings, thin_while_reading
+from fsinfer.workflow.ledger import RECORDS_FOLDER, Ledger, Stage, StageRecord
+from fsinfer.workflow.settings import speedless
+from fsinfer.workflow.summary import (
+    MODEL_UNITS,
+    SCENE_UNITS,
+    no_scale_once,
+    tree_values,
+    update_plot,
+    warning_values,
+)
+from fsinfer.workflow.tree_stage import PlotCloudInput, TreesResult, TreeStageSettings, measure_plot
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasuredCloud:
+    """What was measured in a cloud file.
+
+    Attributes
+    ----------
+    trees: of the tree stage; its warnings hold those of the scale and of reading, too.
+    scale: metres per unit of the file; unknown where it was taken as it is.
+    metric: whether the unit is the metre.
+    points: of the file, before thinning.
+    density_per_m2: None without a scale.
+    """
+
+    trees: TreesResult
+    scale: Scale
+    metric: bool
+    points: int
+    density_per_m2: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasureSettings:
+    """Of the tree stage, and of thinning for files that are too large."""
+
+    stage: TreeStageSettings = field(default_factory=TreeStageSettings)
+    thinning: ThinningSettings = field(default_factory=ThinningSettings)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Origin:
+    """What ``plot.json`` beside a cloud says of it; everything None where there is none."""
+
+    units: str | None = None
+    scale_rel_std: float | None = None
+    camera_height: float | None = None
+    cloud_from_scene: NDArray[np.float64] | None = None
+    markers: Scale = UNKNOWN
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Opened:
+    """The points to measure, in metres where the scale is known; ``points`` are those of the whole file."""
+
+    cloud: PointCloud
+    points: int
+    labelled: Callable[[Path, PlotResult], None] | None = None
+    warnings: tuple[Notice, ...] = ()
+
+
+MEASURE = Stage(name="measure", version=1, result=MeasuredCloud, outputs=("trees.csv",))
+
+
+def measure_cloud_file(
+    cloud_path: Path,
+    out: Path,
+    *,
+    request: ScaleRequest,
+    settings: MeasureSettings | None = None,
+    edits: Path | None = None,
+    progress: Progress = silent,
+) -> StageRecord[MeasuredCloud]:
+    """Measure the trees of a cloud file (z up) into ``out``, unless that was done before.
+
+    Files of more than ``settings.thinning.max_points`` points are read in pieces and thinned, which the warnings say.
+
+    ``edits`` are corrections of the stem map by hand; without it ``edits.csv`` in ``out``, where there is one.
+
+    The cloud is taken to be in metres, unless ``plot.json`` beside it says that it has no scale and none is given
+    here: then trees get positions in model units and no DBH, and the warnings say why.
+
+    Raises
+    ------
+    CloudError
+        The file is no cloud.
+    ScaleError
+        ArUco markers were asked for, and ``out`` has no scene that the cloud came from.
+    """
+    settings = settings or MeasureSettings()
+    _refuse_fused(cloud_path)
+    corrections = find_edits(out, edits)
+    chunks = _large(cloud_path, settings.thinning)
+    origin = _read_origin(cloud_path.parent)
+    found = _cloud_scale(request, cloud_path, out, origin)
+    make_folder(out)
+    photos = _own_photos(cloud_path, origin, found.scale.m_per_unit or 1.0)
+
+    def work(_resume: bool) -> MeasuredCloud:
+        # Nothing said and nothing known to the contrary: other people's clouds are in metres.
+        metric = found.scale.m_per_unit is not None or origin.units != MODEL_UNITS
+        opened = _open(cloud_path, chunks, found.scale.m_per_unit or 1.0, settings.thinning, progress)
+        given = PlotCloudInput(
+            cloud=opened.cloud,
+            metric=metric,
+            scale_rel_std=(found.scale.rel_std if found.scale.rel_std is not None else origin.scale_rel_std) or 0.0,
+            camera_height=origin.camera_height,
+            marker_xyz=None if photos is None else marker_centers(origin.markers, photos.cloud_from_scene),
+            epsg=_epsg(cloud_path, found.scale),
+            photos=photos,
+            edits=corrections,
+            write_labelled=opened.labelled,
+        )
+        trees, given, turned = _measure(given, out, settings.stage, progress)
+        said = (*found.warnings, *opened.warnings, *turned)
+        trees = replace(trees, warnings=(*said, *no_scale_once(said, trees.warnings)))
+        density = density_per_m2(given.cloud.xyz) if metric else None
+        return MeasuredCloud(
+            trees=trees,
+            scale=found.scale,
+            metric=metric,
+            points=opened.points,
+            # Thinning leaves something in every cell: the area is that of the whole cloud.
+            density_per_m2=None if density is None else density * opened.points / len(given.cloud.xyz),
+        )
+
+    inputs = {
+        "cloud": file_digest(cloud_path),
+        "origin": origin,
+        "scale": found,
+        "settings": speedless(settings),
+        "edits": corrections,
+        "photos": None if photos is None else [scene_digest(photos.scene), *_depth_index(photos.depth_folder)],
+    }
+    record = Ledger(out).run(MEASURE, work, inputs=inputs)
+    _tell(record, cloud_path, out)
+    return record
+
+
+def _refuse_fused(cloud_path: Path) -> None:
+    if cloud_path.parent.name == "fused" and (cloud_path.parent.parent / RECORDS_FOLDER).is_dir():
+        finished = cloud_path.parent.parent / "cloud.ply"
+        msg = f"{cloud_path} is what a run made before it knew what is up and how long a metre is; give {finished}"
+        raise CloudError(msg)
+
+
+def _large(cloud_path: Path, thinning: ThinningSettings) -> ChunkedCloud | None:
+    """The file as pieces, where it is too large to be read as a whole."""
+    chunked = open_chunks(cloud_path)
+    return chunked if chunked is not None and chunked.points > thinning.max_points else None
+
+
+def _open(
+    cloud_path: Path, chunks: ChunkedCloud | None, factor: float, thinning: ThinningSettings, progress: Progress
+) -> _Opened:
+    """Read the cloud, thinned while reading where it is large; ``factor`` metres make a unit of the file."""
+    if chunks is None:
+        cloud = read_cloud(cloud_path)
+        points = len(cloud.xyz)
+        if factor != 1.0:
+            cloud = transform_cloud(cloud, np.diag([factor, factor, factor, 1.0]))
+        return _Opened(cloud=cloud, points=points)
+    large = replace(chunks, factor=factor)
+    thinned = thin_while_reading(large, settings=thinning, progress=progress)
+    return _Opened(
+        cloud=PointCloud(xyz=thinned.xyz),
+        points=thinned.total,
+        labelled=partial(write_labelled, large),
+        warnings=thinned.warnings,
+    )
+
+
+def _measure(
+    given: PlotCloudInput, out: Path, settings: TreeStageSettings, progress: Progress
+) -> tuple[TreesResult, PlotCloudInput, tuple[Notice, ...]]:
+    """The trees; a cloud whose z is not up is turned once, which is told, and has left the frame of its header."""
+    try:
+        return measure_plot(given, out, settings=settings, progress=progress), given, ()
+    except TurnedCloudError as error:
+        if given.write_labelled is not None or given.photos is not None:
+            raise
+        turn = np.eye(4)
+        turn[:3, :3] = error.turn
+        turned = replace(given, cloud=transform_cloud(given.cloud, turn), epsg=None)
+        return measure_plot(turned, out, settings=settings, progress=progress), turned, (error.warning,)
+
+
+def _tell(record: StageRecord[MeasuredCloud], cloud_path: Path, out: Path) -> None:
+    """Put into ``plot.json`` what was found."""
+    found = record.result
+    scale = found.scale
+    values = tree_values(found.trees)
+    values["trees_scale"] = {"m_per_unit": scale.m_per_unit, "source": scale.source, "rel_std": scale.rel_std}
+    before = read_plot(out)
+    own_cloud = cloud_path.resolve().parent == out.resolve()
+    # A cloud of unknown unit that was measured as it is was taken to be in metres.
+    taken = before.get("units") == SCENE_UNITS and (scale.m_per_unit or 1.0) == 1.0
+    if not own_cloud or "units" not in before or taken:
+        values |= {
+            "units": "m" if found.metric else MODEL_UNITS,
+            "points": found.points,
+            "density_per_m2": found.density_per_m2,
+            "versions": package_versions(),
+        }
+        values |= warning_values(found.trees.warnings)
+    update_plot(out, source=cloud_path.name, stage="trees", seconds=record.seconds, values=values)
+
+
+def _read_origin(folder: Path) -> _Origin:
+    plot = read_plot(folder)
+    similarity = plot.get("cloud_from_scene")
+    return _Origin(
+        units=plot.get("units"),
+        scale_rel_std=plot.get("scale_rel_std"),
+        camera_height=plot.get("camera_height"),
+        cloud_from_scene=None if similarity is None else np.asarray(similarity, dtype=np.float64),
+        markers=_markers(plot.get("scale_details")),
+    )
+
+
+def _markers(details: Any) -> Scale:
+    """The markers that ``plot.json`` tells of."""
+    try:
+        return replace(UNKNOWN, details=of_json(MarkerDetails, details))
+    except (TypeError, ValueError, KeyError):
+        return UNKNOWN
+
+
+def _epsg(cloud_path: Path, scale: Scale) -> int | None:
+    """Code of the frame that the header names; a cloud that had to be scaled is not in it."""
+    in_frame = cloud_path.suffix.lower() in (".las", ".laz") and (scale.m_per_unit or 1.0) == 1.0
+    return read_epsg(cloud_path) if in_frame else None
+
+
+def _own_photos(cloud_path: Path, origin: _Origin, factor: float) -> StemPhotos | None:
+    """The photographs of the run that made the cloud, if they still lie beside it."""
+    folder = cloud_path.parent
+    scene = (folder / "scene" / part for part in ("cams", "images", "pair.txt"))
+    parts = (*scene, folder / "depth" / "depth.json", folder / "confidence")
+    known = origin.cloud_from_scene is not None and cloud_path.name in ("cloud.ply", "cloud.laz")
+    if not known or not all(part.exists() for part in parts):
+        return None
+    scaled = np.diag([factor, factor, factor, 1.0]) @ origin.cloud_from_scene
+    return StemPhotos(scene=read_scene(folder / "scene"), depth_folder=folder, cloud_from_scene=scaled)
+
+
+def _depth_index(folder: Path) -> list[str]:
+    return [file_digest(folder / "depth" / "depth.json")]
+
+
+def _cloud_scale(request: ScaleRequest, cloud_path: Path, out: Path, origin: _Origin) -> FoundScale:
+    """Metres per unit of the cloud file; unknown where nothing was asked for."""
+    if not request.given:
+        unscaled = origin.units == MODEL_UNITS
+        return FoundScale(scale=UNKNOWN, warnings=(notice(CaptureCode.no_scale_given),) if unscaled else ())
+    if request.aruco_length_m is None:
+        return find_scale(request, scene=None)
+    own = cloud_path.resolve().parent == out.resolve() and (out / "scene").is_dir()
+    if origin.cloud_from_scene is None or not own:
+        msg = (
+            f"--aruco-length-m looks for markers in the photos, and {out} has no scene that {cloud_path} came from; "
+            "use it with fsinfer run, or give --scale or --endpoints with --length-m"
+        )
+        raise ScaleError(msg)
+    found = find_scale(request, scene=read_scene(out / "scene"))
+    if found.scale.m_per_unit is None:
+        return found
+    # The markers give metres per unit of the scene; the cloud may have been scaled since.
+    per_cloud = found.scale.m_per_unit / scale_of(origin.cloud_from_scene)
+    return replace(found, scale=replace(found.scale, m_per_unit=per_cloud))

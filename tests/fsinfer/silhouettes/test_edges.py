@@ -1,0 +1,130 @@
+"""Edges of a stem in photographs: where a ray grazes it, by geometry."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fsinfer.depth.maps import DepthMaps
+from fsinfer.io.images import write_image
+from fsinfer.io.pfm import write_pfm
+from fsinfer.scene import Camera, Scene, read_scene, write_camera, write_pairs
+from fsinfer.silhouettes.edges import EdgeSettings, StemAxis, Strip, find_edges, normal_angles, strips_of_photo
+
+WIDTH, HEIGHT, FOCAL, RADIUS, DISTANCE_M = 300, 200, 400.0, 0.15, 1.2
+STEM = StemAxis(breast=np.array([0.0, 0.0, 1.3]), along=np.array([0.0, 0.0, 1.0]), radius_m=0.16, taper=0.0)
+
+
+def looking_at_the_axis(angle: float) -> Camera:
+    """A level camera 1.2 m from the stem at breast height."""
+    toward = -np.array([np.cos(angle), np.sin(angle), 0.0])
+    down = np.array([0.0, 0.0, -1.0])
+    pose = np.eye(4)
+    pose[:3, :3] = [np.cross(down, toward), down, toward]
+    pose[:3, 3] = -pose[:3, :3] @ (np.array([0.0, 0.0, 1.3]) - DISTANCE_M * toward)
+    intrinsic = np.array([[FOCAL, 0, 149.5], [0, FOCAL, 99.5], [0, 0, 1]])
+    return Camera(intrinsic=intrinsic, cam_from_world=pose, depth_min=0.5, depth_max=50.0)
+
+
+def write_plot(folder: Path, *, screen: float = 0.0, units_per_m: float = 1.0) -> Scene:
+    """Two photographs, a quarter turn apart, of a brown stem before green; ``screen``: share of rows hidden."""
+    fine = (np.arange(WIDTH * 8) + 0.5) / 8 - 0.5
+    half_px = FOCAL * np.tan(np.arcsin(RADIUS / DISTANCE_M))
+    row = np.where((np.abs(fine - 149.5) <= half_px)[:, None], [110.0, 80.0, 60.0], [70.0, 130.0, 60.0])
+    row = row.reshape(WIDTH, 8, 3).mean(axis=1)
+    grain = np.random.default_rng(0).normal(0, 2, (HEIGHT, WIDTH, 1))
+    depth = np.where(np.abs(np.arange(WIDTH) - 149.5) < half_px, DISTANCE_M - RADIUS, 30.0)
+    for index in range(2):
+        seen = looking_at_the_axis(0.3 + np.pi / 2 * index)
+        pose = seen.cam_from_world.copy()
+        pose[:3, 3] *= units_per_m
+        camera = Camera(intrinsic=seen.intrinsic, cam_from_world=pose, depth_min=0.1, depth_max=100.0)
+        write_image(folder / "images" / f"p{index}.png", (row[None] + grain).clip(0, 255).astype(np.uint8))
+        write_camera(folder / "cams" / f"p{index}_cam.txt", camera)
+        maps = np.broadcast_to(units_per_m * depth, (HEIGHT, WIDTH)).astype(np.float32)
+        maps[: round(screen * HEIGHT)] = units_per_m * 0.6
+        write_pfm(folder / "depth" / f"p{index}.pfm", maps)
+        write_pfm(folder / "confidence" / f"p{index}.pfm", np.ones_like(maps))
+    (folder / "depth" / "depth.json").write_text(json.dumps({"pixel_step_x": 1, "pixel_step_y": 1}))
+    write_pairs(folder / "pair.txt", {0: [(1, 1.0)], 1: [(0, 1.0)]})
+    return read_scene(folder)
+
+
+@pytest.mark.parametrize("units_per_m", [1.0, 0.25])
+def test_the_strongest_edges_are_where_rays_graze_the_stem(tmp_path: Path, units_per_m: float) -> None:
+    scene = write_plot(tmp_path, units_per_m=units_per_m)
+    metres = np.diag([1 / units_per_m] * 3 + [1.0])
+    strips: list[tuple[int, Strip]] = []
+    (edges,) = find_edges(
+        [STEM], scene, DepthMaps(scene, tmp_path), metres, on_strip=lambda n, strip: strips.append((n, strip))
+    )
+    assert [(number, strip.photo) for number, strip in strips] == [(0, 0), (0, 1)]
+    for _, strip in strips:
+        assert strip.distance_m == pytest.approx(DISTANCE_M)
+        assert strip.pixel_m == pytest.approx(DISTANCE_M / FOCAL)
+    best = [np.flatnonzero(edges.ray == ray)[np.argmax(edges.strength[edges.ray == ray])] for ray in set(edges.ray)]
+    assert len(best) == 2 * 2 * 6  # photographs, sides, bands
+    # A pixel is 3 mm here; the place where the ray crosses the strip is 1.2 mm farther out than the stem reaches.
+    np.testing.assert_allclose(edges.support_m[best], RADIUS, atol=0.0007)
+    # The normal of a grazed edge is square to the ray: by the half angle under which the stem is seen less than 90
+    # degrees away from the direction to the camera.
+    spread = np.pi / 2 - np.arcsin(RADIUS / DISTANCE_M)
+    for photo, towards in ((0, 0.3), (1, 0.3 + np.pi / 2)):
+        own = [b for b in best if edges.photo[b] == photo]
+        away = np.angle(np.exp(1j * (edges.angle_rad[own] - towards)))
+        assert (away > 0).sum() == (away < 0).sum()
+        np.testing.assert_allclose(np.abs(away), spread, atol=0.001)
+
+
+@pytest.mark.parametrize(("screen", "seen"), [(0.1, True), (0.4, False), (1.0, False)])
+def test_a_stem_behind_something_nearer_gives_no_edges(tmp_path: Path, screen: float, seen: bool) -> None:
+    scene = write_plot(tmp_path, screen=screen)
+    (edges,) = find_edges([STEM], scene, DepthMaps(scene, tmp_path), np.eye(4))
+    assert (len(edges.support_m) > 0) == seen
+
+
+def test_a_stem_too_far_or_too_thin_in_the_photograph_is_left_out(tmp_path: Path) -> None:
+    scene = write_plot(tmp_path)
+    maps = DepthMaps(scene, tmp_path)
+    radius_px = FOCAL * STEM.radius_m / DISTANCE_M
+    for limits, seen in (
+        (EdgeSettings(max_distance_m=DISTANCE_M + 0.01, min_radius_px=radius_px - 1), 1),
+        (EdgeSettings(max_distance_m=DISTANCE_M - 0.01), 0),
+        (EdgeSettings(min_radius_px=radius_px + 1), 0),
+    ):
+        assert len(strips_of_photo([STEM], 0, scene, maps, np.eye(4), settings=limits)) == seen
+
+
+def test_a_stem_that_is_not_there_or_beside_the_picture_is_left_out(tmp_path: Path) -> None:
+    scene = write_plot(tmp_path)
+    maps = DepthMaps(scene, tmp_path)
+    for place in ([0.4, 0.0], [-4.0, -1.0], [0.0, 3.0]):
+        other = StemAxis(breast=np.array([*place, 1.3]), along=STEM.along, radius_m=0.16, taper=0.0)
+        assert strips_of_photo([other], 0, scene, maps, np.eye(4)) == []
+    assert [number for number, _ in strips_of_photo([other, STEM], 0, scene, maps, np.eye(4))] == [1]
+
+
+@given(lean_x=st.floats(-0.4, 0.4), lean_y=st.floats(-0.4, 0.4))
+def test_the_axes_across_a_stem_are_square_to_it_and_to_each_other(lean_x: float, lean_y: float) -> None:
+    along = np.array([lean_x, lean_y, 1.0]) / np.sqrt(lean_x**2 + lean_y**2 + 1)
+    first, second = StemAxis(breast=np.zeros(3), along=along, radius_m=0.1, taper=0.0).across
+    np.testing.assert_allclose(
+        np.stack([first, second, along]) @ np.stack([first, second, along]).T, np.eye(3), atol=1e-12
+    )
+    assert np.linalg.det(np.stack([first, second, along])) > 0
+    assert first[1] == pytest.approx(-along[0] * along[1] / np.sqrt(1 - along[0] ** 2))
+
+
+def test_angles_of_normals_count_from_the_first_axis_to_the_second() -> None:
+    # Seen from +x the right-hand side is +y: the normal of a thin stem's right edge points there.
+    strip = Strip(
+        photo=0, image=np.zeros((1, 1, 3), np.float32), heights_m=np.zeros(1), offsets_m=np.zeros(1),
+        right=np.array([0.0, 1.0, 0.0]), towards=np.array([1.0, 0.0, 0.0]), distance_m=2.0, pixel_m=0.01,
+    )  # fmt: skip
+    angles = normal_angles(strip, STEM, np.array([1e-9, -1e-9]), np.array([1.0, -1.0]))
+    np.testing.assert_allclose(angles, [np.pi / 2, -np.pi / 2], atol=1e-6)

@@ -1,0 +1,100 @@
+"""From a cloud to the stand table: frames, units, and one sentence on why there is nothing where there is nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fsinfer.errors import CloudError
+from fsinfer.notices.notice import notice
+from fsinfer.notices.sentences import sentence
+from fsinfer.notices.stems import StemCode
+from fsinfer.trees import PlotResult, TreeSettings, analyse_plot, measure_trees
+from fsinfer.trees.measure import trees_found
+from tests.support.stem_clouds import StemPlot, stem_plot
+
+
+@pytest.fixture(scope="module")
+def plot() -> StemPlot:
+    return stem_plot(seed=3, trees=2, spacing_m=0.03, top_m=3.0, slope=0.1, bumps_m=0.3)
+
+
+@pytest.fixture(scope="module")
+def result(plot: StemPlot) -> PlotResult:
+    return analyse_plot(plot.points)
+
+
+def ground(seed: int = 0, count: int = 8000) -> NDArray[np.float64]:
+    rng = np.random.default_rng(seed)
+    return np.column_stack([rng.uniform(0, 8, (count, 2)), rng.normal(0, 0.01, count)])
+
+
+def test_trees_stand_where_they_are_on_their_own_ground(plot: StemPlot, result: PlotResult) -> None:
+    assert result.diagnosis == notice(StemCode.trees_found, trees=2, measured=2) == trees_found(result.trees)
+    assert result.ground is not None
+    assert result.ground.method == "plane + raster"
+    assert len(result.sections) == 2
+    for tree in result.trees:
+        nearest = np.argmin(np.hypot(*(plot.xy - [tree.x_m, tree.y_m]).T))
+        assert tree.dbh_cm == pytest.approx(plot.dbh_cm[nearest], abs=0.5)
+        assert np.hypot(*(plot.xy[nearest] - [tree.x_m, tree.y_m])) < 0.02
+        below = float(result.ground.height_at(np.array([[tree.x_m, tree.y_m]]))[0])
+        assert tree.z_ground_m == pytest.approx(below, abs=1e-9)
+    assert measure_trees(plot.points) == list(result.trees)
+
+
+def test_the_grid_of_a_country_moves_everything_and_changes_nothing_else(plot: StemPlot, result: PlotResult) -> None:
+    shift = np.array([600_000.0, 5_400_000.0, 0.0])
+    moved = analyse_plot(plot.points + shift)
+    for before, after in zip(result.trees, moved.trees, strict=True):
+        assert (after.x_m, after.y_m) == pytest.approx((before.x_m + shift[0], before.y_m + shift[1]), abs=0.002)
+        assert after.dbh_cm == pytest.approx(before.dbh_cm, abs=0.02)
+        assert after.z_ground_m == pytest.approx(before.z_ground_m, abs=0.01)
+    np.testing.assert_allclose(moved.extent_m, np.array(result.extent_m) + np.tile(shift[:2], 2), atol=0.01)
+    assert moved.plot_area_m2 == pytest.approx(result.plot_area_m2, rel=0.05)
+
+
+def test_without_a_scale_there_are_places_but_no_sizes(plot: StemPlot, result: PlotResult) -> None:
+    units = analyse_plot(plot.points / 4, metric=False, units_per_m_hint=0.25)
+    assert units.units_per_m == 0.25
+    assert units.plot_area_m2 == 0.0
+    assert units.warnings[-1].code == StemCode.model_units
+    for tree, metric in zip(units.trees, result.trees, strict=True):
+        assert (tree.dbh_cm, tree.height_m, tree.residual_cm, tree.status) == (None, None, None, "unmeasured")
+        assert tree.z_ground_m == pytest.approx(metric.z_ground_m / 4, abs=0.005)
+        assert (tree.x_m, tree.y_m) == pytest.approx((metric.x_m / 4, metric.y_m / 4), abs=0.005)
+
+
+@pytest.mark.parametrize("hint", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_guess_of_the_scale_that_is_no_length_is_refused(hint: float) -> None:
+    with pytest.raises(CloudError, match="units_per_m_hint"):
+        analyse_plot(ground(), metric=False, units_per_m_hint=hint)
+
+
+def test_an_unknown_rule_of_breast_height_is_refused() -> None:
+    with pytest.raises(CloudError, match="'midpoint' or 'uphill', got 'downhill'"):
+        analyse_plot(ground(), settings=TreeSettings(bh_rule="downhill"))
+
+
+def test_the_diagnosis_says_what_the_cloud_lacks() -> None:
+    rng = np.random.default_rng(1)
+    # Known to stand upright, so that nobody looks at it from its other sides.
+    bare = analyse_plot(ground(), turned=True)
+    assert bare.trees == ()
+    assert "hardly a point lies 0.5-2.5 m above the ground (the cloud reaches 0.0" in sentence(bare.diagnosis)
+    floating = np.column_stack([rng.uniform(0, 8, (2000, 2)), rng.uniform(0.5, 2.5, 2000)])
+    leaves = analyse_plot(np.concatenate([ground(), floating]), turned=True)
+    assert leaves.trees == ()
+    assert sentence(leaves.diagnosis).startswith("no trees found: ")
+    assert "hardly a point" not in sentence(leaves.diagnosis)
+
+
+def test_thin_stems_are_left_to_the_undergrowth(plot: StemPlot, result: PlotResult) -> None:
+    sizes = sorted(tree.dbh_cm for tree in result.trees if tree.dbh_cm is not None)
+    limit = replace(TreeSettings(), min_dbh_cm=sum(sizes) / 2)
+    (kept,) = analyse_plot(plot.points, settings=limit).trees
+    assert kept.dbh_cm == pytest.approx(sizes[1])
+    assert kept.tree_id == 1

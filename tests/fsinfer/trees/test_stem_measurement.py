@@ -1,0 +1,152 @@
+"""From sections to rows of the table: units, intervals, doubts, and whose points are whose."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from fsinfer.notices.notice import notice
+from fsinfer.notices.stems import StemCode
+from fsinfer.trees.cylinder.axis import Axis
+from fsinfer.trees.diameter.outline import Outline
+from fsinfer.trees.diameter.section import Section, unmeasured_section
+from fsinfer.trees.ground.ground import Ground
+from fsinfer.trees.search.find import StemSearch
+from fsinfer.trees.search.stem import Stem
+from fsinfer.trees.settings import TreeSettings
+from fsinfer.trees.stem_measurement import doubt_the_rough, measure_stems, tree_of
+from fsinfer.trees.tree import Tree
+from tests.support.stem_clouds import wall
+
+WALL = notice(StemCode.double_wall, gap_cm=3.0)
+NONE = unmeasured_section(np.array([2.0, 3.0]), 1.3, (WALL,), radius_m=0.1)
+OVAL = Outline(curve_m=np.zeros((0, 2)), girth_diameter_m=0.301, min_diameter_m=0.28, max_diameter_m=0.32)
+
+
+def section_of(dbh_m: float, sd_m: float, residual_m: float = 0.004) -> Section:
+    return replace(
+        NONE,
+        dbh_m=dbh_m,
+        sd_m=sd_m,
+        residual_m=residual_m,
+        outline=OVAL,
+        status="ok",
+        reasons=(),
+        coverage=0.9,
+        points=50,
+    )
+
+
+@given(dbh_m=st.floats(0.04, 2.0), sd_m=st.floats(0.0, 1.5))
+def test_the_interval_is_95_per_cent_in_centimetres_and_never_below_nothing(dbh_m: float, sd_m: float) -> None:
+    tree = tree_of(section_of(dbh_m, sd_m), 0.0, None, np.zeros(3))
+    assert tree.dbh_cm == pytest.approx(100 * dbh_m)
+    assert tree.dbh_hi95_cm == pytest.approx(100 * (dbh_m + 1.96 * sd_m))
+    assert tree.dbh_lo95_cm == pytest.approx(max(100 * (dbh_m - 1.96 * sd_m), 0.0))
+    assert (tree.dbh_perimeter_cm, tree.dbh_min_cm, tree.dbh_max_cm) == pytest.approx((30.1, 28, 32))
+
+
+def test_without_a_diameter_every_size_is_empty_and_the_reason_stays() -> None:
+    tree = tree_of(replace(NONE, outline=OVAL), 0.0, None, np.zeros(3))
+    sizes = (tree.dbh_cm, tree.dbh_lo95_cm, tree.dbh_hi95_cm, tree.dbh_perimeter_cm, tree.dbh_min_cm, tree.dbh_max_cm)
+    assert set(sizes) == {None}
+    assert (tree.status, tree.reasons) == ("unmeasured", (WALL,))
+
+
+def test_a_row_is_in_the_frame_of_the_cloud() -> None:
+    tree = tree_of(section_of(0.3, 0.01), 12.5, 21.0, np.array([500_000.0, 5_000_000.0, 0.0]))
+    assert (tree.x_m, tree.y_m, tree.z_ground_m, tree.height_m) == (500_002.0, 5_000_003.0, 12.5, 21.0)
+    assert tree.residual_cm == pytest.approx(0.4)
+    assert (tree.points, tree.arc_coverage, tree.bh_m) == (50, 0.9, 1.3)
+    assert tree_of(NONE, 0.0, None, np.zeros(3)).residual_cm is None
+
+
+def pairs_of(residuals_cm: list[float | None]) -> list[tuple[Tree, Section]]:
+    sections = [NONE if r is None else section_of(0.3, 0.01, r / 100) for r in residuals_cm]
+    return [(tree_of(section, 0.0, None, np.zeros(3)), section) for section in sections]
+
+
+def test_a_stem_much_rougher_than_the_others_is_doubted() -> None:
+    # The median is 0.5 and the limit 1.7 * 0.5 + 0.3 = 1.15 cm.
+    pairs = doubt_the_rough(pairs_of([0.5, 0.4, 0.5, 0.4, 1.1, 1.2, 0.5, None]))
+    assert [tree.status for tree, _ in pairs] == ["ok"] * 5 + ["doubtful", "ok", "unmeasured"]
+    tree, section = pairs[5]
+    assert "residual 1.2 cm" in tree.reason
+    assert (section.status, section.reasons) == (tree.status, tree.reasons)
+    assert tree.dbh_cm == pytest.approx(30.0)
+    # An earlier reason is kept.
+    before = pairs_of([0.5, 0.5, 0.5, 0.5, 1.2])
+    before[4] = (replace(before[4][0], reasons=(WALL,)), before[4][1])
+    codes = [reason.code for reason in doubt_the_rough(before)[4][0].reasons]
+    assert codes == [StemCode.double_wall, StemCode.rougher_than_others]
+
+
+def test_few_stems_say_nothing_about_what_is_usual() -> None:
+    pairs = pairs_of([0.5, 0.5, 0.5, 9.0, None, None])
+    assert doubt_the_rough(pairs) == pairs
+
+
+def slope(per_m: float) -> Ground:
+    """Ground that rises along x."""
+    return Ground(
+        method="plane", plane=np.array([per_m, 0.0, 0.0]), raster_m=None, origin=np.zeros(2), cell_m=0.4, noise_m=0.005,
+        tolerance_m=0.02, share=1.0, plane_share=1.0, points=1000,
+    )  # fmt: skip
+
+
+def stem_at(x: float, radius: float) -> Stem:
+    axis = Axis(parameters=np.array([x, 0.0, 0.0, 0.0, radius, -0.005]), height_m=1.3, sigma_m=0.004)
+    return Stem(axis=axis, bottom_m=0.5, top_m=2.5, length_m=2.0, arc_coverage=1.0, quality=1.0)
+
+
+def measured(
+    stems: dict[float, float], points: NDArray[np.float64], *, ground: Ground | None = None, **options: float | str
+) -> list[tuple[Tree, Section]]:
+    search = StemSearch(
+        stems=tuple(stem_at(x, radius) for x, radius in stems.items()),
+        candidates=len(stems),
+        rejected={},
+        spacing_m=0.01,
+    )
+    settings = replace(TreeSettings(), **options)  # type: ignore[arg-type]  # mypy checks no fields behind **
+    return measure_stems(points, search, ground or slope(0.0), settings, 0.0, np.array([100.0, 200.0, 0.0]))
+
+
+def stem_points(x: float, radius: float, seed: int = 0, *, taper: float = -0.005) -> NDArray[np.float64]:
+    rng = np.random.default_rng(seed)
+    points = wall(rng, radius=radius, spacing_m=0.015, taper=taper, top_m=3.0)
+    return points + rng.normal(0, 0.003, points.shape) + [x, 0.0, 0.0]
+
+
+def test_two_stems_that_nearly_touch_keep_their_own_points() -> None:
+    points = np.concatenate([stem_points(0.0, 0.15), stem_points(0.32, 0.12, 1)])
+    (first, one), (second, other) = measured({0.0: 0.15, 0.32: 0.12}, points)
+    assert first.dbh_cm == pytest.approx(30.0, abs=0.4)
+    assert second.dbh_cm == pytest.approx(24.0, abs=0.4)
+    # Half of the 5 cm between their surfaces, and the noise: beyond, all points are the other's.
+    for section, radius in ((one, 0.15), (other, 0.12)):
+        assert np.linalg.norm(section.offsets_m, axis=1).max() < radius + 0.03
+    assert (first.x_m, first.y_m) == pytest.approx((100.0, 200.0), abs=0.005)
+    assert (second.x_m, second.y_m) == pytest.approx((100.32, 200.0), abs=0.005)
+
+
+def test_thin_stems_are_no_trees_but_unmeasured_ones_stay() -> None:
+    points = np.concatenate([stem_points(0.0, 0.10), stem_points(3.0, 0.15, 1)])
+    pairs = measured({0.0: 0.10, 3.0: 0.15, 6.0: 0.15}, points, min_dbh_cm=25.0)
+    assert [round(tree.x_m) for tree, _ in pairs] == [103, 106]
+    assert pairs[1][0].dbh_cm is None
+
+
+def test_on_a_slope_breast_height_counts_from_the_middle_or_from_uphill() -> None:
+    # Heights above a ground of 40 % at a stem of 15 cm radius: the uphill side of its foot is 6 cm higher.
+    points = stem_points(0.0, 0.15, taper=-0.1)
+    points[:, 2] -= 0.4 * points[:, 0]
+    ((middle, _),) = measured({0.0: 0.15}, points, ground=slope(0.4))
+    ((uphill, _),) = measured({0.0: 0.15}, points, ground=slope(0.4), bh_rule="uphill")
+    assert middle.dbh_cm == pytest.approx(30.0, abs=0.4)
+    assert uphill.dbh_cm == pytest.approx(30.0 - 2 * 10.0 * 0.4 * 0.15, abs=0.4)
