@@ -21,10 +21,12 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.bench.photos", description=__doc__)
     parser.add_argument("photos", type=Path)
     parser.add_argument("out", type=Path)
+    parser.add_argument("--judge", action="store_true", help="read what OUT holds, and run nothing")
     add_result_options(parser)
     args = parser.parse_args(argv)
     check_result_options(parser, args)
-    run(args.photos, args.out, settings=RunSettings())
+    if not args.judge:
+        run(args.photos, args.out, settings=RunSettings())
     figures = run_figures(json.loads((args.out / "plot.json").read_text(encoding="utf-8")))
     for name, value in figures.items():
         print(f"{name:24s} {value}")
