@@ -195,7 +195,14 @@ def index(results: Sequence[Result]) -> Lines:
     """Every result file there is, or those named."""
     found = list(results) or [read_result(path.stem) for path in sorted(RESULTS.glob("*.json"))]
     rows = [
-        [f"[{r.name}](results/{r.name}.json)", r.kind, r.short_commit, r.date[:10], f"`{r.command}`"] for r in found
+        [
+            f"[{r.name}](results/{r.name}.json)",
+            r.kind,
+            r.short_commit,
+            r.date[:10],
+            f"`{r.command}`{'; ' if r.note else ''}{r.note}",
+        ]
+        for r in found
     ]
     return table(["file", "set", "code", "date", "command"], rows)
 
