@@ -180,7 +180,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--precision", choices=PRECISIONS, default=FLOAT32, help="of the ONNX regularizer")
     parser.add_argument("--checkpoint", type=Path, help="evaluate this checkpoint in PyTorch instead")
     parser.add_argument("--source-views", type=int, default=4)
-    parser.add_argument("--every", type=int, default=1, help="every so-manieth view of a scene")
+    parser.add_argument("--every", type=int, default=1, help="every N-th view of a scene")
     parser.add_argument("--max-depth", type=float, default=float("inf"), help="ignore truth beyond, scene units")
     parser.add_argument(
         "--min-far-over-near",

@@ -28,6 +28,7 @@ from fsinfer.io.files import write_text
 from fsinfer.placement.place import density_per_m2
 from fsinfer.scene import read_scene
 from fsinfer.trees import measure_trees
+from tests.bench.results import add_result_options, check_result_options, save_result
 from training.checkpoint import load_checkpoint
 from training.data.find import find_true_scenes
 from training.evaluate import evaluate_scene, onnx_predictor
@@ -106,6 +107,24 @@ def judge_plot(manifest: Path, plot: Path, out: Path) -> dict[str, Any]:
     return {"density_per_m2": density_per_m2(cloud.xyz), "r": result.r, "rmse_cm": result.rmse_cm}
 
 
+def figures_of(row: AblationRow) -> dict[str, float | None]:
+    """A variant's figures, its name before each."""
+    return {
+        f"{row.name.replace('-', '_')}_{key}": value
+        for key, value in {
+            "parameters": row.parameters,
+            "median_cm": 100 * row.depth["median_abs"],
+            "within_1pct_percent": 100 * row.depth["within_1pct"],
+            "median_sure_cm": 100 * row.depth["median_abs_sure"],
+            "within_3cm_sure_percent": 100 * row.depth["within_3cm_sure"],
+            "flying_percent": 100 * row.depth["flying"],
+            "density_per_m2": row.density_per_m2,
+            "completeness_percent": None if row.r is None else 100 * row.r,
+            "rmse_cm": row.rmse_cm,
+        }.items()
+    }
+
+
 def table(rows: list[AblationRow]) -> str:
     """The rows in Markdown."""
     lines = [
@@ -143,11 +162,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--variants", nargs="+", choices=sorted(CONFIGS), default=list(PAPER_TABLE))
     parser.add_argument("--steps", type=int, default=1000)
     parser.add_argument("--crop", type=int, nargs=2, default=(32, 24), metavar=("W", "H"))
-    parser.add_argument("--every", type=int, default=1, help="every so-manieth view of a test scene")
+    parser.add_argument("--every", type=int, default=1, help="every N-th view of a test scene")
     parser.add_argument("--max-depth", type=float, default=6.0)
     parser.add_argument("--seed", type=int, default=default.seed)
     parser.add_argument("--threads", type=int, default=default.threads)
+    add_result_options(parser)
     args = parser.parse_args(arguments)
+    check_result_options(parser, args)
     rows = []
     try:
         for name in args.variants:
@@ -172,6 +193,10 @@ def main(arguments: list[str] | None = None) -> int:
     except FsinferError as error:
         print(f"Error: {error}")
         return 2
+    figures: dict[str, float | None] = {}
+    for row in rows:
+        figures |= figures_of(row)
+    save_result(args, figures, module="tests.bench.ablation", arguments=arguments, settings={"steps": args.steps})
     return 0
 
 

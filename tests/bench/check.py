@@ -37,7 +37,8 @@ from fsinfer.io.pfm import read_pfm, write_pfm
 from fsinfer.poses.sparse import SparseModel, read_sparse
 from fsinfer.scale.scale import Scale
 from fsinfer.scene import Scene, read_scene
-from tests.bench.plot import similarity
+from tests.bench.plot import plot_settings, similarity
+from tests.bench.results import add_result_options, check_result_options, save_result
 
 ONE_SIDED_DEG, ALL_ROUND_DEG = 180.0, 150.0
 FAR_M = CoverageSettings.far_m
@@ -223,11 +224,13 @@ def main(argv: list[str] | None = None) -> int:
         "--leave-out", metavar="TREE:DEG,...", help="leave out the photos that see these trees from this side"
     )
     parser.add_argument("--keep", metavar="FROM-TO", help="keep only this stretch of the walk, as shares of its photos")
+    add_result_options(parser)
     args = parser.parse_args(argv)
+    check_result_options(parser, args)
     truth = read_truth(args.plot)
     totals = np.zeros(len(OUTCOMES), dtype=int)
     if args.leave_out or args.keep:
-        return check_photos(args, truth)
+        return check_photos(args, truth, argv)
     scene = read_scene(args.out / "scene")
     sparse = read_sparse(args.out / "scene" / "sparse")
     photos = np.isin(truth.names, [view.name for view in scene.views])
@@ -253,10 +256,18 @@ def main(argv: list[str] | None = None) -> int:
         told = "; ".join(f"{label} {', '.join(part) or '-'}" for label, part in zip(OUTCOMES, outcome, strict=True))
         print(f"trial {trial}: behind curtains {behind_curtains}; {told}", flush=True)
     print(", ".join(f"{label} {total}" for label, total in zip(OUTCOMES, totals, strict=True)))
+    figures = {figure_name(label): int(total) for label, total in zip(OUTCOMES, totals, strict=True)}
+    settings = plot_settings(args.plot)
+    save_result(args, figures, module="tests.bench.check", arguments=argv, settings=settings)
     return 0
 
 
-def check_photos(args: argparse.Namespace, truth: Truth) -> int:
+def figure_name(label: str) -> str:
+    """One of ``OUTCOMES`` as the name of a count of stems."""
+    return "stems_" + label.replace(",", "").replace(" ", "_")
+
+
+def check_photos(args: argparse.Namespace, truth: Truth, argv: list[str] | None) -> int:
     """The check itself on the photos that are left."""
     rank = np.arange(len(truth.names))
     first, last = (round(float(share) * len(rank)) for share in (args.keep or "0-1").split("-"))
@@ -274,13 +285,22 @@ def check_photos(args: argparse.Namespace, truth: Truth) -> int:
     start = time.monotonic()
     with stage_progress(quiet=False) as progress:
         result = check_capture(folder, args.out, progress=progress)
-    print(f"{time.monotonic() - start:.0f} s", result.seconds, *result.notes, *result.lines, sep="\n  ")
+    seconds = time.monotonic() - start
+    print(f"{seconds:.0f} s", result.seconds, *result.notes, *result.lines, sep="\n  ")
     placed = np.isin(truth.names, result.names)
+    figures: dict[str, float] = {
+        "photos": int((~gone).sum()),
+        "photos_registered": int(placed.sum()),
+        "seconds": seconds,
+    }
     for label, part in zip(OUTCOMES, compare(result, truth, placed, {}), strict=True):
         print(f"{label}: {', '.join(part) or '-'}")
+        figures[figure_name(label)] = len(part)
     for label, within_m in (("true fans", np.inf), (f"within {FAR_M:g} m", FAR_M)):
         gaps = truth.gaps(placed, {}, within_m)
         print(f"{label}:", ", ".join(f"{number} {gap:.0f}" for number, gap in zip(truth.ids, gaps, strict=True)))
+    settings = plot_settings(args.plot)
+    save_result(args, figures, module="tests.bench.check", arguments=argv, settings=settings)
     return 0
 
 

@@ -23,6 +23,7 @@ from scipy.spatial import cKDTree
 
 from fsinfer.io.las import las_writer
 from fsinfer.trees.outputs.table import read_trees
+from tests.bench.results import add_result_options, check_result_options, save_result
 from training.simulate.stem_cloud import KINDS, CloudSpec, simulate
 
 Floats = NDArray[np.float64]
@@ -154,7 +155,9 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--points", type=float, nargs="+", default=list(SIZES))
     parser.add_argument("--figure", type=Path, help="PNG of time and memory against points")
     parser.add_argument("--keep", action="store_true", help="keep the clouds")
+    add_result_options(parser)
     args = parser.parse_args(argv)
+    check_result_options(parser, args)
     args.work.mkdir(parents=True, exist_ok=True)
     table = args.work / "cloud_size.csv"
     rows: list[dict[str, Any]] = []
@@ -171,6 +174,13 @@ def main(argv: list[str] | None = None) -> int:
             writer = csv.DictWriter(handle, list(row))
             writer.writeheader()
             writer.writerows(rows)
+    figures = {
+        f"{name}_{row['points']}": value
+        for row in rows
+        for name, value in row.items()
+        if name not in ("points", "kind")
+    }
+    save_result(args, figures, module="tests.bench.cloud_size", arguments=argv, settings={"kind": args.kind})
     if args.figure:
         plot(sorted(rows, key=lambda row: int(row["points"])), args.figure)
     return 0

@@ -26,6 +26,7 @@ from scipy.optimize import linear_sum_assignment
 
 from fsinfer import read_cloud
 from fsinfer.trees import analyse_plot
+from tests.bench.results import add_result_options, check_result_options, save_result
 from training.simulate.stem_cloud import KINDS, CloudSpec, StemCloud, simulate
 
 Floats = NDArray[np.float64]
@@ -152,6 +153,11 @@ def faster(theirs: dict[str, Any], mine: dict[str, Any]) -> str:
     )
 
 
+def time_figures(name: str, answer: dict[str, Any]) -> dict[str, float | None]:
+    """Seconds of the processor and by the clock."""
+    return {f"{name}_processor_s": float(answer["seconds"]), f"{name}_clock_s": float(answer["wall"])}
+
+
 def main(argv: list[str] | None = None) -> int:
     """Compare and print."""
     parser = argparse.ArgumentParser(prog="python -m tests.bench.dendromatics", description=__doc__)
@@ -165,7 +171,9 @@ def main(argv: list[str] | None = None) -> int:
     )
     parser.add_argument("--threads", type=int, default=0, help="of dendromatics; 0: as many as it likes")
     parser.add_argument("--cloud", type=Path, help="a cloud file instead of simulated plots")
+    add_result_options(parser)
     args = parser.parse_args(argv)
+    check_result_options(parser, args)
     if args.cloud:
         points = read_cloud(args.cloud).xyz
         points = points - np.floor(points.min(axis=0))
@@ -179,13 +187,18 @@ def main(argv: list[str] | None = None) -> int:
             best = max(range(len(settings)), key=lambda k: sum(t[2] > 0 for t in tried[k]["trees"]))
         print(f"{args.cloud}, {len(points)} points: timed with {settings[best]}")
         both = in_turn(args.python, points, settings[best], args.repeats, args.threads)
+        figures: dict[str, float | None] = {"points": len(points)}
         for name, answer in both.items():
             measured = sum(t[2] > 0 for t in answer["trees"])
             print(
                 f"{name:>13}: {len(answer['trees'])} trees, {measured} with DBH, "
                 f"processor {answer['seconds']:.2f} s, clock {answer['wall']:.2f} s"
             )
+            figures |= {f"{name}_found": len(answer["trees"]), f"{name}_measured": measured}
+            figures |= time_figures(name, answer)
         print(faster(both["dendromatics"], both["fsinfer"]))
+        chosen = {"setting": settings[best]}
+        save_result(args, figures, module="tests.bench.dendromatics", arguments=argv, settings=chosen)
         return 0
     setting = tuned(args.python, args.kind, args.first_seed - 1) if args.setting is None else GRID[args.setting]
     print(f"{args.kind}: {setting}")
@@ -201,9 +214,23 @@ def main(argv: list[str] | None = None) -> int:
             rows[name].append(compare(cloud, answer["trees"]))
             for key in times[name]:
                 times[name][key] += answer[key]
+    figures = {"points": points_total}
     for name, result in rows.items():
         print(line(name, result, times[name]["seconds"], times[name]["wall"], points_total))
+        error = np.array([e for row in result for e in row[3]])
+        figures |= {
+            "stems": sum(row[0] for row in result),
+            f"{name}_found": sum(row[1] for row in result),
+            f"{name}_false": sum(row[2] for row in result),
+            f"{name}_measured": len(error),
+            f"{name}_rmse_cm": float(np.sqrt((error**2).mean())) if len(error) else None,
+            f"{name}_bias_cm": float(error.mean()) if len(error) else None,
+            f"{name}_median_error_cm": float(np.median(np.abs(error))) if len(error) else None,
+        }
+        figures |= time_figures(name, times[name])
     print(faster(times["dendromatics"], times["fsinfer"]))
+    chosen = {"setting": setting, "kind": args.kind, "first_seed": args.first_seed, "plots": args.plots}
+    save_result(args, figures, module="tests.bench.dendromatics", arguments=argv, settings=chosen)
     return 0
 
 

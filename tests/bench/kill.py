@@ -19,17 +19,22 @@ from importlib import resources
 from pathlib import Path
 
 from fsinfer.workflow.ledger import RECORDS_FOLDER
+from tests.bench.results import add_result_options, check_result_options, save_result
 
 STAGES = ("frames", "poses", "depth", "check", "fuse", "scale", "cloud", "trees", "report")
+IN_STAGE = "in the stage"
 
 
-def main() -> int:
+def main(argv: list[str] | None = None) -> int:
+    """Run, kill, compare."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("work", type=Path)
     parser.add_argument("--photos", type=int, default=36, help="the first so many of the demo's photos")
     parser.add_argument("--max-size", type=int, default=960)
     parser.add_argument("--kills", type=int, default=1, help="kills in each stage")
-    options = parser.parse_args()
+    add_result_options(parser)
+    options = parser.parse_args(argv)
+    check_result_options(parser, options)
     photos = options.work / "photos"
     photos.mkdir(parents=True, exist_ok=True)
     given = sorted((resources.files("fsinfer") / "demo_data" / "photos").iterdir(), key=lambda path: path.name)
@@ -53,19 +58,33 @@ def main() -> int:
     start = time.perf_counter()
     subprocess.run([str(whole) if word == "OUT" else word for word in command], check=True)
     seconds = json.loads((whole / "plot.json").read_text(encoding="utf-8"))["seconds"]
-    print(f"undisturbed: {time.perf_counter() - start:.0f} s")
+    undisturbed_s = time.perf_counter() - start
+    print(f"undisturbed: {undisturbed_s:.0f} s")
+    states: list[str] = []
     in_folder = [str(killed) if word == "OUT" else word for word in command]
     for stage in STAGES:
         for kill in range(options.kills):
             after_s = seconds[stage] * (kill + 0.5) / options.kills
-            print(f"{stage:8s} killed {after_s:6.2f} s in: {kill_in(in_folder, killed, stage, after_s)}", flush=True)
+            states.append(kill_in(in_folder, killed, stage, after_s))
+            print(f"{stage:8s} killed {after_s:6.2f} s in: {states[-1]}", flush=True)
     subprocess.run(in_folder, check=True)
     same = (whole / "trees.csv").read_bytes() == (killed / "trees.csv").read_bytes()
     trees = len((whole / "trees.csv").read_text(encoding="utf-8").splitlines()) - 1
     print(f"trees.csv of {trees} trees: {'the same, byte for byte' if same else 'DIFFERENT'}")
     again = time.perf_counter()
     told = subprocess.run(in_folder, check=True, capture_output=True, text=True).stdout.splitlines()[0]
-    print(f"once more: '{told}' in {time.perf_counter() - again:.1f} s")
+    again_s = time.perf_counter() - again
+    print(f"once more: '{told}' in {again_s:.1f} s")
+    figures = {
+        "stages": len(STAGES),
+        "kills": len(states),
+        "kills_within_a_stage": states.count(IN_STAGE),
+        "trees": trees,
+        "tables_differ": int(not same),
+        "undisturbed_s": undisturbed_s,
+        "once_more_s": again_s,
+    }
+    save_result(options, figures, module="tests.bench.kill", arguments=argv)
     return 0 if same and told.startswith("Nothing to do") else 1
 
 
@@ -82,7 +101,7 @@ def kill_in(command: list[str], out: Path, stage: str, after_s: float) -> str:
     process.kill()
     process.wait()
     state = _state(record)[0]
-    return "in the stage" if state == "started" else f"the stage was {state} (it was too quick)"
+    return IN_STAGE if state == "started" else f"the stage was {state} (it was too quick)"
 
 
 def _state(record: Path) -> tuple[str, str]:

@@ -10,8 +10,10 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +21,7 @@ from numpy.typing import NDArray
 from fsinfer.depth.precision import AUTO, FLOAT32, PRECISIONS
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.evaluation.figure import plot_evaluation
-from fsinfer.evaluation.metrics import evaluate, read_measured
+from fsinfer.evaluation.metrics import Evaluation, evaluate, read_measured
 from fsinfer.fusion.fuse import FusionSettings
 from fsinfer.poses.pairs import PairSettings
 from fsinfer.poses.settings import PoseSettings
@@ -28,6 +30,7 @@ from fsinfer.scene import read_scene
 from fsinfer.trees.outputs.table import read_trees
 from fsinfer.workflow.pipeline import run
 from fsinfer.workflow.settings import RunSettings
+from tests.bench.results import add_result_options, check_result_options, save_result
 
 # Photos doubled before looking for features, as COLMAP does, and half as many neighbours again; six source views in
 # float32. (COLMAP's 8,192 features of doubled photos, 12,300 with their directions, match 1.4 pairs a second.)
@@ -47,10 +50,11 @@ def similarity(
     return scale, rotation, target.mean(axis=0) - scale * rotation @ source.mean(axis=0)
 
 
-def print_sources(path: Path, measured_cm: dict[str, float]) -> None:
-    """Print the errors of the points alone and of the photographs' edges alone."""
+def source_errors(path: Path, measured_cm: dict[str, float]) -> dict[str, float]:
+    """Errors of the points alone and of the photographs' edges alone; printed too."""
+    figures: dict[str, float] = {}
     if not path.is_file():
-        return
+        return figures
     with path.open(encoding="utf-8", newline="") as stream:
         rows = [row for row in csv.DictReader(stream) if row["tree_id"] in measured_cm]
     for name in ("points", "edges"):
@@ -58,6 +62,54 @@ def print_sources(path: Path, measured_cm: dict[str, float]) -> None:
         if len(errors):
             rmse, bias, worst = np.sqrt((errors**2).mean()), errors.mean(), np.abs(errors).max()
             print(f"{name} alone: n {len(errors)}, RMSE {rmse:.2f} cm, bias {bias:+.2f} cm, worst {worst:.2f} cm")
+            figures |= {
+                f"{name}_alone": len(errors),
+                f"{name}_alone_rmse_cm": rmse,
+                f"{name}_alone_bias_cm": bias,
+                f"{name}_alone_worst_cm": worst,
+            }
+    return figures
+
+
+def tree_figures(result: Evaluation, inside: Sequence[bool]) -> dict[str, float | None]:
+    """The trees against their truth; ``inside`` says of each tree with a DBH whether its interval holds the truth."""
+    return {
+        "trees": result.n,
+        "detected": result.detected,
+        "matched": result.matched,
+        "completeness_percent": 100 * result.r,
+        "omitted": result.omitted,
+        "false": result.false,
+        "outside": result.outside,
+        "rmse_cm": result.rmse_cm,
+        "bias_cm": result.bias_cm,
+        "mae_cm": result.mae_cm,
+        "ae_percent": None if result.ae is None else 100 * result.ae,
+        "worst_cm": max((abs(p.extracted_cm - p.measured_cm) for p in result.pairs if p.extracted_cm), default=None),
+        "inside_interval": sum(inside),
+        "with_interval": len(inside),
+    }
+
+
+def run_figures(summary: dict[str, Any]) -> dict[str, float | None]:
+    """What ``plot.json`` says of a run: photographs, depth, seconds of each stage, memory."""
+    seconds = {name: float(value) for name, value in summary["seconds"].items()}
+    difference = summary["depth_vs_sfm_median_rel"]
+    return {
+        "photos": summary["photos"],
+        "photos_registered": summary["registered"],
+        "photos_not_registered": summary["photos"] - summary["registered"],
+        "depth_vs_sfm_percent": None if difference is None else 100 * difference,
+        "minutes": seconds["total"] / 60,
+        "peak_mib": summary["peak_rss_mb"],
+        **{f"{name}_s": value for name, value in seconds.items()},
+    }
+
+
+def plot_settings(plot: Path) -> dict[str, Any]:
+    """How a rendered plot was drawn: the options of ``training.synthesize``, without folders."""
+    path = plot / "synth.json"
+    return dict(json.loads(path.read_text(encoding="utf-8"))["options"]) if path.is_file() else {}
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -71,7 +123,9 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--precision", choices=PRECISIONS, default=AUTO, help="of the depth network")
     parser.add_argument("--slow", action="store_true", help="spare no time: what the fast settings are held against")
     parser.add_argument("--judge", action="store_true", help="compare what OUT holds, and run nothing")
+    add_result_options(parser)
     args = parser.parse_args(argv)
+    check_result_options(parser, args)
     settings = RunSettings(
         depth=DepthSettings(source_views=args.source_views, precision=args.precision),
         fusion=FusionSettings(halo_ratio=args.halo_ratio or None),
@@ -113,7 +167,8 @@ def main(argv: list[str] | None = None) -> int:
         if str(tree.tree_id) not in {pair.extracted_id for pair in result.pairs}:
             print(f"without partner: ({tree.x_m:.1f}, {tree.y_m:.1f}), DBH {tree.dbh_cm}, {tree.status} {tree.reason}")
     print(
-        f"photos placed: {len(names)} of {summary['photos']}, cameras rms {1000 * np.sqrt((residual**2).mean()):.1f} mm"
+        f"photos registered: {len(names)} of {summary['photos']}, "
+        f"cameras rms {1000 * np.sqrt((residual**2).mean()):.1f} mm"
     )
     print(f"scale error {100 * (1 / scale - 1):+.3f} %, depth to SfM points {summary['depth_vs_sfm_median_rel']:.5f}")
     print(
@@ -122,9 +177,19 @@ def main(argv: list[str] | None = None) -> int:
         f"MAE {result.mae_cm or np.nan:.2f} cm, AE {100 * (result.ae or np.nan):.1f} %, "
         f"in their interval {sum(inside)} of {len(inside)}"
     )
-    print_sources(args.out / "dbh_sources.csv", {pair.extracted_id: pair.measured_cm for pair in result.pairs})
+    sources = source_errors(args.out / "dbh_sources.csv", {p.extracted_id: p.measured_cm for p in result.pairs})
     print("seconds", summary["seconds"], "peak MB", summary["peak_rss_mb"])
     plot_evaluation(result, args.out / "evaluation.png")
+    figures = {
+        **run_figures(summary),
+        "cameras_rms_mm": 1000 * float(np.sqrt((residual**2).mean())),
+        "cameras_worst_mm": 1000 * float(residual.max()),
+        "scale_error_percent": 100 * (1 / scale - 1),
+        **tree_figures(result, inside),
+        **sources,
+    }
+    drawn = {"plot": plot_settings(args.plot), "precision": summary.get("model_precision")}
+    save_result(args, figures, module="tests.bench.plot", arguments=argv, settings=drawn)
     return 0
 
 

@@ -19,6 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from fsinfer.io.images import list_images
+from tests.bench.plot import plot_settings
+from tests.bench.results import add_result_options, check_result_options, save_result
 
 
 def run_first(plot: Path, out: Path, photos: int, arguments: list[str]) -> dict[str, dict[str, float]]:
@@ -70,7 +72,9 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--photos", type=int, nargs="+", default=[50, 100, 200, 300])
     parser.add_argument("--aruco-length-m", default="0.25")
     parser.add_argument("--figure", type=Path)
+    add_result_options(parser)
     args, more = parser.parse_known_args(argv)
+    check_result_options(parser, args)
     counts = sorted(args.photos)
     runs = [run_first(args.plot, args.out, n, ["--aruco-length-m", args.aruco_length_m, *more]) for n in counts]
     stages = {name: [run[name]["seconds"] for run in runs] for name in runs[-1]}
@@ -83,6 +87,14 @@ def main(argv: list[str] | None = None) -> int:
     print("peak MiB " + "".join(f"{max(stage['peak_rss_mb'] for stage in run.values()):8.0f}" for run in runs))
     if args.figure is not None:
         draw(args.figure, counts, stages)
+    figures: dict[str, float | None] = {}
+    for index, (count, run) in enumerate(zip(counts, runs, strict=True)):
+        figures |= {f"{name}_{count}_minutes": seconds[index] / 60 for name, seconds in stages.items()}
+        figures[f"all_{count}_minutes"] = sum(seconds[index] for seconds in stages.values()) / 60
+        figures[f"peak_{count}_mib"] = max(stage["peak_rss_mb"] for stage in run.values())
+    if len(counts) > 1:
+        figures |= {f"{name}_exponent": exponent(counts, seconds) for name, seconds in stages.items()}
+    save_result(args, figures, module="tests.bench.plot_speed", arguments=argv, settings=plot_settings(args.plot))
     return 0
 
 

@@ -15,7 +15,7 @@ import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -25,9 +25,12 @@ from fsinfer.poses.estimate import estimate_poses
 from fsinfer.poses.pairs import PairSettings
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.scene import Scene, read_scene
-from tests.bench.plot import similarity
+from tests.bench.plot import plot_settings, similarity
+from tests.bench.results import add_result_options, check_result_options, save_result
 
 Settings = TypeVar("Settings", PoseSettings, PairSettings)
+#: Of the cameras, see :func:`camera_errors`.
+ERRORS = ("center_rms_mm", "center_max_mm", "angle_median_deg", "angle_max_deg")
 
 
 class Stopwatch:
@@ -79,7 +82,7 @@ def changed(settings: Settings, name: str, value: str) -> Settings:
     return replace(settings, **{name: type(getattr(settings, name))(value)})
 
 
-def main() -> None:
+def main(argv: list[str] | None = None) -> None:
     """Command line."""
     parser = argparse.ArgumentParser(prog="python -m tests.bench.poses", description=__doc__)
     parser.add_argument("plot", type=Path)
@@ -93,7 +96,9 @@ def main() -> None:
     )
     parser.add_argument("--equalize", choices=EQUALIZERS, default="none", help="of fsinfer frames")
     parser.add_argument("--out", type=Path, help="keep the scene here")
-    arguments = parser.parse_args()
+    add_result_options(parser)
+    arguments = parser.parse_args(argv)
+    check_result_options(parser, arguments)
     truth = read_scene(arguments.plot)
     views = truth.views[: arguments.photos or None]
     with tempfile.TemporaryDirectory() as temporary:
@@ -111,7 +116,7 @@ def main() -> None:
         result = estimate_poses(photos, out, settings=parse_settings(arguments.set), progress=watch)
         seconds = time.monotonic() - started
         record = json.loads((out / "poses.json").read_text(encoding="utf-8"))
-        row = {
+        row: dict[str, Any] = {
             "settings": arguments.set,
             "equalize": arguments.equalize,
             "photos": result.photos,
@@ -123,6 +128,11 @@ def main() -> None:
             **{name: round(value, 4) for name, value in camera_errors(read_scene(out), truth).items()},
         }
     print(json.dumps(row))
+    numbers = ("photos", "registered", "seconds", "points", "reprojection_px", *ERRORS)
+    figures = {name: row[name] for name in numbers}
+    figures |= {f"{name.replace(' ', '_').replace('-', '_')}_s": spent for name, spent in row["steps"].items()}
+    settings = {"set": arguments.set, "plot": plot_settings(arguments.plot)}
+    save_result(arguments, figures, module="tests.bench.poses", arguments=argv, settings=settings)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Depth of one view: ``fsinfer`` against vanilla MVSNet in PyTorch, on the same views, in turns.
 
 python -m tests.bench.speed                 1280x704, 5 views, 5 pairs of runs, every core
-python -m tests.bench.speed --ours --runs 9  only ours, with its split by stage
+python -m tests.bench.speed --ours --pairs 9 only ours, with its split by stage
 
 Vanilla is the ``mvsnet`` preset of ``training`` (variance volume of 32 channels, 192 planes, 3D U-Net, soft-argmin) in
 PyTorch eager; weights do not matter for the time. Each side is a process of its own, so that its peak memory is its
@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from fsinfer.depth.cost_volume import correlation_volume
 from fsinfer.depth.manifest import read_manifest
+from tests.bench.results import add_result_options, check_result_options, save_result
 
 GEMM_SIZE = 2048
 OURS = ("float32", "int8")  # precisions of the regularizer
@@ -257,8 +258,9 @@ def peak_of(runs: list[dict[str, Any]]) -> float:
     return max(float(run["peak_rss_mib"]) for run in runs)
 
 
-def print_ratios(side: str, theirs: list[dict[str, Any]], mine: list[dict[str, Any]]) -> None:
-    """How many times faster, pair by pair: median, least and most."""
+def print_ratios(side: str, theirs: list[dict[str, Any]], mine: list[dict[str, Any]]) -> dict[str, float]:
+    """How many times faster, pair by pair: median, least and most; printed, and as figures."""
+    figures: dict[str, float] = {}
     for theirs_key, key, what in (
         ("all", "all", "features of all views"),
         ("all", "cached", "features of one view, as in a plot"),
@@ -266,7 +268,14 @@ def print_ratios(side: str, theirs: list[dict[str, Any]], mine: list[dict[str, A
     ):
         ratios = [a["seconds"][theirs_key] / b["seconds"][key] for a, b in zip(theirs, mine, strict=True)]
         print(f"  vanilla / {side}, {what}: {np.median(ratios):.1f} ({min(ratios):.1f} to {max(ratios):.1f})")
-    print(f"  peak memory of {side}: {peak_of(mine) / peak_of(theirs):.2f} of vanilla's")
+        figures |= {
+            f"{side}_times_faster_{key}": float(np.median(ratios)),
+            f"{side}_times_faster_{key}_least": min(ratios),
+            f"{side}_times_faster_{key}_most": max(ratios),
+        }
+    share = peak_of(mine) / peak_of(theirs)
+    print(f"  peak memory of {side}: {share:.2f} of vanilla's")
+    return figures | {f"{side}_share_of_vanilla_memory": share}
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -282,7 +291,9 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--model", default="field")
     parser.add_argument("--worker", choices=("vanilla", *OURS), help=argparse.SUPPRESS)
+    add_result_options(parser)
     args = parser.parse_args(argv)
+    check_result_options(parser, args)
     if args.worker:
         return serve(args)
     precisions = [name for name in OURS if name == "float32" or read_manifest(args.model).int8_regularizer]
@@ -298,22 +309,33 @@ def main(argv: list[str] | None = None) -> int:
                 print(f"{side}: {runs[side][-1]['seconds']['all']:.2f} s", flush=True)
     for worker in workers.values():
         worker.close()
+    figures: dict[str, float] = {"views": args.views, "threads": args.threads, "runs": args.pairs}
     print(f"{args.width}x{args.height}, {args.views} views, {args.threads} threads, {args.pairs} runs, medians")
     for side in precisions:
         for stage in runs[side][0]["seconds"]:
             print(f"  {side}, {stage:22s} {median_of(runs[side], stage):7.3f} s")
+            figures[f"{side}_{stage.replace(' ', '_')}_s"] = median_of(runs[side], stage)
         print(f"  {side}, peak memory: {peak_of(runs[side]):.0f} MiB")
+        figures[f"{side}_peak_mib"] = peak_of(runs[side])
     if not args.ours:
         print(f"  vanilla MVSNet              {median_of(runs['vanilla'], 'all'):7.3f} s")
         print(f"  vanilla MVSNet, processor   {median_of(runs['vanilla'], 'processor'):7.3f} s")
         print(f"  vanilla MVSNet, peak memory: {peak_of(runs['vanilla']):.0f} MiB")
         for side in precisions:
-            print_ratios(side, runs["vanilla"], runs[side])
+            figures |= print_ratios(side, runs["vanilla"], runs[side])
+        figures |= {
+            "vanilla_all_s": median_of(runs["vanilla"], "all"),
+            "vanilla_processor_s": median_of(runs["vanilla"], "processor"),
+            "vanilla_peak_mib": peak_of(runs["vanilla"]),
+        }
     found = regularizer_speed(args)
     print(
         f"  regularizer: {found['gflop']:.1f} GFLOP in {found['seconds']:.3f} s = {found['gflop_per_s']:.0f} GFLOP/s, "
         f"matrix product {found['gemm_peak_gflop_per_s']:.0f} GFLOP/s: {100 * found['share']:.0f} %"
     )
+    figures |= {f"regularizer_alone_{name}": value for name, value in found.items() if name != "share"}
+    figures["regularizer_share_of_product_percent"] = 100 * found["share"]
+    save_result(args, figures, module="tests.bench.speed", arguments=argv)
     return 0
 
 

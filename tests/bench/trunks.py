@@ -26,6 +26,7 @@ from fsinfer.depth.stage import estimate_depth
 from fsinfer.geometry.triangulation import triangulate
 from fsinfer.io.images import read_image
 from fsinfer.scene import Scene, read_scene
+from tests.bench.results import add_result_options, check_result_options, save_result
 
 BANDS = ((0.30, 0.38), (0.38, 0.46), (0.46, 0.54), (0.54, 0.62), (0.62, 0.70))  # shares of the mask's height
 EDGE_SHARE = 0.08  # of the trunk's width at each side that is left out: fattened edges, grazing surface
@@ -140,7 +141,9 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("trunks", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--model", default="field")
+    add_result_options(parser)
     args = parser.parse_args(argv)
+    check_result_options(parser, args)
     with (args.trunks / "dbh.csv").open(encoding="utf-8") as file:
         truth = {row["scene"]: float(row["dbh_cm"]) for row in csv.DictReader(file)}
     errors, worst_match = [], 0.0
@@ -182,6 +185,14 @@ def main(argv: list[str] | None = None) -> int:
         f"worst {absolute.max():.2f}; "
         f"depth to matched points: at most {100 * worst_match:.2f} %"
     )
+    figures = {
+        "trunks": len(errors),
+        "mae_cm": float(absolute.mean()),
+        "bias_cm": float(np.mean(errors)),
+        "worst_cm": float(absolute.max()),
+        "depth_vs_matches_worst_percent": 100 * worst_match,
+    }
+    save_result(args, figures, module="tests.bench.trunks", arguments=argv)
     return 0
 
 

@@ -38,7 +38,8 @@ from fsinfer.scene import Camera, Scene, read_camera, read_scene, write_camera
 from fsinfer.trees.outputs.table import read_trees
 from fsinfer.workflow.pipeline import run
 from fsinfer.workflow.settings import RunSettings
-from tests.bench.plot import similarity
+from tests.bench.plot import run_figures, similarity, tree_figures
+from tests.bench.results import add_result_options, check_result_options, save_result
 from training.synthesize.cameras.camera_path import intrinsics, look_at, make_camera
 from training.synthesize.cameras.photo import expose, random_sensor
 from training.synthesize.cameras.plot import CLEARANCE_M
@@ -210,8 +211,8 @@ def true_centers(out: Path, scene: Scene) -> NDArray[np.float64]:
     return np.array([read_camera(out / "places" / f"{place:03d}_cam.txt").center for place in places])
 
 
-def print_trees(out: Path, plot: dict[str, Any], scene: Scene) -> None:
-    """The diameters against ``truth.csv``, positions aligned by the cameras."""
+def compare_trees(out: Path, plot: dict[str, Any], scene: Scene) -> dict[str, float | None]:
+    """The diameters against ``truth.csv``, positions aligned by the cameras; printed, and as figures."""
     cloud_from_scene = np.array(plot["cloud_from_scene"])
     centers = np.array([view.camera.center for view in scene.views])
     centers = centers @ cloud_from_scene[:3, :3].T + cloud_from_scene[:3, 3]
@@ -222,8 +223,11 @@ def print_trees(out: Path, plot: dict[str, Any], scene: Scene) -> None:
         trees.append(replace(tree, x_m=float(x), y_m=float(y)))
     result = evaluate(read_measured(out / "truth.csv"), trees, align="never", area_margin_m=1.0)
     by_id = {str(tree.tree_id): tree for tree in trees}
+    inside = []
     for pair in result.pairs:
         tree = by_id[pair.extracted_id]
+        if tree.dbh_lo95_cm is not None and tree.dbh_hi95_cm is not None:
+            inside.append(tree.dbh_lo95_cm <= pair.measured_cm <= tree.dbh_hi95_cm)
         print(
             f"tree {pair.measured_id}: {pair.measured_cm:.2f} cm, found {pair.extracted_cm} "
             f"[{tree.dbh_lo95_cm}, {tree.dbh_hi95_cm}] {tree.status} {tree.reason}"
@@ -232,6 +236,7 @@ def print_trees(out: Path, plot: dict[str, Any], scene: Scene) -> None:
         f"n {result.n}, matched {result.matched}, omitted {result.omitted}, false {result.false}, "
         f"outside {result.outside}, RMSE {result.rmse_cm} cm, bias {result.bias_cm} cm"
     )
+    return tree_figures(result, inside)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -244,7 +249,9 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--render-only", action="store_true")
     parser.add_argument("--max-features", type=int, default=PoseSettings().max_features, help="fewer are faster")
     parser.add_argument("--max-size", type=int, default=DepthSettings().max_size_px, help="of fsinfer run")
+    add_result_options(parser)
     args = parser.parse_args(argv)
+    check_result_options(parser, args)
     cv2.setNumThreads(1)
     args.out.mkdir(parents=True, exist_ok=True)
     if not (args.out / "video.mp4").is_file():
@@ -275,11 +282,18 @@ def main(argv: list[str] | None = None) -> int:
     true_scale, rotation, shift = similarity(centers, expected)
     residual_m = np.linalg.norm(true_scale * centers @ rotation.T + shift - expected, axis=1)
     print(f"cameras rms {1000 * np.sqrt((residual_m**2).mean()):.1f} mm")
-    if scale.m_per_unit is None:
+    figures: dict[str, float | None] = {
+        "frames_registered": len(scene.views),
+        "cameras_rms_mm": 1000 * float(np.sqrt((residual_m**2).mean())),
+    }
+    if scale.m_per_unit is None or scale.rel_std is None:
         return 1
-    print(
-        f"scale error {100 * (scale.m_per_unit / true_scale - 1):+.3f} % (given +- {100 * (scale.rel_std or 0):.3f} %)"
-    )
+    figures |= {
+        "boards": len(scale.markers),
+        "scale_error_percent": 100 * (scale.m_per_unit / true_scale - 1),
+        "scale_std_percent": 100 * scale.rel_std,
+    }
+    print(f"scale error {100 * (scale.m_per_unit / true_scale - 1):+.3f} % (given +- {100 * scale.rel_std:.3f} %)")
     for marker in scale.markers:
         print(
             f"  board {marker.id}: {len(marker.views)} views, residual {marker.residual_mm:+.2f} mm, "
@@ -287,8 +301,10 @@ def main(argv: list[str] | None = None) -> int:
         )
     if args.full:
         plot = json.loads((result / "plot.json").read_text(encoding="utf-8"))
-        print_trees(args.out, plot, scene)
-        print("photos", plot["photos"], "placed", plot["registered"], "seconds", plot["seconds"])
+        figures |= run_figures(plot) | compare_trees(args.out, plot, scene)
+        print("photos", plot["photos"], "registered", plot["registered"], "seconds", plot["seconds"])
+    drawn = {"seed": args.seed, "places": args.places}
+    save_result(args, figures, module="tests.bench.video", arguments=argv, settings=drawn)
     return 0
 
 

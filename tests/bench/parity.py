@@ -1,0 +1,48 @@
+"""Whole depth maps of the ONNX model against PyTorch: ``python -m tests.bench.parity SCENE --views 2``.
+
+The same comparison as ``python -m export training/checkpoints/field.pt --only-parity --parity SCENE``, with a result
+file.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import cv2
+
+from export.parity import whole_parity
+from fsinfer.depth.model import DepthModel
+from fsinfer.scene import read_scene
+from tests.bench.results import ROOT, add_result_options, check_result_options, save_result
+from training.checkpoint import load_checkpoint
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Compare, print, write."""
+    parser = argparse.ArgumentParser(prog="python -m tests.bench.parity", description=__doc__)
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("--checkpoint", type=Path, default=ROOT / "training" / "checkpoints" / "field.pt")
+    parser.add_argument("--views", type=int, default=2)
+    add_result_options(parser)
+    args = parser.parse_args(argv)
+    check_result_options(parser, args)
+    cv2.setNumThreads(1)
+    model, _ = load_checkpoint(args.checkpoint)
+    deployed = DepthModel.load(model.config.name, precision="float32")
+    found = whole_parity(model, deployed, read_scene(args.scene), views=args.views)
+    figures = {
+        "views": found.views,
+        "pixels": found.pixels,
+        "depth_rel_median": found.depth_rel_p50,
+        "depth_rel_p999": found.depth_rel_p999,
+        "mask_agreement_percent": 100 * found.mask_agreement,
+    }
+    for name, value in figures.items():
+        print(f"{name:24s} {value:.6g}")
+    save_result(args, figures, module="tests.bench.parity", arguments=argv)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

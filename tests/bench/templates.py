@@ -1,0 +1,210 @@
+"""The tables that :mod:`tests.bench.tables` makes from result files: each template takes results and gives lines.
+
+A template is named in a document (``<!-- figures: headline NAME NAME -->``) and says what a kind of benchmark has to
+show, good or bad. The headline takes blind sets only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from tests.bench.results import RESULTS, Result, read_result
+
+Lines = list[str]
+Template = Callable[[Sequence[Result]], Lines]
+
+
+def number(value: float, spec: str) -> str:
+    """A number with a real minus sign."""
+    return format(value, spec).replace("-", "\N{MINUS SIGN}")
+
+
+def counted(value: float, one: str, many: str) -> str:
+    """``no false trees``, ``1 false tree``, ``2 false trees``."""
+    return f"no {many}" if value == 0 else f"{value:g} {one if value == 1 else many}"
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Lines:
+    """A Markdown table."""
+    return [f"| {' | '.join(line)} |" for line in (head, ["---"] * len(head), *rows)]
+
+
+def trees_text(f: Mapping[str, float]) -> str:
+    """The trees of a plot in one sentence."""
+    parts = [f"{f['matched']:g} of {f['trees']:g} trees with a DBH", counted(f["false"], "false tree", "false trees")]
+    if "rmse_cm" in f:
+        parts += [
+            f"RMSE {number(f['rmse_cm'], '.2f')} cm",
+            f"bias {number(f['bias_cm'], '+.2f')} cm",
+            f"AE {number(f['ae_percent'], '.1f')} %",
+            f"{f['inside_interval']:g} of {f['with_interval']:g} inside their 95 % interval",
+        ]
+    return ", ".join(parts)
+
+
+def plot_headline(result: Result) -> tuple[str, str]:
+    """A rendered plot: what it is, what came out."""
+    f, drawn = result.figures, result.settings.get("plot", {})
+    slope = f" on a slope of {float(drawn['slope_deg']):g}°" if "slope_deg" in drawn else ""
+    what = f"a rendered plot{slope}: {f['trees']:g} trees, {f['photos']:g} photographs"
+    return what, f"{f['photos_registered']:g} of {f['photos']:g} photographs registered, {trees_text(f)}"
+
+
+def video_headline(result: Result) -> tuple[str, str]:
+    """A rendered video."""
+    f = result.figures
+    what = f"a rendered phone video, held upright, mostly blurred: {f['trees']:g} trees, {f['boards']:g} boards seen"
+    return what, (
+        f"{f['frames_registered']:g} of {f['photos']:g} frames registered, "
+        f"scale error {number(f['scale_error_percent'], '+.2f')} %, {trees_text(f)}"
+    )
+
+
+def stems_headline(result: Result) -> tuple[str, str]:
+    """Simulated stems."""
+    f = result.figures
+    kind = {"photo": "photogrammetric", "lidar": "LiDAR-like"}[result.settings["kind"]]
+    what = f"{f['stems']:g} simulated stems in {kind} clouds, {f['hidden_stems']:g} of them partly hidden"
+    return what, (
+        f"{f['found']:g} of {f['stems']:g} found, {counted(f['false'], 'false stem', 'false stems')}, "
+        f"{f['measured']:g} with a DBH, RMSE {number(f['rmse_cm'], '.2f')} cm, bias {number(f['bias_cm'], '+.2f')} cm, "
+        f"{f['inside_interval_percent']:.1f} % inside their 95 % interval"
+    )
+
+
+def depth_headline(result: Result) -> tuple[str, str]:
+    """Depth maps of rendered walks, in metres."""
+    f = result.figures
+    what = f"depth maps of {f['views']:g} rendered photographs, pixels nearer than 6 m"
+    return what, (
+        f"median error {number(f['pooled_median_abs_cm'], '.2f')} cm; of the surer 70 % of the pixels "
+        f"{number(f['pooled_median_abs_sure_cm'], '.2f')} cm, {f['pooled_within_3cm_sure_percent']:.1f} % within 3 cm"
+    )
+
+
+HEADLINES: dict[str, Callable[[Result], tuple[str, str]]] = {
+    "tests.bench.plot": plot_headline,
+    "tests.bench.video": video_headline,
+    "tests.bench.stems": stems_headline,
+    "tests.bench.depth": depth_headline,
+}
+
+
+def headline(results: Sequence[Result]) -> Lines:
+    """One row a result; raises ValueError for a set that is not blind."""
+    rows = []
+    for result in results:
+        if result.kind != "blind":
+            raise ValueError(f"{result.name} is a {result.kind} set: the headline takes blind sets only")
+        what, found = HEADLINES[result.benchmark](result)
+        rows.append([what, found, f"[{result.name}](docs/results/{result.name}.json)"])
+    return table(["blind set", "result", "file, with its command"], rows)
+
+
+def plots(results: Sequence[Result]) -> Lines:
+    """Rendered plots and the demo, a column each, beside what was asked for."""
+    rows: list[tuple[str, str, Callable[[Result], str]]] = [
+        ("set", "", lambda r: r.kind),
+        (
+            "photographs registered",
+            "",
+            lambda r: f"{r.figures['photos_registered']:g} of {r.figures['photos']:g}",
+        ),
+        ("camera positions, RMS", "", lambda r: known(r, "cameras_rms_mm", ".1f", " mm")),
+        ("error of the scale from the markers", "", lambda r: known(r, "scale_error_percent", "+.2f", " %")),
+        ("depth maps to triangulated points, median", "", lambda r: known(r, "depth_vs_sfm_percent", ".3f", " %")),
+        (
+            "trees with a DBH, r",
+            "≥ 98 %",
+            lambda r: (
+                f"{r.figures['matched']:g} of {r.figures['trees']:g}, "
+                f"{number(r.figures['completeness_percent'], '.0f')} %; {r.figures['omitted']:g} omitted"
+            ),
+        ),
+        ("false trees inside the plot", "0", lambda r: f"{r.figures['false']:g}"),
+        ("RMSE", "≤ 0.5 cm", lambda r: known(r, "rmse_cm", ".2f", " cm")),
+        ("bias", "≤ 0.15 cm", lambda r: known(r, "bias_cm", "+.2f", " cm")),
+        ("MAE", "", lambda r: known(r, "mae_cm", ".2f", " cm")),
+        ("largest error", "", lambda r: known(r, "worst_cm", ".2f", " cm")),
+        ("AE = 1 − rRMSE", "≥ 98 %", lambda r: known(r, "ae_percent", ".1f", " %")),
+        (
+            "inside their 95 % interval",
+            "",
+            lambda r: f"{r.figures['inside_interval']:g} of {r.figures['with_interval']:g}",
+        ),
+        ("points alone: RMSE, largest error", "", lambda r: source(r, "points")),
+        ("edges alone: RMSE, largest error", "", lambda r: source(r, "edges")),
+        ("code, date", "", lambda r: f"{r.short_commit}, {r.date[:10]}"),
+    ]
+    return table(
+        ["", "asked for", *(f"`{result.name}`" for result in results)],
+        [[label, asked, *(cell(result) for result in results)] for label, asked, cell in rows],
+    )
+
+
+def known(result: Result, key: str, spec: str, unit: str) -> str:
+    """A figure with its unit, a dash where the result has none."""
+    return f"{number(result.figures[key], spec)}{unit}" if key in result.figures else "–"
+
+
+def source(result: Result, name: str) -> str:
+    """RMSE and largest error of the points or the edges alone."""
+    rmse, worst = (known(result, f"{name}_alone_{key}_cm", ".2f", " cm") for key in ("rmse", "worst"))
+    return f"{rmse}, {worst}" if rmse != "–" else "–"
+
+
+def stems(results: Sequence[Result]) -> Lines:
+    """Simulated stems, a column each, beside what was asked for."""
+    rows: list[tuple[str, str, Callable[[Result], str]]] = [
+        ("set, seeds", "", lambda r: f"{r.kind}, {r.settings['first_seed']} to {r.settings['last_seed']}"),
+        ("stems", "≥ 500", lambda r: f"{r.figures['stems']:g}"),
+        ("found", "≥ 98 %", lambda r: f"{r.figures['found']:g}, {r.figures['found_percent']:.1f} %"),
+        ("false", "≤ 1 %", lambda r: f"{r.figures['false']:g}, {r.figures['false_percent']:.1f} %"),
+        ("with a DBH", "", lambda r: f"{r.figures['measured']:g}"),
+        ("RMSE", "LiDAR ≤ 0.3, photogrammetric ≤ 0.7 cm", lambda r: known(r, "rmse_cm", ".2f", " cm")),
+        ("bias", "LiDAR ≤ 0.1, photogrammetric ≤ 0.2 cm", lambda r: known(r, "bias_cm", "+.2f", " cm")),
+        ("MAE", "", lambda r: known(r, "mae_cm", ".2f", " cm")),
+        ("largest error", "", lambda r: known(r, "worst_cm", ".2f", " cm")),
+        ("inside their 95 % interval", "93 to 97 %", lambda r: known(r, "inside_interval_percent", ".1f", " %")),
+        ("half width of the interval, median", "", lambda r: known(r, "half_width_median_cm", ".2f", " cm")),
+        ("seen all round: stems with a DBH, RMSE, inside", "", lambda r: group(r, "whole_")),
+        ("partly hidden: stems with a DBH, RMSE, inside", "", lambda r: group(r, "hidden_")),
+        ("thinner than 20 cm: stems with a DBH, RMSE, inside", "", lambda r: group(r, "thin_")),
+        (
+            "double walls refused",
+            "",
+            lambda r: f"{r.figures['double_wall_refused']:g} of {r.figures['double_wall_stems']:g}",
+        ),
+        ("code, date", "", lambda r: f"{r.short_commit}, {r.date[:10]}"),
+    ]
+    names = {"photo": "photogrammetric", "lidar": "LiDAR-like"}
+    return table(
+        ["", "asked for", *(f"{names[result.settings['kind']]}, `{result.name}`" for result in results)],
+        [[label, asked, *(cell(result) for result in results)] for label, asked, cell in rows],
+    )
+
+
+def group(result: Result, prefix: str) -> str:
+    """Stems with a DBH, RMSE and coverage of one group."""
+    rmse = known(result, f"{prefix}rmse_cm", ".2f", " cm")
+    inside = known(result, f"{prefix}inside_interval_percent", ".1f", " %")
+    return f"{result.figures[f'{prefix}measured']:g}, {rmse}, {inside}"
+
+
+def index(results: Sequence[Result]) -> Lines:
+    """Every result file there is, or those named."""
+    found = list(results) or [read_result(path.stem) for path in sorted(RESULTS.glob("*.json"))]
+    rows = [
+        [
+            f"[{r.name}](results/{r.name}.json)",
+            r.kind,
+            r.short_commit,
+            r.date[:10],
+            f"`{r.command}`{'; ' if r.note else ''}{r.note}",
+        ]
+        for r in found
+    ]
+    return table(["file", "set", "code", "date", "command"], rows)
+
+
+TEMPLATES: dict[str, Template] = {"headline": headline, "plots": plots, "stems": stems, "index": index}

@@ -1,0 +1,128 @@
+"""The documents' figures are those of the result files, and the machinery that holds them there works."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.bench import tables
+from tests.bench.results import KINDS, RESULTS, ROOT, command_line, read_result, write_result
+from tests.bench.tables import TableError, differences, filled, marks
+from tests.bench.templates import TEMPLATES
+
+FIGURES = {"rmse_cm": 0.2374, "bias_cm": -0.051, "trees": 5, "false": 0}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write_result("try", FIGURES, command="python -m tests.bench.plot PLOT OUT", kind="blind", folder=tmp_path)
+    return tmp_path
+
+
+def check(text: str, folder: Path) -> list[str]:
+    return differences(list(marks(text, "page.md", folder)))
+
+
+def test_every_figure_of_the_documents_is_that_of_its_file(capsys: pytest.CaptureFixture[str]) -> None:
+    assert tables.main(["--check"]) == 0, capsys.readouterr()
+
+
+def test_every_result_file_can_be_read_and_is_clean() -> None:
+    paths = sorted(RESULTS.glob("*.json"))
+    assert paths
+    for path in paths:
+        result = read_result(path.stem)
+        assert result.name == path.stem
+        assert result.kind in KINDS
+        assert re.fullmatch("[0-9a-f]{40}", result.commit), f"{path.name} was not measured on a commit"
+        assert result.figures
+        assert not re.search(r"/(work|home|tmp|root|Users)/", path.read_text(encoding="utf-8"))
+
+
+def test_the_readme_has_no_figure_of_accuracy_by_hand() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    for mark in reversed(list(marks(text, "README.md"))):
+        text = text[: mark.start] + text[mark.end :]
+    assert not re.search(r"\b(RMSE|bias|AE|MAE|error)\b[^\n|]{0,30}\d", text)
+
+
+def test_a_figure_that_differs_is_named_with_its_line(folder: Path) -> None:
+    text = "first\nRMSE <!-- f:try.rmse_cm:.2f -->0.23<!-- /f --> cm\n"
+    assert check(text, folder) == ["page.md:2: try.rmse_cm: the text says '0.23', the file '0.24'"]
+    assert not check(text.replace("0.23", "0.24"), folder)
+
+
+def test_writing_puts_in_what_the_check_asks_for(folder: Path) -> None:
+    text = (
+        "RMSE <!-- f:try.rmse_cm:.2f --><!-- /f --> and <!-- f:try.bias_cm:+.2f -->9<!-- /f --> cm, "
+        "<!-- f:try.trees -->?<!-- /f --> trees, <!-- f:try.set --><!-- /f -->\n"
+    )
+    new = filled(text, list(marks(text, "page.md", folder)))
+    assert re.sub("<!--.*?-->", "", new) == "RMSE 0.24 and \N{MINUS SIGN}0.05 cm, 5 trees, blind\n"
+    assert not check(new, folder)
+
+
+def test_a_table_that_differs_is_named_with_its_row(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    monkeypatch.setitem(TEMPLATES, "two", lambda results: ["| a |", f"| {results[0].figures['trees']} |"])
+    text = "<!-- figures: two try -->\n\n| a |\n| 4 |\n\n<!-- /figures -->\n"
+    assert check(text, folder) == ["page.md:4: two try: the text says '| 4 |', the file '| 5 |'"]
+    assert not check(text.replace("4", "5"), folder)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("x <!-- f:none.rmse_cm -->1<!-- /f -->", "there is no .*none.json"),
+        ("x <!-- f:try.mae_cm -->1<!-- /f -->", "no figure 'mae_cm'"),
+        ("x <!-- f:try.rmse_cm:d -->1<!-- /f -->", "Unknown format"),
+        ("x <!-- f:try.rmse_cm -->1", "not closed"),
+        ("<!-- f:try.rmse_cm -->1<!-- /f -->", "begins a line"),
+        ("- <!-- f:try.rmse_cm -->1<!-- /f -->", "begins a line"),
+        ("<!-- figures: nothing try -->\n<!-- /figures -->", "no table 'nothing'"),
+    ],
+)
+def test_a_mark_that_cannot_be_filled_is_an_error_with_its_line(text: str, why: str, folder: Path) -> None:
+    with pytest.raises(TableError, match=rf"page\.md:3: .*{why}"):
+        check(f"\n\n{text}\n", folder)
+
+
+def test_the_headline_refuses_a_set_that_is_not_blind(folder: Path) -> None:
+    write_result("seen", FIGURES, command="python -m tests.bench.plot P O", kind="development", folder=folder)
+    with pytest.raises(TableError, match="seen is a development set"):
+        check("<!-- figures: headline seen -->\n<!-- /figures -->\n", folder)
+
+
+def test_a_result_says_what_it_was_measured_on(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    write_result("try", FIGURES, command="python -m x", kind="blind", folder=folder)
+    record: dict[str, Any] = json.loads((folder / "try.json").read_text(encoding="utf-8"))
+    assert record["figures"] == FIGURES
+    assert record["set"] == "blind"
+    assert record["processor"]["cores"] >= 1
+    assert record["thread_variables"]["OMP_NUM_THREADS"] == "3"
+    assert set(record["versions"]) == {"python", "numpy", "onnxruntime", "opencv", "pycolmap", "fsinfer"}
+    assert record["commit"]
+
+
+def test_what_is_no_figure_is_refused(tmp_path: Path) -> None:
+    def write(figures: dict[str, Any], name: str = "try", kind: Any = "blind") -> Path:
+        return write_result(name, figures, command="python -m x", kind=kind, folder=tmp_path)
+
+    for key, value in {"text": "0.24", "endless": float("inf"), "Name": 1}.items():
+        with pytest.raises(ValueError, match=key):
+            write({key: value})
+    with pytest.raises(ValueError, match="Try"):
+        write({}, name="Try")
+    with pytest.raises(ValueError, match="half"):
+        write({}, kind="half")
+    write({"nothing": None, "unknown": float("nan"), "rmse_cm": 0.5})
+    assert read_result("try", tmp_path).figures == {"rmse_cm": 0.5}
+
+
+def test_a_command_names_no_folder_of_the_machine_and_no_option_of_the_result() -> None:
+    words = ["/data/plots/plot", "out", "--result", "a", "--result-set=blind", "--note", "x y", "--slow"]
+    assert command_line("tests.bench.plot", words) == "python -m tests.bench.plot plot out --slow"
