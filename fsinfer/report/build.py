@@ -6,16 +6,16 @@ from pathlib import Path
 
 from fsinfer.errors import InputError
 from fsinfer.io.files import write_text
-from fsinfer.report.cloud_data import MAX_POINTS
-from fsinfer.report.cloud_part import cloud_part
+from fsinfer.report.cloud.data import MAX_POINTS
+from fsinfer.report.cloud.depth_part import depth_part
+from fsinfer.report.cloud.part import cloud_part
 from fsinfer.report.contents import read_contents
-from fsinfer.report.depth_part import depth_part
 from fsinfer.report.made_part import made_part
 from fsinfer.report.page import render_page, render_part
 from fsinfer.report.photos_part import photos_part
+from fsinfer.report.stems.part import stems_part
 from fsinfer.report.summary import plot_part, tiles_part
 from fsinfer.report.table_part import table_part
-from fsinfer.report.trees_part import stems_part
 from fsinfer.report.warnings_part import warnings_part
 
 REPORT_FILE = "report.html"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from fsinfer.report.contents import Contents, number, tree_number
 from fsinfer.report.page import Part, missing_part
-from fsinfer.report.tree_row import STATUS_WORDS, interval_of, interval_text, status_of
+from fsinfer.report.stems.row import STATUS_WORDS, interval_of, interval_text, status_of
 
 _ANCHOR, _TITLE = "trees", "Tree table"
 

@@ -3,12 +3,7 @@ from pathlib import Path
 import numpy as np
 
 from fsinfer.io.cloud import PointCloud
-from fsinfer.report.previews import (
-    BACKGROUND_RGB,
-    NO_DEPTH_RGB,
-    cloud_view,
-    depth_preview,
-)
+from fsinfer.report.cloud.previews import BACKGROUND_RGB, NO_DEPTH_RGB, cloud_view, depth_preview
 
 
 def test_depth_colours_go_from_red_near_to_blue_far(tmp_path: Path) -> None:

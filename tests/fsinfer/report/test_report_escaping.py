@@ -15,16 +15,16 @@ import pytest
 from markupsafe import escape
 
 from fsinfer.report import make_report
-from fsinfer.report.cloud_part import cloud_part
+from fsinfer.report.cloud.depth_part import depth_part
+from fsinfer.report.cloud.part import cloud_part
 from fsinfer.report.contents import Contents, read_contents
-from fsinfer.report.depth_part import depth_part
 from fsinfer.report.made_part import made_part
 from fsinfer.report.page import Part, missing_part, render_page, render_part
 from fsinfer.report.photos_part import photos_part
 from fsinfer.report.picture import Picture
+from fsinfer.report.stems.part import stems_part
 from fsinfer.report.summary import plot_part, tiles_part
 from fsinfer.report.table_part import table_part
-from fsinfer.report.trees_part import stems_part
 from fsinfer.report.warnings_part import warnings_part
 from fsinfer.scene import read_scene
 from tests.support.report_plot import tree_rows, write_report_folder
@@ -88,7 +88,7 @@ def test_names_of_photos(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = read_scene(folder / "scene")
     views = [dataclasses.replace(view, name=f"{view.name}{HOSTILE}") for view in scene.views]
     named = dataclasses.replace(scene, views=tuple(views))
-    monkeypatch.setattr("fsinfer.report.tree_photos.read_scene", lambda _: named)
+    monkeypatch.setattr("fsinfer.report.stems.photos.read_scene", lambda _: named)
     part = stems_part(read_contents(folder))
     assert part is not None
     html = render_part(part).html

@@ -8,10 +8,10 @@ import pytest
 from fsinfer.depth.maps import DepthMaps
 from fsinfer.io.images import read_image
 from fsinfer.io.pfm import read_pfm, write_pfm
-from fsinfer.report.cloud_data import MAX_IN_MEMORY, encode_cloud, read_some
+from fsinfer.report.cloud.data import MAX_IN_MEMORY, encode_cloud, read_some
 from fsinfer.report.contents import read_contents
-from fsinfer.report.tree_photos import LINE_RGB, OUTSIDE_RGB, crop_tree, standing_trees, tree_photos
-from fsinfer.report.tree_views import RatedView, StandingTree, breast_height_ring, choose_views, rate_view
+from fsinfer.report.stems.photos import LINE_RGB, OUTSIDE_RGB, crop_tree, standing_trees, tree_photos
+from fsinfer.report.stems.views import RatedView, StandingTree, breast_height_ring, choose_views, rate_view
 from fsinfer.scene import Scene, project, read_scene
 from tests.support.report_plot import plot_cloud, write_report_folder
 from tests.support.synthetic_plot import M_PER_UNIT, SIZE, STEMS
@@ -197,8 +197,8 @@ def test_a_very_large_cloud_is_read_in_part(tmp_path: Path, monkeypatch: pytest.
     write_cloud(tmp_path / f"c{suffix}", cloud)
     whole, count = read_some(tmp_path / f"c{suffix}")
     assert len(whole) == count == len(cloud) < MAX_IN_MEMORY
-    monkeypatch.setattr("fsinfer.report.cloud_data.MAX_IN_MEMORY", 1000)
-    monkeypatch.setattr("fsinfer.report.cloud_data.MAX_POINTS", 1000)
+    monkeypatch.setattr("fsinfer.report.cloud.data.MAX_IN_MEMORY", 1000)
+    monkeypatch.setattr("fsinfer.report.cloud.data.MAX_POINTS", 1000)
     part, count = read_some(tmp_path / f"c{suffix}")
     assert count == len(cloud)
     assert 1000 < len(part) < 3000

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from fsinfer.errors import FsinferError
 from fsinfer.io.images import read_image
 from fsinfer.io.pfm import read_pfm
+from fsinfer.report.cloud.previews import depth_preview
 from fsinfer.report.contents import Contents
 from fsinfer.report.page import Part, missing_part
 from fsinfer.report.picture import Picture, picture_of, shrink
-from fsinfer.report.previews import depth_preview
 from fsinfer.scene import IMAGE_SUFFIXES
 
 #: Views whose depth is shown, and the width of their pictures. Source: layout.

@@ -11,9 +11,9 @@ from fsinfer.io.images import read_image
 from fsinfer.report.contents import Contents, number, tree_number
 from fsinfer.report.page import Part
 from fsinfer.report.picture import Picture, picture_of, shrink
-from fsinfer.report.stem_map import MapView, stem_map
-from fsinfer.report.tree_photos import TreePhoto, tree_photos
-from fsinfer.report.tree_row import STATUS_WORDS, interval_of, interval_text, status_of
+from fsinfer.report.stems.photos import TreePhoto, tree_photos
+from fsinfer.report.stems.row import STATUS_WORDS, interval_of, interval_text, status_of
+from fsinfer.report.stems.stem_map import MapView, stem_map
 
 #: Photos of all trees and of one at most, and trees of which each gets fewer and smaller ones. Source: layout; the page
 #: stays below 15 MB.

@@ -11,11 +11,11 @@ import numpy as np
 
 from fsinfer.errors import FsinferError
 from fsinfer.io.cloud import PointCloud
-from fsinfer.report.cloud_data import MAX_POINTS, ViewerData, encode_cloud, read_some
+from fsinfer.report.cloud.data import MAX_POINTS, ViewerData, encode_cloud, read_some
+from fsinfer.report.cloud.previews import cloud_view
 from fsinfer.report.contents import Contents, number
 from fsinfer.report.page import Part, missing_part
 from fsinfer.report.picture import Picture, picture_of
-from fsinfer.report.previews import cloud_view
 
 _MODES = (("rgb", "Photo colours"), ("height", "Height"), ("tree", "Tree"), ("confidence", "Confidence"))
 # The labelled cloud comes first: it knows which point belongs to which tree.
@@ -37,7 +37,7 @@ class ViewerInfo:
 
     Attributes
     ----------
-    points, low, step, parts: as in :class:`fsinfer.report.cloud_data.ViewerData`.
+    points, low, step, parts: as in :class:`fsinfer.report.cloud.data.ViewerData`.
     unit: name of the unit of length.
     middle: the viewer computes relative to it.
     ground: height of the ground.

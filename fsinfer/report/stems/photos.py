@@ -14,7 +14,7 @@ from fsinfer.depth.maps import DepthMaps
 from fsinfer.errors import FsinferError
 from fsinfer.io.images import image_size, read_image
 from fsinfer.report.contents import Contents, number
-from fsinfer.report.tree_views import (
+from fsinfer.report.stems.views import (
     RatedView,
     StandingTree,
     ViewSettings,

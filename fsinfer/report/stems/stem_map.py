@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import FsinferError
 from fsinfer.report.contents import Contents, number, tree_number
-from fsinfer.report.tree_row import STATUS_WORDS, status_of
+from fsinfer.report.stems.row import STATUS_WORDS, status_of
 from fsinfer.scene import read_scene
 
 #: Width of the map and of its margin, units of the drawing. Source: layout.

@@ -1,0 +1,1 @@
+"""The report's stem map, and a card for each tree with its photographs."""
