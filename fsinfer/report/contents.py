@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import FsinferError
+from fsinfer.io.csv_text import read_rows
 from fsinfer.scale.scale import CAMERA_HEIGHT_M
 
 T = TypeVar("T")
@@ -109,10 +110,10 @@ def read_contents(out: Path) -> Contents:
     """Read the text parts of ``out``."""
     notes: list[str] = []
     plot = _lenient(lambda: _read_plot(out / "plot.json"), "plot.json", notes)
-    trees = _lenient(lambda: _read_rows(out / "trees.csv"), "trees.csv", notes)
+    trees = _lenient(lambda: read_rows(out / "trees.csv"), "trees.csv", notes)
     advised = _lenient(lambda: _read_revisit_advised(out / "trees.json"), "trees.json", notes)
     frames_path = next((p for p in (out / "frames" / "frames.csv", out / "frames.csv") if p.is_file()), None)
-    frames = None if frames_path is None else _lenient(lambda: _read_rows(frames_path), "frames.csv", notes)
+    frames = None if frames_path is None else _lenient(lambda: read_rows(frames_path), "frames.csv", notes)
     return Contents(
         out=out,
         plot=plot or {},
@@ -170,9 +171,3 @@ def _read_revisit_advised(path: Path) -> frozenset[int]:
         if any(isinstance(reason, dict) and reason.get("advises_revisit") is True for reason in reasons):
             advised.add(tree_id)
     return frozenset(advised)
-
-
-def _read_rows(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="", encoding="utf-8-sig") as stream:
-        reader = csv.DictReader(stream)
-        return [{str(key): str(value or "") for key, value in row.items() if key is not None} for row in reader]

@@ -26,9 +26,9 @@ from fsinfer.errors import InputError, OutputError
 from fsinfer.io.digest import file_digest
 from fsinfer.io.files import make_folder, write_text
 from fsinfer.output.json_values import as_json, of_json
+from fsinfer.output.layout import RECORDS_FOLDER
 from fsinfer.workflow.memory_peak import MemoryPeak
 
-RECORDS_FOLDER = ".fsinfer"
 #: Raised when records of an older layout must not be trusted any more. Source: the layout of the record.
 RECORD_FORMAT = 2
 

@@ -21,6 +21,7 @@ from fsinfer.io.las import read_epsg
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.output.json_values import of_json
+from fsinfer.output.layout import RECORDS_FOLDER
 from fsinfer.output.plot_json import package_versions, read_plot
 from fsinfer.placement.place import density_per_m2, transform_cloud
 from fsinfer.progress import Progress, silent
@@ -34,7 +35,7 @@ from fsinfer.trees.edits import find_edits
 from fsinfer.trees.outputs.labels import write_labelled
 from fsinfer.trees.sanity import TurnedCloudError
 from fsinfer.trees.thinning import ThinningSettings, thin_while_reading
-from fsinfer.workflow.ledger import RECORDS_FOLDER, Ledger, Stage, StageRecord
+from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
 from fsinfer.workflow.settings import speedless
 from fsinfer.workflow.summary import (
     MODEL_UNITS,

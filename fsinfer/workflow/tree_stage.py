@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fsinfer.errors import OutputError
 from fsinfer.io.cloud import PointCloud, write_cloud
 from fsinfer.notices.notice import Notice
+from fsinfer.output.layout import METRIC_TREE_FILES
 from fsinfer.progress import Progress, silent
 from fsinfer.scale.scale import CAMERA_HEIGHT_M
 from fsinfer.silhouettes.join import SilhouetteJoinSettings, StemPhotos, measure_silhouettes, write_sources
@@ -24,9 +25,6 @@ from fsinfer.trees.outputs.table import write_trees
 from fsinfer.trees.outputs.workbook import write_tables
 from fsinfer.trees.posts import without_posts
 from fsinfer.trees.stem_curve import CurvePoint, CurveSettings, stem_curves, write_curves
-
-# Everything but trees.csv and the figures: what an earlier measurement in metres may have left.
-MAPS = ("trees.gpkg", "trees.geojson", "trees.laz", "trees.xlsx", "stem_curve.csv", "dbh_sources.csv")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,7 +134,7 @@ def no_trees(out: Path, *, reason: Notice) -> TreesResult:
 def clear_outputs(out: Path) -> None:
     """Remove maps and figures of an earlier measurement; :class:`OutputError` where a program holds them."""
     _remove((out / "figures").glob("*.png"))
-    _remove(path for name in MAPS if (path := out / name).is_file())
+    _remove(path for name in METRIC_TREE_FILES if (path := out / name).is_file())
 
 
 def _find(given: PlotCloudInput, settings: TreeStageSettings, progress: Progress) -> PlotResult:

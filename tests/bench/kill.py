@@ -18,7 +18,7 @@ import time
 from importlib import resources
 from pathlib import Path
 
-from fsinfer.workflow.ledger import RECORDS_FOLDER
+from fsinfer.output.layout import RECORDS_FOLDER
 from tests.bench.results import add_result_options, check_result_options, save_result
 
 STAGES = ("frames", "poses", "depth", "check", "fuse", "scale", "cloud", "trees", "report")

@@ -16,11 +16,12 @@ import pytest
 from fsinfer.io.cloud import PointCloud, read_cloud
 from fsinfer.notices.notice import notice
 from fsinfer.notices.stems import StemCode
+from fsinfer.output.layout import METRIC_TREE_FILES
 from fsinfer.trees import PlotResult, analyse_plot, stand_table
 from fsinfer.trees.outputs.labels import label_points
 from fsinfer.trees.outputs.maps import write_maps
 from fsinfer.trees.stand import AREA_METHOD, NO_AREA
-from fsinfer.workflow.tree_stage import MAPS, PlotCloudInput, measure_plot, no_trees
+from fsinfer.workflow.tree_stage import PlotCloudInput, measure_plot, no_trees
 from tests.support.stem_clouds import StemPlot, stem_plot
 
 
@@ -113,14 +114,14 @@ def test_outputs_are_written_and_taken_away_again(tmp_path: Path, plot: StemPlot
     assert len(labelled) == len(plot.points)
     assert set(np.unique(labelled.extra["TreeID"])) == {0, 1, 2, 3, 4}
     no_trees(tmp_path, reason=notice(StemCode.nothing_measured, error="for the test"))
-    assert not any((tmp_path / name).exists() for name in MAPS)
+    assert not any((tmp_path / name).exists() for name in METRIC_TREE_FILES)
 
 
 def test_without_a_scale_there_are_no_maps(tmp_path: Path, plot: StemPlot) -> None:
     values = measure_plot(PlotCloudInput(cloud=PointCloud(xyz=plot.points), metric=False), tmp_path)
     assert values.trees == 4
     assert values.plot_area_m2 is None
-    assert not any((tmp_path / name).exists() for name in MAPS)
+    assert not any((tmp_path / name).exists() for name in METRIC_TREE_FILES)
 
 
 def test_stand_table(result: PlotResult) -> None:
