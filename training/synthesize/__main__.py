@@ -17,6 +17,7 @@ import numpy as np
 
 from fsinfer.io.files import write_text
 from training.synthesize.cameras.cluster import cluster_cameras
+from training.synthesize.cameras.phone import PHONE, PHONE_VIDEO, PhoneEffects, phone_sensor, shots_of, with_overrides
 from training.synthesize.cameras.photo import expose, random_sensor
 from training.synthesize.cameras.plot import plot_cameras
 from training.synthesize.forest.world import WorldSettings, build_world
@@ -62,6 +63,17 @@ def parse(argv: list[str] | None = None) -> argparse.Namespace:
     plot.add_argument("--zigzag", type=float, default=0.0, help="share of the photographs taken on transects")
     plot.add_argument("--both-ways", action="store_true", help="walk the inner loop twice, looking in, then out")
     plot.add_argument("--distortion", type=float, default=0.0, help="radial k1 of the images; cams stay pinhole")
+    plot.add_argument("--double-faced", action="store_true", help="both sheets of a board show the same number")
+    preset = plot.add_mutually_exclusive_group()
+    preset.add_argument("--phone", action="store_true", help="what a hand-held phone in a breeze does to photographs")
+    preset.add_argument("--phone-video", action="store_true", help="the same of frames of a video, walked at 1 m/s")
+    plot.add_argument(
+        "--effect",
+        nargs="*",
+        default=[],
+        metavar="NAME=VALUE",
+        help="strengths of single effects (fields of training.synthesize.cameras.phone.PhoneEffects)",
+    )
     plot.add_argument("--min-dbh-cm", type=float, default=8.0)
     plot.add_argument("--max-dbh-cm", type=float, default=70.0)
     return parser.parse_args(argv)
@@ -211,12 +223,21 @@ def synthesize_walk(args: argparse.Namespace, seed: int, photos: tuple[Path, ...
     print(f"w{seed:05d}: {len(cameras)} views in {time.perf_counter() - start:.0f} s", flush=True)
 
 
+def phone_effects(args: argparse.Namespace) -> PhoneEffects | None:
+    """What ``--phone``, ``--phone-video`` and ``--effect`` ask for; None where nothing is asked."""
+    if not (args.phone or args.phone_video or args.effect):
+        return None
+    preset = PHONE if args.phone else PHONE_VIDEO if args.phone_video else PhoneEffects(distortion=args.distortion)
+    return with_overrides(preset, args.effect)
+
+
 def synthesize_plot(args: argparse.Namespace, seed: int, photos: tuple[Path, ...], folder: Path) -> None:
     """Render one plot into ``folder``; views that are there already are kept."""
     if finished(folder):
         return
     width, height = args.width or 1280, args.height or 720
     start = time.perf_counter()
+    effects = phone_effects(args)
     settings = WorldSettings(
         radius_m=args.radius_m,
         outer_m=args.radius_m + 22,
@@ -238,9 +259,12 @@ def synthesize_plot(args: argparse.Namespace, seed: int, photos: tuple[Path, ...
         photo_share=1.0 if args.texture_names else args.photo_share,
         min_dbh_m=args.min_dbh_cm / 100,
         max_dbh_m=args.max_dbh_cm / 100,
+        windy=bool(effects and effects.wind_m),
+        own_bark=bool(effects and effects.own_bark),
+        double_faced=args.double_faced,
     )
     world = build_world(np.random.default_rng([seed, 1]), settings)
-    caster = Caster(world.opaque, world.cards, world.materials, world.light)
+    caster = Caster(world.opaque, world.cards, world.materials, world.light, swaying=world.swaying)
     rng = np.random.default_rng([seed, 2])
     cameras = plot_cameras(
         rng,
@@ -256,6 +280,12 @@ def synthesize_plot(args: argparse.Namespace, seed: int, photos: tuple[Path, ...
     )
     middle = cameras[0]
     sensor = random_sensor(rng, caster.picture(middle, width, height, 1))
+    shots = None
+    if effects is not None:
+        sensor = phone_sensor(sensor, effects)
+        shots = shots_of(np.random.default_rng([seed, 4]), cameras, effects)
+        cameras = [shot.camera for shot in shots]
+        write_text(folder / "shots.json", json.dumps([shot.record() for shot in shots], indent=1) + "\n")
     inside = world.in_plot
     write_truth(folder / "truth.csv", world.stems[:inside], world.sections[:inside])
     write_truth(folder / "truth_outside.csv", world.stems[inside:], world.sections[inside:])
@@ -267,8 +297,11 @@ def synthesize_plot(args: argparse.Namespace, seed: int, photos: tuple[Path, ...
     for i, camera in enumerate(cameras):
         depth = read_view_depth(folder, i)
         if depth is None:
+            if effects is not None and effects.wind_m:
+                caster.blow(np.random.default_rng([seed, 5, i]), effects.wind_m, world.flutter, world.sway)
             depth = caster.depth(camera, width, height)
-            picture = caster.picture(camera, width, height, args.supersample, distortion=args.distortion)
+            shot = None if shots is None else shots[i]
+            picture = caster.picture(camera, width, height, args.supersample, distortion=args.distortion, shot=shot)
             photo = expose(np.random.default_rng([seed, 3, i]), sensor, picture)
             write_view(folder, i, photo, depth, with_depth_range(camera, depth, 25.0), sensor.quality)
         depths.append(depth)
@@ -277,6 +310,8 @@ def synthesize_plot(args: argparse.Namespace, seed: int, photos: tuple[Path, ...
     finish_scene(folder, cameras, depths)
     options = {k: str(v) for k, v in vars(args).items() if k not in ("out", "textures")}
     drawn = vars(settings) | {"photos": [p.name for p in photos]}
+    if effects is not None:
+        drawn |= {"effects": vars(effects)}
     record = {"seed": seed, "kind": "plot", "options": options, "settings": drawn, "sensor": vars(sensor)}
     write_record(folder, record)
 

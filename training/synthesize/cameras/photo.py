@@ -11,7 +11,11 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, kw_only=True)
 class Sensor:
-    """What stays the same within one scene's photographs."""
+    """What stays the same within one scene's photographs.
+
+    ``tone`` takes that share of the large-scale contrast out (local tone mapping); ``glare`` spreads that share of
+    the light beyond white over the picture.
+    """
 
     exposure: float
     white_balance: NDArray[np.float64]
@@ -24,6 +28,8 @@ class Sensor:
     quality: int
     drift: float
     sharpening: float
+    tone: float = 0.0
+    glare: float = 0.0
 
 
 def random_sensor(rng: np.random.Generator, linear: NDArray[np.float32]) -> Sensor:
@@ -51,12 +57,17 @@ def expose(rng: np.random.Generator, sensor: Sensor, linear: NDArray[np.float32]
     image = linear * (gain * sensor.white_balance * np.exp(rng.normal(0, 0.015, 3))).astype(np.float32)
     y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
     image = image * (1 - sensor.vignetting * (x**2 + y**2) / 2)[..., None].astype(np.float32)
+    if sensor.glare:
+        image = image + np.float32(sensor.glare) * _veil(image)
     noise = rng.standard_normal(image.shape, dtype=np.float32)
     noise *= np.sqrt(sensor.noise**2 * np.clip(image, 0.02, 1) * 4 + 1e-6)
     image = image / (1 + np.maximum(image - 0.7, 0) * 0.7)  # soft shoulder of highlights
     gamma = np.float32(1 / sensor.gamma)
     encoded = np.clip(image, 0, 1) ** gamma
     grain = (np.clip(image + noise, 0, 1) ** gamma) - encoded
+    if sensor.tone:
+        lift = _tone_gain(encoded, sensor.tone)
+        encoded, grain = encoded * lift, grain * lift  # lifted shadows show their noise
     # Blur after the tone curve, like most of what a phone does to a picture, so that edges stay where they are.
     image = cv2.GaussianBlur(encoded, (0, 0), max(0.1, sensor.blur_px * np.exp(rng.normal(0, 0.2))))
     if rng.random() < 0.25:  # a hand that moved a little during the exposure
@@ -69,6 +80,25 @@ def expose(rng: np.random.Generator, sensor: Sensor, linear: NDArray[np.float32]
         np.uint8
     )
     return photograph
+
+
+def _veil(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Light (h, w, 3) that lens and cover glass scatter: a halo of a fiftieth of the width, and a haze over all."""
+    bright = np.minimum(image, 4.0).astype(np.float32)
+    small = cv2.resize(bright, None, fx=0.125, fy=0.125, interpolation=cv2.INTER_AREA)
+    halo = cv2.GaussianBlur(small, (0, 0), image.shape[1] / 8 / 50)
+    halo = cv2.resize(halo, (image.shape[1], image.shape[0]), interpolation=cv2.INTER_LINEAR)
+    veil: NDArray[np.float32] = (halo + bright.mean((0, 1))).astype(np.float32)
+    return veil
+
+
+def _tone_gain(encoded: NDArray[np.float32], share: float) -> NDArray[np.float32]:
+    """Gain (h, w, 1) that brings the neighbourhood of each pixel that share of the way to a middle grey."""
+    luma = cv2.resize(encoded.mean(-1), None, fx=0.125, fy=0.125, interpolation=cv2.INTER_AREA)
+    base = cv2.GaussianBlur(luma, (0, 0), max(1.0, encoded.shape[1] / 8 / 30))
+    base = cv2.resize(base, (encoded.shape[1], encoded.shape[0]), interpolation=cv2.INTER_LINEAR)
+    gain: NDArray[np.float32] = ((0.45 / np.maximum(base, 0.05)) ** share)[..., None].astype(np.float32)
+    return gain
 
 
 def _motion_kernel(rng: np.random.Generator, length_px: float) -> NDArray[np.float32]:

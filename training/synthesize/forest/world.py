@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,16 +21,22 @@ from training.synthesize.forest.stem import Section, Stem, measure_section, rand
 from training.synthesize.forest.terrain import Terrain, make_terrain, terrain_mesh
 from training.synthesize.forest.textures import make_material
 from training.synthesize.forest.undergrowth import litter, log, scatter, shrub, stones, tufts
+from training.synthesize.forest.wind import SWAYING_DBH_M, plant_weights, stem_weights
 
 #: Leaves that lie on the ground one by one, at most; the rest of the litter is texture. Source: numerics.
 MOST_LITTER = 15000
 #: Radius that cameras take objects other than stems to have. Source: judgement.
 CLUTTER_RADIUS_M = 0.8
+NO_WEIGHTS = np.zeros(0, np.float32)
 
 
 @dataclass(frozen=True, kw_only=True)
 class WorldSettings:
-    """How a world is drawn. ``trees`` stand within ``radius_m``; thinner forest goes on to ``outer_m``."""
+    """How a world is drawn. ``trees`` stand within ``radius_m``; thinner forest goes on to ``outer_m``.
+
+    ``windy``: what sways is kept apart. ``own_bark``: each tree of the plot has a bark of its own. ``double_faced``:
+    both sheets of a board show the same number.
+    """
 
     radius_m: float
     outer_m: float
@@ -53,11 +59,18 @@ class WorldSettings:
     photo_share: float = 0.6
     min_dbh_m: float = 0.08
     max_dbh_m: float = 0.7
+    windy: bool = False
+    own_bark: bool = False
+    double_faced: bool = False
 
 
 @dataclass(kw_only=True)
 class World:
-    """A finished world; ``sections`` are the true breast-height sections of ``stems``, the first ``in_plot`` inside."""
+    """A finished world; ``sections`` are the true breast-height sections of ``stems``, the first ``in_plot`` inside.
+
+    With wind, ``swaying`` holds thin stems and shrubs, which else are in ``opaque``; ``sway`` and ``flutter`` say how
+    far each vertex of ``swaying`` and of ``cards`` moves (see :mod:`training.synthesize.forest.wind`).
+    """
 
     terrain: Terrain
     opaque: Mesh
@@ -69,6 +82,9 @@ class World:
     in_plot: int
     markers: dict[str, Any]
     obstacles: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
+    swaying: Mesh | None = None
+    sway: NDArray[np.float32] = field(default_factory=lambda: NO_WEIGHTS)
+    flutter: NDArray[np.float32] = field(default_factory=lambda: NO_WEIGHTS)
 
 
 def place_stems(
@@ -100,12 +116,17 @@ def target_places(posts: int, radius_m: float) -> list[tuple[float, float]]:
 
 
 def make_targets(
-    terrain: Terrain, places: list[tuple[float, float]], materials: list[Material], wood: int
+    terrain: Terrain,
+    places: list[tuple[float, float]],
+    materials: list[Material],
+    wood: int,
+    *,
+    double_faced: bool = False,
 ) -> list[Target]:
     """Board posts at all ``places`` but the last, where the stick stands; appends to ``materials``."""
     targets: list[Target] = []
     for number, (x, y) in enumerate(places[:-1]):
-        pair = (2 * number, 2 * number + 1)
+        pair = (number, number) if double_faced else (2 * number, 2 * number + 1)
         ids = (len(materials), len(materials) + 1)
         materials += [board_material(i) for i in pair]
         facing = float(np.arctan2(y, x)) + 0.25 * (-1) ** number
@@ -157,6 +178,8 @@ def build_world(rng: np.random.Generator, settings: WorldSettings) -> World:
         )
     ]
     cards: list[Mesh] = []
+    swaying: list[Mesh] = []
+    sway: list[NDArray[np.float32]] = []
     gap = rng.uniform(0.9, 2.2) if settings.trees else 2.0
     spots = target_places(settings.targets, settings.radius_m)
     inner = place_stems(rng, settings.trees, settings.radius_m, 0.0, spots, gap)
@@ -175,19 +198,28 @@ def build_world(rng: np.random.Generator, settings: WorldSettings) -> World:
         material = barks[int(rng.integers(len(barks)))]
         stem = random_stem(rng, x, y, z, dbh_m=dbh, material=material, lean_scale=lean_scale)
         near = number < len(inner)
+        if settings.own_bark and near:
+            material = len(materials)
+            materials.append(make_material(rng, "bark", photos, photo_share=share, size=settings.texture_px))
+            stem = replace(stem, material=material)
         sides, step = ((128 if dbh > 0.3 else 96), 0.02) if near else (settings.outer_sides, settings.outer_step_m)
         mesh = stem_mesh(stem, materials, sides=sides, step_m=step)
-        opaque.append(mesh)
+        parts = [mesh]
         tile = materials[material].tile_m
         if stem.fork_at_m:
-            opaque.append(fork(stem, rng, tile))
+            parts.append(fork(stem, rng, tile))
         stems.append(stem)
         sections.append(measure_section(stem, mesh))
         obstacles.append((x, y, dbh / 2))
         crown = stem.height_m * rng.uniform(low_crown, low_crown + 0.3)
         dead = int(rng.poisson(14 if conifer else 4)) if near else 2
         meshes, ends = branches(rng, stem, dead=dead, live=24 if near else 14, crown_m=crown, tile_m=tile)
-        opaque += meshes
+        parts += meshes
+        if settings.windy and dbh < SWAYING_DBH_M:
+            swaying += parts
+            sway += [stem_weights(part, z, stem.height_m) for part in parts]
+        else:
+            opaque += parts
         if not leafless and len(ends):
             leaf_kinds = [needles] if conifer else [leaves, leaves_2]
             cards.append(leaf_cards(rng, ends, leaf_kinds, size_m=0.8, spread_m=0.35))
@@ -196,7 +228,7 @@ def build_world(rng: np.random.Generator, settings: WorldSettings) -> World:
         z = float(terrain.height(np.float64(x), np.float64(y)))
         opaque += clutter_object(rng, x, y, z, others, [materials[i].tile_m for i in others])
         obstacles.append((x, y, CLUTTER_RADIUS_M))
-    targets = make_targets(terrain, spots, materials, stone)
+    targets = make_targets(terrain, spots, materials, stone, double_faced=settings.double_faced)
     opaque += [m for t in targets for m in t.meshes]
     obstacles += [(x, y, 0.2) for x, y in spots]
     markers = {"boards": [t.record for t in targets if "id" in t.record]}
@@ -215,7 +247,11 @@ def build_world(rng: np.random.Generator, settings: WorldSettings) -> World:
         for place in scatter(rng, int(rich * rng.uniform(0, 40)), reach):
             if not obstacles or np.hypot(*(np.array(obstacles)[:, :2] - place).T).min() > 0.5:
                 stems_mesh, leaf_mesh = shrub(rng, terrain, place, barks[0], [leaves, leaves_2])
-                opaque.append(stems_mesh)
+                if settings.windy:
+                    swaying.append(stems_mesh)
+                    sway.append(plant_weights(stems_mesh, terrain))
+                else:
+                    opaque.append(stems_mesh)
                 cards += [] if bare else [leaf_mesh]
     opaque += stones(rng, terrain, scatter(rng, int(rng.integers(0, 25)), reach), stone, materials[stone].tile_m)
     for place in scatter(rng, int(rng.integers(0, 4)), reach):
@@ -231,4 +267,7 @@ def build_world(rng: np.random.Generator, settings: WorldSettings) -> World:
         in_plot=len(inner),
         markers=markers,
         obstacles=np.array(obstacles).reshape(-1, 3),
+        swaying=merge(swaying) if swaying else None,
+        sway=np.concatenate(sway) if sway else NO_WEIGHTS,
+        flutter=np.concatenate([plant_weights(m, terrain) for m in cards]) if settings.windy and cards else NO_WEIGHTS,
     )
