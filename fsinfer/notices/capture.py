@@ -30,6 +30,8 @@ class CaptureCode(StrEnum):
     photos_astray = "photos_astray"
     photos_contradicted = "photos_contradicted"
     photos_loose = "photos_loose"
+    parts_joined = "parts_joined"
+    part_apart = "part_apart"
     # Scale
     no_scale_given = "no_scale_given"
     no_scale_from_markers = "no_scale_from_markers"
@@ -57,6 +59,22 @@ def _left_out(why: str) -> Callable[[Mapping[str, Any]], str]:
         return f"{len(names)} of {values['photos']} photos left out ({shown}): {why}"
 
     return say
+
+
+def _parts_joined(values: Mapping[str, Any]) -> str:
+    names = sorted(values["names"])
+    return (
+        f"the walk tore, and {len(names)} photos ({names[0]} to {names[-1]}) were joined to the rest by boards or "
+        "photos that both parts have; look at the map where they meet"
+    )
+
+
+def _part_apart(values: Mapping[str, Any]) -> str:
+    names = sorted(values["names"])
+    return (
+        f"{len(names)} photos ({names[0]} to {names[-1]}) hang together, but nothing ties them to the rest: put up "
+        "boards that are seen from both parts, two in each, or walk on from a place that is in the photos already"
+    )
 
 
 def _unlikely_height(values: Mapping[str, Any]) -> str:
@@ -93,6 +111,8 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
         "they share too few points with the other photos for their place to be sure; take more photos where the view "
         "changes, and where the walk comes back to a place"
     ),
+    CaptureCode.parts_joined: _parts_joined,
+    CaptureCode.part_apart: _part_apart,
     CaptureCode.no_scale_given: (
         "no scale was given: the cloud is in model units and no DBH is measured; photograph boards printed by fsinfer "
         "marker, or ArUco markers of your own and give --aruco-length-m, or give --endpoints with --length-m (two "

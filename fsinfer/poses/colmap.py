@@ -66,6 +66,8 @@ def extract_features(
     cameras: Mapping[str, Sequence[str]],
     settings: PoseSettings,
     progress: Progress,
+    *,
+    step: str = "finding features",
 ) -> None:
     """Find SIFT features in every photo that the database has none of yet.
 
@@ -102,7 +104,7 @@ def extract_features(
         options.sift.first_octave = -1 if doubled else 0
         for start in range(0, len(names), _PHOTOS_PER_BATCH):
             batch = list(names[start : start + _PHOTOS_PER_BATCH])
-            progress(done, total, "finding features")
+            progress(done, total, step)
             missing = [name for name in batch if not _has_features(database, name)]
             if missing:
                 reader = _reader(settings)
@@ -118,7 +120,7 @@ def extract_features(
                     device=pycolmap.Device.cpu,
                 )
             done += len(batch)
-    progress(total, total, "finding features")
+    progress(total, total, step)
 
 
 def _reader(settings: PoseSettings) -> Any:
@@ -184,6 +186,20 @@ def match_features(database: Path, names: Sequence[str], settings: PoseSettings,
     progress(total, total, "matching photos")
 
 
+def match_pairs(
+    database: Path,
+    names: Sequence[str],
+    pairs: Sequence[tuple[int, int]],
+    settings: PoseSettings,
+    progress: Progress,
+    *,
+    step: str = "matching photos",
+) -> None:
+    """Match these pairs of photos, by their ranks among ``names``; those that the database has are not repeated."""
+    _match(database, names, pairs, settings, progress, 0, len(pairs), step=step)
+    progress(len(pairs), len(pairs), step)
+
+
 def inliers_by_rank(database: Path, names: Sequence[str]) -> dict[tuple[int, int], int]:
     """Matches of each pair of photos, by their ranks, that passed the geometric check."""
     import pycolmap
@@ -207,6 +223,8 @@ def _match(
     progress: Progress,
     done: int,
     total: int,
+    *,
+    step: str = "matching photos",
 ) -> None:
     import pycolmap
 
@@ -219,7 +237,7 @@ def _match(
     verification.ransac.max_num_trials = _MOST_TRIALS
     listed = database.parent / "pairs.txt"
     for start in range(0, len(pairs), _PAIRS_PER_BATCH):
-        progress(done + start, total, "matching photos")
+        progress(done + start, total, step)
         batch = pairs[start : start + _PAIRS_PER_BATCH]
         listed.write_text("".join(f"{names[i]} {names[j]}\n" for i, j in batch), encoding="utf-8")
         pairing = pycolmap.ImportedPairingOptions()

@@ -19,23 +19,18 @@ from fsinfer.io.images import is_upright_jpeg_or_png, list_images, read_image, w
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.sentences import sentences
-from fsinfer.poses.colmap import colmap_errors, extract_features, match_features, reconstruct
+from fsinfer.poses.colmap import colmap_errors
+from fsinfer.poses.mapping import ADVICE, Walk, map_walk
 from fsinfer.poses.refinement import refine
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.sparse import sparse_of
 from fsinfer.poses.undistortion import intrinsic_of, undistort, undistort_model, undistortion_maps
 from fsinfer.poses.verification.misplaced import LEFT_OUT, drop_blind_views
-from fsinfer.poses.verification.repair import repair
 from fsinfer.poses.view_selection import depth_range, select_views
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Camera, write_camera, write_pairs
 
 _log = logging.getLogger(__name__)
-
-ADVICE = (
-    "photos must overlap by two thirds or more, be sharp, and show bark, litter or other texture in good light; "
-    "walk on a little between photos and do not only turn on the spot"
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,8 +112,8 @@ def estimate_poses(
         msg = f"{given} holds {len(photos)} photos that can be used, {settings.min_registered} are needed: {ADVICE}"
         raise PosesError(msg)
     with colmap_errors("finding poses", work):
-        model, misplaced = _structure_from_motion(photos, given, work, settings, progress)
-        model = refine(model, settings.refinement, progress)
+        mapped = map_walk(_walk_of(photos), given, work, settings, progress)
+        model, misplaced = refine(mapped.model, settings.refinement, progress), mapped.misplaced
     drop_blind_views(model)
     placed = {model.images[i].name for i in model.reg_image_ids()}
     named = {file for files in misplaced.values() for file in files}
@@ -127,6 +122,10 @@ def estimate_poses(
     for how, files in misplaced.items():
         if files:
             warnings.append(notice(LEFT_OUT[how], photos=len(photos), names=tuple(names[file] for file in files)))
+    if mapped.joined:
+        warnings.append(notice(CaptureCode.parts_joined, names=tuple(names[file] for file in mapped.joined)))
+    for part in mapped.apart:
+        warnings.append(notice(CaptureCode.part_apart, names=tuple(names[file] for file in part)))
     seen = _write_scene(model, photos, out, settings, progress)
     for warning in sentences(warnings):
         _log.warning(warning)
@@ -196,29 +195,14 @@ def _prepare(paths: Sequence[Path], folder: Path, warnings: list[Notice], progre
     return photos
 
 
-def _structure_from_motion(
-    photos: Sequence[_Photo], given: Path, work: Path, settings: PoseSettings, progress: Progress
-) -> tuple[Any, dict[str, list[str]]]:
-    """The largest model, and by reason the files of photos that were placed wrongly and taken out of it."""
+def _walk_of(photos: Sequence[_Photo]) -> Walk:
+    """The photos in the order of walking, grouped by what shares a calibration."""
     cameras: dict[tuple[str, ...], list[str]] = {}
     for photo in photos:
         cameras.setdefault(camera_key(photo.source), []).append(photo.file)
-    grouped = {" ".join(key): files for key, files in cameras.items()}
-    walk = [photo.file for photo in photos]
-    database = work / "database.db"
-    extract_features(database, work / "images", grouped, settings, progress)
-    match_features(database, walk, settings, progress)
-    models = reconstruct(database, work / "images", work / "models", settings, progress)
-    placed = models[0].num_reg_images() if models else 0
-    if placed < settings.min_registered:
-        found = "no two photos" if placed == 0 else f"only {placed} photos"
-        msg = f"{found} of the {len(photos)} in {given} could be placed together: {ADVICE}"
-        raise PosesError(msg)
-    model, misplaced = repair(models[0], database, walk, work, settings, progress)
-    if model.num_reg_images() < settings.min_registered:
-        msg = f"the {len(photos)} photos in {given} match in ways that contradict each other: {ADVICE}"
-        raise PosesError(msg)
-    return model, misplaced
+    return Walk(
+        files=tuple(photo.file for photo in photos), cameras={" ".join(key): files for key, files in cameras.items()}
+    )
 
 
 def _write_scene(

@@ -8,6 +8,29 @@ from dataclasses import dataclass, field
 from fsinfer.poses.pairs import PairSettings
 from fsinfer.poses.refinement import FEATURE_SIZE_PX, RefinementSettings
 from fsinfer.poses.view_selection import SelectionSettings
+from fsinfer.scale.printed_boards import DICTIONARY
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThoroughSettings:
+    """What is done where the walk tore.
+
+    Attributes
+    ----------
+    min_share: of the photos that have a place; with fewer the others are looked at again. Source: judgement; a walk of
+        200 photos may lose six at its ends.
+    beside: so many photos before and after one without a place are looked at again with it. Source: as far as
+        neighbours are matched.
+    max_features: of the doubled photos, about. Source: COLMAP's default.
+    overlap: each is matched with this many next ones. Source: with 12 COLMAP's defaults held walks that tore here.
+    net_stride: every so many-th photo without a place is matched with every so many-th of all. Source: judgement.
+    """
+
+    min_share: float = 0.97
+    beside: int = 8
+    max_features: int = 8192
+    overlap: int = 12
+    net_stride: int = 6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +53,8 @@ class PoseSettings:
         placed 188 within 5 cm and the global one 170; renders only.
     min_registered: fewer photos than this in the largest model are no result. Source: a third photo is the first that
         can contradict two.
+    dictionary: of the markers whose corners tie the photos, as OpenCV names it. Source: what fsinfer marker prints.
+    thorough: where the walk tore.
     refinement: of the last adjustment of the model.
     selection: of source views and depth ranges.
     sources: at most this many source views in ``pair.txt``. Source: MVSNet (Yao et al. 2018) writes 10.
@@ -44,6 +69,8 @@ class PoseSettings:
     default_focal_factor: float = 0.9
     mapper: str = "incremental"
     min_registered: int = 3
+    dictionary: str = DICTIONARY
+    thorough: ThoroughSettings = field(default_factory=ThoroughSettings)
     refinement: RefinementSettings = field(default_factory=RefinementSettings)
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     sources: int = 10

@@ -1,0 +1,127 @@
+"""Structure from motion of a walk: cheap first, thorough where it tore, parts joined, boards as ties."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from fsinfer.errors import PosesError
+from fsinfer.poses.boards import BoardSighting, boards_in, find_boards, tie_boards
+from fsinfer.poses.colmap import extract_features, match_features, reconstruct
+from fsinfer.poses.parts import join_parts
+from fsinfer.poses.refinement import FEATURE_SIZE_PX
+from fsinfer.poses.settings import PoseSettings
+from fsinfer.poses.thorough import rematch, torn
+from fsinfer.poses.verification.repair import repair
+from fsinfer.progress import Progress
+
+_log = logging.getLogger(__name__)
+
+ADVICE = (
+    "photos must overlap by two thirds or more, be sharp, and show bark, litter or other texture in good light; "
+    "walk on a little between photos and do not only turn on the spot"
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Walk:
+    """The photos of one walk.
+
+    Attributes
+    ----------
+    files: in the order of walking.
+    cameras: ``{camera: files}``; the photos of one camera share one calibration.
+    """
+
+    files: tuple[str, ...]
+    cameras: Mapping[str, Sequence[str]]
+
+    def has_place(self, model: Any) -> list[bool]:
+        """Whether each photo is in a ``pycolmap.Reconstruction``."""
+        placed = {model.images[i].name for i in model.reg_image_ids()}
+        return [file in placed for file in self.files]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MappedWalk:
+    """What the mapper made of a walk.
+
+    Attributes
+    ----------
+    model: the ``pycolmap.Reconstruction``, not yet refined.
+    misplaced: by reason the files of photos that were placed wrongly and taken out.
+    joined: files of photos that were mapped apart and joined to the rest. apart: those of each part that was not.
+    """
+
+    model: Any
+    misplaced: dict[str, list[str]]
+    joined: tuple[str, ...] = ()
+    apart: tuple[tuple[str, ...], ...] = field(default=())
+
+
+def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progress: Progress) -> MappedWalk:
+    """Features, matches and the map of all photos in ``work/images``.
+
+    Parameters
+    ----------
+    given: what messages call the photos. work: folder for the database and the models; a run that was stopped finds
+        its features and matches there.
+
+    Raises
+    ------
+    PosesError
+        Fewer than ``settings.min_registered`` photos could be placed together.
+    """
+    images, database = work / "images", work / "database.db"
+    extract_features(database, images, walk.cameras, settings, progress)
+    match_features(database, walk.files, settings, progress)
+    models = reconstruct(database, images, work / "models", settings, progress)
+    placed = models[0].num_reg_images() if models else 0
+    model: Any = None
+    misplaced: dict[str, list[str]] = {}
+    if placed >= settings.min_registered:
+        model, misplaced = repair(models[0], database, walk.files, work, settings, progress)
+    has_place = walk.has_place(model) if model is not None else [False] * len(walk.files)
+    if torn(has_place, settings):
+        richer = rematch(database, images, walk.cameras, walk.files, has_place, settings, progress)
+        again = reconstruct(richer, images, work / "thorough", settings, progress)
+        if again and again[0].num_reg_images() >= max(sum(has_place), settings.min_registered):
+            better, wrong = repair(again[0], richer, walk.files, work, settings, progress)
+            if sum(walk.has_place(better)) > sum(has_place):
+                _log.info("thorough: %d instead of %d photos", better.num_reg_images(), sum(has_place))
+                model, misplaced, models = better, wrong, again
+        placed = max(placed, again[0].num_reg_images() if again else 0)
+    if model is None:
+        found = "no two photos" if placed == 0 else f"only {placed} photos"
+        msg = f"{found} of the {len(walk.files)} in {given} could be placed together: {ADVICE}"
+        raise PosesError(msg)
+    if model.num_reg_images() < settings.min_registered:
+        msg = f"the {len(walk.files)} photos in {given} match in ways that contradict each other: {ADVICE}"
+        raise PosesError(msg)
+    sightings = find_boards(
+        images, walk.files, dictionary=settings.dictionary, longest_px=FEATURE_SIZE_PX, progress=progress
+    )
+    joined, apart = _join(model, models[1:], sightings, settings)
+    tied = tie_boards(model, boards_in(model, sightings))
+    _log.info("%d corners of boards tie the photos", tied)
+    named = set(joined)
+    misplaced = {how: [file for file in files if file not in named] for how, files in misplaced.items()}
+    return MappedWalk(model=model, misplaced=misplaced, joined=tuple(joined), apart=apart)
+
+
+def _join(
+    model: Any, others: Sequence[Any], sightings: Sequence[BoardSighting], settings: PoseSettings
+) -> tuple[list[str], tuple[tuple[str, ...], ...]]:
+    """Join what can be; returns the files that were gained, and those of each part that stays alone."""
+    parts = [part for part in others if part.num_reg_images() >= settings.min_registered]
+    joined, left = join_parts(model, parts, sightings)
+    placed = {model.images[i].name for i in model.reg_image_ids()}
+    apart = []
+    for part in left:
+        files = sorted({str(part.images[i].name) for i in part.reg_image_ids()} - placed)
+        if len(files) >= settings.min_registered:
+            apart.append(tuple(files))
+    return sorted(joined), tuple(apart)

@@ -1,0 +1,260 @@
+"""Parts of a torn walk put together: by photos that both have, or by boards that both see.
+
+Each part is right in itself and has a scale, a place and a turn of its own: a similarity joins it to the rest. It is
+estimated from what both know, checked against all that both know, and adjusted with everything else afterwards.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from fsinfer.poses.boards import Board, BoardSighting, boards_in, by_number
+
+_log = logging.getLogger(__name__)
+
+#: Corners of a board agree in two parts where they lie within this share of its side; farther boards by the drift of
+#: a part, this share of their distance from the board that joins. Source: judgement.
+_CORNER_SHARE, _DRIFT_SHARE = 0.25, 0.04
+#: Photos that two parts must have in common for a similarity from them. Source: two fix it, the third checks.
+_COMMON_PHOTOS = 3
+#: Directions to the sky of the photos of two parts may differ so much, degrees. Source: people hold a phone level
+#: within some degrees, plots slope by some more.
+_MAX_TILT_DEG = 30.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Similarity:
+    """x -> scale * rotation @ x + shift."""
+
+    scale: float
+    rotation: NDArray[np.float64]
+    shift: NDArray[np.float64]
+
+    def apply(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Of points (N, 3)."""
+        return self.scale * points @ self.rotation.T + self.shift
+
+
+def similarity(source: NDArray[np.float64], target: NDArray[np.float64]) -> Similarity | None:
+    """The least-squares similarity from points (N, 3) to others (Umeyama 1991); None where they do not fix one."""
+    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
+    left, singular, right = np.linalg.svd(b.T @ a)
+    variance = float((a**2).sum())
+    if len(source) < 3 or variance <= 0 or singular[1] <= 1e-9 * singular[0]:
+        return None
+    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    rotation = left @ np.diag(sign) @ right
+    scale = float((singular * sign).sum() / variance)
+    if not scale > 0:
+        return None
+    return Similarity(
+        scale=scale, rotation=rotation, shift=target.mean(axis=0) - scale * rotation @ source.mean(axis=0)
+    )
+
+
+def join_parts(model: Any, parts: Sequence[Any], sightings: Sequence[BoardSighting]) -> tuple[list[str], list[Any]]:
+    """Join to ``model`` each part that can be; returns the files of the photos that were gained, and the other parts.
+
+    Parameters
+    ----------
+    model: ``pycolmap.Reconstruction``; it is changed.
+    parts: further reconstructions of photos from the same database, the largest first. One that is joined may show
+        the way for another, so that all are tried again after each.
+    """
+    left, gained = list(parts), []
+    progress = True
+    while progress:
+        progress = False
+        for part in left:
+            where = _place_of(model, part, sightings)
+            if where is not None:
+                gained += _take_over(model, part, where)
+                left.remove(part)
+                progress = True
+                break
+    return gained, left
+
+
+def _place_of(model: Any, part: Any, sightings: Sequence[BoardSighting]) -> Similarity | None:
+    """The similarity that takes the part to the model, or None where nothing trustworthy tells it."""
+    common = sorted(set(model.reg_image_ids()) & set(part.reg_image_ids()))
+    if len(common) >= _COMMON_PHOTOS:
+        found = _by_photos(model, part, common)
+        if found is not None:
+            return found
+    ours, theirs = boards_in(model, sightings), boards_in(part, sightings)
+    best: tuple[int, Similarity] | None = None
+    for candidate in _candidates(ours, theirs):
+        if _tilt_deg(model, part, candidate) > _MAX_TILT_DEG:
+            continue
+        agreeing = _agreeing(ours, theirs, candidate)
+        if best is None or len(agreeing) > best[0]:
+            refined = similarity(
+                np.concatenate([their.corners for _, their in agreeing]),
+                np.concatenate([our.corners for our, _ in agreeing]),
+            )
+            best = (len(agreeing), refined or candidate)
+    if best is None:
+        return None
+    if best[0] == 1 and not _overlaps(model, part, best[1]):
+        _log.info("a part of %d photos shares one board with the rest and nothing else", part.num_reg_images())
+        return None
+    return best[1]
+
+
+def _by_photos(model: Any, part: Any, common: Sequence[int]) -> Similarity | None:
+    """From the centres of photos that both have, if these and their directions agree."""
+    ours = np.array([model.images[i].projection_center() for i in common])
+    theirs = np.array([part.images[i].projection_center() for i in common])
+    found = similarity(theirs, ours)
+    if found is None:
+        return None
+    spread = float(np.sqrt(((ours - ours.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    residual = float(np.median(np.linalg.norm(found.apply(theirs) - ours, axis=1)))
+    turns = [
+        _angle_deg(
+            model.images[i].cam_from_world().rotation.matrix() @ found.rotation,
+            part.images[i].cam_from_world().rotation.matrix(),
+        )
+        for i in common
+    ]
+    return found if residual < 0.1 * spread and float(np.median(turns)) < 3.0 else None
+
+
+def _candidates(ours: Sequence[Board], theirs: Sequence[Board]) -> Iterator[Similarity]:
+    """From every board of a number that both parts see, each alone, and from every two of them."""
+    shared = []
+    numbers = by_number(theirs)
+    for board in ours:
+        shared += [(board, other) for other in numbers.get(board.number, [])]
+    for (one, its), (two, others) in product(shared, shared):
+        if one is not two and its is others:
+            continue
+        pairs = [(one, its)] if one is two and its is others else [(one, its), (two, others)]
+        found = similarity(
+            np.concatenate([their.corners for _, their in pairs]), np.concatenate([our.corners for our, _ in pairs])
+        )
+        if found is not None:
+            yield found
+
+
+def _agreeing(ours: Sequence[Board], theirs: Sequence[Board], where: Similarity) -> list[tuple[Board, Board]]:
+    """Boards of both that lie at the same place; each of them once."""
+    agreeing = []
+    taken: set[int] = set()
+    middle = np.mean([board.corners.mean(axis=0) for board in ours], axis=0)
+    for other in theirs:
+        moved = where.apply(other.corners)
+        errors = [
+            (float(np.linalg.norm(moved - board.corners, axis=1).max()), number)
+            for number, board in enumerate(ours)
+            if board.number == other.number and number not in taken
+        ]
+        if not errors:
+            continue
+        error, number = min(errors)
+        board = ours[number]
+        far = float(np.linalg.norm(board.corners.mean(axis=0) - middle))
+        if error < max(_CORNER_SHARE * board.side, _DRIFT_SHARE * far):
+            agreeing.append((board, other))
+            taken.add(number)
+    return agreeing
+
+
+def _tilt_deg(model: Any, part: Any, where: Similarity) -> float:
+    """Angle between the mean directions to the sky of the photos of both."""
+    up = [_mean_up(model), where.rotation @ _mean_up(part)]
+    return float(np.degrees(np.arccos(np.clip(up[0] @ up[1], -1.0, 1.0))))
+
+
+def _mean_up(model: Any) -> NDArray[np.float64]:
+    ups = np.array([-model.images[i].cam_from_world().rotation.matrix()[1] for i in model.reg_image_ids()])
+    mean: NDArray[np.float64] = ups.mean(axis=0) / np.linalg.norm(ups.mean(axis=0))
+    return mean
+
+
+def _overlaps(model: Any, part: Any, where: Similarity) -> bool:
+    """Whether the points of the part lie on those of the model, where one board alone speaks for its place.
+
+    One board may hang on the wrong side of a pair (the same number on both faces): then the part lies turned by half
+    a circle, and its points beside those of the model. What the place is held against is that half turn about the
+    board's upright axis.
+    """
+    ours = np.array([point.xyz for point in model.points3D.values()])
+    theirs = where.apply(np.array([point.xyz for point in part.points3D.values()]))
+    if len(ours) < 100 or len(theirs) < 100:
+        return False
+    tree = cKDTree(ours)
+    up = _mean_up(model)
+    turn = 2 * np.outer(up, up) - np.eye(3)  # half a turn about the upright
+    middle = theirs.mean(axis=0)
+    step = float(np.median(tree.query(ours[:: max(1, len(ours) // 2000)], k=2)[0][:, 1]))
+    reach = 4 * step
+    near = float((tree.query(theirs)[0] < reach).mean())
+    turned = float((tree.query((theirs - middle) @ turn.T + middle)[0] < reach).mean())
+    return near > 0.05 and near > 1.5 * turned
+
+
+def _take_over(model: Any, part: Any, where: Similarity) -> list[str]:
+    """Add the photos and points of ``part`` to ``model``; returns the files of the photos that it had not."""
+    import pycolmap
+
+    part.transform(pycolmap.Sim3d(where.scale, pycolmap.Rotation3d(where.rotation), where.shift))
+    had = set(model.reg_image_ids())
+    gained = []
+    for image_id in sorted(set(part.reg_image_ids()) - had):
+        image = part.images[image_id]
+        pose = image.cam_from_world()
+        if not model.exists_camera(image.camera_id):
+            model.add_camera_with_trivial_rig(pycolmap.Camera(part.cameras[image.camera_id].todict()))
+        if model.exists_image(image_id):
+            frame = model.frames[model.images[image_id].frame_id]
+            frame.set_cam_from_world(image.camera_id, pose)
+            model.register_frame(frame.frame_id)
+        else:
+            keypoints = np.array([point.xy for point in image.points2D]).reshape(-1, 2)
+            copy = pycolmap.Image(name=image.name, keypoints=keypoints, camera_id=image.camera_id, image_id=image_id)
+            model.add_image_with_trivial_frame(copy, pose)
+        gained.append(str(image.name))
+    for point in part.points3D.values():
+        _add_point(model, point)
+    return gained
+
+
+def _add_point(model: Any, point: Any) -> None:
+    """Add a point, or its observations to the point that the model has there already."""
+    import pycolmap
+
+    free, known = [], None
+    for element in point.track.elements:
+        if not model.images[element.image_id].has_pose:
+            continue
+        seen = model.images[element.image_id].points2D[element.point2D_idx]
+        if not seen.has_point3D():
+            free.append(element)
+        elif known is None:
+            known = seen.point3D_id
+    if known is not None:
+        seen_by = {element.image_id for element in model.points3D[known].track.elements}
+        for element in free:
+            if element.image_id not in seen_by:
+                model.add_observation(known, element)
+                seen_by.add(element.image_id)
+    elif len(free) >= 2:
+        track = pycolmap.Track()
+        for element in free:
+            track.add_element(element.image_id, element.point2D_idx)
+        model.add_point3D(point.xyz, track, point.color)
+
+
+def _angle_deg(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
+    cosine = (np.trace(first @ second.T) - 1) / 2
+    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
