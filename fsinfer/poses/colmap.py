@@ -317,3 +317,17 @@ def reconstruct(
         raise PosesError(msg)
     progress(total, total, "placing photos")
     return sorted(models.values(), key=lambda model: (-model.num_reg_images(), -model.num_points3D()))
+
+
+def triangulate(model: Any, database: Path, images: Path, out: Path) -> Any:
+    """``model`` (a ``pycolmap.Reconstruction``) with the points that all matches of its photos give at their places."""
+    import pycolmap
+
+    out.mkdir(parents=True, exist_ok=True)
+    options = pycolmap.IncrementalPipelineOptions()
+    options.num_threads = 1
+    options.random_seed = SEED
+    options.extract_colors = False
+    return pycolmap.triangulate_points(
+        model, database, images, out, clear_points=False, options=options, refine_intrinsics=True
+    )

@@ -10,7 +10,7 @@ from typing import Any
 
 from fsinfer.errors import PosesError
 from fsinfer.poses.boards import BoardSighting, boards_in, find_boards, tie_boards
-from fsinfer.poses.colmap import extract_features, match_features, reconstruct
+from fsinfer.poses.colmap import extract_features, match_features, reconstruct, triangulate
 from fsinfer.poses.parts import join_parts
 from fsinfer.poses.refinement import FEATURE_SIZE_PX
 from fsinfer.poses.settings import PoseSettings
@@ -84,7 +84,9 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
     misplaced: dict[str, list[str]] = {}
     if placed >= settings.min_registered:
         model, misplaced = repair(models[0], database, walk.files, work, settings, progress)
+    matched = database
     has_place = walk.has_place(model) if model is not None else [False] * len(walk.files)
+    matched = database
     if torn(has_place, settings):
         richer = rematch(database, images, walk.cameras, walk.files, has_place, settings, progress)
         again = reconstruct(richer, images, work / "thorough", settings, progress)
@@ -93,6 +95,7 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
             if sum(walk.has_place(better)) > sum(has_place):
                 _log.info("thorough: %d instead of %d photos", better.num_reg_images(), sum(has_place))
                 model, misplaced, models = better, wrong, again
+                matched = richer
         placed = max(placed, again[0].num_reg_images() if again else 0)
     if model is None:
         found = "no two photos" if placed == 0 else f"only {placed} photos"
@@ -105,6 +108,9 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
         images, walk.files, dictionary=settings.dictionary, longest_px=FEATURE_SIZE_PX, progress=progress
     )
     joined, apart = _join(model, models[1:], sightings, settings)
+    if joined:
+        # What both parts see of the wood was never compared while they stood apart.
+        model = triangulate(model, matched, images, work / "joined")
     tied = tie_boards(model, boards_in(model, sightings))
     _log.info("%d corners of boards tie the photos", tied)
     named = set(joined)

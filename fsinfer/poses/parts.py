@@ -25,6 +25,17 @@ _log = logging.getLogger(__name__)
 _CORNER_SHARE, _DRIFT_SHARE = 0.25, 0.04
 #: Photos that two parts must have in common for a similarity from them. Source: two fix it, the third checks.
 _COMMON_PHOTOS = 3
+#: One board alone is believed where this share of the part's points lies near points of the model, and so many times
+#: more than after half a turn; near is this share of the usual distance between points. Fewer points tell nothing.
+#: Source: judgement.
+_LEAST_NEAR, _TIMES_TURNED, _NEAR_STEPS, _FEWEST_POINTS = 0.12, 2.0, 0.5, 100
+#: Points in a line fix no turn: their second extent is less than this share of the first. Source: numerics.
+_LEAST_SPREAD = 1e-9
+#: Points at which the usual distance is looked at. Source: numerics.
+_MOST_PROBES = 2000
+#: Photos that both have agree where their centres lie within this share of their spread, and their directions within so
+#: many degrees (medians). Source: judgement.
+_CENTER_SHARE, _TURN_DEG = 0.1, 3.0
 #: Directions to the sky of the photos of two parts may differ so much, degrees. Source: people hold a phone level
 #: within some degrees, plots slope by some more.
 _MAX_TILT_DEG = 30.0
@@ -48,7 +59,7 @@ def similarity(source: NDArray[np.float64], target: NDArray[np.float64]) -> Simi
     a, b = source - source.mean(axis=0), target - target.mean(axis=0)
     left, singular, right = np.linalg.svd(b.T @ a)
     variance = float((a**2).sum())
-    if len(source) < 3 or variance <= 0 or singular[1] <= 1e-9 * singular[0]:
+    if len(source) < 3 or variance <= 0 or singular[1] <= _LEAST_SPREAD * singular[0]:
         return None
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
     rotation = left @ np.diag(sign) @ right
@@ -91,23 +102,24 @@ def _place_of(model: Any, part: Any, sightings: Sequence[BoardSighting]) -> Simi
         if found is not None:
             return found
     ours, theirs = boards_in(model, sightings), boards_in(part, sightings)
-    best: tuple[int, Similarity] | None = None
+    best: tuple[list[tuple[Board, Board]], Similarity] | None = None
     for candidate in _candidates(ours, theirs):
         if _tilt_deg(model, part, candidate) > _MAX_TILT_DEG:
             continue
         agreeing = _agreeing(ours, theirs, candidate)
-        if best is None or len(agreeing) > best[0]:
+        if agreeing and (best is None or len(agreeing) > len(best[0])):
             refined = similarity(
                 np.concatenate([their.corners for _, their in agreeing]),
                 np.concatenate([our.corners for our, _ in agreeing]),
             )
-            best = (len(agreeing), refined or candidate)
+            best = (agreeing, refined or candidate)
     if best is None:
         return None
-    if best[0] == 1 and not _overlaps(model, part, best[1]):
+    agreed, place = best
+    if len(agreed) == 1 and not _overlaps(model, part, place, agreed[0][0].corners.mean(axis=0)):
         _log.info("a part of %d photos shares one board with the rest and nothing else", part.num_reg_images())
         return None
-    return best[1]
+    return place
 
 
 def _by_photos(model: Any, part: Any, common: Sequence[int]) -> Similarity | None:
@@ -126,7 +138,7 @@ def _by_photos(model: Any, part: Any, common: Sequence[int]) -> Similarity | Non
         )
         for i in common
     ]
-    return found if residual < 0.1 * spread and float(np.median(turns)) < 3.0 else None
+    return found if residual < _CENTER_SHARE * spread and float(np.median(turns)) < _TURN_DEG else None
 
 
 def _candidates(ours: Sequence[Board], theirs: Sequence[Board]) -> Iterator[Similarity]:
@@ -181,26 +193,25 @@ def _mean_up(model: Any) -> NDArray[np.float64]:
     return mean
 
 
-def _overlaps(model: Any, part: Any, where: Similarity) -> bool:
+def _overlaps(model: Any, part: Any, where: Similarity, middle: NDArray[np.float64]) -> bool:
     """Whether the points of the part lie on those of the model, where one board alone speaks for its place.
 
     One board may hang on the wrong side of a pair (the same number on both faces): then the part lies turned by half
     a circle, and its points beside those of the model. What the place is held against is that half turn about the
-    board's upright axis.
+    upright through the board, ``middle``.
     """
     ours = np.array([point.xyz for point in model.points3D.values()])
     theirs = where.apply(np.array([point.xyz for point in part.points3D.values()]))
-    if len(ours) < 100 or len(theirs) < 100:
+    if min(len(ours), len(theirs)) < _FEWEST_POINTS:
         return False
     tree = cKDTree(ours)
     up = _mean_up(model)
     turn = 2 * np.outer(up, up) - np.eye(3)  # half a turn about the upright
-    middle = theirs.mean(axis=0)
-    step = float(np.median(tree.query(ours[:: max(1, len(ours) // 2000)], k=2)[0][:, 1]))
-    reach = 4 * step
+    step = float(np.median(tree.query(ours[:: max(1, len(ours) // _MOST_PROBES)], k=2)[0][:, 1]))
+    reach = _NEAR_STEPS * step
     near = float((tree.query(theirs)[0] < reach).mean())
     turned = float((tree.query((theirs - middle) @ turn.T + middle)[0] < reach).mean())
-    return near > 0.05 and near > 1.5 * turned
+    return near > _LEAST_NEAR and near > _TIMES_TURNED * turned
 
 
 def _take_over(model: Any, part: Any, where: Similarity) -> list[str]:

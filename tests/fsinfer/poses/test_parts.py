@@ -1,0 +1,165 @@
+"""Parts of a torn walk are put together by boards or by photos that both have, and only where that is sure."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from fsinfer.poses.boards import BoardSighting, boards_in, tie_boards
+from fsinfer.poses.parts import join_parts, similarity
+
+pycolmap = pytest.importorskip("pycolmap")
+
+PHOTOS = 12
+#: Clockwise for who stands at +x; y is down.
+SQUARE = np.array([[0.0, -1, -1], [0, -1, 1], [0, 1, 1], [0, 1, -1]])
+
+
+def walked() -> Any:
+    """Cameras in a half circle round a cloud of points, upright, with noise-free observations."""
+    model = pycolmap.Reconstruction()
+    camera = pycolmap.Camera(
+        model="SIMPLE_RADIAL", width=1200, height=900, params=[900.0, 600.0, 450.0, 0.01], camera_id=1
+    )
+    model.add_camera_with_trivial_rig(camera)
+    rng = np.random.default_rng(5)
+    cloud = rng.uniform(-1.5, 1.5, (300, 3))
+    for number in range(PHOTOS):
+        angle = np.pi * number / PHOTOS
+        center = np.array([5 * np.sin(angle), 0.1 * number, -5 * np.cos(angle)])
+        rotation = look_at(center)
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(rotation), -rotation @ center)
+        pixels = camera.img_from_cam(cloud @ rotation.T - rotation @ center)
+        image = pycolmap.Image(f"{number:02d}.jpg", np.asarray(pixels), 1, number + 1)
+        model.add_image_with_trivial_frame(image, pose)
+    for index, xyz in enumerate(cloud):
+        track = pycolmap.Track()
+        for number in range(PHOTOS):
+            track.add_element(number + 1, index)
+        model.add_point3D(xyz, track, np.zeros(3, np.uint8))
+    return model
+
+
+def look_at(center: NDArray[np.float64]) -> NDArray[np.float64]:
+    """cam_from_world rotation of an upright camera (y down) that looks at the origin."""
+    forward = -center / np.linalg.norm(center)
+    right = np.cross([0.0, 1.0, 0.0], forward)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(forward, right), forward])
+
+
+def part_of(model: Any, numbers: range, *, moved: bool = False) -> Any:
+    """A reconstruction of some of the photos, as the mapper leaves it; ``moved`` into a frame of its own."""
+    part = pycolmap.Reconstruction(model)
+    for image_id in list(part.reg_image_ids()):
+        if image_id - 1 not in numbers:
+            part.deregister_frame(part.images[image_id].frame_id)
+    part.tear_down()
+    if moved:
+        turn = pycolmap.Rotation3d(Rotation.from_rotvec([0.1, 2.0, -0.1]).as_quat())
+        part.transform(pycolmap.Sim3d(0.4, turn, np.array([7.0, -2.0, 3.0])))
+    return part
+
+
+def sightings_of(model: Any, boards: dict[int, NDArray[np.float64]], numbers: range) -> list[BoardSighting]:
+    found = []
+    for image_id in sorted(model.reg_image_ids()):
+        image = model.images[image_id]
+        if image_id - 1 not in numbers:
+            continue
+        matrix = image.cam_from_world().matrix()
+        for number, corners in boards.items():
+            pixels = np.asarray(model.cameras[1].img_from_cam(corners @ matrix[:, :3].T + matrix[:, 3]))
+            found.append(BoardSighting(file=image.name, number=number, corners_px=pixels))
+    return found
+
+
+def boards(*centers: tuple[float, float, float]) -> dict[int, NDArray[np.float64]]:
+    return {number: 0.15 * SQUARE + np.array(center) for number, center in enumerate(centers)}
+
+
+def errors(model: Any, truth: Any) -> NDArray[np.float64]:
+    ids = sorted(model.reg_image_ids())
+    found = np.array([model.images[i].projection_center() for i in ids])
+    true = np.array([truth.images[i].projection_center() for i in ids])
+    aligned = similarity(found, true)
+    assert aligned is not None
+    return np.asarray(np.linalg.norm(aligned.apply(found) - true, axis=1))
+
+
+FIRST, SECOND = range(3, 7), range(7, 10)
+WITHIN = range(3, 10)
+
+
+def test_two_boards_join_parts_without_a_common_photo() -> None:
+    truth = walked()
+    model, part = part_of(truth, FIRST), part_of(truth, SECOND, moved=True)
+    seen = sightings_of(truth, boards((0.8, 0, 0), (-0.7, 0.2, 0.3)), WITHIN)
+    gained, left = join_parts(model, [part], seen)
+    assert gained == ["07.jpg", "08.jpg", "09.jpg"]
+    assert left == []
+    assert model.num_reg_images() == 7
+    assert errors(model, truth).max() < 1e-3
+    # Points of the part came along, and are seen from its photos.
+    assert model.num_points3D() > 300
+    assert model.compute_mean_reprojection_error() < 0.1
+
+
+def test_without_boards_the_part_stays_alone_and_nothing_is_changed() -> None:
+    truth = walked()
+    model, part = part_of(truth, FIRST), part_of(truth, SECOND, moved=True)
+    gained, left = join_parts(model, [part], [])
+    assert (gained, left) == ([], [part])
+    assert model.num_reg_images() == 4
+
+
+def test_one_board_is_enough_only_where_the_points_agree() -> None:
+    truth = walked()
+    model, part = part_of(truth, FIRST), part_of(truth, SECOND, moved=True)
+    seen = sightings_of(truth, boards((0.8, 0, 0)), WITHIN)
+    assert len(join_parts(model, [part], seen)[0]) == 3
+    # The same number on another board, seen by the part alone: the points of both lie elsewhere.
+    model, part = part_of(truth, FIRST), part_of(truth, SECOND, moved=True)
+    seen = sightings_of(truth, boards((0.8, 0, 0)), FIRST)
+    turned = 0.15 * SQUARE @ Rotation.from_euler("y", 70, degrees=True).as_matrix() + np.array([-0.5, 0, 1.0])
+    seen += sightings_of(truth, {0: turned}, SECOND)
+    gained, left = join_parts(model, [part], seen)
+    assert (gained, left) == ([], [part])
+
+
+def test_of_boards_that_contradict_each_other_the_majority_counts() -> None:
+    truth = walked()
+    model, part = part_of(truth, FIRST), part_of(truth, SECOND, moved=True)
+    places = boards((0.8, 0, 0), (-0.7, 0.2, 0.3), (0.0, -0.6, 0.1))
+    seen = sightings_of(truth, places, FIRST)
+    places[2] = places[2] + np.array([0.0, 1.2, 0.5])
+    seen += sightings_of(truth, places, SECOND)
+    assert len(join_parts(model, [part], seen)[0]) == 3
+    assert errors(model, truth).max() < 1e-3
+
+
+def test_photos_that_both_have_join_them_and_share_their_points() -> None:
+    truth = walked()
+    model, part = part_of(truth, range(7)), part_of(truth, range(4, 10), moved=True)
+    gained, _ = join_parts(model, [part], [])
+    assert gained == ["07.jpg", "08.jpg", "09.jpg"]
+    assert errors(model, truth).max() < 1e-6
+    assert model.num_points3D() == 300
+    assert model.compute_mean_track_length() == pytest.approx(10)
+
+
+def test_corners_of_boards_become_points_of_all_their_photos() -> None:
+    truth = walked()
+    seen = sightings_of(truth, boards((0.8, 0, 0), (-0.7, 0.2, 0.3)), WITHIN)
+    found = boards_in(truth, seen)
+    assert [board.number for board in found] == [0, 1]
+    assert tie_boards(truth, found) == 8
+    assert truth.num_points3D() == 308
+    truth.update_point_3d_errors()
+    corners = [point for point in truth.points3D.values() if point.track.length() == len(WITHIN)]
+    assert len(corners) == 8
+    assert max(point.error for point in corners) < 1e-3
