@@ -77,6 +77,16 @@ def _part_apart(values: Mapping[str, Any]) -> str:
     )
 
 
+def _two_places(values: Mapping[str, Any]) -> str:
+    apart_m = values["apart_m"]
+    apart = f"{apart_m:.1f} m" if apart_m >= 0.1 else f"{100 * apart_m:.0f} cm"
+    return (
+        f"Board {values['number']} was found at two places {apart} apart. Unless two boards have this number, photos "
+        f"were placed wrongly, perhaps {values['first']} to {values['last']}, and what is said of the trees cannot be "
+        "trusted: take more photos there and on the way there, and turn slowly"
+    )
+
+
 def _unlikely_height(values: Mapping[str, Any]) -> str:
     height_m = values["height_m"]
     shown = f"{height_m:.0f}" if height_m >= 10 else f"{height_m:.2g}"
@@ -130,11 +140,7 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
         "the scale rests on one board (number {number}, {length_m:g} m by its number); measure it with a ruler, and "
         "put up three or more next time"
     ),
-    CaptureCode.board_at_two_places: (
-        "Board {number} was found at two places {apart_m:.1f} m apart. Unless two boards have this number, photos were "
-        "placed wrongly, perhaps {first} to {last}, and what is said of the trees cannot be trusted: take more photos "
-        "there and on the way there, and turn slowly"
-    ),
+    CaptureCode.board_at_two_places: _two_places,
     CaptureCode.endpoints_of_metric_cloud: (
         "the end points count in the model units of the cloud without a scale, and cloud.ply was in metres before this "
         "run; if they were read off that cloud, the scale is wrong now: give --scale {factor:.6g} instead"

@@ -154,10 +154,18 @@ def _combine(
                 angle_deg=marker.angle_deg,
                 leave_one_out_m_per_unit=without,
                 leave_one_out_rel=None if without is None else without / combined - 1,
+                normal=_normal(marker.corners),
             )
         )
     rel_std = _combined_rel_std(scales / combined, rel_stds, weights, settings)
     return combined, rel_std, tuple(each)
+
+
+def _normal(corners: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Unit vector towards who sees the print: its corners run clockwise before them."""
+    across = np.cross(corners[2] - corners[0], corners[3] - corners[1])
+    x, y, z = -across / np.linalg.norm(across)
+    return float(x), float(y), float(z)
 
 
 def _combined_rel_std(

@@ -10,10 +10,12 @@ import numpy as np
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.scale.request import Point, ScaleRequest
-from fsinfer.scale.scale import CAMERA_HEIGHT_M, Scale
+from fsinfer.scale.scale import CAMERA_HEIGHT_M, MarkerScale, Scale
 
 #: Nobody holds a phone lower or higher than this all through a plot: kneeling, or on a stick. Source: human bodies.
 LIKELY_HEIGHTS_M = (0.4, 3.5)
+#: Cosine between the directions that the two faces of one board look in, at most. Source: judgement; boards are flat.
+_FACING_AWAY = -0.8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +75,14 @@ def unknown_error(scale: Scale) -> tuple[Notice, ...]:
     return (notice(CaptureCode.scale_error_unknown),)
 
 
+def _back_to_back(one: MarkerScale, other: MarkerScale) -> bool:
+    """Whether two places of one number are the two faces of one board: nearer than its side, facing away."""
+    if one.normal is None or other.normal is None:
+        return False
+    apart = float(np.linalg.norm(np.subtract(one.center, other.center)))
+    return apart < max(one.side_units, other.side_units) and float(np.dot(one.normal, other.normal)) < _FACING_AWAY
+
+
 def boards_at_two_places(boards: Scale, m_per_unit: float) -> tuple[Notice, ...]:
     """One notice for each board number found at several places: the sign of photos that were placed wrongly.
 
@@ -82,6 +92,8 @@ def boards_at_two_places(boards: Scale, m_per_unit: float) -> tuple[Notice, ...]
     for number in sorted({marker.id for marker in boards.markers}):
         places = sorted((m for m in boards.markers if m.id == number), key=lambda marker: -len(marker.views))
         for other in places[1:]:
+            if any(_back_to_back(place, other) for place in places if place is not other):
+                continue
             apart_m = m_per_unit * float(np.linalg.norm(np.subtract(other.center, places[0].center)))
             views = sorted(other.views)
             found.append(

@@ -45,7 +45,7 @@ class MarkerScale:
     Attributes
     ----------
     id: its number. views: names of the photographs that it was used in.
-    center: in scene units.
+    center: in scene units. normal: unit vector away from the print.
     length_m: true side of the black square; side_units: the same in the scene.
     m_per_unit, rel_std: the scale by this marker alone, and its relative standard deviation.
     residual_rel, residual_mm: how much longer its side comes out with the scale of all.
@@ -69,6 +69,7 @@ class MarkerScale:
     angle_deg: float
     leave_one_out_m_per_unit: float | None
     leave_one_out_rel: float | None
+    normal: Point | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

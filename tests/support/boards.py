@@ -15,6 +15,7 @@ def board(
     length_m: float = 0.25,
     m_per_unit: float = 1.0,
     near_side_px: float = 80.0,
+    normal: tuple[float, float, float] | None = None,
 ) -> MarkerScale:
     """One marker at ``center`` (scene units), seen in ``views``, that agrees with all others."""
     return MarkerScale(
@@ -32,6 +33,7 @@ def board(
         angle_deg=30.0,
         leave_one_out_m_per_unit=None,
         leave_one_out_rel=None,
+        normal=normal,
     )
 
 

@@ -106,6 +106,9 @@ def test_scale_is_right_to_a_quarter_per_cent_and_inside_its_error(scene: Scene)
         assert marker.leave_one_out_m_per_unit == pytest.approx(truth, rel=0.005)
         place = PLACES[NUMBERS.index(marker.id)]
         assert np.allclose(marker.center, place[0] + SIDE / 2 * (place[1] + place[2]), atol=0.01)
+        assert marker.normal is not None
+        towards = scene.views[2].camera.center - np.array(marker.center)
+        assert np.array(marker.normal) @ towards > 0.5 * np.linalg.norm(towards)
 
 
 def test_one_number_in_three_places_is_three_markers(tmp_path: Path) -> None:

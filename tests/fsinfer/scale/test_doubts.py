@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from fsinfer.notices.sentences import sentence
+from fsinfer.scale.doubts import boards_at_two_places
 from fsinfer.scale.find import find_scale
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scene import Scene
@@ -28,3 +29,15 @@ def test_a_run_warns_of_a_board_at_two_places(monkeypatch: pytest.MonkeyPatch, t
         if twice:
             assert sentence(found.warnings[0]).startswith("Board 1 was found at two places 3.0 m apart.")
             assert "p to q" in sentence(found.warnings[0])
+
+
+def test_the_two_faces_of_one_board_are_no_alarm_and_drift_is() -> None:
+    front = board(1, (0.0, 0.0, 0.0), "abc", normal=(0.0, 0.0, 1.0))
+    back = board(1, (0.02, 0.0, -0.04), "pq", normal=(0.0, 0.1, -0.995))
+    drifted = board(1, (0.0, 0.0, -0.05), "pq", normal=(0.0, 0.1, 0.995))
+    across_the_plot = board(1, (0.0, 3.0, 0.0), "pq", normal=(0.0, 0.0, -1.0))
+    assert boards_at_two_places(scale_of_boards([front, back]), 1.0) == ()
+    assert "at two places 5 cm apart" in sentence(boards_at_two_places(scale_of_boards([front, drifted]), 1.0)[0])
+    assert "at two places 3.0 m apart" in sentence(
+        boards_at_two_places(scale_of_boards([front, across_the_plot]), 1.0)[0]
+    )
