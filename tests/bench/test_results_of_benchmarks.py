@@ -23,6 +23,7 @@ ARGUMENTS = {
     "demo": ["out"],
     "dendromatics": ["--python", "python"],
     "depth": ["scenes"],
+    "effects": ["out"],
     "kill": ["work"],
     "parity": ["scene"],
     "photos": ["photos", "out"],

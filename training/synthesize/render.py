@@ -290,7 +290,8 @@ def moving_rays(
     number, count = sample_of
     turn = (np.arange(width)[None] * 3 + np.arange(height)[:, None] * 5 + number) % count
     row_time = ((np.arange(height) + 0.5) / height - 0.5)[:, None] * shot.readout_s
-    time = (row_time + ((turn + 0.5) / count - 0.5) * shot.exposure_s).astype(np.float32)[..., None]
+    exposed = ((turn + 0.5) / count - 0.5) * shot.exposure_s
+    time = np.asarray(row_time + exposed, np.float32)[..., None]
     # The camera has turned by spin * time: its ray d looks where the middle row's camera sees d + time * spin x d (the
     # angles are some milliradians).
     spin = shot.spin_rad_s
@@ -305,7 +306,7 @@ def _undistorted_share(squared: NDArray[np.float32], k1: float) -> NDArray[np.fl
     """What a distorted radius with this square is to be multiplied by for the pinhole's, by fixed point."""
     share = np.ones_like(squared)
     for _ in range(6 if k1 else 0):
-        share = 1 / (1 + np.float32(k1) * squared * share**2)
+        share = np.asarray(1 / (1 + k1 * squared * share**2), np.float32)
     return share
 
 

@@ -24,13 +24,13 @@ _WAVES, _OWN = 6, 0.6
 def plant_weights(mesh: Mesh, terrain: Terrain) -> NDArray[np.float32]:
     """How far each vertex moves, (N,) 0..1: not at all at the ground, so that litter lies still."""
     x, y, z = mesh.vertices.T
-    return np.clip((z - terrain.height(x, y) - 0.02) / FREE_HEIGHT_M, 0, 1).astype(np.float32)
+    return np.asarray(np.clip((z - terrain.height(x, y) - 0.02) / FREE_HEIGHT_M, 0, 1), np.float32)
 
 
 def stem_weights(mesh: Mesh, z_ground_m: float, height_m: float) -> NDArray[np.float32]:
     """The same for a swaying stem, (N,), in times of a leaf's movement."""
     share = np.clip((mesh.vertices[:, 2] - z_ground_m) / height_m, 0, 1)
-    return (STEM_SWAY * share**STEM_POWER).astype(np.float32)
+    return np.asarray(STEM_SWAY * share**STEM_POWER, np.float32)
 
 
 def blown(
