@@ -69,14 +69,6 @@ def _parts_joined(values: Mapping[str, Any]) -> str:
     )
 
 
-def _part_apart(values: Mapping[str, Any]) -> str:
-    names = sorted(values["names"])
-    return (
-        f"{len(names)} photos ({names[0]} to {names[-1]}) hang together, but nothing ties them to the rest: put up "
-        "boards that are seen from both parts, two in each, or walk on from a place that is in the photos already"
-    )
-
-
 def _two_places(values: Mapping[str, Any]) -> str:
     apart_m = values["apart_m"]
     apart = f"{apart_m:.1f} m" if apart_m >= 0.1 else f"{100 * apart_m:.0f} cm"
@@ -122,7 +114,10 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
         "changes, and where the walk comes back to a place"
     ),
     CaptureCode.parts_joined: _parts_joined,
-    CaptureCode.part_apart: _part_apart,
+    CaptureCode.part_apart: _left_out(
+        "they hang together, but nothing ties them to the rest; put up boards that are seen from both parts, two in "
+        "each, or walk on from a place that is in the photos already"
+    ),
     CaptureCode.no_scale_given: (
         "no scale was given: the cloud is in model units and no DBH is measured; photograph boards printed by fsinfer "
         "marker, or ArUco markers of your own and give --aruco-length-m, or give --endpoints with --length-m (two "

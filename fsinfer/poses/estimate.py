@@ -116,7 +116,7 @@ def estimate_poses(
         model, misplaced = refine(mapped.model, settings.refinement, progress), mapped.misplaced
     drop_blind_views(model)
     placed = {model.images[i].name for i in model.reg_image_ids()}
-    named = {file for files in misplaced.values() for file in files}
+    named = {file for files in (*misplaced.values(), *mapped.apart) for file in files}
     misplaced["unplaced"] = [file for file in (photo.file for photo in photos) if file not in placed | named]
     names = {photo.file: photo.name for photo in photos}
     for how, files in misplaced.items():
@@ -125,7 +125,7 @@ def estimate_poses(
     if mapped.joined:
         warnings.append(notice(CaptureCode.parts_joined, names=tuple(names[file] for file in mapped.joined)))
     for part in mapped.apart:
-        warnings.append(notice(CaptureCode.part_apart, names=tuple(names[file] for file in part)))
+        warnings.append(notice(CaptureCode.part_apart, photos=len(photos), names=tuple(names[file] for file in part)))
     seen = _write_scene(model, photos, out, settings, progress)
     for warning in sentences(warnings):
         _log.warning(warning)

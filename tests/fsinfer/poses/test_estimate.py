@@ -181,7 +181,7 @@ def test_the_larger_of_two_parts_is_taken_and_the_other_named(tmp_path: Path) ->
     result = estimate_poses(tmp_path / "photos", tmp_path / "scene", settings=SETTINGS)
     assert (result.photos, result.registered) == (8, 5)
     assert len(result.warnings) == 1
-    assert "3 of 8 photos left out (other0, other1, other2): they could not be placed" in sentence(result.warnings[0])
+    assert "3 of 8 photos left out (other0, other1, other2): they hang together" in sentence(result.warnings[0])
     assert {view.name for view in read_scene(result.scene).views} == {f"p{index}" for index in range(5)}
 
 
