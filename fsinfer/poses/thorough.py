@@ -42,8 +42,8 @@ def thorough_pairs(
 ) -> list[Pair]:
     """Pairs to be matched again, sorted, ``first < second``.
 
-    Those of the affected photos that are neighbours in the walk, within more photos than at first, those that matched
-    before, and those beside them; and a net between the photos without a place and all others.
+    Those of the affected photos that are neighbours in the walk, within more photos than at first, and those that
+    matched before; and a net between the photos without a place and all others.
 
     Parameters
     ----------
@@ -57,8 +57,7 @@ def thorough_pairs(
         pairs |= {(min(rank, near), max(rank, near)) for near in range(low, high + 1) if near != rank}
     for (first, second), inliers in found.items():
         if inliers >= MIN_INLIERS and (first in again or second in again):
-            pairs |= {(first, second), (first - 1, second), (first, second - 1), (first + 1, second)}
-            pairs.add((first, second + 1))
+            pairs.add((first, second))
     stride = thorough.net_stride
     for rank in range(0, count, stride):
         if not placed[rank]:

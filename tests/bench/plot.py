@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -112,6 +113,19 @@ def plot_settings(plot: Path) -> dict[str, Any]:
     return dict(json.loads(path.read_text(encoding="utf-8"))["options"]) if path.is_file() else {}
 
 
+def torn(photos: Path, out: Path, stretches: Sequence[str]) -> Path:
+    """A folder beside ``out`` with the photographs of these stretches, both ends included."""
+    folder = out.with_name(f"{out.name}-photos")
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    found = sorted(photos.iterdir())
+    for stretch in stretches:
+        first, last = (int(number) for number in stretch.split(":"))
+        for path in found[first : last + 1]:
+            shutil.copy(path, folder)
+    return folder
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run and print the comparison."""
     parser = argparse.ArgumentParser(prog="python -m tests.bench.plot", description=__doc__)
@@ -122,6 +136,12 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--halo-ratio", type=float, default=FusionSettings().halo_ratio, help="0 = no halo filter")
     parser.add_argument("--precision", choices=PRECISIONS, default=AUTO, help="of the depth network")
     parser.add_argument("--slow", action="store_true", help="spare no time: what the fast settings are held against")
+    parser.add_argument(
+        "--stretches",
+        nargs="*",
+        metavar="FIRST:LAST",
+        help="only these photographs, by number: a walk torn on purpose; they are copied to OUT-photos",
+    )
     parser.add_argument("--judge", action="store_true", help="compare what OUT holds, and run nothing")
     add_result_options(parser)
     args = parser.parse_args(argv)
@@ -134,7 +154,8 @@ def main(argv: list[str] | None = None) -> int:
     if args.slow:
         settings = replace(settings, poses=SLOW_POSES, depth=SLOW_DEPTH)
     if not args.judge:
-        run(args.plot / "images", args.out, settings=settings)
+        photos = args.plot / "images"
+        run(torn(photos, args.out, args.stretches) if args.stretches else photos, args.out, settings=settings)
     summary = json.loads((args.out / "plot.json").read_text(encoding="utf-8"))
     truth = {view.name: view.camera.center for view in read_scene(args.plot).views}
     found = {view.name: view.camera.center for view in read_scene(args.out / "scene").views}
