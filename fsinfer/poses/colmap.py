@@ -258,10 +258,12 @@ def reconstruct(
     settings: PoseSettings,
     progress: Progress,
     start: Any = None,
+    only: Sequence[str] = (),
 ) -> list[Any]:
     """Map the photos; returns the ``pycolmap.Reconstruction`` of each connected part, the largest first.
 
-    With a model to ``start`` from, the incremental mapper goes on with the photos that it has not placed.
+    With a model to ``start`` from, the incremental mapper goes on with the photos that it has not placed. ``only``:
+    the files of the photos that are to be mapped; none = all.
     """
     import pycolmap
 
@@ -299,6 +301,7 @@ def reconstruct(
         incremental.mapper.ba_global_ignore_redundant_points3D = True
         # Colours are taken from the photographs at fusion.
         incremental.extract_colors = False
+        incremental.image_names = list(only)
         known = out / "start"
         if start is not None:
             known.mkdir(exist_ok=True)

@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from fsinfer.errors import PosesError
-from fsinfer.poses.boards import BoardSighting, boards_in, find_boards, tie_boards
+from fsinfer.poses.boards import boards_in, find_boards, tie_boards
 from fsinfer.poses.colmap import extract_features, match_features, reconstruct, triangulate
 from fsinfer.poses.parts import join_parts
 from fsinfer.poses.refinement import FEATURE_SIZE_PX
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.thorough import rematch, torn
+from fsinfer.poses.verification.misplaced import drop_contradicted
 from fsinfer.poses.verification.repair import repair
 from fsinfer.progress import Progress
 
@@ -107,27 +108,32 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
     sightings = find_boards(
         images, walk.files, dictionary=settings.dictionary, longest_px=FEATURE_SIZE_PX, progress=progress
     )
-    joined, apart = _join(model, models[1:], sightings, settings)
+    parts = [part for part in models[1:] if part.num_reg_images() >= settings.min_registered]
+    joined, _ = join_parts(model, parts, sightings)
+    # What was taken out as misplaced hangs together, too: mapped alone, nothing false pulls at it.
+    others = [file for file, has in zip(walk.files, walk.has_place(model), strict=True) if not has]
+    alone = _alone(matched, others, walk, work, settings, progress)
+    more, left = join_parts(model, alone, sightings)
+    joined = sorted({*joined, *more})
     if joined:
         # What both parts see of the wood was never compared while they stood apart.
         model = triangulate(model, matched, images, work / "joined")
     tied = tie_boards(model, boards_in(model, sightings))
-    _log.info("%d corners of boards tie the photos", tied)
-    named = set(joined)
+    _log.info("%d photos were joined; %d corners of boards tie all", len(joined), tied)
+    apart = tuple(tuple(sorted(str(part.images[i].name) for i in part.reg_image_ids())) for part in left)
+    named = {*joined, *(file for files in apart for file in files)}
     misplaced = {how: [file for file in files if file not in named] for how, files in misplaced.items()}
     return MappedWalk(model=model, misplaced=misplaced, joined=tuple(joined), apart=apart)
 
 
-def _join(
-    model: Any, others: Sequence[Any], sightings: Sequence[BoardSighting], settings: PoseSettings
-) -> tuple[list[str], tuple[tuple[str, ...], ...]]:
-    """Join what can be; returns the files that were gained, and those of each part that stays alone."""
-    parts = [part for part in others if part.num_reg_images() >= settings.min_registered]
-    joined, left = join_parts(model, parts, sightings)
-    placed = {model.images[i].name for i in model.reg_image_ids()}
-    apart = []
-    for part in left:
-        files = sorted({str(part.images[i].name) for i in part.reg_image_ids()} - placed)
-        if len(files) >= settings.min_registered:
-            apart.append(tuple(files))
-    return sorted(joined), tuple(apart)
+def _alone(
+    database: Path, files: Sequence[str], walk: Walk, work: Path, settings: PoseSettings, progress: Progress
+) -> list[Any]:
+    """The parts that these photos make among themselves, without those that contradict them."""
+    if len(files) < settings.min_registered or settings.mapper != "incremental":
+        return []
+    parts = reconstruct(database, work / "images", work / "alone", settings, progress, only=files)
+    neighbours = settings.pairs.overlap if len(walk.files) > settings.pairs.exhaustive_up_to else 0
+    for part in parts:
+        drop_contradicted(part, database, neighbours)
+    return [part for part in parts if part.num_reg_images() >= settings.min_registered]
