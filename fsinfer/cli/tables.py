@@ -39,8 +39,8 @@ def evaluation_rows(evaluation: Evaluation) -> list[str]:
     return [
         *rows,
         f"RMSE                {evaluation.rmse_cm:.2f} cm",
-        f"rRMSE               {100 * evaluation.rrmse:.2f} %",
-        f"AE                  {100 * evaluation.ae:.2f} %",
+        f"rRMSE of matched    {100 * evaluation.rrmse:.2f} %",
+        f"AE of matched       {100 * evaluation.ae:.2f} %",
         f"Bias                {evaluation.bias_cm:+.2f} cm",
         f"MAE                 {evaluation.mae_cm:.2f} cm",
     ]
