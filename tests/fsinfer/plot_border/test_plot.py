@@ -92,13 +92,14 @@ def test_figures_count_who_is_in() -> None:
 )
 def test_what_was_not_seen_is_said(share: float, codes: list[PlotCode], given: bool) -> None:
     seen = SeenShare(share=share, method="some of it")
-    plot = plot_of([at(0.0), at(1.0, 2)], CIRCLE, seen, slope_deg=0.0)
+    plot = plot_of([at(0.0), at(1.0, 2, status="doubtful")], CIRCLE, seen, slope_deg=0.0)
     assert [told.code for told in plot.warnings] == codes
     figures = plot.figures
     assert (figures.stems_per_ha is not None) is (figures.basal_area_m2_per_ha is not None) is given
     if figures.stems_per_ha is not None:
         assert figures.stems_per_ha.value == pytest.approx(2 / share / (np.pi * 0.01))
         assert figures.stems_per_ha.hi95 > figures.stems_per_ha.value
+        assert figures.doubtful_stems_per_ha == pytest.approx(figures.stems_per_ha.value / 2)
 
 
 def test_an_empty_plot_has_figures() -> None:
