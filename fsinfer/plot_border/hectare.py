@@ -114,10 +114,9 @@ def basal_area_per_ha(stems: PlotStems, *, area_m2: float, share: float) -> Hect
         DIAMETERS: _both(Z95 * float(np.sqrt((own**2).sum())) / share),
         NOT_MEASURED: _both(Z95 * float(np.sqrt(missing)) / share),
     }
-    unseen = {
-        UNSEEN: (float(np.hypot((number - low) * mean, variety)), float(np.hypot((high - number) * mean, variety))),
-        **known,
-    }
+    # What was seen stands there: nothing unseen makes it less.
+    fewer = min(float(np.hypot((number - low) * mean, variety)), hidden * mean)
+    unseen = {UNSEEN: (fewer, float(np.hypot((high - number) * mean, variety))), **known}
     poisson_low, poisson_high = poisson_interval(count)
     # A sum over a random number of stems varies as its number and its sections do together.
     both = float(np.sqrt(mean**2 + spread**2)) / share

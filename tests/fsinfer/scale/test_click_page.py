@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -15,7 +15,7 @@ from tests.support.browser import browser, why_not
 from tests.support.synthetic_plot import M_PER_UNIT, SIZE, write_scene_folder
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Locator, LocatorAssertions, Page
+    from playwright.sync_api import Browser, Locator, Page
 
 pytestmark = pytest.mark.skipif(bool(why_not()), reason=why_not() or "a browser is there")
 WIDTHS = (1280, 390)
@@ -50,8 +50,8 @@ class Opened:
         image.evaluate("one => one.scrollIntoView({block: 'center'})")
         box = image.bounding_box()
         assert box is not None
-        at = {axis: (place[i] + 0.5) / SIZE[i] * box[side] for i, axis, side in ((0, "x", "width"), (1, "y", "height"))}
-        image.click(position=at, force=True)  # type: ignore[arg-type]
+        u, v = ((place[axis] + 0.5) / SIZE[axis] for axis in range(2))
+        image.click(position={"x": u * box["width"], "y": v * box["height"]}, force=True)
 
     def mark(self, number: int, clicks: list[list[float]]) -> None:
         for end, place in enumerate(clicks):
@@ -59,7 +59,7 @@ class Opened:
             self.click(number, place)
 
     @staticmethod
-    def expect(locator: Locator) -> LocatorAssertions:
+    def expect(locator: Locator) -> Any:
         from playwright.sync_api import expect
 
         return expect(locator)
@@ -167,8 +167,8 @@ def test_other_photographs_and_more_of_them(opened: Opened, scene: Scene) -> Non
     for _ in range(3):
         opened.pane(2).locator(".next").click()
     assert third.input_value() == "9"
-    for pane, view in ((0, "view_01"), (1, "view_05"), (2, "view_09")):
-        opened.mark(pane, clicks[view])
+    for pane, name in enumerate(("view_01", "view_05", "view_09")):
+        opened.mark(pane, clicks[name])
     opened.expect_told("by 3 photographs")
     assert "That is much" not in opened.told()
     # Another place in one of them shows, and what cannot be is refused.
