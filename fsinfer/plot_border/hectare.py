@@ -20,6 +20,7 @@ from scipy.special import betainc, gammaincinv
 from fsinfer.trees.points.sums import Z95
 
 Floats = NDArray[np.float64]
+#: Square metres of a hectare. Source: format; its definition.
 M2_PER_HA = 10_000.0
 #: Probability on either side of an interval. Source: convention, 95 %.
 TAIL = 0.025

@@ -160,7 +160,8 @@ def test_a_stem_hides_what_is_behind_it(walked: Cameras) -> None:
     hidden = views_of(cells, np.zeros(6), stem, one_view(walked))
     assert hidden.tolist() == [0, 1, 0, 1, 0, 0]
     # Where it stands itself it was seen.
-    assert views_of(stem[:, :2], np.zeros(1), stem, one_view(walked)).tolist() == [1]
+    own = np.array([[1.0, 0.0], [0.8, 0.0]])
+    assert views_of(own, np.zeros(2), stem, one_view(walked)).tolist() == [1, 1]
     # Farther than the view looks for depth, there is none.
     far = replace(walked.scene.views[0], camera=replace(walked.scene.views[0].camera, depth_max=4.0 / UNIT))
     near_only = replace(walked, scene=Scene(folder=Path(), views=(far,)))
