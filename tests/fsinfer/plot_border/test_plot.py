@@ -36,9 +36,9 @@ def unmeasured(x_m: float, number: int) -> Tree:
 
 
 def test_stems_are_in_by_their_centre() -> None:
-    trees = sort_trees([at(9.99), at(10.01), at(9.8), at(0.0)], CIRCLE)
+    trees = sort_trees([at(9.9), at(10.1), at(9.8), at(0.0)], CIRCLE)
     assert [tree.in_plot for tree in trees] == [True, False, True, True]
-    assert [tree.border_m for tree in trees] == pytest.approx([0.01, -0.01, 0.2, 10.0])
+    assert [tree.border_m for tree in trees] == pytest.approx([0.1, -0.1, 0.2, 10.0])
     # A stem of 15 cm radius that the border cuts.
     assert [tree.at_border for tree in trees] == [True, True, False, False]
 
