@@ -38,6 +38,9 @@ from fsinfer.cli.options import (
     MemoryGb,
     Model,
     Out,
+    PlotCenter,
+    PlotPolygon,
+    PlotRadius,
     PrecisionHow,
     Provider,
     ScaleFactor,
@@ -45,12 +48,14 @@ from fsinfer.cli.options import (
     Views,
     depth_settings,
     frame_settings,
+    plot_border,
     scale_request,
     tree_settings,
 )
+from fsinfer.cli.scale_command import register_scale
 from fsinfer.cli.stage_commands import register_stages
 from fsinfer.cli.support_command import register_support
-from fsinfer.cli.tables import demo_rows, unmeasured_rows
+from fsinfer.cli.tables import demo_rows, plot_rows, unmeasured_rows
 from fsinfer.conventions.breast_height import BREAST_HEIGHT_M, BhRule
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.frames.settings import FrameSettings
@@ -64,6 +69,7 @@ EXAMPLES = {
     "poses": "photos my-scene",
     "depth": "my-scene my-depth",
     "fuse": "my-scene my-depth",
+    "scale": "my-plot --click --length-m 1.0",
     "trees": "plot.laz my-trees",
     "evaluate": "measured.csv my-plot/trees.csv",
     "report": "my-plot",
@@ -144,6 +150,9 @@ def run(
     max_size: MaxSize = DepthSettings.max_size_px,
     bh: BreastHeight = BREAST_HEIGHT_M,
     bh_rule: BreastHeightRule = BhRule.midpoint,
+    plot_radius_m: PlotRadius = None,
+    plot_center: PlotCenter = None,
+    plot_polygon: PlotPolygon = None,
     edits: Edits = None,
     threads: Threads = DepthSettings.threads,
     memory_gb: MemoryGb = DepthSettings.memory_gb,
@@ -158,6 +167,7 @@ def run(
     in model units and no DBH is measured; adding one later takes seconds.
     """
     request = scale_request(scale, aruco_length_m, aruco_dictionary, endpoints, length_m)
+    border = plot_border(plot_radius_m, plot_center, plot_polygon)
     from fsinfer.cli.remaining import RemainingTime
     from fsinfer.fusion.fuse import FusionSettings
     from fsinfer.poses.settings import PoseSettings
@@ -179,6 +189,7 @@ def run(
         fusion=FusionSettings(memory_gb=memory_gb),
         trees=tree_settings(bh_m=bh, bh_rule=bh_rule),
         scale=request,
+        border=border,
     )
     with stage_progress(quiet=quiet, whole=RemainingTime()) as progress:
         result = run_pipeline(source, out, settings=settings, edits=edits, progress=progress)
@@ -191,10 +202,13 @@ def run(
     typer.echo(f"Trees: {trees.trees}, with DBH {trees.trees_with_dbh}, {out / 'trees.csv'}")
     for row in unmeasured_rows(trees.unmeasured):
         typer.echo(row)
+    for row in plot_rows(trees.plot):
+        typer.echo(row)
     typer.echo(f"Report: {result.report.result.path}")
 
 
 register_field(app)
+register_scale(app)
 register_stages(app)
 register_support(app)
 

@@ -11,12 +11,14 @@ import typer
 from fsinfer.conventions.breast_height import BhRule
 from fsinfer.depth.settings import DepthSettings, Precision
 from fsinfer.frames.settings import Equalize, FrameSettings
+from fsinfer.plot_border.request import BorderRequest, border_request
 from fsinfer.scale.request import ScaleRequest, parse_point
 
 if TYPE_CHECKING:
     from fsinfer.trees import TreeSettings
 
 _SCALE = "Scale (one of)"
+_BORDER = "Border of the plot"
 
 # What the settings have by default, as the options show it.
 DEFAULT_EQUALIZE = Equalize(FrameSettings.equalize)
@@ -120,6 +122,40 @@ BreastHeightRule = Annotated[
     BhRule,
     typer.Option("--bh-rule", help="Count breast height from the ground in the middle of the stem, or uphill of it."),
 ]
+
+
+PlotRadius = Annotated[
+    float | None,
+    typer.Option(
+        "--plot-radius-m",
+        parser=decimal,
+        help="Horizontal radius of a circular plot in metres, for example 12.62: figures a hectare are then of it.",
+        rich_help_panel=_BORDER,
+    ),
+]
+PlotCenter = Annotated[
+    str | None,
+    typer.Option(
+        "--plot-center",
+        metavar="marker:N | X,Y | walk",
+        help="Centre of that circle: a board's number, a place in metres of the cloud, or the middle of your walk.",
+        rich_help_panel=_BORDER,
+    ),
+]
+PlotPolygon = Annotated[
+    Path | None,
+    typer.Option(
+        "--plot-polygon",
+        help="GeoJSON or CSV (x_m,y_m) with the corners of a plot of another shape, in metres of the cloud.",
+        rich_help_panel=_BORDER,
+        show_default=False,
+    ),
+]
+
+
+def plot_border(radius_m: float | None, center: str | None, polygon: Path | None) -> BorderRequest:
+    """Check the options of the border before any work begins; raises :class:`fsinfer.errors.InputError`."""
+    return border_request(radius_m, center, polygon)
 
 
 def scale_request(

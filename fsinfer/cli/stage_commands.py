@@ -26,6 +26,9 @@ from fsinfer.cli.options import (
     MemoryGb,
     Model,
     Out,
+    PlotCenter,
+    PlotPolygon,
+    PlotRadius,
     PrecisionHow,
     Provider,
     ScaleFactor,
@@ -33,10 +36,11 @@ from fsinfer.cli.options import (
     Views,
     depth_settings,
     frame_settings,
+    plot_border,
     scale_request,
     tree_settings,
 )
-from fsinfer.cli.tables import evaluation_rows, unmeasured_rows
+from fsinfer.cli.tables import evaluation_rows, plot_rows, unmeasured_rows
 from fsinfer.conventions.breast_height import BREAST_HEIGHT_M, BhRule
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.evaluation.settings import MAX_DISTANCE_M, Align
@@ -159,6 +163,9 @@ def trees(
     length_m: EndpointsLength = None,
     bh: BreastHeight = BREAST_HEIGHT_M,
     bh_rule: BreastHeightRule = BhRule.midpoint,
+    plot_radius_m: PlotRadius = None,
+    plot_center: PlotCenter = None,
+    plot_polygon: PlotPolygon = None,
     edits: Edits = None,
     quiet: Quiet = False,
     debug: Debug = False,
@@ -168,11 +175,13 @@ def trees(
     A cloud is taken to be in metres unless fsinfer made it without a scale.
     """
     request = scale_request(scale, aruco_length_m, aruco_dictionary, endpoints, length_m)
+    border = plot_border(plot_radius_m, plot_center, plot_polygon)
     from fsinfer.notices.sentences import sentences
     from fsinfer.workflow.measure_cloud import MeasureSettings, measure_cloud_file
     from fsinfer.workflow.tree_stage import TreeStageSettings
 
-    settings = MeasureSettings(stage=TreeStageSettings(trees=tree_settings(bh_m=bh, bh_rule=bh_rule)))
+    stage = TreeStageSettings(trees=tree_settings(bh_m=bh, bh_rule=bh_rule), border=border)
+    settings = MeasureSettings(stage=stage)
     with stage_progress(quiet=quiet) as progress:
         found = measure_cloud_file(
             cloud, out, request=request, settings=settings, edits=edits, progress=progress("trees")
@@ -181,6 +190,8 @@ def trees(
     trees = "tree" if found.trees == 1 else "trees"
     typer.echo(f"{found.trees} {trees}, {found.trees_with_dbh} with DBH, in {OutputFolder(out).trees_csv}")
     for row in unmeasured_rows(found.unmeasured):
+        typer.echo(row)
+    for row in plot_rows(found.plot):
         typer.echo(row)
 
 

@@ -10,6 +10,8 @@ from fsinfer.notices.stems import StemCode
 
 if TYPE_CHECKING:
     from fsinfer.evaluation.metrics import Evaluation
+    from fsinfer.plot_border.hectare import HectareFigure
+    from fsinfer.plot_border.plot import PlotFigures
     from fsinfer.workflow.demo import DemoResult
     from fsinfer.workflow.tree_stage import UnmeasuredTree
 
@@ -37,8 +39,8 @@ def evaluation_rows(evaluation: Evaluation) -> list[str]:
     return [
         *rows,
         f"RMSE                {evaluation.rmse_cm:.2f} cm",
-        f"rRMSE               {100 * evaluation.rrmse:.2f} %",
-        f"AE                  {100 * evaluation.ae:.2f} %",
+        f"rRMSE of matched    {100 * evaluation.rrmse:.2f} %",
+        f"AE of matched       {100 * evaluation.ae:.2f} %",
         f"Bias                {evaluation.bias_cm:+.2f} cm",
         f"MAE                 {evaluation.mae_cm:.2f} cm",
     ]
@@ -51,6 +53,26 @@ def unmeasured_rows(trees: Sequence[UnmeasuredTree]) -> list[str]:
     rows = [f"  tree {tree.tree_id} has no DBH: {joined(tree.reasons)}" for tree in missing[:_MOST_REASONS]]
     more = len(missing) - len(rows)
     return [*rows, f"  and {more} more: see the column reason of trees.csv"] if more else rows
+
+
+def plot_rows(plot: PlotFigures | None) -> list[str]:
+    """The plot within its border; nothing where it has none."""
+    if plot is None:
+        return []
+    shape = f"radius {plot.radius_m:g} m" if plot.radius_m is not None else "a polygon"
+    rows = [
+        f"Plot: {shape} ({plot.origin}), {plot.area_m2:.0f} m², {100 * plot.seen_share:.0f} % of it seen; "
+        f"{plot.stems} stems in ({plot.doubtful} doubtful, {plot.unmeasured} without a DBH), {plot.outside} out"
+    ]
+    if plot.stems_per_ha is not None:
+        rows.append(f"  stems/ha {_interval(plot.stems_per_ha, '.0f')}")
+    if plot.basal_area_m2_per_ha is not None:
+        rows.append(f"  basal area m²/ha {_interval(plot.basal_area_m2_per_ha, '.1f')}")
+    return rows
+
+
+def _interval(figure: HectareFigure, form: str) -> str:
+    return f"{figure.value:{form}} [{figure.lo95:{form}} - {figure.hi95:{form}}]"
 
 
 def demo_rows(result: DemoResult) -> list[str]:

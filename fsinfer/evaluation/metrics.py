@@ -8,7 +8,8 @@ Accuracy without completeness misleads, so both are always given. With ``n_measu
   stems that no measured tree explains (with or without a DBH). Photographs also see trees beyond the plot, where nobody
   measured: with an area margin those are *outside* and not judged;
 - over the matched: bias = mean(extracted - measured), MAE, RMSE = sqrt(mean(difference^2)),
-  rRMSE = RMSE / mean measured DBH of the matched, AE = 1 - rRMSE (FS-MVSNet, Forests 2025, 16, 927).
+  rRMSE = RMSE / mean measured DBH of the matched, AE = 1 - rRMSE (FS-MVSNet, Forests 2025, 16, 927). Omitted trees have
+  no error: these are figures of the matched, not of all trees, and are shown as such.
 
 Where the two lists have different local frames, a rigid motion of the plane (rotation and shift, never a scale) is
 found from pairs of trees at equal distances, and used only when it explains clearly more trees.

@@ -39,6 +39,7 @@ class CaptureCode(StrEnum):
     one_board = "one_board"
     board_at_two_places = "board_at_two_places"
     endpoints_of_metric_cloud = "endpoints_of_metric_cloud"
+    clicks_do_not_fit = "clicks_do_not_fit"
     unlikely_camera_height = "unlikely_camera_height"
     scale_error_unknown = "scale_error_unknown"
 
@@ -139,6 +140,9 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
     CaptureCode.endpoints_of_metric_cloud: (
         "the end points count in the model units of the cloud without a scale, and cloud.ply was in metres before this "
         "run; if they were read off that cloud, the scale is wrong now: give --scale {factor:.6g} instead"
+    ),
+    CaptureCode.clicks_do_not_fit: (
+        "the ends that were clicked with fsinfer scale give no scale any more ({error}); click them again"
     ),
     CaptureCode.unlikely_camera_height: _unlikely_height,
     CaptureCode.scale_error_unknown: (

@@ -47,6 +47,8 @@ FIGURES_FOLDER = "figures"
 STEM_MAP_FILE = "stem_map.png"
 #: Corrections of the stem map by hand, written by the user.
 EDITS_FILE = "edits.csv"
+#: The ends of a known length, clicked in photographs.
+CLICKS_FILE = "scale_clicks.json"
 #: What a run has come to: figures, warnings, versions.
 PLOT_FILE = "plot.json"
 REPORT_FILE = "report.html"
@@ -198,6 +200,11 @@ class OutputFolder:
     def edits(self) -> Path:
         """Corrections by hand, where the user has written some."""
         return self.out / EDITS_FILE
+
+    @property
+    def clicks(self) -> Path:
+        """The clicks of ``fsinfer scale``, where there are some."""
+        return self.out / CLICKS_FILE
 
     @property
     def plot_json(self) -> Path:

@@ -30,6 +30,7 @@ _RECORDS = (
     "trees.json",
     "dbh_sources.csv",
     "edits.csv",
+    "scale_clicks.json",
     "fsinfer.log",
     "frames.csv",
     "frames.json",
@@ -41,7 +42,7 @@ _RECORDS = (
     "check/check.json",
 )
 # Hand-written or of any origin: packed, but no sign of an output folder.
-_NO_SIGN = frozenset({"edits.csv"})
+_NO_SIGN = frozenset({"edits.csv", "scale_clicks.json"})
 _STAGE_RECORDS = ".fsinfer/*.json"
 _CONTACT_SHEETS = ("frames/frames_contact.jpg", "frames_contact.jpg")
 # The first that is there: frames are what the later stages saw.

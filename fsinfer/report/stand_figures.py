@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from fsinfer.report.contents import Contents, number
 from fsinfer.report.number_table import NumberTable
+from fsinfer.report.plot_border import border_of, is_in
 from fsinfer.trees.stand import StandTable, stand_of_diameters
 
 #: Width of the diameter classes of the stand table. Source: layout; inventories use 2, 4 or 5 cm.
@@ -44,11 +45,15 @@ def basal_area_m2(dbh_cm: Sequence[float]) -> float:
 
 
 def class_table(contents: Contents, stand: StandTable) -> NumberTable | None:
-    """Stems and basal area by classes of diameter; None where no stem has one."""
-    dbh_cm = diameters_cm(contents)
+    """Stems and basal area by classes of diameter, within the plot's border where it has one; None without a DBH."""
+    plot = border_of(contents)
+    rows_in = [tree for tree in contents.trees or () if plot is None or is_in(tree)]
+    dbh_cm = [d for tree in rows_in if (d := number(tree.get("dbh_cm"))) is not None]
     if not dbh_cm:
         return None
-    per_hectare = 10_000 / stand.plot_area_m2 if stand.plot_area_m2 > 0 else None
+    area_m2 = stand.plot_area_m2 if plot is None else plot.area_m2 * plot.seen_share
+    known = area_m2 > 0 and (plot is None or plot.stems_per_ha is not None)
+    per_hectare = 10_000 / area_m2 if known else None
     head = ["DBH class (cm)", "Stems", "Basal area (m²)"]
     if per_hectare is not None:
         head += ["Stems per ha", "Basal area (m²/ha)"]
@@ -58,7 +63,8 @@ def class_table(contents: Contents, stand: StandTable) -> NumberTable | None:
         own = [d for d in dbh_cm if int(d // CLASS_CM) == k]
         rows.append(_class_row(f"{k * CLASS_CM} to under {(k + 1) * CLASS_CM}", own, per_hectare))
     rows.append(_class_row("All with a DBH", dbh_cm, per_hectare))
-    return NumberTable(title="Stand table", head=tuple(head), rows=tuple(rows), total=True)
+    title = "Stand table" if plot is None else "Stand table of the plot"
+    return NumberTable(title=title, head=tuple(head), rows=tuple(rows), total=True)
 
 
 def _class_row(name: str, dbh_cm: Sequence[float], per_hectare: float | None) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from fsinfer.report.contents import Contents, number
 from fsinfer.report.number_table import NumberTable
 from fsinfer.report.page import Part
+from fsinfer.report.plot_border import SEEN_GROUND_ONLY, border_facts, border_of
 from fsinfer.report.stand_figures import basal_area_m2, class_table, diameters_cm, stand_of
 
 SCALE_SOURCES = {
@@ -74,6 +75,9 @@ def _stand_facts(contents: Contents) -> list[tuple[str, str]]:
         ("Quadratic mean DBH", f"{stand.quadratic_mean_dbh_cm:.1f} cm"),
         ("Basal area of these stems", f"{basal_area_m2(diameters_cm(contents)):.3f} m²"),
     ]
+    plot = border_of(contents)
+    if plot is not None:
+        return [*rows, *border_facts(plot)]
     if stand.stems_per_ha is None or stand.basal_area_m2_per_ha is None:
         return [*rows, ("Per hectare", "not given: the area of the plot is not known")]
     return [
@@ -81,6 +85,7 @@ def _stand_facts(contents: Contents) -> list[tuple[str, str]]:
         ("Plot area", f"{stand.plot_area_m2:.0f} m²"),
         ("Stems per hectare", f"{stand.stems_per_ha:.0f}"),
         ("Basal area per hectare, stems with a DBH", f"{stand.basal_area_m2_per_ha:.1f} m²/ha"),
+        ("These figures per hectare", SEEN_GROUND_ONLY),
     ]
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from fsinfer.report.contents import Contents, number, tree_number
 from fsinfer.report.page import Part, missing_part
+from fsinfer.report.plot_border import is_in
 from fsinfer.report.stems.row import STATUS_WORDS, interval_of, interval_text, status_of
 
 _ANCHOR, _TITLE = "trees", "Tree table"
@@ -84,6 +85,8 @@ def _columns(unit: str) -> list[_Column]:
         ("Height (m)", "height_m", "{:.1f}"),
         (f"x ({unit})", "x_m", "{:.2f}"),
         (f"y ({unit})", "y_m", "{:.2f}"),
+        ("In the plot", "in_plot", "{:.0f}"),
+        ("To its border (m)", "border_m", "{:+.2f}"),
     )
     return [_Column(head=head, name=name, form=form) for head, name, form in named]
 
@@ -101,6 +104,8 @@ def _cell(column: _Column, tree: Mapping[str, str]) -> Cell:
     value = number(tree.get(column.name))
     if value is None:
         return Cell(text="", key="")
+    if column.name == "in_plot":
+        return Cell(text="yes" if is_in(tree) else "no", key=repr(value))
     return Cell(text=column.form.format(value), key=repr(value), is_number=column.name != "tree_id")
 
 

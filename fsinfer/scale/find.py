@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from fsinfer.errors import ScaleError
 from fsinfer.notices.capture import CaptureCode
@@ -12,8 +12,8 @@ from fsinfer.progress import Progress, silent
 from fsinfer.scale.aruco import scale_from_aruco
 from fsinfer.scale.doubts import boards_at_two_places
 from fsinfer.scale.printed_boards import DICTIONARY, board_lengths
-from fsinfer.scale.request import ScaleRequest
-from fsinfer.scale.scale import UNKNOWN, Scale, scale_from_endpoints, scale_from_factor
+from fsinfer.scale.request import ClickedLength, ScaleRequest
+from fsinfer.scale.scale import UNKNOWN, Scale, scale_from_clicks, scale_from_endpoints, scale_from_factor
 from fsinfer.scale.square_fit import MarkerSettings
 from fsinfer.scene import Scene
 
@@ -49,6 +49,8 @@ def find_scale(
         return FoundScale(scale=scale_from_factor(request.factor))
     if request.endpoints is not None and request.length_m is not None:
         return FoundScale(scale=scale_from_endpoints(*request.endpoints, request.length_m))
+    if request.clicks is not None and scene is not None:
+        return _by_clicks(request, request.clicks, scene, settings, progress)
     if request.aruco_length_m is None:
         if scene is None or not request.printed_boards:
             return FoundScale(scale=UNKNOWN, warnings=(notice(CaptureCode.no_scale_given),))
@@ -69,6 +71,18 @@ def find_scale(
     except ScaleError as error:
         return FoundScale(scale=UNKNOWN, warnings=(notice(CaptureCode.no_scale_from_markers, error=str(error)),))
     return FoundScale(scale=scale, warnings=_twice(scale))
+
+
+def _by_clicks(
+    request: ScaleRequest, clicked: ClickedLength, scene: Scene, settings: MarkerSettings | None, progress: Progress
+) -> FoundScale:
+    """By the clicks; where they do not fit the scene, which may have been registered anew, as if there were none."""
+    try:
+        return FoundScale(scale=scale_from_clicks(scene, clicked.by_view, clicked.length_m))
+    except ScaleError as error:
+        told = notice(CaptureCode.clicks_do_not_fit, error=str(error))
+        other = find_scale(replace(request, clicks=None), scene=scene, settings=settings, progress=progress)
+        return replace(other, warnings=(told, *other.warnings))
 
 
 def scale_from_printed_boards(

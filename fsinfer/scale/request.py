@@ -12,8 +12,31 @@ from fsinfer.scale.printed_boards import DICTIONARY
 _log = logging.getLogger(__name__)
 
 Point = tuple[float, float, float]
+Pixel = tuple[float, float]
 #: Larger squares than this are a length in centimetres or millimetres. Source: format; no printer makes them.
 LONGEST_BOARD_M = 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClickedEnds:
+    """Both ends of a known length in one photograph: pixels (u, v) of the scene image, top left centre (0, 0)."""
+
+    view: str
+    first: Pixel
+    second: Pixel
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClickedLength:
+    """A known length, its ends clicked in photographs; ``length_m`` is its real distance."""
+
+    views: tuple[ClickedEnds, ...]
+    length_m: float
+
+    @property
+    def by_view(self) -> dict[str, tuple[Pixel, Pixel]]:
+        """The ends by the name of the view."""
+        return {ends.view: (ends.first, ends.second) for ends in self.views}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +51,8 @@ class ScaleRequest:
     endpoints: two points, in the units of the cloud without a scale; only their distance matters. Source:
         option.
     length_m: the true distance of the two points, metres. Source: option.
+    clicks: the two ends clicked in photographs (``fsinfer scale --click``), where no option names a source. Source:
+        option.
     printed_boards: without another source, look for boards printed by ``fsinfer marker``, whose numbers tell their
         length (:mod:`fsinfer.scale.printed_boards`); the result is in model units where there are none. Source:
         option.
@@ -43,6 +68,7 @@ class ScaleRequest:
     aruco_dictionary: str = DICTIONARY
     endpoints: tuple[Point, Point] | None = None
     length_m: float | None = None
+    clicks: ClickedLength | None = None
     printed_boards: bool = True
 
     def __post_init__(self) -> None:
@@ -52,6 +78,7 @@ class ScaleRequest:
                 ("--scale", self.factor),
                 ("--aruco-length-m", self.aruco_length_m),
                 ("--endpoints", self.endpoints),
+                ("clicks", self.clicks),
             )
             if value is not None
         ]

@@ -202,7 +202,8 @@ def scale_from_clicks(scene: Scene, clicks: Mapping[str, Sequence[tuple[float, f
 
     Returns
     -------
-    Source ``endpoints``; ``rel_std`` follows from two pixels of clicking error and the angles of the rays.
+    Source ``endpoints``; ``rel_std`` follows from the angles of the rays and the clicking error: two pixels, or what
+    the clicks miss the ends by where that is more.
 
     Raises
     ------
@@ -228,7 +229,9 @@ def scale_from_clicks(scene: Scene, clicks: Mapping[str, Sequence[tuple[float, f
             msg = f"the rays to end {end + 1} of the length {far}; click the same spot in photos from different places"
             raise ScaleError(msg)
         ends.append(point.xyz)
-        covariances.append(point.covariance * CLICK_SIGMA_PX**2)
+        # Two numbers a photograph against three of the point: what they miss by tells of worse clicks.
+        missed_px2 = float((point.errors_px**2).sum()) / (2 * len(clicks) - 3)
+        covariances.append(point.covariance * max(CLICK_SIGMA_PX**2, missed_px2))
         errors_px.append(point.max_error_px)
     scale = scale_from_endpoints(ends[0].tolist(), ends[1].tolist(), length_m)
     direction = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])

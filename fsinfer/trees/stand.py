@@ -70,14 +70,29 @@ def stand_of_diameters(
     )
 
 
-def seen_area(low: Floats, stems_xy: Floats, *, close: bool = True) -> float:
-    """Horizontal area in square metres where the ground is seen; 0 where stems (T, 2) stand off it.
+@dataclass(frozen=True, kw_only=True)
+class SeenCells:
+    """Cells of ``CELL_M`` where ground was seen: ``seen`` (X, Y), the first one beginning at ``corner`` (2,)."""
 
-    ``low`` (N, 2) are the places of points within ``NEAR_GROUND_M`` of the ground. ``close`` counts gaps of up to two
-    metres as seen.
+    seen: NDArray[np.bool_]
+    corner: Floats
+
+    def at(self, xy: Floats) -> NDArray[np.bool_]:
+        """Whether the ground was seen at each of places (N, 2)."""
+        cell = np.floor((xy - self.corner) / CELL_M).astype(np.int64)
+        within = ((cell >= 0) & (cell < self.seen.shape)).all(axis=1)
+        result = np.zeros(len(xy), dtype=bool)
+        result[within] = self.seen[cell[within, 0], cell[within, 1]]
+        return result
+
+
+def seen_cells(low: Floats, *, close: bool = True) -> SeenCells:
+    """Where the ground is seen: cells with points of ``low`` (N, 2), those within ``NEAR_GROUND_M`` of the ground.
+
+    ``close`` counts gaps of up to two metres as seen.
     """
     if len(low) == 0:
-        return 0.0
+        return SeenCells(seen=np.zeros((0, 0), dtype=bool), corner=np.zeros(2))
     reach = round(CLOSE_M / CELL_M)
     origin = column_min(low)
     column, row = (((low[:, axis] - origin[axis]) / CELL_M).astype(np.int64) + reach + 1 for axis in range(2))
@@ -85,9 +100,16 @@ def seen_area(low: Floats, stems_xy: Floats, *, close: bool = True) -> float:
     seen[column, row] = True
     if close:
         seen = binary_closing(seen, np.ones((2 * reach + 1, 2 * reach + 1)))
-    at = np.floor((stems_xy - origin) / CELL_M).astype(np.int64) + reach + 1
-    inside = ((at >= 0) & (at < seen.shape)).all(axis=1)
-    on_ground = np.count_nonzero(seen[at[inside, 0], at[inside, 1]])
-    if on_ground < LEAST_ON_GROUND * len(stems_xy):
+    return SeenCells(seen=seen, corner=origin - (reach + 1) * CELL_M)
+
+
+def seen_area(low: Floats, stems_xy: Floats, *, close: bool = True) -> float:
+    """Horizontal area in square metres where the ground is seen; 0 where stems (T, 2) stand off it.
+
+    ``low`` (N, 2) are the places of points within ``NEAR_GROUND_M`` of the ground. ``close`` counts gaps of up to two
+    metres as seen.
+    """
+    cells = seen_cells(low, close=close)
+    if len(low) == 0 or np.count_nonzero(cells.at(stems_xy)) < LEAST_ON_GROUND * len(stems_xy):
         return 0.0
-    return float(seen.sum() * CELL_M**2)
+    return float(cells.seen.sum() * CELL_M**2)

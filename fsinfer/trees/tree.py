@@ -17,6 +17,10 @@ class Tree:
     reads (girth / pi) and ``dbh_min_cm``, ``dbh_max_cm`` what callipers read, where the stem was seen nearly all round.
     ``arc_coverage`` in [0, 1]; ``points`` are those the circle used; ``residual_cm`` is the noise of the bark about
     the model. None means "not measured", and ``reasons`` say why. ``status`` is ok, doubtful or unmeasured.
+
+    Where the plot has a border (:mod:`fsinfer.plot_border`), ``in_plot`` says whether the centre is within it,
+    ``border_m`` how far from it, negative outside, and ``at_border`` whether that is less than the stem's radius or
+    than the error of its place.
     """
 
     tree_id: int
@@ -37,6 +41,9 @@ class Tree:
     height_m: float | None
     status: str
     reasons: tuple[Notice, ...]
+    in_plot: bool | None = None
+    border_m: float | None = None
+    at_border: bool | None = None
 
     @property
     def reason(self) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.errors import CloudError, ScaleError
+from fsinfer.errors import CloudError, InputError, ScaleError
 from fsinfer.geometry.similarity import scale_of
 from fsinfer.io.chunks import ChunkedCloud, open_chunks
 from fsinfer.io.cloud import PointCloud, read_cloud
@@ -24,6 +24,7 @@ from fsinfer.output.json_values import of_json
 from fsinfer.output.layout import RECORDS_FOLDER
 from fsinfer.output.plot_json import package_versions, read_plot
 from fsinfer.placement.place import density_per_m2, transform_cloud
+from fsinfer.plot_border.request import BorderRequest
 from fsinfer.progress import Progress, silent
 from fsinfer.scale.find import FoundScale, find_scale
 from fsinfer.scale.request import ScaleRequest
@@ -40,6 +41,7 @@ from fsinfer.workflow.settings import speedless
 from fsinfer.workflow.summary import (
     MODEL_UNITS,
     SCENE_UNITS,
+    border_values,
     no_scale_once,
     tree_values,
     update_plot,
@@ -97,7 +99,7 @@ class _Opened:
     warnings: tuple[Notice, ...] = ()
 
 
-MEASURE = Stage(name="measure", version=1, result=MeasuredCloud, outputs=("trees.csv",))
+MEASURE = Stage(name="measure", version=2, result=MeasuredCloud, outputs=("trees.csv",))
 
 
 def measure_cloud_file(
@@ -124,6 +126,8 @@ def measure_cloud_file(
         The file is no cloud.
     ScaleError
         ArUco markers were asked for, and ``out`` has no scene that the cloud came from.
+    InputError
+        The plot's border lies round a marker or the middle of the walk, and the cloud has no photographs beside it.
     """
     settings = settings or MeasureSettings()
     _refuse_fused(cloud_path)
@@ -131,8 +135,9 @@ def measure_cloud_file(
     chunks = _large(cloud_path, settings.thinning)
     origin = _read_origin(cloud_path.parent)
     found = _cloud_scale(request, cloud_path, out, origin)
-    make_folder(out)
     photos = _own_photos(cloud_path, origin, found.scale.m_per_unit or 1.0)
+    _refuse_center_unknown(settings.stage.border, cloud_path, photos)
+    make_folder(out)
 
     def work(_resume: bool) -> MeasuredCloud:
         # Nothing said and nothing known to the contrary: other people's clouds are in metres.
@@ -144,6 +149,7 @@ def measure_cloud_file(
             scale_rel_std=(found.scale.rel_std if found.scale.rel_std is not None else origin.scale_rel_std) or 0.0,
             camera_height=origin.camera_height,
             marker_xyz=None if photos is None else marker_centers(origin.markers, photos.cloud_from_scene),
+            marker_numbers=() if photos is None else tuple(marker.id for marker in origin.markers.markers),
             epsg=_epsg(cloud_path, found.scale),
             photos=photos,
             edits=corrections,
@@ -173,6 +179,17 @@ def measure_cloud_file(
     record = Ledger(out).run(MEASURE, work, inputs=inputs)
     _tell(record, cloud_path, out)
     return record
+
+
+def _refuse_center_unknown(border: BorderRequest, cloud_path: Path, photos: StemPhotos | None) -> None:
+    if photos is not None or not (border.needs_walk or border.marker is not None):
+        return
+    what = "the middle of the walk" if border.needs_walk else f"marker {border.marker}"
+    msg = (
+        f"--plot-radius-m: where {what} lies in {cloud_path.name} is not known, because it does not lie in the output "
+        "folder of fsinfer run; give --plot-center as x,y in metres of the cloud"
+    )
+    raise InputError(msg)
 
 
 def _refuse_fused(cloud_path: Path) -> None:
@@ -227,7 +244,7 @@ def _tell(record: StageRecord[MeasuredCloud], cloud_path: Path, out: Path) -> No
     """Put into ``plot.json`` what was found."""
     found = record.result
     scale = found.scale
-    values = tree_values(found.trees)
+    values = tree_values(found.trees) | border_values(found.trees)
     values["trees_scale"] = {"m_per_unit": scale.m_per_unit, "source": scale.source, "rel_std": scale.rel_std}
     before = read_plot(out)
     own_cloud = cloud_path.resolve().parent == out.resolve()

@@ -7,18 +7,21 @@ that depend on it and no others: another scale or other tree options never repea
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from fsinfer.errors import CloudError
+from fsinfer.frames.select import FramesResult
 from fsinfer.io.cloud import read_cloud
 from fsinfer.io.files import make_folder
 from fsinfer.notices.notice import notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.output.json_values import as_json
 from fsinfer.output.plot_json import write_plot
+from fsinfer.poses.estimate import PosesResult
 from fsinfer.progress import StageProgress, silent_stages
+from fsinfer.scale.clicks.file import read_clicks
 from fsinfer.scale.find import FoundScale
 from fsinfer.scale.scale import marker_centers
 from fsinfer.silhouettes.join import StemPhotos
@@ -47,7 +50,7 @@ class ReportResult:
     path: Path
 
 
-TREES = Stage(name="trees", version=1, result=TreesResult, outputs=("trees.csv", "figures"))
+TREES = Stage(name="trees", version=2, result=TreesResult, outputs=("trees.csv", "figures"))
 REPORT = Stage(name="report", version=1, result=ReportResult, outputs=("report.html",))
 
 
@@ -97,17 +100,33 @@ def run(
         Any stage's error. What was finished before stays, and the same call goes on from there.
     """
     source, out = Path(source), Path(out)
-    settings = settings or RunSettings()
+    settings = _with_clicks(settings or RunSettings(), out)
     files = source_files(source, out)
     # A wrong model name, or an edit that cannot be read, must not show after an hour of structure from motion.
     model_digest(settings.depth)
-    corrections = find_edits(out, edits)
+    find_edits(out, edits)
     ledger = Ledger(make_folder(out))
 
     frames = choose_frames(ledger, source, files, settings=settings.frames, progress=progress)
     poses = register_photos(
         ledger, out / "frames" / "images", settings=settings.poses, origin=source, progress=progress
     )
+    return run_from_scene(ledger, frames, poses, settings=settings, source=source.name, edits=edits, progress=progress)
+
+
+def run_from_scene(
+    ledger: Ledger,
+    frames: StageRecord[FramesResult],
+    poses: StageRecord[PosesResult],
+    *,
+    settings: RunSettings,
+    source: str,
+    edits: Path | None = None,
+    progress: StageProgress = silent_stages,
+) -> RunResult:
+    """The stages after the poses, of which ``frames`` and ``poses`` are the records; ``source`` names the photos."""
+    out = ledger.out
+    corrections = find_edits(out, edits)
     scene = scene_of(out)
     depth = compute_depth(ledger, scene, settings=settings.depth, progress=progress)
     check = compare_with_sfm(ledger, scene, settings=settings.sfm_check, after=[poses, depth])
@@ -122,10 +141,18 @@ def run(
         frames=frames, poses=poses, depth=depth, check=check, fuse=fused, scale=scale, cloud=cloud, trees=trees
     )
     settings_json = dict(as_json(settings))
-    report = _report(ledger, summarize(records, settings=settings_json, source=source.name), trees, progress)
-    plot = summarize(records, settings=settings_json, source=source.name, report=report)
+    report = _report(ledger, summarize(records, settings=settings_json, source=source), trees, progress)
+    plot = summarize(records, settings=settings_json, source=source, report=report)
     write_plot(out, plot)
     return RunResult(out=out, plot=plot, records=records, report=report)
+
+
+def _with_clicks(settings: RunSettings, out: Path) -> RunSettings:
+    """The settings with the ends that were clicked for this folder, where nothing else gives the scale."""
+    if settings.scale.given or settings.scale.clicks is not None:
+        return settings
+    used = read_clicks(out).used
+    return settings if used is None else replace(settings, scale=replace(settings.scale, clicks=used))
 
 
 def _measure_trees(
@@ -148,6 +175,7 @@ def _measure_trees(
             scale_rel_std=scale.rel_std or 0.0,
             camera_height=cloud.camera_height,
             marker_xyz=marker_centers(scale, cloud.cloud_from_scene),
+            marker_numbers=tuple(marker.id for marker in scale.markers),
             photos=StemPhotos(scene=scene_of(out), depth_folder=out, cloud_from_scene=cloud.cloud_from_scene),
             edits=edits,
         )
@@ -157,7 +185,12 @@ def _measure_trees(
             # A cloud without ground or stems is a result of the photographs: the report has to say so.
             return no_trees(out, reason=notice(StemCode.nothing_measured, error=str(error)))
 
-    of_trees = TreeStageSettings(trees=settings.trees, silhouettes=settings.silhouettes, stem_curve=settings.stem_curve)
+    of_trees = TreeStageSettings(
+        trees=settings.trees,
+        silhouettes=settings.silhouettes,
+        stem_curve=settings.stem_curve,
+        border=settings.border,
+    )
     inputs = {"settings": speedless(of_trees), "rel_std": scale.rel_std, "edits": edits}
     return ledger.run(TREES, work, inputs=inputs, after=[depth, found, placed])
 

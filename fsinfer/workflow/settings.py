@@ -11,6 +11,7 @@ from fsinfer.frames.select import FrameSettings
 from fsinfer.fusion.fuse import FusionSettings
 from fsinfer.output.json_values import as_json
 from fsinfer.placement.level import LevelSettings
+from fsinfer.plot_border.request import BorderRequest
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scale.square_fit import MarkerSettings
@@ -42,6 +43,7 @@ class RunSettings:
     trees: TreeSettings = field(default_factory=TreeSettings)
     silhouettes: SilhouetteJoinSettings = field(default_factory=SilhouetteJoinSettings)
     stem_curve: CurveSettings = field(default_factory=CurveSettings)
+    border: BorderRequest = field(default_factory=BorderRequest)
 
 
 def speedless(settings: Any) -> dict[str, Any]:

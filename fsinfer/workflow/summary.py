@@ -24,13 +24,15 @@ from fsinfer.workflow.tree_stage import TreesResult
 
 MODEL_UNITS = "model units"
 SCENE_UNITS = "scene units"
+#: What figures a hectare are of, in ``plot.json``.
+SEEN_GROUND, WITHIN_BORDER = "seen ground only", "the plot within its border"
 #: Keys of ``plot.json``, in its order; those that are not known are null.
 PLOT_KEYS = (
     "source", "photos_given", "rejected", "photos", "registered", "left_out", "units", "scale_m_per_unit",
     "scale_source", "scale_rel_std", "scale_details", "cloud_from_scene", "camera_height", "points", "density_per_m2",
     "depth_vs_sfm_median_rel", "ground_method", "trees", "trees_with_dbh", "trees_with_silhouette", "diagnosis",
     "stand", "plot_area_m2", "seconds", "peak_rss_mb", "versions", "made_by", "model", "model_sha256",
-    "model_precision", "warnings", "warning_codes", "settings",
+    "model_precision", "warnings", "warning_codes", "settings", "per_hectare_of", "plot_border",
 )  # fmt: skip
 
 
@@ -75,7 +77,9 @@ def summarize(
     similarity from the scene's coordinates to those of cloud.ply; ``camera_height`` is in units of the cloud.
     ``depth_vs_sfm_median_rel`` is the median of |depth - SfM depth| / SfM depth over well-observed tie points.
     ``warning_codes`` are the ``warnings`` with their codes and values, in the same order; ``made_by`` is the version of
-    fsinfer that did each stage, which may be older than that in ``versions``.
+    fsinfer that did each stage, which may be older than that in ``versions``. ``stand`` is of the seen ground in any
+    case; ``plot_border`` holds the plot within its border and its figures a hectare, and ``per_hectare_of`` says
+    which of the two is the plot.
     """
     frames, poses, scale = records.frames.result, records.poses.result, records.scale.result.scale
     cloud, trees, depth = records.cloud.result, records.trees.result, records.depth.result
@@ -109,6 +113,7 @@ def summarize(
         "model_precision": depth.precision,
         **warning_values(all_warnings(records)),
         "settings": dict(settings),
+        **border_values(trees),
     }
     return dict(finite(as_json(plot)))
 
@@ -124,6 +129,11 @@ def tree_values(trees: TreesResult) -> dict[str, Any]:
         "stand": trees.stand,
         "plot_area_m2": trees.plot_area_m2,
     }
+
+
+def border_values(trees: TreesResult) -> dict[str, Any]:
+    """What ``plot.json`` tells of the plot's border, and what figures a hectare are of."""
+    return {"per_hectare_of": SEEN_GROUND if trees.plot is None else WITHIN_BORDER, "plot_border": trees.plot}
 
 
 def warning_values(warnings: Iterable[Notice]) -> dict[str, Any]:

@@ -11,8 +11,14 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import OutputError
 from fsinfer.io.cloud import PointCloud, write_cloud
-from fsinfer.notices.notice import Notice
+from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.plots import PlotCode
 from fsinfer.output.layout import METRIC_TREE_FILES
+from fsinfer.plot_border.place import place_border
+from fsinfer.plot_border.plot import PlotFigures, plot_of, stem_circles
+from fsinfer.plot_border.request import BorderRequest
+from fsinfer.plot_border.rows import figure_rows
+from fsinfer.plot_border.sight import Cameras, seen_share
 from fsinfer.progress import Progress, silent
 from fsinfer.scale.scale import CAMERA_HEIGHT_M
 from fsinfer.silhouettes.join import SilhouetteJoinSettings, StemPhotos, measure_silhouettes, write_sources
@@ -44,7 +50,8 @@ class TreesResult:
     trees, trees_with_dbh, trees_with_silhouette: numbers of stems; of those with a DBH; with edges in photographs.
     ground_method: how the ground was found, None where it was not.
     diagnosis: what was found, or why nothing was.
-    stand: the stand table; plot_area_m2: None when unknown.
+    stand: the stand table of the seen ground; plot_area_m2: its area, None when unknown.
+    plot: the plot within its border; None where it has none.
     unmeasured: the trees without a DBH.
     warnings: repeat the diagnosis when no tree was found.
     """
@@ -57,6 +64,7 @@ class TreesResult:
     stand: StandTable | None = None
     plot_area_m2: float | None = None
     unmeasured: tuple[UnmeasuredTree, ...] = ()
+    plot: PlotFigures | None = None
     warnings: tuple[Notice, ...] = ()
 
 
@@ -72,6 +80,7 @@ class PlotCloudInput:
     camera_height: median height of the cameras above the ground, in units of the cloud; a person holds a camera at
         about 1.5 m, which tells roughly how large the trees are while the scale is unknown.
     marker_xyz: (M, 3) centres of the markers that gave the scale: see :func:`fsinfer.trees.posts.without_posts`.
+    marker_numbers: (M,) their numbers, for a border round one of them.
     epsg: code of the cloud's horizontal frame; None for local metres.
     photos: those the cloud was made of; the stems' edges in them make the diameters sharper (metres only).
     edits: corrections by hand (:mod:`fsinfer.trees.edits`), applied to what was found.
@@ -83,6 +92,7 @@ class PlotCloudInput:
     scale_rel_std: float = 0.0
     camera_height: float | None = None
     marker_xyz: NDArray[np.float64] | None = None
+    marker_numbers: tuple[int, ...] = ()
     epsg: int | None = None
     photos: StemPhotos | None = None
     edits: Sequence[TreeEdit] = ()
@@ -91,11 +101,12 @@ class PlotCloudInput:
 
 @dataclass(frozen=True, kw_only=True)
 class TreeStageSettings:
-    """Of the measurement in the cloud, of the edges in the photographs, of the stem curves."""
+    """Of the measurement in the cloud, of the edges in the photographs, of the stem curves, of the plot's border."""
 
     trees: TreeSettings = field(default_factory=TreeSettings)
     silhouettes: SilhouetteJoinSettings = field(default_factory=SilhouetteJoinSettings)
     stem_curve: CurveSettings = field(default_factory=CurveSettings)
+    border: BorderRequest = field(default_factory=BorderRequest)
 
 
 def measure_plot(
@@ -105,8 +116,8 @@ def measure_plot(
 
     ``out`` receives ``trees.csv``, ``trees.json`` (the reasons as codes) and ``figures/*.png``, and in metres
     ``trees.gpkg`` (``trees.geojson`` too where the frame's place on earth is known) and ``trees.laz``, the cloud with a
-    ``TreeID``, ``stem_curve.csv`` and ``trees.xlsx`` (all tables as sheets), with photographs also ``dbh_sources.csv``
-    and ``figures/*_edges.png``; what an earlier measurement left is removed.
+    ``TreeID``, ``stem_curve.csv`` and ``trees.xlsx`` (all tables as sheets, that of the plot where it has a border),
+    with photographs also ``dbh_sources.csv`` and ``figures/*_edges.png``; what an earlier measurement left is removed.
 
     Raises
     ------
@@ -119,8 +130,9 @@ def measure_plot(
     clear_outputs(out)
     measured = _look_at_photos(edited, given, out, settings, found=found, progress=progress)
     curves = stem_curves(given.cloud.xyz, measured, settings=settings.stem_curve) if given.metric else {}
-    _write(measured, given, out, curves)
-    return _summary(measured)
+    bordered, plot = _draw_border(measured, given, settings)
+    _write(bordered, given, out, curves, plot)
+    return _summary(bordered, plot)
 
 
 def no_trees(out: Path, *, reason: Notice) -> TreesResult:
@@ -196,17 +208,53 @@ def _look_at_photos(
     return joined
 
 
-def _write(result: PlotResult, given: PlotCloudInput, out: Path, curves: dict[int, tuple[CurvePoint, ...]]) -> None:
+def _draw_border(
+    result: PlotResult, given: PlotCloudInput, settings: TreeStageSettings
+) -> tuple[PlotResult, PlotFigures | None]:
+    """The trees sorted by the plot's border, and its figures; None where there is no border or it cannot be placed."""
+    request = settings.border
+    if not request.given or result.ground is None:
+        return result, None
+    if not given.metric:
+        return _without_border(result, notice(PlotCode.no_metres)), None
+    photos = given.photos
+    cameras = None if photos is None else Cameras(scene=photos.scene, cloud_from_scene=photos.cloud_from_scene)
+    centers = [] if given.marker_xyz is None else [(float(x), float(y)) for x, y, _ in given.marker_xyz]
+    border = place_border(
+        request,
+        cameras_xy=None if cameras is None else cameras.places[:, :2],
+        markers=list(zip(given.marker_numbers, centers, strict=True)),
+    )
+    if isinstance(border, Notice):
+        return _without_border(result, border), None
+    seen = seen_share(border, given.cloud.xyz, result.ground, stem_circles(result.trees), cameras=cameras)
+    plot = plot_of(result.trees, border, seen, slope_deg=result.ground.slope_deg, scale_rel_std=given.scale_rel_std)
+    told = (*result.warnings, *plot.warnings)
+    return replace(result, trees=plot.trees, warnings=told), plot.figures
+
+
+def _without_border(result: PlotResult, why: Notice) -> PlotResult:
+    return replace(result, warnings=(*result.warnings, notice(PlotCode.border_not_placed, why=why)))
+
+
+def _write(
+    result: PlotResult,
+    given: PlotCloudInput,
+    out: Path,
+    curves: dict[int, tuple[CurvePoint, ...]],
+    plot: PlotFigures | None,
+) -> None:
     """Tables, figures, maps and labelled points."""
     from fsinfer.trees.outputs.figures import write_figures  # loads matplotlib
 
     write_trees(out / "trees.csv", result.trees)
     write_reasons(out / "trees.json", result.trees)
-    write_figures(out / "figures", result, curves=curves)
+    border = None if plot is None else plot.border.outline
+    write_figures(out / "figures", result, curves=curves, border=border)
     if not given.metric:
         return
     write_curves(out / "stem_curve.csv", curves.values())
-    write_tables(out / "trees.xlsx", result, curves)
+    write_tables(out / "trees.xlsx", result, curves, plot=() if plot is None else figure_rows(plot))
     write_maps(out, result.trees, epsg=given.epsg)
     if given.write_labelled is not None:
         given.write_labelled(out / "trees.laz", result)
@@ -215,7 +263,7 @@ def _write(result: PlotResult, given: PlotCloudInput, out: Path, curves: dict[in
     write_cloud(out / "trees.laz", replace(given.cloud, extra=given.cloud.extra | {"TreeID": labels}))
 
 
-def _summary(result: PlotResult) -> TreesResult:
+def _summary(result: PlotResult, plot: PlotFigures | None) -> TreesResult:
     unmeasured = [tree for tree in result.trees if tree.dbh_cm is None]
     return TreesResult(
         trees=len(result.trees),
@@ -226,6 +274,7 @@ def _summary(result: PlotResult) -> TreesResult:
         stand=result.stand,
         plot_area_m2=result.plot_area_m2 or None,
         unmeasured=tuple(UnmeasuredTree(tree_id=tree.tree_id, reasons=tree.reasons) for tree in unmeasured),
+        plot=plot,
         warnings=(*result.warnings, *(() if result.trees else (result.diagnosis,))),
     )
 

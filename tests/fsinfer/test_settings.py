@@ -43,6 +43,7 @@ REQUIRED = (
     "notices",
     "output",
     "placement",
+    "plot_border",
     "poses",
     "report",
     "scale",

@@ -11,6 +11,7 @@ from fsinfer.io.images import read_image
 from fsinfer.report.contents import Contents, number, tree_number
 from fsinfer.report.page import Part
 from fsinfer.report.picture import Picture, picture_of, shrink
+from fsinfer.report.plot_border import where
 from fsinfer.report.stems.photos import TreePhoto, tree_photos
 from fsinfer.report.stems.row import STATUS_WORDS, interval_of, interval_text, status_of
 from fsinfer.report.stems.stem_map import MapView, stem_map
@@ -138,6 +139,8 @@ def _facts(tree: Mapping[str, str], unit: str) -> list[tuple[str, str]]:
     x, y = number(tree.get("x_m")), number(tree.get("y_m"))
     if x is not None and y is not None:
         rows.append(("Position x, y", f"{x:.2f}, {y:.2f} {unit}"))
+    if where(tree):
+        rows.append(("In the plot", where(tree)))
     return rows
 
 

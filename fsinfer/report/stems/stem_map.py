@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import FsinferError
 from fsinfer.report.contents import Contents, number, tree_number
+from fsinfer.report.plot_border import border_of, is_in
 from fsinfer.report.stems.row import STATUS_WORDS, status_of
 from fsinfer.scene import read_scene
 
@@ -27,7 +28,9 @@ STRAY_SHARE, NEAR_M = 0.6, 8.0
 
 @dataclass(frozen=True, kw_only=True)
 class Mark:
-    """A tree on the map: its circle in pixels of the drawing, its status, and what is said of it."""
+    """A tree on the map: its circle in pixels of the drawing, its status, what is said of it, whether the plot's border
+    leaves it out.
+    """
 
     tree_id: int
     u: float
@@ -36,6 +39,7 @@ class Mark:
     halo: float
     status: str
     said: str
+    outside: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +58,7 @@ class MapView:
     ----------
     columns, rows: lines of the grid at constant x and at constant y.
     cameras: (u, v) of the photos.
+    border: (u, v) of the corners of the plot's border; empty without one.
     legend: (CSS class, words) of each kind of mark that is there.
     """
 
@@ -64,6 +69,7 @@ class MapView:
     columns: tuple[GridLine, ...]
     rows: tuple[GridLine, ...]
     cameras: tuple[tuple[float, float], ...]
+    border: tuple[tuple[float, float], ...]
     marks: tuple[Mark, ...]
     legend: tuple[tuple[str, str], ...]
 
@@ -87,6 +93,10 @@ def stem_map(contents: Contents) -> MapView | None:
     near = cameras[((cameras >= low - reach) & (cameras <= high + reach)).all(axis=1)]
     if len(near):
         low, high = np.minimum(low, near.min(axis=0)), np.maximum(high, near.max(axis=0))
+    plot = border_of(contents)
+    outline = np.zeros((0, 2)) if plot is None else plot.border.outline
+    if len(outline):
+        low, high = np.minimum(low, outline.min(axis=0)), np.maximum(high, outline.max(axis=0))
     short = np.maximum(0.35 * span - (high - low), 0) / 2
     low, high = low - short - 0.03 * span, high + short + 0.03 * span
     per_unit = (WIDTH - 2 * MARGIN) / float(high[0] - low[0])
@@ -100,6 +110,8 @@ def stem_map(contents: Contents) -> MapView | None:
     legend = [(status, words) for status, words in STATUS_WORDS.items() if status in present]
     if len(near):
         legend.append(("camera", "photo taken here"))
+    if len(outline):
+        legend.append(("border", "border of the plot (pale: outside)"))
     return MapView(
         width=WIDTH,
         height=height,
@@ -108,6 +120,7 @@ def stem_map(contents: Contents) -> MapView | None:
         columns=tuple(GridLine(at=place(x, low[1])[0], label=f"{x:g}") for x in _multiples(step, low[0], high[0])),
         rows=tuple(GridLine(at=place(low[0], y)[1], label=f"{y:g}") for y in _multiples(step, low[1], high[1])),
         cameras=tuple(place(x, y) for x, y in near),
+        border=tuple(place(x, y) for x, y in outline),
         marks=tuple(_mark(tree_id, *place(x, y), tree, per_unit) for tree_id, x, y, tree in trees),
         legend=tuple(legend),
     )
@@ -133,8 +146,11 @@ def _mark(tree_id: int, u: float, v: float, tree: Mapping[str, str], per_unit: f
     said = f"Tree {tree_id}: " + ("no diameter" if dbh_cm is None else f"DBH {dbh_cm:.1f} cm")
     if status == "doubtful":
         said += ", doubtful"
+    outside = is_in(tree) is False
+    if outside:
+        said += ", outside the plot"
     halo = max(radius + 5, HALO)
-    return Mark(tree_id=tree_id, u=u, v=v, radius=radius, halo=halo, status=status, said=said)
+    return Mark(tree_id=tree_id, u=u, v=v, radius=radius, halo=halo, status=status, said=said, outside=outside)
 
 
 def _multiples(step: float, low: float, high: float) -> list[float]:

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from fsinfer.trees.stem_curve import CurvePoint
 
 STATUS_COLOURS = {"ok": "#1b7837", "doubtful": "#d98300", "unmeasured": "#9a9a9a"}
+#: Stems outside of the plot's border. Source: layout.
+_OUTSIDE_ALPHA = 0.35
+_BORDER = "#6a3d9a"
 _KEPT, _DROPPED, _CIRCLE, _CURVE = "#2b5c8a", "#d1495b", "#1b1b1b", "#e08e0b"
 
 
@@ -28,14 +31,16 @@ def write_figures(
     result: PlotResult,
     *,
     curves: Mapping[int, Sequence[CurvePoint]] | None = None,
+    border: NDArray[np.float64] | None = None,
     progress: Progress = silent,
 ) -> list[Path]:
     """Write ``stem_map.png`` and ``tree_ID.png`` for each tree into ``folder``; returns the paths.
 
-    ``curves`` are the stem curves by tree id, drawn beside the sections where there are some.
+    ``curves`` are the stem curves by tree id, drawn beside the sections where there are some; ``border`` (K, 2) are the
+    corners of the plot's border, which the map shows.
     """
     paths = [Path(folder) / "stem_map.png"]
-    plot_stem_map(result, paths[0])
+    plot_stem_map(result, paths[0], border=border)
     for number, (tree, section) in enumerate(zip(result.trees, result.sections, strict=True), start=1):
         path = Path(folder) / f"tree_{tree.tree_id:03d}.png"
         curve = (curves or {}).get(tree.tree_id, ())
@@ -45,27 +50,38 @@ def write_figures(
     return paths
 
 
-def plot_stem_map(result: PlotResult, path: Path) -> None:
-    """Stems to scale at their positions with ids and DBH; axes are the cloud's x and y, in metres or model units."""
+def plot_stem_map(result: PlotResult, path: Path, *, border: NDArray[np.float64] | None = None) -> None:
+    """Stems to scale at their positions with ids and DBH; axes are the cloud's x and y, in metres or model units.
+
+    With the corners (K, 2) of a ``border`` it is drawn, and stems outside of it are pale.
+    """
     from matplotlib.lines import Line2D
-    from matplotlib.patches import Circle, Rectangle
+    from matplotlib.patches import Circle, Polygon, Rectangle
 
     metre = result.units_per_m or 1.0
     x0, y0, x1, y1 = result.extent_m
     for tree in result.trees:
         x0, y0, x1, y1 = min(x0, tree.x_m), min(y0, tree.y_m), max(x1, tree.x_m), max(y1, tree.y_m)
+    box = (x0, y0, max(x1 - x0, metre), max(y1 - y0, metre))
+    if border is not None:
+        (low_x, low_y), (high_x, high_y) = border.min(axis=0), border.max(axis=0)
+        x0, y0, x1, y1 = min(x0, low_x), min(y0, low_y), max(x1, high_x), max(y1, high_y)
     width, height = max(x1 - x0, metre), max(y1 - y0, metre)
     scale = 8.5 / max(width, height)
     figure = _figure(max(width * scale, 4.5) + 1.0, max(height * scale, 3.2) + 1.4)
     axes = figure.add_subplot()
-    axes.add_patch(Rectangle((x0, y0), width, height, fill=False, edgecolor="0.75", linestyle="--", linewidth=1.0))
+    axes.add_patch(Rectangle(box[:2], *box[2:], fill=False, edgecolor="0.75", linestyle="--", linewidth=1.0))
+    if border is not None:
+        axes.add_patch(Polygon(border, fill=False, edgecolor=_BORDER, linewidth=1.6))
     for tree in result.trees:
         # Where no diameter is known, a small ring only marks the place.
         radius = 0.1 * metre if tree.dbh_cm is None else tree.dbh_cm / 200.0
         colour = STATUS_COLOURS.get(tree.status, "0.5")
         hollow = tree.dbh_cm is None
         face = "none" if hollow else colour
-        axes.add_patch(Circle((tree.x_m, tree.y_m), radius, facecolor=face, edgecolor=colour, linewidth=1.2))
+        alpha = _OUTSIDE_ALPHA if tree.in_plot is False else 1.0
+        place = (tree.x_m, tree.y_m)
+        axes.add_patch(Circle(place, radius, facecolor=face, edgecolor=colour, linewidth=1.2, alpha=alpha))
         label = f"{tree.tree_id}\n" + ("no DBH" if tree.dbh_cm is None else f"{tree.dbh_cm:.1f} cm")
         axes.annotate(
             label,
@@ -94,6 +110,9 @@ def plot_stem_map(result: PlotResult, path: Path) -> None:
         for status in present
     ]  # fmt: skip
     handles.append(Line2D([], [], color="0.75", linestyle="--", linewidth=1.0, label="where the cloud lies"))
+    if border is not None:
+        words = "border of the plot (pale: outside)"
+        handles.append(Line2D([], [], color=_BORDER, linewidth=1.6, label=words))
     figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=9, frameon=False)
     if not result.trees:
         axes.text(0.5, 0.5, "no trees found", transform=axes.transAxes, ha="center", color="0.4")

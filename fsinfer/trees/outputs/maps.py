@@ -118,6 +118,8 @@ def _point(x_m: float, y_m: float, srs: int) -> bytes:
 
 
 def _sql_kind(annotation: str) -> str:
+    if "bool" in annotation:
+        return "BOOLEAN"
     if "int" in annotation:
         return "INTEGER"
     return "TEXT" if "str" in annotation or "Notice" in annotation else "DOUBLE"

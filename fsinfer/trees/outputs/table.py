@@ -1,9 +1,9 @@
-"""``trees.csv``: one row a tree, empty where a value was not measured."""
+"""``trees.csv``: one row a tree, empty where a value was not measured; yes and no are 1 and 0."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,9 @@ COLUMNS: tuple[str, ...] = tuple("reason" if field.name == "reasons" else field.
 _OPTIONAL = frozenset(field.name for field in fields(Tree) if "None" in str(field.type))
 _INTEGERS = frozenset({"tree_id", "points"})
 _TEXT = frozenset({"status", "reason"})
+_YES_OR_NO = frozenset(field.name for field in fields(Tree) if str(field.type).startswith("bool"))
+#: Columns that a table of an earlier version lacks; they are read as empty.
+_LATER = frozenset(field.name for field in fields(Tree) if field.default is not MISSING)
 
 
 def write_trees(path: Path, trees: Sequence[Tree]) -> None:
@@ -30,7 +33,10 @@ def read_trees(path: Path) -> list[Tree]:
     Raises :class:`~fsinfer.errors.InputError` naming the row and column that cannot be read.
     """
     table = read_table(
-        path, what="the table of trees", required=COLUMNS, way_out="give the trees.csv that 'fsinfer trees' wrote"
+        path,
+        what="the table of trees",
+        required=[name for name in COLUMNS if name not in _LATER],
+        way_out="give the trees.csv that 'fsinfer trees' wrote",
     )
     return [_tree(row) for row in table.rows]
 
@@ -44,6 +50,8 @@ def table_row(tree: Tree) -> tuple[float | int | str | None, ...]:
 def _text(name: str, value: Any) -> str:
     if value is None:
         return ""
+    if name in _YES_OR_NO:
+        return str(int(value))
     if name in _TEXT or name in _INTEGERS:
         return str(value)
     return f"{value:.{_decimals(name)}f}"
@@ -67,6 +75,9 @@ def _tree(row: CsvRow) -> Tree:
             values["reasons"] = (notice(StemCode.as_written, text=text),) if text else ()
         elif name in _TEXT:
             values[name] = row.text(name)
+        elif name in _YES_OR_NO:
+            given = row.number(name)
+            values[name] = None if given is None else given != 0
         elif name in _INTEGERS:
             values[name] = row.whole(name)
         else:

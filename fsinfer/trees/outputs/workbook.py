@@ -37,8 +37,16 @@ _SHOWN = (
 _WIDTH_CHARACTERS = (8, 60)
 
 
-def write_tables(path: Path, result: PlotResult, curves: dict[int, tuple[CurvePoint, ...]]) -> None:
+def write_tables(
+    path: Path,
+    result: PlotResult,
+    curves: dict[int, tuple[CurvePoint, ...]],
+    *,
+    plot: Sequence[tuple[str, Cell]] = (),
+) -> None:
     """Write the trees, the stand table and the stem curves as sheets of one XLSX workbook, atomically.
+
+    ``plot`` are names and figures of a plot with a border, a sheet of their own where there are any.
 
     Values are those of the CSV files, numbers as numbers; what was not measured is an empty cell. Texts stay texts,
     whatever they begin with.
@@ -53,6 +61,8 @@ def write_tables(path: Path, result: PlotResult, curves: dict[int, tuple[CurvePo
         _write_sheet(book, "trees", COLUMNS, map(table_row, result.trees), _format_of_column)
         stand = asdict(result.stand).items()
         _write_sheet(book, "stand", ("figure", "value"), stand, lambda _, row: _number_format(str(row[0])))
+        if plot:
+            _write_sheet(book, "plot", ("figure", "value"), plot, lambda _, row: _number_format(str(row[0])))
         points = (curve_row(point) for curve in curves.values() for point in curve)
         _write_sheet(book, "stem curve", CURVE_COLUMNS, points, _format_of_column)
     with atomic_path(path) as temporary:

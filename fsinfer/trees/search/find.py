@@ -23,6 +23,7 @@ from fsinfer.notices.stems import StemCode
 from fsinfer.progress import Progress, silent
 from fsinfer.trees.cylinder.axis import axis_coordinates
 from fsinfer.trees.points.cells import PlanIndex, measured_spacing, rows, thin
+from fsinfer.trees.search.giants import find_giants
 from fsinfer.trees.search.hough import hough_seeds
 from fsinfer.trees.search.stem import Stem, StemSettings
 from fsinfer.trees.search.verify import Candidate, verify
@@ -81,6 +82,7 @@ def find_stems(
     index = PlanIndex(thinned, INDEX_CELL_M)
     accepted, rejected = _search(seeds, index, cell_m, s, progress)
     stems = _resolve_overlaps(accepted, index, cell_m, bh_m, s)
+    stems = _in_order([*stems, *find_giants(slab, stems, spacing, s)], bh_m)
     return StemSearch(stems=tuple(stems), candidates=len(seeds), rejected=rejected, spacing_m=spacing)
 
 
@@ -144,11 +146,13 @@ def _inside(stem: Stem, seeds: Floats, least_radius_m: float) -> Bools:
     return np.asarray((gap**2).sum(axis=1) <= (p[4] + least_radius_m) ** 2)
 
 
-def _resolve_overlaps(stems: list[Stem], index: PlanIndex, cell_m: float, bh_m: float, s: StemSettings) -> list[Stem]:
-    """Let the better stem own its wall: a weaker one that touches it must stand without those points.
+def _in_order(stems: list[Stem], bh_m: float) -> list[Stem]:
+    """By position, so that the numbering does not depend on the order of the points."""
+    return sorted(stems, key=lambda item: (round(float(item.axis.center_at(bh_m)[0]), 3), item.axis.parameters[1]))
 
-    Ordered by position, so that the numbering does not depend on the order of the points.
-    """
+
+def _resolve_overlaps(stems: list[Stem], index: PlanIndex, cell_m: float, bh_m: float, s: StemSettings) -> list[Stem]:
+    """Let the better stem own its wall: a weaker one that touches it must stand without those points."""
     kept: list[Stem] = []
     for stem in sorted(stems, key=lambda item: -item.quality):
         center = stem.axis.center_at(bh_m)
@@ -175,4 +179,4 @@ def _resolve_overlaps(stems: list[Stem], index: PlanIndex, cell_m: float, bh_m: 
                 continue
             stem = again
         kept.append(stem)
-    return sorted(kept, key=lambda item: (round(float(item.axis.center_at(bh_m)[0]), 3), item.axis.parameters[1]))
+    return kept

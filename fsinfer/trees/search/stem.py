@@ -19,6 +19,8 @@ class StemSettings:
     cell_m: of the order of the noise; grows with the spacing of sparse clouds, and centres are voted for in cells twice
         as wide. Source: chosen on simulated stems.
     radius_m: of the stems looked for. Source: inventories start at 4 cm of DBH.
+    giant_radius_m: of those looked for in a second search (:mod:`fsinfer.trees.search.giants`). Source: the thickest
+        trees of Europe's forests have 2 to 2.5 m of DBH.
     min_votes: cells per band. Source: geometry, a third of what a stem of 6 cm diameter seen from one side gives.
     min_points: about a candidate. Source: not recorded.
     min_ring: share of its circle that a start shows. Source: geometry, 43 degrees in two thirds of the layers.
@@ -44,6 +46,7 @@ class StemSettings:
     window_m: float = 1.0
     cell_m: float = 0.015
     radius_m: tuple[float, float] = (0.02, 0.60)
+    giant_radius_m: float = 1.25
     min_votes: float = 2.5
     min_points: int = 8
     min_ring: float = 0.08

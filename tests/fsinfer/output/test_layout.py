@@ -36,8 +36,8 @@ def test_paths_are_those_of_the_contract() -> None:
         ".fsinfer", "frames", "frames/images", "frames/frames.csv", "frames/frames_contact.jpg", "scene",
         "scene/images", "scene/sparse", "depth", "depth/depth.json", "confidence", "fused/cloud.ply", "cloud.ply",
         "cloud.laz", "trees.csv", "trees.json", "trees.xlsx", "trees.laz", "stem_curve.csv", "dbh_sources.csv",
-        "figures", "figures/stem_map.png", "edits.csv", "plot.json", "report.html", "check", "check/check.png",
-        "check/check.json", "check/work", "photos", "truth.csv",
+        "figures", "figures/stem_map.png", "edits.csv", "scale_clicks.json", "plot.json", "report.html", "check",
+        "check/check.png", "check/check.json", "check/work", "photos", "truth.csv",
     }  # fmt: skip
     assert FOLDER.section_figure(7) == OUT / "figures" / "tree_007.png"
     assert FOLDER.edges_figure(7) == OUT / "figures" / "tree_007_edges.png"
@@ -52,10 +52,12 @@ def test_paths_are_those_of_the_contract() -> None:
 
 def test_stages_below_write_by_the_same_names() -> None:
     from fsinfer.frames.select import CONTACT_SHEET
+    from fsinfer.scale.clicks.file import CLICKS_FILE
     from fsinfer.trees.edits import EDITS_FILE
     from fsinfer.trees.outputs.maps import GEOJSON, GEOPACKAGE
 
     assert (CONTACT_SHEET, EDITS_FILE) == (layout.CONTACT_SHEET_FILE, layout.EDITS_FILE)
+    assert CLICKS_FILE == layout.CLICKS_FILE
     assert (GEOJSON, GEOPACKAGE) == (layout.TREES_GEOJSON, layout.TREES_GPKG)
 
 

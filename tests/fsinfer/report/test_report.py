@@ -11,9 +11,14 @@ from fsinfer.errors import InputError
 from fsinfer.io.cloud import PointCloud, write_cloud
 from fsinfer.io.images import write_image
 from fsinfer.io.pfm import write_pfm
+from fsinfer.output.json_values import as_json
+from fsinfer.plot_border.border import Border
+from fsinfer.plot_border.plot import plot_of
+from fsinfer.plot_border.sight import SeenShare
 from fsinfer.report import make_report
 from fsinfer.report.contents import number, read_contents
 from fsinfer.report.stand_figures import stand_of
+from fsinfer.trees.outputs.table import read_trees
 
 TREE = {
     "tree_id": 1, "x_m": 1.5, "y_m": -2.0, "z_ground_m": 0.1, "dbh_cm": 30.0, "dbh_lo95_cm": 29.1, "dbh_hi95_cm": 30.9,
@@ -180,6 +185,51 @@ def test_figures_of_the_stand_are_those_of_the_run(tmp_path: Path) -> None:
     page = make_report(tmp_path).read_text(encoding="utf-8")
     assert "<td>35.0 cm</td>" in page
     assert '<th scope="row">Stems per hectare</th><td>60</td>' in page
+
+
+def test_without_a_border_the_figures_are_said_to_be_of_seen_ground_only(tmp_path: Path) -> None:
+    full_folder(tmp_path, plot=PLOT | {"plot_area_m2": 500})
+    assert "of the ground that was seen only: the plot has no border" in make_report(tmp_path).read_text(
+        encoding="utf-8"
+    )
+
+
+def test_a_plot_with_a_border_is_told_and_drawn(tmp_path: Path) -> None:
+    border = Border(center=(1.0, -2.0), radius_m=12.62, origin="marker 7", moves_along=True)
+    trees = [
+        TREE,
+        TREE | {"tree_id": 2, "x_m": 13.5, "status": "doubtful"},
+        TREE | {"tree_id": 3, "x_m": 20.0, "dbh_cm": "", "dbh_lo95_cm": "", "dbh_hi95_cm": "", "status": "unmeasured"},
+    ]
+    write_csv(tmp_path / "rows.csv", trees)
+    plot = plot_of(read_trees(tmp_path / "rows.csv"), border, SeenShare(share=0.9, method="by eye"), slope_deg=8.0)
+    rows = [
+        row
+        | {"in_plot": int(tree.in_plot or False), "border_m": tree.border_m, "at_border": int(tree.at_border or False)}
+        for row, tree in zip(trees, plot.trees, strict=True)
+    ]
+    given = PLOT | {"plot_border": as_json(plot.figures), "plot_area_m2": 9999.0}
+    page = make_report(full_folder(tmp_path, plot=given, trees=rows)).read_text(encoding="utf-8")
+    figure = plot.figures.stems_per_ha
+    assert figure is not None
+    assert figure.value == pytest.approx(2 / 0.9 / (np.pi * 0.01262 * 1.262), rel=1e-3)
+    for text in (
+        "<td>circle of 12.62 m round marker 7</td>", "<td>500 m² (the ground slopes by 8°)</td>",
+        "<td>90 % (by eye)</td>", "<td>2: 1 sure, 1 doubtful, 0 without a DBH; 1 more stand outside</td>",
+        "<td>tree 2: measure in the forest whether they are in</td>",
+        f"<td>44, 95 % interval {figure.lo95:.0f} to {figure.hi95:.0f} (unseen ground ± ",
+        "; 22 of it from doubtful stems", "Stems per hectare, as one sample of the stand",
+        "<td>All with a DBH</td><td>2</td><td>0.141</td><td>44</td><td>3.1</td>",
+        'class="border"', "border of the plot (pale: outside)", 'class="tree unmeasured outside"',
+        "in, 0.12 m from the border, to be measured", "out, 6.38 m from the border", "To its border (m)",
+    ):  # fmt: skip
+        assert text in page, text
+    assert "seen only: the plot has no border" not in page
+    # A table that was changed since is not that of the figures.
+    rows[0]["in_plot"] = 0
+    page = make_report(full_folder(tmp_path, plot=given, trees=rows)).read_text(encoding="utf-8")
+    assert 'class="border"' not in page
+    assert "seen only: the plot has no border" in page
 
 
 def test_markers_and_photos_left_out_are_shown(tmp_path: Path) -> None:

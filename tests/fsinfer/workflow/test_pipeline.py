@@ -10,10 +10,11 @@ import csv
 import json
 import shutil
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from urllib.request import Request, urlopen
 
 import numpy as np
 import pytest
@@ -36,19 +37,21 @@ from fsinfer.io.files import make_folder, write_text
 from fsinfer.io.images import list_images, write_image
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import notice
+from fsinfer.plot_border.request import BorderRequest
 from fsinfer.poses.estimate import PosesResult
 from fsinfer.scale.request import ScaleRequest
-from fsinfer.scene import read_camera, write_camera
+from fsinfer.scene import project, read_camera, read_scene, write_camera
 from fsinfer.silhouettes.edges import find_edges
 from fsinfer.trees import TreeSettings
 from fsinfer.trees.outputs.table import read_trees
+from fsinfer.workflow.clicked_scale import click_scale
 from fsinfer.workflow.measure_cloud import measure_cloud_file
 from fsinfer.workflow.pipeline import run
 from fsinfer.workflow.settings import RunSettings
 from fsinfer.workflow.single_stages import depth_of
 from fsinfer.workflow.summary import PLOT_KEYS
 from fsinfer.workflow.tree_stage import measure_plot as real_trees
-from tests.support.synthetic_plot import M_PER_UNIT, STEMS, VIEWS, write_depth_folder, write_scene_folder
+from tests.support.synthetic_plot import _TURN, M_PER_UNIT, STEMS, VIEWS, write_depth_folder, write_scene_folder
 
 METRIC = RunSettings(scale=ScaleRequest(factor=M_PER_UNIT))
 ALL = ["frames", "poses", "depth", "check", "fuse", "scale", "cloud", "trees", "report"]
@@ -445,3 +448,66 @@ def test_a_folder_that_was_moved_is_finished_all_the_same(fakes: Fakes, photos: 
     moved = run(photos, tmp_path / "elsewhere", settings=METRIC)
     assert ran(moved) == []
     assert moved.records.cloud.result.path == tmp_path / "elsewhere" / "cloud.ply"
+
+
+# A stick of a metre, upright between the stems.
+STICK_M = np.array([[0.2, 0.1, 0.3], [0.2, 0.1, 1.3]])
+
+
+def clicking(out: Path, *views: int) -> Callable[[str], None]:
+    """What a user does on the page: both ends in these views, then "Use this scale"."""
+    scene = read_scene(out / "scene")
+    clicks = {}
+    for index in views:
+        pixels, _ = project(STICK_M @ _TURN.T / M_PER_UNIT, scene.views[index].camera)
+        clicks[scene.views[index].name] = pixels.tolist()
+
+    def show(url: str) -> None:
+        body = json.dumps({"clicks": clicks}).encode()
+        with urlopen(Request(url + "use", body, method="POST"), timeout=20) as answer:
+            assert answer.status == 200
+
+    return show
+
+
+def test_two_clicked_points_give_the_scale_and_repeat_nothing_dear(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert run(photos, out).plot["units"] == "model units"
+    result = click_scale(out, 1.0, show=clicking(out, 0, 3)).run
+    assert result is not None
+    assert ran(result) == ["scale", "cloud", "trees", "report"]
+    assert (result.plot["units"], result.plot["scale_source"]) == ("m", "endpoints")
+    assert result.plot["scale_m_per_unit"] == pytest.approx(M_PER_UNIT, rel=1e-6)
+    assert result.plot["scale_details"]["views"] == ["view_00", "view_03"]
+    np.testing.assert_allclose(sorted(float(d) for d in dbh_cm(out)), sorted(200 * STEMS[:, 2]), atol=1.0)
+    assert result.plot == json.loads((out / "plot.json").read_text(encoding="utf-8"))
+    # Later runs keep it, until an option says otherwise or the file is gone.
+    assert ran(run(photos, out)) == []
+    assert run(photos, out, settings=METRIC).plot["scale_source"] == "factor"
+    assert run(photos, out).plot["scale_source"] == "endpoints"
+    (out / "scale_clicks.json").unlink()
+    assert run(photos, out).plot["units"] == "model units"
+
+
+def test_clicks_before_the_first_run_has_ended_are_kept_for_it(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    fakes.fail_in = "fuse"
+    with pytest.raises(KeyboardInterrupt):
+        run(photos, out)
+    assert click_scale(out, 1.0, show=clicking(out, 0, 3)).run is None
+    fakes.fail_in = ""
+    assert run(photos, out).plot["scale_m_per_unit"] == pytest.approx(M_PER_UNIT, rel=1e-6)
+
+
+def test_a_border_goes_through_a_run(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    run(photos, out, settings=METRIC)
+    bordered = run(photos, out, settings=replace(METRIC, border=BorderRequest(radius_m=1.38)))
+    assert ran(bordered) == ["trees", "report"]
+    plot = bordered.plot
+    assert plot["per_hectare_of"] == "the plot within its border"
+    assert (plot["plot_border"]["origin"], plot["plot_border"]["stems"]) == ("walk", 2)
+    assert plot["warning_codes"][-1]["code"] == "border_cases"
+    marker = run(photos, out, settings=replace(METRIC, border=BorderRequest(radius_m=1.38, marker=7))).plot
+    assert (marker["per_hectare_of"], marker["plot_border"]) == ("seen ground only", None)
+    assert "marker 7, was not found" in marker["warnings"][-1]

@@ -42,7 +42,8 @@ def plot(found: PlotResult, tmp_path: Path) -> Plot:
             dbh = (None, None, None) if number == 2 else (23.456, 22.1, 24.9)
             place = (number, -12.3456, 4.5, 0.1254)
             rest = (None, None, None, 1.3, 0.75, 1234, None, 2.345, None)
-            rows.append((*place, *dbh, *rest, "unmeasured" if number == 2 else "ok", reason))
+            border = (True, 1.25, False)
+            rows.append((*place, *dbh, *rest, "unmeasured" if number == 2 else "ok", reason, *border))
         write_table(tmp_path / "rows.csv", COLUMNS, rows)
         trees = read_trees(tmp_path / "rows.csv")
         (tmp_path / "rows.csv").unlink()
@@ -84,6 +85,19 @@ def test_sheets_hold_what_the_csv_files_hold(plot: Plot, tmp_path: Path) -> None
     ]  # fmt: skip
 
 
+def test_a_plot_with_a_border_has_a_sheet(plot: Plot, tmp_path: Path) -> None:
+    figures: tuple[tuple[str, str | float], ...] = (
+        ("radius_m", 12.62),
+        ("stems_per_ha", 480.4),
+        ("border_round", "marker 7"),
+    )
+    write_tables(tmp_path / "trees.xlsx", plot(""), CURVES, plot=figures)
+    trees, _, sheet, _ = read_sheets(tmp_path / "trees.xlsx")
+    assert (sheet.name, sheet.rows()[1:]) == ("plot", [list(row) for row in figures])
+    assert (sheet.formats["B2"], sheet.formats["B3"]) == ("0.00", "0")
+    assert trees.rows()[1][-3:] == [True, 1.25, False]
+
+
 def test_numbers_are_shown_by_their_unit(plot: Plot, tmp_path: Path) -> None:
     write_tables(tmp_path / "trees.xlsx", plot(""), CURVES)
     trees, stand, curve = read_sheets(tmp_path / "trees.xlsx")
@@ -112,7 +126,7 @@ def test_the_header_is_bold_and_stays_and_columns_are_wide_enough(plot: Plot, tm
 def test_no_text_becomes_a_formula_or_a_link(plot: Plot, tmp_path: Path, reason: str) -> None:
     write_tables(tmp_path / "trees.xlsx", plot(reason), {1: (point(1.0, None, reason),)})
     trees, _, curve = read_sheets(tmp_path / "trees.xlsx")
-    assert trees.rows()[1][-1] == reason
+    assert trees.rows()[1][COLUMNS.index("reason")] == reason
     assert curve.rows()[1][-1] == reason
     assert "<f>" not in trees.xml + curve.xml
     assert "hyperlink" not in trees.xml + curve.xml

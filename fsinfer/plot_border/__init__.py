@@ -1,0 +1,1 @@
+"""The border of a plot: where it lies, which stems stand in it, how much of it was seen, and figures a hectare."""

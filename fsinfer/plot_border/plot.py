@@ -1,0 +1,208 @@
+"""The stems of a plot against its border: who is in, who is near it, and the plot's figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.plots import PlotCode
+from fsinfer.plot_border.border import Border
+from fsinfer.plot_border.hectare import LEAST_SHARE, HectareFigure, PlotStems, basal_area_per_ha, stems_per_ha
+from fsinfer.plot_border.request import Place
+from fsinfer.plot_border.sight import SeenShare
+from fsinfer.trees.points.sums import Z95
+from fsinfer.trees.stand import stand_of_diameters
+from fsinfer.trees.tree import Tree
+
+Floats = NDArray[np.float64]
+#: Standard deviation of the place of a stem that could not be measured, metres. Source: judgement; half the radius of
+#: a usual stem.
+UNMEASURED_STD_M = 0.1
+#: Radius of such a stem, metres. Source: judgement.
+UNMEASURED_RADIUS_M = 0.1
+#: A stem's centre is known no better, metres: lean and roots stand between it and what a person would measure.
+#: Source: judgement.
+LEAST_STD_M = 0.01
+#: Less of the plot seen than this is said as a warning. Source: judgement.
+MOSTLY_SEEN = 0.8
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlotFigures:
+    """The plot within its border.
+
+    Attributes
+    ----------
+    origin: "walk", "marker 7", "coordinate" or "polygon".
+    center, radius_m: of a circle; None for a polygon. corners: of a polygon.
+    area_m2: horizontal; seen_share: of it; seen_method: how that was judged.
+    slope_deg: of the ground under the cloud.
+    stems, measured, doubtful, unmeasured: numbers of stems that are in; the last two are among the first.
+    outside: number of stems that are out.
+    border_cases: numbers of the trees at the border, in or out.
+    quadratic_mean_dbh_cm, mean_dbh_cm: of the measured stems that are in.
+    stems_per_ha, basal_area_m2_per_ha: None where too little of the plot was seen.
+    doubtful_stems_per_ha, doubtful_basal_area_m2_per_ha: how much of these figures rests on doubtful stems.
+    """
+
+    origin: str
+    center: Place | None
+    radius_m: float | None
+    corners: tuple[Place, ...]
+    area_m2: float
+    seen_share: float
+    seen_method: str
+    slope_deg: float
+    stems: int
+    measured: int
+    doubtful: int
+    unmeasured: int
+    outside: int
+    border_cases: tuple[int, ...]
+    quadratic_mean_dbh_cm: float | None
+    mean_dbh_cm: float | None
+    stems_per_ha: HectareFigure | None
+    basal_area_m2_per_ha: HectareFigure | None
+    doubtful_stems_per_ha: float | None
+    doubtful_basal_area_m2_per_ha: float | None
+
+    @property
+    def border(self) -> Border:
+        """The border, to draw it."""
+        return Border(
+            center=self.center, radius_m=self.radius_m, corners=self.corners, origin=self.origin, moves_along=True
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bordered:
+    """Trees with their columns of the border, the plot's figures, and what is to be told."""
+
+    trees: tuple[Tree, ...]
+    figures: PlotFigures
+    warnings: tuple[Notice, ...]
+
+
+def sort_trees(trees: Sequence[Tree], border: Border, *, scale_rel_std: float = 0.0) -> tuple[Tree, ...]:
+    """The trees with ``in_plot``, ``border_m`` and ``at_border``: in by the centre at breast height.
+
+    At the border is who stands nearer to it than the stem's radius, or than the 95 % error of its place.
+    """
+    if not trees:
+        return ()
+    inside_m = border.inside_m(_places(trees))
+    radius, std = _radii(trees), _place_std(trees, scale_rel_std)
+    scale = scale_rel_std * np.linalg.norm(_places(trees) - np.array(border.anchor), axis=1)
+    near = np.abs(inside_m) < np.maximum(radius, Z95 * np.hypot(std, scale))
+    return tuple(
+        replace(tree, in_plot=bool(distance > 0), border_m=float(distance), at_border=bool(close))
+        for tree, distance, close in zip(trees, inside_m, near, strict=True)
+    )
+
+
+def plot_of(
+    trees: Sequence[Tree], border: Border, seen: SeenShare, *, slope_deg: float, scale_rel_std: float = 0.0
+) -> Bordered:
+    """Sort the trees by the border, and put the plot to the hectare."""
+    sorted_trees = sort_trees(trees, border, scale_rel_std=scale_rel_std)
+    own = [tree for tree in sorted_trees if tree.in_plot]
+    doubtful = [tree for tree in own if tree.status == "doubtful"]
+    enough = seen.share >= LEAST_SHARE
+    stems = _stems(sorted_trees, scale_rel_std)
+    of_plot = stand_of_diameters([tree.dbh_cm for tree in own], 0.0)
+    of_doubtful = stand_of_diameters([tree.dbh_cm for tree in doubtful], border.area_m2 * seen.share)
+    cases = tuple(tree.tree_id for tree in sorted_trees if tree.at_border)
+    figures = PlotFigures(
+        origin=border.origin,
+        center=border.center,
+        radius_m=border.radius_m,
+        corners=border.corners,
+        area_m2=border.area_m2,
+        seen_share=seen.share,
+        seen_method=seen.method,
+        slope_deg=slope_deg,
+        stems=len(own),
+        measured=of_plot.measured,
+        doubtful=len(doubtful),
+        unmeasured=len(own) - of_plot.measured,
+        outside=len(sorted_trees) - len(own),
+        border_cases=cases,
+        quadratic_mean_dbh_cm=of_plot.quadratic_mean_dbh_cm,
+        mean_dbh_cm=of_plot.mean_dbh_cm,
+        stems_per_ha=stems_per_ha(stems, area_m2=border.area_m2, share=seen.share, scale_rel_std=scale_rel_std)
+        if enough
+        else None,
+        basal_area_m2_per_ha=basal_area_per_ha(stems, area_m2=border.area_m2, share=seen.share) if enough else None,
+        doubtful_stems_per_ha=of_doubtful.stems_per_ha if enough else None,
+        doubtful_basal_area_m2_per_ha=(of_doubtful.basal_area_m2_per_ha or 0.0) if enough else None,
+    )
+    return Bordered(trees=sorted_trees, figures=figures, warnings=_warnings(sorted_trees, seen))
+
+
+def stem_circles(trees: Sequence[Tree]) -> Floats:
+    """x, y and radius (T, 3) of the stems, metres."""
+    return np.column_stack([_places(trees), _radii(trees)]).reshape(-1, 3)
+
+
+def _warnings(trees: Sequence[Tree], seen: SeenShare) -> tuple[Notice, ...]:
+    told = []
+    cases = tuple(
+        f"tree {tree.tree_id} ({abs(tree.border_m or 0.0):.2f} m {'in' if tree.in_plot else 'out'})"
+        for tree in trees
+        if tree.at_border
+    )
+    if cases:
+        told.append(notice(PlotCode.border_cases, trees=cases))
+    percent = 100.0 * seen.share
+    if seen.share < LEAST_SHARE:
+        told.append(notice(PlotCode.plot_hardly_seen, percent=percent, least=100.0 * LEAST_SHARE))
+    elif seen.share < MOSTLY_SEEN:
+        told.append(notice(PlotCode.plot_partly_seen, percent=percent))
+    return tuple(told)
+
+
+def _stems(trees: Sequence[Tree], scale_rel_std: float) -> PlotStems:
+    inside_m = np.array([tree.border_m or 0.0 for tree in trees])
+    dbh_m = np.array([np.nan if tree.dbh_cm is None else tree.dbh_cm / 100.0 for tree in trees])
+    return PlotStems(
+        inside=np.array([bool(tree.in_plot) for tree in trees], dtype=bool),
+        # Without the scale, which is a part of its own.
+        chance=np.asarray(ndtr(inside_m / _place_std(trees, scale_rel_std))) if len(trees) else np.zeros(0),
+        dbh_m=dbh_m,
+        std_m=np.sqrt(np.maximum(_dbh_std_m(trees) ** 2 - (scale_rel_std * dbh_m) ** 2, 0.0)),
+    )
+
+
+def _places(trees: Sequence[Tree]) -> Floats:
+    return np.array([(tree.x_m, tree.y_m) for tree in trees], dtype=np.float64).reshape(-1, 2)
+
+
+def _radii(trees: Sequence[Tree]) -> Floats:
+    return np.array([UNMEASURED_RADIUS_M if tree.dbh_cm is None else tree.dbh_cm / 200.0 for tree in trees])
+
+
+def _dbh_std_m(trees: Sequence[Tree]) -> Floats:
+    """Of the intervals in the table, the scale included; NaN where there is none."""
+    return np.array(
+        [
+            np.nan
+            if tree.dbh_lo95_cm is None or tree.dbh_hi95_cm is None
+            else (tree.dbh_hi95_cm - tree.dbh_lo95_cm) / (2.0 * Z95 * 100.0)
+            for tree in trees
+        ]
+    )
+
+
+def _place_std(trees: Sequence[Tree], scale_rel_std: float) -> Floats:
+    """Standard deviation (T,) of the centres in metres, without that of the scale.
+
+    What moves the far side of a stem that is seen from one side by the error of the diameter moves its centre by half.
+    """
+    radius = _radii(trees)
+    own = np.sqrt(np.maximum(_dbh_std_m(trees) ** 2 - (2.0 * radius * scale_rel_std) ** 2, 0.0)) / 2.0
+    return np.where(np.isfinite(own), np.maximum(own, LEAST_STD_M), UNMEASURED_STD_M)

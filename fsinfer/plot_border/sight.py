@@ -1,0 +1,126 @@
+"""How much of a plot was really seen: ground in the cloud, and sight lines from the cameras that no stem blocks.
+
+A stem can only be found where two photographs look. What is said of a hectare must not rest on the shadow behind a stem
+or on a corner where nobody walked.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.geometry.similarity import apply
+from fsinfer.io.images import image_size
+from fsinfer.plot_border.border import Border
+from fsinfer.scene import Scene, View, project
+from fsinfer.trees.ground.ground import Ground
+from fsinfer.trees.points.cells import rows
+from fsinfer.trees.stand import CELL_M, NEAR_GROUND_M, seen_cells
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+#: Photographs that must look at a place: depth needs two. Source: geometry.
+LEAST_VIEWS = 2
+#: Heights over the ground of which one must be in the picture, metres. Source: where stems are looked for.
+LOOKED_AT_M = (0.7, 1.3, 2.0)
+#: Cells of a plot at most: larger plots get larger cells. Source: numerics.
+MOST_CELLS = 40_000.0
+BY_GROUND = "ground in the cloud, gaps of up to 2 m closed"
+BY_SIGHT = f"{BY_GROUND}, without what fewer than {LEAST_VIEWS} photos see past the stems"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cameras:
+    """The photographs: their scene, and the (4, 4) similarity from it to the cloud."""
+
+    scene: Scene
+    cloud_from_scene: Floats
+
+    @property
+    def places(self) -> Floats:
+        """(V, 3) in the frame of the cloud."""
+        centers = np.array([view.camera.center for view in self.scene.views]).reshape(-1, 3)
+        return apply(self.cloud_from_scene, centers)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeenShare:
+    """The part of a plot's area that was seen, 0 to 1, and how that was judged."""
+
+    share: float
+    method: str
+
+
+def seen_share(
+    border: Border, points: Floats, ground: Ground, stems: Floats, *, cameras: Cameras | None = None
+) -> SeenShare:
+    """Share of the area within ``border`` where a stem would have been seen.
+
+    Parameters
+    ----------
+    points: (N, 3) cloud, metres, z up.
+    stems: (T, 3) x, y and radius at breast height; they hide what is behind them.
+    cameras: without them the ground in the cloud speaks alone.
+    """
+    cells = plot_cells(border)
+    if len(cells) == 0:
+        return SeenShare(share=0.0, method=BY_GROUND)
+    near = np.abs(points[:, :2] - cells.mean(axis=0)).max(axis=1) <= np.ptp(cells, axis=0).max()
+    around = rows(points, near)
+    low = rows(around[:, :2], np.abs(around[:, 2] - ground.height_at(around[:, :2])) <= NEAR_GROUND_M)
+    seen = seen_cells(low).at(cells)
+    if cameras is None:
+        return SeenShare(share=float(seen.mean()), method=BY_GROUND)
+    seen &= views_of(cells, ground.height_at(cells), stems, cameras) >= LEAST_VIEWS
+    return SeenShare(share=float(seen.mean()), method=BY_SIGHT)
+
+
+def plot_cells(border: Border) -> Floats:
+    """Centres (C, 2) of the square cells within the border."""
+    size_m = max(CELL_M, float(np.sqrt(border.area_m2 / MOST_CELLS)))
+    low, high = border.outline.min(axis=0), border.outline.max(axis=0)
+    x, y = (np.arange(low[axis] + 0.5 * size_m, high[axis], size_m) for axis in range(2))
+    centers = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    return np.asarray(centers[border.inside_m(centers) > 0])
+
+
+def views_of(cells: Floats, ground_m: Floats, stems: Floats, cameras: Cameras) -> NDArray[np.int64]:
+    """How many photographs see each of cells (C, 2), with the ground at ``ground_m`` (C,), past stems (T, 3).
+
+    A cell is seen where one of ``LOOKED_AT_M`` is in the picture, within the depths that the view looks for, and no
+    stem stands in the line of sight in plan.
+    """
+    scene_from_cloud = np.linalg.inv(cameras.cloud_from_scene)
+    heights = [np.column_stack([cells, ground_m + height]) for height in LOOKED_AT_M]
+    columns = apply(np.asarray(scene_from_cloud, dtype=np.float64), np.array(heights, dtype=np.float64))
+    count = np.zeros(len(cells), dtype=np.int64)
+    sizes: dict[str, tuple[int, int]] = {}
+    for view, place in zip(cameras.scene.views, cameras.places, strict=True):
+        looked_at = _in_picture(columns, view, sizes)
+        looked_at[looked_at] = ~_hidden(place[:2], cells[looked_at], stems)
+        count += looked_at
+    return count
+
+
+def _in_picture(columns: Floats, view: View, sizes: dict[str, tuple[int, int]]) -> Bools:
+    """Which of the columns (H, C, 3) of scene points are in the picture at one of their heights: (C,)."""
+    pixels, depth = project(columns, view.camera)
+    width, height = sizes.setdefault(view.name, image_size(view.image_path))
+    inside = (pixels >= -0.5).all(axis=-1) & (pixels[..., 0] < width - 0.5) & (pixels[..., 1] < height - 0.5)
+    return np.asarray((inside & (depth > 0) & (depth <= view.camera.depth_max)).any(axis=0))
+
+
+def _hidden(eye: Floats, cells: Floats, stems: Floats) -> Bools:
+    """Which of cells (C, 2) a stem hides from ``eye`` (2,); the cell that a stem stands in is not hidden by it."""
+    if len(stems) == 0:
+        return np.zeros(len(cells), dtype=bool)
+    ray = cells - eye
+    length = np.maximum(np.hypot(*ray.T), 1e-9)
+    direction = ray / length[:, None]
+    offset = stems[:, :2] - eye
+    along = direction @ offset.T
+    across = np.abs(direction[:, :1] * offset[:, 1] - direction[:, 1:] * offset[:, 0])
+    radius = stems[:, 2]
+    return np.asarray(((along > 0) & (across < radius) & (along + radius < length[:, None])).any(axis=1))

@@ -1,0 +1,90 @@
+"""The plot within its border, as ``plot.json`` tells it: facts in words, and its outline for the map."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from fsinfer.output.json_values import of_json
+from fsinfer.plot_border.hectare import COUNTING, HectareFigure
+from fsinfer.plot_border.plot import PlotFigures
+from fsinfer.report.contents import Contents, number
+
+#: Parts of an interval that are smaller than this share of the largest are not named. Source: layout.
+_LEAST_PART = 0.05
+SEEN_GROUND_ONLY = "of the ground that was seen only: the plot has no border (--plot-radius-m, --plot-polygon)"
+
+
+def border_of(contents: Contents) -> PlotFigures | None:
+    """The plot's figures; None without a border, or where ``trees.csv`` was changed since they were made."""
+    try:
+        figures = of_json(PlotFigures, contents.plot.get("plot_border"))
+    except (TypeError, ValueError, KeyError):
+        return None
+    inside = sum(is_in(tree) is True for tree in contents.trees or ())
+    return figures if inside == figures.stems else None
+
+
+def is_in(tree: Mapping[str, str]) -> bool | None:
+    """Whether a row of ``trees.csv`` is in the plot; None where that is not known."""
+    value = number(tree.get("in_plot"))
+    return None if value is None else value != 0
+
+
+def where(tree: Mapping[str, str]) -> str:
+    """Where a row of ``trees.csv`` stands, in words; empty without a border."""
+    inside, distance = is_in(tree), number(tree.get("border_m"))
+    if inside is None:
+        return ""
+    near = ", to be measured" if number(tree.get("at_border")) else ""
+    far = "" if distance is None else f", {abs(distance):.2f} m from the border"
+    return f"{'in' if inside else 'out'}{far}{near}"
+
+
+def border_facts(figures: PlotFigures) -> list[tuple[str, str]]:
+    """Names and values for the table of the plot."""
+    rows = [
+        ("Border of the plot", _shape(figures)),
+        ("Plot area, horizontal", f"{figures.area_m2:.0f} m² (the ground slopes by {figures.slope_deg:.0f}°)"),
+        ("Seen of it", f"{100 * figures.seen_share:.0f} % ({figures.seen_method})"),
+        (
+            "Stems in the plot",
+            f"{figures.stems}: {figures.measured - figures.doubtful} sure, {figures.doubtful} doubtful, "
+            f"{figures.unmeasured} without a DBH; {figures.outside} more stand outside",
+        ),
+    ]
+    if figures.border_cases:
+        trees = ", ".join(map(str, figures.border_cases))
+        rows.append(("At the border", f"tree {trees}: measure in the forest whether they are in"))
+    if figures.stems_per_ha is None:
+        return [*rows, ("Per hectare", "not given: too little of the plot was seen")]
+    rows += _figure_rows("Stems per hectare", "{:.0f}", "", figures.stems_per_ha, figures.doubtful_stems_per_ha)
+    if figures.basal_area_m2_per_ha is not None:
+        doubtful = figures.doubtful_basal_area_m2_per_ha
+        rows += _figure_rows("Basal area per hectare", "{:.1f}", " m²/ha", figures.basal_area_m2_per_ha, doubtful)
+    return rows
+
+
+def _shape(figures: PlotFigures) -> str:
+    if figures.radius_m is None:
+        return f"polygon of {len(figures.corners)} corners"
+    places = {"walk": "the middle of the walk", "coordinate": "the place that was given"}
+    return f"circle of {figures.radius_m:g} m round {places.get(figures.origin, figures.origin)}"
+
+
+def _figure_rows(
+    name: str, form: str, unit: str, figure: HectareFigure, doubtful: float | None
+) -> list[tuple[str, str]]:
+    def say(value: float) -> str:
+        return form.format(value)
+
+    parts = {cause: half for cause, half in figure.parts.items() if cause != COUNTING}
+    largest = max(parts.values(), default=0.0)
+    named = sorted(((half, cause) for cause, half in parts.items() if half > _LEAST_PART * largest), reverse=True)
+    causes = ", ".join(f"{cause} ± {say(half)}" for half, cause in named)
+    value = f"{say(figure.value)}{unit}, 95 % interval {say(figure.lo95)} to {say(figure.hi95)}"
+    if causes:
+        value += f" ({causes})"
+    if doubtful:
+        value += f"; {say(doubtful)} of it from doubtful stems"
+    sample = f"{say(figure.stand_lo95)} to {say(figure.stand_hi95)}{unit} (counting ± {say(figure.parts[COUNTING])})"
+    return [(name, value), (f"{name}, as one sample of the stand", sample)]

@@ -1,0 +1,153 @@
+"""Figures a hectare hold what stands on the plot as often as they say, and no oftener than they must."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fsinfer.plot_border.hectare import (
+    AT_BORDER,
+    COUNTING,
+    DIAMETERS,
+    NOT_MEASURED,
+    SCALE,
+    UNSEEN,
+    PlotStems,
+    basal_area_per_ha,
+    count_interval,
+    poisson_interval,
+    stems_per_ha,
+)
+
+AREA_M2 = 500.0
+
+
+def stems_of(
+    dbh_m: NDArray[np.float64],
+    *,
+    inside: NDArray[np.bool_] | None = None,
+    chance: NDArray[np.float64] | None = None,
+    std_m: float = 0.0,
+) -> PlotStems:
+    within = np.ones(len(dbh_m), dtype=bool) if inside is None else inside
+    return PlotStems(
+        inside=within,
+        chance=within.astype(np.float64) if chance is None else chance,
+        dbh_m=dbh_m,
+        std_m=np.full(len(dbh_m), std_m),
+    )
+
+
+def test_a_plot_that_was_seen_whole_is_what_was_counted() -> None:
+    figure = stems_per_ha(stems_of(np.full(24, 0.3)), area_m2=AREA_M2, share=1.0, scale_rel_std=0.0)
+    assert (figure.value, figure.lo95, figure.hi95) == pytest.approx((480, 480, 480))
+    # As a sample of the stand 24 is 15.4 to 35.7 (Garwood's table).
+    assert (figure.stand_lo95, figure.stand_hi95) == pytest.approx((307.5, 714.2), abs=0.5)
+    basal = basal_area_per_ha(stems_of(np.full(24, 0.3)), area_m2=AREA_M2, share=1.0)
+    assert basal is not None
+    assert (basal.value, basal.lo95, basal.hi95) == pytest.approx((33.93, 33.93, 33.93), abs=0.01)
+
+
+def test_exact_counts() -> None:
+    # 19 of how many, of which each was seen with probability 0.95? At most 23: P(X <= 19 | 24) is 0.03, of 25 0.007 ...
+    low, high = count_interval(19, 0.95)
+    assert low == 19
+    from scipy.stats import binom
+
+    assert binom.cdf(19, high, 0.95) > 0.025 >= binom.cdf(19, high + 1, 0.95)
+    low, high = count_interval(10, 0.4)
+    assert binom.sf(9, low, 0.4) > 0.025 >= binom.sf(9, low - 1, 0.4)
+    assert binom.cdf(10, high, 0.4) > 0.025 >= binom.cdf(10, high + 1, 0.4)
+    # Nothing seen on half of it: up to five may stand on the other.
+    assert count_interval(0, 0.5) == (0.0, 5.0)
+    assert poisson_interval(0) == pytest.approx((0.0, 3.689), abs=1e-3)
+    assert poisson_interval(10) == pytest.approx((4.795, 18.390), abs=1e-3)
+
+
+def test_the_stems_behind_what_was_not_seen_are_in_the_interval() -> None:
+    # Three plots of five are seen to 70 %: 30 stems stand on each, anywhere.
+    rng = np.random.default_rng(43000)
+    inside = width = 0.0
+    for _ in range(2000):
+        seen = int(rng.binomial(30, 0.7))
+        figure = stems_per_ha(stems_of(np.full(seen, 0.3)), area_m2=AREA_M2, share=0.7, scale_rel_std=0.0)
+        inside += figure.lo95 <= 600.0 <= figure.hi95
+        width += (figure.hi95 - figure.lo95) / 2000
+    assert 0.945 <= inside / 2000 <= 0.985
+    # Half of it, or twice as much, is not what the binomial distribution has: 2 x 1.96 x sqrt(30 x 0.7 x 0.3) / 0.7.
+    assert width == pytest.approx(280, rel=0.15)
+
+
+def test_basal_area_holds_diameters_unseen_ground_and_stems_without_a_dbh() -> None:
+    rng = np.random.default_rng(43001)
+    inside = {"dbh": 0, "unseen": 0, "missing": 0}
+    rounds = 1500
+    for _ in range(rounds):
+        true = rng.uniform(0.1, 0.5, 40)
+        total = float((np.pi / 4 * true**2).sum()) / 0.05
+        measured = true + rng.normal(0, 0.02, 40)
+        seen = rng.random(40) < 0.75
+        unmeasured = np.where(rng.random(40) < 0.25, np.nan, true)
+        for name, stems, share in (
+            ("dbh", stems_of(measured, std_m=0.02), 1.0),
+            ("unseen", stems_of(true[seen]), 0.75),
+            ("missing", stems_of(unmeasured), 1.0),
+        ):
+            figure = basal_area_per_ha(stems, area_m2=AREA_M2, share=share)
+            assert figure is not None
+            inside[name] += figure.lo95 <= total <= figure.hi95
+    # With a standard deviation half or twice as large these would be 67 or 99.99 %.
+    assert {name: 0.925 <= count / rounds <= 0.985 for name, count in inside.items()} == dict.fromkeys(inside, True)
+
+
+def test_the_stand_is_in_the_wider_interval() -> None:
+    rng = np.random.default_rng(43002)
+    of_stems = of_basal = 0
+    rounds = 1500
+    mean_section = np.pi / 4 * np.mean(np.linspace(0.1, 0.5, 2001) ** 2)
+    for _ in range(rounds):
+        # 500 a hectare, seen on nine tenths of 500 m².
+        dbh = rng.uniform(0.1, 0.5, rng.poisson(500 * 0.05 * 0.9))
+        stems = stems_of(dbh)
+        count = stems_per_ha(stems, area_m2=AREA_M2, share=0.9, scale_rel_std=0.0)
+        basal = basal_area_per_ha(stems, area_m2=AREA_M2, share=0.9)
+        assert basal is not None
+        of_stems += int(count.stand_lo95 <= 500 <= count.stand_hi95)
+        of_basal += int(basal.stand_lo95 <= 500 * mean_section <= basal.stand_hi95)
+    assert 0.945 <= of_stems / rounds <= 0.98
+    assert 0.93 <= of_basal / rounds <= 0.98
+
+
+def test_parts_are_named_and_of_the_right_size() -> None:
+    inside = np.array([True] * 20 + [False] * 2)
+    chance = inside.astype(np.float64)
+    chance[[0, 21]] = [0.8, 0.3]
+    stems = stems_of(np.full(22, 0.4), inside=inside, chance=chance, std_m=0.01)
+    count = stems_per_ha(stems, area_m2=AREA_M2, share=1.0, scale_rel_std=0.01)
+    assert count.value == pytest.approx(400)
+    assert count.parts[AT_BORDER] == pytest.approx(20 * 1.96 * np.sqrt(0.8 * 0.2 + 0.3 * 0.7))
+    # A scale that is 1 % off makes the plot 2 % larger or smaller.
+    assert count.parts[SCALE] == pytest.approx(1.96 * 0.02 * 400)
+    assert count.parts[UNSEEN] == 0
+    assert count.parts[COUNTING] > count.parts[AT_BORDER]
+    assert count.hi95 - count.value == pytest.approx(np.hypot(count.parts[AT_BORDER], count.parts[SCALE]))
+    basal = basal_area_per_ha(stems, area_m2=AREA_M2, share=1.0)
+    assert basal is not None
+    # Square metres a square metre do not know how long a metre is.
+    assert set(basal.parts) == {UNSEEN, AT_BORDER, DIAMETERS, NOT_MEASURED, COUNTING}
+    assert basal.parts[DIAMETERS] == pytest.approx(20 * 1.96 * np.pi / 2 * 0.4 * 0.01 * np.sqrt(20))
+    assert basal.parts[AT_BORDER] == pytest.approx(count.parts[AT_BORDER] * np.pi / 4 * 0.16)
+
+
+def test_where_nothing_can_be_said_of_basal_area() -> None:
+    nothing = np.full(3, np.nan)
+    assert basal_area_per_ha(stems_of(nothing), area_m2=AREA_M2, share=1.0) is None
+    assert basal_area_per_ha(stems_of(nothing[:0]), area_m2=AREA_M2, share=1.0) is None
+    assert basal_area_per_ha(stems_of(np.array([0.3, np.nan])), area_m2=AREA_M2, share=1.0) is None
+    one = basal_area_per_ha(stems_of(np.array([0.3])), area_m2=AREA_M2, share=1.0)
+    assert one is not None
+    assert one.value == pytest.approx(np.pi / 4 * 0.09 / 0.05)
+    empty = stems_per_ha(stems_of(nothing[:0]), area_m2=AREA_M2, share=0.8, scale_rel_std=0.0)
+    assert (empty.value, empty.lo95) == (0, 0)
+    assert empty.hi95 == pytest.approx(20 * count_interval(0, 0.8)[1])

@@ -1,0 +1,191 @@
+"""Who is in, who is at the border, and how much of a plot was seen."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fsinfer.notices.plots import PlotCode
+from fsinfer.notices.sentences import sentence
+from fsinfer.plot_border.border import Border
+from fsinfer.plot_border.plot import plot_of, sort_trees, stem_circles
+from fsinfer.plot_border.rows import figure_rows
+from fsinfer.plot_border.sight import Cameras, SeenShare, plot_cells, seen_share, views_of
+from fsinfer.scene import Scene
+from fsinfer.trees import Ground, Tree
+from tests.support.walked_plot import STEMS, UNIT, make_plot
+
+CIRCLE = Border(center=(0.0, 0.0), radius_m=10.0, origin="walk", moves_along=True)
+ALL = SeenShare(share=1.0, method="all of it")
+TREE = Tree(
+    tree_id=1, x_m=0.0, y_m=0.0, z_ground_m=0.0, dbh_cm=30.0, dbh_lo95_cm=29.6, dbh_hi95_cm=30.4,
+    dbh_perimeter_cm=None, dbh_min_cm=None, dbh_max_cm=None, bh_m=1.3, arc_coverage=1.0, points=100, residual_cm=0.2,
+    lean_deg=0.0, height_m=None, status="ok", reasons=(),
+)  # fmt: skip
+
+
+def at(x_m: float, number: int = 1, **more: object) -> Tree:
+    return replace(TREE, tree_id=number, x_m=x_m, **more)  # type: ignore[arg-type]
+
+
+def unmeasured(x_m: float, number: int) -> Tree:
+    return at(x_m, number, dbh_cm=None, dbh_lo95_cm=None, dbh_hi95_cm=None, status="unmeasured")
+
+
+def test_stems_are_in_by_their_centre() -> None:
+    trees = sort_trees([at(9.9), at(10.1), at(9.8), at(0.0)], CIRCLE)
+    assert [tree.in_plot for tree in trees] == [True, False, True, True]
+    assert [tree.border_m for tree in trees] == pytest.approx([0.1, -0.1, 0.2, 10.0])
+    # A stem of 15 cm radius that the border cuts.
+    assert [tree.at_border for tree in trees] == [True, True, False, False]
+
+
+def test_an_unsure_place_is_a_border_case_farther_off() -> None:
+    wide = at(9.84, dbh_lo95_cm=0.0, dbh_hi95_cm=70.0)
+    assert sort_trees([wide], CIRCLE)[0].at_border
+    assert not sort_trees([at(9.84)], CIRCLE)[0].at_border
+    assert not sort_trees([at(9.7)], CIRCLE)[0].at_border
+    # With a scale that is 2 % off a stem 9.7 m from the centre may stand 9.3 to 10.1 m from it ...
+    assert sort_trees([at(9.7)], CIRCLE, scale_rel_std=0.02)[0].at_border
+    # ... and one that is as near to the border of a small circle round it may not.
+    near = Border(center=(9.0, 0.0), radius_m=1.0, origin="walk", moves_along=True)
+    assert not sort_trees([at(9.7)], near, scale_rel_std=0.02)[0].at_border
+    # Unless that circle was placed by its coordinates.
+    fixed = replace(near, moves_along=False)
+    assert sort_trees([at(9.7)], fixed, scale_rel_std=0.02)[0].at_border
+    assert not sort_trees([at(9.7)], fixed)[0].at_border
+
+
+def test_figures_count_who_is_in() -> None:
+    doubtful = at(2.0, 3, status="doubtful", dbh_cm=40.0, dbh_lo95_cm=39.0, dbh_hi95_cm=41.0)
+    trees = [at(0.0, 1), at(9.95, 2), doubtful, unmeasured(3.0, 4), at(15.0, 5), at(10.05, 6)]
+    plot = plot_of(trees, CIRCLE, ALL, slope_deg=12.0)
+    figures = plot.figures
+    assert (figures.stems, figures.measured, figures.doubtful, figures.unmeasured) == (4, 3, 1, 1)
+    assert (figures.outside, figures.border_cases, figures.slope_deg) == (2, (2, 6), 12.0)
+    assert figures.stems_per_ha is not None
+    assert figures.basal_area_m2_per_ha is not None
+    # The horizontal area of a circle of 10 m, however steep it lies.
+    hectares = np.pi * 100 / 10_000
+    assert figures.stems_per_ha.value == pytest.approx(4 / hectares)
+    assert figures.doubtful_stems_per_ha == pytest.approx(1 / hectares)
+    sections = np.pi / 4 * np.array([0.09, 0.09, 0.16])
+    assert figures.basal_area_m2_per_ha.value == pytest.approx((sections.sum() + sections.mean()) / hectares)
+    assert figures.doubtful_basal_area_m2_per_ha == pytest.approx(sections[2] / hectares)
+    assert figures.quadratic_mean_dbh_cm == pytest.approx(np.sqrt((900 + 900 + 1600) / 3))
+    (told,) = plot.warnings
+    assert sentence(told).endswith("tree 2 (0.05 m in), tree 6 (0.05 m out); measure in the forest whether they are in")
+    # In a sheet every name is a row of its own.
+    rows = dict(figure_rows(figures))
+    assert len(rows) == len(figure_rows(figures))
+    assert rows["stems_per_ha"] == figures.stems_per_ha.value
+    assert rows["basal_area_m2_lo95_per_ha"] == figures.basal_area_m2_per_ha.lo95
+    assert (rows["border_round"], rows["stems_doubtful"]) == ("walk", 1)
+
+
+@pytest.mark.parametrize(
+    ("share", "codes", "given"),
+    [(0.95, [], True), (0.6, [PlotCode.plot_partly_seen], True), (0.2, [PlotCode.plot_hardly_seen], False)],
+)
+def test_what_was_not_seen_is_said(share: float, codes: list[PlotCode], given: bool) -> None:
+    seen = SeenShare(share=share, method="some of it")
+    plot = plot_of([at(0.0), at(1.0, 2, status="doubtful")], CIRCLE, seen, slope_deg=0.0)
+    assert [told.code for told in plot.warnings] == codes
+    figures = plot.figures
+    assert (figures.stems_per_ha is not None) is (figures.basal_area_m2_per_ha is not None) is given
+    if figures.stems_per_ha is not None:
+        assert figures.stems_per_ha.value == pytest.approx(2 / share / (np.pi * 0.01))
+        assert figures.stems_per_ha.hi95 > figures.stems_per_ha.value
+        assert figures.doubtful_stems_per_ha == pytest.approx(figures.stems_per_ha.value / 2)
+
+
+def test_an_empty_plot_has_figures() -> None:
+    plot = plot_of([], CIRCLE, ALL, slope_deg=0.0)
+    assert plot.trees == ()
+    assert plot.figures.stems_per_ha is not None
+    assert (plot.figures.stems_per_ha.value, plot.figures.basal_area_m2_per_ha) == (0.0, None)
+    assert stem_circles([]).shape == (0, 3)
+
+
+FLAT = Ground(
+    method="plane", plane=np.zeros(3), raster_m=None, origin=np.zeros(2), cell_m=0.4, noise_m=0.01, tolerance_m=0.02,
+    share=1.0, plane_share=1.0, points=0,
+)  # fmt: skip
+
+
+def ground_points(low: float, high: float, *, step: float = 0.1) -> np.ndarray:
+    x, y = np.meshgrid(np.arange(low, high, step), np.arange(-12, 12, step))
+    return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+
+
+def test_ground_in_the_cloud_is_what_was_seen_without_photos() -> None:
+    none = np.zeros((0, 3))
+    assert seen_share(CIRCLE, ground_points(-12, 12), FLAT, none).share == 1.0
+    half = seen_share(CIRCLE, ground_points(-12, 0), FLAT, none)
+    assert half.share == pytest.approx(0.5, abs=0.04)
+    # Crowns above it are no ground.
+    crowns = ground_points(-12, 12) + np.array([0.0, 0.0, 5.0])
+    assert seen_share(CIRCLE, crowns, FLAT, none).share == 0.0
+    # On a slope what counts is the height over the ground.
+    tilted = replace(FLAT, plane=np.array([0.5, 0.0, 0.0]))
+    slope = ground_points(-12, 12)
+    slope[:, 2] = 0.5 * slope[:, 0]
+    assert seen_share(CIRCLE, slope, tilted, none).share == 1.0
+
+
+@pytest.fixture(scope="module")
+def walked(tmp_path_factory: pytest.TempPathFactory) -> Cameras:
+    scene, _ = make_plot(tmp_path_factory.mktemp("walked"), {})
+    return Cameras(scene=scene, cloud_from_scene=np.diag([UNIT, UNIT, UNIT, 1.0]))
+
+
+def test_cameras_stand_where_the_photos_were_taken(walked: Cameras) -> None:
+    np.testing.assert_allclose(np.hypot(*walked.places[:, :2].T), 5.0)
+    np.testing.assert_allclose(walked.places[:, 2], 1.5)
+
+
+def one_view(walked: Cameras) -> Cameras:
+    return replace(walked, scene=Scene(folder=Path(), views=walked.scene.views[:1]))
+
+
+def test_a_stem_hides_what_is_behind_it(walked: Cameras) -> None:
+    # The first camera stands at (5, 0) and looks at the middle.
+    cells = np.array([[0.0, 0.0], [3.0, 0.0], [-2.0, 0.0], [-2.0, 1.0], [7.0, 0.0], [0.0, 4.9]])
+    alone = views_of(cells, np.zeros(6), np.zeros((0, 3)), one_view(walked))
+    assert alone.tolist() == [1, 1, 1, 1, 0, 0]  # what is behind it, or beside its picture, is not looked at
+    stem = np.array([[1.0, 0.0, 0.3]])
+    hidden = views_of(cells, np.zeros(6), stem, one_view(walked))
+    assert hidden.tolist() == [0, 1, 0, 1, 0, 0]
+    # Where it stands itself it was seen.
+    own = np.array([[1.0, 0.0], [0.8, 0.0]])
+    assert views_of(own, np.zeros(2), stem, one_view(walked)).tolist() == [1, 1]
+    # Farther than the view looks for depth, there is none.
+    far = replace(walked.scene.views[0], camera=replace(walked.scene.views[0].camera, depth_max=4.0 / UNIT))
+    near_only = replace(walked, scene=Scene(folder=Path(), views=(far,)))
+    assert views_of(cells, np.zeros(6), np.zeros((0, 3)), near_only).tolist() == [0, 1, 0, 0, 0, 0]
+
+
+def test_two_photos_must_look_at_a_place(walked: Cameras) -> None:
+    points = ground_points(-12, 12)
+    border = Border(center=(0.0, 0.0), radius_m=4.0, origin="walk", moves_along=True)
+    stems = np.array(STEMS)
+    assert seen_share(border, points, FLAT, stems, cameras=one_view(walked)).share == 0.0
+    whole = seen_share(border, points, FLAT, stems, cameras=walked)
+    assert whole.share == 1.0
+    assert "fewer than 2 photos" in whole.method
+    # A walk along one side, and a thick stem in the middle.
+    side = replace(walked, scene=Scene(folder=Path(), views=walked.scene.views[:3]))
+    shadow = seen_share(border, points, FLAT, np.array([[1.0, 0.4, 0.8]]), cameras=side).share
+    open_view = seen_share(border, points, FLAT, np.zeros((0, 3)), cameras=side).share
+    assert 0.2 < shadow < open_view - 0.1
+
+
+def test_cells_fill_the_border() -> None:
+    for radius in (0.6, 12.62, 300.0):
+        border = replace(CIRCLE, radius_m=radius)
+        cells = plot_cells(border)
+        assert 0 < len(cells) <= 42_000
+        assert (border.inside_m(cells) > 0).all()
