@@ -11,6 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.poses.adjustment.photo_effects import PhotoEffects
+from fsinfer.poses.adjustment.problem import lens_of
+
 
 def pinhole_of(camera: Any) -> Any:
     """The ``pycolmap`` PINHOLE camera whose image has no black border; its size differs from the photo's."""
@@ -28,12 +31,23 @@ def intrinsic_of(pinhole: Any) -> NDArray[np.float64]:
     return matrix
 
 
-def undistortion_maps(camera: Any, pinhole: Any) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """For each pixel of the pinhole image, where it lies in the photo: x and y, (h, w) float32, integer centres."""
+def undistortion_maps(
+    camera: Any, pinhole: Any, effects: PhotoEffects | None = None
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """For each pixel of the pinhole image, where it lies in the photo: x and y, (h, w) float32, integer centres.
+
+    With the photo's own ``effects`` the pinhole image is that of the middle row's time and the camera's shared lens:
+    focal length, principal point and rotation are undone exactly, the way during the read-out with a smooth depth
+    of the photo's sparse points, which is wrong by the depth's share where a stem stands before a far background.
+    """
     u, v = np.meshgrid(np.arange(pinhole.width) + 0.5, np.arange(pinhole.height) + 0.5)
     rays = pinhole.cam_from_img(np.stack([u.ravel(), v.ravel()], axis=1))
-    pixels = camera.img_from_cam(np.column_stack([rays, np.ones(len(rays))])) - 0.5
-    maps = pixels.astype(np.float32).reshape(pinhole.height, pinhole.width, 2)
+    rays = np.column_stack([rays, np.ones(len(rays))])
+    pixels = camera.img_from_cam(rays)
+    if effects is not None:
+        inverse = effects.inverse_depths(pixels)
+        pixels = effects.pixels(rays, inverse, lens_of(camera))
+    maps = (pixels - 0.5).astype(np.float32).reshape(pinhole.height, pinhole.width, 2)
     return np.ascontiguousarray(maps[..., 0]), np.ascontiguousarray(maps[..., 1])
 
 
