@@ -25,7 +25,7 @@ from fsinfer.poses.colmap import colmap_errors, extract_features, match_features
 from fsinfer.poses.refinement import larger_than_usual, refine
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.sparse import sparse_of
-from fsinfer.poses.undistortion import intrinsic_of, undistort, undistort_model, undistortion_maps
+from fsinfer.poses.undistortion import intrinsic_of, maps_of_photo, undistort, undistort_model, undistortion_maps
 from fsinfer.poses.verification.misplaced import LEFT_OUT, drop_blind_views
 from fsinfer.poses.verification.repair import repair
 from fsinfer.poses.view_selection import depth_range, select_views
@@ -254,7 +254,7 @@ def _write_scene(
         map_of = maps[image.camera_id]
         if image_id in adjustment.effects:
             lens, pinhole = lenses[image.camera_id], model.cameras[image.camera_id]
-            map_of = undistortion_maps(lens, pinhole, adjustment.effects[image_id])
+            map_of = maps_of_photo(map_of, lens, pinhole, adjustment.effects[image_id])
         write_image(target, undistort(pixels, map_of), quality=settings.jpeg_quality)
     for image_id in image_ids.values():
         image = model.images[image_id]

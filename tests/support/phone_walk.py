@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from fsinfer.poses.adjustment.problem import Observations, Unknowns
-from fsinfer.poses.adjustment.projection import LENS, OWN, Floats, project
+from fsinfer.poses.adjustment.projection import LENS, OWN, Floats
 
 WIDTH, HEIGHT, FOCAL_PX, K1 = 1280, 720, 1000.0, 0.03
 #: Standard deviations of the log focal length, principal point (pixels), turn (rad) and drift (units) of a phone.
@@ -113,4 +113,5 @@ def _looking(center: Floats, shake: Floats, roll: float) -> Floats:
     right /= np.linalg.norm(right)
     upright = np.stack([right, np.cross(forward, right), forward])
     cosine, sine = np.cos(roll), np.sin(roll)
-    return np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]]) @ upright
+    rolled = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
+    return np.asarray(rolled @ upright, dtype=np.float64)

@@ -126,7 +126,9 @@ def weighting_of(
         for camera, count in zip(cameras, photos, strict=True)
     ]
     noise = noise_of(start.residuals(seen))
-    return Weighting(loss_px=settings.loss_px * larger, noise_px=noise, own_std=own_std, mean_std=mean_std, lens_free=free)
+    return Weighting(
+        loss_px=settings.loss_px * larger, noise_px=noise, own_std=own_std, mean_std=mean_std, lens_free=free
+    )
 
 
 def usual_step(unknowns: Unknowns) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from fsinfer.poses.adjustment.problem import Group, Observations, Unknowns
+from fsinfer.poses.adjustment.problem import Group, Ints, Observations, Unknowns
 from fsinfer.poses.adjustment.projection import OWN, Floats, project_with_jacobians
 from fsinfer.poses.adjustment.reduced_system import Blocks, Rows, Structure, blocks_of, reduce_points, solve
 
@@ -94,9 +94,7 @@ def fit(
     return best
 
 
-def normal_equations(
-    structure: Structure, at: Unknowns, groups: Sequence[Group], weighting: Weighting
-) -> Blocks:
+def normal_equations(structure: Structure, at: Unknowns, groups: Sequence[Group], weighting: Weighting) -> Blocks:
     """Of the weighted observations and the priors, at ``at``; a photo has 6 + the groups' unknowns, see :func:`fit`.
 
     The pose's are a small rotation and shift of the camera: x becomes x + rotation x x + shift. Each photo's own are
@@ -106,9 +104,7 @@ def normal_equations(
     columns = columns_of(groups)
     inside = at.in_cameras(seen)
     lens_number = seen.camera[seen.photo]
-    pixels, by_x, by_own, by_lens = project_with_jacobians(
-        inside, seen.tau, at.lenses[lens_number], at.own[seen.photo]
-    )
+    pixels, by_x, by_own, by_lens = project_with_jacobians(inside, seen.tau, at.lenses[lens_number], at.own[seen.photo])
     residuals = pixels - seen.xy
     # Iteratively reweighted least squares; the Cauchy loss's derivative by the squared error is the weight.
     root = 1 / np.sqrt(1 + (residuals**2).sum(1) / weighting.loss_px**2)[:, None, None]
@@ -142,7 +138,7 @@ def normal_equations(
     return blocks
 
 
-def _bordered(by_lens: Floats, lens_number: Floats, free: Sequence[Floats]) -> Floats:
+def _bordered(by_lens: Floats, lens_number: Ints, free: Sequence[Floats]) -> Floats:
     """(n, 2, M): derivatives by the free directions of all lenses, of which a photo has one."""
     if len(free) == 1:
         return np.asarray(by_lens @ free[0])
@@ -154,9 +150,7 @@ def _bordered(by_lens: Floats, lens_number: Floats, free: Sequence[Floats]) -> F
     return border
 
 
-def _stepped(
-    at: Unknowns, cameras: Floats, points: Floats, groups: Sequence[Group], weighting: Weighting
-) -> Unknowns:
+def _stepped(at: Unknowns, cameras: Floats, points: Floats, groups: Sequence[Group], weighting: Weighting) -> Unknowns:
     columns = columns_of(groups)
     photos = len(at.rotations)
     steps = cameras[: photos * (6 + len(columns))].reshape(photos, -1)

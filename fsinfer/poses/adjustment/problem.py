@@ -84,7 +84,7 @@ class Unknowns:
     @property
     def centers(self) -> Floats:
         """(N, 3) camera centres."""
-        return -np.einsum("nji,nj->ni", self.rotations, self.translations)
+        return np.asarray(-np.einsum("nji,nj->ni", self.rotations, self.translations))
 
     def in_cameras(self, seen: Observations) -> Floats:
         """(n, 3) observed points in the camera of the middle row."""
@@ -114,7 +114,11 @@ def from_model(model: Any) -> tuple[Observations, Unknowns, Numbers]:
     cameras = sorted({model.images[i].camera_id for i in images})
     points = sorted(i for i, point in model.points3D.items() if point.track.length() > 1)
     rank = {number: index for index, number in enumerate(points)}
-    photo, point, feature, xy, tau = [], [], [], [], []
+    photo: list[int] = []
+    point: list[int] = []
+    feature: list[int] = []
+    xy: list[Floats] = []
+    tau: list[Floats] = []
     for index, image_id in enumerate(images):
         image = model.images[image_id]
         size = (int(model.cameras[image.camera_id].width), int(model.cameras[image.camera_id].height))

@@ -1,10 +1,11 @@
 """Where a photo shows a point, with a lens shared by the photos of a camera and four effects of each photo's own.
 
-A point at ``x`` in the camera of the middle row's time is seen by the row that is read at ``tau``, from -1/2 to 1/2, at ``x + tau (omega x x + d)``: the camera turns and moves evenly while its rows are read (Hedborg, Forssén, Felsberg and
-Ringaby 2012, "Rolling shutter bundle adjustment"; linearised as in Albl, Kukelova and Pajdla 2015, "R6P: rolling shutter
-absolute camera pose"; angles are some milliradians). Rows run along the longer side, as a phone's sensor has them, whichever
-way it is held; which of them comes first does not matter, as motion backwards is as likely. The lens is COLMAP's FULL_OPENCV, of which SIMPLE_RADIAL and
-RADIAL are special cases; ``tau`` is that of the measured row.
+A point at ``x`` in the camera of the middle row's time is seen by the row that is read at ``tau``, from -1/2 to 1/2,
+at ``x + tau (omega x x + d)``: the camera turns and moves evenly while its rows are read (Hedborg, Forssén, Felsberg
+and Ringaby 2012, "Rolling shutter bundle adjustment"; linearised as in Albl, Kukelova and Pajdla 2015, "R6P: rolling
+shutter absolute camera pose"; angles are some milliradians). ``tau`` is that of the measured row. Rows run along the
+longer side, as a phone's sensor has them whichever way it is held; which of them comes first does not matter, as motion
+backwards is as likely. The lens is COLMAP's FULL_OPENCV, of which SIMPLE_RADIAL and RADIAL are special cases.
 """
 
 from __future__ import annotations

@@ -177,9 +177,7 @@ def reduce_points(structure: Structure, blocks: Blocks, damping: float) -> Reduc
         left, top = slice(other * size, (other + 1) * size), slice(one * size, (one + 1) * size)
         # A point may be seen twice in one photo.
         matrix[top, left] -= product + product.T if one == other else product
-    return Reduced(
-        matrix=matrix, right=right, inverse=inverse, half=half, half_lens=half_lens, half_right=half_right
-    )
+    return Reduced(matrix=matrix, right=right, inverse=inverse, half=half, half_lens=half_lens, half_right=half_right)
 
 
 def solve(structure: Structure, reduced: Reduced) -> tuple[Floats, Floats]:

@@ -21,7 +21,7 @@ def differences(function: Callable[[Floats], Floats], size: int, step: float = 1
 
 def test_derivatives_are_those_of_differences() -> None:
     rng = np.random.default_rng(0)
-    points = rng.normal(size=(40, 3)) + (0, 0, 5)
+    points = rng.normal(size=(40, 3)) + np.array([0, 0, 5])
     tau = rng.uniform(-0.5, 0.5, 40)
     lens = np.tile(LENS_OF_ALL_TERMS, (40, 1))
     own = rng.normal(size=(40, OWN)) * OWN_STD

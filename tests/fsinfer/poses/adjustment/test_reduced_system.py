@@ -34,11 +34,11 @@ def test_step_is_that_of_all_equations_at_once() -> None:
         jacobian[row, :, photo[row] * OWN : (photo[row] + 1) * OWN] = rows.by_photo[row]
         jacobian[row, :, PHOTOS * OWN : size] = rows.by_lens[row]
         jacobian[row, :, size + 3 * point[row] : size + 3 * point[row] + 3] = rows.by_point[row]
-    jacobian = jacobian.reshape(2 * count, -1)
-    normal = jacobian.T @ jacobian
+    flat = jacobian.reshape(2 * count, -1)
+    normal = flat.T @ flat
     for damping in (1e-3, 0.1):
         cameras, points = solve(structure, reduce_points(structure, blocks, damping))
         damped = normal + damping * np.diag(np.diag(normal))
-        expected = -np.linalg.solve(damped, jacobian.T @ rows.residuals.ravel())
+        expected = -np.linalg.solve(damped, flat.T @ rows.residuals.ravel())
         np.testing.assert_allclose(cameras, expected[:size], atol=1e-7)
         np.testing.assert_allclose(points.ravel(), expected[size:], atol=1e-7)
