@@ -149,8 +149,9 @@ def estimate_poses(
         focal_std_percent=adjustment.focal_std_percent,
         principal_std_px=adjustment.principal_std_px,
     )
+    views = {i: Path(model.images[i].name).stem for i in model.reg_image_ids()}
     record = {"photos": result.photos, "registered": result.registered, "warnings": sentences(result.warnings)}
-    write_text(out / "poses.json", json.dumps(record | _quality(model) | adjustment.record(), indent=1) + "\n")
+    write_text(out / "poses.json", json.dumps(record | _quality(model) | adjustment.record(views), indent=1) + "\n")
     shutil.rmtree(work, ignore_errors=True)
     return result
 

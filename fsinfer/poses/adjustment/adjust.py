@@ -13,6 +13,7 @@ import numpy as np
 from fsinfer.poses.adjustment.evidence import Trial, groups_borne_out
 from fsinfer.poses.adjustment.fit import Weighting, fit, noise_of
 from fsinfer.poses.adjustment.photo_effects import PhotoEffects, effects_of
+from fsinfer.poses.adjustment.precision import CameraPrecision, camera_precisions
 from fsinfer.poses.adjustment.problem import (
     Group,
     Numbers,
@@ -38,6 +39,7 @@ class PhotoAdjustment:
     Attributes
     ----------
     effects: by COLMAP's image number; empty where nothing was borne out.
+    precisions: by COLMAP's image number, how well each camera is known; empty for models of few photos.
     groups: names of the groups of unknowns that were kept.
     trials: what each did to points held out; empty where there was nothing to try it with.
     rolling_shutter_px: median over the photos of how far their points move from the first row's time to the last's;
@@ -46,14 +48,15 @@ class PhotoAdjustment:
     """
 
     effects: Mapping[int, PhotoEffects] = field(default_factory=dict)
+    precisions: Mapping[int, CameraPrecision] = field(default_factory=dict)
     groups: tuple[str, ...] = ()
     trials: tuple[Trial, ...] = ()
     rolling_shutter_px: float | None = None
     focal_std_percent: float | None = None
     principal_std_px: float | None = None
 
-    def record(self) -> dict[str, Any]:
-        """For ``poses.json``."""
+    def record(self, names: Mapping[int, str] | None = None) -> dict[str, Any]:
+        """For ``poses.json``; ``names`` of the views by COLMAP's image numbers."""
         return {
             "adjusted_photo_by_photo": list(self.groups),
             "rolling_shutter_px": _rounded(self.rolling_shutter_px),
@@ -61,6 +64,14 @@ class PhotoAdjustment:
             "principal_std_px": _rounded(self.principal_std_px),
             "held_out_error_falls_percent": {
                 trial.group.name: round(100 * trial.gain, 1) for trial in self.trials if np.isfinite(trial.gain)
+            },
+            "camera_std": {
+                name: {
+                    "center": float(f"{self.precisions[number].center_std:.4g}"),
+                    "direction_rad": float(f"{self.precisions[number].direction_std_rad:.4g}"),
+                }
+                for number, name in sorted((names or {}).items())
+                if number in self.precisions
             },
         }
 
@@ -92,14 +103,15 @@ def adjust_photos(
     weighting = weighting_of(model, seen, start, numbers, settings, larger)
     groups, trials, weighting = groups_borne_out(seen, start, weighting, settings)
     progress(1, 2, "adjusting photo by photo")
+    structure = Structure(seen, len(start.points))
+    found = like(fit(structure, start, groups, weighting), start) if groups else start
+    precisions = dict(zip(numbers.images, camera_precisions(structure, found, groups, weighting), strict=True))
     if not groups:
-        return model, PhotoAdjustment(trials=trials)
-    found = fit(Structure(seen, len(start.points)), start, groups, weighting)
-    found = like(found, start)
+        return model, PhotoAdjustment(precisions=precisions, trials=trials)
     adjusted = copy.deepcopy(model)
     effects = _write(adjusted, seen, found, numbers)
     progress(2, 2, "adjusting photo by photo")
-    return adjusted, replace(_figures(seen, found, groups), effects=effects, trials=trials)
+    return adjusted, replace(_figures(seen, found, groups), effects=effects, precisions=precisions, trials=trials)
 
 
 def weighting_of(

@@ -20,6 +20,7 @@ LENS = 12
 #: Numbers of a photo's own: log of the focal length's factor, shift of the principal point (2, pixels), rotation omega
 #: (3, radians over the image height) and way d (3, model units over the image height). Source: format.
 OWN = 9
+#: The places of these. Source: format.
 FOCAL, PRINCIPAL, TURN, DRIFT = slice(0, 1), slice(1, 3), slice(3, 6), slice(6, 9)
 #: Least depth before the camera, model units; what lies behind is no observation. Source: numerics.
 _LEAST_DEPTH = 1e-6

@@ -42,6 +42,7 @@ def test_a_camera_that_stood_still_is_left_as_it_is(photos: int) -> None:
     assert adjustment.effects == {}
     assert adjustment.rolling_shutter_px is None
     assert (len(adjustment.trials) == 0) == (photos == 7)
+    assert len(adjustment.precisions) == (0 if photos == 7 else photos)
 
 
 def test_a_phone_becomes_a_camera_that_stood_still() -> None:
@@ -63,7 +64,11 @@ def test_a_phone_becomes_a_camera_that_stood_still() -> None:
     # Sizes are those that were put in.
     assert adjustment.focal_std_percent == pytest.approx(100 * np.exp(truth.own[:, 0]).std(), rel=0.3)
     assert adjustment.rolling_shutter_px == pytest.approx(2.5, abs=1.0)
-    record = adjustment.record()
+    names = {number: f"view {number}" for number in adjustment.effects}
+    record = adjustment.record(names)
+    assert set(record["camera_std"]) == set(names.values())
+    assert 0 < record["camera_std"]["view 1"]["center"] < 0.01
+    assert 0 < record["camera_std"]["view 1"]["direction_rad"] < 0.002
     assert record["adjusted_photo_by_photo"] == list(adjustment.groups)
     assert record["held_out_error_falls_percent"]["turn"] > 5
     # Photo and pinhole image: a point's own place in the photo is where the map of its photo leads.
