@@ -32,6 +32,9 @@ class CaptureCode(StrEnum):
     photos_loose = "photos_loose"
     parts_joined = "parts_joined"
     part_apart = "part_apart"
+    rolling_shutter = "rolling_shutter"
+    focal_length_changes = "focal_length_changes"
+    picture_shifts = "picture_shifts"
     # Scale
     no_scale_given = "no_scale_given"
     no_scale_from_markers = "no_scale_from_markers"
@@ -118,6 +121,19 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
     CaptureCode.part_apart: _left_out(
         "they hang together, but nothing ties them to the rest; put up boards that are seen from both parts, two in "
         "each, or walk on from a place that is in the photos already"
+    ),
+    CaptureCode.rolling_shutter: (
+        "the camera moved while it read out its photos, row by row: in the median photo what it shows moved by "
+        "{median_px:.1f} pixels from the first row to the last; that was undone as far as it can be, but stand still "
+        "for each photo, and walk and turn more slowly in a video"
+    ),
+    CaptureCode.focal_length_changes: (
+        "the focal length changed by {percent:.2f} % from photo to photo; that was undone, but lock the focus before "
+        "the first photo"
+    ),
+    CaptureCode.picture_shifts: (
+        "the middle of the picture shifted by {shift_px:.1f} pixels from photo to photo, as a stabiliser does; that "
+        "was undone, but switch the stabilisation off where the phone lets you"
     ),
     CaptureCode.no_scale_given: (
         "no scale was given: the cloud is in model units and no DBH is measured; photograph boards printed by fsinfer "

@@ -19,12 +19,14 @@ from fsinfer.io.images import is_upright_jpeg_or_png, list_images, read_image, w
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.sentences import sentences
+from fsinfer.poses.adjustment.adjust import PhotoAdjustment, adjust_photos
+from fsinfer.poses.adjustment.tell import told
 from fsinfer.poses.colmap import colmap_errors
 from fsinfer.poses.mapping import ADVICE, Walk, map_walk
-from fsinfer.poses.refinement import refine
+from fsinfer.poses.refinement import larger_than_usual, refine
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.sparse import sparse_of
-from fsinfer.poses.undistortion import intrinsic_of, undistort, undistort_model, undistortion_maps
+from fsinfer.poses.undistortion import intrinsic_of, maps_of_photo, undistort, undistort_model, undistortion_maps
 from fsinfer.poses.verification.misplaced import LEFT_OUT, drop_blind_views
 from fsinfer.poses.view_selection import depth_range, select_views
 from fsinfer.progress import Progress, silent
@@ -44,6 +46,8 @@ class PosesResult:
     registered: how many have a pose.
     left_out: names of those that have none.
     warnings: with the names of photos left out.
+    rolling_shutter_px, focal_std_percent, principal_std_px: see
+        :class:`fsinfer.poses.adjustment.adjust.PhotoAdjustment`; None where the photos do not bear it out.
     """
 
     scene: Path
@@ -51,6 +55,9 @@ class PosesResult:
     registered: int
     left_out: tuple[str, ...] = ()
     warnings: tuple[Notice, ...] = ()
+    rolling_shutter_px: float | None = None
+    focal_std_percent: float | None = None
+    principal_std_px: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,6 +121,7 @@ def estimate_poses(
     with colmap_errors("finding poses", work):
         mapped = map_walk(_walk_of(photos), given, work, settings, progress)
         model, misplaced = refine(mapped.model, settings.refinement, progress), mapped.misplaced
+        model, adjustment = adjust_photos(model, settings.adjustment, larger_than_usual(model), progress)
     drop_blind_views(model)
     placed = {model.images[i].name for i in model.reg_image_ids()}
     named = {file for files in (*misplaced.values(), *mapped.apart) for file in files}
@@ -126,7 +134,8 @@ def estimate_poses(
         warnings.append(notice(CaptureCode.parts_joined, names=tuple(names[file] for file in mapped.joined)))
     for part in mapped.apart:
         warnings.append(notice(CaptureCode.part_apart, photos=len(photos), names=tuple(names[file] for file in part)))
-    seen = _write_scene(model, photos, out, settings, progress)
+    warnings.extend(told(adjustment, settings.adjustment, larger_than_usual(model)))
+    seen = _write_scene(model, photos, out, settings, adjustment, progress)
     for warning in sentences(warnings):
         _log.warning(warning)
     result = PosesResult(
@@ -135,9 +144,13 @@ def estimate_poses(
         registered=len(seen),
         left_out=tuple(sorted({path.stem for path in paths} - set(seen))),
         warnings=tuple(warnings),
+        rolling_shutter_px=adjustment.rolling_shutter_px,
+        focal_std_percent=adjustment.focal_std_percent,
+        principal_std_px=adjustment.principal_std_px,
     )
-    told = {"photos": result.photos, "registered": result.registered, "warnings": sentences(result.warnings)}
-    write_text(out / "poses.json", json.dumps(told | _quality(model), indent=1) + "\n")
+    views = {i: Path(model.images[i].name).stem for i in model.reg_image_ids()}
+    record = {"photos": result.photos, "registered": result.registered, "warnings": sentences(result.warnings)}
+    write_text(out / "poses.json", json.dumps(record | _quality(model) | adjustment.record(views), indent=1) + "\n")
     shutil.rmtree(work, ignore_errors=True)
     return result
 
@@ -206,7 +219,12 @@ def _walk_of(photos: Sequence[_Photo]) -> Walk:
 
 
 def _write_scene(
-    model: Any, photos: Sequence[_Photo], out: Path, settings: PoseSettings, progress: Progress
+    model: Any,
+    photos: Sequence[_Photo],
+    out: Path,
+    settings: PoseSettings,
+    adjustment: PhotoAdjustment,
+    progress: Progress,
 ) -> tuple[str, ...]:
     """Write images, cams, pair.txt and sparse of a refined model; returns the names of the views."""
     by_file = {photo.file: photo for photo in photos}
@@ -218,7 +236,11 @@ def _write_scene(
         image = model.images[image_id]
         target = out / "images" / f"{name}.jpg"
         pixels = read_image(by_file[image.name].source)
-        write_image(target, undistort(pixels, maps[image.camera_id]), quality=settings.jpeg_quality)
+        map_of = maps[image.camera_id]
+        if image_id in adjustment.effects:
+            lens, pinhole = lenses[image.camera_id], model.cameras[image.camera_id]
+            map_of = maps_of_photo(map_of, lens, pinhole, adjustment.effects[image_id])
+        write_image(target, undistort(pixels, map_of), quality=settings.jpeg_quality)
     for image_id in image_ids.values():
         image = model.images[image_id]
         image.name = f"{by_file[image.name].name}.jpg"

@@ -77,13 +77,17 @@ def refine(model: Any, settings: RefinementSettings, progress: Progress) -> Any:
         if gain >= settings.min_gain and all(is_monotone(camera) for camera in rich.cameras.values()):
             best = rich
     progress(2, 3, "adjusting")
-    longest = max(max(camera.width, camera.height) for camera in best.cameras.values())
     manager = pycolmap.ObservationManager(best)
-    usual = FEATURE_SIZE_PX
-    manager.filter_all_points3D(settings.max_error_px * max(longest, usual) / usual, settings.min_angle_deg)
+    manager.filter_all_points3D(settings.max_error_px * larger_than_usual(best), settings.min_angle_deg)
     _adjust(best)
     progress(3, 3, "adjusting")
     return best
+
+
+def larger_than_usual(model: Any) -> float:
+    """How many times the longer side of a model's largest photo is that at which features are found; 1 or more."""
+    longest = max(max(camera.width, camera.height) for camera in model.cameras.values())
+    return float(max(longest, FEATURE_SIZE_PX) / FEATURE_SIZE_PX)
 
 
 def _enrich(model: Any, lens: str, settings: RefinementSettings) -> bool:

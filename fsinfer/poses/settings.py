@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, field
 
+from fsinfer.poses.adjustment.settings import AdjustmentSettings
 from fsinfer.poses.pairs import PairSettings
 from fsinfer.poses.refinement import FEATURE_SIZE_PX, RefinementSettings
 from fsinfer.poses.view_selection import SelectionSettings
@@ -56,6 +57,7 @@ class PoseSettings:
     dictionary: of the markers whose corners tie the photos, as OpenCV names it. Source: what fsinfer marker prints.
     thorough: where the walk tore.
     refinement: of the last adjustment of the model.
+    adjustment: of the one after it, with what changes from photo to photo.
     selection: of source views and depth ranges.
     sources: at most this many source views in ``pair.txt``. Source: MVSNet (Yao et al. 2018) writes 10.
     jpeg_quality: of the undistorted images. Source: numerics; the coding is not seen.
@@ -72,6 +74,7 @@ class PoseSettings:
     dictionary: str = DICTIONARY
     thorough: ThoroughSettings = field(default_factory=ThoroughSettings)
     refinement: RefinementSettings = field(default_factory=RefinementSettings)
+    adjustment: AdjustmentSettings = field(default_factory=AdjustmentSettings)
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     sources: int = 10
     jpeg_quality: int = 95

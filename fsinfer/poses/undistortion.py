@@ -5,11 +5,20 @@ COLMAP puts the centre of the top left pixel at (0.5, 0.5), a scene in MVSNet fo
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from fsinfer.poses.adjustment.photo_effects import PhotoEffects
+from fsinfer.poses.adjustment.problem import lens_of
+
+#: Columns and rows of the pixels' places in a photo, each (h, w).
+Maps: TypeAlias = tuple[NDArray[np.float32], NDArray[np.float32]]
+#: Pixels between the places where a photo's own effects are computed; between them they are interpolated. Source:
+#: numerics; they bend by a pixel over a photo at most.
+_APART_PX = 16
 
 
 def pinhole_of(camera: Any) -> Any:
@@ -28,7 +37,7 @@ def intrinsic_of(pinhole: Any) -> NDArray[np.float64]:
     return matrix
 
 
-def undistortion_maps(camera: Any, pinhole: Any) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def undistortion_maps(camera: Any, pinhole: Any) -> Maps:
     """For each pixel of the pinhole image, where it lies in the photo: x and y, (h, w) float32, integer centres."""
     u, v = np.meshgrid(np.arange(pinhole.width) + 0.5, np.arange(pinhole.height) + 0.5)
     rays = pinhole.cam_from_img(np.stack([u.ravel(), v.ravel()], axis=1))
@@ -37,7 +46,29 @@ def undistortion_maps(camera: Any, pinhole: Any) -> tuple[NDArray[np.float32], N
     return np.ascontiguousarray(maps[..., 0]), np.ascontiguousarray(maps[..., 1])
 
 
-def undistort(image: NDArray[np.uint8], maps: tuple[NDArray[np.float32], NDArray[np.float32]]) -> NDArray[np.uint8]:
+def maps_of_photo(maps: Maps, camera: Any, pinhole: Any, effects: PhotoEffects) -> Maps:
+    """``maps`` of :func:`undistortion_maps` for a photo with effects of its own.
+
+    The pinhole image is then that of the middle row's time and the camera's shared lens: focal length, principal point
+    and rotation are undone exactly (to a hundredth of a pixel, between points ``_APART_PX`` apart), the way during the
+    read-out with a smooth depth of the photo's sparse points, which is wrong by the depth's share where a stem stands
+    before a far background.
+    """
+    width, height = int(pinhole.width), int(pinhole.height)
+    columns, rows = width // _APART_PX + 2, height // _APART_PX + 2
+    u, v = np.meshgrid(np.linspace(0, width, columns), np.linspace(0, height, rows))
+    rays = pinhole.cam_from_img(np.stack([u.ravel(), v.ravel()], axis=1))
+    rays = np.column_stack([rays, np.ones(len(rays))])
+    still = camera.img_from_cam(rays)
+    shifts = effects.pixels(rays, effects.inverse_depths(still), lens_of(camera)) - still
+    coarse = shifts.astype(np.float32).reshape(rows, columns, 2)
+    at_x = ((np.arange(width, dtype=np.float32) + 0.5) * ((columns - 1) / width))[None].repeat(height, axis=0)
+    at_y = ((np.arange(height, dtype=np.float32) + 0.5) * ((rows - 1) / height))[:, None].repeat(width, axis=1)
+    fine = cv2.remap(coarse, at_x, at_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return maps[0] + fine[..., 0], maps[1] + fine[..., 1]
+
+
+def undistort(image: NDArray[np.uint8], maps: Maps) -> NDArray[np.uint8]:
     """Resample an (H, W, 3) uint8 photo to the pinhole image."""
     # Lanczos keeps bark sharp where bilinear blurs by up to half a pixel; the border only shows within rounding.
     warped = cv2.remap(image, maps[0], maps[1], cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE)

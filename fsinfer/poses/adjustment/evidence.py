@@ -1,0 +1,124 @@
+"""Which unknowns of each photo's own the photos bear out: those that predict points which the fit did not see.
+
+Each group is tried on top of those that are kept already, and once more when all are known. A point held out is placed
+anew by all photos that see it, under the model with the group and under the one without; both place it with three
+numbers, so what is left of its observations tells which cameras are nearer to the truth. An unknown that only follows
+the noise predicts worse.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.poses.adjustment.fit import Weighting, fit, noise_of, with_points_fitted
+from fsinfer.poses.adjustment.problem import Group, Ints, Observations, Unknowns
+from fsinfer.poses.adjustment.projection import Floats
+from fsinfer.poses.adjustment.reduced_system import Structure
+from fsinfer.poses.adjustment.settings import AdjustmentSettings
+
+_log = logging.getLogger(__name__)
+
+#: The order in which groups are tried, the usually greatest first.
+ORDER = (Group.turn, Group.focal, Group.drift, Group.principal)
+#: Photos that must see a point that is held out. Source: two always agree in one direction.
+_MIN_PHOTOS = 3
+#: Standard deviations of an observation, before any effect is known, beyond which a larger error hardly counts as more.
+#: Source: three sigma.
+_JUDGED_TO = 3.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trial:
+    """What a group did to points held out.
+
+    Attributes
+    ----------
+    group: tried on top of those kept before it, and once more beside all that were kept.
+    gain: share by which their mean robust error (pixels^2) fell; below zero it rose.
+    surety: that fall over its standard error, each point counted once.
+    kept: whether it stays.
+    """
+
+    group: Group
+    gain: float
+    surety: float
+    kept: bool
+
+
+def groups_borne_out(
+    seen: Observations, start: Unknowns, weighting: Weighting, settings: AdjustmentSettings
+) -> tuple[tuple[Group, ...], tuple[Trial, ...], Weighting]:
+    """Try each group; returns those to keep, every trial, and the weighting with the noise that is left."""
+    held, fitted = split(seen, len(start.points), settings)
+    judged, judged_points = seen.of_points(held)
+    learned, learned_points = seen.of_points(fitted)
+    if len(judged_points) == 0:
+        return (), (), weighting
+    structure = Structure(learned, len(learned_points))
+    base = fit(structure, replace(start, points=start.points[learned_points]), (), weighting)
+    weighting = replace(weighting, noise_px=noise_of(base.residuals(learned)))
+
+    bound = (_JUDGED_TO * weighting.noise_px) ** 2
+
+    def errors_of(cameras: Unknowns) -> Floats:
+        placed = with_points_fitted(judged, replace(cameras, points=start.points[judged_points]), weighting.loss_px)
+        squared = (placed.residuals(judged) ** 2).sum(1)
+        # Geman and McClure: a wrong match counts as a bound, whatever the cameras are, and hides nothing.
+        return np.asarray(np.bincount(judged.point, squared / (1 + squared / bound), len(judged_points)))
+
+    current, errors = base, errors_of(base)
+    kept: list[Group] = []
+    trials: dict[Group, Trial] = {}
+    for group in ORDER:
+        tried = fit(structure, current, (*kept, group), weighting)
+        there = errors_of(tried)
+        trials[group] = _trial(group, errors, there, settings.min_gain, settings)
+        if trials[group].kept:
+            kept, current, errors = [*kept, group], tried, there
+            weighting = replace(weighting, noise_px=noise_of(current.residuals(learned)))
+    # What was kept first may only have stood for what came after it.
+    for group in kept[:-1]:
+        others = [other for other in kept if other is not group]
+        own = current.own.copy()
+        own[:, group.value] = 0
+        tried = fit(structure, replace(current, own=own), others, weighting)
+        there = errors_of(tried)
+        trials[group] = _trial(group, there, errors, settings.min_gain_beside, settings)
+        if not trials[group].kept:
+            kept, current, errors = others, tried, there
+    return tuple(kept), tuple(trials.values()), weighting
+
+
+def _trial(group: Group, without: Floats, with_it: Floats, least: float, settings: AdjustmentSettings) -> Trial:
+    """From the (P,) errors of the points held out without and with a group."""
+    fall = without - with_it
+    gain = float(fall.sum() / max(without.sum(), np.finfo(float).tiny))
+    spread = float(fall.std() * np.sqrt(len(fall)))
+    surety = float(fall.sum()) / spread if spread > 0 else 0.0
+    _log.info("%s: held-out error falls by %.1f %% (%.1f standard errors)", group.name, 100 * gain, surety)
+    keep = gain >= least and surety >= settings.min_surety
+    return Trial(group=group, gain=gain, surety=surety, kept=keep)
+
+
+def split(seen: Observations, points: int, settings: AdjustmentSettings) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """(P,) masks of the points to be held out, and of those to fit: the longest tracks, as many as each photo needs."""
+    lengths = np.bincount(seen.point, minlength=points)
+    rank = np.cumsum(lengths >= _MIN_PHOTOS)
+    held = (lengths >= _MIN_PHOTOS) & (rank % settings.held_out == 0)
+    fitted = np.zeros(points, dtype=bool)
+    order = np.argsort(seen.point, kind="stable")
+    photos: Ints = seen.photo[order]
+    ends = np.cumsum(lengths)
+    filled = np.zeros(len(seen.camera), dtype=np.int64)
+    for point in np.argsort(-lengths, kind="stable"):
+        if held[point] or lengths[point] < 2:
+            continue
+        track = photos[ends[point] - lengths[point] : ends[point]]
+        if (filled[track] < settings.decide_with).any():
+            fitted[point] = True
+            filled[track] += 1
+    return held, fitted

@@ -1,0 +1,175 @@
+"""The arrays of an adjustment: what was observed, what is unknown, and both taken from a COLMAP model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.poses.adjustment.projection import DRIFT, FOCAL, LENS, OWN, PRINCIPAL, TURN, Floats, project, read_at
+
+Ints = NDArray[np.int64]
+
+#: Places of COLMAP's parameters in our twelve, and which may change together, by its lens models. Source: format.
+_PLACES: dict[str, Sequence[Sequence[int]]] = {
+    "SIMPLE_PINHOLE": [(0, 1), (2,), (3,)],
+    "PINHOLE": [(0,), (1,), (2,), (3,)],
+    "SIMPLE_RADIAL": [(0, 1), (2,), (3,), (4,)],
+    "RADIAL": [(0, 1), (2,), (3,), (4,), (5,)],
+    "OPENCV": [(0,), (1,), (2,), (3,), (4,), (5,), (6,), (7,)],
+    "FULL_OPENCV": [(i,) for i in range(LENS)],
+}
+#: Of the twelve, the shared principal point stays: each photo's turning takes it up. Source: COLMAP's adjustment.
+_FIXED = (2, 3)
+
+
+class Group(Enum):
+    """Unknowns of each photo's own that are kept or left together; the value is their place."""
+
+    turn = TURN
+    drift = DRIFT
+    focal = FOCAL
+    principal = PRINCIPAL
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observations:
+    """Points seen in photos, sorted by photo.
+
+    Attributes
+    ----------
+    photo, point: (n,) int64, their numbers.
+    xy: (n, 2) float64, pixels with COLMAP's origin. tau: (n,) when its row was read, -1/2 to 1/2.
+    camera: (N,) int64, which lens each photo has.
+    """
+
+    photo: Ints
+    point: Ints
+    xy: Floats
+    tau: Floats
+    camera: Ints
+
+    def of_points(self, chosen: NDArray[np.bool_]) -> tuple[Observations, Ints]:
+        """Those of the points that a (P,) mask chooses, numbered anew; and the old numbers of these points."""
+        kept = np.flatnonzero(chosen)
+        number = np.cumsum(chosen) - 1
+        seen = chosen[self.point]
+        return (
+            replace(self, photo=self.photo[seen], point=number[self.point[seen]], xy=self.xy[seen], tau=self.tau[seen]),
+            kept,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unknowns:
+    """What is adjusted.
+
+    Attributes
+    ----------
+    rotations: (N, 3, 3), translations: (N, 3): camera from world, at the time of the middle row.
+    own: (N, 9), each photo's own, see :mod:`fsinfer.poses.adjustment.projection`.
+    lenses: (K, 12). points: (P, 3), world.
+    """
+
+    rotations: Floats
+    translations: Floats
+    own: Floats
+    lenses: Floats
+    points: Floats
+
+    @property
+    def centers(self) -> Floats:
+        """(N, 3) camera centres."""
+        return np.asarray(-np.einsum("nji,nj->ni", self.rotations, self.translations))
+
+    def in_cameras(self, seen: Observations) -> Floats:
+        """(n, 3) observed points in the camera of the middle row."""
+        turned = self.rotations[seen.photo] @ self.points[seen.point][:, :, None]
+        return np.asarray(turned[:, :, 0] + self.translations[seen.photo])
+
+    def residuals(self, seen: Observations) -> Floats:
+        """(n, 2) pixels, predicted less observed."""
+        lens, own = self.lenses[seen.camera[seen.photo]], self.own[seen.photo]
+        return project(self.in_cameras(seen), seen.tau, lens, own) - seen.xy
+
+
+@dataclass(frozen=True, kw_only=True)
+class Numbers:
+    """Which rows of the arrays are which of COLMAP's images, cameras and points."""
+
+    images: Sequence[int]
+    cameras: Sequence[int]
+    points: Sequence[int]
+    features: Ints
+    """(n,) int64, the number of each observation among its photo's points2D."""
+
+
+def from_model(model: Any) -> tuple[Observations, Unknowns, Numbers]:
+    """Take the arrays out of a ``pycolmap.Reconstruction``; points seen by two or more photos."""
+    images = sorted(model.reg_image_ids())
+    cameras = sorted({model.images[i].camera_id for i in images})
+    points = sorted(i for i, point in model.points3D.items() if point.track.length() > 1)
+    rank = {number: index for index, number in enumerate(points)}
+    photo: list[int] = []
+    point: list[int] = []
+    feature: list[int] = []
+    xy: list[Floats] = []
+    tau: list[Floats] = []
+    for index, image_id in enumerate(images):
+        image = model.images[image_id]
+        size = (int(model.cameras[image.camera_id].width), int(model.cameras[image.camera_id].height))
+        before = len(xy)
+        for number, observed in enumerate(image.points2D):
+            if observed.has_point3D() and observed.point3D_id in rank:
+                photo.append(index)
+                point.append(rank[observed.point3D_id])
+                feature.append(number)
+                xy.append(observed.xy)
+        tau.append(read_at(np.array(xy[before:], np.float64).reshape(-1, 2), *size))
+    poses = np.array([model.images[i].cam_from_world().matrix() for i in images]).reshape(-1, 3, 4)
+    seen = Observations(
+        photo=np.array(photo, np.int64),
+        point=np.array(point, np.int64),
+        xy=np.array(xy, np.float64).reshape(-1, 2),
+        tau=np.concatenate(tau) if tau else np.empty(0),
+        camera=np.array([cameras.index(model.images[i].camera_id) for i in images], np.int64),
+    )
+    unknowns = Unknowns(
+        rotations=np.ascontiguousarray(poses[:, :, :3]),
+        translations=np.ascontiguousarray(poses[:, :, 3]),
+        own=np.zeros((len(images), OWN)),
+        lenses=np.array([lens_of(model.cameras[i]) for i in cameras]).reshape(-1, LENS),
+        points=np.array([model.points3D[i].xyz for i in points], np.float64).reshape(-1, 3),
+    )
+    return seen, unknowns, Numbers(images=images, cameras=cameras, points=points, features=np.array(feature, np.int64))
+
+
+def is_known(camera: Any) -> bool:
+    """Whether a ``pycolmap.Camera`` has a lens that this adjustment knows."""
+    return camera.model.name in _PLACES
+
+
+def lens_of(camera: Any) -> Floats:
+    """(12,) of a ``pycolmap.Camera`` that :func:`is_known`."""
+    lens = np.zeros(LENS)
+    for value, places in zip(camera.params, _PLACES[camera.model.name], strict=True):
+        lens[list(places)] = value
+    return lens
+
+
+def params_of(camera: Any, lens: Floats) -> list[float]:
+    """COLMAP's parameters of a lens, in the model that ``camera`` has."""
+    return [float(lens[places[0]]) for places in _PLACES[camera.model.name]]
+
+
+def free_directions(camera: Any) -> Floats:
+    """(12, p) directions in which a lens may change; those of the principal point are not among them."""
+    places = [group for group in _PLACES[camera.model.name] if group[0] not in _FIXED]
+    free = np.zeros((LENS, len(places)))
+    for column, group in enumerate(places):
+        free[list(group), column] = 1
+    return free

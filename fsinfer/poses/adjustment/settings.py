@@ -1,0 +1,62 @@
+"""Settings of the adjustment photo by photo."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class AdjustmentSettings:
+    """What may change from photo to photo, how much of it is expected, and when it is believed.
+
+    Attributes
+    ----------
+    min_photos: models of fewer photos are left as they are. Source: judgement; held-out points need photos.
+    focal_std: standard deviation of the focal length from photo to photo that is expected, relative. Source: focus
+        breathing of phones, 0.05-0.2 %, twice the middle of it.
+    principal_std: of the principal point, as a share of the photo's longer side. Source: stabilisers shift by up to a
+        per cent; photographs of a hand held still move by 2 pixels of 1280.
+    turn_std_rad: of the rotation while a photo is read out, radians. Source: a hand's tremor and a walker's turning of
+        0.06-0.1 rad/s over 25 ms.
+    mean_turn_std_rad: of the mean over all photos of the rotation about their rows. It is all but held at zero: of
+        photos held upright it cannot be told from an upright stretch of the world (Albl, Sugimoto and Pajdla 2016).
+        Source: a hand's tremor has no mean; where it was free, a rendered ring of 60 photos was stretched by 0.8 %;
+        renders only.
+    drift_std: of the way while a photo is read out, as a share of the step to the next photo. Source: 0.4-1 m/s over
+        25 ms are 1-2.5 cm, photos are half a metre to a metre apart; a rendered ring of 60 photos, where 0.01 bent the
+        world less than 0.03; renders only.
+    mean_drift_std: of the mean over all photos of the way across the rows, as a share of the step; held at zero as the
+        turning is, as it looks like it where all is equally far. Source: who walks goes neither up nor down.
+    held_out: every so many-th point is kept out of the fit, and says whether it predicts better. Source: judgement.
+    min_gain: the mean robust error of the points held out must fall by this share for a group of unknowns to be kept.
+        Source: judgement; 36 photos of a render without such effects: 1.4 % at most, below zero for most groups;
+        a rendered phone: 4 to 28 %; renders only.
+    min_gain_beside: and by this share beside all groups that were kept after it, or it goes again. Source: judgement;
+        the way during the read-out of a rendered phone: 1.1 %, and neighbouring cameras at 1.3 instead of 1.7 mm;
+        renders only.
+    min_surety: and by so many standard errors of that fall, points counted one by one. Source: three sigma.
+    decide_with: observations a photo with which groups are tried, the longest tracks first; the last fit has all.
+        Source: numerics; there are at most 15 unknowns a photo.
+    loss_px: scale of the Cauchy loss, pixels, in photos no larger than those that features are looked for in. Source:
+        COLMAP's.
+    told_px: rolling shutter, or a change of the principal point, whose size is told as a warning, pixels of a photo as
+        large as features are looked for in, or smaller. Source: judgement; the stems' edges are measured to a few
+        tenths of a pixel.
+    told_focal: change of the focal length that is told, relative. Source: judgement; a pixel at the edge of a photo.
+    """
+
+    min_photos: int = 8
+    focal_std: float = 0.0025
+    principal_std: float = 0.002
+    turn_std_rad: float = 0.0025
+    mean_turn_std_rad: float = 1e-5
+    drift_std: float = 0.01
+    mean_drift_std: float = 1e-4
+    held_out: int = 8
+    min_gain: float = 0.02
+    min_gain_beside: float = 0.005
+    min_surety: float = 3.0
+    decide_with: int = 250
+    loss_px: float = 1.0
+    told_px: float = 1.0
+    told_focal: float = 0.002

@@ -1,0 +1,103 @@
+"""The adjustment of COLMAP models: nothing where nothing was, a plain pinhole model where a phone moved."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fsinfer.notices.sentences import sentences
+from fsinfer.poses.adjustment.adjust import PhotoAdjustment, adjust_photos, like
+from fsinfer.poses.adjustment.fit import fit
+from fsinfer.poses.adjustment.problem import from_model
+from fsinfer.poses.adjustment.projection import OWN
+from fsinfer.poses.adjustment.reduced_system import Structure
+from fsinfer.poses.adjustment.settings import AdjustmentSettings
+from fsinfer.poses.adjustment.tell import told
+from fsinfer.poses.undistortion import maps_of_photo, pinhole_of, undistortion_maps
+from tests.fsinfer.poses.adjustment.test_fit import weighting
+from tests.support.phone_walk import PHONE, disturbed, model_of, phone_walk
+
+pytest.importorskip("pycolmap")
+#: Turning, focal length and principal point; a centimetre of way is for the tests of the fit.
+EFFECTS = PHONE * [1, 1, 1, 1, 1, 1, 0, 0, 0]
+
+
+def test_arrays_of_a_model_are_those_it_was_made_of() -> None:
+    seen, truth = phone_walk(effects=EFFECTS)
+    start = disturbed(truth)
+    there, unknowns, numbers = from_model(model_of(seen, start))
+    np.testing.assert_allclose(unknowns.residuals(there), start.residuals(seen), atol=1e-9)
+    np.testing.assert_allclose(there.tau, seen.tau, atol=1e-12)
+    assert len(numbers.images) == len(truth.rotations)
+
+
+@pytest.mark.parametrize("photos", [7, 16], ids=["too few photos", "nothing to find"])
+def test_a_camera_that_stood_still_is_left_as_it_is(photos: int) -> None:
+    seen, truth = phone_walk(photos=photos, effects=EFFECTS if photos == 7 else None)
+    model = model_of(seen, truth)
+    adjusted, adjustment = adjust_photos(model, AdjustmentSettings())
+    assert adjusted is model
+    assert adjustment.effects == {}
+    assert adjustment.rolling_shutter_px is None
+    assert (len(adjustment.trials) == 0) == (photos == 7)
+    assert len(adjustment.precisions) == (0 if photos == 7 else photos)
+
+
+def test_a_phone_becomes_a_camera_that_stood_still() -> None:
+    seen, truth = phone_walk(effects=EFFECTS, noise_px=0.2)
+    start = fit(Structure(seen, len(truth.points)), disturbed(truth), (), weighting(len(truth.rotations)))
+    model = model_of(seen, start)
+    before = model.compute_mean_reprojection_error()
+    adjusted, adjustment = adjust_photos(model, AdjustmentSettings())
+    assert model.compute_mean_reprojection_error() == before
+    assert {"turn", "focal"} <= set(adjustment.groups)
+    # The model alone, read as any other, knows no effects any more, and fits.
+    there, unknowns, _ = from_model(adjusted)
+    assert adjusted.compute_mean_reprojection_error() < 0.7 * before
+    still = replace(truth, own=np.zeros((len(truth.rotations), OWN)))
+    moved = still.residuals(seen) - truth.residuals(seen)
+    assert np.median(np.linalg.norm(moved, axis=1)) > 1
+    errors = [np.linalg.norm(like(found, truth).centers - truth.centers, axis=1).max() for found in (start, unknowns)]
+    assert errors[1] < 0.4 * errors[0]
+    # Sizes are those that were put in.
+    assert adjustment.focal_std_percent == pytest.approx(100 * np.exp(truth.own[:, 0]).std(), rel=0.3)
+    assert adjustment.rolling_shutter_px == pytest.approx(2.5, abs=1.0)
+    names = {number: f"view {number}" for number in adjustment.effects}
+    record = adjustment.record(names)
+    assert set(record["camera_std"]) == set(names.values())
+    assert 0 < record["camera_std"]["view 1"]["center"] < 0.01
+    assert 0 < record["camera_std"]["view 1"]["direction_rad"] < 0.002
+    assert record["adjusted_photo_by_photo"] == list(adjustment.groups)
+    assert record["held_out_error_falls_percent"]["turn"] > 5
+    # Photo and pinhole image: a point's own place in the photo is where the map of its photo leads.
+    for photo, image_id in enumerate(sorted(adjustment.effects)):
+        image = adjusted.images[image_id]
+        camera = adjusted.cameras[image.camera_id]
+        pinhole = pinhole_of(camera)
+        if photo == 0:
+            maps = undistortion_maps(camera, pinhole)
+        map_x, map_y = maps_of_photo(maps, camera, pinhole, adjustment.effects[image_id])
+        rays = camera.cam_from_img(there.xy[there.photo == photo])
+        target = pinhole.img_from_cam(np.column_stack([rays, np.ones(len(rays))]))
+        pixel = np.rint(target - 0.5).astype(int)
+        inner = ((pixel >= 0) & (pixel < (pinhole.width, pinhole.height))).all(axis=1)
+        column, row = pixel[inner].T
+        # From the pixel's middle to the point it is less than a pixel, in both images alike.
+        shown = np.stack([map_x[row, column], map_y[row, column]], axis=1) + target[inner] - pixel[inner]
+        assert np.median(np.linalg.norm(shown - seen.xy[seen.photo == photo][inner], axis=1)) < 0.03
+
+
+def test_large_effects_are_told_with_what_to_do() -> None:
+    settings = AdjustmentSettings()
+    assert told(PhotoAdjustment(), settings) == []
+    small = PhotoAdjustment(rolling_shutter_px=0.9, focal_std_percent=0.19, principal_std_px=0.9)
+    assert told(small, settings) == []
+    large = PhotoAdjustment(rolling_shutter_px=2.34, focal_std_percent=0.31, principal_std_px=2.0)
+    said = sentences(told(large, settings))
+    assert [any(word in text for text in said) for word in ("2.3 pixels", "0.31 %", "2.0 pixels")] == [True] * 3
+    assert "stand still" in said[0]
+    assert "lock the focus" in said[1]
+    # Pixels of photos twice as large are half as much.
+    assert [item.code for item in told(large, settings, larger=3)] == ["focal_length_changes"]

@@ -1,0 +1,61 @@
+"""Unknowns of each photo's own are kept where points held out are predicted better, and only there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fsinfer.poses.adjustment.evidence import groups_borne_out, split
+from fsinfer.poses.adjustment.fit import Weighting, fit
+from fsinfer.poses.adjustment.problem import Group, Unknowns
+from fsinfer.poses.adjustment.projection import LENS
+from fsinfer.poses.adjustment.reduced_system import Structure
+from fsinfer.poses.adjustment.settings import AdjustmentSettings
+from tests.support.phone_walk import PHONE, disturbed, phone_walk
+
+FREE = np.zeros((LENS, 2))
+FREE[:2, 0] = FREE[4, 1] = 1
+NOISE_PX = 0.2
+
+
+def kept(effects: np.ndarray | None, outliers: float = 0.0, seed: int = 1) -> set[Group]:
+    seen, truth = phone_walk(effects=effects, noise_px=NOISE_PX, outliers=outliers, seed=seed)
+    own_std = np.tile(PHONE, (len(truth.rotations), 1))
+    weighting = Weighting(
+        loss_px=1.0, noise_px=NOISE_PX, own_std=own_std, mean_std=np.full_like(own_std, np.inf), lens_free=[FREE]
+    )
+    start: Unknowns = fit(Structure(seen, len(truth.points)), disturbed(truth), (), weighting)
+    groups, trials, _ = groups_borne_out(seen, start, weighting, AdjustmentSettings())
+    assert {trial.group for trial in trials if trial.kept} == set(groups)
+    return set(groups)
+
+
+@pytest.mark.parametrize("outliers", [0.0, 0.05], ids=["clean", "with wrong matches"])
+def test_of_a_camera_that_stood_still_nothing_is_kept(outliers: float) -> None:
+    assert kept(None, outliers) == set()
+
+
+@pytest.mark.parametrize("outliers", [0.0, 0.05], ids=["clean", "with wrong matches"])
+def test_of_a_phone_turning_and_focal_length_are_kept(outliers: float) -> None:
+    assert kept(PHONE, outliers) >= {Group.turn, Group.focal}
+
+
+def test_only_what_there_is_is_kept() -> None:
+    assert kept(PHONE * [0, 0, 0, 1, 1, 1, 0, 0, 0]) == {Group.turn}
+    assert kept(PHONE * [2, 0, 0, 0, 0, 0, 0, 0, 0]) == {Group.focal}
+
+
+def test_points_held_out_are_not_fitted_and_every_photo_has_enough() -> None:
+    seen, truth = phone_walk()
+    settings = replace(AdjustmentSettings(), decide_with=60)
+    held, fitted = split(seen, len(truth.points), settings)
+    assert not (held & fitted).any()
+    lengths = np.bincount(seen.point)
+    assert lengths[held].min() >= 3
+    assert held.sum() == (lengths >= 3).sum() // settings.held_out
+    learned, _ = seen.of_points(fitted)
+    counts = np.bincount(learned.photo)
+    assert counts.min() >= 60
+    assert len(learned.photo) < 0.5 * len(seen.photo)

@@ -1,0 +1,85 @@
+"""The adjustment on walks whose effects are known: they come back, wrong matches or not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fsinfer.poses.adjustment.adjust import like, shutter_px
+from fsinfer.poses.adjustment.fit import Weighting, fit, noise_of, with_points_fitted
+from fsinfer.poses.adjustment.problem import Group, Observations, Unknowns
+from fsinfer.poses.adjustment.projection import FOCAL, LENS, TURN
+from fsinfer.poses.adjustment.reduced_system import Structure
+from tests.support.phone_walk import PHONE, disturbed, phone_walk
+
+NOISE_PX = 0.2
+FREE = np.zeros((LENS, 2))
+FREE[:2, 0] = FREE[4, 1] = 1
+
+
+def weighting(photos: int) -> Weighting:
+    return Weighting(
+        loss_px=1.0,
+        noise_px=NOISE_PX,
+        own_std=np.tile(PHONE, (photos, 1)),
+        mean_std=np.full((photos, 9), np.inf),
+        lens_free=[FREE],
+    )
+
+
+def center_error(found: Unknowns, truth: Unknowns) -> float:
+    distance = np.linalg.norm(like(found, truth).centers - truth.centers, axis=1)
+    return float(np.sqrt((distance**2).mean()))
+
+
+def fitted(seen: Observations, truth: Unknowns, *groups: Group) -> Unknowns:
+    start = disturbed(truth)
+    return fit(Structure(seen, len(start.points)), start, groups, weighting(len(start.rotations)), steps=25)
+
+
+@pytest.mark.parametrize("outliers", [0.0, 0.05], ids=["clean", "with wrong matches"])
+def test_turning_and_focal_length_come_back(outliers: float) -> None:
+    effects = PHONE * [1, 0, 0, 1, 1, 1, 0, 0, 0]
+    seen, truth = phone_walk(effects=effects, noise_px=NOISE_PX, outliers=outliers)
+    without = fitted(seen, truth)
+    found = fitted(seen, truth, Group.turn, Group.focal)
+    wrong = found.own - truth.own
+    # Against 1.5 mrad and 0.15 %.
+    assert np.sqrt((wrong[:, TURN] ** 2).mean()) < 0.0005
+    assert wrong[:, FOCAL].std() < 0.0005
+    assert center_error(found, truth) < 0.4 * center_error(without, truth)
+    assert noise_of(found.residuals(seen)) < 1.1 * NOISE_PX < 0.8 * noise_of(without.residuals(seen))
+    # The lens is shared, and comes back, too.
+    np.testing.assert_allclose(found.lenses[0, :2], truth.lenses[0, :2], rtol=2e-3)
+
+
+def test_way_during_the_read_out_comes_back_where_depths_differ() -> None:
+    seen, truth = phone_walk(effects=PHONE, noise_px=NOISE_PX)
+    without = fitted(seen, truth)
+    found = fitted(seen, truth, *Group)
+    # Turning and way are much alike; what both do to the picture is what counts.
+    assert np.sqrt(((shutter_px(seen, found) - shutter_px(seen, truth)) ** 2).mean()) < 0.4
+    assert np.median(shutter_px(seen, truth)) > 1.5
+    assert center_error(found, truth) < 0.6 * center_error(without, truth)
+
+
+def test_a_photo_of_few_points_keeps_to_what_is_expected() -> None:
+    seen, truth = phone_walk(effects=PHONE, noise_px=NOISE_PX)
+    rows = np.flatnonzero(seen.photo == 5)[8:]
+    mask = np.ones(len(seen.photo), dtype=bool)
+    mask[rows] = False
+    thinned = replace(seen, photo=seen.photo[mask], point=seen.point[mask], xy=seen.xy[mask], tau=seen.tau[mask])
+    found = fitted(thinned, truth, *Group)
+    assert (np.abs(found.own[5]) < 3 * PHONE).all()
+
+
+def test_points_alone_are_placed_where_known_photos_see_them() -> None:
+    seen, truth = phone_walk(effects=PHONE, noise_px=0.0)
+    rng = np.random.default_rng(0)
+    off = replace(truth, points=truth.points + rng.normal(0, 0.05, truth.points.shape))
+    found = with_points_fitted(seen, off, 1.0)
+    # Two photos of neighbouring places see a point's depth badly, but what they see is met.
+    assert np.abs(found.residuals(seen)).max() < 0.05
+    np.testing.assert_array_equal(found.rotations, truth.rotations)

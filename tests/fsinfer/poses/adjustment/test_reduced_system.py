@@ -1,0 +1,44 @@
+"""The equations without points: the same step as from all equations at once."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fsinfer.poses.adjustment.problem import Observations
+from fsinfer.poses.adjustment.reduced_system import Rows, Structure, blocks_of, reduce_points, solve
+
+PHOTOS, POINTS, OWN, LENS = 4, 30, 5, 3
+
+
+def test_step_is_that_of_all_equations_at_once() -> None:
+    rng = np.random.default_rng(3)
+    seen_by = np.argwhere(rng.random((PHOTOS, POINTS)) < 0.9)
+    # A wrong match may put a point twice into one photo.
+    seen_by = np.vstack([seen_by, seen_by[:3], seen_by[-4:]])
+    photo, point = seen_by[np.argsort(seen_by[:, 0], kind="stable")].T
+    count = len(photo)
+    rows = Rows(
+        residuals=rng.normal(size=(count, 2)),
+        by_photo=rng.normal(size=(count, 2, OWN)),
+        by_point=rng.normal(size=(count, 2, 3)),
+        by_lens=rng.normal(size=(count, 2, LENS)),
+    )
+    seen = Observations(
+        photo=photo, point=point, xy=np.zeros((count, 2)), tau=np.zeros(count), camera=np.zeros(PHOTOS, np.int64)
+    )
+    structure = Structure(seen, POINTS)
+    blocks = blocks_of(structure, rows)
+    size = PHOTOS * OWN + LENS
+    jacobian = np.zeros((count, 2, size + 3 * POINTS))
+    for row in range(count):
+        jacobian[row, :, photo[row] * OWN : (photo[row] + 1) * OWN] = rows.by_photo[row]
+        jacobian[row, :, PHOTOS * OWN : size] = rows.by_lens[row]
+        jacobian[row, :, size + 3 * point[row] : size + 3 * point[row] + 3] = rows.by_point[row]
+    flat = jacobian.reshape(2 * count, -1)
+    normal = flat.T @ flat
+    for damping in (1e-3, 0.1):
+        cameras, points = solve(structure, reduce_points(structure, blocks, damping))
+        damped = normal + damping * np.diag(np.diag(normal))
+        expected = -np.linalg.solve(damped, flat.T @ rows.residuals.ravel())
+        np.testing.assert_allclose(cameras, expected[:size], atol=1e-7)
+        np.testing.assert_allclose(points.ravel(), expected[size:], atol=1e-7)
