@@ -165,6 +165,7 @@ def _plan(views: Sequence[View], settings: DepthSettings, model: DepthModel) -> 
         height=round(height * factor),
         planes=model.manifest.planes,
         groups=model.manifest.groups,
+        level_channels=model.manifest.level_channels,
         feature_channels=model.manifest.feature_channels,
         refine_channels=model.manifest.refine_channels,
         views=settings.source_views + 1,
