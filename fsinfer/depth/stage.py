@@ -27,6 +27,7 @@ from fsinfer.io.images import read_image
 from fsinfer.io.pfm import read_pfm, write_pfm
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene, View
+from fsinfer.threads import one_blas_thread
 
 _log = logging.getLogger(__name__)
 
@@ -59,6 +60,7 @@ class LoadedView:
     scale_y: float
 
 
+@one_blas_thread()
 def estimate_depth(
     scene: Scene,
     out: Path,

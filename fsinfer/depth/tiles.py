@@ -21,6 +21,7 @@ from fsinfer.depth.model import DepthEstimate, DepthModel, ViewFeatures
 from fsinfer.depth.precision import INT8
 from fsinfer.depth.session import load_graph, run_for
 from fsinfer.errors import ModelError
+from fsinfer.threads import one_blas_thread
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -106,6 +107,7 @@ class TiledDepth:
         self._channels = [int(shapes[f"mean{level}"][0]) for level in range(len(graph.level_halos))]
         self._volume_channels = int(shapes["volume_mean"][0]) if graph.volume_mean else 0
 
+    @one_blas_thread()
     def predict_from_features(
         self,
         features: Sequence[ViewFeatures],

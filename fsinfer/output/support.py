@@ -20,6 +20,7 @@ from typing import Any
 
 from fsinfer.errors import InputError
 from fsinfer.io.files import atomic_path
+from fsinfer.output.layout import LOG_FILE
 from fsinfer.output.plot_json import package_versions
 
 SYSTEM_FILE = "system.txt"
@@ -30,7 +31,7 @@ _RECORDS = (
     "trees.json",
     "dbh_sources.csv",
     "edits.csv",
-    "fsinfer.log",
+    LOG_FILE,
     "frames.csv",
     "frames.json",
     "poses.json",

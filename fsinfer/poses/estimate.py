@@ -29,6 +29,7 @@ from fsinfer.poses.verification.repair import repair
 from fsinfer.poses.view_selection import depth_range, select_views
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Camera, write_camera, write_pairs
+from fsinfer.threads import one_blas_thread
 
 _log = logging.getLogger(__name__)
 
@@ -67,6 +68,7 @@ class _Photo:
     file: str
 
 
+@one_blas_thread()
 def estimate_poses(
     images: Path | str,
     out: Path | str,
