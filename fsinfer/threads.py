@@ -34,7 +34,7 @@ def one_blas_thread() -> Iterator[None]:
         with _lock:
             _inside -= 1
             if _inside == 0:
-                _limits.close()
+                _unlimit()
 
 
 def _limit() -> None:
@@ -43,3 +43,13 @@ def _limit() -> None:
     from threadpoolctl import threadpool_limits
 
     _limits.enter_context(threadpool_limits(limits=1, user_api="blas"))
+
+
+def _unlimit() -> None:
+    from threadpoolctl import OpenBLASController
+
+    # From 3.8 on only the thread that has set a limit may change it, unless it is told that that one is done.
+    release = getattr(OpenBLASController, "clear_controlling_thread", None)
+    if release is not None:
+        release(force=True)
+    _limits.close()
