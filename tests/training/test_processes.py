@@ -88,18 +88,17 @@ def test_a_step_is_the_mean_over_the_processes(one_step: Path) -> None:
         torch.testing.assert_close(second["weights"][name], weights, rtol=0, atol=0)
 
 
-def test_torchrun_trains_and_goes_on(scenes: Path, tmp_path: Path) -> None:
+def test_torchrun_trains(scenes: Path, tmp_path: Path) -> None:
     given = ["-m", "training.train", "--data", scenes, "--out", tmp_path, "--preset", "mvsnet", "--device", "cpu"]
     given += ["--crop", 16, 12, "--max-sources", 2, "--checkpoint-every", 1, "--validation", scenes]
-    for steps in (2, 3):
-        done = torchrun(*given, "--steps", steps, "--validate-every", steps)
-        assert done.returncode == 0, done.stderr
-        state = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
-        assert state["step"] == steps
-        assert state["training"]["samples_per_step"] == 2
+    done = torchrun(*given, "--steps", 2, "--validate-every", 1)
+    assert done.returncode == 0, done.stderr
+    state = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
+    assert state["step"] == 2
+    assert state["training"]["samples_per_step"] == 2
     # Only one of them writes: each row once.
     rows = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text(encoding="utf-8").splitlines()]
-    assert [row["step"] for row in rows] == [2, 3]
+    assert [row["step"] for row in rows] == [1, 2]
 
 
 def test_alone_there_is_nothing_to_share(monkeypatch: pytest.MonkeyPatch) -> None:
