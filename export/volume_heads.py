@@ -7,6 +7,7 @@ its weights are multiplied instead. At 1280x720 the volume of ``paper`` takes 1.
 from __future__ import annotations
 
 import copy
+from typing import cast
 
 import torch
 import torch.nn.functional as F
@@ -37,9 +38,9 @@ class VolumeHead(nn.Module):
 
     def read(self, volume: Tensor, volume_mean: Tensor) -> tuple[Tensor, Tensor]:
         """Return index and confidence; ``volume_mean`` (C,) is that of each channel over the whole volume."""
-        net = self.head.regularizer
-        enter = net.enter[0]
-        weight = enter.weight
+        net = cast(Regularizer3D, self.head.regularizer)
+        enter = cast(nn.Conv3d, net.enter[0])
+        weight: Tensor = enter.weight
         if net.se is not None:
             weight = weight * net.se.fc(volume_mean[None])[:, :, None, None, None]
         entered = torch.relu(F.conv3d(volume, weight, enter.bias, padding=1))

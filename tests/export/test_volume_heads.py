@@ -31,6 +31,18 @@ from tests.bench.speed import make_views
 from tests.support.plane_scene import write_plane_scene
 from training.model import PRESETS, FSMVSNet
 from training.model.fsmvsnet import PlaneHead
+from training.model.regularizer3d import Regularizer3D
+
+
+@torch.no_grad()
+def sharpen(head: PlaneHead) -> None:
+    """Give scores of untrained weights peaks, and the channels gains that hang on the volume."""
+    regularizer = head.regularizer
+    assert isinstance(regularizer, Regularizer3D)
+    assert regularizer.se is not None
+    for layer, factor in ((regularizer.heads[0], 30.0), (regularizer.se.fc[0], 20.0)):
+        for parameter in layer.parameters():
+            parameter.mul_(factor)
 
 
 @pytest.fixture(scope="module")
@@ -38,9 +50,7 @@ def paper(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Manifest of an untrained ``paper`` model whose scores have peaks."""
     torch.manual_seed(0)
     model = FSMVSNet(PRESETS["paper"]).eval()
-    with torch.no_grad():
-        model.plane_head.regularizer.heads[0].weight.mul_(30.0)
-        model.plane_head.regularizer.se.fc[0].weight.mul_(20.0)  # gains that hang on the volume
+    sharpen(model.plane_head)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return export_model(model, tmp_path_factory.mktemp("paper"), provenance={"seed": 0})
@@ -56,8 +66,7 @@ def test_gains_in_the_weights_are_gains_of_the_volume() -> None:
             nn.init.normal_(layer.running_mean, std=0.1)
             nn.init.uniform_(layer.running_var, 0.5, 2.0)
     head = head.eval()
-    head.regularizer.se.fc[0].weight.mul_(20.0)
-    head.regularizer.heads[0].weight.mul_(30.0)
+    sharpen(head)
     volume = torch.rand(1, 32, 192, 7, 10) * torch.rand(32)[:, None, None, None]
     expected = head(volume)
     folded = fold_batch_norm(head)

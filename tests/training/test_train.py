@@ -275,7 +275,14 @@ def test_a_slim_checkpoint_exports_the_same_weights(scenes: Path, tmp_path: Path
 
 def _tiny(scenes: Path, out: Path, **changes: Any) -> TrainSettings:
     """A run of a few seconds."""
-    given = {"data": (scenes,), "out": out, "steps": 2, "crop": (16, 12), "min_sources": 1, "max_sources": 1}
+    given: dict[str, Any] = {
+        "data": (scenes,),
+        "out": out,
+        "steps": 2,
+        "crop": (16, 12),
+        "min_sources": 1,
+        "max_sources": 1,
+    }
     return TrainSettings(**(given | changes))
 
 
