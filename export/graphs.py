@@ -11,7 +11,8 @@ from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from export.fast_heads import FastPlaneHead, FastRefineHead, TilePlaneHead
-from training.model import FSMVSNet
+from export.volume_heads import TileVolumeHead, VolumeHead
+from training.model import FSMVSNet, ModelConfig
 from training.model.config import DEPTH_PLANES
 from training.model.fsmvsnet import REFINE_GROUPS
 
@@ -70,8 +71,12 @@ def fold_batch_norm(module: ModuleT) -> ModuleT:
 def graphs(model: FSMVSNet) -> list[Graph]:
     """Cut the model into its graphs, ready for the exporter."""
     config = model.config
-    fast = config.regularizer == "packed" and config.loss == "plane"
-    plane_head = FastPlaneHead(fold_batch_norm(model.plane_head)) if fast else fold_batch_norm(model.plane_head)
+    folded = fold_batch_norm(model.plane_head)
+    plane_head: nn.Module = folded
+    if config.regularizer == "conv3d":
+        plane_head = VolumeHead(folded)
+    elif config.loss == "plane":
+        plane_head = FastPlaneHead(folded)
     height, width = EXAMPLE_SIZE
     h, w = height // 4, width // 4
     result = [
@@ -83,14 +88,7 @@ def graphs(model: FSMVSNet) -> list[Graph]:
             free={"images": {0: "views", 2: "height", 3: "width"}},
         )
     ]
-    if config.regularizer == "packed":
-        packed = config.packed_planes
-        volume = torch.randn(DEPTH_PLANES // packed, packed * config.groups, h, w)
-        free = {2: "rows", 3: "columns"}
-    else:
-        channels = config.feature_channels if config.volume == "variance" else config.groups
-        volume = torch.rand(1, channels, DEPTH_PLANES, h, w)
-        free = {3: "rows", 4: "columns"}
+    volume, free = _example_volume(config)
     result.append(
         Graph(
             role="regularizer",
@@ -116,22 +114,48 @@ def graphs(model: FSMVSNet) -> list[Graph]:
     return result
 
 
-#: Tiles begin at multiples of 8 quarter-resolution pixels, the coarsest stride of the packed regularizer. Its levels
-#: see 3, 9 and 29 of them far (a convolution of stride 2 and one or two more at each of the strides 2, 4 and 8); with
-#: the enlarged levels coming up and the head the result sees 49. The refiner sees 21 half-resolution pixels.
+def volume_channels(config: ModelConfig) -> int:
+    """Values of the cost volume at each plane and pixel: groups of the correlation, or channels of the variance."""
+    return config.feature_channels if config.volume == "variance" else config.groups
+
+
+def _example_volume(config: ModelConfig) -> tuple[Tensor, dict[int, str]]:
+    """A volume as the regularizer takes it, and which of its dimensions are free."""
+    h, w = (size // 4 for size in EXAMPLE_SIZE)
+    channels, packed = volume_channels(config), config.packed_planes
+    if config.regularizer == "packed":
+        return torch.randn(DEPTH_PLANES // packed, packed * channels, h, w), {2: "rows", 3: "columns"}
+    return torch.rand(1, channels, DEPTH_PLANES, h, w), {3: "rows", 4: "columns"}
+
+
+#: Tiles begin at multiples of 8 quarter-resolution pixels, the coarsest stride of both regularizers. The levels of the
+#: packed one see 3, 9 and 29 of them far (a convolution of stride 2 and one or two more at each of the strides 2, 4 and
+#: 8); with the enlarged levels coming up and the head the result sees 49. The refiner sees 21 half-resolution pixels.
+#: The 3D one sees 51: 22 on the way down (two convolutions a level, at strides 1 to 8) and 29 on the way up.
 #: Source: these fields of view, rounded up.
 TILE_ALIGN, TILE_LEVEL_HALOS, TILE_HALO = 8, (8, 16, 32), 56
 
 
 def tile_graph(model: FSMVSNet) -> Graph | None:
-    """The regularizer for parts of a volume; ``None`` for a model that is not cut into tiles."""
+    """The regularizer for parts of a volume.
+
+    ``None`` where there is none: without squeeze-and-excitation the regularizer itself does not look beyond its field
+    of view and serves for tiles, too (:func:`needs_no_tile_graph`).
+    """
     config = model.config
-    if not (config.regularizer == "packed" and config.loss == "plane" and config.se):
+    if not config.se or (config.regularizer == "packed" and config.loss != "plane"):
         return None
-    head = TilePlaneHead(fold_batch_norm(model.plane_head))
-    height, width = EXAMPLE_SIZE
-    packed = config.packed_planes
-    volume = torch.randn(DEPTH_PLANES // packed, packed * config.groups, height // 4, width // 4)
+    volume, free = _example_volume(config)
+    folded = fold_batch_norm(model.plane_head)
+    if config.regularizer == "conv3d":
+        return Graph(
+            role="tile_regularizer",
+            module=TileVolumeHead(folded),
+            inputs={"volume": volume, "volume_mean": torch.rand(volume_channels(config))},
+            outputs=["index", "confidence"],
+            free={"volume": free},
+        )
+    head = TilePlaneHead(folded)
     regularizer = head.regularizer
     channels = [regularizer.excitation(level).channels for level in range(len(regularizer.se))]
     return Graph(
@@ -139,5 +163,10 @@ def tile_graph(model: FSMVSNet) -> Graph | None:
         module=head,
         inputs={"volume": volume, **{f"mean{level}": torch.rand(count) for level, count in enumerate(channels)}},
         outputs=["index", "confidence", *(f"level{level}" for level in range(len(channels)))],
-        free={"volume": {2: "rows", 3: "columns"}},
+        free={"volume": free},
     )
+
+
+def needs_no_tile_graph(config: ModelConfig) -> bool:
+    """Whether the regularizer itself gives of a part what it gives of the whole: nothing in it is a mean over all."""
+    return not config.se

@@ -12,6 +12,10 @@ from fsinfer.io.images import read_image
 from fsinfer.scene import Scene
 from training.model import FSMVSNet
 
+#: What passes: 99.9th percentile of the relative difference of the depth, and the share of pixels on the same side of
+#: the confidence threshold. Source: ten times finer than the accuracy of the depth itself.
+DEPTH_REL_P999, MASK_AGREEMENT = 1e-3, 0.999
+
 
 @dataclass(frozen=True, kw_only=True)
 class Parity:
@@ -27,6 +31,10 @@ class Parity:
     depth_rel_p999: float
     mask_agreement: float
 
+    def passes(self) -> bool:
+        """Whether both are within :data:`DEPTH_REL_P999` and :data:`MASK_AGREEMENT`."""
+        return self.depth_rel_p999 <= DEPTH_REL_P999 and self.mask_agreement >= MASK_AGREEMENT
+
 
 @torch.no_grad()
 def whole_parity(
@@ -35,7 +43,7 @@ def whole_parity(
     """Compare both paths on the first views of a scene at full image size."""
     model.eval()
     relative, agree = [], []
-    threshold = deployed.manifest.confidence_threshold
+    threshold = deployed.manifest.parity_confidence_threshold
     chosen = [view for view in scene.views if view.sources][:views]
     for view in chosen:
         group = [view, *(scene.views[i] for i in view.sources[:source_views])]

@@ -14,6 +14,8 @@ from training.model.fsmvsnet import DepthOutput, ScaleOutput
 
 #: Planes; beyond it L1 is the business of the cross-entropy. Source: the radius of the local soft-argmin.
 SUBPLANE_LIMIT = 3.0
+#: Step from one pixel to the next, as a share of the depth, that counts as a whole edge. Source: judgement.
+EDGE_GRADIENT = 0.05
 
 
 def at_stride(depth_hw: Tensor, stride: int) -> Tensor:
@@ -73,22 +75,39 @@ def _smooth_l1(scale: ScaleOutput, truth: Tensor, weight: Tensor | None = None) 
 
 
 def edge_attention(truth_hw: Tensor) -> Tensor:
-    """A_p of the paper from the magnitude of the depth gradient: 1 on surfaces, up to 2 at edges."""
+    """A_p of the paper from the magnitude of the depth gradient, (h, w) in [0, 1]: 0 on a wall, 1 at an edge.
+
+    The gradient is relative to the depth, and whole from :data:`EDGE_GRADIENT` on. Towards pixels whose depth is not
+    known (0) there is none.
+    """
     padded = F.pad(truth_hw[None, None], (0, 1, 0, 1), mode="replicate")[0, 0]
-    gradient = (padded[:-1, 1:] - truth_hw).abs() + (padded[1:, :-1] - truth_hw).abs()
+    known = (truth_hw > 0).to(truth_hw.dtype)
+    gradient = torch.zeros_like(truth_hw)
+    for beside in (padded[:-1, 1:], padded[1:, :-1]):
+        gradient = gradient + (beside - truth_hw).abs() * known * (beside > 0)
     relative = gradient / truth_hw.clamp_min(1e-6)
-    return 1 + (relative / 0.05).clamp(0, 1)
+    return (relative / EDGE_GRADIENT).clamp(0, 1)
+
+
+def scale_weights(count: int, first_scale: str) -> list[float]:
+    """w_s = 1 / 2^(s-1) of each of ``count`` scales, the coarsest first as in :attr:`DepthOutput.scales`.
+
+    ``first_scale``: see :class:`training.model.ModelConfig`.
+    """
+    weights = [0.5**rank for rank in range(count)]
+    return weights if first_scale == "coarsest" else weights[::-1]
 
 
 def hybrid_loss(output: DepthOutput, truths: dict[int, Tensor], config: ModelConfig) -> tuple[Tensor, dict[str, float]]:
-    """L = 1 L_smooth + 0.5 L_multiscale + 0.2 L_attention with w_s = 1 / 2^(s-1) (paper, section 2.5)."""
+    """L = 1 L_smooth + 0.5 L_multiscale + 0.2 L_attention with w_s = 1 / 2^(s-1) (paper, section 2.3.1)."""
     finest = output.scales[-1]
     smooth = _smooth_l1(finest, truths[finest.stride])
     if config.loss == "smooth":
         return smooth, {"smooth": float(smooth.detach())}
     multiscale = torch.zeros_like(smooth)
-    for rank, scale in enumerate(reversed(output.scales), start=1):
-        multiscale = multiscale + _smooth_l1(scale, truths[scale.stride]) / 2 ** (rank - 1)
+    weights = scale_weights(len(output.scales), config.first_scale)
+    for weight, scale in zip(weights, output.scales, strict=True):
+        multiscale = multiscale + weight * _smooth_l1(scale, truths[scale.stride])
     attention = _smooth_l1(finest, truths[finest.stride], edge_attention(truths[finest.stride]))
     total = config.lambda_smooth * smooth + config.lambda_multiscale * multiscale + config.lambda_attention * attention
     parts = {"smooth": smooth, "multiscale": multiscale, "attention": attention}

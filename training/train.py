@@ -1,6 +1,9 @@
 """Train a preset of FS-MVSNet on any mix of scene folders; stops by time or steps and resumes.
 
 python -m training.train --data SCENES --out RUN --preset field --minutes 60
+torchrun --standalone --nproc-per-node 4 -m training.train --data SCENES --out RUN --preset field --minutes 60
+
+Under torchrun every process trains on samples of its own, and a step is the mean over all of them.
 """
 
 from __future__ import annotations
@@ -8,15 +11,17 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import torch
 from torch import nn
+from torch.optim import Optimizer
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torch.utils.data import DataLoader
 
@@ -27,6 +32,10 @@ from training.losses import at_stride, compute_loss
 from training.metrics import depth_errors, mean_errors
 from training.model import CONFIGS, FSMVSNet, ModelConfig
 from training.model.fsmvsnet import Window
+from training.processes import Processes, join_processes, leave_processes
+
+#: Samples that each worker has ready. Source: numerics.
+_PREFETCHED = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +47,8 @@ class TrainSettings:
     data, validation: folders of scenes; out: of the checkpoints. Source: option.
     preset: key of :data:`training.model.config.PRESETS`. Source: option.
     minutes, steps: the run ends with whichever comes first. Source: option.
+    stop_after: minutes after which this call stops with a checkpoint to go on from; the learning rate falls towards the
+        end of ``minutes`` all the same. 0 for none. Source: option.
     learning_rate, weight_decay: of Adam. Source: FS-MVSNet, Forests 2025, 16, 927.
     crop: width and height of the window at quarter resolution. Source: numerics; what a laptop trains on.
     accumulate: samples of a step. Source: numerics.
@@ -46,6 +57,8 @@ class TrainSettings:
     freeze_norm_from: share of the run after which batch-norm statistics stay fixed. Source: judgement.
     checkpoint_every, validate_every: steps. Source: numerics.
     seed, threads, device: of the run; init: a checkpoint to begin from. Source: option.
+    amp: compute the networks in bfloat16; ``None`` does so on a GPU. Source: option.
+    workers: processes that read samples, for each process that trains. Source: option.
     """
 
     data: tuple[Path, ...]
@@ -54,6 +67,7 @@ class TrainSettings:
     validation: tuple[Path, ...] = ()
     minutes: float = 60.0
     steps: int = 10**9
+    stop_after: float = 0.0
     learning_rate: float = 1e-3
     weight_decay: float = 1e-5
     crop: tuple[int, int] = (64, 48)
@@ -68,6 +82,14 @@ class TrainSettings:
     threads: int = 0
     device: str = "auto"
     init: Path | None = None
+    amp: bool | None = None
+    workers: int = 1
+
+
+def make_optimizer(parameters: Iterable[nn.Parameter], config: ModelConfig, settings: TrainSettings) -> Optimizer:
+    """Adam as in the paper, or AdamW (Loshchilov and Hutter 2019), as the preset says."""
+    kind = torch.optim.Adam if config.optimizer == "adam" else torch.optim.AdamW
+    return kind(parameters, lr=settings.learning_rate, weight_decay=settings.weight_decay)
 
 
 def freeze_batch_norm(model: nn.Module) -> None:
@@ -97,11 +119,11 @@ def pick_window(sample: Sample, crop: tuple[int, int], rng: np.random.Generator)
 class Trainer:
     """State of a run: model, moving average, optimizer, step and time spent."""
 
-    def __init__(self, settings: TrainSettings) -> None:
+    def __init__(self, settings: TrainSettings, processes: Processes | None = None) -> None:
         self.settings = settings
-        self.device = torch.device(
-            ("cuda" if torch.cuda.is_available() else "cpu") if settings.device == "auto" else settings.device
-        )
+        self.processes = processes or Processes()
+        self.device = self.processes.device(settings.device)
+        self.amp = self.device.type == "cuda" if settings.amp is None else settings.amp
         if settings.threads:
             torch.set_num_threads(settings.threads)
         torch.manual_seed(settings.seed)
@@ -110,11 +132,10 @@ class Trainer:
         self.average = AveragedModel(
             self.model, multi_avg_fn=get_ema_multi_avg_fn(settings.ema_decay), use_buffers=True
         )
-        self.optimizer = torch.optim.AdamW(
-            self.model.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay
-        )
+        self.optimizer = make_optimizer(self.model.parameters(), self.config, settings)
         self.step = 0
         self.spent_s = 0.0
+        self.before: list[dict[str, Any]] = []
         settings.out.mkdir(parents=True, exist_ok=True)
         self.checkpoint = settings.out / "checkpoint.pt"
         if self.checkpoint.is_file():
@@ -123,6 +144,8 @@ class Trainer:
             state = torch.load(settings.init, map_location=self.device, weights_only=True)
             self.model.load_state_dict(state["average"])
             self.average.module.load_state_dict(state["average"])
+            earlier = dict(state["training"])
+            self.before = [*earlier.pop("before", []), {**earlier, "steps": state["step"], "spent_s": state["spent_s"]}]
 
     def _load(self, state: dict[str, Any]) -> None:
         self.model.load_state_dict(state["model"])
@@ -130,9 +153,12 @@ class Trainer:
         self.average.n_averaged.fill_(state["averaged"])
         self.optimizer.load_state_dict(state["optimizer"])
         self.step, self.spent_s = state["step"], state["spent_s"]
+        self.before = state["training"].get("before", [])
 
     def save(self) -> None:
-        """Write the checkpoint, atomically."""
+        """Write the checkpoint, atomically; of several processes the first one does."""
+        if not self.processes.leads:
+            return
         temporary = self.checkpoint.with_suffix(".part")
         torch.save(
             {
@@ -147,6 +173,9 @@ class Trainer:
                     "data": [path.name for path in self.settings.data],
                     "seed": self.settings.seed,
                     "learning_rate": self.settings.learning_rate,
+                    "samples_per_step": self.settings.accumulate * self.processes.count,
+                    # The runs whose weights this one began with, the oldest first.
+                    "before": self.before,
                 },
             },
             temporary,
@@ -171,7 +200,7 @@ class Trainer:
         logged: dict[str, float] = {}
         for sample in samples:
             window = pick_window(sample, self.settings.crop, rng)
-            with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=self.device.type == "cuda"):
+            with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=self.amp):
                 output = self.model(
                     sample.images.to(self.device), sample.intrinsics, sample.cam_from_world, sample.depth_range, window
                 )
@@ -182,6 +211,7 @@ class Trainer:
             (loss / len(samples)).backward()
             for name, value in parts.items():
                 logged[name] = logged.get(name, 0.0) + value / len(samples)
+        self.processes.average_gradients(self.model)
         norm = nn.utils.clip_grad_norm_(self.model.parameters(), 5.0)
         if torch.isfinite(norm):
             self.optimizer.step()
@@ -209,25 +239,43 @@ class Trainer:
 
 
 def train(settings: TrainSettings) -> Path:
-    """Run until the time or the steps are used up; returns the checkpoint."""
-    trainer = Trainer(settings)
+    """Run until the time or the steps are used up, or until it is to stop; returns the checkpoint."""
+    processes = join_processes(settings.device)
+    try:
+        return _train(settings, processes)
+    finally:
+        leave_processes()
+
+
+def _train(settings: TrainSettings, processes: Processes) -> Path:
+    trainer = Trainer(settings, processes)
+    processes.wait()  # before the first checkpoint is written all have read the one that was there
     sampling = SamplingSettings(min_sources=settings.min_sources, max_sources=settings.max_sources)
-    data = SceneSamples(settings.data, seed=settings.seed + 1000 * trainer.step, settings=sampling)
-    loader = iter(DataLoader(data, batch_size=None, num_workers=1, prefetch_factor=8))
-    rng = np.random.default_rng([settings.seed, trainer.step])
-    board = _tensorboard(settings.out)
+    data = SceneSamples(settings.data, seed=settings.seed + 1000 * trainer.step, rank=processes.rank, settings=sampling)
+    loader = iter(
+        DataLoader(
+            data,
+            batch_size=None,
+            num_workers=settings.workers,
+            prefetch_factor=_PREFETCHED if settings.workers else None,
+        )
+    )
+    rng = np.random.default_rng([settings.seed, trainer.step, processes.rank])
+    board = _tensorboard(settings.out) if processes.leads else None
     running: dict[str, float] = {}
-    with (settings.out / "log.jsonl").open("a", encoding="utf-8") as log:
+    began_s = trainer.spent_s
+    with _log_file(settings.out, processes) as log:
         while trainer.fraction() < 1:
             start = time.monotonic()
             parts = trainer.train_step([next(loader) for _ in range(settings.accumulate)], rng)
-            trainer.spent_s += time.monotonic() - start
+            # The same in all processes: the time decides on the learning rate and on the end.
+            trainer.spent_s += processes.mean(time.monotonic() - start, trainer.device)
             for name, value in parts.items():
                 running[name] = 0.98 * running.get(name, value) + 0.02 * value
-            if trainer.step % 50 == 0:
+            if processes.leads and trainer.step % 50 == 0:
                 row: dict[str, float | int] = {"step": trainer.step, "spent_s": round(trainer.spent_s, 1), **running}
                 _log(row, log, board, trainer.step)
-            if settings.validation and trainer.step % settings.validate_every == 0:
+            if processes.leads and settings.validation and trainer.step % settings.validate_every == 0:
                 _log(
                     {"step": trainer.step, **{f"val_{k}": v for k, v in trainer.validate().items()}},
                     log,
@@ -236,8 +284,17 @@ def train(settings: TrainSettings) -> Path:
                 )
             if trainer.step % settings.checkpoint_every == 0:
                 trainer.save()
+            if settings.stop_after and trainer.spent_s - began_s >= 60 * settings.stop_after:
+                break
     trainer.save()
+    processes.wait()
     return trainer.checkpoint
+
+
+def _log_file(folder: Path, processes: Processes) -> IO[str]:
+    """Of several processes the first one writes; what the others would say is the same, or of no interest."""
+    path = folder / "log.jsonl" if processes.leads else Path(os.devnull)
+    return path.open("a", encoding="utf-8")
 
 
 def _tensorboard(folder: Path) -> Any:
@@ -269,6 +326,9 @@ def parse_arguments(arguments: list[str] | None = None) -> TrainSettings:
     parser.add_argument("--preset", choices=sorted(CONFIGS), default=default.preset)
     parser.add_argument("--minutes", type=float, default=default.minutes, help="training time in all, resumes counted")
     parser.add_argument("--steps", type=int, default=default.steps)
+    parser.add_argument(
+        "--stop-after", type=float, default=default.stop_after, metavar="MINUTES", help="to go on later"
+    )
     parser.add_argument("--learning-rate", type=float, default=default.learning_rate)
     parser.add_argument("--weight-decay", type=float, default=default.weight_decay)
     parser.add_argument("--crop", type=int, nargs=2, default=list(default.crop), metavar=("W", "H"))
@@ -281,6 +341,10 @@ def parse_arguments(arguments: list[str] | None = None) -> TrainSettings:
     parser.add_argument("--seed", type=int, default=default.seed)
     parser.add_argument("--threads", type=int, default=default.threads)
     parser.add_argument("--device", default=default.device, help="auto, cpu or cuda")
+    parser.add_argument(
+        "--amp", action=argparse.BooleanOptionalAction, help="compute the networks in bfloat16; default: on a GPU"
+    )
+    parser.add_argument("--workers", type=int, default=default.workers, help="processes that read samples")
     parser.add_argument("--init", type=Path, help="start from the weights of this checkpoint")
     values = vars(parser.parse_args(arguments))
     for name in ("data", "validation", "crop"):

@@ -37,6 +37,7 @@ from fsinfer.scale.find import find_scale, scale_from_printed_boards
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scale.scale import CAMERA_HEIGHT_M, UNKNOWN, Scale, marker_centers
 from fsinfer.scene import Scene, read_scene, scene_digest
+from fsinfer.threads import one_blas_thread
 from fsinfer.workflow.cloud_stages import DEPTH
 from fsinfer.workflow.ledger import Ledger, Stage
 from fsinfer.workflow.photo_stages import (
@@ -79,6 +80,7 @@ class CoarseDepth:
 COARSE_DEPTH = Stage(name="check_depth", version=1, result=CoarseDepth, outputs=(CHECK_WORK,), keeps_partial=True)
 
 
+@one_blas_thread()
 def check_capture(
     source: Path, out: Path, *, settings: CheckSettings | None = None, progress: StageProgress = silent_stages
 ) -> CheckResult:

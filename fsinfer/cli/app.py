@@ -12,12 +12,11 @@ from fsinfer._version import __version__
 from fsinfer.cli.console import (
     Debug,
     Quiet,
-    explain,
     reports_errors,
-    say,
     show_library_warnings,
     stage_progress,
     stop_on_signals,
+    tell,
     warn,
 )
 from fsinfer.cli.field_commands import register_field
@@ -221,9 +220,7 @@ def main() -> None:
         app()
     except Exception as error:
         # Only what happens outside a command: a fault in parsing or in printing.
-        message, code = explain(error)
-        say(message)
-        raise SystemExit(code) from error
+        raise SystemExit(tell(error)) from error
 
 
 if __name__ == "__main__":

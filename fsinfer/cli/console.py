@@ -11,10 +11,12 @@ import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Annotated, ParamSpec
 
 import typer
 
+from fsinfer.cli.faults import how_to_report, keep_trace
 from fsinfer.cli.remaining import RemainingTime, as_words
 from fsinfer.errors import FsinferError
 from fsinfer.progress import Progress, silent
@@ -54,11 +56,19 @@ def reports_errors(command: Callable[P, None]) -> Callable[P, None]:
                 raise  # The reader of a pipe has gone (fsinfer ... | head); typer ends quietly.
             if kwargs.get("debug"):
                 traceback.print_exc()
-            message, code = explain(error)
-            say(message)
-            raise typer.Exit(code) from error
+            out = kwargs.get("out")
+            raise typer.Exit(tell(error, out if isinstance(out, Path) else None)) from error
 
     return wrapper
+
+
+def tell(error: Exception, out: Path | None = None) -> int:
+    """Show what went wrong and return the exit code; the trace of a fault of ours is kept, if possible in ``out``."""
+    message, code = explain(error)
+    say(message)
+    if code == EXIT_OUR_FAULT:
+        say(how_to_report(keep_trace(error, out), out))
+    return code
 
 
 def explain(error: Exception) -> tuple[str, int]:

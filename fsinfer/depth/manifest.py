@@ -16,6 +16,8 @@ from fsinfer.errors import ModelError
 #: Channels of the feature maps at a quarter and at half resolution, where a manifest does not tell. Source: format;
 #: those of the model that is shipped.
 _FEATURE_CHANNELS, _REFINE_CHANNELS = 16, 8
+#: Channels of the first level of a 3D regularizer, where a manifest does not tell. Source: format; MVSNet.
+_LEVEL_CHANNELS = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,13 +27,16 @@ class TileGraph:
     Attributes
     ----------
     regularizer: ONNX file.
-    halo: how far its result sees, quarter pixels, rounded up to ``align``; level_halos: the same of its levels.
+    halo: how far its result sees, quarter pixels, rounded up to ``align``; level_halos: the same of its levels, whose
+        means over the whole it is given.
+    volume_mean: whether it is given the mean of each channel over the whole volume.
     align: parts begin at multiples of so many quarter pixels.
     """
 
     regularizer: str
     halo: int
     level_halos: tuple[int, ...]
+    volume_mean: bool
     align: int
 
 
@@ -47,13 +52,15 @@ class ModelManifest:
         that the regularizer takes as channels; 0 where it takes the whole volume.
     planes: number of planes of the volume (192); inverse_depth: uniform in 1/depth.
     groups: values of the volume at each plane and pixel: groups of the correlation, or channels of the variance.
+    level_channels: channels of the first level of a regularizer that takes the whole volume; 0 where it takes slabs.
     feature_channels: of a feature map at a quarter; refine_channels: at half resolution, 0 where nothing is refined.
     refine_planes, refine_span: the narrow volume at half resolution; span in plane intervals on each side.
     sha256: over the graphs' bytes, in the order features, regularizer, refiner.
     int8_regularizer, int8_sha256: the regularizer in 8-bit integers, and the hash with it in place of the other one;
         ``None`` where the model has none.
     tiles: the float32 regularizer for parts of a volume, ``None`` where the model cannot be cut into tiles.
-    confidence_threshold: at which the parity check compares the confidence masks; fusion finds its own for each plot.
+    parity_confidence_threshold: at which the check of the export compares the confidence masks; fusion finds its own
+        threshold for each plot.
     calibration: raw confidences and the share of pixels within 1 % of the true depth at each of them, both rising;
         ``None`` where the model was not calibrated.
     """
@@ -67,6 +74,7 @@ class ModelManifest:
     packed_planes: int
     planes: int
     groups: int
+    level_channels: int
     feature_channels: int
     refine_channels: int
     inverse_depth: bool
@@ -76,7 +84,7 @@ class ModelManifest:
     int8_regularizer: str | None
     int8_sha256: str | None
     tiles: TileGraph | None
-    confidence_threshold: float
+    parity_confidence_threshold: float
     calibration: tuple[NDArray[np.float32], NDArray[np.float32]] | None
     details: dict[str, Any]
 
@@ -137,6 +145,7 @@ def read_manifest(name_or_path: str | Path) -> ModelManifest:
             packed_planes=data["volume"]["packed_planes"],
             planes=data["volume"]["planes"],
             groups=_groups(data),
+            level_channels=0 if data["volume"]["packed_planes"] else _config(data, "width", _LEVEL_CHANNELS),
             feature_channels=_config(data, "feature_channels", _FEATURE_CHANNELS),
             refine_channels=_config(data, "refine_channels", _REFINE_CHANNELS) if "refiner" in data["graphs"] else 0,
             inverse_depth=data["volume"]["inverse_depth"],
@@ -146,7 +155,7 @@ def read_manifest(name_or_path: str | Path) -> ModelManifest:
             int8_regularizer=data["int8"]["regularizer"] if "int8" in data else None,
             int8_sha256=data["int8"]["sha256"] if "int8" in data else None,
             tiles=_tiles(data.get("tiles")),
-            confidence_threshold=data["confidence_threshold"],
+            parity_confidence_threshold=_either(data, "parity_confidence_threshold", "confidence_threshold"),
             calibration=_calibration(data.get("confidence_calibration")),
             details=data,
         )
@@ -181,10 +190,17 @@ def _config(data: dict[str, Any], name: str, default: int) -> int:
     return int(data.get("config", {}).get(name, default))
 
 
+def _either(data: dict[str, Any], name: str, former: str) -> Any:
+    """An entry that manifests of fsinfer 0.1 hold under another name."""
+    return data[name] if name in data else data[former]
+
+
 def _groups(data: dict[str, Any]) -> int:
-    return int(
-        data["volume"]["groups"] if data["volume"]["kind"] == "correlation" else data["config"]["feature_channels"]
-    )
+    volume = data["volume"]
+    if "channels" in volume:
+        return int(volume["channels"])
+    # fsinfer 0.1 wrote the groups of the correlation, whatever the kind of the volume.
+    return int(volume["groups"] if volume["kind"] == "correlation" else data["config"]["feature_channels"])
 
 
 def _tiles(entry: dict[str, Any] | None) -> TileGraph | None:
@@ -194,6 +210,7 @@ def _tiles(entry: dict[str, Any] | None) -> TileGraph | None:
         regularizer=entry["regularizer"],
         halo=int(entry["halo"]),
         level_halos=tuple(int(halo) for halo in entry["level_halos"]),
+        volume_mean=bool(entry.get("volume_mean", False)),
         align=int(entry["align"]),
     )
 

@@ -22,6 +22,10 @@ _PEAK_OVER_VOLUME, _INT8_PEAK_OVER_VOLUME = 8.2, 4.4
 #: The same in tiles, of which the volume is a copy, and bytes a pixel that the feature network leaves behind. Source:
 #: numerics; measured, 1600x1200 and 2400x1800 in tiles of 128 take 2.13 and 3.06 GB.
 _PEAK_OVER_TILE, _FEATURES_BYTES = 9.2, 105
+#: The same of a 3D regularizer, in volumes of as many channels as the cost volume has, and as its first level has: the
+#: volume, in tiles the copy of it, and what is held at once of the first level. Source: numerics; measured, ``paper``
+#: as a whole takes 0.77 GB at 640x352 and 1.57 GB at 960x512.
+_VOLUMES_AT_PEAK, _LEVELS_AT_PEAK = 1.0, 3.8
 #: Sides of tiles that are tried, quarter pixels. Source: numerics; multiples of the network's coarsest level.
 _TILE_SIZES = range(512, 56, -8)
 #: Sizes that a message proposes: multiples of the one, none below the other, pixels. Source: layout; the least that
@@ -58,6 +62,7 @@ def plan_depth(
     most_cached: int,
     feature_channels: int,
     refine_channels: int,
+    level_channels: int = 0,
     int8: bool = False,
     tile_halo: int | None = None,
 ) -> DepthPlan:
@@ -67,7 +72,9 @@ def plan_depth(
     ----------
     memory_gb: limit, 1e9 bytes.
     width, height: of the image given to the network, pixels.
-    planes, groups: of the cost volume at a quarter of that.
+    planes, groups: of the cost volume at a quarter of that; groups are values at each plane and pixel.
+    level_channels: of the first level of a regularizer that takes the volume as it is (3D convolutions); 0 for one that
+        takes slabs.
     feature_channels, refine_channels: of the feature maps at a quarter and at half resolution.
     views: photographs compared at a time, the reference among them.
     int8: the regularizer is in 8-bit integers; in tiles it never is.
@@ -79,17 +86,23 @@ def plan_depth(
         Not even one depth map fits; says which ``--max-size`` would.
     """
     quarter = -(-width // 4) * -(-height // 4)
-    volume = 4 * planes * groups * quarter
     # float32, at a quarter and at half resolution.
     of_view = 4 * quarter * (feature_channels + 4 * refine_channels)
-    fixed = BASE_BYTES + (_INT8_PEAK_OVER_VOLUME if int8 else _PEAK_OVER_VOLUME) * volume
+    of_volume = 4 * planes * groups
+    if level_channels:
+        whole_peak = tile_peak = 4 * planes * (_VOLUMES_AT_PEAK * groups + _LEVELS_AT_PEAK * level_channels)
+    else:
+        whole_peak = (_INT8_PEAK_OVER_VOLUME if int8 else _PEAK_OVER_VOLUME) * of_volume
+        tile_peak = _PEAK_OVER_TILE * of_volume
+    fixed = BASE_BYTES + whole_peak * quarter
     limit = memory_gb * GIGABYTE
     least = fixed + views * of_view
     if least > limit and tile_halo is not None:
         tiles = _largest_tiles(
             limit - BASE_BYTES - views * of_view - _FEATURES_BYTES * width * height,
             shape=(-(-height // 4), -(-width // 4)),
-            bytes_per_pixel=4 * planes * groups,
+            volume_bytes=of_volume,
+            peak_bytes=tile_peak,
             halo=tile_halo,
         )
         if tiles is not None:
@@ -111,14 +124,17 @@ def plan_depth(
 
 
 def _largest_tiles(
-    left: float, *, shape: tuple[int, int], bytes_per_pixel: int, halo: int
+    left: float, *, shape: tuple[int, int], volume_bytes: int, peak_bytes: float, halo: int
 ) -> tuple[int, bool, float] | None:
-    """Size of the largest tiles that fit into what is left, whether the volume does too, and the bytes to spare."""
+    """Size of the largest tiles that fit into what is left, whether the volume does too, and the bytes to spare.
+
+    ``volume_bytes`` and ``peak_bytes`` are those of a quarter pixel: of the volume, and of all that a tile takes.
+    """
     for keeps_volume in (True, False):
-        whole = bytes_per_pixel * shape[0] * shape[1] if keeps_volume else 0
+        whole = volume_bytes * shape[0] * shape[1] if keeps_volume else 0
         for size in _TILE_SIZES:
             rows, columns = (min(length, size + 2 * halo) for length in shape)
-            spare = left - whole - _PEAK_OVER_TILE * bytes_per_pixel * rows * columns
+            spare = left - whole - peak_bytes * rows * columns
             if spare >= 0:
                 return size, keeps_volume, spare
     return None

@@ -25,6 +25,7 @@ from fsinfer.depth.session import available_providers, find_providers, load_grap
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.warping import relative_projection
 from fsinfer.errors import InputError
+from fsinfer.threads import one_blas_thread
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -128,6 +129,7 @@ class DepthModel:
             half=Features.from_chw(outputs[1][0]) if len(outputs) > 1 else None,
         )
 
+    @one_blas_thread()
     def predict(
         self,
         images: Sequence[NDArray[np.uint8]],
@@ -157,6 +159,7 @@ class DepthModel:
             [self.features(image) for image in images], intrinsics, cam_from_world, depth_range
         )
 
+    @one_blas_thread()
     def predict_from_features(
         self,
         features: Sequence[ViewFeatures],
@@ -186,6 +189,7 @@ class DepthModel:
             return DepthEstimate(depth=self._depth(index, near, far), confidence=self.calibrated(confidence), stride=4)
         return self._refine(features, intrinsics, cam_from_world, (near, far), index, confidence, weights)
 
+    @one_blas_thread()
     def cost_volume(
         self,
         features: Sequence[ViewFeatures],

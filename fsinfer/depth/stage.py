@@ -27,6 +27,7 @@ from fsinfer.io.images import read_image
 from fsinfer.io.pfm import read_pfm, write_pfm
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene, View
+from fsinfer.threads import one_blas_thread
 
 _log = logging.getLogger(__name__)
 
@@ -59,6 +60,7 @@ class LoadedView:
     scale_y: float
 
 
+@one_blas_thread()
 def estimate_depth(
     scene: Scene,
     out: Path,
@@ -165,6 +167,7 @@ def _plan(views: Sequence[View], settings: DepthSettings, model: DepthModel) -> 
         height=round(height * factor),
         planes=model.manifest.planes,
         groups=model.manifest.groups,
+        level_channels=model.manifest.level_channels,
         feature_channels=model.manifest.feature_channels,
         refine_channels=model.manifest.refine_channels,
         views=settings.source_views + 1,

@@ -1,15 +1,16 @@
 """Depth in tiles: what does not fit into memory as a whole, computed part by part to the same result.
 
 Each tile is a cut of the reference view with a halo, as wide as the network sees; cut so, its principal point moves and
-nothing else changes. Only the squeeze-and-excitation of the regularizer looks at the whole volume: the means of its
-three levels are found first, one after the other, because each depends on the one before. The volume itself is an
-eighth of what the regularizer takes at its peak: where it fits it is kept whole, else that of every tile is made anew
-each time.
+nothing else changes. Only the squeeze-and-excitation of the regularizer looks at the whole volume. Where it is that of
+the packed regularizer, the means of its three levels are found first, one after the other, because each depends on the
+one before; where it is that of the volume itself, as in the paper, its mean is summed up first. The volume of the
+packed regularizer is an eighth of what that takes at its peak: where it fits it is kept whole, else that of every tile
+is made anew each time.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,7 @@ from fsinfer.depth.model import DepthEstimate, DepthModel, ViewFeatures
 from fsinfer.depth.precision import INT8
 from fsinfer.depth.session import load_graph, run_for
 from fsinfer.errors import ModelError
+from fsinfer.threads import one_blas_thread
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -103,7 +105,9 @@ class TiledDepth:
         self._session = load_graph(model.manifest.folder / graph.regularizer, model.threads, model.providers)
         shapes = {item.name: item.shape for item in self._session.get_inputs()}
         self._channels = [int(shapes[f"mean{level}"][0]) for level in range(len(graph.level_halos))]
+        self._volume_channels = int(shapes["volume_mean"][0]) if graph.volume_mean else 0
 
+    @one_blas_thread()
     def predict_from_features(
         self,
         features: Sequence[ViewFeatures],
@@ -129,14 +133,19 @@ class TiledDepth:
                         weights = None if whole[1] is None else whole[1][own]
                         yield rows, columns, np.ascontiguousarray(whole[0][own]), weights
 
-        means = [np.zeros(channels, np.float32) for channels in self._channels]
+        means = {f"mean{level}": np.zeros(channels, np.float32) for level, channels in enumerate(self._channels)}
         for level, halo in enumerate(self._graph.level_halos):
             step = 2 ** (level + 1)
-            total = np.zeros(len(means[level]))
+            total = np.zeros(self._channels[level])
             for rows, columns, volume, _ in tiles(halo):
                 (found,) = self._regularize(volume, means, f"level{level}")
                 total += found[:, rows.own(step), columns.own(step)].sum(axis=(1, 2), dtype=np.float64)
-            means[level] = (total / (-(-height // step) * -(-width // step))).astype(np.float32)
+            means[f"mean{level}"] = (total / (-(-height // step) * -(-width // step))).astype(np.float32)
+        if self._volume_channels:
+            total = np.zeros(self._volume_channels)
+            for _, _, volume, _ in tiles(0):
+                total += volume[0].sum(axis=3, dtype=np.float64).sum(axis=(1, 2))
+            means["volume_mean"] = (total / (model.manifest.planes * height * width)).astype(np.float32)
         half = features[0].half
         shape, stride = ((height, width), 4) if half is None else (half.shape, 2)
         depth, confidence = np.empty(shape, np.float32), np.empty(shape, np.float32)
@@ -149,10 +158,9 @@ class TiledDepth:
             depth[there], confidence[there] = estimate.depth[own], estimate.confidence[own]
         return DepthEstimate(depth=depth, confidence=confidence, stride=stride)
 
-    def _regularize(self, volume: Float32, means: Sequence[Float32], *wanted: str) -> list[Float32]:
-        """Outputs of the graph for a part of the volume, and the means of its levels as far as they are known."""
-        feeds = {"volume": volume} | {f"mean{level}": mean for level, mean in enumerate(means)}
-        return run_for(self._session, wanted, feeds)
+    def _regularize(self, volume: Float32, means: Mapping[str, Float32], *wanted: str) -> list[Float32]:
+        """Outputs of the graph for a part of the volume, and the means over the whole as far as they are known."""
+        return run_for(self._session, wanted, {"volume": volume, **means})
 
 
 def cropped(

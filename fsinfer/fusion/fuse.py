@@ -25,6 +25,7 @@ from fsinfer.fusion.voxels import MAX_EXTENT_VOXELS, Samples, VoxelMerger, much_
 from fsinfer.io.cloud import PointCloud
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene
+from fsinfer.threads import one_blas_thread
 
 _log = logging.getLogger(__name__)
 
@@ -106,6 +107,7 @@ class FusionSettings:
     memory_gb: float = DepthSettings.memory_gb
 
 
+@one_blas_thread()
 def fuse(
     scene: Scene, depth_folder: Path, *, settings: FusionSettings | None = None, progress: Progress = silent
 ) -> PointCloud:

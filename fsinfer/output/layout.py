@@ -52,6 +52,8 @@ CLICKS_FILE = "scale_clicks.json"
 #: What a run has come to: figures, warnings, versions.
 PLOT_FILE = "plot.json"
 REPORT_FILE = "report.html"
+#: Technical traces of faults of fsinfer itself, the last one at the end.
+LOG_FILE = "fsinfer.log"
 #: The check of a capture: its map, the same in numbers, and small depth maps while it works.
 CHECK_FOLDER = "check"
 CHECK_MAP_FILE = "check.png"
@@ -195,6 +197,11 @@ class OutputFolder:
     def edges_figure(self, tree_id: int) -> Path:
         """The edges of a tree's stem in the photographs."""
         return self.figures / f"tree_{tree_id:03d}_edges.png"
+
+    @property
+    def log(self) -> Path:
+        """Technical traces of faults of fsinfer itself."""
+        return self.out / LOG_FILE
 
     @property
     def edits(self) -> Path:

@@ -20,6 +20,7 @@ from typing import Any
 
 from fsinfer.errors import InputError
 from fsinfer.io.files import atomic_path
+from fsinfer.output.layout import LOG_FILE
 from fsinfer.output.plot_json import package_versions
 
 SYSTEM_FILE = "system.txt"
@@ -31,7 +32,7 @@ _RECORDS = (
     "dbh_sources.csv",
     "edits.csv",
     "scale_clicks.json",
-    "fsinfer.log",
+    LOG_FILE,
     "frames.csv",
     "frames.json",
     "poses.json",

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from fsinfer.errors import PosesError
+from fsinfer.poses.colmap_calls import ColmapError, call, open_database
 from fsinfer.poses.pairs import MIN_INLIERS, first_pairs, most_pairs, pairs_beside
 from fsinfer.poses.refinement import ENOUGH
 from fsinfer.poses.settings import PoseSettings
@@ -43,7 +44,10 @@ _MOST_PARTS = 5
 
 @contextmanager
 def colmap_errors(what: str, work: Path) -> Iterator[None]:
-    """Keep COLMAP from writing on the terminal, and turn its exceptions into :class:`PosesError`."""
+    """Keep COLMAP from writing on the terminal, and turn its own failures into :class:`PosesError`.
+
+    What our code raises between its calls and in its callbacks passes: it is a fault of ours and looks like one.
+    """
     import pycolmap
 
     if threading.current_thread() is threading.main_thread():
@@ -53,7 +57,7 @@ def colmap_errors(what: str, work: Path) -> Iterator[None]:
     pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value
     try:
         yield
-    except (RuntimeError, ValueError, IndexError) as error:
+    except ColmapError as error:
         msg = f"{what} failed in COLMAP ({error}); delete {work} and run the same command again"
         raise PosesError(msg) from error
     finally:
@@ -90,9 +94,10 @@ def extract_features(
         if _camera_of(database, names) is None:
             # COLMAP numbers photos in the order in which its threads finish them, and everything after depends on the
             # numbers: entered in order first, two runs on one machine are alike.
-            with pycolmap.Database.open(database):
+            with open_database(database):
                 pass  # makes the file
-            pycolmap.import_images(
+            call(
+                pycolmap.import_images,
                 database,
                 images,
                 camera_mode=pycolmap.CameraMode.SINGLE,
@@ -110,7 +115,8 @@ def extract_features(
                 reader = _reader(settings)
                 if camera_id is not None:
                     reader.existing_camera_id = camera_id
-                pycolmap.extract_features(
+                call(
+                    pycolmap.extract_features,
                     database,
                     images,
                     image_names=missing,
@@ -133,11 +139,10 @@ def _reader(settings: PoseSettings) -> Any:
 
 
 def _camera_of(database: Path, names: Sequence[str]) -> int | None:
-    import pycolmap
 
     if not database.exists():
         return None
-    with pycolmap.Database.open(database) as opened:
+    with open_database(database) as opened:
         for name in names:
             image = opened.read_image_with_name(name)
             if image is not None:
@@ -147,19 +152,17 @@ def _camera_of(database: Path, names: Sequence[str]) -> int | None:
 
 def _longer_side_px(database: Path, camera_id: int, settings: PoseSettings) -> int:
     """Of the photos as features are looked for in them."""
-    import pycolmap
 
-    with pycolmap.Database.open(database) as opened:
+    with open_database(database) as opened:
         camera = opened.read_camera(camera_id)
     return min(max(int(camera.width), int(camera.height)), settings.max_image_size)
 
 
 def _has_features(database: Path, name: str) -> bool:
-    import pycolmap
 
     if not database.exists():
         return False
-    with pycolmap.Database.open(database) as opened:
+    with open_database(database) as opened:
         image = opened.read_image_with_name(name)
         if image is None:
             return False
@@ -205,7 +208,7 @@ def inliers_by_rank(database: Path, names: Sequence[str]) -> dict[tuple[int, int
     import pycolmap
 
     rank = {name: index for index, name in enumerate(names)}
-    with pycolmap.Database.open(database) as opened:
+    with open_database(database) as opened:
         number = {image.image_id: rank[image.name] for image in opened.read_all_images()}
         pair_ids, counts = opened.read_two_view_geometry_num_inliers()
     found = {}
@@ -242,7 +245,8 @@ def _match(
         listed.write_text("".join(f"{names[i]} {names[j]}\n" for i, j in batch), encoding="utf-8")
         pairing = pycolmap.ImportedPairingOptions()
         pairing.match_list_path = listed
-        pycolmap.match_image_pairs(
+        call(
+            pycolmap.match_image_pairs,
             database,
             matching_options=options,
             pairing_options=pairing,
@@ -269,7 +273,7 @@ def reconstruct(
 
     out.mkdir(parents=True, exist_ok=True)
     total = 0
-    with pycolmap.Database.open(database) as opened:
+    with open_database(database) as opened:
         total = int(opened.num_images())
         if opened.num_verified_image_pairs() == 0:
             return []
@@ -278,7 +282,7 @@ def reconstruct(
         options = pycolmap.GlobalPipelineOptions()
         options.num_threads = settings.thread_count
         options.random_seed = SEED
-        models = pycolmap.global_mapping(database, images, out, options=options)
+        models = call(pycolmap.global_mapping, database, images, out, options=options)
     elif settings.mapper == "incremental":
         placed = 0 if start is None else int(start.num_reg_images())
 
@@ -305,9 +309,10 @@ def reconstruct(
         known = out / "start"
         if start is not None:
             known.mkdir(exist_ok=True)
-            start.write_binary(known)
+            call(start.write_binary, known)
             incremental.multiple_models = False
-        models = pycolmap.incremental_mapping(
+        models = call(
+            pycolmap.incremental_mapping,
             database,
             images,
             out,

@@ -31,6 +31,7 @@ from fsinfer.poses.verification.misplaced import LEFT_OUT, drop_blind_views
 from fsinfer.poses.view_selection import depth_range, select_views
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Camera, write_camera, write_pairs
+from fsinfer.threads import one_blas_thread
 
 _log = logging.getLogger(__name__)
 
@@ -69,6 +70,7 @@ class _Photo:
     file: str
 
 
+@one_blas_thread()
 def estimate_poses(
     images: Path | str,
     out: Path | str,

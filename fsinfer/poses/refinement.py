@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from fsinfer.poses.colmap_calls import call
 from fsinfer.progress import Progress
 
 _log = logging.getLogger(__name__)
@@ -128,7 +129,7 @@ def _adjust(model: Any) -> None:
     for image_id in model.reg_image_ids():
         config.add_image(image_id)
     config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
-    pycolmap.create_default_bundle_adjuster(options, config, model).solve()
+    call(call(pycolmap.create_default_bundle_adjuster, options, config, model).solve)
     model.update_point_3d_errors()
 
 

@@ -13,6 +13,7 @@ from fsinfer.errors import CloudError
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.progress import Progress, silent
+from fsinfer.threads import one_blas_thread
 from fsinfer.trees.diameter.section import Section
 from fsinfer.trees.ground.ground import Ground, find_ground
 from fsinfer.trees.points.cells import BOX_MARGIN_M, BOX_PERCENTILES, rows
@@ -63,6 +64,7 @@ class PlotResult:
         return stand_table(self.trees, self.plot_area_m2)
 
 
+@one_blas_thread()
 def measure_trees(
     points: ArrayLike,
     *,
@@ -84,6 +86,7 @@ def measure_trees(
     return list(result.trees)
 
 
+@one_blas_thread()
 def analyse_plot(
     points: ArrayLike,
     *,

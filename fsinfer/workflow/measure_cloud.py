@@ -31,6 +31,7 @@ from fsinfer.scale.request import ScaleRequest
 from fsinfer.scale.scale import UNKNOWN, MarkerDetails, Scale, marker_centers
 from fsinfer.scene import read_scene, scene_digest
 from fsinfer.silhouettes.join import StemPhotos
+from fsinfer.threads import one_blas_thread
 from fsinfer.trees import PlotResult
 from fsinfer.trees.edits import find_edits
 from fsinfer.trees.outputs.labels import write_labelled
@@ -102,6 +103,7 @@ class _Opened:
 MEASURE = Stage(name="measure", version=2, result=MeasuredCloud, outputs=("trees.csv",))
 
 
+@one_blas_thread()
 def measure_cloud_file(
     cloud_path: Path,
     out: Path,

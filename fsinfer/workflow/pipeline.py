@@ -25,6 +25,7 @@ from fsinfer.scale.clicks.file import read_clicks
 from fsinfer.scale.find import FoundScale
 from fsinfer.scale.scale import marker_centers
 from fsinfer.silhouettes.join import StemPhotos
+from fsinfer.threads import one_blas_thread
 from fsinfer.trees.edits import TreeEdit, find_edits
 from fsinfer.workflow.cloud_stages import (
     PlotCloud,
@@ -76,6 +77,7 @@ class RunResult:
         return (*self.records.in_order, self.report)
 
 
+@one_blas_thread()
 def run(
     source: Path,
     out: Path,

@@ -23,6 +23,7 @@ from fsinfer.poses.estimate import PosesResult
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.progress import StageProgress, silent_stages
 from fsinfer.scene import read_scene, scene_digest
+from fsinfer.threads import one_blas_thread
 from fsinfer.workflow.cloud_stages import compute_depth
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
 from fsinfer.workflow.photo_stages import choose_frames, register_photos
@@ -68,6 +69,7 @@ def frames_of(
     )
 
 
+@one_blas_thread()
 def poses_of(
     images: Path, out: Path, *, settings: PoseSettings, progress: StageProgress = silent_stages
 ) -> StageRecord[PosesResult]:
@@ -84,6 +86,7 @@ def poses_of(
     )
 
 
+@one_blas_thread()
 def depth_of(
     scene_folder: Path, out: Path, *, settings: DepthSettings, progress: StageProgress = silent_stages
 ) -> StageRecord[DepthResult]:
@@ -92,6 +95,7 @@ def depth_of(
     return compute_depth(Ledger(make_folder(out)), scene, settings=settings, progress=progress)
 
 
+@one_blas_thread()
 def fuse_scene(
     scene_folder: Path,
     out: Path,

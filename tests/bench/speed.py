@@ -32,6 +32,8 @@ from fsinfer.depth.manifest import read_manifest
 from tests.bench.results import add_result_options, check_result_options, save_result
 
 GEMM_SIZE = 2048
+#: Variables that set threads from outside; no user has them.
+NOT_A_USERS = ("OMP_", "OPENBLAS_", "MKL_")
 OURS = ("float32", "int8")  # precisions of the regularizer
 
 
@@ -191,7 +193,7 @@ def regularizer_speed(args: argparse.Namespace) -> dict[str, float]:
 
     model = DepthModel.load(args.model, threads=args.threads, precision="float32")
     manifest = model.manifest
-    channels = manifest.packed_planes * manifest.details["volume"]["groups"]
+    channels = manifest.packed_planes * manifest.groups
     shape = (manifest.planes // manifest.packed_planes, channels, -(-args.height // 4), -(-args.width // 4))
     inputs = {"volume": np.random.default_rng(0).random(shape, np.float32)}
     session = model._sessions["regularizer"]
@@ -228,7 +230,8 @@ class Worker:
         command = [sys.executable, "-m", "tests.bench.speed", "--worker", side]
         for name in ("views", "height", "width", "threads", "model"):
             command += [f"--{name}", str(getattr(args, name))]
-        environment = os.environ | {"OMP_NUM_THREADS": str(args.threads), "OPENBLAS_NUM_THREADS": "1"}
+        # As people start it: what threads there are is the program's business.
+        environment = {name: value for name, value in os.environ.items() if not name.startswith(NOT_A_USERS)}
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import warnings
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import torch
 
 from export.onnx_export import export_model
 from export.parity import whole_parity
+from fsinfer.depth.manifest import read_manifest
 from fsinfer.depth.model import DepthModel
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.stage import search_range
@@ -38,7 +40,7 @@ def test_graphs_hold_192_planes_and_no_batch_norm(exported: tuple[FSMVSNet, Path
     data = json.loads(manifest.read_text())
     assert data["volume"]["planes"] == 192
     assert data["opset"] >= 18
-    assert all(graph["max_abs_difference"] < 1e-4 for graph in data["graphs"].values())
+    assert all(graph["difference_p999_over_largest"] < 1e-4 for graph in data["graphs"].values())
     for graph in data["graphs"].values():
         loaded = onnx.load(manifest.parent / graph["file"])
         assert not any(node.op_type == "BatchNormalization" for node in loaded.graph.node)
@@ -47,16 +49,50 @@ def test_graphs_hold_192_planes_and_no_batch_norm(exported: tuple[FSMVSNet, Path
     assert shape[0] * packed == 192 if packed else shape[2] == 192
 
 
-def test_only_a_regularizer_with_means_over_the_whole_has_a_graph_for_tiles(exported: tuple[FSMVSNet, Path]) -> None:
+def test_the_graph_for_tiles_is_given_the_means_over_the_whole(exported: tuple[FSMVSNet, Path]) -> None:
     model, manifest = exported
-    tiles = json.loads(manifest.read_text()).get("tiles")
-    assert (tiles is not None) is (model.config.regularizer == "packed" and model.config.loss == "plane")
-    if tiles is not None:
-        assert tiles["max_abs_difference"] < 1e-4
-        levels = onnx.load(manifest.parent / tiles["regularizer"]).graph
-        assert [item.name for item in levels.input] == ["volume", "mean0", "mean1", "mean2"]
-        assert [item.name for item in levels.output] == ["index", "confidence", "level0", "level1", "level2"]
-    assert (DepthModel.load(manifest, precision="float32").manifest.tiles is None) is (tiles is None)
+    data = json.loads(manifest.read_text())
+    tiles = data["tiles"]
+    assert tiles["difference_p999_over_largest"] < 1e-4
+    graph = onnx.load(manifest.parent / tiles["regularizer"]).graph
+    means, levels = {
+        "field": (["mean0", "mean1", "mean2"], ["level0", "level1", "level2"]),
+        "paper": (["volume_mean"], []),
+        "mvsnet": ([], []),  # nothing in it is a mean: the regularizer itself serves for tiles
+    }[model.config.name]
+    assert [item.name for item in graph.input] == ["volume", *means]
+    assert [item.name for item in graph.output] == ["index", "confidence", *levels]
+    loaded = DepthModel.load(manifest, precision="float32").manifest.tiles
+    assert loaded is not None
+    assert (len(loaded.level_halos), loaded.volume_mean) == (len(levels), "volume_mean" in means)
+
+
+def test_the_manifest_says_what_the_volume_holds(exported: tuple[FSMVSNet, Path]) -> None:
+    model, path = exported
+    data = json.loads(path.read_text())
+    manifest = read_manifest(path)
+    shape = data["graphs"]["regularizer"]["inputs"]["volume"]
+    channels = shape[1] // data["volume"]["packed_planes"] if data["volume"]["packed_planes"] else shape[1]
+    assert data["volume"]["channels"] == manifest.groups == channels
+    assert "groups" not in data["volume"]
+    assert data["parity_confidence_threshold"] == manifest.parity_confidence_threshold == 0.3
+    assert manifest.level_channels == (0 if model.config.name == "field" else 8)
+    assert data["tolerances"] == {"depth_rel_p999": 1e-3, "confidence_mask_agreement": 0.999}
+
+
+def test_a_manifest_of_the_first_version_is_read(exported: tuple[FSMVSNet, Path], tmp_path: Path) -> None:
+    _, path = exported
+    for file in path.parent.iterdir():
+        shutil.copy(file, tmp_path)
+    data = json.loads(path.read_text())
+    del data["volume"]["channels"], data["weights_sha256"], data["tiles"]
+    data["volume"]["groups"] = 4  # whatever the kind of the volume
+    data["confidence_threshold"] = data.pop("parity_confidence_threshold")
+    old = tmp_path / path.name
+    old.write_text(json.dumps(data))
+    now, before = read_manifest(path), read_manifest(old)
+    assert (before.groups, before.level_channels) == (now.groups, now.level_channels)
+    assert before.parity_confidence_threshold == 0.3
 
 
 def test_whole_depth_map_agrees_with_pytorch(exported: tuple[FSMVSNet, Path], tmp_path: Path) -> None:

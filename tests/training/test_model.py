@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,13 +13,15 @@ import torch
 from fsinfer.depth.cost_volume import Features, correlation_volume, upsample_index, variance_volume
 from fsinfer.depth.warping import relative_projection as numpy_projection
 from training.losses import compute_loss, cross_entropy_two_bins, edge_attention, target_index
-from training.model import PRESETS, FSMVSNet
+from training.model import CONFIGS, PRESETS, DepthOutput, FSMVSNet
 from training.model import fsmvsnet as network
 from training.model.attention import SqueezeExcitation
 from training.model.backbone import BFPN
-from training.model.fsmvsnet import Window
+from training.model.config import DEPTH_PLANES
+from training.model.fsmvsnet import PlaneHead, ScaleOutput, Window
 from training.model.packed import pack, with_neighbours
 from training.model.regression import peak_window, soft_argmin
+from training.model.regularizer3d import Regularizer3D, upsample_voxels_like
 from training.model.volume import GroupCorrelation, correlation, plane_inverse_depths
 from training.model.volume import correlation_volume as torch_correlation
 from training.model.volume import variance_volume as torch_variance
@@ -208,9 +212,164 @@ def test_cross_entropy_is_least_at_the_split_label() -> None:
     assert float(shifted) > float(best) + 1
 
 
-def test_attention_weighs_edges() -> None:
+def test_attention_is_between_0_on_walls_and_1_at_edges() -> None:
     truth = torch.full((6, 8), 2.0)
     truth[:, 4:] = 4.0
-    weight = edge_attention(truth)
-    assert float(weight[2, 3]) == pytest.approx(2.0)
-    assert float(weight[2, 1]) == pytest.approx(1.0)
+    truth[:, 6:] = 4.1  # a step of 2.5 %
+    attention = edge_attention(truth)
+    assert float(attention[2, 3]) == pytest.approx(1.0)
+    assert float(attention[2, 1]) == 0.0
+    assert float(attention[2, 5]) == pytest.approx(0.5, rel=1e-3)
+    assert 0 <= float(attention.min()) <= float(attention.max()) <= 1
+
+
+def test_attention_does_not_look_at_unknown_depth() -> None:
+    truth = torch.full((6, 8), 2.0)
+    truth[2:4, 3:5] = 0.0
+    assert float(edge_attention(truth).max()) == 0.0
+
+
+def _scale(stride: int, error_planes: float) -> ScaleOutput:
+    """A scale of 16 / stride pixels a side that is off by so many of its planes everywhere; the truth is 3."""
+    planes = 4 * DEPTH_PLANES // stride
+    inverse = plane_inverse_depths(torch.tensor(1.0), torch.tensor(9.0), planes, inverse=False)[:, None, None]
+    size = 16 // stride
+    truth, _ = target_index(torch.full((size, size), 3.0), inverse)
+    return ScaleOutput(
+        stride=stride,
+        scores_dhw=torch.zeros(planes, size, size),
+        index_hw=truth + error_planes,
+        inverse_depth_dhw=inverse,
+    )
+
+
+@pytest.mark.parametrize(("first_scale", "weights"), [("coarsest", (1, 0.5, 0.25)), ("finest", (0.25, 0.5, 1))])
+def test_the_hybrid_loss_is_that_of_the_paper(first_scale: Any, weights: tuple[float, ...]) -> None:
+    config = dataclasses.replace(PRESETS["paper"], first_scale=first_scale)
+    # Smooth L1 of an error of e planes is e - 0.5 from 1 on.
+    scales = (_scale(16, 11.5), _scale(8, 5.5), _scale(4, 2.5))
+    output = DepthOutput(depth=torch.zeros(4, 4), confidence=torch.zeros(4, 4), stride=4, scales=scales)
+    truth = torch.full((16, 16), 3.0)
+    total, parts = compute_loss(output, truth, None, config)
+    multiscale = weights[0] * 11 + weights[1] * 5 + weights[2] * 2
+    assert parts == pytest.approx({"smooth": 2, "multiscale": multiscale, "attention": 0}, rel=1e-3)
+    assert float(total) == pytest.approx(1.0 * 2 + 0.5 * multiscale, rel=1e-3)
+    truth = truth.clone()
+    truth[:, 12:] = 3.2  # an edge: the third term is there
+    moved, parts = compute_loss(output, truth, None, config)
+    assert parts["attention"] > 0.2 * parts["smooth"]
+    expected = parts["smooth"] + 0.5 * parts["multiscale"] + 0.2 * parts["attention"]
+    assert float(moved) == pytest.approx(expected, rel=1e-5)
+    assert PRESETS["paper"].first_scale == "coarsest"
+
+
+@pytest.mark.parametrize(("channels", "hidden"), [(32, 2), (48, 3), (64, 4), (16, 2), (4, 2)])
+def test_squeeze_excitation_reduces_by_16_down_to_its_floor(channels: int, hidden: int) -> None:
+    first, second = (layer for layer in SqueezeExcitation(channels).fc if isinstance(layer, torch.nn.Linear))
+    assert (first.in_features, first.out_features, second.in_features) == (channels, hidden, hidden)
+
+
+def test_the_papers_squeeze_excitation_weighs_the_channels_of_the_cost_volume() -> None:
+    model = FSMVSNet(PRESETS["paper"]).eval()
+    found = [module for module in model.modules() if isinstance(module, SqueezeExcitation)]
+    assert len(found) == 1
+    seen: list[torch.Size] = []
+    found[0].register_forward_hook(lambda _module, inputs, _output: seen.append(inputs[0].shape))
+    with torch.no_grad():
+        model(*views(), (1.0, 9.0))
+    assert seen == [torch.Size([1, 32, 192, 16, 24])]
+
+
+def test_soft_argmin_of_a_sharp_peak_is_its_plane() -> None:
+    for name, plane in (("paper", 0), ("paper", 77), ("mvsnet", 191), ("field", 77)):
+        scores = torch.zeros(192, 2, 3)
+        scores[plane] = 60.0
+        index, confidence = PlaneHead(PRESETS[name]).read(scores)
+        torch.testing.assert_close(index, torch.full((2, 3), float(plane)), atol=1e-3, rtol=0)
+        torch.testing.assert_close(confidence, torch.ones(2, 3), atol=1e-3, rtol=0)
+
+
+def test_each_step_of_the_pyramid_up_and_down_carries_something() -> None:
+    torch.manual_seed(3)
+    pyramid = BFPN(base=8, channels=8, refine_channels=0).eval()
+    images = torch.rand(1, 3, 64, 96)
+    with torch.no_grad():
+        whole, _ = pyramid(images)
+        for step in (*pyramid.down, *pyramid.after_bottom_up, *pyramid.after_top_down):
+            kept = {name: value.clone() for name, value in step.state_dict().items()}
+            for parameter in step.parameters():
+                parameter.zero_()
+            assert not torch.equal(pyramid(images)[0], whole)
+            step.load_state_dict(kept)
+        assert torch.equal(pyramid(images)[0], whole)
+
+
+def _even_regularizer() -> Regularizer3D:
+    """All kernels 1, 2, 1 in every direction: no plane's middle moves, wherever the strides fall."""
+    regularizer = Regularizer3D(2, 4, se=False).eval()
+    along = torch.tensor([0.25, 0.5, 0.25])
+    kernel = along[:, None, None] * along[:, None] * along
+    with torch.no_grad():
+        for name, parameter in regularizer.named_parameters():
+            if parameter.dim() == 5:
+                parameter.copy_((kernel / parameter.shape[1]).expand_as(parameter))
+            elif "bias" in name:
+                parameter.zero_()
+    return regularizer
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_shifted_plane_comes_back_where_it_was(axis: int) -> None:
+    regularizer = _even_regularizer()
+    # Longer than all that the network sees in one direction; in the others the plane is the same everywhere.
+    shape = [2, 2, 2]
+    shape[axis] = 192
+    with torch.no_grad():
+        base = regularizer(torch.zeros(1, 2, *shape))
+        for where in (88, 89, 90, 92, 95):
+            volume = torch.zeros(1, 2, *shape)
+            volume.select(2 + axis, where).fill_(1000.0)
+            for level, (scores, before) in enumerate(zip(regularizer(volume), base, strict=True)):
+                change = (scores - before)[0]
+                profile = change.sum(dim=[other for other in (0, 1, 2) if other != axis])
+                centre = float((profile * torch.arange(len(profile))).sum() / profile.sum())
+                # Voxel i of a coarse scale is voxel 2^level i of the volume.
+                assert 2**level * centre == pytest.approx(where, abs=0.01)
+
+
+def test_coarse_voxels_go_to_even_ones() -> None:
+    coarse = torch.arange(24.0).reshape(1, 1, 2, 3, 4)
+    for size in ((4, 6, 8), (3, 5, 7)):
+        fine = upsample_voxels_like(coarse, torch.empty(1, 1, *size))
+        assert fine.shape[2:] == size
+        torch.testing.assert_close(fine[:, :, ::2, ::2, ::2], coarse)
+        torch.testing.assert_close(fine[0, 0, 1, 1, 1], coarse[0, 0, :2, :2, :2].mean())
+
+
+@pytest.mark.parametrize("preset", sorted(CONFIGS))
+def test_every_preset_learns_in_16_bits(preset: str) -> None:
+    torch.manual_seed(0)
+    model = FSMVSNet(CONFIGS[preset])
+    images, intrinsics, poses = views()
+    truth = torch.full((64, 96), 3.0)
+    found = {}
+    for amp in (False, True):
+        model.zero_grad()
+        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=amp):
+            output = model(images, intrinsics, poses, (1.0, 9.0), Window(x=4, y=2, width=16, height=12))
+        assert output.depth.dtype == output.scales[0].scores_dhw.dtype == torch.float32
+        loss, _ = compute_loss(output, truth, (4, 2, 16, 12), model.config)
+        loss.backward()
+        found[amp] = float(loss.detach())
+        assert all(torch.isfinite(p.grad).all() for p in model.parameters() if p.grad is not None)
+    assert found[True] == pytest.approx(found[False], rel=0.1)
+
+
+@pytest.mark.parametrize("preset", ["mvsnet", "paper", "field"])
+def test_another_device_has_all_that_it_computes_with(preset: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On the device without values a tensor that stays on the processor is an error, as it is on a GPU."""
+    monkeypatch.setattr(torch, "autocast", lambda *_args, **_options: contextlib.nullcontext())  # unknown there
+    model = FSMVSNet(PRESETS[preset]).to("meta")
+    images, intrinsics, poses = views()
+    output = model(images.to("meta"), intrinsics, poses, (1.0, 9.0), Window(x=4, y=2, width=16, height=12))
+    assert output.depth.device.type == output.scales[0].scores_dhw.device.type == "meta"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from training.data.samples import (
 )
 from training.evaluate import confidence_curve, evaluate_scene, main, on_truth_grid
 from training.metrics import PixelErrors, depth_errors, flying_pixels, mean_errors, pool, pooled_errors
+from training.model import ModelConfig
 from training.train import Trainer, TrainSettings, parse_arguments, pick_window, train
 
 
@@ -269,3 +271,87 @@ def test_a_slim_checkpoint_exports_the_same_weights(scenes: Path, tmp_path: Path
     assert all(torch.equal(whole[key], thin[key]) for key in whole)
     resumed = Trainer(TrainSettings(data=(scenes,), out=tmp_path / "next", init=tmp_path / "slim.pt"))
     assert all(torch.equal(resumed.model.state_dict()[key], thin[key]) for key in thin)
+
+
+def _tiny(scenes: Path, out: Path, **changes: Any) -> TrainSettings:
+    """A run of a few seconds."""
+    given: dict[str, Any] = {
+        "data": (scenes,),
+        "out": out,
+        "steps": 2,
+        "crop": (16, 12),
+        "min_sources": 1,
+        "max_sources": 1,
+    }
+    return TrainSettings(**(given | changes))
+
+
+@pytest.mark.parametrize(
+    ("preset", "kind"), [("paper", torch.optim.Adam), ("mvsnet", torch.optim.Adam), ("field", torch.optim.AdamW)]
+)
+def test_the_papers_presets_are_trained_with_adam(
+    preset: str, kind: type[torch.optim.Optimizer], tmp_path: Path
+) -> None:
+    trainer = Trainer(_tiny(tmp_path, tmp_path / "run", preset=preset))
+    assert type(trainer.optimizer) is kind
+    (group,) = trainer.optimizer.param_groups
+    assert (group["lr"], group["weight_decay"]) == (1e-3, 1e-5)
+
+
+def test_a_checkpoint_without_the_field_was_trained_with_adamw() -> None:
+    assert ModelConfig(name="field").optimizer == "adamw"
+
+
+def test_a_resumed_run_has_its_optimizers_state(scenes: Path, tmp_path: Path) -> None:
+    settings = _tiny(scenes, tmp_path, preset="mvsnet")
+    trainer = Trainer(settings)
+    sample = load_sample(read_scene(scenes / "s0"), 0, [1])
+    for _ in range(2):
+        trainer.train_step([sample], np.random.default_rng(0))
+    trainer.save()
+    again = Trainer(settings)
+    there, here = (t.optimizer.state_dict()["state"] for t in (trainer, again))
+    assert there.keys() == here.keys()
+    assert len(there) > 20
+    for key, state in there.items():
+        assert float(here[key]["step"]) == 2
+        torch.testing.assert_close(here[key]["exp_avg"], state["exp_avg"], rtol=0, atol=0)
+        torch.testing.assert_close(here[key]["exp_avg_sq"], state["exp_avg_sq"], rtol=0, atol=0)
+
+
+def test_a_run_that_begins_with_weights_says_where_they_come_from(scenes: Path, tmp_path: Path) -> None:
+    first = Trainer(_tiny(scenes, tmp_path / "1", preset="mvsnet", seed=5))
+    first.step, first.spent_s = 7, 3.0
+    first.save()
+    second = Trainer(_tiny(scenes, tmp_path / "2", preset="mvsnet", init=tmp_path / "1" / "checkpoint.pt"))
+    second.save()
+    for trainer in (second, Trainer(_tiny(scenes, tmp_path / "2", preset="mvsnet"))):
+        assert [(run["seed"], run["steps"], run["spent_s"]) for run in trainer.before] == [(5, 7, 3.0)]
+
+
+def test_a_call_stops_early_and_the_next_one_goes_on(scenes: Path, tmp_path: Path) -> None:
+    settings = _tiny(scenes, tmp_path, preset="mvsnet", steps=10**6, minutes=60.0, stop_after=1e-6, workers=2)
+    for steps in (1, 2):
+        checkpoint = train(settings)
+        state = torch.load(checkpoint, weights_only=True)
+        assert state["step"] == steps
+    # The learning rate is still at the beginning of the hour.
+    assert Trainer(settings).fraction() < 0.1
+
+
+@pytest.mark.parametrize(("given", "amp"), [([], None), (["--amp"], True), (["--no-amp"], False)])
+def test_amp_is_an_option(given: list[str], amp: bool | None) -> None:
+    assert parse_arguments(["--data", "a", "--out", "b", *given]).amp is amp
+
+
+@pytest.mark.parametrize("preset", ["field", "paper"])
+def test_amp_trains(preset: str, scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    trainer = Trainer(_tiny(scenes, tmp_path, preset=preset, amp=True))
+    seen: list[torch.dtype] = []
+    first = next(module for module in trainer.model.modules() if isinstance(module, torch.nn.Conv2d))
+    first.register_forward_hook(lambda _module, _inputs, output: seen.append(output.dtype))
+    parts = trainer.train_step([load_sample(read_scene(scenes / "s0"), 0, [1])], np.random.default_rng(0))
+    assert seen == [torch.bfloat16]
+    assert np.isfinite(list(parts.values())).all()
+    assert parts["grad"] > 0
+    assert all(parameter.dtype == torch.float32 for parameter in trainer.model.parameters())

@@ -165,18 +165,27 @@ class SceneSamples(IterableDataset[Sample]):
     """An endless random stream of samples; folders are listed anew now and then, so that a growing set is used."""
 
     def __init__(
-        self, roots: Sequence[Path], *, seed: int, settings: SamplingSettings | None = None, relist_every: int = 200
+        self,
+        roots: Sequence[Path],
+        *,
+        seed: int,
+        rank: int = 0,
+        settings: SamplingSettings | None = None,
+        relist_every: int = 200,
     ) -> None:
         super().__init__()
         self.roots = list(roots)
         self.seed = seed
+        self.rank = rank
         self.settings = settings or SamplingSettings()
         self.relist_every = relist_every
 
     def __iter__(self) -> Iterator[Sample]:
         """Yield samples for ever."""
         worker = torch.utils.data.get_worker_info()
-        rng = np.random.default_rng([self.seed, worker.id if worker else 0])
+        worker_id = worker.id if worker else 0
+        # Processes that train together, and the workers of each, draw samples of their own.
+        rng = np.random.default_rng([self.seed, worker_id, self.rank] if self.rank else [self.seed, worker_id])
         while True:
             scenes = find_true_scenes(self.roots, "train")
             if not scenes:

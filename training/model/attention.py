@@ -5,14 +5,23 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+#: r of the paper: the hidden layer has C / r values. Source: FS-MVSNet, Forests 2025, 16, 927; Hu et al. 2018.
+REDUCTION = 16
+#: Values that the hidden layer has at least: with fewer than 32 channels C / r is one or none, through which nothing
+#: but a single gain could pass. The paper's 32 channels do not need it; ``field`` has 32, 48 and 64. Source: judgement.
+LEAST_HIDDEN = 2
+
 
 class SqueezeExcitation(nn.Module):
-    """Mean over depth, height and width → FC (C/r) → ReLU → FC → sigmoid → scale the channels."""
+    """Mean over depth, height and width → FC (C/r) → ReLU → FC → sigmoid → scale the channels.
 
-    def __init__(self, channels: int, reduction: int = 16) -> None:
+    The hidden layer has ``max(channels // reduction, LEAST_HIDDEN)`` values.
+    """
+
+    def __init__(self, channels: int, reduction: int = REDUCTION) -> None:
         super().__init__()
         self.channels = channels
-        hidden = max(channels // reduction, 2)
+        hidden = max(channels // reduction, LEAST_HIDDEN)
         self.fc = nn.Sequential(nn.Linear(channels, hidden), nn.ReLU(), nn.Linear(hidden, channels), nn.Sigmoid())
 
     def forward(self, volume: Tensor) -> Tensor:

@@ -16,7 +16,8 @@ class ModelConfig:
     Attributes
     ----------
     backbone: ``conv`` is the plain feature network of MVSNet, ``bfpn`` the bidirectional pyramid of FS-MVSNet.
-    se: squeeze-and-excitation (r = 16) inside the cost-volume regularization.
+    se: squeeze-and-excitation (r = 16): of ``conv3d`` on the channels of the cost volume, as in the paper; of
+        ``packed`` on the three levels of its U-Net, whose slabs hold planes and groups in one.
     loss: ``smooth`` is smooth L1 on the depth alone (MVSNet), ``hybrid`` the paper's three terms,
         ``plane`` cross-entropy on the planes with L1 below the plane.
     volume: ``variance`` over the views (paper), or ``correlation`` in ``groups`` weighted by view.
@@ -26,6 +27,10 @@ class ModelConfig:
     refine_planes: hypotheses of the half-resolution refinement volume; 0 = no refinement.
     refine_span: half width of that volume, in intervals of the 192-plane volume.
     inverse_depth: planes uniform in 1/depth instead of depth.
+    lambda_smooth, lambda_multiscale, lambda_attention: weights of the three terms of ``hybrid``.
+    first_scale: which scale is s = 1 of ``w_s = 1 / 2^(s - 1)``, the weight of a scale in the multi-scale term:
+        ``coarsest``, the order in which depth is regressed from scale to scale, or ``finest``.
+    optimizer: ``adam``, with weight decay added to the gradient (paper), or ``adamw``, with it taken from the weights.
     """
 
     name: str
@@ -46,6 +51,9 @@ class ModelConfig:
     lambda_smooth: float = 1.0
     lambda_multiscale: float = 0.5  # the text of the paper; its Table 4 says 0.8
     lambda_attention: float = 0.2
+    first_scale: Literal["coarsest", "finest"] = "coarsest"
+    # Checkpoints from before this field was there were trained with AdamW.
+    optimizer: Literal["adam", "adamw"] = "adamw"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as plain values, for checkpoints and manifests."""
@@ -53,8 +61,8 @@ class ModelConfig:
 
 
 PRESETS: dict[str, ModelConfig] = {
-    "mvsnet": ModelConfig(name="mvsnet", backbone="conv", se=False, loss="smooth"),
-    "paper": ModelConfig(name="paper"),
+    "mvsnet": ModelConfig(name="mvsnet", backbone="conv", se=False, loss="smooth", optimizer="adam"),
+    "paper": ModelConfig(name="paper", optimizer="adam"),
     "field": ModelConfig(
         name="field",
         loss="plane",

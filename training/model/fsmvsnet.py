@@ -177,24 +177,28 @@ class FSMVSNet(nn.Module):
         """Depth of view 0 inside ``window`` (default: all of it)."""
         config = self.config
         quarter, half = self.features(images)
+        # Under autocast the networks may compute in 16 bits; where features meet coordinates, and where a depth is read
+        # off 192 planes, three digits are too few.
+        quarter, half = quarter.float(), None if half is None else half.float()
         if window is None:
             window = Window(x=0, y=0, width=quarter.shape[-1], height=quarter.shape[-2])
         rows, columns = slice(window.y, window.y + window.height), slice(window.x, window.x + window.width)
         near, far = (torch.tensor(d, device=images.device, dtype=torch.float32) for d in depth_range)
         inverse = plane_inverse_depths(near, far, DEPTH_PLANES, inverse=config.inverse_depth)[:, None, None]
         hypotheses = inverse.expand(-1, window.height, window.width)
-        a, b = relative_projection(intrinsics, cam_from_world, 4)
+        a, b = (part.to(images.device) for part in relative_projection(intrinsics, cam_from_world, 4))
         origin = (window.x, window.y)
         reference, sources = quarter[0, :, rows, columns], list(quarter[1:])
         weights: Tensor | None = None
-        if config.volume == "variance":
-            volume = variance_volume(reference, sources, a, b, hypotheses, origin)[None]
-        else:
-            correlations, weights = correlation_volume(reference, sources, a, b, hypotheses, origin, config.groups)
-            volume = correlations.transpose(0, 1)[None]
-            if config.regularizer == "packed":
-                volume = pack(correlations, config.packed_planes)
-        all_scores = self.plane_head.scores(volume)
+        with torch.autocast(images.device.type, enabled=False):
+            if config.volume == "variance":
+                volume = variance_volume(reference, sources, a, b, hypotheses, origin)[None]
+            else:
+                correlations, weights = correlation_volume(reference, sources, a, b, hypotheses, origin, config.groups)
+                volume = correlations.transpose(0, 1)[None]
+                if config.regularizer == "packed":
+                    volume = pack(correlations, config.packed_planes)
+        all_scores = [scores.float() for scores in self.plane_head.scores(volume)]
         index, confidence = self.plane_head.read(all_scores[0])
         scales = []
         for level in range(len(all_scores) - 1, 0, -1):
@@ -222,15 +226,16 @@ class FSMVSNet(nn.Module):
         interval = (1 / near - 1 / far) / (DEPTH_PLANES - 1)
         narrow = 1 / far + (centre[None] + offsets[:, None, None]) * interval
         narrow = narrow.clamp_min(1e-6)
-        a, b = relative_projection(intrinsics, cam_from_world, 2)
+        a, b = (part.to(images.device) for part in relative_projection(intrinsics, cam_from_world, 2))
         fine_rows = slice(2 * window.y, 2 * window.y + height)
         fine_columns = slice(2 * window.x, 2 * window.x + width)
         fine_reference = half[0, :, fine_rows, fine_columns]
         fine_weights = upsample_like(weights.detach()[None], centre)[0]
-        fine_volume, _ = correlation_volume(
-            fine_reference, list(half[1:]), a, b, narrow, (2 * window.x, 2 * window.y), REFINE_GROUPS, fine_weights
-        )
-        scores = self.refine_head.scores(fine_volume.flatten(0, 1), fine_reference)
+        with torch.autocast(images.device.type, enabled=False):
+            fine_volume, _ = correlation_volume(
+                fine_reference, list(half[1:]), a, b, narrow, (2 * window.x, 2 * window.y), REFINE_GROUPS, fine_weights
+            )
+        scores = self.refine_head.scores(fine_volume.flatten(0, 1), fine_reference).float()
         fine_index, fine_confidence = self.refine_head.read(scores)
         scales.append(ScaleOutput(stride=2, scores_dhw=scores, index_hw=fine_index, inverse_depth_dhw=narrow.detach()))
         step = 2 * config.refine_span / (config.refine_planes - 1)

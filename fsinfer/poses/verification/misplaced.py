@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from fsinfer.notices.capture import CaptureCode
+from fsinfer.poses.colmap_calls import open_database
 from fsinfer.poses.verification.loose_parts import loose_parts
 from fsinfer.poses.verification.pair_votes import contradicted, pair_votes, weight_of
 from fsinfer.poses.verification.scale_jumps import strays
@@ -56,12 +57,10 @@ def agreeing_matches(model: Any, database: Path, neighbours: int = 0) -> float:
 
 def without_pairs(database: Path, pairs: Sequence[tuple[int, int]], copy: Path) -> Path:
     """A copy of the database that has forgotten what matches these pairs of images have; returns ``copy``."""
-    import pycolmap
-
     copy.unlink(missing_ok=True)
     with closing(sqlite3.connect(database)) as source, closing(sqlite3.connect(copy)) as target:
         source.backup(target)
-    with pycolmap.Database.open(copy) as opened:
+    with open_database(copy) as opened:
         for first, second in pairs:
             opened.delete_two_view_geometry(first, second)
     return copy

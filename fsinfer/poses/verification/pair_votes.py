@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from fsinfer.poses.colmap_calls import open_database
 from fsinfer.poses.pairs import MIN_INLIERS
 from fsinfer.poses.verification.spanning_tree import cut, strongest_ties, tie_graph
 
@@ -215,7 +216,7 @@ def _votes(model: Any, database: Path, image_ids: list[int]) -> Iterator[PairVot
     number = {image_id: index for index, image_id in enumerate(image_ids)}
     focal_px = {key: camera.mean_focal_length() for key, camera in model.cameras.items()}
     poses = {i: np.vstack([model.images[i].cam_from_world().matrix(), [0.0, 0.0, 0.0, 1.0]]) for i in image_ids}
-    with pycolmap.Database.open(database) as opened:
+    with open_database(database) as opened:
         rays = {}
         for image_id in image_ids:
             camera = model.cameras[model.images[image_id].camera_id]

@@ -37,7 +37,7 @@ def test_paths_are_those_of_the_contract() -> None:
         "scene/images", "scene/sparse", "depth", "depth/depth.json", "confidence", "fused/cloud.ply", "cloud.ply",
         "cloud.laz", "trees.csv", "trees.json", "trees.xlsx", "trees.laz", "stem_curve.csv", "dbh_sources.csv",
         "figures", "figures/stem_map.png", "edits.csv", "scale_clicks.json", "plot.json", "report.html", "check",
-        "check/check.png", "check/check.json", "check/work", "photos", "truth.csv",
+        "check/check.png", "check/check.json", "check/work", "photos", "truth.csv", "fsinfer.log",
     }  # fmt: skip
     assert FOLDER.section_figure(7) == OUT / "figures" / "tree_007.png"
     assert FOLDER.edges_figure(7) == OUT / "figures" / "tree_007_edges.png"

@@ -1,0 +1,54 @@
+"""Calls of COLMAP whose failures are told apart from faults of ours.
+
+pycolmap turns what C++ throws into ``RuntimeError``, ``ValueError`` or ``IndexError``, which our own code raises too
+when it is wrong. A failure of COLMAP is one that comes out of a call of COLMAP and was not raised in Python on the way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+
+class ColmapError(Exception):
+    """COLMAP itself failed; caught by :func:`fsinfer.poses.colmap.colmap_errors`."""
+
+
+def call(function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+    """Call a function of pycolmap.
+
+    Raises
+    ------
+    ColmapError
+        COLMAP failed. What a callback of ours raises on the way, and arguments that do not fit, pass as they are.
+    """
+    try:
+        return function(*arguments, **options)
+    except (RuntimeError, ValueError, IndexError) as error:
+        trace = error.__traceback__
+        if trace is not None and trace.tb_next is not None:
+            raise  # from a Python function that COLMAP called
+        raise ColmapError(" ".join(str(error).split())) from error
+
+
+class _Guarded:
+    """An object of pycolmap whose methods are called by :func:`call`."""
+
+    def __init__(self, target: Any) -> None:
+        self._target = target
+
+    def __getattr__(self, name: str) -> Any:
+        value = getattr(self._target, name)
+        return (lambda *arguments, **options: call(value, *arguments, **options)) if callable(value) else value
+
+
+@contextmanager
+def open_database(path: Path) -> Iterator[Any]:
+    """A ``pycolmap.Database`` whose methods raise :class:`ColmapError` where COLMAP fails; a missing file is made."""
+    import pycolmap
+
+    database = call(pycolmap.Database.open, path)
+    with database:
+        yield _Guarded(database)

@@ -1,0 +1,55 @@
+"""Threads of NumPy's and SciPy's linear algebra: one, whatever the environment says.
+
+The heavy work of fsinfer shares itself out over the cores (blocks of a cost volume, onnxruntime, COLMAP). The products
+in it are small, and a library for linear algebra that starts threads of its own for each of them fights for the same
+cores. In one thread its sums are the same on every machine with the same instructions, too.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+
+_lock = threading.Lock()
+_inside = 0
+_limits = ExitStack()
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Within it, and in functions that it decorates, BLAS works in one thread; afterwards as before.
+
+    May be nested and entered from several threads at a time: the libraries' setting is one for the whole process, so
+    the first to enter sets it, and the last to leave puts it back.
+    """
+    global _inside
+    with _lock:
+        if _inside == 0:
+            _limit()
+        _inside += 1
+    try:
+        yield
+    finally:
+        with _lock:
+            _inside -= 1
+            if _inside == 0:
+                _unlimit()
+
+
+def _limit() -> None:
+    # SciPy brings a library of its own, which is found only once it is loaded.
+    import scipy.linalg  # noqa: F401
+    from threadpoolctl import threadpool_limits
+
+    _limits.enter_context(threadpool_limits(limits=1, user_api="blas"))
+
+
+def _unlimit() -> None:
+    from threadpoolctl import OpenBLASController
+
+    # From 3.8 on only the thread that has set a limit may change it, unless it is told that that one is done.
+    release = getattr(OpenBLASController, "clear_controlling_thread", None)
+    if release is not None:
+        release(force=True)
+    _limits.close()
