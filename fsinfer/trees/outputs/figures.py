@@ -124,7 +124,7 @@ def plot_section(
     axes.scatter(*offsets[~kept].T, s=size, color=_DROPPED, alpha=0.6, linewidth=0, label="dropped points")
     axes.scatter(*offsets[kept].T, s=size, color=_KEPT, alpha=0.8, linewidth=0, label="points used")
     if tree.dbh_cm is not None:
-        half = Z95 * 100.0 * section.sd_m / 2.0
+        half = 100.0 * section.half95_m / 2.0
         band = Annulus(
             (0, 0), radius + half, min(2.0 * half, radius + half), color="0.5", alpha=0.22, linewidth=0,
             label="95 % interval",
