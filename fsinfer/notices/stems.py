@@ -150,7 +150,7 @@ SENTENCES: dict[StemCode, str] = {
         "left out as shrubs, where the cloud has something like a stem and the photos show none: {places}"
     ),
     StemCode.same_stem: (
-        "an entry at ({x_m:.1f}, {y_m:.1f}) stands in the stem at ({other_x_m:.1f}, {other_y_m:.1f}) and was taken for it"
+        "an entry at ({x_m:.1f}, {y_m:.1f}) stands in the stem at ({other_x_m:.1f}, {other_y_m:.1f}): it is the same"
     ),
     StemCode.stems_outside_walk: (
         "{stems} stems outside of the walk are listed apart and not counted: {trees}; go nearer, or measure them with "
@@ -185,4 +185,6 @@ REMARKS: frozenset[StemCode] = frozenset(
     }
 )
 #: The sentence says already that the stem has to be walked round again.
-ADVISES_REVISIT: frozenset[StemCode] = frozenset({StemCode.too_little_seen, StemCode.too_uncertain, StemCode.edges_unsupported})
+ADVISES_REVISIT: frozenset[StemCode] = frozenset(
+    {StemCode.too_little_seen, StemCode.too_uncertain, StemCode.edges_unsupported}
+)

@@ -1,9 +1,9 @@
 """One radius from two sources: the points of the cloud and the edges in the photographs.
 
 Where both agree, the mean by precision. Where they contradict each other (Cochran's test of homogeneity at about 5 %),
-one of them is wrong by more than it says: the excess E = d^2 - s_p^2 - s_e^2 of their difference d is the variance of an
-unknown error between them (DerSimonian & Laird, Controlled Clinical Trials 7, 1986, for two sources), and it goes into
-the interval. The two do not share it evenly, as they would in a random-effects mean of alike sources: a depth map
+one of them is wrong by more than it says: the excess E = d^2 - s_p^2 - s_e^2 of their difference d is the variance of
+an unknown error between them (DerSimonian & Laird, Controlled Clinical Trials 7, 1986, for two sources), and it goes
+into the interval. The two do not share it evenly, as they would in a random-effects mean of alike sources: a depth map
 fattens a hazy side by centimetres, an edge is where it is. Its share for each is that of the variances that both had
 where the truth was known. The edges' radius stays, with their share of E on top.
 """

@@ -15,6 +15,7 @@ from fsinfer.notices.stems import StemCode
 from fsinfer.progress import Progress, silent
 from fsinfer.trees.diameter.section import Section
 from fsinfer.trees.ground.ground import Ground, find_ground
+from fsinfer.trees.one_entry import one_entry_a_stem
 from fsinfer.trees.points.cells import BOX_MARGIN_M, BOX_PERCENTILES, rows
 from fsinfer.trees.points.sums import median
 from fsinfer.trees.sanity import (
@@ -144,7 +145,9 @@ def analyse_plot(
     progress(1, 3, "looking for stems")
     search = find_stems(stand, bh_m=settings.bh_m, settings=settings.stems, progress=progress, seed=settings.seed)
     progress(2, 3, "measuring stems")
-    pairs = doubt_the_rough(measure_stems(stand, search, ground, settings, scale_rel_std, origin))
+    pairs, same = one_entry_a_stem(measure_stems(stand, search, ground, settings, scale_rel_std, origin))
+    warnings += same
+    pairs = doubt_the_rough(pairs)
     if not turned and not any(tree.dbh_cm is not None for tree, _ in pairs):
         _check_turned(local, settings)
     centers = np.array([[tree.x_m, tree.y_m] for tree, _ in pairs]).reshape(-1, 2) - origin[:2]

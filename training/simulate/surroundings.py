@@ -39,6 +39,7 @@ class Terrain:
         self.low, self.high = float(corners.min()), float(corners.max())
 
     def __call__(self, xy: Floats) -> Floats:
+        """Heights (N,) at xy (N, 2)."""
         waves = np.sin(xy @ self._wave.T + self._phase).sum(axis=1) / np.sqrt(6.0)
         return np.asarray(xy @ self._tilt + self._bumps * waves)
 

@@ -112,10 +112,11 @@ class SilhouetteFit:
     """What the edges say of one stem, at the height about which ``Edges.height_m`` counts; metres.
 
     ``radius_m`` is the girth over 2 pi with its standard deviation ``std_m`` and the degrees of freedom ``dof`` of that
-    (:mod:`fsinfer.trees.diameter.budget`); ``one_sided_m`` is the part of it that comes from sides unseen; ``shift_m`` (2,) and ``slope`` (2,) what
-    the axis is moved and turned by; ``shape_m`` cosine and sine of the harmonics of the support function; ``rays`` how
-    many rays carry the stem's edge and ``share`` their part of all; ``photos`` how many photographs they come from;
-    ``sectors`` the part of the directions round the stem that they cover; ``noise_m`` the scatter of an edge.
+    (:mod:`fsinfer.trees.diameter.budget`); ``one_sided_m`` is the part of it that comes from sides unseen;
+    ``shift_m`` (2,) and ``slope`` (2,) what the axis is moved and turned by; ``shape_m`` cosine and sine of the
+    harmonics of the support function; ``rays`` how many rays carry the stem's edge and ``share`` their part of all;
+    ``photos`` how many photographs they come from; ``sectors`` the part of the directions round the stem that they
+    cover; ``noise_m`` the scatter of an edge.
     ``weight`` (N,) is each candidate's probability of being the stem's edge.
     """
 
