@@ -33,6 +33,7 @@ from fsinfer.cli.options import (
     Endpoints,
     EndpointsLength,
     EqualizeHow,
+    FarStems,
     IntervalS,
     MaxSize,
     MemoryGb,
@@ -145,6 +146,7 @@ def run(
     bh: BreastHeight = BREAST_HEIGHT_M,
     bh_rule: BreastHeightRule = BhRule.midpoint,
     edits: Edits = None,
+    far_stems: FarStems = False,
     threads: Threads = DepthSettings.threads,
     memory_gb: MemoryGb = DepthSettings.memory_gb,
     provider: Provider = DepthSettings.provider,
@@ -161,6 +163,7 @@ def run(
     from fsinfer.cli.remaining import RemainingTime
     from fsinfer.fusion.fuse import FusionSettings
     from fsinfer.poses.settings import PoseSettings
+    from fsinfer.silhouettes.walk import WalkSettings
     from fsinfer.workflow.pipeline import run as run_pipeline
     from fsinfer.workflow.settings import RunSettings
 
@@ -179,6 +182,7 @@ def run(
         fusion=FusionSettings(memory_gb=memory_gb),
         trees=tree_settings(bh_m=bh, bh_rule=bh_rule),
         scale=request,
+        walk=WalkSettings(measure_far=far_stems),
     )
     with stage_progress(quiet=quiet, whole=RemainingTime()) as progress:
         result = run_pipeline(source, out, settings=settings, edits=edits, progress=progress)

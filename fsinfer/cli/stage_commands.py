@@ -21,6 +21,7 @@ from fsinfer.cli.options import (
     Endpoints,
     EndpointsLength,
     EqualizeHow,
+    FarStems,
     IntervalS,
     MaxSize,
     MemoryGb,
@@ -160,6 +161,7 @@ def trees(
     bh: BreastHeight = BREAST_HEIGHT_M,
     bh_rule: BreastHeightRule = BhRule.midpoint,
     edits: Edits = None,
+    far_stems: FarStems = False,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
@@ -169,10 +171,13 @@ def trees(
     """
     request = scale_request(scale, aruco_length_m, aruco_dictionary, endpoints, length_m)
     from fsinfer.notices.sentences import sentences
+    from fsinfer.silhouettes.walk import WalkSettings
     from fsinfer.workflow.measure_cloud import MeasureSettings, measure_cloud_file
     from fsinfer.workflow.tree_stage import TreeStageSettings
 
-    settings = MeasureSettings(stage=TreeStageSettings(trees=tree_settings(bh_m=bh, bh_rule=bh_rule)))
+    settings = MeasureSettings(
+        stage=TreeStageSettings(trees=tree_settings(bh_m=bh, bh_rule=bh_rule), walk=WalkSettings(measure_far=far_stems))
+    )
     with stage_progress(quiet=quiet) as progress:
         found = measure_cloud_file(
             cloud, out, request=request, settings=settings, edits=edits, progress=progress("trees")

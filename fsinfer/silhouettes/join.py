@@ -299,8 +299,8 @@ def _status(
     """Status and reasons anew: what the cloud doubted or refused, the silhouette may know."""
     refused = _refusal(section)
     if refused is not None and not supported:
-        said = {"photos": fit.photos, "edges_cm": 100.0 * dbh_m, "refused": refused}
-        return "unmeasured", (notice(StemCode.edges_unsupported, **said),)
+        why = notice(StemCode.edges_unsupported, photos=fit.photos, edges_cm=100.0 * dbh_m, refused=refused)
+        return "unmeasured", (why,)
     uncertain = too_uncertain(dbh_m, half_m, dbh)
     if uncertain:
         return "unmeasured", uncertain
@@ -310,8 +310,8 @@ def _status(
     if refused is not None and (few or refused.code == StemCode.double_wall):
         doubts.append(notice(StemCode.edges_alone, photos=fit.photos, refused=refused))
     if found.contradict and section.dbh_m is not None:
-        said_cm = {"points_cm": 100.0 * section.dbh_m, "edges_cm": 200.0 * fit.radius_m}
-        doubts.append(notice(StemCode.sources_disagree, **said_cm))
+        points_cm, edges_cm = 100.0 * section.dbh_m, 200.0 * fit.radius_m
+        doubts.append(notice(StemCode.sources_disagree, points_cm=points_cm, edges_cm=edges_cm))
     doubts += wide_interval(dbh_m, half_m, dbh)
     return ("doubtful" if doubts else "ok"), tuple(doubts)
 

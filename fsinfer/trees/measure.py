@@ -60,8 +60,8 @@ class PlotResult:
 
     @property
     def stand(self) -> StandTable:
-        """Stems and basal area a hectare on ``plot_area_m2``, the area where ground was seen."""
-        return stand_table(self.trees, self.plot_area_m2)
+        """Stems and basal area a hectare on ``plot_area_m2``, the area where ground was seen; none outside the walk."""
+        return stand_table([tree for tree in self.trees if not tree.outside], self.plot_area_m2)
 
 
 def measure_trees(
@@ -191,9 +191,10 @@ def _check_turned(points: Floats, settings: TreeSettings) -> None:
 
 
 def trees_found(trees: Sequence[Tree]) -> Notice:
-    """How many there are and how many of them have a DBH."""
-    measured = sum(tree.dbh_cm is not None for tree in trees)
-    return notice(StemCode.trees_found, trees=len(trees), measured=measured)
+    """How many there are inside the walk and how many of them have a DBH."""
+    counted = [tree for tree in trees if not tree.outside]
+    measured = sum(tree.dbh_cm is not None for tree in counted)
+    return notice(StemCode.trees_found, trees=len(counted), measured=measured)
 
 
 def _diagnosis(trees: list[Tree], search: StemSearch, stand: Floats, settings: TreeSettings) -> Notice:

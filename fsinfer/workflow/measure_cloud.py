@@ -97,7 +97,7 @@ class _Opened:
     warnings: tuple[Notice, ...] = ()
 
 
-MEASURE = Stage(name="measure", version=1, result=MeasuredCloud, outputs=("trees.csv",))
+MEASURE = Stage(name="measure", version=2, result=MeasuredCloud, outputs=("trees.csv",))
 
 
 def measure_cloud_file(

@@ -47,7 +47,7 @@ class ReportResult:
     path: Path
 
 
-TREES = Stage(name="trees", version=1, result=TreesResult, outputs=("trees.csv", "figures"))
+TREES = Stage(name="trees", version=2, result=TreesResult, outputs=("trees.csv", "figures"))
 REPORT = Stage(name="report", version=1, result=ReportResult, outputs=("report.html",))
 
 
@@ -157,7 +157,9 @@ def _measure_trees(
             # A cloud without ground or stems is a result of the photographs: the report has to say so.
             return no_trees(out, reason=notice(StemCode.nothing_measured, error=str(error)))
 
-    of_trees = TreeStageSettings(trees=settings.trees, silhouettes=settings.silhouettes, stem_curve=settings.stem_curve)
+    of_trees = TreeStageSettings(
+        trees=settings.trees, silhouettes=settings.silhouettes, stem_curve=settings.stem_curve, walk=settings.walk
+    )
     inputs = {"settings": speedless(of_trees), "rel_std": scale.rel_std, "edits": edits}
     return ledger.run(TREES, work, inputs=inputs, after=[depth, found, placed])
 

@@ -16,6 +16,7 @@ from fsinfer.output.layout import METRIC_TREE_FILES
 from fsinfer.progress import Progress, silent
 from fsinfer.scale.scale import CAMERA_HEIGHT_M
 from fsinfer.silhouettes.join import SilhouetteJoinSettings, StemPhotos, measure_silhouettes, write_sources
+from fsinfer.silhouettes.walk import WalkSettings, apart_from_walk, camera_places
 from fsinfer.trees import PlotResult, StandTable, TreeSettings, analyse_plot
 from fsinfer.trees.edits import TreeEdit, apply_edits
 from fsinfer.trees.outputs.labels import label_points
@@ -42,6 +43,7 @@ class TreesResult:
     Attributes
     ----------
     trees, trees_with_dbh, trees_with_silhouette: numbers of stems; of those with a DBH; with edges in photographs.
+    trees_outside: stems outside of the walk, which are not among ``trees``.
     ground_method: how the ground was found, None where it was not.
     diagnosis: what was found, or why nothing was.
     stand: the stand table; plot_area_m2: None when unknown.
@@ -58,6 +60,7 @@ class TreesResult:
     plot_area_m2: float | None = None
     unmeasured: tuple[UnmeasuredTree, ...] = ()
     warnings: tuple[Notice, ...] = ()
+    trees_outside: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,11 +94,12 @@ class PlotCloudInput:
 
 @dataclass(frozen=True, kw_only=True)
 class TreeStageSettings:
-    """Of the measurement in the cloud, of the edges in the photographs, of the stem curves."""
+    """Of the measurement in the cloud, of the edges in the photographs, of the stem curves, of the walk's border."""
 
     trees: TreeSettings = field(default_factory=TreeSettings)
     silhouettes: SilhouetteJoinSettings = field(default_factory=SilhouetteJoinSettings)
     stem_curve: CurveSettings = field(default_factory=CurveSettings)
+    walk: WalkSettings = field(default_factory=WalkSettings)
 
 
 def measure_plot(
@@ -181,19 +185,43 @@ def _look_at_photos(
     """Diameters joined with those of the stems' edges in the photographs, where there are any."""
     if given.photos is None or not given.metric:
         return result
-    by_cloud = set(found.trees)
-    joined = measure_silhouettes(
-        result,
-        given.photos,
-        scale_rel_std=given.scale_rel_std,
-        dbh=settings.trees.dbh,
-        settings=settings.silhouettes,
-        figures=out / "figures",
-        kept={tree.tree_id for tree in result.trees if tree not in by_cloud},  # by hand: a person knows better
-        progress=progress,
-    )
+    photos, by_cloud = given.photos, set(found.trees)
+    by_hand = frozenset(tree.tree_id for tree in result.trees if tree not in by_cloud)  # a person knows better
+    cameras = camera_places(photos.scene, photos.cloud_from_scene)
+
+    def look(stems: PlotResult) -> PlotResult:
+        return measure_silhouettes(
+            stems,
+            photos,
+            scale_rel_std=given.scale_rel_std,
+            dbh=settings.trees.dbh,
+            settings=settings.silhouettes,
+            figures=out / "figures",
+            kept=by_hand,
+            progress=progress,
+        )
+
+    def apart(stems: PlotResult) -> PlotResult:
+        return apart_from_walk(stems, cameras, settings=settings.walk, kept=by_hand)
+
+    if settings.walk.measure_far:
+        joined = apart(look(result))
+    else:
+        near, beyond = _parted(apart(result))
+        seen = look(near)
+        joined = replace(seen, trees=(*seen.trees, *beyond.trees), sections=(*seen.sections, *beyond.sections))
     write_sources(out / "dbh_sources.csv", joined)
     return joined
+
+
+def _parted(result: PlotResult) -> tuple[PlotResult, PlotResult]:
+    """The stems of the walk, and those outside of it."""
+    parts = []
+    for outside in (False, True):
+        pairs = [pair for pair in zip(result.trees, result.sections, strict=True) if pair[0].outside == outside]
+        trees, sections = tuple(tree for tree, _ in pairs), tuple(section for _, section in pairs)
+        parts.append(replace(result, trees=trees, sections=sections))
+    return parts[0], parts[1]
 
 
 def _write(result: PlotResult, given: PlotCloudInput, out: Path, curves: dict[int, tuple[CurvePoint, ...]]) -> None:
@@ -216,17 +244,19 @@ def _write(result: PlotResult, given: PlotCloudInput, out: Path, curves: dict[in
 
 
 def _summary(result: PlotResult) -> TreesResult:
-    unmeasured = [tree for tree in result.trees if tree.dbh_cm is None]
+    counted = [pair for pair in zip(result.trees, result.sections, strict=True) if not pair[0].outside]
+    unmeasured = [tree for tree, _ in counted if tree.dbh_cm is None]
     return TreesResult(
-        trees=len(result.trees),
-        trees_with_dbh=len(result.trees) - len(unmeasured),
-        trees_with_silhouette=sum(section.silhouette is not None for section in result.sections),
+        trees=len(counted),
+        trees_with_dbh=len(counted) - len(unmeasured),
+        trees_with_silhouette=sum(section.silhouette is not None for _, section in counted),
         ground_method=None if result.ground is None else result.ground.method,
         diagnosis=result.diagnosis,
         stand=result.stand,
         plot_area_m2=result.plot_area_m2 or None,
         unmeasured=tuple(UnmeasuredTree(tree_id=tree.tree_id, reasons=tree.reasons) for tree in unmeasured),
         warnings=(*result.warnings, *(() if result.trees else (result.diagnosis,))),
+        trees_outside=len(result.trees) - len(counted),
     )
 
 

@@ -60,7 +60,7 @@ class SilhouetteSettings:
     common_std: what a few harmonics do not describe, share of the radius. Source: renders only, two renders.
     one_sided_std: what else a stem may be off that is seen from one direction, share of the radius: two sides leave
         its size to shadows, to what covers an edge, to a shape that nobody saw. Source: simulated edges
-        (training/simulate/stem_edges.py), seeds 43000 to 43019.
+        (training/simulate/stem_edges.py), seeds 43000 to 43179, and 43200 to 43419 on arcs below 110 degrees.
     sides_enough: share of the sides from which that is nothing. Source: as ``one_sided_std``.
     min_edges: rays. Source: twice the unknowns that no prior holds.
     min_share: of the rays that must agree on the stem. Source: renders only, two renders.

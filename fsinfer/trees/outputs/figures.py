@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from fsinfer.trees.diameter.section import Section
     from fsinfer.trees.stem_curve import CurvePoint
 
-STATUS_COLOURS = {"ok": "#1b7837", "doubtful": "#d98300", "unmeasured": "#9a9a9a"}
+STATUS_COLOURS = {"ok": "#1b7837", "doubtful": "#d98300", "unmeasured": "#9a9a9a", "outside": "#7d8fa3"}
 _KEPT, _DROPPED, _CIRCLE, _CURVE = "#2b5c8a", "#d1495b", "#1b1b1b", "#e08e0b"
 
 
@@ -90,7 +90,7 @@ def plot_stem_map(result: PlotResult, path: Path) -> None:
     present = [status for status in STATUS_COLOURS if any(tree.status == status for tree in result.trees)]
     handles = [
         Line2D([], [], marker="o", linestyle="", markersize=8, markeredgecolor=STATUS_COLOURS[status], label=status,
-               markerfacecolor="none" if status == "unmeasured" else STATUS_COLOURS[status])
+               markerfacecolor="none" if status in ("unmeasured", "outside") else STATUS_COLOURS[status])
         for status in present
     ]  # fmt: skip
     handles.append(Line2D([], [], color="0.75", linestyle="--", linewidth=1.0, label="where the cloud lies"))

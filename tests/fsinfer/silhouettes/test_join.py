@@ -91,6 +91,9 @@ def test_a_stem_seen_from_one_side_is_less_certain() -> None:
     assert round_it is not None
     assert one_side is not None
     assert one_side.std_m > 1.3 * round_it.std_m
+    unseen = 1.0 - one_side.sectors / 0.6
+    assert one_side.one_sided_m == pytest.approx(0.05 * one_side.radius_m * unseen)
+    assert one_side.std_m > one_side.one_sided_m > 0.0 == round_it.one_sided_m
     assert one_side.sectors < 0.5 < round_it.sectors
     assert abs(one_side.radius_m - 0.15) < 3 * one_side.std_m
 
