@@ -68,7 +68,9 @@ def test_far_stems_come_last_keep_their_number_and_have_no_diameter() -> None:
     ]
     far = result.trees[2]
     assert (far.dbh_cm, far.dbh_lo95_cm, far.dbh_hi95_cm, far.height_m, far.x_m) == (None, None, None, None, 25.0)
-    assert far.reasons == (notice(StemCode.outside_walk, nearest_m=pytest.approx(13.0)),)
+    (why,) = far.reasons
+    assert why.code == StemCode.outside_walk
+    assert why.values["nearest_m"] == pytest.approx(13.0)
     assert result.sections[2].dbh_m is None
     assert result.warnings == (notice(StemCode.stems_outside_walk, stems=2, trees="1, 3"),)
     assert result.diagnosis == notice(StemCode.trees_found, trees=2, measured=2)

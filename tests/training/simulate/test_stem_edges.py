@@ -27,9 +27,9 @@ def test_the_mean_of_the_support_all_round_is_what_a_tape_reads() -> None:
     assert 2.0 * stem.edges.support_m[breast].mean() == pytest.approx(stem.dbh_m, rel=0.005)
 
 
-@pytest.mark.parametrize("seed", [43246, 43252, 43278, 43279, 43362, 43365])
+@pytest.mark.parametrize("seed", [43246, 43252, 43278, 43362, 43365])
 def test_few_sides_stay_inside_the_interval_by_what_nobody_saw(seed: int) -> None:
-    """Of 96 such stems of seeds 43200 to 43419 ten were outside by less than unseen sides add; these are six of them."""
+    """Five of the stems of seeds 43200 to 43419 that were outside by less than unseen sides add."""
     stem = simulate_edges(seed, EdgeSpec(arc_deg=(5.0, 110.0)))
     fit = fit_silhouette(stem.edges, stem.known_m, taper=-0.006)
     assert fit is not None
