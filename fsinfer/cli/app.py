@@ -32,6 +32,7 @@ from fsinfer.cli.options import (
     Endpoints,
     EndpointsLength,
     EqualizeHow,
+    FarStems,
     IntervalS,
     MaxSize,
     MemoryGb,
@@ -153,6 +154,7 @@ def run(
     plot_center: PlotCenter = None,
     plot_polygon: PlotPolygon = None,
     edits: Edits = None,
+    far_stems: FarStems = False,
     threads: Threads = DepthSettings.threads,
     memory_gb: MemoryGb = DepthSettings.memory_gb,
     provider: Provider = DepthSettings.provider,
@@ -170,6 +172,7 @@ def run(
     from fsinfer.cli.remaining import RemainingTime
     from fsinfer.fusion.fuse import FusionSettings
     from fsinfer.poses.settings import PoseSettings
+    from fsinfer.silhouettes.walk import WalkSettings
     from fsinfer.workflow.pipeline import run as run_pipeline
     from fsinfer.workflow.settings import RunSettings
 
@@ -189,6 +192,7 @@ def run(
         trees=tree_settings(bh_m=bh, bh_rule=bh_rule),
         scale=request,
         border=border,
+        walk=WalkSettings(measure_far=far_stems),
     )
     with stage_progress(quiet=quiet, whole=RemainingTime()) as progress:
         result = run_pipeline(source, out, settings=settings, edits=edits, progress=progress)

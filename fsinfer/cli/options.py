@@ -122,6 +122,13 @@ BreastHeightRule = Annotated[
     BhRule,
     typer.Option("--bh-rule", help="Count breast height from the ground in the middle of the stem, or uphill of it."),
 ]
+FarStems = Annotated[
+    bool,
+    typer.Option(
+        "--far-stems/--no-far-stems",
+        help="Measure the stems outside of the walk too: those that no photo came near to.",
+    ),
+]
 
 
 PlotRadius = Annotated[

@@ -21,6 +21,7 @@ from fsinfer.cli.options import (
     Endpoints,
     EndpointsLength,
     EqualizeHow,
+    FarStems,
     IntervalS,
     MaxSize,
     MemoryGb,
@@ -167,6 +168,7 @@ def trees(
     plot_center: PlotCenter = None,
     plot_polygon: PlotPolygon = None,
     edits: Edits = None,
+    far_stems: FarStems = False,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
@@ -177,10 +179,13 @@ def trees(
     request = scale_request(scale, aruco_length_m, aruco_dictionary, endpoints, length_m)
     border = plot_border(plot_radius_m, plot_center, plot_polygon)
     from fsinfer.notices.sentences import sentences
+    from fsinfer.silhouettes.walk import WalkSettings
     from fsinfer.workflow.measure_cloud import MeasureSettings, measure_cloud_file
     from fsinfer.workflow.tree_stage import TreeStageSettings
 
-    stage = TreeStageSettings(trees=tree_settings(bh_m=bh, bh_rule=bh_rule), border=border)
+    stage = TreeStageSettings(
+        trees=tree_settings(bh_m=bh, bh_rule=bh_rule), border=border, walk=WalkSettings(measure_far=far_stems)
+    )
     settings = MeasureSettings(stage=stage)
     with stage_progress(quiet=quiet) as progress:
         found = measure_cloud_file(

@@ -18,6 +18,8 @@ class StemCode(StrEnum):
     too_uncertain = "too_uncertain"
     not_round = "not_round"
     no_stem_here = "no_stem_here"
+    edges_unsupported = "edges_unsupported"
+    outside_walk = "outside_walk"
     # Why a diameter is doubtful.
     above_breast_height = "above_breast_height"
     below_breast_height = "below_breast_height"
@@ -25,6 +27,7 @@ class StemCode(StrEnum):
     wide_interval = "wide_interval"
     rougher_than_others = "rougher_than_others"
     edges_alone = "edges_alone"
+    sources_disagree = "sources_disagree"
     # What else is said of a tree.
     added_by_hand = "added_by_hand"
     merged_by_hand = "merged_by_hand"
@@ -67,6 +70,8 @@ class StemCode(StrEnum):
     thinned = "thinned"
     post_of_marker = "post_of_marker"
     shrubs_left_out = "shrubs_left_out"
+    same_stem = "same_stem"
+    stems_outside_walk = "stems_outside_walk"
     corrected_by_hand = "corrected_by_hand"
     # Parts of ``corrected_by_hand``.
     tree_added = "tree_added"
@@ -87,6 +92,11 @@ SENTENCES: dict[StemCode, str] = {
         "no round surface at breast height: its curvature changes too much with the part that is looked at"
     ),
     StemCode.no_stem_here: "no stem to be measured is seen here",
+    StemCode.edges_unsupported: (
+        "edges alone are no measurement: {photos} photos have some {edges_cm:.0f} cm apart, "
+        "and no second pair of sides agrees on the size ({refused})"
+    ),
+    StemCode.outside_walk: "outside of the walk: the nearest photo was taken {nearest_m:.0f} m away",
     StemCode.above_breast_height: "measured {off_cm:.0f} cm above breast height",
     StemCode.below_breast_height: "measured {off_cm:.0f} cm below breast height",
     StemCode.little_seen: "only {seen_deg:.0f} degrees of the stem are seen",
@@ -95,6 +105,7 @@ SENTENCES: dict[StemCode, str] = {
         "residual {residual_cm:.1f} cm, far above the plot's other stems: perhaps a double wall"
     ),
     StemCode.edges_alone: "only from its edges in {photos} photos ({refused})",
+    StemCode.sources_disagree: "the points say {points_cm:.1f} cm, the edges in the photos {edges_cm:.1f} cm",
     StemCode.added_by_hand: "added by hand",
     StemCode.merged_by_hand: "{tree_id} and {other_id} merged by hand",
     StemCode.as_written: "{text}",
@@ -138,6 +149,13 @@ SENTENCES: dict[StemCode, str] = {
     StemCode.shrubs_left_out: (
         "left out as shrubs, where the cloud has something like a stem and the photos show none: {places}"
     ),
+    StemCode.same_stem: (
+        "an entry at ({x_m:.1f}, {y_m:.1f}) stands in the stem at ({other_x_m:.1f}, {other_y_m:.1f}): it is the same"
+    ),
+    StemCode.stems_outside_walk: (
+        "{stems} stems outside of the walk are listed apart and not counted: {trees}; go nearer, or measure them with "
+        "--far-stems"
+    ),
     StemCode.corrected_by_hand: "stem map corrected by hand: tree {changes}",
     StemCode.tree_added: "{tree_id} added",
     StemCode.tree_deleted: "{tree_id} deleted",
@@ -150,11 +168,23 @@ ADVICE: dict[StemCode, str] = {
     StemCode.double_wall: "the poses or scans do not agree at this stem",
     StemCode.too_rough: "undergrowth or bad depth at breast height",
     StemCode.too_uncertain: "walk round the stem",
+    StemCode.edges_unsupported: "walk round it",
+    StemCode.sources_disagree: "look at its strips of photographs, or check with a tape",
     StemCode.none_at_stem_height: "check the scale, or photograph the stems as well as the ground",
     StemCode.none_round: "check the scale",
     StemCode.turned: "it was turned, and so is the frame of all results",
 }
 #: Of use to those who look closely, nothing to act upon.
-REMARKS: frozenset[StemCode] = frozenset({StemCode.far_outside, StemCode.post_of_marker, StemCode.corrected_by_hand})
+REMARKS: frozenset[StemCode] = frozenset(
+    {
+        StemCode.far_outside,
+        StemCode.post_of_marker,
+        StemCode.corrected_by_hand,
+        StemCode.same_stem,
+        StemCode.stems_outside_walk,
+    }
+)
 #: The sentence says already that the stem has to be walked round again.
-ADVISES_REVISIT: frozenset[StemCode] = frozenset({StemCode.too_little_seen, StemCode.too_uncertain})
+ADVISES_REVISIT: frozenset[StemCode] = frozenset(
+    {StemCode.too_little_seen, StemCode.too_uncertain, StemCode.edges_unsupported}
+)

@@ -3,13 +3,15 @@
 A cloud knows a stem's surface as well as depth maps do: to millimetres from two metres, to centimetres from ten. The
 edges between stem and background in the same photographs are sharp at any distance. So each stem of the cloud is looked
 up in all photographs that show it (:mod:`fsinfer.silhouettes.edges`), its silhouette is fitted
-(:mod:`fsinfer.trees.diameter.silhouette`), and the two diameters are averaged by their precision, or the silhouette's
-stands alone where they contradict each other.
+(:mod:`fsinfer.trees.diameter.silhouette`), and the two diameters are averaged by their precision. Where they contradict
+each other the silhouette's stands, doubtful, the contradiction in its interval (:mod:`fsinfer.silhouettes.combine`).
+Edges alone are no measurement: where the points refused, a second pair of sides has to have the same size
+(:mod:`fsinfer.trees.diameter.second_pair`), or what the points say of it in spite of all.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -22,14 +24,18 @@ from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene
+from fsinfer.silhouettes.combine import Combined, CombineSettings, combine
 from fsinfer.silhouettes.edges import EdgeSettings, StemAxis, Strip, find_edges
 from fsinfer.silhouettes.strips import draw_strips, keep_strip
 from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
 from fsinfer.trees.cylinder.axis import LEAST_RADIUS_M
+from fsinfer.trees.diameter.budget import effective_dof, factor95, total_std
 from fsinfer.trees.diameter.dbh import too_uncertain, wide_interval
 from fsinfer.trees.diameter.outline import Outline
+from fsinfer.trees.diameter.second_pair import SecondPairSettings, second_pair
 from fsinfer.trees.diameter.silhouette import Edges, SilhouetteFit, SilhouetteSettings, edge_contrast, fit_silhouette
 from fsinfer.trees.measure import trees_found
+from fsinfer.trees.one_entry import one_entry_a_stem
 from fsinfer.trees.stem_measurement import with_diameter
 
 Floats = NDArray[np.float64]
@@ -41,18 +47,33 @@ SOURCE_COLUMNS = (
 
 #: Doubts of the cloud that photographs do not lift.
 OFF_BREAST_HEIGHT = frozenset({StemCode.above_breast_height, StemCode.below_breast_height})
+#: Said of a stem beside its reasons.
+BY_HAND = frozenset({StemCode.added_by_hand, StemCode.merged_by_hand})
+#: Where the cloud refused for one of these its radius means nothing.
+SIZELESS = frozenset(
+    {
+        StemCode.too_few_at_breast_height,
+        StemCode.too_few_on_bark,
+        StemCode.double_wall,
+        StemCode.not_round,
+        StemCode.no_stem_here,
+    }
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class StemPhotos:
     """The photographs a cloud was made of: ``cloud_from_scene`` (4, 4) maps the scene to the cloud, in metres.
 
-    ``depth_folder`` holds ``depth/`` and ``confidence/``.
+    ``depth_folder`` holds ``depth/`` and ``confidence/``. ``pose_std_m`` tells how far the cameras' own errors move the
+    radius of a stem at a place (3,) of the cloud, as a standard deviation in metres; it goes into the interval as the
+    part ``poses``. None where nothing is known of that.
     """
 
     scene: Scene
     depth_folder: Path
     cloud_from_scene: Floats
+    pose_std_m: Callable[[Floats], float] | None = None
 
 
 #: Depth maps held at once, and directions in which an outline is drawn. Source: numerics.
@@ -67,19 +88,19 @@ class SilhouetteJoinSettings:
     ----------
     cloud_floor_m: added to the error of the cloud's radius: depth maps fatten edges. Source: renders only, three
         renders.
-    gate: standard deviations between the two beyond which the silhouette stands alone. Source: renders only, three
-        renders.
+    supports_std: the points of a stem that the cloud refused support its edges where their own standard deviation is
+        below this share of the radius and the two agree. Source: statistics, twice that would span two stems' sizes.
     min_photos: in which the stem's edges agree. Source: renders only, three renders.
     sure_photos: fewer, and a stem that the cloud could not measure stays doubtful. Source: renders only, three renders.
     sure_sectors: the same for the directions that they cover. Source: renders only, three renders.
     shrub_photos: so many photographs show the place, and ... Source: renders only, undergrown plot, afterwards.
     shrub_contrast: ... their edges agree no better than this on a stem: a shrub. Source: renders only, undergrown plot,
         afterwards: 1.02 to 1.07, a half-hidden stem 1.18.
-    edges, fit: of the steps.
+    edges, fit, second, combine: of the steps.
     """
 
     cloud_floor_m: float = 0.0015
-    gate: float = 2.0
+    supports_std: float = 0.1
     min_photos: int = 4
     sure_photos: int = 8
     sure_sectors: float = 0.3
@@ -87,6 +108,8 @@ class SilhouetteJoinSettings:
     shrub_contrast: float = 1.12
     edges: EdgeSettings = field(default_factory=EdgeSettings)
     fit: SilhouetteSettings = field(default_factory=SilhouetteSettings)
+    second: SecondPairSettings = field(default_factory=SecondPairSettings)
+    combine: CombineSettings = field(default_factory=CombineSettings)
 
 
 def measure_silhouettes(
@@ -104,7 +127,8 @@ def measure_silhouettes(
 
     Stems that no photograph shows clearly stay as they are. Sections get ``silhouette`` and ``cloud_dbh_m``.
     What is doubtful in the cloud and no stem in many photographs is left out with a warning, unless ``kept`` has its
-    number. ``figures`` is a folder for ``tree_ID_edges.png``: strips of the photographs with the edges that were found.
+    number; so are entries that turn out to stand in another stem. ``figures`` is a folder for ``tree_ID_edges.png``:
+    strips of the photographs with the edges that were found.
     Raises :class:`~fsinfer.errors.FsinferError` where a photograph or a depth map cannot be read.
     """
     s = settings or SilhouetteJoinSettings()
@@ -139,14 +163,27 @@ def measure_silhouettes(
         if figures is not None:
             names = [photos.scene.views[strip.photo].name for strip in seen]
             draw_strips(figures / f"tree_{tree.tree_id:03d}_edges.png", seen, names, stem, fit)
-        joined = join(section, fit, scale_rel_std=scale_rel_std, dbh=dbh, settings=s)
+        supported = True
+        if section.dbh_m is None:
+            second = second_pair(edges, stem.radius_m, taper=stem.taper, silhouette=s.fit, settings=s.second)
+            supported = second.agree or points_support(section, fit, s)
+        joined = join(
+            section,
+            fit,
+            scale_rel_std=scale_rel_std,
+            dbh=dbh,
+            settings=s,
+            supported=supported,
+            pose_std_m=0.0 if photos.pose_std_m is None else photos.pose_std_m(stem.breast),
+        )
         pairs.append((_tree(tree, joined, stem, fit), joined))
+    pairs, same = one_entry_a_stem(pairs, kept)
     return replace(
         result,
         trees=tuple(tree for tree, _ in pairs),
         sections=tuple(section for _, section in pairs),
         diagnosis=_diagnosis([tree for tree, _ in pairs]),
-        warnings=(*result.warnings, *_shrub_warning(shrubs)),
+        warnings=(*result.warnings, *_shrub_warning(shrubs), *same),
     )
 
 
@@ -157,31 +194,36 @@ def join(
     scale_rel_std: float,
     dbh: DbhSettings,
     settings: SilhouetteJoinSettings,
+    supported: bool = True,
+    pose_std_m: float = 0.0,
 ) -> Section:
-    """Average the radii of cloud and silhouette by their precision; what they share (height, scale) comes on top."""
+    """Combine the radii of cloud and silhouette; what they share (height, scale, poses) comes on top.
+
+    ``supported`` says whether anything beside the edges agrees on the size of a stem that the cloud refused;
+    ``pose_std_m`` is what the cameras' own errors do to the radius.
+    """
     s = settings
-    own = [part for name, part in section.parts_m.items() if name not in ("level", "scale")]
-    cloud_std = float(np.hypot(np.sqrt(sum(part**2 for part in own)), s.cloud_floor_m))
-    weight = 0.0
-    if section.dbh_m is not None:
-        apart = abs(section.dbh_m / 2.0 - fit.radius_m)
-        if apart <= s.gate * float(np.hypot(cloud_std, fit.std_m)):
-            weight = fit.std_m**2 / (fit.std_m**2 + cloud_std**2)
-    radius = fit.radius_m + weight * ((section.dbh_m or 0.0) / 2.0 - fit.radius_m) if weight else fit.radius_m
+    points_m = None if section.dbh_m is None else section.dbh_m / 2.0
+    found = combine(points_m, _points_std(section, s), fit.radius_m, fit.std_m, settings=s.combine)
+    radius = found.radius_m
     level = section.parts_m.get("level", (abs(fit.taper) + dbh.taper_std) * dbh.ground_std_m)
     parts = {
-        "silhouette": (1.0 - weight) * fit.std_m,
-        "cloud": weight * cloud_std,
+        "silhouette": found.edges_std_m,
+        "cloud": found.points_std_m,
+        "disagreement": found.disagreement_m,
+        "poses": pose_std_m,
         "level": level,
         "scale": radius * scale_rel_std,
     }
-    sd = 2.0 * float(np.sqrt(sum(part**2 for part in parts.values())))
-    status, reasons = _status(section, fit, 2.0 * radius, sd, dbh, s)
+    sd = 2.0 * total_std(parts)
+    dof = effective_dof(parts, {"silhouette": fit.dof, "cloud": section.dof})
+    status, reasons = _status(section, fit, 2.0 * radius, factor95(dof) * sd, dbh, s, found, supported=supported)
     measured = status != "unmeasured"
     return replace(
         section,
         dbh_m=2.0 * radius if measured else None,
         sd_m=sd,
+        dof=dof,
         parts_m=parts,
         status=status,
         reasons=reasons,
@@ -190,6 +232,32 @@ def join(
         silhouette=fit,
         cloud_dbh_m=section.dbh_m,
     )
+
+
+def points_support(section: Section, fit: SilhouetteFit, settings: SilhouetteJoinSettings) -> bool:
+    """Whether the points of a stem that the cloud refused have the size of its edges all the same.
+
+    Points that were too few, not round, or lie in two walls have none.
+    """
+    s, refused = settings, _refusal(section)
+    if not section.parts_m or refused is None or refused.code in SIZELESS:
+        return False
+    radius, std = float(section.circle_m[2]), _points_std(section, s)
+    near = abs(radius - fit.radius_m) <= s.combine.gate * float(np.hypot(std, fit.std_m))
+    return near and std <= s.supports_std * fit.radius_m
+
+
+def _refusal(section: Section) -> Notice | None:
+    """Why the cloud gave no diameter; None where it gave one."""
+    if section.dbh_m is not None:
+        return None
+    return next((why for why in section.reasons if why.code not in BY_HAND), None)
+
+
+def _points_std(section: Section, s: SilhouetteJoinSettings) -> float:
+    """Standard deviation of the points' radius without what both sources share."""
+    own = {name: part for name, part in section.parts_m.items() if name not in ("level", "scale")}
+    return float(np.hypot(total_std(own), s.cloud_floor_m))
 
 
 def write_sources(path: Path, result: PlotResult) -> None:
@@ -218,17 +286,33 @@ def _axis(tree: Tree, section: Section) -> StemAxis:
 
 
 def _status(
-    section: Section, fit: SilhouetteFit, dbh_m: float, sd: float, dbh: DbhSettings, s: SilhouetteJoinSettings
+    section: Section,
+    fit: SilhouetteFit,
+    dbh_m: float,
+    half_m: float,
+    dbh: DbhSettings,
+    s: SilhouetteJoinSettings,
+    found: Combined,
+    *,
+    supported: bool,
 ) -> tuple[str, tuple[Notice, ...]]:
     """Status and reasons anew: what the cloud doubted or refused, the silhouette may know."""
-    refused = too_uncertain(dbh_m, sd, dbh)
-    if refused:
-        return "unmeasured", refused
+    refused = _refusal(section)
+    if refused is not None and not supported:
+        why = notice(StemCode.edges_unsupported, photos=fit.photos, edges_cm=100.0 * dbh_m, refused=refused)
+        return "unmeasured", (why,)
+    uncertain = too_uncertain(dbh_m, half_m, dbh)
+    if uncertain:
+        return "unmeasured", uncertain
     doubts = [why for why in section.reasons if why.code in OFF_BREAST_HEIGHT and section.dbh_m is not None]
     few = fit.photos < s.sure_photos or fit.sectors < s.sure_sectors
-    if section.dbh_m is None and few:
-        doubts.append(notice(StemCode.edges_alone, photos=fit.photos, refused=section.reasons[0]))
-    doubts += wide_interval(dbh_m, sd, dbh)
+    # Two walls are poses that do not agree: the distance of two edges stands it, but somebody should look.
+    if refused is not None and (few or refused.code == StemCode.double_wall):
+        doubts.append(notice(StemCode.edges_alone, photos=fit.photos, refused=refused))
+    if found.contradict and section.dbh_m is not None:
+        points_cm, edges_cm = 100.0 * section.dbh_m, 200.0 * fit.radius_m
+        doubts.append(notice(StemCode.sources_disagree, points_cm=points_cm, edges_cm=edges_cm))
+    doubts += wide_interval(dbh_m, half_m, dbh)
     return ("doubtful" if doubts else "ok"), tuple(doubts)
 
 

@@ -16,6 +16,7 @@ from fsinfer.progress import Progress, silent
 from fsinfer.threads import one_blas_thread
 from fsinfer.trees.diameter.section import Section
 from fsinfer.trees.ground.ground import Ground, find_ground
+from fsinfer.trees.one_entry import one_entry_a_stem
 from fsinfer.trees.points.cells import BOX_MARGIN_M, BOX_PERCENTILES, rows
 from fsinfer.trees.points.sums import median
 from fsinfer.trees.sanity import (
@@ -60,8 +61,8 @@ class PlotResult:
 
     @property
     def stand(self) -> StandTable:
-        """Stems and basal area a hectare on ``plot_area_m2``, the area where ground was seen."""
-        return stand_table(self.trees, self.plot_area_m2)
+        """Stems and basal area a hectare on ``plot_area_m2``, the area where ground was seen; none outside the walk."""
+        return stand_table([tree for tree in self.trees if not tree.outside], self.plot_area_m2)
 
 
 @one_blas_thread()
@@ -147,7 +148,9 @@ def analyse_plot(
     progress(1, 3, "looking for stems")
     search = find_stems(stand, bh_m=settings.bh_m, settings=settings.stems, progress=progress, seed=settings.seed)
     progress(2, 3, "measuring stems")
-    pairs = doubt_the_rough(measure_stems(stand, search, ground, settings, scale_rel_std, origin))
+    pairs, same = one_entry_a_stem(measure_stems(stand, search, ground, settings, scale_rel_std, origin))
+    warnings += same
+    pairs = doubt_the_rough(pairs)
     if not turned and not any(tree.dbh_cm is not None for tree, _ in pairs):
         _check_turned(local, settings)
     centers = np.array([[tree.x_m, tree.y_m] for tree, _ in pairs]).reshape(-1, 2) - origin[:2]
@@ -191,9 +194,10 @@ def _check_turned(points: Floats, settings: TreeSettings) -> None:
 
 
 def trees_found(trees: Sequence[Tree]) -> Notice:
-    """How many there are and how many of them have a DBH."""
-    measured = sum(tree.dbh_cm is not None for tree in trees)
-    return notice(StemCode.trees_found, trees=len(trees), measured=measured)
+    """How many there are inside the walk and how many of them have a DBH."""
+    counted = [tree for tree in trees if not tree.outside]
+    measured = sum(tree.dbh_cm is not None for tree in counted)
+    return notice(StemCode.trees_found, trees=len(counted), measured=measured)
 
 
 def _diagnosis(trees: list[Tree], search: StemSearch, stand: Floats, settings: TreeSettings) -> Notice:

@@ -17,7 +17,7 @@ from fsinfer.trees.ground.ground import Ground
 from fsinfer.trees.height import FOOT_M, axis_path, top_may_be_seen, tree_height
 from fsinfer.trees.height import INDEX_CELL_M as TOP_CELL_M
 from fsinfer.trees.points.cells import PlanIndex, near_paths, rows
-from fsinfer.trees.points.sums import Z95, lengths
+from fsinfer.trees.points.sums import lengths
 from fsinfer.trees.search.find import INDEX_CELL_M, StemSearch
 from fsinfer.trees.search.stem import Stem
 from fsinfer.trees.settings import TreeSettings
@@ -186,7 +186,7 @@ def tree_of(section: Section, z_ground: float, height: float | None, origin: Flo
 def with_diameter(tree: Tree, section: Section) -> Tree:
     """The tree with what ``section`` says of its diameter, how sure that is, and why there is none."""
     dbh = None if section.dbh_m is None else 100.0 * section.dbh_m
-    half = Z95 * 100.0 * section.sd_m
+    half = 100.0 * section.half95_m
     outline = section.outline if dbh is not None else None
     return replace(
         tree,

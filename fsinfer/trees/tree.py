@@ -6,6 +6,10 @@ from dataclasses import dataclass
 
 from fsinfer.notices.notice import Notice
 from fsinfer.notices.sentences import joined
+from fsinfer.notices.stems import StemCode
+
+#: The status of a stem outside of the walk that was not measured.
+OUTSIDE = "outside"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,7 +20,8 @@ class Tree:
     ground there. ``dbh_cm`` and its 95 % interval come from the circle; ``dbh_perimeter_cm`` is what a diameter tape
     reads (girth / pi) and ``dbh_min_cm``, ``dbh_max_cm`` what callipers read, where the stem was seen nearly all round.
     ``arc_coverage`` in [0, 1]; ``points`` are those the circle used; ``residual_cm`` is the noise of the bark about
-    the model. None means "not measured", and ``reasons`` say why. ``status`` is ok, doubtful or unmeasured.
+    the model. None means "not measured", and ``reasons`` say why. ``status`` is ok, doubtful, unmeasured, or
+    outside: too far from where the photographs were taken, listed apart and not measured.
 
     Where the plot has a border (:mod:`fsinfer.plot_border`), ``in_plot`` says whether the centre is within it,
     ``border_m`` how far from it, negative outside, and ``at_border`` whether that is less than the stem's radius or
@@ -44,6 +49,11 @@ class Tree:
     in_plot: bool | None = None
     border_m: float | None = None
     at_border: bool | None = None
+
+    @property
+    def outside(self) -> bool:
+        """Whether it stands outside of the walk, measured or not: then it does not count in the stand."""
+        return any(why.code == StemCode.outside_walk for why in self.reasons)
 
     @property
     def reason(self) -> str:

@@ -192,6 +192,7 @@ def _measure_trees(
         silhouettes=settings.silhouettes,
         stem_curve=settings.stem_curve,
         border=settings.border,
+        walk=settings.walk,
     )
     inputs = {"settings": speedless(of_trees), "rel_std": scale.rel_std, "edits": edits}
     return ledger.run(TREES, work, inputs=inputs, after=[depth, found, placed])

@@ -16,6 +16,7 @@ from fsinfer.poses.settings import PoseSettings
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scale.square_fit import MarkerSettings
 from fsinfer.silhouettes.join import SilhouetteJoinSettings
+from fsinfer.silhouettes.walk import WalkSettings
 from fsinfer.trees import TreeSettings
 from fsinfer.trees.stem_curve import CurveSettings
 
@@ -44,6 +45,7 @@ class RunSettings:
     silhouettes: SilhouetteJoinSettings = field(default_factory=SilhouetteJoinSettings)
     stem_curve: CurveSettings = field(default_factory=CurveSettings)
     border: BorderRequest = field(default_factory=BorderRequest)
+    walk: WalkSettings = field(default_factory=WalkSettings)
 
 
 def speedless(settings: Any) -> dict[str, Any]:

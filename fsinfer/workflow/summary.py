@@ -32,7 +32,7 @@ PLOT_KEYS = (
     "scale_source", "scale_rel_std", "scale_details", "cloud_from_scene", "camera_height", "points", "density_per_m2",
     "depth_vs_sfm_median_rel", "ground_method", "trees", "trees_with_dbh", "trees_with_silhouette", "diagnosis",
     "stand", "plot_area_m2", "seconds", "peak_rss_mb", "versions", "made_by", "model", "model_sha256",
-    "model_precision", "warnings", "warning_codes", "settings", "per_hectare_of", "plot_border",
+    "model_precision", "warnings", "warning_codes", "settings", "per_hectare_of", "plot_border", "trees_outside",
 )  # fmt: skip
 
 
@@ -128,6 +128,7 @@ def tree_values(trees: TreesResult) -> dict[str, Any]:
         "diagnosis": sentence(trees.diagnosis),
         "stand": trees.stand,
         "plot_area_m2": trees.plot_area_m2,
+        "trees_outside": trees.trees_outside,
     }
 
 

@@ -22,6 +22,7 @@ from fsinfer.plot_border.sight import Cameras, seen_share
 from fsinfer.progress import Progress, silent
 from fsinfer.scale.scale import CAMERA_HEIGHT_M
 from fsinfer.silhouettes.join import SilhouetteJoinSettings, StemPhotos, measure_silhouettes, write_sources
+from fsinfer.silhouettes.walk import WalkSettings, apart_from_walk, camera_places
 from fsinfer.trees import PlotResult, StandTable, TreeSettings, analyse_plot
 from fsinfer.trees.edits import TreeEdit, apply_edits
 from fsinfer.trees.outputs.labels import label_points
@@ -48,6 +49,7 @@ class TreesResult:
     Attributes
     ----------
     trees, trees_with_dbh, trees_with_silhouette: numbers of stems; of those with a DBH; with edges in photographs.
+    trees_outside: stems outside of the walk, which are not among ``trees``.
     ground_method: how the ground was found, None where it was not.
     diagnosis: what was found, or why nothing was.
     stand: the stand table of the seen ground; plot_area_m2: its area, None when unknown.
@@ -66,6 +68,7 @@ class TreesResult:
     unmeasured: tuple[UnmeasuredTree, ...] = ()
     plot: PlotFigures | None = None
     warnings: tuple[Notice, ...] = ()
+    trees_outside: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,12 +104,13 @@ class PlotCloudInput:
 
 @dataclass(frozen=True, kw_only=True)
 class TreeStageSettings:
-    """Of the measurement in the cloud, of the edges in the photographs, of the stem curves, of the plot's border."""
+    """Of the measurement in the cloud, the edges in the photographs, the stem curves, the borders of plot and walk."""
 
     trees: TreeSettings = field(default_factory=TreeSettings)
     silhouettes: SilhouetteJoinSettings = field(default_factory=SilhouetteJoinSettings)
     stem_curve: CurveSettings = field(default_factory=CurveSettings)
     border: BorderRequest = field(default_factory=BorderRequest)
+    walk: WalkSettings = field(default_factory=WalkSettings)
 
 
 def measure_plot(
@@ -193,17 +197,31 @@ def _look_at_photos(
     """Diameters joined with those of the stems' edges in the photographs, where there are any."""
     if given.photos is None or not given.metric:
         return result
-    by_cloud = set(found.trees)
-    joined = measure_silhouettes(
-        result,
-        given.photos,
-        scale_rel_std=given.scale_rel_std,
-        dbh=settings.trees.dbh,
-        settings=settings.silhouettes,
-        figures=out / "figures",
-        kept={tree.tree_id for tree in result.trees if tree not in by_cloud},  # by hand: a person knows better
-        progress=progress,
-    )
+    photos, by_cloud = given.photos, set(found.trees)
+    by_hand = frozenset(tree.tree_id for tree in result.trees if tree not in by_cloud)  # a person knows better
+    cameras = camera_places(photos.scene, photos.cloud_from_scene)
+
+    def look(stems: PlotResult) -> PlotResult:
+        return measure_silhouettes(
+            stems,
+            photos,
+            scale_rel_std=given.scale_rel_std,
+            dbh=settings.trees.dbh,
+            settings=settings.silhouettes,
+            figures=out / "figures",
+            kept=by_hand,
+            progress=progress,
+        )
+
+    def apart(stems: PlotResult) -> PlotResult:
+        return apart_from_walk(stems, cameras, settings=settings.walk, kept=by_hand)
+
+    if settings.walk.measure_far:
+        joined = apart(look(result))
+    else:
+        near, beyond = _parted(apart(result))
+        seen = look(near)
+        joined = replace(seen, trees=(*seen.trees, *beyond.trees), sections=(*seen.sections, *beyond.sections))
     write_sources(out / "dbh_sources.csv", joined)
     return joined
 
@@ -237,6 +255,16 @@ def _without_border(result: PlotResult, why: Notice) -> PlotResult:
     return replace(result, warnings=(*result.warnings, notice(PlotCode.border_not_placed, why=why)))
 
 
+def _parted(result: PlotResult) -> tuple[PlotResult, PlotResult]:
+    """The stems of the walk, and those outside of it."""
+    parts = []
+    for outside in (False, True):
+        pairs = [pair for pair in zip(result.trees, result.sections, strict=True) if pair[0].outside == outside]
+        trees, sections = tuple(tree for tree, _ in pairs), tuple(section for _, section in pairs)
+        parts.append(replace(result, trees=trees, sections=sections))
+    return parts[0], parts[1]
+
+
 def _write(
     result: PlotResult,
     given: PlotCloudInput,
@@ -264,11 +292,12 @@ def _write(
 
 
 def _summary(result: PlotResult, plot: PlotFigures | None) -> TreesResult:
-    unmeasured = [tree for tree in result.trees if tree.dbh_cm is None]
+    counted = [pair for pair in zip(result.trees, result.sections, strict=True) if not pair[0].outside]
+    unmeasured = [tree for tree, _ in counted if tree.dbh_cm is None]
     return TreesResult(
-        trees=len(result.trees),
-        trees_with_dbh=len(result.trees) - len(unmeasured),
-        trees_with_silhouette=sum(section.silhouette is not None for section in result.sections),
+        trees=len(counted),
+        trees_with_dbh=len(counted) - len(unmeasured),
+        trees_with_silhouette=sum(section.silhouette is not None for _, section in counted),
         ground_method=None if result.ground is None else result.ground.method,
         diagnosis=result.diagnosis,
         stand=result.stand,
@@ -276,6 +305,7 @@ def _summary(result: PlotResult, plot: PlotFigures | None) -> TreesResult:
         unmeasured=tuple(UnmeasuredTree(tree_id=tree.tree_id, reasons=tree.reasons) for tree in unmeasured),
         plot=plot,
         warnings=(*result.warnings, *(() if result.trees else (result.diagnosis,))),
+        trees_outside=len(result.trees) - len(counted),
     )
 
 

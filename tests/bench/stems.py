@@ -22,6 +22,8 @@ from scipy.optimize import linear_sum_assignment
 from fsinfer.trees import Tree, analyse_plot
 from tests.bench.results import add_result_options, check_result_options, save_result
 from training.simulate.stem_cloud import KINDS, CloudSpec, StemCloud, StemTruth, simulate
+from training.simulate.walked_cloud import KINDS as WALKED
+from training.simulate.walked_cloud import WalkSpec, simulate_walk
 
 MAX_DISTANCE_M = 0.3
 
@@ -52,7 +54,7 @@ def run(kind: str, first_seed: int, plots: int, *, echo: bool = True) -> list[Ma
     """Simulate and measure ``plots`` plots."""
     matches: list[Match] = []
     for seed in range(first_seed, first_seed + plots):
-        cloud = simulate(seed, CloudSpec(kind=kind))
+        cloud = simulate_walk(seed, WalkSpec(kind=kind)) if kind in WALKED else simulate(seed, CloudSpec(kind=kind))
         start = time.perf_counter()
         result = analyse_plot(cloud.points)
         seconds = time.perf_counter() - start
@@ -66,7 +68,8 @@ def run(kind: str, first_seed: int, plots: int, *, echo: bool = True) -> list[Ma
 
 
 #: Groups of stems by name, with what a file calls them.
-GROUPS: dict[str, tuple[str, Callable[[StemTruth], bool]]] = {
+Groups = dict[str, tuple[str, Callable[[StemTruth], bool]]]
+GROUPS: Groups = {
     "all": ("", lambda stem: True),
     "whole": ("whole_", lambda stem: stem.seen_deg > 359),
     "half hidden": ("hidden_", lambda stem: stem.seen_deg < 359),
@@ -75,9 +78,25 @@ GROUPS: dict[str, tuple[str, Callable[[StemTruth], bool]]] = {
     "double wall": ("double_wall_", lambda stem: "double wall" in stem.tags),
     "all but double walls": ("single_wall_", lambda stem: "double wall" not in stem.tags),
 }
+#: The classes of the second generator: what makes a stem hard. One that is torn counts there only.
+CLASSES: Groups = {
+    "all": ("", lambda stem: True),
+    "seen all round": ("whole_", lambda stem: "all round" in stem.tags and "double wall" not in stem.tags),
+    "half hidden": ("hidden_", lambda stem: "half hidden" in stem.tags and "double wall" not in stem.tags),
+    "thin": ("thin_", lambda stem: "thin" in stem.tags and "double wall" not in stem.tags),
+    "leaning": ("leaning_", lambda stem: "leaning" in stem.tags and "double wall" not in stem.tags),
+    "far": ("far_", lambda stem: "far" in stem.tags and "double wall" not in stem.tags),
+    "double wall": ("double_wall_", lambda stem: "double wall" in stem.tags),
+    "all but double walls": ("single_wall_", lambda stem: "double wall" not in stem.tags),
+}
 
 
-def figures_of(matches: list[Match]) -> dict[str, float]:
+def groups_of(kind: str) -> Groups:
+    """What is told apart in the clouds of a generator."""
+    return CLASSES if kind in WALKED else GROUPS
+
+
+def figures_of(matches: list[Match], groups: Groups = GROUPS) -> dict[str, float]:
     """Detection, false trees, and for each group errors and coverage of the intervals; none where none is measured."""
     stems = [m for m in matches if m.truth is not None]
     found = [(m.truth, m.tree) for m in stems if m.truth is not None and m.tree is not None]
@@ -89,7 +108,7 @@ def figures_of(matches: list[Match]) -> dict[str, float]:
         "false": false,
         "false_percent": 100 * false / max(len(found) + false, 1),
     }
-    for prefix, chosen in GROUPS.values():
+    for prefix, chosen in groups.values():
         group = [(stem, tree) for stem, tree in found if chosen(stem)]
         figures |= {
             f"{prefix}stems": sum(1 for m in stems if m.truth is not None and chosen(m.truth)),
@@ -117,13 +136,13 @@ def figures_of(matches: list[Match]) -> dict[str, float]:
     return figures
 
 
-def summary(figures: dict[str, float]) -> str:
+def summary(figures: dict[str, float], groups: Groups = GROUPS) -> str:
     """The figures, one line a group."""
     lines = [
         f"stems {figures['stems']}, detected {figures['found_percent']:.2f} %, "
         f"false {figures['false']} ({figures['false_percent']:.2f} %)"
     ]
-    for name, (prefix, _) in GROUPS.items():
+    for name, (prefix, _) in groups.items():
         own = {key.removeprefix(prefix): value for key, value in figures.items() if key.startswith(prefix)}
         if not own["measured"]:
             lines.append(f"{name:>20}: n {own['found']}, none measured")
@@ -172,7 +191,7 @@ def write_rows(path: Path, matches: list[Match]) -> None:
 def main(argv: list[str] | None = None) -> int:
     """Run and print."""
     parser = argparse.ArgumentParser(prog="python -m tests.bench.stems", description=__doc__)
-    parser.add_argument("--kind", choices=KINDS, default="lidar")
+    parser.add_argument("--kind", choices=(*KINDS, *WALKED), default="lidar")
     parser.add_argument("--plots", type=int, default=22, help="of about 25 stems each")
     parser.add_argument("--first-seed", type=int, default=1000)
     parser.add_argument("--rows", type=Path, help="CSV of all stems")
@@ -181,8 +200,9 @@ def main(argv: list[str] | None = None) -> int:
     check_result_options(parser, args)
     matches = run(args.kind, args.first_seed, args.plots)
     print(f"{args.kind}, seeds {args.first_seed} to {args.first_seed + args.plots - 1}")
-    figures = figures_of(matches)
-    print(summary(figures))
+    groups = groups_of(args.kind)
+    figures = figures_of(matches, groups)
+    print(summary(figures, groups))
     settings = {
         "kind": args.kind,
         "plots": args.plots,

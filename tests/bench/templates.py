@@ -7,6 +7,7 @@ show, good or bad. The headline takes blind sets only.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 from tests.bench.results import RESULTS, Result, read_result
 
@@ -184,6 +185,43 @@ def stems(results: Sequence[Result]) -> Lines:
     )
 
 
+def classes(results: Sequence[Result]) -> Lines:
+    """Coverage by class of stems that a walk saw, a column each: whether an interval holds where it is hard."""
+    rows: list[tuple[str, str, Callable[[Result], str]]] = [
+        ("set, seeds", "", lambda r: f"{r.kind}, {r.settings['first_seed']} to {r.settings['last_seed']}"),
+        ("stems, found, false", "", lambda r: "{stems:g}, {found:g}, {false:g}".format(**r.figures)),
+        ("all but torn walks: RMSE, bias", "", lambda r: error(r, "single_wall_")),
+    ]
+    names = {
+        "single_wall_": "all but torn walks",
+        "whole_": "seen from 300° and more",
+        "hidden_": "seen from less than 250°",
+        "thin_": "thinner than 15 cm",
+        "leaning_": "leaning by 7° and more",
+        "far_": "no nearer than 6 m",
+        "double_wall_": "torn walks: two parts 2 to 5 cm apart",
+    }
+    for prefix, name in names.items():
+        asked = "" if prefix == "double_wall_" else "93 to 97 %"
+        rows.append((f"{name}: stems, RMSE, inside, half width", asked, partial(covered, prefix=prefix)))
+    rows.append(("code, date", "", lambda r: f"{r.short_commit}, {r.date[:10]}"))
+    kinds = {"walked-photo": "photographed", "walked-lidar": "scanned"}
+    return table(
+        ["", "asked for", *(f"{kinds[result.settings['kind']]}, `{result.name}`" for result in results)],
+        [[label, asked, *(cell(result) for result in results)] for label, asked, cell in rows],
+    )
+
+
+def error(result: Result, prefix: str) -> str:
+    """RMSE and bias of one group."""
+    return f"{known(result, f'{prefix}rmse_cm', '.2f', ' cm')}, {known(result, f'{prefix}bias_cm', '+.2f', ' cm')}"
+
+
+def covered(result: Result, prefix: str) -> str:
+    """Stems with a DBH, RMSE, coverage and the median half width of one group."""
+    return f"{group(result, prefix)}, ± {known(result, f'{prefix}half_width_median_cm', '.2f', ' cm')}"
+
+
 def group(result: Result, prefix: str) -> str:
     """Stems with a DBH, RMSE and coverage of one group."""
     rmse = known(result, f"{prefix}rmse_cm", ".2f", " cm")
@@ -207,4 +245,10 @@ def index(results: Sequence[Result]) -> Lines:
     return table(["file", "set", "code", "date", "command"], rows)
 
 
-TEMPLATES: dict[str, Template] = {"headline": headline, "plots": plots, "stems": stems, "index": index}
+TEMPLATES: dict[str, Template] = {
+    "headline": headline,
+    "plots": plots,
+    "stems": stems,
+    "classes": classes,
+    "index": index,
+}

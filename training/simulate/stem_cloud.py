@@ -10,10 +10,12 @@ Only NumPy: a plot of 25 stems takes about a second.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from training.simulate.surroundings import Parts, Terrain, ground_points, positions, shrub
 
 Floats = NDArray[np.float64]
 KINDS = ("lidar", "photo")
@@ -83,16 +85,6 @@ class StemCloud:
     spacing_m: float
 
 
-@dataclass
-class _Parts:
-    points: list[Floats] = field(default_factory=list)
-    owner: list[NDArray[np.int64]] = field(default_factory=list)
-
-    def add(self, points: Floats, owner: int = -1) -> None:
-        self.points.append(points)
-        self.owner.append(np.full(len(points), owner))
-
-
 def simulate(seed: int, spec: CloudSpec | None = None) -> StemCloud:
     """Simulate one plot; the same seed and spec give the same cloud."""
     spec = spec or CloudSpec()
@@ -102,18 +94,18 @@ def simulate(seed: int, spec: CloudSpec | None = None) -> StemCloud:
     rng = np.random.default_rng([seed, KINDS.index(spec.kind)])
     size = float(np.sqrt(spec.trees * spec.area_per_tree_m2))
     spacing = float(rng.uniform(*spec.spacing_m))
-    ground = _Terrain(rng, spec, size)
+    ground = Terrain(rng, size, slope_deg=spec.slope_deg, bumps_m=spec.bumps_m)
     dbh = rng.uniform(*spec.dbh_m, spec.trees)
-    feet = _positions(rng, dbh, spec, size)
-    parts, stems = _Parts(), list[StemTruth]()
+    feet = positions(rng, dbh, size, min_gap_m=spec.min_gap_m)
+    parts, stems = Parts(), list[StemTruth]()
     for foot, diameter in zip(feet, dbh, strict=False):
         z_foot = float(ground(foot[None])[0])
         for stem in _tree(rng, spec, spacing, diameter, foot, z_foot, parts, len(stems)):
             stems.append(stem)
-    _ground_points(rng, spec, ground, size, max(spacing, 0.02), parts)
+    ground_points(rng, ground, size, max(spacing, 0.02), parts, sigma_m=spec.sigma_m)
     for _ in range(rng.poisson(spec.shrubs_per_tree * spec.trees)):
         near = feet[rng.integers(len(feet))] + rng.normal(0.0, 0.6, 2)
-        parts.add(_shrub(rng, near, ground, spacing))
+        parts.add(shrub(rng, near, ground, spacing))
     strays = int(0.002 * sum(map(len, parts.points)))
     parts.add(
         rng.uniform([-1.0, -1.0, ground.low - 0.3], [size + 1.0, size + 1.0, ground.high + spec.top_m], (strays, 3))
@@ -124,39 +116,6 @@ def simulate(seed: int, spec: CloudSpec | None = None) -> StemCloud:
     )
 
 
-class _Terrain:
-    """A tilted plane with bumps of 1-3 m; call with xy (N, 2) for heights (N,)."""
-
-    def __init__(self, rng: np.random.Generator, spec: CloudSpec, size: float) -> None:
-        slope = np.tan(np.radians(rng.uniform(*spec.slope_deg)))
-        azimuth = rng.uniform(0.0, 2.0 * np.pi)
-        self._tilt = slope * np.array([np.cos(azimuth), np.sin(azimuth)])
-        self._bumps = rng.uniform(*spec.bumps_m)
-        self._wave = rng.normal(0.0, 1.0, (6, 2)) * 2.0 * np.pi / rng.uniform(2.0, 6.0, (6, 1)) / 1.4
-        self._phase = rng.uniform(0.0, 2.0 * np.pi, 6)
-        corners = np.array([[0.0, 0.0], [size, 0.0], [0.0, size], [size, size]]) @ self._tilt
-        self.low, self.high = float(corners.min()), float(corners.max())
-
-    def __call__(self, xy: Floats) -> Floats:
-        waves = np.sin(xy @ self._wave.T + self._phase).sum(axis=1) / np.sqrt(6.0)
-        return np.asarray(xy @ self._tilt + self._bumps * waves)
-
-
-def _positions(rng: np.random.Generator, dbh: Floats, spec: CloudSpec, size: float) -> Floats:
-    """Random feet (T, 2) whose stems keep their distance; the last ones are dropped where no place is left."""
-    feet = np.zeros((0, 2))
-    for number, diameter in enumerate(dbh):
-        for _ in range(300):
-            at = rng.uniform(0.4, size - 0.4, 2)
-            gap = np.hypot(*(feet - at).T) - 0.5 * (dbh[:number][: len(feet)] + diameter)
-            if len(feet) == 0 or gap.min() >= spec.min_gap_m:
-                feet = np.vstack([feet, at])
-                break
-        else:
-            break
-    return feet
-
-
 def _tree(
     rng: np.random.Generator,
     spec: CloudSpec,
@@ -164,7 +123,7 @@ def _tree(
     diameter: float,
     foot: Floats,
     z_foot: float,
-    parts: _Parts,
+    parts: Parts,
     first: int,
 ) -> list[StemTruth]:
     """Add one tree's points; returns its one or two stems."""
@@ -313,30 +272,3 @@ def _branch(rng: np.random.Generator, stem: _Stem, spacing: float, middle: float
     around -= (around @ direction)[:, None] * direction
     around *= radius / np.maximum(np.linalg.norm(around, axis=1, keepdims=True), 1e-9)
     return np.asarray(start + along[:, None] * direction + around)
-
-
-def _shrub(rng: np.random.Generator, at: Floats, ground: _Terrain, spacing: float) -> Floats:
-    """Leaves in an ellipsoid on the ground: a herb or a shrub of 0.3 to 1.6 m."""
-    height, width = rng.uniform(0.3, 1.6), rng.uniform(0.15, 0.5)
-    leaves = rng.integers(60, 400)
-    center = rng.normal(0.0, 1.0, (leaves, 3)) * [0.5 * width, 0.5 * width, 0.25 * height] + [*at, 0.45 * height]
-    each = max(int(0.03**2 / spacing**2), 1)
-    normal = rng.normal(0.0, 1.0, (leaves, 3))
-    flat = rng.normal(0.0, 0.015, (leaves, each, 3))
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    flat -= (flat * normal[:, None]).sum(axis=2, keepdims=True) * normal[:, None]
-    points: Floats = (center[:, None] + flat).reshape(-1, 3)
-    points = points[points[:, 2] > 0.0]
-    points[:, 2] += ground(points[:, :2])
-    return points
-
-
-def _ground_points(
-    rng: np.random.Generator, spec: CloudSpec, ground: _Terrain, size: float, spacing: float, parts: _Parts
-) -> None:
-    count = int((size + 2.0) ** 2 / spacing**2)
-    xy = rng.uniform(-1.0, size + 1.0, (count, 2))
-    litter = np.abs(rng.normal(0.0, 0.015, count))
-    grass = rng.random(count) < 0.05
-    litter[grass] += rng.exponential(0.08, int(grass.sum()))
-    parts.add(np.column_stack([xy, ground(xy) + litter + rng.normal(0.0, spec.sigma_m, count)]))

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from fsinfer.report.contents import number
 
 #: The values of the column ``status``, in the order of trust, and the words for them.
-STATUS_WORDS = {"ok": "measured", "doubtful": "doubtful", "unmeasured": "no diameter"}
+STATUS_WORDS = {"ok": "measured", "doubtful": "doubtful", "unmeasured": "no diameter", "outside": "outside of the walk"}
 
 
 def status_of(tree: Mapping[str, str]) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.notices.notice import Notice
+from fsinfer.trees.diameter.budget import factor95
 from fsinfer.trees.diameter.outline import Outline
 from fsinfer.trees.diameter.silhouette import SilhouetteFit
 
@@ -23,7 +24,8 @@ class Section:
     those the circle used, ``circle_m`` (x, y, radius) the fused circle in the same plane. ``center`` (2,) is the axis
     position at ``bh_m`` in the frame of the cloud, ``slope`` (2,) its dx/dh and dy/dh, ``taper`` the radius's dr/dh,
     ``top_m`` the height to which the stem was seen (below the search's upper end). ``parts_m`` are the standard
-    deviations of the radius that make up the interval, by name, ``tau_m`` the error that neighbouring points share.
+    deviations of the radius that make up the interval, by name, ``dof`` their degrees of freedom together
+    (:mod:`fsinfer.trees.diameter.budget`), ``tau_m`` the error that neighbouring points share.
     ``dbh_m`` is None when ``reasons`` say why there is none. Where photographs were looked at too
     (:mod:`fsinfer.silhouettes.join`), ``silhouette`` is what their edges say and ``cloud_dbh_m`` what the points alone
     gave.
@@ -51,6 +53,12 @@ class Section:
     outline: Outline | None
     silhouette: SilhouetteFit | None = None
     cloud_dbh_m: float | None = None
+    dof: float = float("inf")
+
+    @property
+    def half95_m(self) -> float:
+        """Half the width of the 95 % interval of the diameter."""
+        return factor95(self.dof) * self.sd_m
 
 
 def unmeasured_section(

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.trees.cylinder.axis import RIDGE, AxisFit
+from fsinfer.trees.diameter.budget import LEAST_DOF
 from fsinfer.trees.points.sums import sums_of_products
 from fsinfer.trees.points.surface import LAYER_M, SECTORS, sector_of
 
@@ -46,10 +47,17 @@ class SpreadSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
-    """Covariance (P, P) of the fit's parameters, and ``tau_m``: the standard deviation that blocks of bark share."""
+    """Covariance (P, P) of the fit's parameters, and ``tau_m``: the standard deviation that blocks of bark share.
+
+    ``tau_dof`` are the degrees of freedom from which the latter was estimated: the blocks beyond those that the fit
+    uses up, counted as few as neighbours go together. ``radius_dof`` are those of the radius's variance, of which only
+    what blocks share is uncertain.
+    """
 
     covariance: Floats
     tau_m: float
+    tau_dof: float
+    radius_dof: float
 
 
 def fit_spread(fit: AxisFit, offsets: Floats, foot: Floats, *, settings: SpreadSettings | None = None) -> Spread:
@@ -90,6 +98,14 @@ def fit_spread(fit: AxisFit, offsets: Floats, foot: Floats, *, settings: SpreadS
     information = sums_of_products(weighted.T, jacobian.T)
     sums = np.stack([np.bincount(block, weights=weighted[:, k], minlength=size) for k in range(parameters)], axis=1)
     prior = np.diag(fit.prior_information)
-    meat = information + inflation * tau2 * sums.T @ sums + prior
+    shared = inflation * tau2 * sums.T @ sums
     bread = np.linalg.inv(information + prior + RIDGE * np.eye(parameters))
-    return Spread(covariance=np.asarray(bread @ meat @ bread), tau_m=fit.sigma_m * float(np.sqrt(tau2)))
+    covariance = np.asarray(bread @ (information + shared + prior) @ bread)
+    tau_dof = max(free / inflation, LEAST_DOF)
+    part = float(bread[4] @ shared @ bread[4]) / max(float(covariance[4, 4]), 1e-18)
+    return Spread(
+        covariance=covariance,
+        tau_m=fit.sigma_m * float(np.sqrt(tau2)),
+        tau_dof=tau_dof,
+        radius_dof=tau_dof / part**2 if part > 0.0 else float("inf"),
+    )

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from fsinfer.trees.diameter.section import Section
     from fsinfer.trees.stem_curve import CurvePoint
 
-STATUS_COLOURS = {"ok": "#1b7837", "doubtful": "#d98300", "unmeasured": "#9a9a9a"}
+STATUS_COLOURS = {"ok": "#1b7837", "doubtful": "#d98300", "unmeasured": "#9a9a9a", "outside": "#7d8fa3"}
 #: Stems outside of the plot's border. Source: layout.
 _OUTSIDE_ALPHA = 0.35
 _BORDER = "#6a3d9a"
@@ -106,7 +106,7 @@ def plot_stem_map(result: PlotResult, path: Path, *, border: NDArray[np.float64]
     present = [status for status in STATUS_COLOURS if any(tree.status == status for tree in result.trees)]
     handles = [
         Line2D([], [], marker="o", linestyle="", markersize=8, markeredgecolor=STATUS_COLOURS[status], label=status,
-               markerfacecolor="none" if status == "unmeasured" else STATUS_COLOURS[status])
+               markerfacecolor="none" if status in ("unmeasured", "outside") else STATUS_COLOURS[status])
         for status in present
     ]  # fmt: skip
     handles.append(Line2D([], [], color="0.75", linestyle="--", linewidth=1.0, label="where the cloud lies"))
@@ -143,7 +143,7 @@ def plot_section(
     axes.scatter(*offsets[~kept].T, s=size, color=_DROPPED, alpha=0.6, linewidth=0, label="dropped points")
     axes.scatter(*offsets[kept].T, s=size, color=_KEPT, alpha=0.8, linewidth=0, label="points used")
     if tree.dbh_cm is not None:
-        half = Z95 * 100.0 * section.sd_m / 2.0
+        half = 100.0 * section.half95_m / 2.0
         band = Annulus(
             (0, 0), radius + half, min(2.0 * half, radius + half), color="0.5", alpha=0.22, linewidth=0,
             label="95 % interval",

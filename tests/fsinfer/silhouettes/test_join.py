@@ -18,7 +18,14 @@ from fsinfer.io.pfm import write_pfm
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.scene import Camera, read_scene, write_camera, write_pairs
-from fsinfer.silhouettes.join import SilhouetteJoinSettings, StemPhotos, join, measure_silhouettes, write_sources
+from fsinfer.silhouettes.join import (
+    SilhouetteJoinSettings,
+    StemPhotos,
+    join,
+    measure_silhouettes,
+    points_support,
+    write_sources,
+)
 from fsinfer.silhouettes.strips import GAP_PX, TILE_PX
 from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
 from fsinfer.trees.diameter.silhouette import Edges, SilhouetteFit, fit_silhouette
@@ -84,6 +91,9 @@ def test_a_stem_seen_from_one_side_is_less_certain() -> None:
     assert round_it is not None
     assert one_side is not None
     assert one_side.std_m > 1.3 * round_it.std_m
+    unseen = 1.0 - one_side.sectors / 0.6
+    assert one_side.one_sided_m == pytest.approx(0.05 * one_side.radius_m * unseen)
+    assert one_side.std_m > one_side.one_sided_m > 0.0 == round_it.one_sided_m
     assert one_side.sectors < 0.5 < round_it.sectors
     assert abs(one_side.radius_m - 0.15) < 3 * one_side.std_m
 
@@ -228,11 +238,13 @@ def test_photographs_mend_a_hazy_stem(photos: StemPhotos, too_thick_m: float | N
     assert tree.dbh_lo95_cm is not None
     assert tree.dbh_hi95_cm is not None
     assert tree.dbh_lo95_cm < 200 * RADIUS < tree.dbh_hi95_cm
-    assert tree.dbh_hi95_cm - tree.dbh_lo95_cm < 3.0
+    contradicted = dbh == 0.32  # by 2.5 standard deviations; the other is within 2
+    assert tree.dbh_hi95_cm - tree.dbh_lo95_cm < (4.0 if contradicted else 3.0)
     np.testing.assert_allclose([tree.x_m, tree.y_m], BREAST[:2], atol=0.004)
     assert found.cloud_dbh_m == dbh
     assert result.diagnosis == notice(StemCode.trees_found, trees=1, measured=1)
-    assert tree.status == "ok"
+    assert tree.status == ("doubtful" if contradicted else "ok")
+    assert [why.code for why in tree.reasons] == ([StemCode.sources_disagree] if contradicted else [])
 
 
 def test_photographs_without_the_stem_change_nothing(photos: StemPhotos, tmp_path: Path) -> None:
@@ -264,8 +276,16 @@ def fit_of(radius: float, std: float, *, photos: int = 20, sectors: float = 0.6)
     )
 
 
-def joined(section: Section, fit: SilhouetteFit) -> Section:
-    return join(section, fit, scale_rel_std=0.002, dbh=DbhSettings(), settings=SilhouetteJoinSettings())
+def joined(section: Section, fit: SilhouetteFit, *, supported: bool = True, pose_std_m: float = 0.0) -> Section:
+    return join(
+        section,
+        fit,
+        scale_rel_std=0.002,
+        dbh=DbhSettings(),
+        settings=SilhouetteJoinSettings(),
+        supported=supported,
+        pose_std_m=pose_std_m,
+    )
 
 
 def test_join_by_precision_and_alone_where_they_disagree() -> None:
@@ -277,9 +297,70 @@ def test_join_by_precision_and_alone_where_they_disagree() -> None:
     assert alone.sd_m > between.sd_m > 2 * 0.15 * 0.002  # never surer than the scale
 
 
+def test_sources_that_contradict_each_other_widen_the_interval_and_say_so() -> None:
+    """33.0 +- 0.4 from points and 30.3 +- 0.4 from edges is not 30.3 +- 0.8 beyond doubt."""
+    std = 0.002 / 1.96  # of the radius: 0.4 cm are half of the interval of the diameter
+    agree, apart = (joined(section_of(dbh, std), fit_of(0.1515, std)) for dbh in (0.3035, 0.330))
+    assert apart.dbh_m == pytest.approx(0.303)
+    assert 0.012 < apart.half95_m < 0.020
+    assert agree.half95_m < 0.006
+    (why,) = apart.reasons
+    assert (apart.status, why.code) == ("doubtful", StemCode.sources_disagree)
+    assert (why.values["points_cm"], why.values["edges_cm"]) == pytest.approx((33.0, 30.3))
+    assert (agree.status, agree.reasons) == ("ok", ())
+    # The excess is what their own errors do not explain: points that know little contradict nothing.
+    vague = joined(section_of(0.330, 0.010), fit_of(0.1515, std))
+    assert (vague.status, vague.parts_m["disagreement"]) == ("ok", 0.0)
+
+
+def test_edges_alone_are_no_measurement() -> None:
+    """A stem of 17 cm was given as 2.8 cm by its edges alone."""
+    refused = section_of(None, 0.01, notice(StemCode.too_few_at_breast_height, least=12))
+    alone = joined(refused, fit_of(0.014, 0.001), supported=False)
+    assert (alone.dbh_m, alone.status) == (None, "unmeasured")
+    (why,) = alone.reasons
+    assert why.code == StemCode.edges_unsupported
+    assert (why.values["photos"], why.values["refused"]) == (20, refused.reasons[0])
+    assert why.values["edges_cm"] == pytest.approx(2.8)
+    assert alone.silhouette is not None  # for dbh_sources.csv
+    assert joined(refused, fit_of(0.14, 0.001), supported=True).dbh_m == pytest.approx(0.28)
+
+
+def test_points_that_were_refused_may_still_agree_on_the_size() -> None:
+    settings = SilhouetteJoinSettings()
+    seen = notice(StemCode.too_little_seen, seen_deg=50.0)
+    section = replace(section_of(None, 0.008, seen), circle_m=np.array([0.0, 0.0, 0.145]))
+    assert points_support(section, fit_of(0.15, 0.002), settings)
+    assert not points_support(section, fit_of(0.10, 0.002), settings)
+    vague = replace(section, parts_m={"fit": 0.03})
+    assert not points_support(vague, fit_of(0.15, 0.002), settings)
+    walls = replace(section, reasons=(notice(StemCode.double_wall, gap_cm=3.0),))
+    assert not points_support(walls, fit_of(0.15, 0.002), settings)
+    by_hand = replace(section, reasons=(notice(StemCode.added_by_hand), *walls.reasons))
+    assert not points_support(by_hand, fit_of(0.15, 0.002), settings)
+
+
+def test_what_the_cameras_errors_do_goes_into_the_interval(photos: StemPhotos) -> None:
+    sure = joined(section_of(0.300, 0.002), fit_of(0.15, 0.002))
+    moved = joined(section_of(0.300, 0.002), fit_of(0.15, 0.002), pose_std_m=0.004)
+    assert moved.sd_m**2 == pytest.approx(sure.sd_m**2 + (2 * 0.004) ** 2)
+    asked = []
+
+    def std_at(place: NDArray[np.float64]) -> float:
+        asked.append(place)
+        return 0.004
+
+    found = measure_silhouettes(plot_of(section_of(0.28, 0.004)), replace(photos, pose_std_m=std_at))
+    assert found.sections[0].parts_m["poses"] == 0.004
+    np.testing.assert_allclose(asked, BREAST[None] + np.array([[0.015, -0.01, 0.0]]))
+
+
 def test_refused_by_the_cloud_and_hardly_seen_stays_doubtful() -> None:
+    rough = section_of(None, 0.01, ROUGH)
+    assert joined(rough, fit_of(0.15, 0.002)).status == "ok"
     refused = section_of(None, 0.01, notice(StemCode.double_wall, gap_cm=3.0))
-    assert joined(refused, fit_of(0.15, 0.002)).status == "ok"
+    walls = joined(refused, fit_of(0.15, 0.002))
+    assert (walls.status, [why.code for why in walls.reasons]) == ("doubtful", [StemCode.edges_alone])
     few = joined(refused, fit_of(0.15, 0.002, photos=5))
     assert few.status == "doubtful"
     assert few.dbh_m == pytest.approx(0.30)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fsinfer.notices.notice import notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees.cylinder.axis import Axis
+from fsinfer.trees.diameter.budget import factor95
 from fsinfer.trees.diameter.outline import Outline
 from fsinfer.trees.diameter.section import Section, unmeasured_section
 from fsinfer.trees.ground.ground import Ground
@@ -49,6 +50,13 @@ def test_the_interval_is_95_per_cent_in_centimetres_and_never_below_nothing(dbh_
     assert tree.dbh_hi95_cm == pytest.approx(100 * (dbh_m + 1.96 * sd_m))
     assert tree.dbh_lo95_cm == pytest.approx(max(100 * (dbh_m - 1.96 * sd_m), 0.0))
     assert (tree.dbh_perimeter_cm, tree.dbh_min_cm, tree.dbh_max_cm) == pytest.approx((30.1, 28, 32))
+
+
+@given(dof=st.floats(1.0, 50.0))
+def test_few_blocks_of_bark_make_it_student_s_interval(dof: float) -> None:
+    tree = tree_of(replace(section_of(0.3, 0.005), dof=dof), 0.0, None, np.zeros(3))
+    assert tree.dbh_hi95_cm == pytest.approx(30.0 + 0.5 * factor95(dof))
+    assert tree.dbh_hi95_cm > 30.0 + 0.5 * 1.96
 
 
 def test_without_a_diameter_every_size_is_empty_and_the_reason_stays() -> None:

@@ -125,6 +125,19 @@ def test_half_a_stem_is_measured_with_a_wider_interval() -> None:
     assert half.dbh_perimeter_cm is None
 
 
+def test_bark_unseen_sides_and_noise_are_in_the_budget() -> None:
+    """Each a share of what it comes from; unseen sides are the most of a stem seen from one side."""
+    (whole,), (half,) = (analyse_plot(_single(arc_deg=arc)).sections for arc in (360.0, 150.0))
+    for section in (whole, half):
+        radius = float(section.circle_m[2])
+        assert section.parts_m["bark"] == pytest.approx(0.005 * radius)
+        assert section.parts_m["hidden"] == pytest.approx(0.042 * (1.0 - section.coverage) * radius)
+        assert section.parts_m["noise"] == pytest.approx(0.1 * section.residual_m)
+        assert section.sd_m == pytest.approx(2.0 * np.sqrt(sum(part**2 for part in section.parts_m.values())))
+        assert section.dof > 3.0
+    assert half.parts_m["hidden"] > 0.003 > whole.parts_m["hidden"]
+
+
 def test_double_wall_is_refused() -> None:
     def second(rng: np.random.Generator) -> NDArray[np.float64]:
         copy = wall(rng, radius=0.18)

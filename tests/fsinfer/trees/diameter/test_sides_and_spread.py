@@ -45,6 +45,9 @@ def test_what_patches_share_is_found_and_does_not_average_away() -> None:
     spread = fit_spread(fit, offset, foot)
     assert spread.tau_m == pytest.approx(0.004, rel=0.4)
     assert spread.covariance[4, 4] > 4.0 * fit.covariance[4, 4]
+    # Some 28 blocks round the stem in 8 layers, less what the fit uses up; that is all there is to tell it from.
+    assert 20.0 < spread.tau_dof < 230.0
+    assert spread.tau_dof < spread.radius_dof < 2.0 * spread.tau_dof
 
 
 def test_shape_is_measured_where_seen_and_doubted_where_hidden() -> None:

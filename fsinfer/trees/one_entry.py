@@ -1,0 +1,67 @@
+"""One stem, one entry: two stems cannot stand nearer to each other than the sum of their radii.
+
+The search lets the better stem own its wall, but a stem far from all cameras is a haze with several axes, and
+measuring moves axes: two entries may end a centimetre apart. Stems grown together, and the stems of a fork, touch; they
+do not stand in each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.stems import StemCode
+from fsinfer.trees.diameter.section import Section
+from fsinfer.trees.tree import Tree
+
+Pair = tuple[Tree, Section]
+#: How far two entries with a DBH may stand in each other for the errors of their radii, standard deviations of their
+#: sum. Source: statistics, 95 %.
+IN_EACH_OTHER = 2.0
+#: Without a DBH a radius may be anything; it counts for so much at most, metres. Source: geometry, a stem of 30 cm.
+UNMEASURED_M = 0.15
+#: The status words in the order of trust; what has none of these comes last.
+TRUST = ("ok", "doubtful")
+
+
+def one_entry_a_stem(pairs: Sequence[Pair], kept: Collection[int] = ()) -> tuple[list[Pair], tuple[Notice, ...]]:
+    """The ``pairs`` in their order without those that stand in a better one, and what to say of it.
+
+    The better one is what a person put there (``kept``, numbers of trees), then the surer one by its status, by its
+    relative interval, by the share of the stem that was seen. Positions and radii are in metres.
+    """
+    order = sorted(range(len(pairs)), key=lambda i: _rank(pairs[i], kept))
+    places = np.array([[tree.x_m, tree.y_m] for tree, _ in pairs]).reshape(-1, 2)
+    standing: list[int] = []
+    told = []
+    for i in order:
+        tree, section = pairs[i]
+        inside = next((j for j in standing if _in_each_other(section, pairs[j][1], places[i] - places[j])), None)
+        if inside is None or tree.tree_id in kept:
+            standing.append(i)
+            continue
+        better = pairs[inside][0]
+        told.append(notice(StemCode.same_stem, x_m=tree.x_m, y_m=tree.y_m, other_x_m=better.x_m, other_y_m=better.y_m))
+    return [pairs[i] for i in sorted(standing)], tuple(told)
+
+
+def _rank(pair: Pair, kept: Collection[int]) -> tuple[bool, int, float, float]:
+    tree, section = pair
+    trust = TRUST.index(tree.status) if tree.status in TRUST else len(TRUST)
+    width = float("inf") if section.dbh_m is None else section.half95_m / section.dbh_m
+    return tree.tree_id not in kept, trust, width, -tree.arc_coverage
+
+
+def _in_each_other(one: Section, other: Section, apart: NDArray[np.float64]) -> bool:
+    """Whether two sections whose centres are ``apart`` (2,) overlap by more than their errors; metres."""
+    reach, variance = 0.0, 0.0
+    for section in (one, other):
+        if section.dbh_m is None:
+            reach += min(float(section.circle_m[2]), UNMEASURED_M)
+        else:
+            reach += section.dbh_m / 2.0
+            variance += (section.sd_m / 2.0) ** 2
+    return float(np.hypot(*apart)) < reach - IN_EACH_OTHER * float(np.sqrt(variance))

@@ -1,0 +1,98 @@
+"""Stems outside of the walk: listed apart, not counted, not measured unless that is asked for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fsinfer.notices.notice import notice
+from fsinfer.notices.stems import StemCode
+from fsinfer.silhouettes.walk import WalkSettings, apart_from_walk, outside_walk
+from fsinfer.trees import PlotResult, Section, Tree
+from fsinfer.trees.diameter.section import unmeasured_section
+from fsinfer.trees.stem_measurement import tree_of
+
+ANGLE = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+RING = 12.0 * np.column_stack([np.cos(ANGLE), np.sin(ANGLE)])  # its middle is 12 m from every camera
+LINE = np.column_stack([np.linspace(0.0, 20.0, 21), np.zeros(21)])
+
+
+def test_what_the_cameras_surround_or_came_near_to_is_inside() -> None:
+    places = np.array([[0.0, 0.0], [0.0, 18.0], [0.0, 21.0]])
+    far, nearest = outside_walk(places, RING)
+    assert far.tolist() == [False, False, True]
+    assert nearest == pytest.approx([12.0, 6.0, 9.0])
+    # A straight walk surrounds nothing; far along it is far too.
+    far, _ = outside_walk(np.array([[10.0, 7.5], [10.0, 8.5], [31.0, 0.0]]), LINE)
+    assert far.tolist() == [False, True, True]
+
+
+def test_one_camera_near_by_is_no_walk_and_no_camera_says_nothing() -> None:
+    strayed = np.vstack([LINE, [[10.0, 30.0]]])[[*range(0, 21, 20), 21]]  # three cameras, one of them by the stem
+    assert outside_walk(np.array([[10.0, 33.0]]), strayed)[0].tolist() == [True]
+    assert outside_walk(np.array([[10.0, 33.0]]), strayed[2:])[0].tolist() == [False]
+    assert outside_walk(np.array([[10.0, 33.0]]), np.zeros((0, 2)))[0].tolist() == [False]
+
+
+def entry(number: int, x_m: float) -> tuple[Tree, Section]:
+    blank = unmeasured_section(np.array([x_m, 0.0]), 1.3, (), radius_m=0.15)
+    section = replace(blank, dbh_m=0.3, sd_m=0.004, status="ok", reasons=())
+    return replace(tree_of(section, 0.0, 14.0, np.zeros(3)), tree_id=number), section
+
+
+def plot(*pairs: tuple[Tree, Section]) -> PlotResult:
+    return PlotResult(
+        trees=tuple(tree for tree, _ in pairs),
+        sections=tuple(section for _, section in pairs),
+        ground=None,
+        diagnosis=notice(StemCode.trees_found, trees=len(pairs), measured=len(pairs)),
+        warnings=(),
+        extent_m=(-30.0, -30.0, 30.0, 30.0),
+        spacing_m=0.01,
+        plot_area_m2=400.0,
+    )
+
+
+FOUND = plot(entry(1, 25.0), entry(2, 0.0), entry(3, 30.0), entry(4, 5.0))
+
+
+def test_far_stems_come_last_keep_their_number_and_have_no_diameter() -> None:
+    result = apart_from_walk(FOUND, RING)
+    assert [(tree.tree_id, tree.status) for tree in result.trees] == [
+        (2, "ok"),
+        (4, "ok"),
+        (1, "outside"),
+        (3, "outside"),
+    ]
+    far = result.trees[2]
+    assert (far.dbh_cm, far.dbh_lo95_cm, far.dbh_hi95_cm, far.height_m, far.x_m) == (None, None, None, None, 25.0)
+    (why,) = far.reasons
+    assert why.code == StemCode.outside_walk
+    assert why.values["nearest_m"] == pytest.approx(13.0)
+    assert result.sections[2].dbh_m is None
+    assert result.warnings == (notice(StemCode.stems_outside_walk, stems=2, trees="1, 3"),)
+    assert result.diagnosis == notice(StemCode.trees_found, trees=2, measured=2)
+    assert result.stand.stems == 2
+    assert result.stand.stems_per_ha == pytest.approx(50.0)
+
+
+def test_far_stems_are_measured_where_that_is_asked_for_but_do_not_count() -> None:
+    result = apart_from_walk(FOUND, RING, settings=WalkSettings(measure_far=True))
+    assert [(tree.tree_id, tree.status, tree.outside) for tree in result.trees] == [
+        (2, "ok", False),
+        (4, "ok", False),
+        (1, "ok", True),
+        (3, "ok", True),
+    ]
+    assert result.trees[2].dbh_cm == pytest.approx(30.0)
+    assert result.stand.stems == 2
+    assert result.warnings == ()
+
+
+def test_what_a_person_put_there_is_wanted_and_a_near_plot_stays_as_it_is() -> None:
+    result = apart_from_walk(FOUND, RING, kept=frozenset({1}))
+    assert [tree.tree_id for tree in result.trees] == [1, 2, 4, 3]
+    near = plot(entry(1, 0.0))
+    assert apart_from_walk(near, RING) is near

@@ -1,0 +1,75 @@
+"""A second pair of sides: stems have one, a strip of bark or a shadow has none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fsinfer.trees.diameter.second_pair import second_pair
+from fsinfer.trees.diameter.silhouette import Edges, fit_silhouette
+
+TAPER = -0.008
+
+
+def edges_of(radius: float, directions_deg: list[float], *, rng: np.random.Generator, photo: int = 0) -> Edges:
+    """Both edges of a round stem in three bands from each direction, and junk; photographs count from ``photo``."""
+    rows = []
+    for number, direction in enumerate(np.radians(directions_deg), start=photo):
+        for side in (0, 1):
+            for band in range(3):
+                angle = direction + (np.pi / 2 if side else -np.pi / 2)
+                height = -0.15 + 0.15 * band
+                ray = (number * 2 + side) * 3 + band
+                support = radius + TAPER * height + rng.normal(0, 0.001)
+                rows.append((support, angle, height, rng.uniform(4, 12), 0.004, ray, number))
+                rows.append((rng.uniform(0.01, 0.2), angle, height, rng.uniform(1.2, 4), 0.004, ray, number))
+    table = np.array(rows)
+    return Edges(
+        support_m=table[:, 0],
+        angle_rad=table[:, 1],
+        height_m=table[:, 2],
+        strength=table[:, 3],
+        pixel_m=table[:, 4],
+        ray=table[:, 5].astype(np.int64),
+        photo=table[:, 6].astype(np.int64),
+    )
+
+
+def together(one: Edges, other: Edges) -> Edges:
+    return Edges(**{name: np.concatenate([getattr(one, name), getattr(other, name)]) for name in vars(one)})
+
+
+def test_a_stem_has_the_same_size_from_two_directions() -> None:
+    edges = edges_of(0.12, [0, 5, 10, 15, 70, 75, 80, 85], rng=np.random.default_rng(0))
+    found = second_pair(edges, 0.13, taper=TAPER)
+    assert found.agree
+    assert found.radii_m == pytest.approx((0.12, 0.12), abs=0.002)
+    assert found.apart_deg == pytest.approx(70.0, abs=2.0)
+
+
+def test_one_direction_and_its_opposite_are_one_pair_of_sides() -> None:
+    one_side = [0.0, 4.0, 8.0, 12.0, 180.0, 184.0, 188.0, 192.0]
+    found = second_pair(edges_of(0.12, one_side, rng=np.random.default_rng(1)), 0.13, taper=TAPER)
+    assert not found.agree
+    assert found.apart_deg < 15.0
+
+
+def test_two_sizes_are_none_although_one_fit_goes_through_most_edges() -> None:
+    """A strip of bark of 6 cm from one direction, the stem's own sides from the other, farther than the vote looks."""
+    rng = np.random.default_rng(2)
+    strip = edges_of(0.03, [float(v) for v in range(0, 40, 3)], rng=rng)
+    stem = edges_of(0.085, [80.0, 84.0, 88.0, 92.0], rng=rng, photo=50)
+    mixed = together(strip, stem)
+    fit = fit_silhouette(mixed, 0.03, taper=TAPER)
+    assert fit is not None  # by itself it would be a measurement
+    assert fit.radius_m == pytest.approx(0.03, abs=0.005)
+    assert not second_pair(mixed, 0.03, taper=TAPER).agree
+
+
+def test_one_photograph_and_no_edges_agree_with_nothing() -> None:
+    edges = edges_of(0.12, [0.0], rng=np.random.default_rng(3))
+    assert not second_pair(edges, 0.12, taper=TAPER).agree
+    none = replace(edges, **{name: getattr(edges, name)[:0] for name in vars(edges)})
+    assert not second_pair(none, 0.12, taper=TAPER).agree

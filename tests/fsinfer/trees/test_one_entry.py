@@ -1,0 +1,63 @@
+"""One stem, one entry: entries that stand in each other, and stems that only touch."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fsinfer.notices.notice import notice
+from fsinfer.notices.stems import StemCode
+from fsinfer.trees.diameter.section import Section, unmeasured_section
+from fsinfer.trees.one_entry import one_entry_a_stem
+from fsinfer.trees.stem_measurement import tree_of
+from fsinfer.trees.tree import Tree
+
+WALL = notice(StemCode.double_wall, gap_cm=3.0)
+
+
+def entry(
+    number: int, x_m: float, dbh_m: float | None, *, sd_m: float = 0.004, status: str = "ok"
+) -> tuple[Tree, Section]:
+    section = unmeasured_section(np.array([x_m, 0.0]), 1.3, (WALL,), radius_m=0.4)
+    if dbh_m is not None:
+        section = replace(section, dbh_m=dbh_m, sd_m=sd_m, status=status, reasons=())
+    return replace(tree_of(section, 0.0, None, np.zeros(3)), tree_id=number), section
+
+
+def numbers(pairs: list[tuple[Tree, Section]]) -> list[int]:
+    return [tree.tree_id for tree, _ in pairs]
+
+
+def test_three_entries_of_one_far_stem_are_one() -> None:
+    """Two a centimetre apart and one a hand's breadth beside, as stood in a table; the surest stays, in its place."""
+    pairs = [
+        entry(1, 0.00, 0.31, sd_m=0.02),
+        entry(2, 0.01, 0.30, sd_m=0.01),
+        entry(3, 0.25, None),
+        entry(4, 2.0, 0.30),
+    ]
+    left, told = one_entry_a_stem(pairs)
+    assert numbers(left) == [2, 4]
+    assert [why.code for why in told] == [StemCode.same_stem] * 2
+    assert (told[0].values["x_m"], told[0].values["other_x_m"]) == (0.0, 0.01)
+
+
+@pytest.mark.parametrize(("gap_m", "left"), [(-0.03, [1]), (-0.005, [1, 2]), (0.08, [1, 2])])
+def test_stems_that_touch_are_two(gap_m: float, left: list[int]) -> None:
+    """Surfaces 8 cm apart as in a fork, in each other by what the radii may be off, and by more."""
+    pairs = [entry(1, 0.0, 0.30), entry(2, 0.15 + gap_m + 0.10, 0.20, status="doubtful")]
+    assert numbers(one_entry_a_stem(pairs)[0]) == left
+
+
+def test_a_measured_stem_stays_before_one_that_is_not_whatever_their_order() -> None:
+    assert numbers(one_entry_a_stem([entry(1, 0.0, None), entry(2, 0.05, 0.2, status="doubtful")])[0]) == [2]
+    # Without a DBH its circle may be anything: it does not swallow what stands 35 cm away.
+    assert numbers(one_entry_a_stem([entry(1, 0.0, None), entry(2, 0.35, 0.2)])[0]) == [1, 2]
+
+
+def test_what_a_person_put_there_stays() -> None:
+    pairs = [entry(1, 0.0, 0.30), entry(2, 0.02, None)]
+    assert numbers(one_entry_a_stem(pairs, kept={2})[0]) == [2]
+    assert numbers(one_entry_a_stem(pairs, kept={1, 2})[0]) == [1, 2]
