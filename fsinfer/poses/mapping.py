@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,12 +15,15 @@ from fsinfer.poses.colmap import extract_features, match_features, reconstruct, 
 from fsinfer.poses.parts import join_parts
 from fsinfer.poses.refinement import FEATURE_SIZE_PX
 from fsinfer.poses.settings import PoseSettings
-from fsinfer.poses.thorough import rematch, torn
-from fsinfer.poses.verification.misplaced import drop_contradicted
+from fsinfer.poses.thorough import rematch, seams, torn
+from fsinfer.poses.verification.misplaced import drop, drop_contradicted
 from fsinfer.poses.verification.repair import repair
 from fsinfer.progress import Progress
 
 _log = logging.getLogger(__name__)
+
+#: Share of the photos that must be left to go on from. Source: judgement.
+_LEAST_START = 0.25
 
 ADVICE = (
     "photos must overlap by two thirds or more, be sharp, and show bark, litter or other texture in good light; "
@@ -90,7 +94,8 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
     matched = database
     if torn(has_place, settings):
         richer = rematch(database, images, walk.cameras, walk.files, has_place, settings, progress)
-        again = reconstruct(richer, images, work / "thorough", settings, progress)
+        start = _beyond_the_tear(model, walk, seams(has_place, settings.thorough.beside), settings)
+        again = reconstruct(richer, images, work / "thorough", settings, progress, start=start)
         if again and again[0].num_reg_images() >= max(sum(has_place), settings.min_registered):
             better, wrong = repair(again[0], richer, walk.files, work, settings, progress)
             if sum(walk.has_place(better)) > sum(has_place):
@@ -124,6 +129,21 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
     named = {*joined, *(file for files in apart for file in files)}
     misplaced = {how: [file for file in files if file not in named] for how, files in misplaced.items()}
     return MappedWalk(model=model, misplaced=misplaced, joined=tuple(joined), apart=apart)
+
+
+def _beyond_the_tear(model: Any, walk: Walk, affected: Sequence[int], settings: PoseSettings) -> Any:
+    """The model without the photos that are looked at again, whose features are others now; None where little is left.
+
+    Mapped from nothing, a walk with many features in one place and few in another may begin where it is worst.
+    """
+    if model is None:
+        return None
+    start = deepcopy(model)
+    again = {walk.files[rank] for rank in affected}
+    drop(start, [i for i in start.reg_image_ids() if start.images[i].name in again])
+    start.tear_down()
+    enough = start.num_reg_images() >= max(settings.min_registered, _LEAST_START * len(walk.files))
+    return start if enough else None
 
 
 def _alone(

@@ -9,15 +9,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.poses.colmap_calls import open_database
 from fsinfer.poses.verification.loose_parts import loose_parts
-from fsinfer.poses.verification.pair_votes import contradicted, pair_votes, weight_of
-from fsinfer.poses.verification.scale_jumps import strays
+from fsinfer.poses.verification.pair_votes import MIN_SHARE, contradicted, pair_votes, weight_of
+from fsinfer.poses.verification.scale_jumps import strays, stretches
 
 #: A pose that hangs on fewer points than this is an accident. Source: judgement.
 _MIN_POINTS = 10
+#: Matches with trusted photos that must agree with a stretch. Source: as many points as hold a part of a model.
+_VOUCHING_MATCHES = 100
 
 #: What the user is told of photos left out, by how they were found.
 LEFT_OUT = {
@@ -28,16 +31,44 @@ LEFT_OUT = {
 }
 
 
-def drop_strays(model: Any, walk: Sequence[str]) -> list[str]:
+def drop_strays(model: Any, walk: Sequence[str], database: Path | None = None) -> list[str]:
     """Take photos at another scale than the walk out of a ``pycolmap.Reconstruction``; returns their files.
 
-    ``walk`` holds the files of all photos in the order of walking.
+    ``walk`` holds the files of all photos in the order of walking. With the ``database`` of the matches a stretch stays
+    all the same whose matches with the photos that are trusted speak for its place: a walk that was begun anew
+    elsewhere is a small stretch, too.
     """
     number = {file: index for index, file in enumerate(walk)}
     placed = sorted((number[model.images[i].name], i) for i in model.reg_image_ids())
     centers = np.array([model.images[i].projection_center() for _, i in placed])
-    found = strays(centers, np.array([index for index, _ in placed]))
+    order = np.array([index for index, _ in placed])
+    found = strays(centers, order)
+    if database is not None and found.any():
+        found &= ~_vouched_for(found, stretches(centers, order), [i for _, i in placed], model, database)
     return drop(model, [image_id for is_stray, (_, image_id) in zip(found, placed, strict=True) if is_stray])
+
+
+def _vouched_for(
+    found: NDArray[np.bool_],
+    stretch: NDArray[np.intp],
+    image_ids: Sequence[int],
+    model: Any,
+    database: Path,
+) -> NDArray[np.bool_]:
+    """Whether the matches of each photo's stretch with the trusted photos speak for its place, (N,)."""
+    ids, votes = pair_votes(model, database)
+    rank = {image_id: index for index, image_id in enumerate(image_ids)}
+    ends = np.array([(rank[ids[vote.first]], rank[ids[vote.second]]) for vote in votes], np.intp).reshape(-1, 2)
+    weight = np.array([vote.matches for vote in votes], float)
+    agrees = np.array([vote.agrees for vote in votes], bool)
+    vouched = np.zeros(len(found), bool)
+    for number in np.unique(stretch[found]):
+        mine = stretch == number
+        across = (mine[ends] & ~found[ends[:, ::-1]]).any(axis=1)
+        cast, for_it = weight[across].sum(), weight[across & agrees].sum()
+        if for_it >= _VOUCHING_MATCHES and for_it >= MIN_SHARE * cast:
+            vouched |= mine
+    return vouched
 
 
 def drop_contradicted(model: Any, database: Path, neighbours: int = 0) -> list[str]:

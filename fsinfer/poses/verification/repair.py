@@ -88,7 +88,7 @@ def _candidates(
 def _drop_misplaced(model: Any, database: Path, walk: Sequence[str], neighbours: int) -> dict[str, list[str]]:
     """Take photos that are placed wrongly out of the model; returns their files by reason."""
     return {
-        "astray": drop_strays(model, walk),
+        "astray": drop_strays(model, walk, database),
         # All matches vote, so that no photo comes back whose true matches were taken for false ones.
         "contradicted": drop_contradicted(model, database, neighbours),
         "loose": drop_loose_parts(model),

@@ -23,6 +23,18 @@ FACTOR = 4.0
 TRUSTED_PART = 0.2
 
 
+def stretches(centers: NDArray[np.float64], order: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Number of the unbroken stretch of the walk that each photo belongs to, (N,); see :func:`strays`.
+
+    A stretch ends where photos are missing or where the next one is several steps away.
+    """
+    gaps = np.diff(order)
+    steps = np.linalg.norm(np.diff(centers, axis=0), axis=1) / gaps
+    steps[gaps > 2] = np.nan
+    broken = np.isnan(steps) | (steps > FACTOR * float(np.nanmedian(steps)))
+    return np.concatenate([[0], np.cumsum(broken)])
+
+
 def strays(centers: NDArray[np.float64], order: NDArray[np.intp]) -> NDArray[np.bool_]:
     """Whether each photo belongs to a stretch whose steps do not fit the walk, or to a small one beside it, (N,) bool.
 
@@ -53,8 +65,7 @@ def strays(centers: NDArray[np.float64], order: NDArray[np.intp]) -> NDArray[np.
             local[i] = np.nanmedian(window)
     found = (local > FACTOR * usual) | (local < usual / FACTOR)
     if found.any():
-        broken = np.isnan(steps) | (steps > FACTOR * usual)
-        stretch = np.concatenate([[0], np.cumsum(broken)])
+        stretch = stretches(centers, order)
         sizes, wrong = np.bincount(stretch), np.bincount(stretch, weights=found)
         found |= ((sizes < TRUSTED_PART * count) | (wrong > 0.5 * sizes))[stretch]
     return found if found.sum() < count / 2 else none

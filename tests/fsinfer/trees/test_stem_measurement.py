@@ -55,6 +55,7 @@ def test_the_interval_is_95_per_cent_in_centimetres_and_never_below_nothing(dbh_
 @given(dof=st.floats(1.0, 50.0))
 def test_few_blocks_of_bark_make_it_student_s_interval(dof: float) -> None:
     tree = tree_of(replace(section_of(0.3, 0.005), dof=dof), 0.0, None, np.zeros(3))
+    assert tree.dbh_hi95_cm is not None
     assert tree.dbh_hi95_cm == pytest.approx(30.0 + 0.5 * factor95(dof))
     assert tree.dbh_hi95_cm > 30.0 + 0.5 * 1.96
 
