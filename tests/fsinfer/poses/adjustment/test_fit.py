@@ -10,7 +10,7 @@ import pytest
 from fsinfer.poses.adjustment.adjust import like, shutter_px
 from fsinfer.poses.adjustment.fit import Weighting, fit, noise_of, with_points_fitted
 from fsinfer.poses.adjustment.problem import Group, Observations, Unknowns
-from fsinfer.poses.adjustment.projection import FOCAL, LENS, TURN
+from fsinfer.poses.adjustment.projection import FOCAL, LENS, OWN, TURN
 from fsinfer.poses.adjustment.reduced_system import Structure
 from tests.support.phone_walk import PHONE, disturbed, phone_walk
 
@@ -63,6 +63,21 @@ def test_way_during_the_read_out_comes_back_where_depths_differ() -> None:
     assert np.sqrt(((shutter_px(seen, found) - shutter_px(seen, truth)) ** 2).mean()) < 0.4
     assert np.median(shutter_px(seen, truth)) > 1.5
     assert center_error(found, truth) < 0.6 * center_error(without, truth)
+
+
+def test_the_mean_turning_about_the_rows_is_held_where_photos_are_level() -> None:
+    seen, truth = phone_walk(effects=PHONE * [0, 0, 0, 1, 1, 1, 0, 0, 0], noise_px=NOISE_PX, roll_rad=0.0)
+    own = truth.own - truth.own.mean(axis=0)
+    start = disturbed(replace(truth, own=own))
+    photos = len(start.rotations)
+    held = np.full((photos, OWN), np.inf)
+    held[:, TURN.start] = 1e-5
+    found = [
+        fit(Structure(seen, len(start.points)), start, (Group.turn,), weights, steps=25)
+        for weights in (weighting(photos), replace(weighting(photos), mean_std=held))
+    ]
+    means = [abs(unknowns.own[:, TURN.start].mean()) for unknowns in found]
+    assert means[1] < 1e-5 < 0.05 * means[0]
 
 
 def test_a_photo_of_few_points_keeps_to_what_is_expected() -> None:
