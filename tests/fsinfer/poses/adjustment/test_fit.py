@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fsinfer.poses.adjustment.adjust import like, shutter_px
-from fsinfer.poses.adjustment.fit import Weighting, fit, noise_of, with_points_fitted
+from fsinfer.poses.adjustment.fit import Weighting, fit, noise_of, normal_equations, with_points_fitted
 from fsinfer.poses.adjustment.problem import Group, Observations, Unknowns
 from fsinfer.poses.adjustment.projection import FOCAL, LENS, OWN, TURN
 from fsinfer.poses.adjustment.reduced_system import Structure
@@ -98,3 +98,29 @@ def test_points_alone_are_placed_where_known_photos_see_them() -> None:
     # Two photos of neighbouring places see a point's depth badly, but what they see is met.
     assert np.abs(found.residuals(seen)).max() < 0.05
     np.testing.assert_array_equal(found.rotations, truth.rotations)
+
+
+def test_priors_stand_in_the_equations_as_in_the_cost() -> None:
+    seen, truth = phone_walk(photos=8, points=300, effects=PHONE)
+    seen, numbers = seen.of_points(np.arange(len(truth.points)) < 40)
+    at = replace(truth, points=truth.points[numbers])
+    photos, size = len(at.rotations), 6 + 3
+    means = np.full((photos, OWN), np.inf)
+    means[:, TURN.start] = 1e-3
+    # One photo's prior is wider: the mean counts radians, not standard deviations.
+    own_std = np.tile(PHONE, (photos, 1))
+    own_std[2] *= 3
+    structure = Structure(seen, len(at.points))
+    base, tight = (replace(weighting(photos), own_std=own_std, mean_std=std) for std in (means * np.inf, means))
+    blocks = [normal_equations(structure, at, (Group.turn,), weights) for weights in (base, tight)]
+    places = np.arange(photos) * size + 6
+    slope = own_std[:, TURN.start] / 1e-3 / photos
+    expected = np.zeros_like(blocks[0].cameras)
+    expected[np.ix_(places, places)] = NOISE_PX**2 * np.outer(slope, slope)
+    np.testing.assert_allclose(blocks[1].cameras - blocks[0].cameras, expected, atol=1e-6)
+    for photo in (0, 2):
+        step = np.zeros((photos, OWN))
+        step[photo, TURN.start] = 1e-4 * own_std[photo, TURN.start]
+        sides = [tight.cost(seen, replace(at, own=at.own + sign * step)) for sign in (1, -1)]
+        slope_of_half_cost = (sides[0] - sides[1]) / 2e-4 / 2
+        np.testing.assert_allclose(blocks[1].cameras_right[places[photo]], slope_of_half_cost, rtol=1e-4)
