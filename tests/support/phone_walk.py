@@ -24,10 +24,12 @@ def phone_walk(
     effects: Floats | None = None,
     noise_px: float = 0.3,
     outliers: float = 0.0,
+    roll_rad: float = ROLL_RAD,
     seed: int = 1,
 ) -> tuple[Observations, Unknowns]:
     """Observations of a walk round a stand of points, half a metre a step, and the truth behind them.
 
+    ``roll_rad``: standard deviation of the angle at which the phone is held.
     ``effects``: (9,) standard deviations of each photo's own, none unless given. ``outliers``: the share of the
     observations that are up to 20 pixels off.
     """
@@ -36,7 +38,7 @@ def phone_walk(
     centers = np.stack([6 * np.cos(around), 6 * np.sin(around), rng.normal(0, 0.1, photos)], axis=1)
     # Held at many angles: of photos that are all held upright nobody can tell the mean turning from an upright
     # stretch of the world (Albl, Sugimoto and Pajdla 2016, "Degeneracies in rolling shutter SfM").
-    rotations = np.array([_looking(center, rng.normal(0, 0.3, 3), rng.normal(0, ROLL_RAD)) for center in centers])
+    rotations = np.array([_looking(center, rng.normal(0, 0.3, 3), rng.normal(0, roll_rad)) for center in centers])
     translations = -np.einsum("nij,nj->ni", rotations, centers)
     own = np.zeros((photos, OWN)) if effects is None else effects * rng.standard_normal((photos, OWN))
     lens = np.zeros((1, LENS))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fsinfer.notices.sentences import sentences
-from fsinfer.poses.adjustment.adjust import PhotoAdjustment, adjust_photos, like
+from fsinfer.poses.adjustment.adjust import PhotoAdjustment, adjust_photos, like, weighting_of
 from fsinfer.poses.adjustment.fit import fit
 from fsinfer.poses.adjustment.problem import from_model
 from fsinfer.poses.adjustment.projection import OWN
@@ -87,6 +87,19 @@ def test_a_phone_becomes_a_camera_that_stood_still() -> None:
         # From the pixel's middle to the point it is less than a pixel, in both images alike.
         shown = np.stack([map_x[row, column], map_y[row, column]], axis=1) + target[inner] - pixel[inner]
         assert np.median(np.linalg.norm(shown - seen.xy[seen.photo == photo][inner], axis=1)) < 0.03
+
+
+def test_means_are_held_about_and_across_the_rows() -> None:
+    seen, truth = phone_walk(photos=8, points=300)
+    model = model_of(seen, truth)
+    _, start, numbers = from_model(model)
+    settings = AdjustmentSettings()
+    lying = weighting_of(model, seen, start, numbers, settings, 1.0).mean_std
+    np.testing.assert_array_equal(np.flatnonzero(np.isfinite(lying[0])), [3, 7])
+    (camera,) = model.cameras.values()
+    camera.width, camera.height = camera.height, camera.width
+    upright = weighting_of(model, seen, start, numbers, settings, 1.0).mean_std
+    np.testing.assert_array_equal(np.flatnonzero(np.isfinite(upright[0])), [4, 6])
 
 
 def test_large_effects_are_told_with_what_to_do() -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsinfer.poses.adjustment.evidence import groups_borne_out, split
+from fsinfer.poses.adjustment.evidence import Trial, groups_borne_out, split
 from fsinfer.poses.adjustment.fit import Weighting, fit
 from fsinfer.poses.adjustment.problem import Group, Unknowns
 from fsinfer.poses.adjustment.projection import LENS
@@ -20,7 +20,7 @@ FREE[:2, 0] = FREE[4, 1] = 1
 NOISE_PX = 0.2
 
 
-def kept(effects: np.ndarray | None, outliers: float = 0.0, seed: int = 1) -> set[Group]:
+def trials_of(effects: np.ndarray | None, outliers: float = 0.0, seed: int = 1) -> dict[Group, Trial]:
     seen, truth = phone_walk(effects=effects, noise_px=NOISE_PX, outliers=outliers, seed=seed)
     own_std = np.tile(PHONE, (len(truth.rotations), 1))
     weighting = Weighting(
@@ -29,7 +29,11 @@ def kept(effects: np.ndarray | None, outliers: float = 0.0, seed: int = 1) -> se
     start: Unknowns = fit(Structure(seen, len(truth.points)), disturbed(truth), (), weighting)
     groups, trials, _ = groups_borne_out(seen, start, weighting, AdjustmentSettings())
     assert {trial.group for trial in trials if trial.kept} == set(groups)
-    return set(groups)
+    return {trial.group: trial for trial in trials}
+
+
+def kept(effects: np.ndarray | None, outliers: float = 0.0) -> set[Group]:
+    return {group for group, trial in trials_of(effects, outliers).items() if trial.kept}
 
 
 @pytest.mark.parametrize("outliers", [0.0, 0.05], ids=["clean", "with wrong matches"])
@@ -45,6 +49,13 @@ def test_of_a_phone_turning_and_focal_length_are_kept(outliers: float) -> None:
 def test_only_what_there_is_is_kept() -> None:
     assert kept(PHONE * [0, 0, 0, 1, 1, 1, 0, 0, 0]) == {Group.turn}
     assert kept(PHONE * [2, 0, 0, 0, 0, 0, 0, 0, 0]) == {Group.focal}
+
+
+def test_wrong_matches_do_not_hide_what_a_group_gains() -> None:
+    turning = PHONE * [0, 0, 0, 1, 1, 1, 0, 0, 0]
+    clean, spoilt = (trials_of(turning, outliers)[Group.turn].gain for outliers in (0.0, 0.05))
+    assert clean > 0.3
+    assert spoilt > 0.6 * clean
 
 
 def test_points_held_out_are_not_fitted_and_every_photo_has_enough() -> None:

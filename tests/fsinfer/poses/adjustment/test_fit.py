@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from fsinfer.poses.adjustment.adjust import like, shutter_px
-from fsinfer.poses.adjustment.fit import Weighting, fit, noise_of, with_points_fitted
+from fsinfer.poses.adjustment.fit import Weighting, fit, noise_of, normal_equations, with_points_fitted
 from fsinfer.poses.adjustment.problem import Group, Observations, Unknowns
-from fsinfer.poses.adjustment.projection import FOCAL, LENS, TURN
+from fsinfer.poses.adjustment.projection import FOCAL, LENS, OWN, TURN
 from fsinfer.poses.adjustment.reduced_system import Structure
 from tests.support.phone_walk import PHONE, disturbed, phone_walk
 
@@ -65,6 +65,21 @@ def test_way_during_the_read_out_comes_back_where_depths_differ() -> None:
     assert center_error(found, truth) < 0.6 * center_error(without, truth)
 
 
+def test_the_mean_turning_about_the_rows_is_held_where_photos_are_level() -> None:
+    seen, truth = phone_walk(effects=PHONE * [0, 0, 0, 1, 1, 1, 0, 0, 0], noise_px=NOISE_PX, roll_rad=0.0)
+    own = truth.own - truth.own.mean(axis=0)
+    start = disturbed(replace(truth, own=own))
+    photos = len(start.rotations)
+    held = np.full((photos, OWN), np.inf)
+    held[:, TURN.start] = 1e-5
+    found = [
+        fit(Structure(seen, len(start.points)), start, (Group.turn,), weights, steps=25)
+        for weights in (weighting(photos), replace(weighting(photos), mean_std=held))
+    ]
+    means = [abs(unknowns.own[:, TURN.start].mean()) for unknowns in found]
+    assert means[1] < 1e-5 < 0.05 * means[0]
+
+
 def test_a_photo_of_few_points_keeps_to_what_is_expected() -> None:
     seen, truth = phone_walk(effects=PHONE, noise_px=NOISE_PX)
     rows = np.flatnonzero(seen.photo == 5)[8:]
@@ -83,3 +98,29 @@ def test_points_alone_are_placed_where_known_photos_see_them() -> None:
     # Two photos of neighbouring places see a point's depth badly, but what they see is met.
     assert np.abs(found.residuals(seen)).max() < 0.05
     np.testing.assert_array_equal(found.rotations, truth.rotations)
+
+
+def test_priors_stand_in_the_equations_as_in_the_cost() -> None:
+    seen, truth = phone_walk(photos=8, points=300, effects=PHONE)
+    seen, numbers = seen.of_points(np.arange(len(truth.points)) < 40)
+    at = replace(truth, points=truth.points[numbers])
+    photos, size = len(at.rotations), 6 + 3
+    means = np.full((photos, OWN), np.inf)
+    means[:, TURN.start] = 1e-3
+    # One photo's prior is wider: the mean counts radians, not standard deviations.
+    own_std = np.tile(PHONE, (photos, 1))
+    own_std[2] *= 3
+    structure = Structure(seen, len(at.points))
+    base, tight = (replace(weighting(photos), own_std=own_std, mean_std=std) for std in (means * np.inf, means))
+    blocks = [normal_equations(structure, at, (Group.turn,), weights) for weights in (base, tight)]
+    places = np.arange(photos) * size + 6
+    slope = own_std[:, TURN.start] / 1e-3 / photos
+    expected = np.zeros_like(blocks[0].cameras)
+    expected[np.ix_(places, places)] = NOISE_PX**2 * np.outer(slope, slope)
+    np.testing.assert_allclose(blocks[1].cameras - blocks[0].cameras, expected, atol=1e-6)
+    for photo in (0, 2):
+        step = np.zeros((photos, OWN))
+        step[photo, TURN.start] = 1e-4 * own_std[photo, TURN.start]
+        sides = [tight.cost(seen, replace(at, own=at.own + sign * step)) for sign in (1, -1)]
+        slope_of_half_cost = (sides[0] - sides[1]) / 2e-4 / 2
+        np.testing.assert_allclose(blocks[1].cameras_right[places[photo]], slope_of_half_cost, rtol=1e-4)
