@@ -75,6 +75,8 @@ def test_gains_in_the_weights_are_gains_of_the_volume() -> None:
     head = PlaneHead(PRESETS["paper"])
     for layer in head.modules():
         if isinstance(layer, nn.BatchNorm3d):
+            assert layer.running_mean is not None
+            assert layer.running_var is not None
             nn.init.uniform_(layer.weight, 0.5, 1.5)
             nn.init.normal_(layer.running_mean, std=0.1)
             nn.init.uniform_(layer.running_var, 0.5, 2.0)
