@@ -33,8 +33,8 @@ class SecondPairSettings:
     reach_std: standard deviations within which an edge is where it should be. Source: statistics, 87 %.
     min_share: of the other part's rays that must have one there. Source: statistics, between the 87 % of a stem and the
         20 to 50 % that edges at random places reach.
-    most_std: of the radius found, as a share of it: beyond, nothing is told. Source: statistics, a third of the range in
-        which the vote looks.
+    most_std: of the radius found, as a share of it: beyond, nothing is told. Source: statistics, a third of the range
+        in which the vote looks.
     """
 
     min_apart_deg: float = 30.0
@@ -48,8 +48,8 @@ class SecondPairSettings:
 class SecondPair:
     """What two parts of the photographs say of each other; ``agree`` says whether it counts.
 
-    ``radii_m`` are those that each found by itself, None for nothing, ``shares`` the parts of the other's rays that have
-    their edge there. ``apart_deg`` is the angle between the directions from which both look, of 90 at most: opposite
+    ``radii_m`` are those that each found by itself, None for nothing, ``shares`` the parts of the other's rays that
+    have their edge there. ``apart_deg`` is the angle between the directions from which both look, of 90 at most: opposite
     photographs see the same two sides.
     """
 
