@@ -49,8 +49,8 @@ class SecondPair:
     """What two parts of the photographs say of each other; ``agree`` says whether it counts.
 
     ``radii_m`` are those that each found by itself, None for nothing, ``shares`` the parts of the other's rays that
-    have their edge there. ``apart_deg`` is the angle between the directions from which both look, of 90 at most: opposite
-    photographs see the same two sides.
+    have their edge there. ``apart_deg`` is the angle between the directions from which both look, of 90 at most:
+    opposite photographs see the same two sides.
     """
 
     radii_m: tuple[float | None, float | None]
