@@ -2,9 +2,10 @@
 
 A photograph sees a stem end at two sides. A strip of bark, the border of a shadow or a twig before the stem has two
 edges as well, and all photographs from about there agree on them. Seen from another direction they lie elsewhere, and
-a stem does not. So the photographs are parted by the direction they look from, and each part has to find the stem by
-itself: its own vote, its own fit, no start from the other. The sides move with the cameras by a pose error, but both
-by the same, so that the distance between them stays.
+a stem does not. So the photographs are parted by the direction they look from: one part has to find the stem by itself,
+with its own vote and fit, and the other, which had no say in it, has to have its edges where that fit puts them. A few
+photographs with a pixel of a centimetre seldom tell a size by themselves, but they can refute one. The sides move with
+the cameras by a pose error, but both by the same, so that the distance between them stays.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.trees.diameter.silhouette import Edges, SilhouetteSettings, fit_silhouette
+from fsinfer.trees.diameter.silhouette import Edges, SilhouetteFit, SilhouetteSettings, fit_silhouette
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -29,26 +30,31 @@ class SecondPairSettings:
     min_apart_deg: between the mean directions of both parts, so that a stem is seen from 60 degrees of its sides at
         least. Source: geometry, a false edge on the bark moves by half a radius then.
     min_photos: in which the edges agree, in each part. Source: renders only, as for the stem itself but one less.
-    gate: standard deviations between the two radii. Source: statistics, 95 %.
-    most_std: of the difference, share of the radius: beyond, anything agrees. Source: statistics, a third of the range
+    reach_std: standard deviations within which an edge is where it should be. Source: statistics, 87 %.
+    min_share: of the other part's rays that must have one there. Source: statistics, between the 87 % of a stem and the
+        20 to 50 % that edges at random places reach.
+    most_std: of the radius found, as a share of it: beyond, nothing is told. Source: statistics, a third of the range
         in which the vote looks.
     """
 
     min_apart_deg: float = 30.0
     min_photos: int = 3
-    gate: float = 2.0
+    reach_std: float = 1.5
+    min_share: float = 0.7
     most_std: float = 0.12
 
 
 @dataclass(frozen=True, kw_only=True)
 class SecondPair:
-    """Radii (2) of the two parts of the photographs, None where one found nothing; ``agree`` says whether it counts.
+    """What two parts of the photographs say of each other; ``agree`` says whether it counts.
 
-    ``apart_deg`` is the angle between the directions from which both parts look, of 90 at most: opposite photographs
-    see the same two sides.
+    ``radii_m`` are those that each found by itself, None for nothing, ``shares`` the parts of the other's rays that
+    have their edge there. ``apart_deg`` is the angle between the directions from which both look, of 90 at most:
+    opposite photographs see the same two sides.
     """
 
     radii_m: tuple[float | None, float | None]
+    shares: tuple[float, float]
     apart_deg: float
     agree: bool
 
@@ -62,20 +68,29 @@ def second_pair(
     settings: SecondPairSettings | None = None,
 ) -> SecondPair:
     """Measure a stem whose radius is roughly ``radius_m`` twice, from two parts of the photographs of its edges."""
-    s = settings or SecondPairSettings()
+    s, of_fit = settings or SecondPairSettings(), silhouette or SilhouetteSettings()
     first, apart = _parted(edges)
-    found = [fit_silhouette(_of(edges, part), radius_m, taper=taper, settings=silhouette) for part in (first, ~first)]
-    radii = tuple(None if fit is None else fit.radius_m for fit in found)
-    agree = apart >= s.min_apart_deg
-    std2 = 0.0
-    for fit in found:
-        agree = agree and fit is not None and fit.photos >= s.min_photos
-        std2 += 0.0 if fit is None else fit.std_m**2
-    if agree:
-        one, other = (float(radius) for radius in radii if radius is not None)
-        std = float(np.sqrt(std2))
-        agree = abs(one - other) <= s.gate * std and std <= s.most_std * 0.5 * (one + other)
-    return SecondPair(radii_m=(radii[0], radii[1]), apart_deg=apart, agree=agree)
+    parts = [_of(edges, part) for part in (first, ~first)]
+    radii: list[float | None] = []
+    shares: list[float] = []
+    for own, other in zip(parts, parts[::-1], strict=True):
+        fit = fit_silhouette(own, radius_m, taper=taper, settings=of_fit)
+        radii.append(None if fit is None else fit.radius_m)
+        sure = fit is not None and fit.photos >= s.min_photos and fit.std_m <= s.most_std * fit.radius_m
+        shares.append(_share(fit, other, of_fit, s) if fit is not None and sure else 0.0)
+    # What both found by themselves has to be the same.
+    found = [share for share, radius in zip(shares, radii, strict=True) if radius is not None]
+    agree = apart >= s.min_apart_deg and bool(found) and min(found) >= s.min_share
+    return SecondPair(radii_m=(radii[0], radii[1]), shares=(shares[0], shares[1]), apart_deg=apart, agree=agree)
+
+
+def _share(fit: SilhouetteFit, other: Edges, of_fit: SilhouetteSettings, s: SecondPairSettings) -> float:
+    """Share of the rays of ``other`` with an edge where ``fit`` puts it; none where they are of too few photographs."""
+    if len(np.unique(other.photo)) < s.min_photos:
+        return 0.0
+    std = np.sqrt((of_fit.edge_std_px * other.pixel_m) ** 2 + fit.noise_m**2 + fit.std_m**2)
+    there = np.abs(other.support_m - fit.support(other.angle_rad, other.height_m)) <= s.reach_std * std
+    return len(np.unique(other.ray[there])) / len(np.unique(other.ray))
 
 
 def _parted(edges: Edges) -> tuple[Bools, float]:

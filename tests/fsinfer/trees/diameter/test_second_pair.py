@@ -68,6 +68,15 @@ def test_two_sizes_are_none_although_one_fit_goes_through_most_edges() -> None:
     assert not second_pair(mixed, 0.03, taper=TAPER).agree
 
 
+def test_two_parts_that_each_find_another_size_do_not_agree() -> None:
+    rng = np.random.default_rng(4)
+    one = edges_of(0.05, [0.0, 4.0, 8.0, 12.0], rng=rng)
+    other = edges_of(0.08, [80.0, 84.0, 88.0, 92.0], rng=rng, photo=10)
+    found = second_pair(together(one, other), 0.062, taper=TAPER)
+    assert found.radii_m == pytest.approx((0.05, 0.08), abs=0.004)
+    assert not found.agree
+
+
 def test_one_photograph_and_no_edges_agree_with_nothing() -> None:
     edges = edges_of(0.12, [0.0], rng=np.random.default_rng(3))
     assert not second_pair(edges, 0.12, taper=TAPER).agree
