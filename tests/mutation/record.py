@@ -101,8 +101,8 @@ def write_report(
     command = "python -m tests.mutation --report docs/mutation.md"
     lines = [
         _HEAD.format(command=command),
-        f"## Score\n\nA sample of {per_module or 'all'} breakages of each module, drawn with seed {seed}.",
-        "*Without effect* are survivors that no test could tell from the sound code; the last column leaves them out.\n",
+        f"## Score\n\nA sample of {per_module or 'all'} breakages of each module, drawn with seed {seed}. *Without",
+        "effect* are survivors that no test could tell from the sound code; the last column leaves them out.\n",
         "| module | tried | killed | survived | without effect | score | score without those |",
         "| --- | --- | --- | --- | --- | --- | --- |",
         *rows,

@@ -55,7 +55,7 @@ def try_tests(root: Path, tests: Sequence[str], *, timeout_s: float, broken: tup
 
 def load_libraries(*, with_torch: bool) -> None:
     """Import what the tests need and what starts no thread by that, so that a fork has it."""
-    names = ["cv2", "hypothesis", "numpy", "pytest", "scipy.optimize", "scipy.spatial", "scipy.ndimage"]
+    names = ["cv2", "numpy", "pytest", "scipy.optimize", "scipy.spatial", "scipy.ndimage"]
     for name in [*names, *(["torch"] if with_torch else [])]:
         importlib.import_module(name)
 
