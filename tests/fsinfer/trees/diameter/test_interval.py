@@ -108,7 +108,7 @@ def test_the_fit_of_stems_as_unround_as_its_priors_say() -> None:
     rng = np.random.default_rng(44000)
     prior = AxisSettings()
     clouds, radii, truth = [], [], []
-    for _ in range(50):
+    for _ in range(40):
         radius = rng.uniform(0.08, 0.3)
         shape = [(k, *rng.normal(0.0, std, 2)) for k, std in zip((2, 3, 4), prior.shape_std, strict=True)]
         clouds.append(
@@ -132,11 +132,11 @@ def test_a_swelling_where_no_points_are() -> None:
     rng = np.random.default_rng(44001)
     radius = 0.25
     clouds, truth = [], []
-    for _ in range(60):
+    for _ in range(40):
         points = bark(rng, radius)
         clouds.append(points[np.abs(points[:, 2] - BH) > 0.12])
         truth.append(radius * (1.0 + rng.normal(0.0, 0.0035)))
-    errors = in_its_own_units(measure(clouds, [radius] * 60, replace(FIT_ALONE, local_std=DEFAULT.local_std)), truth)
+    errors = in_its_own_units(measure(clouds, [radius] * 40, replace(FIT_ALONE, local_std=DEFAULT.local_std)), truth)
     assert 0.75 < rms(errors) < 1.3
 
 
@@ -176,14 +176,14 @@ def test_what_fattens_blocks_of_bark_fattens_the_whole() -> None:
     rng = np.random.default_rng(44004)
     radius, uneven = 0.15, 0.006 * 0.15
     clouds = []
-    for _ in range(50):
+    for _ in range(40):
         points = bark(rng, radius, sigma_m=0.002, count=1800)
         angle = np.arctan2(points[:, 1], points[:, 0])
         block = (np.floor((angle + np.pi) / (2 * np.pi) * 24) * 100 + np.floor(points[:, 2] / 0.1)).astype(int)
         points[:, :2] *= (1.0 + rng.normal(0.0, 0.004, block.max() + 1)[block] / radius)[:, None]
         clouds.append(points)
     settings = replace(FIT_ALONE, common_share=DEFAULT.common_share)
-    sections = measure(clouds, [radius] * 50, settings)
+    sections = measure(clouds, [radius] * 40, settings)
     # Of what blocks are found to share 0.6 % of the radius is bark's own; the rest has a cause that moves all of them.
     cause = np.sqrt(np.array([found.tau_m for found in sections]) ** 2 - uneven**2)
     errors = in_its_own_units(sections, radius + rng.normal(0.0, 1.5 * cause))
@@ -191,6 +191,7 @@ def test_what_fattens_blocks_of_bark_fattens_the_whole() -> None:
     even = measure([bark(rng, radius, sigma_m=0.004)], [radius], settings)[0]
     assert even.tau_m < uneven
     assert even.parts_m["common"] == 0.0
+    np.testing.assert_allclose([found.parts_m["common"] for found in sections], 1.5 * cause, rtol=0.02)
 
 
 @pytest.mark.parametrize("ground_noise_m", [0.0, 0.03])
@@ -198,18 +199,18 @@ def test_ground_that_is_not_where_it_was_found(ground_noise_m: float) -> None:
     rng = np.random.default_rng(44005)
     radius, taper = 0.2, -0.05
     clouds = []
-    for _ in range(60):
+    for _ in range(40):
         points = bark(rng, radius, taper=taper)
         points[:, 2] += rng.normal(0.0, np.hypot(0.02, ground_noise_m))
         clouds.append(points)
     settings = replace(FIT_ALONE, taper_std=DEFAULT.taper_std, ground_std_m=DEFAULT.ground_std_m)
-    errors = in_its_own_units(measure(clouds, [radius] * 60, settings, ground_noise_m=ground_noise_m), [radius] * 60)
+    errors = in_its_own_units(measure(clouds, [radius] * 40, settings, ground_noise_m=ground_noise_m), [radius] * 40)
     assert 0.75 < rms(errors) < 1.3
 
 
 def test_a_cloud_of_the_wrong_size() -> None:
     rng = np.random.default_rng(44006)
-    truth = rng.uniform(0.06, 0.3, 60)
+    truth = rng.uniform(0.06, 0.3, 40)
     clouds = [bark(rng, radius, count=1500) * (1.0 + rng.normal(0.0, 0.02)) for radius in truth]
     for cloud in clouds:
         cloud[:, 2] += BH - cloud[:, 2].mean()
@@ -260,10 +261,10 @@ def test_a_radius_above_a_narrow_ring_is_as_unsure_as_the_taper_of_stems() -> No
     rng = np.random.default_rng(44010)
     prior = AxisSettings()
     errors = []
-    for _ in range(60):
+    for _ in range(40):
         radius, taper = 0.15, rng.normal(-0.006, 0.008)
         points = bark(rng, radius, taper=taper)
-        ring = points[np.abs(points[:, 2] - BH - 0.4) < 0.03]
+        ring = points[np.abs(points[:, 2] - BH - 0.4) < 0.01]
         start = np.array([0.0, 0.0, 0.0, 0.0, radius, prior.taper_mean])
         fit = fit_axis(ring, start, BH, sigma_m=0.004)
         errors.append((fit.radius_m - radius) / np.sqrt(fit.covariance[4, 4]))
