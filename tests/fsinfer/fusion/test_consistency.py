@@ -135,6 +135,26 @@ def test_a_point_is_seen_through_where_all_around_lies_clearly_behind(share: flo
     assert not both(reference, replace(source, confidence=unsure))[0].seen_through[0]
 
 
+@pytest.mark.parametrize("unit", [0.05, 1.0, 300.0])
+def test_the_unit_of_the_scene_does_not_matter(unit: float) -> None:
+    source = depth_map((0.4 * unit, 0.0, 0.1 * unit), FACING, 1.9 * unit * 1.004)
+    found, plain = both(depth_map((0, 0, 0), FACING, DEPTH * unit), source, depth=DEPTH * unit, u=MIDDLE + 12)
+    assert found.depth[0] == pytest.approx(DEPTH * unit, rel=0.01)
+    assert (int(found.level[0]), plain) == (2, 2)
+
+
+@pytest.mark.parametrize("column", [0.0, 0.5, SIZE - 1.5, SIZE - 1.0])
+def test_the_last_pixels_of_a_view_still_count(column: float) -> None:
+    baseline = 0.2
+    u = column + FOCAL * baseline / DEPTH
+    reference = depth_map((0, 0, 0), FACING, DEPTH)
+    found, plain = both(reference, depth_map((baseline, 0, 0), FACING, DEPTH), u=u)
+    assert (int(found.level[0]), plain) == (1, 1)
+    for beyond in (-1.0, SIZE + 0.0):
+        found, plain = both(reference, depth_map((baseline, 0, 0), FACING, DEPTH), u=beyond + FOCAL * baseline / DEPTH)
+        assert (int(found.level[0]), plain) == (NO_LEVEL, NO_LEVEL)
+
+
 BALL, BALL_RADIUS = np.array([0.9, 0.5, 0.4]), 0.15
 
 
