@@ -15,9 +15,10 @@ import os
 import random
 import sys
 from collections.abc import Sequence
+from itertools import islice
 from pathlib import Path
 
-from tests.mutation.mutants import Mutant, mutants_of
+from tests.mutation.mutants import Mutant, is_python, mutants_of
 from tests.mutation.record import Record, digest_of, write_report
 from tests.mutation.targets import TARGETS, Target
 from tests.mutation.trial import load_libraries, try_tests
@@ -31,9 +32,11 @@ PER_MODULE = 25
 
 def sample(target: Target, name: str, count: int, seed: int, root: Path = ROOT) -> list[Mutant]:
     """``count`` breakages of a target's files, all where it is 0; a larger count holds those of a smaller one."""
-    every = [mutant for file in target.files for mutant in mutants_of((root / file).read_text(encoding="utf-8"), file)]
+    sources = {file: (root / file).read_text(encoding="utf-8") for file in target.files}
+    every = [mutant for file, source in sources.items() for mutant in mutants_of(source, file)]
     random.Random(f"{seed} {name}").shuffle(every)
-    return every if count == 0 else every[:count]
+    usable = (mutant for mutant in every if is_python(mutant.apply(sources[mutant.file])))
+    return list(usable if count == 0 else islice(usable, count))
 
 
 def run_target(name: str, mutants: Sequence[Mutant], record: Record) -> None:

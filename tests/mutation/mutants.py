@@ -84,12 +84,13 @@ class Mutant:
 
 
 def mutants_of(source: str, file: str) -> list[Mutant]:
-    """All breakages of a module, by place; those that Python cannot read are left out."""
+    """All breakages of a module, by place."""
     found = sorted(_Finder(source, file).find(), key=lambda mutant: (mutant.start, mutant.end, mutant.after))
-    return [mutant for mutant in found if mutant.after != mutant.before and _readable(mutant.apply(source))]
+    return [mutant for mutant in found if mutant.after != mutant.before]
 
 
-def _readable(source: str) -> bool:
+def is_python(source: str) -> bool:
+    """Whether it can be read: a breakage that cannot says nothing about the tests."""
     try:
         ast.parse(source)
     except SyntaxError:

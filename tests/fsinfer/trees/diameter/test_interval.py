@@ -137,7 +137,7 @@ def test_a_swelling_where_no_points_are() -> None:
         clouds.append(points[np.abs(points[:, 2] - BH) > 0.12])
         truth.append(radius * (1.0 + rng.normal(0.0, 0.0035)))
     errors = in_its_own_units(measure(clouds, [radius] * 40, replace(FIT_ALONE, local_std=DEFAULT.local_std)), truth)
-    assert 0.75 < rms(errors) < 1.3
+    assert 0.65 < rms(errors) < 1.3
 
 
 def test_a_swelling_that_the_slice_shows_is_measured() -> None:
@@ -145,7 +145,7 @@ def test_a_swelling_that_the_slice_shows_is_measured() -> None:
     radius = 0.25
     clouds, truth = [], []
     for _ in range(40):
-        points = bark(rng, radius, count=9000)
+        points = bark(rng, radius, count=5000)
         swelling = rng.normal(0.0, 0.0035)
         here = np.abs(points[:, 2] - BH) < 0.05
         points[here, :2] *= 1.0 + swelling
@@ -165,7 +165,7 @@ def test_a_tape_over_ridges_of_bark() -> None:
     for _ in range(40):
         # Ridges of 0.9 mm, by which the girth grows by half a thousandth: what the term is good for.
         shape = [(k, *rng.normal(0.0, 0.0011, 2)) for k in range(8, 15)]
-        clouds.append(bark(rng, radius, shape=shape, count=4000, sigma_m=0.001, taper=0.0))
+        clouds.append(bark(rng, radius, shape=shape, count=2500, sigma_m=0.001, taper=0.0))
         truth.append(tape(radius, shape))
     sections = measure(clouds, [radius] * 40, replace(FIT_ALONE, bark_std=DEFAULT.bark_std))
     errors = in_its_own_units(sections, truth)
