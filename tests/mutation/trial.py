@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any
 
 from tests.mutation.loader import BrokenModule
 
@@ -37,7 +38,7 @@ def try_tests(root: Path, tests: Sequence[str], *, limit_s: float, broken: tuple
     that fail; seconds of a core, because a busy machine must not look like a breakage that hangs. What sleeps for ever
     is killed after :data:`WALL_TIMES` so many seconds of the clock.
     """
-    context = multiprocessing.get_context(METHOD)
+    context: Any = multiprocessing.get_context(METHOD)  # what is common to all kinds has no process
     here, there = context.Pipe(duplex=False)
     process = context.Process(target=_run, args=(root, list(tests), broken, limit_s, there))
     start = _core_seconds()

@@ -85,13 +85,14 @@ def test_what_is_three_times_less_sure_than_its_surroundings_is_halo(times: floa
 
 def test_sums_are_over_the_cell_and_its_neighbours_on_every_side() -> None:
     # One point in the middle of each of 5 x 5 x 5 cells, on both sides of the origin.
-    cells = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    cells = np.stack(np.meshgrid(*[np.arange(-2.0, 3)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     values = np.arange(125) + 1
-    found = sum_within(0.3 * (cells + 0.5), 0.3, values)
+    xyz: NDArray[np.float64] = 0.3 * (cells + 0.5)
+    found = sum_within(xyz, 0.3, values)
     near = (np.abs(cells[:, None] - cells[None]) <= 1).all(axis=2)
     np.testing.assert_array_equal(found, near @ values)
     bins = (values % 2).astype(np.int64)
-    apart = sum_within(0.3 * (cells + 0.5), 0.3, values, bins)
+    apart = sum_within(xyz, 0.3, values, bins)
     np.testing.assert_array_equal(apart, (near & (bins[:, None] == bins[None])) @ values)
 
 

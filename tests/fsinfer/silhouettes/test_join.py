@@ -360,8 +360,8 @@ def test_edges_that_all_err_alike_are_in_the_error_of_the_fit() -> None:
     """Every edge is shifted outwards by the same part of a pixel of 1 cm (seed 44030): no residual shows it."""
     rng = np.random.default_rng(44030)
     errors = []
-    for _ in range(24):
-        edges = edges_of(0.05, 0.0, rays=10, reach_deg=360, junk=0.0, rng=rng)
+    for _ in range(16):
+        edges = edges_of(0.05, 0.0, rays=32, reach_deg=360, junk=0.0, rng=rng)
         edges = replace(edges, pixel_m=np.full(len(edges.ray), 0.01))
         # Exact but for the shift, and a little so that edges are not all the same.
         exact = 0.05 + TAPER * edges.height_m + 0.012 * np.cos(edges.angle_rad)
