@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from export import __main__ as command
 from export.parity import Parity, whole_parity
+from fsinfer.depth.model import DepthModel
 from fsinfer.errors import SceneError
 from fsinfer.scene import read_scene
 from tests.support.plane_scene import write_plane_scene
@@ -44,7 +45,7 @@ def test_parity_is_a_thousandth_of_the_depth_and_of_the_mask(
     monkeypatch.setattr(
         command, "load_checkpoint", lambda _: (SimpleNamespace(config=SimpleNamespace(name="paper")), {})
     )
-    monkeypatch.setattr(command.DepthModel, "load", load)
+    monkeypatch.setattr(DepthModel, "load", load)
     monkeypatch.setattr(command, "read_scene", lambda path: path.name)
     monkeypatch.setattr(command, "whole_parity", compare)
     arguments = ["run.pt", "--out", str(tmp_path), "--only-parity", "--parity", "scene", "--views", "2"]
@@ -66,7 +67,7 @@ def test_without_a_scene_nothing_is_compared_and_a_users_error_is_one_line(
     monkeypatch.setattr(
         command, "load_checkpoint", lambda _: (SimpleNamespace(config=SimpleNamespace(name="paper")), {})
     )
-    monkeypatch.setattr(command.DepthModel, "load", lambda *_, **__: None)
+    monkeypatch.setattr(DepthModel, "load", lambda *_, **__: None)
     monkeypatch.setattr(command, "read_scene", no_scene)
     assert command.main(["run.pt", "--out", str(tmp_path), "--only-parity"]) == 0
     assert capsys.readouterr().out == ""
