@@ -162,12 +162,12 @@ def test_a_tape_over_ridges_of_bark() -> None:
     rng = np.random.default_rng(44003)
     radius = 0.3
     clouds, truth = [], []
-    for _ in range(40):
-        # Ridges of 0.9 mm, by which the girth grows by half a thousandth: what the term is good for.
-        shape = [(k, *rng.normal(0.0, 0.0011, 2)) for k in range(8, 15)]
-        clouds.append(bark(rng, radius, shape=shape, count=2500, sigma_m=0.001, taper=0.0))
+    for _ in range(20):
+        # Narrow ridges of half a millimetre, by which the girth grows by half a thousandth: what the term is good for.
+        shape = [(k, *rng.normal(0.0, 0.0006, 2)) for k in range(16, 24)]
+        clouds.append(bark(rng, radius, shape=shape, count=4000, sigma_m=0.001, taper=0.0))
         truth.append(tape(radius, shape))
-    sections = measure(clouds, [radius] * 40, replace(FIT_ALONE, bark_std=DEFAULT.bark_std))
+    sections = measure(clouds, [radius] * 20, replace(FIT_ALONE, bark_std=DEFAULT.bark_std))
     errors = in_its_own_units(sections, truth)
     assert 0.7 < rms(errors) < 1.35
 
