@@ -12,7 +12,8 @@ Accuracy without completeness misleads, so both are always given. With ``n_measu
   no error: these are figures of the matched, not of all trees, and are shown as such.
 
 Where the two lists have different local frames, a rigid motion of the plane (rotation and shift, never a scale) is
-found from pairs of trees at equal distances, and used only when it explains clearly more trees.
+found from pairs of trees at equal distances, and used only when it explains clearly more trees. Trees are never matched
+by their diameters, which are what is judged.
 """
 
 from __future__ import annotations
@@ -184,10 +185,9 @@ def evaluate(
         distances = [None] * len(links)
     else:
         truth, found = _positions(measured, "measured"), _positions(extracted, "extracted")
-        truth_cm, found_cm = _diameters(measured), _diameters(extracted)
         links, moved = assign(truth, found, max_distance_m), found
         if align == Align.always or (align == Align.auto and len(links) < _FEW_MATCHES * min(len(truth), len(found))):
-            registered = register(truth, found, truth_cm, found_cm, max_distance_m)
+            registered = register(truth, found, max_distance_m)
             if registered is not None:
                 candidate = apply(registered, found)
                 better = assign(truth, candidate, max_distance_m)
@@ -255,10 +255,6 @@ def _positions(trees: Sequence[HasDbh], which: str) -> Floats:
         msg = f"{which} tree {bad} has no position; give x_m and y_m, or match by id"
         raise InputError(msg)
     return xy
-
-
-def _diameters(trees: Sequence[HasDbh]) -> Floats:
-    return np.array([np.nan if tree.dbh_cm is None else tree.dbh_cm for tree in trees], dtype=np.float64)
 
 
 def _links_by_id(measured: Sequence[HasDbh], extracted: Sequence[HasDbh]) -> list[tuple[int, int]]:

@@ -1,4 +1,8 @@
-"""Two maps of the same trees laid on each other: partners by position, and the rigid motion where the frames differ."""
+"""Two maps of the same trees laid on each other: partners by position, and the rigid motion where the frames differ.
+
+Diameters have no say in it. They are what is to be judged: a motion chosen because it puts like diameters on each other
+would make any result look better than it is.
+"""
 
 from __future__ import annotations
 
@@ -11,16 +15,12 @@ Floats = NDArray[np.float64]
 _FAR = 1e6
 #: Pairs of trees whose distances differ by less may be the same, metres; shorter pairs fix no angle. Source: judgement.
 _PAIR_TOLERANCE_M, _SHORTEST_PAIR_M = 0.3, 1.0
-#: Pairs are tried in an order: two diameters are unlike by their difference over this, cm (an unknown one is by all of
-#: it), and a metre of length is worth so much likeness. Source: numerics; the order only.
-_UNLIKE_CM, _WORTH_OF_A_METRE = 5.0, 0.05
 #: Noise that breaks ties, and pairs that are tried at most. Source: numerics.
 _TIE, _MOST_TRIALS = 1e-3, 4000
 #: Rounds of refinement. Source: numerics.
 _ROUNDS = 5
-#: What a like diameter and a near place add to a match, and the difference of diameters at which likeness falls to 1/e,
-#: cm. Source: judgement; tie-breakers, a match counts 1.
-_WORTH_OF_LIKENESS, _WORTH_OF_NEARNESS, _LIKE_CM = 0.5, 0.1, 4.0
+#: What a near place adds to a match. Source: judgement; a tie-breaker, a match counts 1.
+_WORTH_OF_NEARNESS = 0.1
 
 
 def assign(truth: Floats, found: Floats, limit: float) -> list[tuple[int, int]]:
@@ -38,7 +38,7 @@ def apply(motion: Floats, xy: Floats) -> Floats:
     return np.asarray(xy @ np.array([[cosine, sine], [-sine, cosine]]) + motion[1:])
 
 
-def register(truth: Floats, found: Floats, truth_cm: Floats, found_cm: Floats, limit: float) -> Floats | None:
+def register(truth: Floats, found: Floats, limit: float) -> Floats | None:
     """Rigid motion (angle, x, y) that puts ``found`` onto ``truth``: from pairs at equal distances, refined."""
     if len(truth) < 2 or len(found) < 2:
         return None
@@ -51,23 +51,21 @@ def register(truth: Floats, found: Floats, truth_cm: Floats, found_cm: Floats, l
     low = np.searchsorted(length_a[order], length_b - tolerance)
     high = np.searchsorted(length_a[order], length_b + tolerance)
     rng = np.random.default_rng(0)
-    # Long pairs fix the angle best; short ones are skipped, and equal diameters go first.
+    # Long pairs fix the angle best and go first; short ones are skipped.
     pair = np.repeat(np.arange(len(b)), high - low)
     match = order[np.concatenate([np.arange(x, y) for x, y in zip(low, high, strict=True)] or [np.zeros(0, int)])]
     usable = length_b[pair] >= _SHORTEST_PAIR_M
     pair, match = pair[usable], match[usable]
     if len(pair) == 0:
         return None
-    unlike = np.abs(truth_cm[a[match]] - found_cm[b[pair]])
-    unlike = np.where(np.isfinite(unlike), unlike, _UNLIKE_CM).sum(axis=1) / _UNLIKE_CM + rng.random(len(pair)) * _TIE
     best, best_score = None, -1.0
-    for k in np.argsort(unlike - _WORTH_OF_A_METRE * length_b[pair])[:_MOST_TRIALS]:
+    for k in np.argsort(_TIE * rng.random(len(pair)) - length_b[pair])[:_MOST_TRIALS]:
         (i0, i1), (j0, j1) = a[match[k]], b[pair[k]]
         v, w = truth[i1] - truth[i0], found[j1] - found[j0]
         angle = np.arctan2(v[1], v[0]) - np.arctan2(w[1], w[0])
         motion = np.array([angle, 0.0, 0.0])
         motion[1:] = (truth[i0] + truth[i1]) / 2 - apply(motion, (found[j0] + found[j1])[None] / 2)[0]
-        score = _score(truth, apply(motion, found), truth_cm, found_cm, limit)
+        score = _score(truth, apply(motion, found), limit)
         if score > best_score:
             best, best_score = motion, score
     for _ in range(_ROUNDS):
@@ -78,15 +76,10 @@ def register(truth: Floats, found: Floats, truth_cm: Floats, found_cm: Floats, l
     return best
 
 
-def _score(truth: Floats, moved: Floats, truth_cm: Floats, found_cm: Floats, limit: float) -> float:
-    """Trees that find a partner, each worth up to half more for a like diameter (the tie-breaker)."""
-    distance = np.linalg.norm(truth[:, None] - moved[None], axis=2)
-    nearest = np.argmin(distance, axis=1)
-    near = distance[np.arange(len(truth)), nearest] <= limit
-    unlike = np.abs(truth_cm - found_cm[nearest])
-    like = np.where(np.isfinite(unlike), np.exp(-((unlike / _LIKE_CM) ** 2)), 0.0)
-    closeness = 1.0 - (distance[np.arange(len(truth)), nearest] / limit) ** 2
-    return float((near * (1.0 + _WORTH_OF_LIKENESS * like + _WORTH_OF_NEARNESS * closeness)).sum())
+def _score(truth: Floats, moved: Floats, limit: float) -> float:
+    """Trees that find a partner, each worth a little more the nearer it is."""
+    nearest = np.linalg.norm(truth[:, None] - moved[None], axis=2).min(axis=1)
+    return float(((nearest <= limit) * (1.0 + _WORTH_OF_NEARNESS * (1.0 - (nearest / limit) ** 2))).sum())
 
 
 def _rigid(truth: Floats, found: Floats) -> Floats:

@@ -108,6 +108,55 @@ def test_pyramid_keeps_pixels_in_place() -> None:
         assert centre == pytest.approx([512 / stride] * 2, abs=0.02)
 
 
+@pytest.mark.parametrize("preset", ["mvsnet", "paper", "field"])
+@pytest.mark.parametrize("plane", [0, 77, 191])
+def test_a_volume_with_one_good_plane_gives_the_depth_of_that_plane(
+    preset: str, plane: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = dataclasses.replace(PRESETS[preset], refine_planes=0)
+    model = FSMVSNet(config).eval()
+    scores = torch.zeros(192, 16, 24)
+    scores[plane] = 60.0
+    monkeypatch.setattr(model.plane_head, "scores", lambda _: [scores])
+    with torch.no_grad():
+        output = model(*views(), (1.0, 9.0))
+    near_to_far = np.linspace(1.0, 9.0, 192)[plane]
+    expected = 1 / np.linspace(1 / 9.0, 1.0, 192)[plane] if config.inverse_depth else near_to_far
+    np.testing.assert_allclose(output.depth.numpy(), expected, rtol=2e-4)
+    np.testing.assert_allclose(output.confidence.numpy(), 1.0, atol=1e-4)
+
+
+def test_soft_argmin_of_the_paper_is_the_mean_over_the_planes() -> None:
+    model = FSMVSNet(PRESETS["paper"])
+    scores = torch.full((192, 1, 1), -60.0)
+    scores[10], scores[40] = np.log(3.0), 0.0
+    index, _ = model.plane_head.read(scores)
+    assert float(index) == pytest.approx(0.75 * 10 + 0.25 * 40, abs=1e-3)
+
+
+def test_the_pyramid_hands_what_is_fine_on_to_what_is_coarse() -> None:
+    """Bottom-up: each of the three steps adds to the next coarser level, and reaches the features."""
+    torch.manual_seed(0)
+    pyramid = BFPN(base=8, channels=8, refine_channels=0).eval()
+    image = torch.rand(1, 3, 64, 64)
+    levels: dict[int, torch.Tensor] = {}
+    for number, after in enumerate(pyramid.after_bottom_up):
+        after.register_forward_pre_hook(lambda _module, given, number=number: levels.update({number: given[0]}))
+    with torch.no_grad():
+        sound, _ = pyramid(image)
+        before = dict(levels)
+        for number, down in enumerate(pyramid.down):
+            kept = {name: value.clone() for name, value in down.state_dict().items()}
+            for parameter in down.parameters():
+                parameter.zero_()
+            without, _ = pyramid(image)
+            down.load_state_dict(kept)
+            assert not torch.allclose(without, sound, atol=1e-6), number
+            assert not torch.allclose(levels[number], before[number], atol=1e-6), number
+            # What the level has of its own stays: the step adds, it does not replace.
+            assert float(levels[number].abs().max()) > 0, number
+
+
 def test_volumes_equal_the_deployed_numpy_volumes() -> None:
     _, intrinsics, poses = views()
     torch.manual_seed(1)

@@ -104,6 +104,25 @@ def test_training_runs_stops_and_resumes(scenes: Path, tmp_path: Path) -> None:
     assert any("val_median_rel" in row for row in rows)
 
 
+def test_a_resumed_run_goes_on_as_if_it_had_not_stopped(scenes: Path, tmp_path: Path) -> None:
+    sample = load_sample(read_scene(scenes / "s0"), 0, [1])
+    settings = TrainSettings(data=(scenes,), out=tmp_path / "whole", steps=100, crop=(16, 12))
+    whole = Trainer(settings)
+    part = Trainer(dataclasses.replace(settings, out=tmp_path / "part"))
+    for trainer in (whole, part):
+        trainer.train_step([sample], np.random.default_rng(0))
+    part.save()
+    resumed = Trainer(part.settings)
+    # Adam's means are half of what decides the next step.
+    for trainer in (whole, resumed):
+        trainer.train_step([sample], np.random.default_rng(1))
+    assert resumed.step == whole.step == 2
+    for name in ("model", "average"):
+        ours, theirs = (getattr(trainer, name).state_dict() for trainer in (resumed, whole))
+        for key, value in theirs.items():
+            torch.testing.assert_close(ours[key], value, rtol=1e-5, atol=1e-7)
+
+
 def test_the_time_limit_ends_a_run(scenes: Path, tmp_path: Path) -> None:
     train(TrainSettings(data=(scenes,), out=tmp_path, minutes=1e-6, crop=(16, 12), max_sources=2))
     assert torch.load(tmp_path / "checkpoint.pt", weights_only=True)["step"] == 1

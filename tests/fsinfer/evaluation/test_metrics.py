@@ -94,6 +94,32 @@ def test_frames_are_registered_when_they_differ() -> None:
     assert evaluate(measured, found, align="never").matched < 5
 
 
+@pytest.mark.parametrize("shape", ["square", "random"])
+def test_no_tree_is_matched_by_its_diameter(shape: str) -> None:
+    """Other diameters, other errors; but the same pairs, at the same distances, after the same motion."""
+    xy, dbh, _ = _plot(8)
+    if shape == "square":  # four ways of laying it that are equally good by position
+        xy = np.array([(0.0, 0.0), (6.0, 0.0), (6.0, 6.0), (0.0, 6.0)])
+        dbh = np.array([15.0, 25.0, 35.0, 45.0])
+    measured = [
+        MeasuredTree(tree_id=str(k), x_m=x, y_m=y, dbh_cm=d) for k, (x, y, d) in enumerate(zip(*xy.T, dbh, strict=True))
+    ]
+    found = _moved(xy, dbh, 137.0, np.array([40.0, -7.0]), noise=0.0 if shape == "square" else 0.05)
+    told = []
+    for turn in range(4):
+        others = [replace(tree, dbh_cm=found[(k + turn) % len(found)].dbh_cm) for k, tree in enumerate(found)]
+        if turn == 3:
+            others = [replace(tree, dbh_cm=None) for tree in found]
+        e = evaluate(measured, others, align="always")
+        assert e.detected == len(xy)
+        told.append(([(p.measured_id, p.extracted_id, p.distance_m) for p in e.pairs], e.measured_from_extracted))
+    assert told[1:] == told[:1] * 3
+    # As given, two stems within reach: the nearer one, though the other has the diameter.
+    near = [Found("like", 0.4, 0.0, 20.0), Found("near", 0.1, 0.0, 31.0)]
+    (pair,) = evaluate(MEASURED[:1], near).pairs
+    assert pair.extracted_id == "near"
+
+
 def test_registration_never_scales() -> None:
     xy, dbh, measured = _plot()
     e = evaluate(measured, _moved(xy, dbh, 30.0, np.array([5.0, 5.0]), scale=1.3), align="always")

@@ -1,6 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
+from fsinfer.fusion.fuse import FusionSettings
 from fsinfer.fusion.voxels import Samples, VoxelMerger, join, merge_voxels, much_worse_than_nearby, sum_within
 
 
@@ -65,6 +69,44 @@ def test_lone_specks_have_few_neighbours() -> None:
         7,
         7,
     ]
+
+
+@pytest.mark.parametrize(("times", "goes"), [(2.2, False), (4.2, True)])
+def test_what_is_three_times_less_sure_than_its_surroundings_is_halo(times: float, goes: bool) -> None:
+    xyz = np.random.default_rng(2).uniform(0, 0.05, (600, 3)) * [1, 1, 0]
+    few = np.arange(600) < 10
+    samples = make_samples(xyz, np.where(few, times**-2.0, 1.0))
+    ratio = FusionSettings().halo_ratio
+    assert ratio is not None
+    worse = much_worse_than_nearby(samples, 0.02, ratio)
+    assert worse[few].all() if goes else not worse[few].any()
+    assert not worse[~few].any()
+
+
+def test_sums_are_over_the_cell_and_its_neighbours_on_every_side() -> None:
+    # One point in the middle of each of 5 x 5 x 5 cells, on both sides of the origin.
+    cells = np.stack(np.meshgrid(*[np.arange(-2.0, 3)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    values = np.arange(125) + 1
+    xyz: NDArray[np.float64] = 0.3 * (cells + 0.5)
+    found = sum_within(xyz, 0.3, values)
+    near = (np.abs(cells[:, None] - cells[None]) <= 1).all(axis=2)
+    np.testing.assert_array_equal(found, near @ values)
+    bins = (values % 2).astype(np.int64)
+    apart = sum_within(xyz, 0.3, values, bins)
+    np.testing.assert_array_equal(apart, (near & (bins[:, None] == bins[None])) @ values)
+
+
+def test_colours_and_normals_are_averaged_as_positions_are() -> None:
+    samples = make_samples([[0.1, 0.1, 0.1], [0.9, 0.1, 0.1]], [1, 3])
+    samples = replace(
+        samples,
+        rgb=np.array([[0, 100, 200], [40, 20, 200]], np.float32),
+        normals=np.array([[1, 0, 0], [0, 0.6, 0.8]], np.float32),
+    )
+    merged = merge_voxels(samples, 1.0)
+    np.testing.assert_allclose(merged.rgb, [[30, 40, 200]])
+    mean = np.array([0.25, 0.45, 0.6])
+    np.testing.assert_allclose(merged.normals, [mean / np.linalg.norm(mean)], rtol=1e-6)
 
 
 def test_the_halo_of_far_views_goes_and_a_side_seen_only_from_far_stays() -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from shutil import copytree
 
 import numpy as np
 import pytest
@@ -14,7 +16,8 @@ from numpy.typing import NDArray
 from fsinfer.errors import OutputError, SceneError
 from fsinfer.io.files import atomic_path
 from fsinfer.io.pfm import read_pfm, write_pfm
-from fsinfer.scene import Camera, read_camera, read_pairs, read_scene, write_camera, write_pairs
+from fsinfer.scene import Camera, read_camera, read_pairs, read_scene, scene_digest, write_camera, write_pairs
+from tests.support.plane_scene import write_plane_scene
 
 
 @given(
@@ -124,3 +127,31 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
         write_half()
     assert path.read_text() == "old"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["result.txt"]
+
+
+def test_the_digest_of_a_scene_sees_all_that_depth_hangs_on(tmp_path: Path) -> None:
+    """What the digest does not see, a resumed run would take old depth maps for."""
+    scene = read_scene(write_plane_scene(tmp_path / "a"))
+    told = scene_digest(scene)
+    assert scene_digest(read_scene(copytree(tmp_path / "a", tmp_path / "b"))) == told
+    view = scene.views[1]
+    moved, turned, longer = (
+        view.camera.cam_from_world.copy(),
+        view.camera.cam_from_world.copy(),
+        view.camera.intrinsic.copy(),
+    )
+    moved[0, 3] += 1e-6
+    turned[:2, :2] = [[np.cos(1e-6), -np.sin(1e-6)], [np.sin(1e-6), np.cos(1e-6)]]
+    longer[0, 0] += 1e-3
+    others = [
+        replace(view, camera=replace(view.camera, cam_from_world=moved)),
+        replace(view, camera=replace(view.camera, cam_from_world=turned)),
+        replace(view, camera=replace(view.camera, intrinsic=longer)),
+        replace(view, camera=replace(view.camera, depth_min=view.camera.depth_min + 1e-6)),
+        replace(view, camera=replace(view.camera, depth_max=view.camera.depth_max + 1e-6)),
+        replace(view, sources=view.sources[::-1]),
+        replace(view, name="another"),
+        replace(view, image_path=scene.views[2].image_path),
+    ]
+    digests = {scene_digest(replace(scene, views=(scene.views[0], other, scene.views[2]))) for other in others}
+    assert len(digests | {told}) == len(others) + 1

@@ -431,3 +431,64 @@ def test_a_doubtful_stem_that_many_photographs_do_not_show_is_a_shrub(photos: St
     assert len(measure_silhouettes(doubtful, shrub, settings=few, kept={1}).trees) == 1
     # And a stem that the photographs do show stays too.
     assert len(measure_silhouettes(doubtful, photos, settings=few).trees) == 1
+
+
+def rms(values: list[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def test_edges_that_all_err_alike_are_in_the_error_of_the_fit() -> None:
+    """Every edge is shifted outwards by the same part of a pixel of 1 cm (seed 44030): no residual shows it."""
+    rng = np.random.default_rng(44030)
+    errors = []
+    for _ in range(16):
+        edges = edges_of(0.05, 0.0, rays=32, reach_deg=360, junk=0.0, rng=rng)
+        edges = replace(edges, pixel_m=np.full(len(edges.ray), 0.01))
+        # Exact but for the shift, and a little so that edges are not all the same.
+        exact = 0.05 + TAPER * edges.height_m + 0.012 * np.cos(edges.angle_rad)
+        shift = rng.normal(0.0, 0.08) * 0.01
+        fit = fit_silhouette(
+            replace(edges, support_m=exact + shift + rng.normal(0.0, 1e-4, len(exact))), 0.05, taper=TAPER
+        )
+        assert fit is not None
+        errors.append((fit.radius_m - 0.05) / fit.std_m)
+    assert 0.6 < rms(errors) < 1.3
+
+
+def test_joined_diameters_are_off_by_what_they_say() -> None:
+    """Edges that tell little, and a cloud that is off by its own error and by what depth maps fatten (seed 44031)."""
+    rng = np.random.default_rng(44031)
+    for own in (0.0, 0.002):
+        errors = []
+        for _ in range(400):
+            cloud = 0.15 + rng.normal(0.0, np.hypot(own, 0.0015))
+            edges = 0.15 + rng.normal(0.0, 0.006)
+            found = join(
+                section_of(2 * cloud, own),
+                replace(fit_of(edges, 0.006), taper=0.0),
+                scale_rel_std=0.0,
+                dbh=replace(DbhSettings(), taper_std=0.0),
+                settings=SilhouetteJoinSettings(),
+            )
+            assert found.dbh_m is not None
+            errors.append((found.dbh_m - 0.30) / found.sd_m)
+        assert 0.75 < rms(errors) < 1.25
+
+
+def test_joined_diameters_of_a_cloud_of_the_wrong_size() -> None:
+    """Both sources share the scale, so that no agreement between them makes it surer (seed 44032)."""
+    rng = np.random.default_rng(44032)
+    errors = []
+    for _ in range(400):
+        size = 1 + rng.normal(0.0, 0.02)
+        cloud, edges = (size * (0.15 + rng.normal(0.0, 0.0005)) for _ in range(2))
+        found = join(
+            section_of(2 * cloud, 0.0005),
+            fit_of(edges, 0.0005),
+            scale_rel_std=0.02,
+            dbh=DbhSettings(),
+            settings=SilhouetteJoinSettings(),
+        )
+        assert found.dbh_m is not None
+        errors.append((found.dbh_m - 0.30) / found.sd_m)
+    assert 0.8 < rms(errors) < 1.2

@@ -77,6 +77,26 @@ def test_a_third_of_wild_points_is_dropped() -> None:
     assert fit.inliers[:200].mean() > 0.98
 
 
+def test_what_is_farther_than_the_papers_one_and_a_half_centimetres_is_dropped() -> None:
+    # Noise of a tenth of a millimetre: 2.5 standard deviations are far below the bound of the paper.
+    rng = np.random.default_rng(8)
+    clean = _arc((0, 0), 0.15, 0.0, 6.28, 300) + rng.normal(0.0, 1e-4, (300, 2))
+    near, far = ((0.15 + off) * _arc((0, 0), 1.0, 0.1, 6.1, 10) for off in (0.013, 0.017))
+    fit = fit_circle(np.concatenate([clean, near, far]))
+    assert fit.inliers[:310].all()
+    assert not fit.inliers[310:].any()
+    assert fit.radius == pytest.approx(0.15, abs=0.001)
+
+
+def test_a_noisy_wall_is_not_cut_at_the_papers_bound() -> None:
+    rng = np.random.default_rng(9)
+    points = _arc((0, 0), 0.25, 0.0, 6.28, 600) + rng.normal(0.0, 0.015, (600, 2))
+    fit = fit_circle(points)
+    # Within 2.5 standard deviations lie 98.8 %; at 1.5 cm a third would be lost.
+    assert 0.97 < fit.inliers.mean() < 0.998
+    assert fit.residual_rms == pytest.approx(0.0145, rel=0.1)
+
+
 def test_radius_std_matches_the_scatter_of_repeated_measurements() -> None:
     fits = []
     for seed in range(40):

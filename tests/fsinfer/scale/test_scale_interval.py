@@ -1,0 +1,67 @@
+"""What a scale by boards may be off by: blooming edges and misprinted boards, drawn many times (seeds 44020, 44021)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fsinfer.scale import aruco
+from fsinfer.scale.scale import MarkerDetails
+from fsinfer.scene import Camera, Scene, View
+from tests.support.rendered_room import intrinsic, poses
+
+VIEWS = 6
+#: Top left corner, right and down directions of three boards in the room.
+BOARDS = (
+    (np.array([-0.75, 0.15, 0.25]), np.array([1.0, 0, 0]), np.array([0, 1.0, 0])),
+    (np.array([0.35, -0.45, 0.20]), np.array([0.96, 0.28, 0]), np.array([-0.28, 0.96, 0])),
+    (np.array([-0.2, -0.25, 0.0]), np.array([0.9, 0, -np.sqrt(0.19)]), np.array([0, 1.0, 0])),
+)
+
+
+def corners(board: int, side: float, pose: NDArray[np.float64], bloom_px: float) -> NDArray[np.float64]:
+    """Where a view sees the corners (4, 2), every edge shifted outwards by ``bloom_px``."""
+    origin, right, down = BOARDS[board]
+    world = origin + side * np.array([0 * right, right, right + down, down])
+    projected = (world @ pose[:3, :3].T + pose[:3, 3]) @ intrinsic().T
+    pixels = projected[:, :2] / projected[:, 2:]
+    along = [(np.roll(pixels, -step, axis=0) - pixels) for step in (1, -1)]
+    for edge in along:
+        pixels = pixels - bloom_px * edge / np.linalg.norm(edge, axis=1, keepdims=True)
+    return np.asarray(pixels)
+
+
+@pytest.mark.parametrize(("side", "least_px", "most_px"), [(0.2, 20, 30), (1.2, 110, 220)], ids=["far", "near"])
+def test_scales_are_off_by_what_they_say(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, side: float, least_px: float, most_px: float
+) -> None:
+    """Far boards are off by blooming, near ones by their print; a term half or twice as large leaves the bounds."""
+    cameras = [
+        Camera(intrinsic=intrinsic(), cam_from_world=pose, depth_min=1.0, depth_max=9.0) for pose in poses(VIEWS)
+    ]
+    views = [View(name=f"v{i}", image_path=tmp_path / f"{i}", camera=c, sources=()) for i, c in enumerate(cameras)]
+    scene = Scene(folder=tmp_path, views=tuple(views))
+    rng = np.random.default_rng(44020 if side < 0.5 else 44021)
+    errors = []
+    for _ in range(14):
+        bloom, misprint = rng.normal(0.0, 0.07), rng.normal(0.0, 0.002)
+        seen = {
+            view.image_path: [
+                (number, corners(number, side * (1 + misprint), view.camera.cam_from_world, bloom))
+                for number in range(len(BOARDS))
+            ]
+            for view in scene.views
+        }
+        noise = {path: [(n, c + rng.normal(0.0, 0.1, (4, 2))) for n, c in found] for path, found in seen.items()}
+        monkeypatch.setattr(aruco, "read_image", lambda path: path)
+        monkeypatch.setattr(aruco, "detect_markers", lambda path, *_, noise=noise, **__: noise[path])
+        scale = aruco.scale_from_aruco(scene, side)
+        assert scale.m_per_unit is not None
+        assert scale.rel_std is not None
+        assert isinstance(scale.details, MarkerDetails)
+        assert least_px < scale.details.mean_side_px < most_px
+        errors.append((scale.m_per_unit - 1) / scale.rel_std)
+    assert 0.7 < np.sqrt(np.mean(np.square(errors))) < 1.35
