@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fsinfer.poses.settings import PoseSettings
-from fsinfer.poses.verification.misplaced import agreeing_matches, without_pairs
+from fsinfer.poses.verification.misplaced import agreeing_matches, drop_strays, without_pairs
+from fsinfer.poses.verification.pair_votes import PairVote
 from fsinfer.poses.verification.repair import repair
 from fsinfer.progress import silent
 
@@ -58,3 +60,47 @@ def test_forgotten_pairs_are_gone_from_the_copy_only(tmp_path: Path) -> None:
         with pycolmap.Database.open(path) as opened:
             left.append(int(opened.num_verified_image_pairs()))
     assert left == [6, 5]
+
+
+class _Image:
+    """What the look at strays needs of a ``pycolmap.Image``."""
+
+    def __init__(self, name: str, center: NDArray[np.float64]) -> None:
+        self.name, self.frame_id, self._center = name, name, center
+
+    def projection_center(self) -> NDArray[np.float64]:
+        return self._center
+
+
+class _Model:
+    def __init__(self, images: dict[int, _Image]) -> None:
+        self.images = images
+
+    def reg_image_ids(self) -> list[int]:
+        return sorted(self.images)
+
+    def deregister_frame(self, name: str) -> None:
+        self.images = {i: image for i, image in self.images.items() if image.name != name}
+
+
+@pytest.mark.parametrize(("agreeing", "kept"), [(0.9, True), (0.3, False)])
+def test_a_walk_begun_anew_elsewhere_stays_where_its_matches_vouch_for_it(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, agreeing: float, kept: bool
+) -> None:
+    # Eighty photos in a row, twelve of another row, and five at a hundred times the scale.
+    row = np.arange(80)[:, None] * [0.5, 0.0, 0.0]
+    other = np.arange(12)[:, None] * [0.5, 0.0, 0.0] + [0.0, 20.0, 0.0]
+    lost = np.arange(5)[:, None] * [50.0, 0.0, 0.0] + [0.0, 900.0, 0.0]
+    centers = np.concatenate([row, other, lost])
+    walk = [f"{i:03d}.jpg" for i in range(len(centers))]
+    images = {i + 1: _Image(name, center) for i, (name, center) in enumerate(zip(walk, centers, strict=True))}
+    votes = [PairVote(first=k, second=80 + k, matches=100, agrees=k < 12 * agreeing) for k in range(12)]
+    votes += [PairVote(first=k, second=92 + k, matches=100, agrees=False) for k in range(5)]
+    monkeypatch.setattr("fsinfer.poses.verification.misplaced.pair_votes", lambda *_: (sorted(images), votes))
+    model = _Model(images)
+    dropped = drop_strays(model, walk, tmp_path / "database.db")
+    assert set(walk[92:]) <= set(dropped)
+    assert (set(walk[80:92]) & set(dropped) == set()) is kept
+    # Without matches nothing vouches for it.
+    model = _Model(images)
+    assert set(drop_strays(model, walk)) == set(walk[80:])
