@@ -24,8 +24,8 @@ _PEAK_OVER_VOLUME, _INT8_PEAK_OVER_VOLUME = 8.2, 4.4
 _PEAK_OVER_TILE, _FEATURES_BYTES = 9.2, 105
 #: The same of a 3D regularizer, in volumes of as many channels as the cost volume has, and as its first level has: the
 #: volume, in tiles the copy of it, and what is held at once of the first level. Source: numerics; measured, ``paper``
-#: as a whole takes 0.77 GB at 640x352 and 1.57 GB at 960x512.
-_VOLUMES_AT_PEAK, _LEVELS_AT_PEAK = 1.0, 3.8
+#: as a whole takes 0.77 GB at 640x352, 1.57 at 960x512 and 3.16 at 1280x720, there in two tiles 2.59.
+_VOLUMES_AT_PEAK, _LEVELS_AT_PEAK = 1.0, 4.6
 #: Sides of tiles that are tried, quarter pixels. Source: numerics; multiples of the network's coarsest level.
 _TILE_SIZES = range(512, 56, -8)
 #: Sizes that a message proposes: multiples of the one, none below the other, pixels. Source: layout; the least that
