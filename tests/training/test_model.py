@@ -375,7 +375,7 @@ def test_a_shifted_plane_comes_back_where_it_was(axis: int) -> None:
     shape[axis] = 192
     with torch.no_grad():
         base = regularizer(torch.zeros(1, 2, *shape))
-        for where in (88, 89, 90, 92, 95):
+        for where in (60, 61, 62, 64, 131):  # not about the middle, where errors of both ends cancel
             volume = torch.zeros(1, 2, *shape)
             volume.select(2 + axis, where).fill_(1000.0)
             for level, (scores, before) in enumerate(zip(regularizer(volume), base, strict=True)):
