@@ -128,13 +128,16 @@ def tree_values(trees: TreesResult) -> dict[str, Any]:
         "diagnosis": sentence(trees.diagnosis),
         "stand": trees.stand,
         "plot_area_m2": trees.plot_area_m2,
-        "trees_outside": trees.trees_outside,
     }
 
 
 def border_values(trees: TreesResult) -> dict[str, Any]:
-    """What ``plot.json`` tells of the plot's border, and what figures a hectare are of."""
-    return {"per_hectare_of": SEEN_GROUND if trees.plot is None else WITHIN_BORDER, "plot_border": trees.plot}
+    """What ``plot.json`` tells of the borders of plot and walk, and what figures a hectare are of."""
+    return {
+        "per_hectare_of": SEEN_GROUND if trees.plot is None else WITHIN_BORDER,
+        "plot_border": trees.plot,
+        "trees_outside": trees.trees_outside,
+    }
 
 
 def warning_values(warnings: Iterable[Notice]) -> dict[str, Any]:

@@ -98,7 +98,7 @@ class Deployed:
 
     off: NDArray[np.float64]
     moved: NDArray[np.float64]
-    manifest: Any = field(default_factory=lambda: SimpleNamespace(confidence_threshold=0.4))
+    manifest: Any = field(default_factory=lambda: SimpleNamespace(parity_confidence_threshold=0.4))
     views: list[int] = field(default_factory=list)
 
     def calibrated(self, confidence: NDArray[np.float32]) -> NDArray[np.float64]:

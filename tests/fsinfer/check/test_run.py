@@ -272,7 +272,7 @@ def test_a_check_that_was_stopped_goes_on(tmp_path: Path, calls: Counter[str], m
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("fsinfer.poses.estimate.reconstruct", stop)
+        patch.setattr("fsinfer.poses.mapping.reconstruct", stop)
         with pytest.raises(KeyboardInterrupt):
             check_capture(folder, out, settings=settings)
     database = out / "scene" / "work" / "database.db"
@@ -283,7 +283,7 @@ def test_a_check_that_was_stopped_goes_on(tmp_path: Path, calls: Counter[str], m
         seen.append((path.stat().st_ino, path.stat().st_size))
         return reconstruct(path, *args)
 
-    monkeypatch.setattr("fsinfer.poses.estimate.reconstruct", look)
+    monkeypatch.setattr("fsinfer.poses.mapping.reconstruct", look)
     assert check_capture(folder, out, settings=settings).registered == 8
     # Features and matches of the first attempt were kept.
     assert seen == [(inode, size)]

@@ -7,7 +7,7 @@ from fsinfer.trees import find_stems
 from fsinfer.trees.cylinder.axis import Axis, axis_coordinates, fit_axis
 from fsinfer.trees.height import axis_path
 from fsinfer.trees.points.cells import PlanIndex
-from fsinfer.trees.search.find import _resolve_overlaps
+from fsinfer.trees.search.find import _in_order, _resolve_overlaps
 from fsinfer.trees.search.stem import Stem, StemSettings
 from tests.support.stem_clouds import board, post, stem_plot
 
@@ -88,7 +88,7 @@ def test_neighbours_and_crowns_follow_the_breast_height_that_was_asked_for() -> 
     stems = [_leaning(0.0, 0.0, 0.3), _leaning(0.1, 9.0, -0.3)]
     nothing = PlanIndex(np.zeros((0, 3)), 0.5)
     for bh_m, order in ((1.3, [0.0, 9.0]), (2.0, [9.0, 0.0])):
-        kept = _resolve_overlaps(stems, nothing, 0.015, bh_m, StemSettings())
+        kept = _in_order(_resolve_overlaps(stems, nothing, 0.015, bh_m, StemSettings()), bh_m)
         assert [stem.axis.parameters[1] for stem in kept] == order
     # Touching at breast height or not: at 1.3 m these two stand apart, at 2.1 m on the same place.
     crossing = [_leaning(0.0, 0.0, 0.3), replace(_leaning(0.48, 0.0, -0.3), quality=0.9)]
