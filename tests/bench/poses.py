@@ -1,6 +1,7 @@
 """Structure from motion on a rendered plot: seconds of each step and error of the cameras, for any settings.
 
 python -m tests.bench.poses PLOT --set max_features=4000 pairs.overlap=6 --photos 80
+python -m tests.bench.poses PLOT --photos 80 --step 3 --set thorough.min_share=0    torn, and not looked at again
 python -m tests.bench.poses PLOT --photos 40 --equalize clahe      evened out first, as ``fsinfer frames`` does
 
 ``PLOT`` is a scene of ``training.synthesize --kind plot`` (or any scene in MVSNet format whose cameras are true).
@@ -23,12 +24,12 @@ from fsinfer.frames.quality import EQUALIZERS, equalize
 from fsinfer.io.images import read_image, write_image
 from fsinfer.poses.estimate import estimate_poses
 from fsinfer.poses.pairs import PairSettings
-from fsinfer.poses.settings import PoseSettings
+from fsinfer.poses.settings import PoseSettings, ThoroughSettings
 from fsinfer.scene import Scene, read_scene
 from tests.bench.plot import plot_settings, similarity
 from tests.bench.results import add_result_options, check_result_options, save_result
 
-Settings = TypeVar("Settings", PoseSettings, PairSettings)
+Settings = TypeVar("Settings", PoseSettings, PairSettings, ThoroughSettings)
 #: Of the cameras, see :func:`camera_errors`.
 ERRORS = ("center_rms_mm", "center_max_mm", "angle_median_deg", "angle_max_deg")
 
@@ -72,6 +73,8 @@ def parse_settings(pairs: list[str]) -> PoseSettings:
         name, _, value = pair.partition("=")
         if name.startswith("pairs."):
             settings = replace(settings, pairs=changed(settings.pairs, name.removeprefix("pairs."), value))
+        elif name.startswith("thorough."):
+            settings = replace(settings, thorough=changed(settings.thorough, name.removeprefix("thorough."), value))
         else:
             settings = changed(settings, name, value)
     return settings
@@ -87,12 +90,13 @@ def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.bench.poses", description=__doc__)
     parser.add_argument("plot", type=Path)
     parser.add_argument("--photos", type=int, default=0, help="only the first so many; 0 = all")
+    parser.add_argument("--step", type=int, default=1, help="of those every so many-th: a walk with longer steps")
     parser.add_argument(
         "--set",
         nargs="*",
         default=[],
         metavar="NAME=VALUE",
-        help="fields of PoseSettings; pairs.NAME of its PairSettings",
+        help="fields of PoseSettings; pairs.NAME and thorough.NAME of its PairSettings and ThoroughSettings",
     )
     parser.add_argument("--equalize", choices=EQUALIZERS, default="none", help="of fsinfer frames")
     parser.add_argument("--out", type=Path, help="keep the scene here")
@@ -100,7 +104,7 @@ def main(argv: list[str] | None = None) -> None:
     arguments = parser.parse_args(argv)
     check_result_options(parser, arguments)
     truth = read_scene(arguments.plot)
-    views = truth.views[: arguments.photos or None]
+    views = truth.views[: arguments.photos or None : arguments.step]
     with tempfile.TemporaryDirectory() as temporary:
         photos = Path(temporary) / "photos"
         photos.mkdir()
