@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+#: Points in a line fix no turn: their second extent is less than this share of the first. Source: numerics.
+_LEAST_SPREAD = 1e-9
 
 
 def scale_of(similarity: Floats) -> float:
@@ -36,3 +38,20 @@ def compose(first: Floats, *others: Floats) -> Floats:
     ``compose(plot_from_world, world_from_scene)`` is ``plot_from_scene``.
     """
     return reduce(np.matmul, others, first)
+
+
+def fit_similarity(source: Floats, target: Floats) -> Floats | None:
+    """Least-squares similarity (4, 4) from points (N, 3) to others (Umeyama 1991); None where they do not fix one."""
+    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
+    left, sizes, right = np.linalg.svd(b.T @ a)
+    variance = float((a**2).sum())
+    if len(source) < 3 or variance <= 0 or sizes[1] <= _LEAST_SPREAD * sizes[0]:
+        return None
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    scale = float((sizes * signs).sum() / variance)
+    if not scale > 0:
+        return None
+    matrix = np.eye(4)
+    matrix[:3, :3] = scale * (left * signs) @ right
+    matrix[:3, 3] = target.mean(axis=0) - matrix[:3, :3] @ source.mean(axis=0)
+    return matrix

@@ -139,7 +139,6 @@ def _reader(settings: PoseSettings) -> Any:
 
 
 def _camera_of(database: Path, names: Sequence[str]) -> int | None:
-
     if not database.exists():
         return None
     with open_database(database) as opened:
@@ -152,14 +151,12 @@ def _camera_of(database: Path, names: Sequence[str]) -> int | None:
 
 def _longer_side_px(database: Path, camera_id: int, settings: PoseSettings) -> int:
     """Of the photos as features are looked for in them."""
-
     with open_database(database) as opened:
         camera = opened.read_camera(camera_id)
     return min(max(int(camera.width), int(camera.height)), settings.max_image_size)
 
 
 def _has_features(database: Path, name: str) -> bool:
-
     if not database.exists():
         return False
     with open_database(database) as opened:
@@ -336,6 +333,13 @@ def triangulate(model: Any, database: Path, images: Path, out: Path) -> Any:
     options.num_threads = 1
     options.random_seed = SEED
     options.extract_colors = False
-    return pycolmap.triangulate_points(
-        model, database, images, out, clear_points=False, options=options, refine_intrinsics=True
+    return call(
+        pycolmap.triangulate_points,
+        model,
+        database,
+        images,
+        out,
+        clear_points=False,
+        options=options,
+        refine_intrinsics=True,
     )

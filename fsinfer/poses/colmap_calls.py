@@ -6,8 +6,9 @@ when it is wrong. A failure of COLMAP is one that comes out of a call of COLMAP 
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -52,3 +53,10 @@ def open_database(path: Path) -> Iterator[Any]:
     database = call(pycolmap.Database.open, path)
     with database:
         yield _Guarded(database)
+
+
+def copy_database(database: Path, copy: Path) -> None:
+    """Copy a database with what is still in its log; a file ``copy`` of before goes."""
+    copy.unlink(missing_ok=True)
+    with closing(sqlite3.connect(database)) as source, closing(sqlite3.connect(copy)) as target:
+        source.backup(target)

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import product
+from itertools import combinations_with_replacement
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from fsinfer.geometry.similarity import Floats, apply, fit_similarity, rotation_of, scale_of
 from fsinfer.poses.boards import Board, BoardSighting, boards_in, by_number
 
 _log = logging.getLogger(__name__)
@@ -29,8 +28,6 @@ _COMMON_PHOTOS = 3
 #: more than after half a turn; near is this share of the usual distance between points. Fewer points tell nothing.
 #: Source: judgement.
 _LEAST_NEAR, _TIMES_TURNED, _NEAR_STEPS, _FEWEST_POINTS = 0.12, 2.0, 0.5, 100
-#: Points in a line fix no turn: their second extent is less than this share of the first. Source: numerics.
-_LEAST_SPREAD = 1e-9
 #: Points at which the usual distance is looked at. Source: numerics.
 _MOST_PROBES = 2000
 #: Photos that both have agree where their centres lie within this share of their spread, and their directions within so
@@ -39,36 +36,6 @@ _CENTER_SHARE, _TURN_DEG = 0.1, 3.0
 #: Directions to the sky of the photos of two parts may differ so much, degrees. Source: people hold a phone level
 #: within some degrees, plots slope by some more.
 _MAX_TILT_DEG = 30.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Similarity:
-    """x -> scale * rotation @ x + shift."""
-
-    scale: float
-    rotation: NDArray[np.float64]
-    shift: NDArray[np.float64]
-
-    def apply(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Of points (N, 3)."""
-        return self.scale * points @ self.rotation.T + self.shift
-
-
-def similarity(source: NDArray[np.float64], target: NDArray[np.float64]) -> Similarity | None:
-    """The least-squares similarity from points (N, 3) to others (Umeyama 1991); None where they do not fix one."""
-    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
-    left, singular, right = np.linalg.svd(b.T @ a)
-    variance = float((a**2).sum())
-    if len(source) < 3 or variance <= 0 or singular[1] <= _LEAST_SPREAD * singular[0]:
-        return None
-    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    rotation = left @ np.diag(sign) @ right
-    scale = float((singular * sign).sum() / variance)
-    if not scale > 0:
-        return None
-    return Similarity(
-        scale=scale, rotation=rotation, shift=target.mean(axis=0) - scale * rotation @ source.mean(axis=0)
-    )
 
 
 def join_parts(model: Any, parts: Sequence[Any], sightings: Sequence[BoardSighting]) -> tuple[list[str], list[Any]]:
@@ -80,39 +47,40 @@ def join_parts(model: Any, parts: Sequence[Any], sightings: Sequence[BoardSighti
     parts: further reconstructions of photos from the same database, the largest first. One that is joined may show
         the way for another, so that all are tried again after each.
     """
-    left, gained = list(parts), []
-    progress = True
+    left = [(part, boards_in(part, sightings)) for part in parts]
+    gained: list[str] = []
+    progress = bool(left)
     while progress:
         progress = False
-        for part in left:
-            where = _place_of(model, part, sightings)
+        ours = boards_in(model, sightings)
+        for pair in left:
+            where = _place_of(model, pair[0], ours, pair[1])
             if where is not None:
-                gained += _take_over(model, part, where)
-                left.remove(part)
-                progress = True
+                gained += _take_over(model, pair[0], where)
+                left.remove(pair)
+                progress = bool(left)
                 break
-    return gained, left
+    return gained, [part for part, _ in left]
 
 
-def _place_of(model: Any, part: Any, sightings: Sequence[BoardSighting]) -> Similarity | None:
+def _place_of(model: Any, part: Any, ours: Sequence[Board], theirs: Sequence[Board]) -> Floats | None:
     """The similarity that takes the part to the model, or None where nothing trustworthy tells it."""
     common = sorted(set(model.reg_image_ids()) & set(part.reg_image_ids()))
     if len(common) >= _COMMON_PHOTOS:
         found = _by_photos(model, part, common)
         if found is not None:
             return found
-    ours, theirs = boards_in(model, sightings), boards_in(part, sightings)
-    best: tuple[list[tuple[Board, Board]], Similarity] | None = None
+    best: tuple[list[tuple[Board, Board]], Floats] | None = None
     for candidate in _candidates(ours, theirs):
         if _tilt_deg(model, part, candidate) > _MAX_TILT_DEG:
             continue
         agreeing = _agreeing(ours, theirs, candidate)
         if agreeing and (best is None or len(agreeing) > len(best[0])):
-            refined = similarity(
+            refined = fit_similarity(
                 np.concatenate([their.corners for _, their in agreeing]),
                 np.concatenate([our.corners for our, _ in agreeing]),
             )
-            best = (agreeing, refined or candidate)
+            best = (agreeing, candidate if refined is None else refined)
     if best is None:
         return None
     agreed, place = best
@@ -122,18 +90,18 @@ def _place_of(model: Any, part: Any, sightings: Sequence[BoardSighting]) -> Simi
     return place
 
 
-def _by_photos(model: Any, part: Any, common: Sequence[int]) -> Similarity | None:
+def _by_photos(model: Any, part: Any, common: Sequence[int]) -> Floats | None:
     """From the centres of photos that both have, if these and their directions agree."""
     ours = np.array([model.images[i].projection_center() for i in common])
     theirs = np.array([part.images[i].projection_center() for i in common])
-    found = similarity(theirs, ours)
+    found = fit_similarity(theirs, ours)
     if found is None:
         return None
     spread = float(np.sqrt(((ours - ours.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    residual = float(np.median(np.linalg.norm(found.apply(theirs) - ours, axis=1)))
+    residual = float(np.median(np.linalg.norm(apply(found, theirs) - ours, axis=1)))
     turns = [
         _angle_deg(
-            model.images[i].cam_from_world().rotation.matrix() @ found.rotation,
+            model.images[i].cam_from_world().rotation.matrix() @ rotation_of(found),
             part.images[i].cam_from_world().rotation.matrix(),
         )
         for i in common
@@ -141,30 +109,30 @@ def _by_photos(model: Any, part: Any, common: Sequence[int]) -> Similarity | Non
     return found if residual < _CENTER_SHARE * spread and float(np.median(turns)) < _TURN_DEG else None
 
 
-def _candidates(ours: Sequence[Board], theirs: Sequence[Board]) -> Iterator[Similarity]:
+def _candidates(ours: Sequence[Board], theirs: Sequence[Board]) -> Iterator[Floats]:
     """From every board of a number that both parts see, each alone, and from every two of them."""
     shared = []
     numbers = by_number(theirs)
     for board in ours:
         shared += [(board, other) for other in numbers.get(board.number, [])]
-    for (one, its), (two, others) in product(shared, shared):
+    for (one, its), (two, others) in combinations_with_replacement(shared, 2):
         if one is not two and its is others:
             continue
         pairs = [(one, its)] if one is two and its is others else [(one, its), (two, others)]
-        found = similarity(
+        found = fit_similarity(
             np.concatenate([their.corners for _, their in pairs]), np.concatenate([our.corners for our, _ in pairs])
         )
         if found is not None:
             yield found
 
 
-def _agreeing(ours: Sequence[Board], theirs: Sequence[Board], where: Similarity) -> list[tuple[Board, Board]]:
+def _agreeing(ours: Sequence[Board], theirs: Sequence[Board], where: Floats) -> list[tuple[Board, Board]]:
     """Boards of both that lie at the same place; each of them once."""
     agreeing = []
     taken: set[int] = set()
     middle = np.mean([board.corners.mean(axis=0) for board in ours], axis=0)
     for other in theirs:
-        moved = where.apply(other.corners)
+        moved = apply(where, other.corners)
         errors = [
             (float(np.linalg.norm(moved - board.corners, axis=1).max()), number)
             for number, board in enumerate(ours)
@@ -181,19 +149,19 @@ def _agreeing(ours: Sequence[Board], theirs: Sequence[Board], where: Similarity)
     return agreeing
 
 
-def _tilt_deg(model: Any, part: Any, where: Similarity) -> float:
+def _tilt_deg(model: Any, part: Any, where: Floats) -> float:
     """Angle between the mean directions to the sky of the photos of both."""
-    up = [_mean_up(model), where.rotation @ _mean_up(part)]
+    up = [_mean_up(model), rotation_of(where) @ _mean_up(part)]
     return float(np.degrees(np.arccos(np.clip(up[0] @ up[1], -1.0, 1.0))))
 
 
-def _mean_up(model: Any) -> NDArray[np.float64]:
+def _mean_up(model: Any) -> Floats:
     ups = np.array([-model.images[i].cam_from_world().rotation.matrix()[1] for i in model.reg_image_ids()])
-    mean: NDArray[np.float64] = ups.mean(axis=0) / np.linalg.norm(ups.mean(axis=0))
+    mean: Floats = ups.mean(axis=0) / np.linalg.norm(ups.mean(axis=0))
     return mean
 
 
-def _overlaps(model: Any, part: Any, where: Similarity, middle: NDArray[np.float64]) -> bool:
+def _overlaps(model: Any, part: Any, where: Floats, middle: Floats) -> bool:
     """Whether the points of the part lie on those of the model, where one board alone speaks for its place.
 
     One board may hang on the wrong side of a pair (the same number on both faces): then the part lies turned by half
@@ -201,7 +169,7 @@ def _overlaps(model: Any, part: Any, where: Similarity, middle: NDArray[np.float
     upright through the board, ``middle``.
     """
     ours = np.array([point.xyz for point in model.points3D.values()])
-    theirs = where.apply(np.array([point.xyz for point in part.points3D.values()]))
+    theirs = apply(where, np.array([point.xyz for point in part.points3D.values()]))
     if min(len(ours), len(theirs)) < _FEWEST_POINTS:
         return False
     tree = cKDTree(ours)
@@ -214,11 +182,11 @@ def _overlaps(model: Any, part: Any, where: Similarity, middle: NDArray[np.float
     return near > _LEAST_NEAR and near > _TIMES_TURNED * turned
 
 
-def _take_over(model: Any, part: Any, where: Similarity) -> list[str]:
+def _take_over(model: Any, part: Any, where: Floats) -> list[str]:
     """Add the photos and points of ``part`` to ``model``; returns the files of the photos that it had not."""
     import pycolmap
 
-    part.transform(pycolmap.Sim3d(where.scale, pycolmap.Rotation3d(where.rotation), where.shift))
+    part.transform(pycolmap.Sim3d(scale_of(where), pycolmap.Rotation3d(rotation_of(where)), where[:3, 3]))
     had = set(model.reg_image_ids())
     gained = []
     for image_id in sorted(set(part.reg_image_ids()) - had):
@@ -266,6 +234,6 @@ def _add_point(model: Any, point: Any) -> None:
         model.add_point3D(point.xyz, track, point.color)
 
 
-def _angle_deg(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
+def _angle_deg(first: Floats, second: Floats) -> float:
     cosine = (np.trace(first @ second.T) - 1) / 2
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from fsinfer.poses.colmap import extract_features, inliers_by_rank, match_pairs
+from fsinfer.poses.colmap_calls import copy_database, open_database
 from fsinfer.poses.pairs import MIN_INLIERS, Pair
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.progress import Progress
@@ -89,7 +90,6 @@ def rematch(
     found = inliers_by_rank(database, walk)
     if not target.exists():
         begun = target.with_suffix(".begun")
-        begun.unlink(missing_ok=True)
         _forget(database, files, begun)
         begun.rename(target)
     _log.info("the walk tore: %d of %d photos are looked at again", len(files), len(walk))
@@ -106,9 +106,8 @@ def _forget(database: Path, files: Sequence[str], copy: Path) -> None:
     """A copy of the database without the features of these photos and without their matches."""
     import pycolmap
 
-    with closing(sqlite3.connect(database)) as source, closing(sqlite3.connect(copy)) as target:
-        source.backup(target)
-    with pycolmap.Database.open(copy) as opened:
+    copy_database(database, copy)
+    with open_database(copy) as opened:
         ids = {image.image_id for image in opened.read_all_images() if image.name in set(files)}
         for pair_id in opened.read_two_view_geometry_num_inliers()[0]:
             _forget_pair(opened, pycolmap.pair_id_to_image_pair(pair_id), ids)

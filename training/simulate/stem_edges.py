@@ -13,6 +13,7 @@ where a ray grazes the hull of the section, and it is wrong by what photographs 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -94,8 +95,14 @@ def simulate_edges(seed: int, spec: EdgeSpec | None = None) -> SimulatedEdges:
                 for _ in range(rng.poisson(s.junk)):
                     junk = rng.uniform(0.0, 0.8 * stem.dbh_m + 0.04)
                     rows.append((junk, angle, height, rng.uniform(1.2, 8.0), pixel, ray, photo))
-    table = np.array(rows)
-    edges = Edges(
+    known = 0.5 * stem.dbh_m * rng.uniform(0.85, 1.25)
+    return SimulatedEdges(edges=edges_from_rows(rows), dbh_m=stem.tape_m(), known_m=float(known), arc_deg=arc)
+
+
+def edges_from_rows(rows: Sequence[Sequence[float]]) -> Edges:
+    """Edges from rows of support (m), angle (rad), height (m), strength, pixel (m), ray and photo."""
+    table = np.array(rows, dtype=np.float64)
+    return Edges(
         support_m=table[:, 0],
         angle_rad=table[:, 1],
         height_m=table[:, 2],
@@ -104,8 +111,6 @@ def simulate_edges(seed: int, spec: EdgeSpec | None = None) -> SimulatedEdges:
         ray=table[:, 5].astype(np.int64),
         photo=table[:, 6].astype(np.int64),
     )
-    known = 0.5 * stem.dbh_m * rng.uniform(0.85, 1.25)
-    return SimulatedEdges(edges=edges, dbh_m=stem.tape_m(), known_m=float(known), arc_deg=arc)
 
 
 def _hull(stem: GrownStem, height: float) -> Floats:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
@@ -19,6 +20,7 @@ from training.synthesize.forest.wind import blown
 #: Transparent card texels a ray may pass before it is stopped by the next card as if that were
 #: solid. Source: numerics.
 CARD_LAYERS = 6
+FloatT = TypeVar("FloatT", np.float32, np.float64)
 #: Farther than anything, metres. Source: numerics.
 FAR_M = 1e4
 
@@ -264,7 +266,7 @@ def pixel_rays(
     directions = (across[None] + along[:, None]).astype(np.float32).reshape(-1, 3)
     if distortion:
         rays = directions.astype(np.float64) @ camera.cam_from_world[:3, :3].T
-        rays[:, :2] = _undistorted(rays[:, :2], distortion)
+        rays[:, :2] *= _undistorted_share((rays[:, :2] ** 2).sum(1), distortion)[:, None]
         directions = np.ascontiguousarray(rays @ camera.cam_from_world[:3, :3], dtype=np.float32)
     origins = np.empty_like(directions)
     origins[:] = camera.center
@@ -302,17 +304,12 @@ def moving_rays(
     return origins.reshape(-1, 3), np.ascontiguousarray(directions.reshape(-1, 3))
 
 
-def _undistorted_share(squared: NDArray[np.float32], k1: float) -> NDArray[np.float32]:
-    """What a distorted radius with this square is to be multiplied by for the pinhole's, by fixed point."""
+def _undistorted_share(squared: NDArray[FloatT], k1: float) -> NDArray[FloatT]:
+    """What a distorted radius with this square is to be multiplied by for the pinhole's, by fixed point.
+
+    |k1| r^2 is small.
+    """
     share = np.ones_like(squared)
-    for _ in range(6 if k1 else 0):
-        share = np.asarray(1 / (1 + k1 * squared * share**2), np.float32)
+    for _ in range(10 if k1 else 0):
+        share = np.asarray(1 / (1 + k1 * squared * share**2), squared.dtype)
     return share
-
-
-def _undistorted(distorted: NDArray[np.float64], k1: float) -> NDArray[np.float64]:
-    """(n, 2) pinhole coordinates whose (1 + k1 r^2)-fold are these, by fixed point; |k1| r^2 is small."""
-    plain = distorted.copy()
-    for _ in range(10):
-        plain = distorted / (1 + k1 * (plain**2).sum(1, keepdims=True))
-    return plain

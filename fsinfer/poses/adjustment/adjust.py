@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from fsinfer.geometry.similarity import apply, fit_similarity, rotation_of, scale_of
 from fsinfer.poses.adjustment.evidence import Trial, groups_borne_out
 from fsinfer.poses.adjustment.fit import Weighting, fit, noise_of
 from fsinfer.poses.adjustment.photo_effects import PhotoEffects, effects_of
@@ -150,25 +151,18 @@ def usual_step(unknowns: Unknowns) -> float:
 
 def like(found: Unknowns, start: Unknowns) -> Unknowns:
     """``found``, turned, moved and scaled so that its camera centres lie on those of ``start`` as well as they can."""
-    ours, theirs = found.centers, start.centers
-    our_middle, their_middle = ours.mean(axis=0), theirs.mean(axis=0)
-    left, sizes, right = np.linalg.svd((theirs - their_middle).T @ (ours - our_middle))
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    turn = (left * signs) @ right
-    scale = float((sizes * signs).sum() / ((ours - our_middle) ** 2).sum())
-
-    def placed(points: Floats) -> Floats:
-        return np.asarray(scale * (points - our_middle) @ turn.T + their_middle)
-
-    rotations = found.rotations @ turn.T
+    start_from_found = fit_similarity(found.centers, start.centers)
+    if start_from_found is None:
+        return found  # centres in one line fix no turn
+    rotations = found.rotations @ rotation_of(start_from_found).T
     own = found.own.copy()
-    own[:, DRIFT] *= scale
+    own[:, DRIFT] *= scale_of(start_from_found)
     return replace(
         found,
         rotations=rotations,
-        translations=-np.einsum("nij,nj->ni", rotations, placed(ours)),
+        translations=-np.einsum("nij,nj->ni", rotations, apply(start_from_found, found.centers)),
         own=own,
-        points=placed(found.points),
+        points=apply(start_from_found, found.points),
     )
 
 

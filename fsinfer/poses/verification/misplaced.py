@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Sequence
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.notices.capture import CaptureCode
-from fsinfer.poses.colmap_calls import open_database
+from fsinfer.poses.colmap_calls import copy_database, open_database
 from fsinfer.poses.verification.loose_parts import loose_parts
-from fsinfer.poses.verification.pair_votes import MIN_SHARE, contradicted, pair_votes, weight_of
+from fsinfer.poses.verification.pair_votes import MIN_SHARE, Ballot, contradicted, pair_votes, weight_of
 from fsinfer.poses.verification.scale_jumps import strays, stretches
 
 #: A pose that hangs on fewer points than this is an accident. Source: judgement.
@@ -58,14 +56,13 @@ def _vouched_for(
     """Whether the matches of each photo's stretch with the trusted photos speak for its place, (N,)."""
     ids, votes = pair_votes(model, database)
     rank = {image_id: index for index, image_id in enumerate(image_ids)}
-    ends = np.array([(rank[ids[vote.first]], rank[ids[vote.second]]) for vote in votes], np.intp).reshape(-1, 2)
-    weight = np.array([vote.matches for vote in votes], float)
-    agrees = np.array([vote.agrees for vote in votes], bool)
+    ballot = Ballot.of(votes)
+    ends = np.array([rank[image_id] for image_id in ids], np.intp)[ballot.ends]
     vouched = np.zeros(len(found), bool)
     for number in np.unique(stretch[found]):
         mine = stretch == number
         across = (mine[ends] & ~found[ends[:, ::-1]]).any(axis=1)
-        cast, for_it = weight[across].sum(), weight[across & agrees].sum()
+        cast, for_it = ballot.weight[across].sum(), ballot.weight[across & ballot.agrees].sum()
         if for_it >= _VOUCHING_MATCHES and for_it >= MIN_SHARE * cast:
             vouched |= mine
     return vouched
@@ -88,9 +85,7 @@ def agreeing_matches(model: Any, database: Path, neighbours: int = 0) -> float:
 
 def without_pairs(database: Path, pairs: Sequence[tuple[int, int]], copy: Path) -> Path:
     """A copy of the database that has forgotten what matches these pairs of images have; returns ``copy``."""
-    copy.unlink(missing_ok=True)
-    with closing(sqlite3.connect(database)) as source, closing(sqlite3.connect(copy)) as target:
-        source.backup(target)
+    copy_database(database, copy)
     with open_database(copy) as opened:
         for first, second in pairs:
             opened.delete_two_view_geometry(first, second)

@@ -23,14 +23,20 @@ FACTOR = 4.0
 TRUSTED_PART = 0.2
 
 
+def _steps(centers: NDArray[np.float64], order: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Length of each step, (N - 1,), a photo's share where one is missing; NaN over wider gaps."""
+    gaps = np.diff(order)
+    steps: NDArray[np.float64] = np.linalg.norm(np.diff(centers, axis=0), axis=1) / gaps
+    steps[gaps > 2] = np.nan
+    return steps
+
+
 def stretches(centers: NDArray[np.float64], order: NDArray[np.intp]) -> NDArray[np.intp]:
     """Number of the unbroken stretch of the walk that each photo belongs to, (N,); see :func:`strays`.
 
     A stretch ends where photos are missing or where the next one is several steps away.
     """
-    gaps = np.diff(order)
-    steps = np.linalg.norm(np.diff(centers, axis=0), axis=1) / gaps
-    steps[gaps > 2] = np.nan
+    steps = _steps(centers, order)
     broken = np.isnan(steps) | (steps > FACTOR * float(np.nanmedian(steps)))
     return np.concatenate([[0], np.cumsum(broken)])
 
@@ -52,9 +58,7 @@ def strays(centers: NDArray[np.float64], order: NDArray[np.intp]) -> NDArray[np.
     none = np.zeros(count, dtype=bool)
     if count < MIN_PHOTOS:
         return none
-    gaps = np.diff(order)
-    steps = np.linalg.norm(np.diff(centers, axis=0), axis=1) / gaps
-    steps[gaps > 2] = np.nan
+    steps = _steps(centers, order)
     usual = float(np.nanmedian(steps))
     if not usual > 0.0:
         return none

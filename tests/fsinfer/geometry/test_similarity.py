@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fsinfer.geometry.similarity import apply, compose, rotation_of, scale_of, scaling
+from fsinfer.geometry.similarity import apply, compose, fit_similarity, rotation_of, scale_of, scaling
 
 ROTATION = Rotation.from_euler("xyz", [20.0, -35.0, 110.0], degrees=True).as_matrix()
 SHIFT = np.array([4.0, -2.0, 0.5])
@@ -39,3 +39,17 @@ def test_of_composed_ones_the_last_acts_first() -> None:
     together = compose(scaling(3.0), similarity(2.0), scaling(0.5))
     np.testing.assert_allclose(apply(together, points), 3.0 * apply(similarity(2.0), 0.5 * points), atol=1e-13)
     assert scale_of(together) == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize("scale", [0.037, 42.0])
+def test_the_fit_of_moved_points_is_what_moved_them(scale: float) -> None:
+    points = np.random.default_rng(3).normal(size=(5, 3))
+    found = fit_similarity(points, apply(similarity(scale), points))
+    assert found is not None
+    np.testing.assert_allclose(found, similarity(scale), rtol=1e-9, atol=1e-12)
+
+
+def test_points_in_one_line_or_too_few_fix_no_turn() -> None:
+    line = np.arange(4.0)[:, None] * [1.0, 2.0, -0.5]
+    assert fit_similarity(line, line) is None
+    assert fit_similarity(np.eye(3)[:2], np.eye(3)[:2]) is None

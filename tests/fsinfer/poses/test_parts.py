@@ -9,8 +9,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from fsinfer.geometry.similarity import apply, fit_similarity
 from fsinfer.poses.boards import BoardSighting, boards_in, tie_boards
-from fsinfer.poses.parts import join_parts, similarity
+from fsinfer.poses.parts import join_parts
 
 pycolmap = pytest.importorskip("pycolmap")
 
@@ -86,9 +87,9 @@ def errors(model: Any, truth: Any) -> NDArray[np.float64]:
     ids = sorted(model.reg_image_ids())
     found = np.array([model.images[i].projection_center() for i in ids])
     true = np.array([truth.images[i].projection_center() for i in ids])
-    aligned = similarity(found, true)
+    aligned = fit_similarity(found, true)
     assert aligned is not None
-    return np.asarray(np.linalg.norm(aligned.apply(found) - true, axis=1))
+    return np.asarray(np.linalg.norm(apply(aligned, found) - true, axis=1))
 
 
 FIRST, SECOND = range(3, 7), range(7, 10)

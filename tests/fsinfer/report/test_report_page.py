@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from fsinfer.report import make_report
-from tests.support.browser import browser, why_not
+from tests.support.browser import why_not
 from tests.support.report_plot import write_report_folder
 
 if TYPE_CHECKING:
@@ -21,12 +21,6 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.skipif(bool(why_not()), reason=why_not() or "a browser is there")
 WIDTHS = (1280, 390)
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Browser]:
-    with browser() as started:
-        yield started
 
 
 @pytest.fixture(scope="module")

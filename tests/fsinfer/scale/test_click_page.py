@@ -11,7 +11,7 @@ from fsinfer.scale.clicks.file import SavedClicks
 from fsinfer.scale.clicks.server import ClickServer
 from fsinfer.scene import Scene, read_scene
 from tests.fsinfer.scale.test_click_server import true_clicks
-from tests.support.browser import browser, why_not
+from tests.support.browser import why_not
 from tests.support.synthetic_plot import M_PER_UNIT, SIZE, write_scene_folder
 
 if TYPE_CHECKING:
@@ -19,12 +19,6 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.skipif(bool(why_not()), reason=why_not() or "a browser is there")
 WIDTHS = (1280, 390)
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Browser]:
-    with browser() as started:
-        yield started
 
 
 @pytest.fixture(scope="module")

@@ -29,6 +29,7 @@ from fsinfer.silhouettes.join import (
 from fsinfer.silhouettes.strips import GAP_PX, TILE_PX
 from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
 from fsinfer.trees.diameter.silhouette import Edges, SilhouetteFit, fit_silhouette
+from training.simulate.stem_edges import edges_from_rows
 
 WIDTH, HEIGHT, FOCAL = 360, 240, 520.0
 RADIUS, LEAN, TAPER = 0.14, np.array([0.03, -0.02]), -0.008  # of the rendered stem, at breast height
@@ -52,16 +53,7 @@ def edges_of(
                 rows.append((support + rng.normal(0, 0.001), angle, height, rng.uniform(3, 12), 0.006, ray, number))
                 for _ in range(rng.poisson(junk)):
                     rows.append((rng.uniform(0.02, 0.3), angle, height, rng.uniform(1.2, 8), 0.006, ray, number))
-    table = np.array(rows)
-    return Edges(
-        support_m=table[:, 0],
-        angle_rad=table[:, 1],
-        height_m=table[:, 2],
-        strength=table[:, 3],
-        pixel_m=table[:, 4],
-        ray=table[:, 5].astype(np.int64),
-        photo=table[:, 6].astype(np.int64),
-    )
+    return edges_from_rows(rows)
 
 
 @settings(max_examples=15, deadline=None)

@@ -9,6 +9,7 @@ import pytest
 
 from fsinfer.trees.diameter.second_pair import second_pair
 from fsinfer.trees.diameter.silhouette import Edges, fit_silhouette
+from training.simulate.stem_edges import edges_from_rows
 
 TAPER = -0.008
 
@@ -25,16 +26,7 @@ def edges_of(radius: float, directions_deg: list[float], *, rng: np.random.Gener
                 support = radius + TAPER * height + rng.normal(0, 0.001)
                 rows.append((support, angle, height, rng.uniform(4, 12), 0.004, ray, number))
                 rows.append((rng.uniform(0.01, 0.2), angle, height, rng.uniform(1.2, 4), 0.004, ray, number))
-    table = np.array(rows)
-    return Edges(
-        support_m=table[:, 0],
-        angle_rad=table[:, 1],
-        height_m=table[:, 2],
-        strength=table[:, 3],
-        pixel_m=table[:, 4],
-        ray=table[:, 5].astype(np.int64),
-        photo=table[:, 6].astype(np.int64),
-    )
+    return edges_from_rows(rows)
 
 
 def together(one: Edges, other: Edges) -> Edges:
