@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from fsinfer.errors import PosesError
-from fsinfer.poses.colmap_calls import ColmapError, call, open_database
+from fsinfer.poses.colmap_calls import ColmapError, call, copy_database, open_database
 from fsinfer.poses.pairs import MIN_INLIERS, first_pairs, most_pairs, pairs_beside
 from fsinfer.poses.refinement import ENOUGH
 from fsinfer.poses.settings import PoseSettings
@@ -260,11 +260,13 @@ def reconstruct(
     progress: Progress,
     start: Any = None,
     only: Sequence[str] = (),
+    known_cameras: Sequence[int] = (),
 ) -> list[Any]:
     """Map the photos; returns the ``pycolmap.Reconstruction`` of each connected part, the largest first.
 
     With a model to ``start`` from, the incremental mapper goes on with the photos that it has not placed. ``only``:
-    the files of the photos that are to be mapped; none = all.
+    the files of the photos that are to be mapped; none = all. ``known_cameras``: ids of those whose calibration in the
+    database stands.
     """
     import pycolmap
 
@@ -303,6 +305,7 @@ def reconstruct(
         # Colours are taken from the photographs at fusion.
         incremental.extract_colors = False
         incremental.image_names = list(only)
+        incremental.constant_cameras = incremental.mapper.constant_cameras = set(known_cameras)
         known = out / "start"
         if start is not None:
             known.mkdir(exist_ok=True)
@@ -322,6 +325,19 @@ def reconstruct(
         raise PosesError(msg)
     progress(total, total, "placing photos")
     return sorted(models.values(), key=lambda model: (-model.num_reg_images(), -model.num_points3D()))
+
+
+def with_calibration(database: Path, cameras: Sequence[Any], copy: Path) -> Path:
+    """A copy of the database in which these ``pycolmap.Camera`` have their calibration; returns its path."""
+    import pycolmap
+
+    copy_database(database, copy)
+    with open_database(copy) as opened:
+        for camera in cameras:
+            calibrated = pycolmap.Camera(camera.todict())
+            calibrated.has_prior_focal_length = True
+            opened.update_camera(calibrated)
+    return copy
 
 
 def triangulate(model: Any, database: Path, images: Path, out: Path) -> Any:

@@ -11,8 +11,16 @@ from typing import Any
 
 from fsinfer.errors import PosesError
 from fsinfer.poses.boards import boards_in, find_boards, tie_boards
-from fsinfer.poses.colmap import extract_features, match_features, reconstruct, triangulate
-from fsinfer.poses.parts import join_parts
+from fsinfer.poses.colmap import (
+    extract_features,
+    inliers_by_rank,
+    match_features,
+    reconstruct,
+    triangulate,
+    with_calibration,
+)
+from fsinfer.poses.joining.parts import join_parts
+from fsinfer.poses.pairs import in_walking_order
 from fsinfer.poses.refinement import FEATURE_SIZE_PX
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.thorough import rematch, seams, torn
@@ -113,13 +121,14 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
     sightings = find_boards(
         images, walk.files, dictionary=settings.dictionary, longest_px=FEATURE_SIZE_PX, progress=progress
     )
-    parts = [part for part in models[1:] if part.num_reg_images() >= settings.min_registered]
-    joined, _ = join_parts(model, parts, sightings)
     # What was taken out as misplaced hangs together, too: mapped alone, nothing false pulls at it.
-    others = [file for file, has in zip(walk.files, walk.has_place(model), strict=True) if not has]
-    alone = _alone(matched, others, walk, work, settings, progress)
-    more, left = join_parts(model, alone, sightings)
-    joined = sorted({*joined, *more})
+    if settings.mapper == "incremental":
+        parts = _alone(model, matched, walk, work, settings, progress)
+    else:
+        parts = [part for part in models[1:] if part.num_reg_images() >= settings.min_registered]
+    ordered = in_walking_order(inliers_by_rank(matched, walk.files), len(walk.files), settings.pairs)
+    path = walk.files if ordered else ()
+    joined, left = join_parts(model, parts, sightings, database=matched, walk=path)
     if joined:
         # What both parts see of the wood was never compared while they stood apart.
         model = triangulate(model, matched, images, work / "joined")
@@ -128,7 +137,7 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
     apart = tuple(tuple(sorted(str(part.images[i].name) for i in part.reg_image_ids())) for part in left)
     named = {*joined, *(file for files in apart for file in files)}
     misplaced = {how: [file for file in files if file not in named] for how, files in misplaced.items()}
-    return MappedWalk(model=model, misplaced=misplaced, joined=tuple(joined), apart=apart)
+    return MappedWalk(model=model, misplaced=misplaced, joined=tuple(sorted(joined)), apart=apart)
 
 
 def _beyond_the_tear(model: Any, walk: Walk, affected: Sequence[int], settings: PoseSettings) -> Any:
@@ -146,13 +155,20 @@ def _beyond_the_tear(model: Any, walk: Walk, affected: Sequence[int], settings: 
     return start if enough else None
 
 
-def _alone(
-    database: Path, files: Sequence[str], walk: Walk, work: Path, settings: PoseSettings, progress: Progress
-) -> list[Any]:
-    """The parts that these photos make among themselves, without those that contradict them."""
-    if len(files) < settings.min_registered or settings.mapper != "incremental":
+def _alone(model: Any, database: Path, walk: Walk, work: Path, settings: PoseSettings, progress: Progress) -> list[Any]:
+    """The parts that the photos without a place make among themselves, without those that contradict them.
+
+    They are mapped with the calibration of the model: a part in which all look forward does not tell its focal length,
+    and goes astray with a wrong one.
+    """
+    files = [file for file, has in zip(walk.files, walk.has_place(model), strict=True) if not has]
+    if len(files) < settings.min_registered:
         return []
-    parts = reconstruct(database, work / "images", work / "alone", settings, progress, only=files)
+    cameras = sorted({model.images[i].camera_id for i in model.reg_image_ids()})
+    calibrated = with_calibration(database, [model.cameras[i] for i in cameras], work / "alone.db")
+    parts = reconstruct(
+        calibrated, work / "images", work / "alone", settings, progress, only=files, known_cameras=cameras
+    )
     neighbours = settings.pairs.overlap if len(walk.files) > settings.pairs.exhaustive_up_to else 0
     for part in parts:
         drop_contradicted(part, database, neighbours)

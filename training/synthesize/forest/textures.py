@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from training.synthesize.forest.material import Material, pyramid
 from training.synthesize.forest.noise import cells, fractal, warp
@@ -205,6 +206,34 @@ def from_photo(rng: Rng, path: Path, size: int = 1024, *, turn: bool) -> NDArray
     return _to_uint8(255 * np.clip(tile / 255, 0, 1) ** gamma * gain)
 
 
+def remix(rng: Rng, tile: NDArray[np.uint8], *, patches: int = 90, blend_px: float = 24.0) -> NDArray[np.uint8]:
+    """A periodic tile like ``tile`` of which no part as large as a hand is found in another remix of it.
+
+    Patches from anywhere in the tile, every other one mirrored, crossfaded and bent, under grain and lichen of its own:
+    the bark of two trees of one kind is alike, and never the same.
+    """
+    size = tile.shape[0]
+    spots = rng.uniform(0, size, (patches, 2))
+    shift = rng.integers(0, size, (patches, 2))
+    mirrored = rng.random(patches) < 0.5
+    grid = np.stack(np.meshgrid(np.arange(size), np.arange(size), indexing="ij"), -1)
+    ragged = 0.25 * size / np.sqrt(patches) * np.stack([fractal(rng, size, beta=1.2, low=6) for _ in range(2)], -1)
+    distance, nearest = cKDTree(spots, boxsize=size).query((grid + ragged) % size, k=2)
+    weight = 0.5 + 0.5 * np.clip((distance[..., 1] - distance[..., 0]) / blend_px, 0, 1)
+    layers = []
+    for rank in range(2):
+        patch = nearest[..., rank]
+        row = (grid[..., 0] + shift[patch, 0]) % size
+        column = (np.where(mirrored[patch], -grid[..., 1], grid[..., 1]) + shift[patch, 1]) % size
+        layers.append(tile[row, column].astype(np.float32))
+    mixed = _mix(layers[1], layers[0], weight)
+    bend = [rng.uniform(12, 24) * fractal(rng, size, beta=3.5, low=2) for _ in range(2)]
+    mixed = np.stack([warp(np.ascontiguousarray(mixed[..., c]), *bend) for c in range(3)], -1)
+    mixed = mixed * np.exp(rng.uniform(0.08, 0.16) * _grain(rng, size))[..., None]
+    lichen = [pick(rng, ((150, 160, 140), (176, 180, 164), (140, 150, 96), (90, 110, 60), (60, 54, 48)))]
+    return _to_uint8(_patches(rng, mixed, size, lichen, rng.uniform(-0.9, 0.1)))
+
+
 def relief_of(image: NDArray[np.uint8]) -> NDArray[np.floating]:
     """Relief guessed from a photograph: bright is high (fissures are dark)."""
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
@@ -222,14 +251,18 @@ def modulation(rng: Rng, size: int = 256, strength: float = 0.18) -> NDArray[np.
 
 
 def make_material(
-    rng: Rng, kind: str, photos: Sequence[Path], *, photo_share: float = 0.6, size: int = 1024
+    rng: Rng, kind: str, photos: Sequence[Path], *, photo_share: float = 0.6, size: int = 1024, own: bool = False
 ) -> Material:
-    """A material of ``kind`` bark, ground, rock or generic; from one of ``photos`` of that kind by chance."""
+    """A material of ``kind`` bark, ground, rock or generic; from one of ``photos`` of that kind by chance.
+
+    ``own``: nowhere the same as another one from the same photograph.
+    """
     prefix = {"bark": "bark_", "ground": "ground_", "rock": "rock", "generic": ""}[kind]
     suitable = [p for p in photos if p.name.startswith(prefix) and p.suffix == ".jpg"]
     height: Field | None
     if suitable and rng.random() < photo_share:
         image = from_photo(rng, suitable[int(rng.integers(len(suitable)))], size, turn=kind != "bark")
+        image = remix(rng, image) if own else image
         height = relief_of(image)
     elif kind == "ground":
         image, height = litter(rng, size), None

@@ -200,7 +200,8 @@ def build_world(rng: np.random.Generator, settings: WorldSettings) -> World:
         near = number < len(inner)
         if settings.own_bark and near:
             material = len(materials)
-            materials.append(make_material(rng, "bark", photos, photo_share=share, size=settings.texture_px))
+            size = settings.texture_px
+            materials.append(make_material(rng, "bark", photos, photo_share=share, size=size, own=True))
             stem = replace(stem, material=material)
         sides, step = ((128 if dbh > 0.3 else 96), 0.02) if near else (settings.outer_sides, settings.outer_step_m)
         mesh = stem_mesh(stem, materials, sides=sides, step_m=step)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from fsinfer.geometry.similarity import apply, fit_similarity
 from fsinfer.poses.boards import BoardSighting, boards_in, tie_boards
-from fsinfer.poses.parts import join_parts
+from fsinfer.poses.joining.parts import join_parts
 
 pycolmap = pytest.importorskip("pycolmap")
 
@@ -164,3 +165,95 @@ def test_corners_of_boards_become_points_of_all_their_photos() -> None:
     corners = [point for point in truth.points3D.values() if point.track.length() == len(WITHIN)]
     assert len(corners) == 8
     assert max(point.error for point in corners) < 1e-3
+
+
+def names(numbers: range) -> list[str]:
+    return [f"{number:02d}.jpg" for number in numbers]
+
+
+def without_points(model: Any) -> Any:
+    """A part that was mapped, whose points are its own and none of the rest's."""
+    for point_id in list(model.point3D_ids()):
+        model.delete_point3D(point_id)
+    return model
+
+
+def test_two_photos_of_boards_that_the_part_has_no_place_for_join_it() -> None:
+    truth = walked()
+    model, part = part_of(truth, FIRST), without_points(part_of(truth, SECOND, moved=True))
+    seen = sightings_of(truth, boards((0.8, 0, 0), (-0.7, 0.2, 0.3)), FIRST)
+    # One photo of the part sees one of the boards, another one the other, and a third one both.
+    later = sightings_of(truth, boards((0.8, 0, 0), (-0.7, 0.2, 0.3)), SECOND)
+    seen += [s for s in later if (s.file, s.number) in (("07.jpg", 0), ("08.jpg", 1), ("09.jpg", 0), ("09.jpg", 1))]
+    assert [board.number for board in boards_in(part, seen)] == []
+    gained, left = join_parts(model, [part], seen)
+    assert (gained, left) == (names(SECOND), [])
+    assert errors(model, truth).max() < 1e-3
+
+
+def test_one_board_and_a_walk_that_goes_on_are_enough_and_a_leap_is_not() -> None:
+    truth = walked()
+    seen = sightings_of(truth, boards((0.8, 0, 0)), WITHIN)
+    model, part = part_of(truth, FIRST), without_points(part_of(truth, SECOND, moved=True))
+    assert join_parts(model, [part], seen)[0] == []  # nothing bears out the single board
+    assert join_parts(model, [part], seen, walk=names(range(PHOTOS)))[0] == names(SECOND)
+    assert errors(model, truth).max() < 1e-3
+    # The board was carried to another place before the walk went on.
+    seen = sightings_of(truth, boards((0.8, 0, 0)), FIRST)
+    seen += sightings_of(truth, {0: boards((0.8, 0, 0))[0] + np.array([-6.0, 0.0, -2.0])}, SECOND)
+    model, part = part_of(truth, FIRST), part_of(truth, SECOND, moved=True)
+    assert join_parts(model, [part], seen, walk=names(range(PHOTOS)))[0] == []
+
+
+def matched(path: Path, truth: Any, pairs: dict[tuple[int, int], NDArray[np.intp]]) -> Path:
+    """A database of the photos in which these pairs, by number, have these matches."""
+    with pycolmap.Database.open(path) as opened:
+        opened.write_camera(truth.cameras[1], use_camera_id=True)
+        for number in range(PHOTOS):
+            image = pycolmap.Image(name=f"{number:02d}.jpg", camera_id=1, image_id=number + 1)
+            opened.write_image(image, use_image_id=True)
+        for (one, other), matches in pairs.items():
+            geometry = pycolmap.TwoViewGeometry()
+            geometry.config = pycolmap.TwoViewGeometryConfiguration.CALIBRATED.value
+            geometry.inlier_matches = matches.astype(np.uint32)
+            opened.write_two_view_geometry(one + 1, other + 1, geometry)
+    return path
+
+
+def test_points_that_matches_say_are_common_join_parts_though_most_are_false(tmp_path: Path) -> None:
+    truth = walked()
+    rng = np.random.default_rng(3)
+    true = np.arange(40)
+    pairs = {}
+    for one in FIRST:
+        for other in SECOND:
+            false = np.column_stack([rng.permutation(300)[:60], rng.permutation(300)[:60]])
+            pairs[one, other] = np.vstack([np.column_stack([true, true]), false])
+    database = matched(tmp_path / "database.db", truth, pairs)
+    model, part = part_of(truth, FIRST), part_of(truth, SECOND, moved=True)
+    gained, _ = join_parts(model, [part], [], database=database)
+    assert gained == names(SECOND)
+    assert errors(model, truth).max() < 1e-3
+    # With as many for another place, that of trees that look alike, neither is believed.
+    second = {pair: np.vstack([matches[:20], shifted(truth, 20)]) for pair, matches in pairs.items()}
+    database = matched(tmp_path / "alike.db", truth, second)
+    model, part = part_of(truth, FIRST), part_of(truth, SECOND, moved=True)
+    assert join_parts(model, [part], [], database=database)[0] == []
+
+
+def shifted(truth: Any, count: int) -> NDArray[np.intp]:
+    """Matches between points of the first half and their doubles, which are put two metres and a turn away."""
+    turn = Rotation.from_euler("y", 25, degrees=True).as_matrix()
+    ids = sorted(truth.point3D_ids())
+    for k in range(count):
+        original, double = truth.points3D[ids[100 + k]], truth.points3D[ids[200 + k]]
+        double.xyz = 0.6 * turn @ original.xyz + np.array([0.5, 0.1, 0.8])
+    for image_id in sorted(truth.reg_image_ids()):
+        image = truth.images[image_id]
+        matrix = image.cam_from_world().matrix()
+        for k in range(count):
+            xyz = truth.points3D[ids[200 + k]].xyz
+            image.points2D[200 + k].xy = np.ravel(
+                truth.cameras[1].img_from_cam((matrix[:, :3] @ xyz + matrix[:, 3])[None])
+            )
+    return np.column_stack([np.arange(100, 100 + count), np.arange(200, 200 + count)])

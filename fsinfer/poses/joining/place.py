@@ -1,0 +1,337 @@
+"""The place of a part in the rest of the walk: what may tell it, and what speaks for it.
+
+Places are proposed by boards (that both parts know, or that one knows and two photos of the other see), by points that
+matches say are common, and by photos that both have. The one that most sightings of boards and most common points agree
+with is the best; it is believed where the evidence is enough and no other place has nearly as much.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain, combinations_with_replacement
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from fsinfer.geometry.similarity import Floats, apply, fit_similarity, rotation_of, scale_of
+from fsinfer.poses.boards import Board, BoardSighting, boards_in, by_number
+from fsinfer.poses.joining.common_points import CommonPoints
+from fsinfer.poses.joining.known_boards import KnownBoards
+from fsinfer.poses.joining.steps import Steps
+
+_log = logging.getLogger(__name__)
+
+#: Photos that two parts must have in common for a similarity from them. Source: two fix it, the third checks.
+_COMMON_PHOTOS = 3
+#: One board alone is believed where this share of the part's points lies near points of the model, and so many times
+#: more than after half a turn; near is this share of the usual distance between points. Fewer points tell nothing.
+#: Source: judgement.
+_LEAST_NEAR, _TIMES_TURNED, _NEAR_STEPS, _FEWEST_POINTS = 0.12, 2.0, 0.5, 100
+#: Points at which the usual distance is looked at. Source: numerics.
+_MOST_PROBES = 2000
+#: Photos that both have agree where their centres lie within this share of their spread, and their directions within so
+#: many degrees (medians). Source: judgement.
+_CENTER_SHARE, _TURN_DEG = 0.1, 3.0
+#: Directions to the sky of the photos of two parts may differ so much, degrees. Source: people hold a phone level
+#: within some degrees, plots slope by some more.
+_MAX_TILT_DEG = 30.0
+#: A sighting of a board counts as much as so many common points. Source: its four corners, which nothing looks like.
+_BOARD_POINTS = 10
+#: Of the boards that the part sees, this share of the sightings must agree; and so many of them, where two boards are
+#: all that speaks for a place. Source: judgement.
+_SIGHTINGS_AGREE, _FEWEST_SIGHTINGS = 0.6, 3
+#: Common points that bear out a single board, and that are believed alone, in so many photos of each part. Source: by
+#: 30 COLMAP places a photo; judgement.
+_BEARING_POINTS, _POINTS_ALONE, _FEWEST_PHOTOS = 10, 30, 2
+#: Another place may have this share of what speaks for the best one, at most. Source: judgement.
+_RIVAL_SHARE = 0.6
+#: Places differ where the turn between them is larger, in degrees, or the shift, in extents of the part. Source:
+#: judgement.
+_OTHER_TURN_DEG, _OTHER_SHIFT = 10.0, 0.25
+#: So many of the best proposals are refined. Source: numerics.
+_REFINED = 12
+#: Errors, in focal lengths, beyond which they count less; and those that a place is refined with, in usual reaches.
+#: Source: two pixels of a photo of 1280; the refinement begins far away.
+_SOFT, _WIDE = 0.002, 3.0
+#: Steps of a refinement at most. Source: numerics.
+_STEPS = 30
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evidence:
+    """What speaks for a place of a part.
+
+    Attributes
+    ----------
+    boards: numbers most of whose sightings agree. sightings: those that agree; missed: those that do not.
+    points: common points that agree; photos: that they are in, of the part with fewer.
+    goes_on: whether the walk goes on there; None where it does not tell.
+    """
+
+    boards: int
+    sightings: int
+    missed: int
+    points: int
+    photos: int
+    goes_on: bool | None
+
+    @property
+    def score(self) -> int:
+        """How much there is, in points."""
+        return self.points + _BOARD_POINTS * self.sightings
+
+    @property
+    def possible(self) -> bool:
+        """Whether any refinement could make the place one to believe."""
+        return self.goes_on is not False or self.boards >= 1
+
+    def enough(self, overlap: bool) -> bool:
+        """Whether the place is to be believed; ``overlap``: whether the points of both parts lie on each other."""
+        seen = self.sightings + self.missed
+        if seen and self.sightings < _SIGHTINGS_AGREE * seen:
+            return False
+        if self.boards >= 2 and self.sightings >= _FEWEST_SIGHTINGS:
+            return True
+        borne_out = self.points >= _BEARING_POINTS and self.photos >= _FEWEST_PHOTOS
+        if self.boards == 1:
+            return overlap or borne_out or self.goes_on is True
+        # Trees that look alike have as many points in common as a place: after a leap they are no evidence.
+        return self.points >= _POINTS_ALONE and self.photos >= _FEWEST_PHOTOS and self.goes_on is not False
+
+
+class _Ties:
+    """All that ties a part to the model."""
+
+    def __init__(self, model: Any, part: Any, ours: Sequence[Board], sightings: Sequence[BoardSighting]) -> None:
+        self.model, self.part, self.ours = model, part, ours
+        self.theirs = boards_in(part, sightings)
+        known = {board.number for board in ours}
+        unknown = [board for board in self.theirs if board.number not in known]
+        self.boards = [KnownBoards(ours, part, sightings), KnownBoards(unknown, model, sightings, back=True)]
+        self.number = np.concatenate([known.number for known in self.boards])
+        self.points = CommonPoints.none()
+        self.steps = Steps(model, part, ())
+
+    def places(self) -> Iterator[Floats]:
+        of_photos = chain.from_iterable(known.places() for known in self.boards)
+        proposed = chain(_of_boards(self.ours, self.theirs), of_photos, self.points.places())
+        return (place for place in proposed if self._allowed(place))
+
+    def _allowed(self, place: Floats) -> bool:
+        return _tilt_deg(self.model, self.part, place) <= _MAX_TILT_DEG and self.steps.same_pace(place)
+
+    def proposals(self) -> Iterator[tuple[Evidence, Floats]]:
+        """Places with what speaks for each of them roughly."""
+        for place in self.places():
+            yield self.evidence(place, _WIDE), place
+
+    def evidence(self, place: Floats, times: float = 1.0) -> Evidence:
+        """What speaks for a place within so many times the usual reaches."""
+        board, point = self.agrees(place, times), self.points.agrees(place, times)
+        counts = [(board[self.number == n], n) for n in np.unique(self.number)]
+        numbers = [n for found, n in counts if 2 * found.sum() >= len(found)]
+        return Evidence(
+            boards=len(numbers),
+            sightings=int(board.sum()),
+            missed=int((~board).sum()),
+            points=int(point.sum()),
+            photos=self.points.photos(point),
+            goes_on=self.steps.go_on(place),
+        )
+
+    def agrees(self, place: Floats, times: float = 1.0) -> NDArray[np.bool_]:
+        """Whether each sighting of a known board fits, in the order of ``number``."""
+        return np.concatenate([known.agrees(place, times) for known in self.boards])
+
+    def refined(self, place: Floats) -> Floats:
+        """With the least errors in the photos of both, of what agrees at least roughly."""
+        for _ in range(3):
+            near = self.points.agrees(place, _WIDE)
+            points = CommonPoints(
+                self.points.ours.chosen(near), self.points.theirs.chosen(near), self.points.pair[near]
+            )
+            board = self.agrees(place, _WIDE)
+            if not board.any() and near.sum() < 3:
+                return place
+            place = self._adjusted(place, points, board)
+        return place
+
+    def _adjusted(self, place: Floats, points: CommonPoints, board: NDArray[np.bool_]) -> Floats:
+        middle = np.mean([self.part.images[i].projection_center() for i in self.part.reg_image_ids()], axis=0)
+        unit = _extent(self.part) or 1.0
+
+        def placed(step: Floats) -> Floats:
+            change: Floats = np.eye(4)
+            change[:3, :3] = np.exp(step[6]) * Rotation.from_rotvec(step[:3]).as_matrix()
+            change[:3, 3] = middle + unit * step[3:6] - change[:3, :3] @ middle
+            return np.asarray(place @ change, np.float64)
+
+        def residuals(step: Floats) -> Floats:
+            now = placed(step)
+            corners = np.concatenate([known.residuals(now) for known in self.boards])[board].ravel()
+            errors = np.concatenate([corners, *points.errors(now)])
+            return np.asarray(np.clip(errors, -1.0, 1.0), np.float64)
+
+        found = least_squares(residuals, np.zeros(7), loss="soft_l1", f_scale=_SOFT, max_nfev=_STEPS)
+        return placed(np.asarray(found.x, np.float64))
+
+
+def find_place(
+    model: Any,
+    part: Any,
+    ours: Sequence[Board],
+    sightings: Sequence[BoardSighting],
+    *,
+    database: Path | None = None,
+    walk: Sequence[str] = (),
+) -> Floats | None:
+    """The similarity (4, 4) that takes ``part`` to ``model``, or None where nothing trustworthy tells it.
+
+    Parameters
+    ----------
+    model, part: ``pycolmap.Reconstruction``. ours: the boards in ``model``.
+    database: of the matches. walk: files in the order of walking.
+    """
+    common = sorted(set(model.reg_image_ids()) & set(part.reg_image_ids()))
+    if len(common) >= _COMMON_PHOTOS:
+        found = _by_photos(model, part, common)
+        if found is not None:
+            return found
+    ties = _Ties(model, part, ours, sightings)
+    if database is not None:
+        ties.points = CommonPoints.of(model, part, database).few_of_each_pair()
+    ties.steps = Steps(model, part, walk)
+    # Look-alike trees speak for false places with hundreds of points: what can never be believed is no proposal.
+    proposed = [(evidence, place) for evidence, place in ties.proposals() if evidence.possible]
+    proposed.sort(key=lambda entry: -entry[0].score)
+    refined = [ties.refined(place) for _, place in _distinct(proposed, part)[:_REFINED]]
+    judged = sorted(((ties.evidence(place), place) for place in refined), key=lambda entry: -entry[0].score)
+    believed = [(evidence, place) for evidence, place in judged if _believed(ties, evidence, place)]
+    if not believed:
+        if judged:
+            _log.info("a part of %d photos stays apart; the most speaks for %s", part.num_reg_images(), judged[0][0])
+        return None
+    evidence, best = believed[0]
+    rivals = [other for other, place in believed if _differ(best, place, part)]
+    if rivals and rivals[0].score > _RIVAL_SHARE * evidence.score:
+        _log.info("a part of %d photos could lie in two places: %s, %s", part.num_reg_images(), evidence, rivals[0])
+        return None
+    _log.info("a part of %d photos is joined: %s", part.num_reg_images(), evidence)
+    return best
+
+
+def _believed(ties: _Ties, evidence: Evidence, place: Floats) -> bool:
+    overlap = False
+    if evidence.boards == 1:
+        agreeing = set(ties.number[ties.agrees(place)])
+        seen = [b.corners for b in ties.ours if b.number in agreeing]
+        seen += [apply(place, b.corners) for b in ties.theirs if b.number in agreeing]
+        overlap = _overlaps(ties.model, ties.part, place, seen[0].mean(axis=0))
+    return evidence.enough(overlap)
+
+
+def _distinct(proposed: Sequence[tuple[Evidence, Floats]], part: Any) -> list[tuple[Evidence, Floats]]:
+    """The best of each cluster of places, in their order."""
+    kept: list[tuple[Evidence, Floats]] = []
+    for evidence, place in proposed:
+        if evidence.score > 0 and all(_differ(place, other, part) for _, other in kept):
+            kept.append((evidence, place))
+            if len(kept) == _REFINED:
+                break
+    return kept
+
+
+def _differ(one: Floats, other: Floats, part: Any) -> bool:
+    middle = np.mean([part.images[i].projection_center() for i in part.reg_image_ids()], axis=0)
+    turn = Rotation.from_matrix(rotation_of(one) @ rotation_of(other).T).magnitude()
+    shift = float(np.linalg.norm(apply(one, middle) - apply(other, middle)))
+    ratio = abs(np.log(scale_of(one) / scale_of(other)))
+    extent = _extent(part) * scale_of(one)
+    return bool(np.degrees(turn) > _OTHER_TURN_DEG or shift > _OTHER_SHIFT * extent or ratio > _OTHER_SHIFT)
+
+
+def _extent(part: Any) -> float:
+    """RMS distance of the photos of a part from their middle, in its units."""
+    centers = np.array([part.images[i].projection_center() for i in part.reg_image_ids()])
+    return float(np.sqrt(((centers - centers.mean(axis=0)) ** 2).sum(axis=1).mean()))
+
+
+def _by_photos(model: Any, part: Any, common: Sequence[int]) -> Floats | None:
+    """From the centres of photos that both have, if these and their directions agree."""
+    ours = np.array([model.images[i].projection_center() for i in common])
+    theirs = np.array([part.images[i].projection_center() for i in common])
+    found = fit_similarity(theirs, ours)
+    if found is None:
+        return None
+    spread = float(np.sqrt(((ours - ours.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    residual = float(np.median(np.linalg.norm(apply(found, theirs) - ours, axis=1)))
+    turns = [
+        _angle_deg(
+            model.images[i].cam_from_world().rotation.matrix() @ rotation_of(found),
+            part.images[i].cam_from_world().rotation.matrix(),
+        )
+        for i in common
+    ]
+    return found if residual < _CENTER_SHARE * spread and float(np.median(turns)) < _TURN_DEG else None
+
+
+def _of_boards(ours: Sequence[Board], theirs: Sequence[Board]) -> Iterator[Floats]:
+    """From every board of a number that both parts see, each alone, and from every two of them."""
+    shared = []
+    numbers = by_number(theirs)
+    for board in ours:
+        shared += [(board, other) for other in numbers.get(board.number, [])]
+    for (one, its), (two, others) in combinations_with_replacement(shared, 2):
+        if one is not two and its is others:
+            continue
+        pairs = [(one, its)] if one is two and its is others else [(one, its), (two, others)]
+        found = fit_similarity(
+            np.concatenate([their.corners for _, their in pairs]), np.concatenate([our.corners for our, _ in pairs])
+        )
+        if found is not None:
+            yield found
+
+
+def _tilt_deg(model: Any, part: Any, where: Floats) -> float:
+    """Angle between the mean directions to the sky of the photos of both."""
+    up = [_mean_up(model), rotation_of(where) @ _mean_up(part)]
+    return float(np.degrees(np.arccos(np.clip(up[0] @ up[1], -1.0, 1.0))))
+
+
+def _mean_up(model: Any) -> Floats:
+    ups = np.array([-model.images[i].cam_from_world().rotation.matrix()[1] for i in model.reg_image_ids()])
+    mean: Floats = ups.mean(axis=0) / np.linalg.norm(ups.mean(axis=0))
+    return mean
+
+
+def _overlaps(model: Any, part: Any, where: Floats, middle: Floats) -> bool:
+    """Whether the points of the part lie on those of the model, where one board alone speaks for its place.
+
+    One board may hang on the wrong side of a pair (the same number on both faces): then the part lies turned by half
+    a circle, and its points beside those of the model. What the place is held against is that half turn about the
+    upright through the board, ``middle``.
+    """
+    if min(model.num_points3D(), part.num_points3D()) < _FEWEST_POINTS:
+        return False
+    ours = np.array([point.xyz for point in model.points3D.values()])
+    theirs = apply(where, np.array([point.xyz for point in part.points3D.values()]))
+    tree = cKDTree(ours)
+    up = _mean_up(model)
+    turn = 2 * np.outer(up, up) - np.eye(3)  # half a turn about the upright
+    step = float(np.median(tree.query(ours[:: max(1, len(ours) // _MOST_PROBES)], k=2)[0][:, 1]))
+    reach = _NEAR_STEPS * step
+    near = float((tree.query(theirs)[0] < reach).mean())
+    turned = float((tree.query((theirs - middle) @ turn.T + middle)[0] < reach).mean())
+    return near > _LEAST_NEAR and near > _TIMES_TURNED * turned
+
+
+def _angle_deg(first: Floats, second: Floats) -> float:
+    cosine = (np.trace(first @ second.T) - 1) / 2
+    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
