@@ -38,6 +38,7 @@ from fsinfer.trees.outputs.labels import write_labelled
 from fsinfer.trees.sanity import TurnedCloudError
 from fsinfer.trees.thinning import ThinningSettings, thin_while_reading
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
+from fsinfer.workflow.run_photos import photos_of_run
 from fsinfer.workflow.settings import speedless
 from fsinfer.workflow.summary import (
     MODEL_UNITS,
@@ -298,7 +299,7 @@ def _own_photos(cloud_path: Path, origin: _Origin, factor: float) -> StemPhotos 
     if not known or not all(part.exists() for part in parts):
         return None
     scaled = np.diag([factor, factor, factor, 1.0]) @ origin.cloud_from_scene
-    return StemPhotos(scene=read_scene(folder / "scene"), depth_folder=folder, cloud_from_scene=scaled)
+    return photos_of_run(folder, read_scene(folder / "scene"), scaled)
 
 
 def _depth_index(folder: Path) -> list[str]:

@@ -24,7 +24,6 @@ from fsinfer.progress import StageProgress, silent_stages
 from fsinfer.scale.clicks.file import read_clicks
 from fsinfer.scale.find import FoundScale
 from fsinfer.scale.scale import marker_centers
-from fsinfer.silhouettes.join import StemPhotos
 from fsinfer.threads import one_blas_thread
 from fsinfer.trees.edits import TreeEdit, find_edits
 from fsinfer.workflow.cloud_stages import (
@@ -39,6 +38,7 @@ from fsinfer.workflow.cloud_stages import (
 )
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
 from fsinfer.workflow.photo_stages import choose_frames, register_photos, source_files
+from fsinfer.workflow.run_photos import photos_of_run
 from fsinfer.workflow.settings import RunSettings, speedless
 from fsinfer.workflow.summary import PlotRecords, summarize
 from fsinfer.workflow.tree_stage import PlotCloudInput, TreesResult, TreeStageSettings, measure_plot, no_trees
@@ -178,7 +178,7 @@ def _measure_trees(
             camera_height=cloud.camera_height,
             marker_xyz=marker_centers(scale, cloud.cloud_from_scene),
             marker_numbers=tuple(marker.id for marker in scale.markers),
-            photos=StemPhotos(scene=scene_of(out), depth_folder=out, cloud_from_scene=cloud.cloud_from_scene),
+            photos=photos_of_run(out, scene_of(out), cloud.cloud_from_scene),
             edits=edits,
         )
         try:
