@@ -16,6 +16,7 @@ from fsinfer.check.advice import advice, marker_lines
 from fsinfer.check.coarse_depth import Glance, GlanceSettings, read_glance, take_glance
 from fsinfer.check.compass import find_compass, gnss_places
 from fsinfer.check.coverage import StemCoverage, judge_stems
+from fsinfer.check.habits import habits
 from fsinfer.check.open_sides import OpenSide, open_sides
 from fsinfer.check.result import CheckResult
 from fsinfer.check.settings import CoverageSettings
@@ -41,6 +42,7 @@ from fsinfer.threads import one_blas_thread
 from fsinfer.workflow.cloud_stages import DEPTH
 from fsinfer.workflow.ledger import Ledger, Stage
 from fsinfer.workflow.photo_stages import (
+    POSES,
     choose_frames,
     is_registered,
     is_registered_so,
@@ -126,6 +128,8 @@ def check_capture(
     seconds["depth"] = time.monotonic() - start - sum(seconds.values())
     survey = survey_scene(scene, sparse, glance, m_per_unit=scale.m_per_unit, settings=settings.survey)
     result = judge_survey(survey, originals, scale, visible, settings=settings)
+    poses = ledger.recall(POSES)
+    notes = habits(scene, () if poses is None else poses.result.warnings, [path.stem for path in originals]) + notes
     seconds["stems"] = time.monotonic() - start - sum(seconds.values())
     result = _write(replace(result, notes=(*result.notes, *notes)), OutputFolder(out), seconds)
     shutil.rmtree(OutputFolder(out).check_work, ignore_errors=True)
