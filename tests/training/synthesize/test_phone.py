@@ -6,8 +6,10 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 pytest.importorskip("embreex")
@@ -20,6 +22,7 @@ from training.synthesize.cameras.photo import expose, random_sensor
 from training.synthesize.forest.light import random_light
 from training.synthesize.forest.material import Material, pyramid
 from training.synthesize.forest.mesh import Mesh, quads
+from training.synthesize.forest.textures import bark, remix
 from training.synthesize.forest.wind import blown
 from training.synthesize.render import Caster, moving_rays, pixel_rays
 
@@ -146,3 +149,31 @@ def test_a_plot_with_a_phone_records_what_it_did(tmp_path: Path) -> None:
     assert all(shot["readout_s"] == PHONE.readout_s for shot in shots)
     boards = json.loads((tmp_path / "markers.json").read_text(encoding="utf-8"))["boards"]
     assert [board["id"] for board in boards] == [0, 0]
+
+
+def test_of_one_photograph_each_tree_has_a_bark_of_its_own() -> None:
+    tile = bark(np.random.default_rng(3), 512)[0]
+    one, other = (remix(np.random.default_rng(seed), tile) for seed in (1, 2))
+    assert one.shape == tile.shape
+    # The same kind: as bright, as rough.
+    assert abs(float(one.mean()) - float(tile.mean())) < 0.35 * tile.mean()
+    # The cut of a stem is found again in the tile that it comes from, and in no other tree.
+    assert alike(tile, tile) > 500
+    assert alike(one, other) < 15
+    # Periodic: it goes round the stem without a seam.
+    step = np.abs(np.diff(one.astype(float), axis=1)).mean()
+    assert np.abs(one[:, 0].astype(float) - one[:, -1]).mean() < 1.5 * step
+
+
+def alike(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> int:
+    """Features of two pictures that match and fit one epipolar geometry."""
+    sift = cv2.SIFT_create(4000)
+    (at, first), (there, second) = (
+        sift.detectAndCompute(cv2.cvtColor(x, cv2.COLOR_RGB2GRAY), None) for x in (one, other)
+    )
+    pairs = cv2.BFMatcher().knnMatch(first, second, k=2)
+    good = [a for a, b in pairs if a.distance < 0.8 * b.distance]
+    if len(good) < 8:
+        return len(good)
+    points = np.array([at[m.queryIdx].pt for m in good]), np.array([there[m.trainIdx].pt for m in good])
+    return int(cv2.findFundamentalMat(*points, cv2.FM_RANSAC, 2.0)[1].sum())
