@@ -1,0 +1,54 @@
+"""The diameter of a stem from edges: round, oval, and seen from some sides."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fsinfer.trees.diameter.silhouette import Edges, fit_silhouette
+from training.simulate.stem_edges import edges_from_rows
+
+TAPER = -0.008
+
+
+def walked(
+    radius: float, oval: float, long_deg: float, directions_deg: NDArray[np.float64], rng: np.random.Generator
+) -> Edges:
+    """Edges of an oval stem in six bands from each direction, each with a weaker one that is not the stem's.
+
+    A third of the junk lies a little outside of the stem, as shrubs and other stems behind do.
+    """
+    rows = []
+    for number, direction in enumerate(np.radians(directions_deg)):
+        for side in (0, 1):
+            angle = float(direction + (np.pi / 2 if side else -np.pi / 2))
+            for band in range(6):
+                height = -0.15 + 0.06 * band
+                ray = (number * 2 + side) * 6 + band
+                own = radius * (1 + oval * np.cos(2 * (angle - np.radians(long_deg)))) + TAPER * height
+                rows.append((own + rng.normal(0, 0.002), angle, height, rng.uniform(3, 9), 0.007, ray, number))
+                junk = radius * rng.uniform(0.4, 1.5)
+                rows.append((junk, angle, height, rng.uniform(1.2, 6), 0.007, ray, number))
+    return edges_from_rows(rows)
+
+
+def test_a_round_stem_is_not_made_oval() -> None:
+    rng = np.random.default_rng(0)
+    fit = fit_silhouette(walked(0.2, 0.0, 0.0, np.arange(0.0, 170.0, 10), rng), 0.2, taper=TAPER)
+    assert fit is not None
+    assert fit.radius_m == pytest.approx(0.2, abs=0.0015)
+    assert np.hypot(*fit.shape_m[:2]) < 0.01 * fit.radius_m
+
+
+@pytest.mark.parametrize("long_deg", [0.0, 40.0, 75.0, 130.0])
+def test_an_oval_stem_seen_from_some_sides_has_its_girth(long_deg: float) -> None:
+    """A large beech, a tenth longer one way: where a fit begins with a circle, its long sides are 2 to 3 cm away."""
+    rng = np.random.default_rng(int(long_deg))
+    directions = np.r_[np.arange(0.0, 60.0, 6), np.arange(90.0, 130.0, 4)]
+    fit = fit_silhouette(walked(0.28, 0.09, long_deg, directions, rng), 0.27, taper=TAPER)
+    assert fit is not None
+    assert fit.radius_m == pytest.approx(0.28, abs=0.004)
+    assert abs(fit.radius_m - 0.28) < 3 * fit.std_m
+    assert np.hypot(*fit.shape_m[:2]) == pytest.approx(0.09 * 0.28, rel=0.2)
+    assert fit.share > 0.9
