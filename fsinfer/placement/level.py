@@ -2,7 +2,9 @@
 
 Trees grow along gravity, not along the normal of a slope, so the ground plane only gives the height. Up comes from
 what is vertical or level in the world: people hold a camera level sideways (its x axis is horizontal, whatever its
-pitch), and the surfaces of stems have horizontal normals.
+pitch), and the surfaces of stems have horizontal normals. Stems tell it to a fraction of a degree, unless they lean
+together, as on a creeping slope or after a storm; many cameras tell it to a degree. So the stems are believed where the
+cameras do not contradict them, and where they do both are weighed.
 """
 
 from __future__ import annotations
@@ -64,6 +66,15 @@ class LevelSettings:
         27 degrees.
     lean_scale: |n.up| at which a patch counts half (Cauchy weight), so that leaning stems pull little. Source:
         judgement; 3.4 degrees.
+    alike: photographs of one walk that are held alike, so that their errors do not average out. Source: judgement.
+    usual_roll_deg: by which a photograph is held askew, as a standard deviation; counts as much as ``alike`` of them.
+        Source: judgement.
+    camera_floor_deg: error of up from however many cameras. Source: judgement; a habit of holding a phone askew
+        averages out only where photographs look all round.
+    common_lean_deg: by which all stems of a plot lean together, as a standard deviation. Source: judgement; stands on
+        creeping slopes and after storms.
+    contradiction: squared distance of both, in variances of the cameras', beyond which they contradict each other.
+        Source: statistics, 99 % of a chi-square with two degrees of freedom.
     min_stem_patches: fewer patches are no evidence for stems. Source: judgement.
     min_gathered: of the patches within three times ``lean_scale`` this part lies within it. Source: isotropic normals
         (foliage) fill any window evenly, a third; around stems they gather at zero.
@@ -79,6 +90,11 @@ class LevelSettings:
     stem_window: float = 0.3
     blind_window: float = 0.45
     lean_scale: float = 0.06
+    alike: float = 4.0
+    usual_roll_deg: float = 3.0
+    camera_floor_deg: float = 0.7
+    common_lean_deg: float = 2.5
+    contradiction: float = 9.2
     min_stem_patches: int = 150
     min_gathered: float = 0.45
     roll_scale: float = 0.1
@@ -158,12 +174,13 @@ def estimate_up(
     """Estimate the direction against gravity.
 
     First the cameras: up is the direction most orthogonal to all their x axes. Then the stems, if enough of the
-    surface is nearly vertical: up is most orthogonal to the normals of that surface.
+    surface is nearly vertical: up is most orthogonal to the normals of that surface. Where these contradict the
+    cameras beyond chance both are weighed by their variances: the stand leans.
 
     Returns
     -------
-    (3,) unit vector, and what it comes from: ``stems``, ``cameras``, ``ground`` (the normal of the ground plane, only
-    when the cameras give nothing but a biased direction) or ``camera tilt``.
+    (3,) unit vector, and what it comes from: ``stems``, ``cameras and leaning stems``, ``cameras``, ``ground`` (the
+    normal of the ground plane, only when the cameras give nothing but a biased direction) or ``camera tilt``.
     """
     settings = settings or LevelSettings()
     down = np.asarray(camera_down, dtype=np.float64)
@@ -175,6 +192,10 @@ def estimate_up(
     else:
         normals = np.asarray(normals[:: -(-len(normals) // _MOST_NORMALS)], dtype=np.float64)
     stems = _up_from_normals(np.asarray(normals, dtype=np.float64), start, window, settings)
+    if stems is not None and prior is not None:
+        weighed = _weighed(stems, prior, np.asarray(camera_right), settings)
+        if weighed is not None:
+            return weighed, "cameras and leaning stems"
     if stems is not None:
         return stems, "stems"
     if prior is not None:
@@ -274,6 +295,31 @@ def _up_from_right(right: Array, tilted: Array, settings: LevelSettings) -> Arra
             up = vectors[:, 0] * (1 if vectors[:, 0] @ tilted > 0 else -1)
         weights = 1 / (1 + (right @ up / settings.roll_scale) ** 2)
     return up if up @ tilted > np.cos(np.radians(settings.max_tilt_deg)) else None
+
+
+def _weighed(stems: Array, cameras: Array, right: Array, settings: LevelSettings) -> Array | None:
+    """Both directions by their precision, where the cameras contradict the stems; None where they do not."""
+    right = right / np.linalg.norm(right, axis=1, keepdims=True)
+    roll = right @ cameras
+    weights = 1 / (1 + (roll / settings.roll_scale) ** 2)
+    usual = np.radians(settings.usual_roll_deg) ** 2
+    variance = float(((weights * roll**2).sum() + settings.alike * usual) / (weights.sum() + settings.alike))
+    values, axes = np.linalg.eigh((right * weights[:, None]).T @ right)
+    axes = axes[:, 1:]  # level, the one that fewer cameras tell first
+    of_cameras = variance * settings.alike / np.maximum(values[1:], _LEAST_NORM)
+    of_cameras += np.radians(settings.camera_floor_deg) ** 2
+    if values[1] < settings.min_second_spread * values.sum():
+        of_cameras[0] = np.pi**2  # that is their pitch
+    apart = axes.T @ (stems - cameras)
+    if float((apart**2 / of_cameras).sum()) <= settings.contradiction:
+        return None
+    of_stems = np.radians(settings.common_lean_deg) ** 2
+    share = of_cameras / (of_cameras + of_stems)  # of the stems
+    up = _unit(cameras + axes @ (share * apart))
+    _log.info(
+        "the stems lean by %.1f degrees from where the cameras have up, together", np.degrees(np.arccos(stems @ up))
+    )
+    return up
 
 
 def _up_from_normals(normals: Array, start: Array, window: float, settings: LevelSettings) -> Array | None:

@@ -21,6 +21,7 @@ def make_plot(
     slope_deg: float = 0.0,
     stems: int = 12,
     lean_deg: float = 0.0,
+    together_deg: float = 0.0,
     pitch_deg: float = 20.0,
     roll_deg: float = 3.0,
     noise: float = 0.01,
@@ -35,7 +36,7 @@ def make_plot(
     for _ in range(stems):
         base = rng.uniform(-5, 5, 2)
         angle, height = rng.uniform(0, 2 * np.pi, 1200), rng.uniform(0, 4, 1200)
-        axis = Rotation.from_rotvec([*np.radians(rng.normal(0, lean_deg, 2)), 0.0]).as_matrix()[:, 2]
+        axis = Rotation.from_rotvec([*np.radians(rng.normal([together_deg, 0.0], lean_deg)), 0.0]).as_matrix()[:, 2]
         ring = 0.15 * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(1200)])
         parts.append(ring + height[:, None] * axis + [base[0], base[1], slope * base[0]])
     parts.append(rng.uniform([-6, -6, 0.5], [6, 6, 4], (foliage, 3)))
@@ -79,6 +80,19 @@ def test_up_is_gravity_not_the_normal_of_the_slope(slope_deg: float, lean_deg: f
     assert np.median(cameras[:, 2]) == pytest.approx(1.5, abs=0.15)
     np.testing.assert_allclose(motion[:3, :3] @ motion[:3, :3].T, np.eye(3), atol=1e-12)
     assert np.linalg.det(motion[:3, :3]) == pytest.approx(1)
+
+
+@pytest.mark.parametrize("lean_deg", [0.0, 2.0])
+def test_a_stand_that_leans_together_does_not_read_as_upright(lean_deg: float) -> None:
+    turn, (points, centers, down, right) = move(make_plot(together_deg=7.0, lean_deg=lean_deg))
+    up, method = estimate_up(points, None, right, down, camera_centers=centers)
+    assert method == "cameras and leaning stems"
+    assert angle_deg(up, turn[:, 2]) < 2.0
+    # Two photographs of 40 that look one way tell nothing against the stems.
+    few = slice(0, 2)
+    up, method = estimate_up(points, None, right[few], down[few], camera_centers=centers[few])
+    assert method == "stems"
+    assert angle_deg(up, turn[:, 2]) == pytest.approx(7.0, abs=1.5)
 
 
 def test_without_stems_the_x_axes_of_the_cameras_say_up_whatever_the_pitch() -> None:
@@ -126,8 +140,8 @@ def test_given_normals_are_used() -> None:
     turn, (points, centers, down, right) = move(make_plot())
     rng = np.random.default_rng(0)
     angle = rng.uniform(0, 2 * np.pi, len(points))
-    # As if the stems all leaned by 4 degrees along y: up must follow the normals, not the points.
-    lean = Rotation.from_euler("x", 4, degrees=True).as_matrix()
+    # As if the stems all leaned by one degree along y: up must follow the normals, not the points.
+    lean = Rotation.from_euler("x", 1, degrees=True).as_matrix()
     normals = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(points))]) @ lean.T @ turn.T
     up, _ = estimate_up(points, normals, right, down, camera_centers=centers)
     assert angle_deg(up, turn @ lean[:, 2]) < 0.1
