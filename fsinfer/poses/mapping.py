@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fsinfer.errors import PosesError
 from fsinfer.poses.boards import boards_in, find_boards, tie_boards
 from fsinfer.poses.colmap import (
@@ -32,6 +34,9 @@ _log = logging.getLogger(__name__)
 
 #: Share of the photos that must be left to go on from. Source: judgement.
 _LEAST_START = 0.25
+#: Photos that look in directions so far apart tell the focal length. Source: judgement; a wrong one bends a walk that
+#: turns by so much visibly, and one straight ahead not at all.
+_LEAST_TURN_DEG = 60.0
 
 ADVICE = (
     "photos must overlap by two thirds or more, be sharp, and show bark, litter or other texture in good light; "
@@ -155,16 +160,22 @@ def _beyond_the_tear(model: Any, walk: Walk, affected: Sequence[int], settings: 
     return start if enough else None
 
 
+def tells_focal_length(model: Any) -> bool:
+    """Whether the photos of a model look in so many directions that its focal length is known."""
+    ahead = np.array([model.images[i].cam_from_world().rotation.matrix()[2] for i in model.reg_image_ids()])
+    return bool(np.degrees(np.arccos(np.clip((ahead @ ahead.T).min(), -1.0, 1.0))) >= _LEAST_TURN_DEG)
+
+
 def _alone(model: Any, database: Path, walk: Walk, work: Path, settings: PoseSettings, progress: Progress) -> list[Any]:
     """The parts that the photos without a place make among themselves, without those that contradict them.
 
-    They are mapped with the calibration of the model: a part in which all look forward does not tell its focal length,
-    and goes astray with a wrong one.
+    They are mapped with the calibration of the model, if that turns enough to know it: a part in which all look forward
+    does not tell its focal length, and goes astray with a wrong one.
     """
     files = [file for file, has in zip(walk.files, walk.has_place(model), strict=True) if not has]
     if len(files) < settings.min_registered:
         return []
-    cameras = sorted({model.images[i].camera_id for i in model.reg_image_ids()})
+    cameras = sorted({model.images[i].camera_id for i in model.reg_image_ids()}) if tells_focal_length(model) else []
     calibrated = with_calibration(database, [model.cameras[i] for i in cameras], work / "alone.db")
     parts = reconstruct(
         calibrated, work / "images", work / "alone", settings, progress, only=files, known_cameras=cameras
