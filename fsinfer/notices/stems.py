@@ -71,6 +71,7 @@ class StemCode(StrEnum):
     post_of_marker = "post_of_marker"
     shrubs_left_out = "shrubs_left_out"
     same_stem = "same_stem"
+    forked = "forked"
     stems_outside_walk = "stems_outside_walk"
     corrected_by_hand = "corrected_by_hand"
     # Parts of ``corrected_by_hand``.
@@ -152,6 +153,10 @@ SENTENCES: dict[StemCode, str] = {
     StemCode.same_stem: (
         "an entry at ({x_m:.1f}, {y_m:.1f}) stands in the stem at ({other_x_m:.1f}, {other_y_m:.1f}): it is the same"
     ),
+    StemCode.forked: (
+        "trees {tree_id} and {other_id} meet {height_m:.1f} m above the ground: they look like one tree that forks "
+        "below breast height, which counts as two stems"
+    ),
     StemCode.stems_outside_walk: (
         "{stems} stems outside of the walk are listed apart and not counted: {trees}; go nearer, or measure them with "
         "--far-stems"
@@ -181,6 +186,7 @@ REMARKS: frozenset[StemCode] = frozenset(
         StemCode.post_of_marker,
         StemCode.corrected_by_hand,
         StemCode.same_stem,
+        StemCode.forked,
         StemCode.stems_outside_walk,
     }
 )

@@ -25,6 +25,7 @@ from fsinfer.silhouettes.join import SilhouetteJoinSettings, StemPhotos, measure
 from fsinfer.silhouettes.walk import WalkSettings, apart_from_walk, camera_places
 from fsinfer.trees import PlotResult, StandTable, TreeSettings, analyse_plot
 from fsinfer.trees.edits import TreeEdit, apply_edits
+from fsinfer.trees.forks import forks
 from fsinfer.trees.outputs.labels import label_points
 from fsinfer.trees.outputs.maps import write_maps
 from fsinfer.trees.outputs.reasons import write_reasons
@@ -133,6 +134,8 @@ def measure_plot(
     edited = _edit(found, given, settings)
     clear_outputs(out)
     measured = _look_at_photos(edited, given, out, settings, found=found, progress=progress)
+    if given.metric:
+        measured = replace(measured, warnings=(*measured.warnings, *forks(measured.trees, measured.sections)))
     curves = stem_curves(given.cloud.xyz, measured, settings=settings.stem_curve) if given.metric else {}
     bordered, plot = _draw_border(measured, given, settings)
     _write(bordered, given, out, curves, plot)

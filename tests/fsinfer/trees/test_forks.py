@@ -1,0 +1,72 @@
+"""Two stems that meet below breast height are one tree to whoever stands before it: that is told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fsinfer.notices.stems import StemCode
+from fsinfer.trees.diameter.section import Section, unmeasured_section
+from fsinfer.trees.forks import forks
+from fsinfer.trees.stem_measurement import tree_of
+from fsinfer.trees.tree import Tree
+
+DBH_M = 0.24
+
+
+def stem(
+    number: int, x_m: float, lean_deg: float, *, ground_m: float = 0.0, measured: bool = True
+) -> tuple[Tree, Section]:
+    """A stem whose centre at breast height is ``x_m``, leaning towards +x."""
+    section = unmeasured_section(np.array([x_m, 0.0]), 1.3, (), radius_m=DBH_M / 2)
+    section = replace(section, slope=np.array([np.tan(np.radians(lean_deg)), 0.0]))
+    if measured:
+        section = replace(section, dbh_m=DBH_M, sd_m=0.004, status="ok", reasons=())
+    return replace(tree_of(section, ground_m, None, np.zeros(3)), tree_id=number), section
+
+
+def told(*stems: tuple[Tree, Section]) -> list[tuple[int, int, float]]:
+    trees, sections = zip(*stems, strict=True)
+    found = forks(trees, sections)
+    assert all(one.code == StemCode.forked for one in found)
+    listed = []
+    for one in found:
+        first, second, height = (one.values[name] for name in ("tree_id", "other_id", "height_m"))
+        assert isinstance(first, int)
+        assert isinstance(second, int)
+        assert isinstance(height, float)
+        listed.append((first, second, height))
+    return listed
+
+
+def test_two_stems_of_one_root_are_named_with_the_height_at_which_they_part() -> None:
+    apart = 2 * 0.8 * np.tan(np.radians(10))  # 10 degrees each way, from 0.5 m above the ground on
+    ((one, other, height),) = told(stem(9, apart / 2, 10), stem(4, -apart / 2, -10), stem(1, 3.0, 0))
+    assert (one, other) == (4, 9)
+    assert height == pytest.approx(0.5, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("x_m", "lean_deg"),
+    [
+        (0.3, 0.0),  # side by side, upright
+        (0.3, -10.0),  # leaning together: they meet above
+        (1.5, 10.0),  # too far from each other
+        (0.5, 3.0),  # would meet below the ground
+    ],
+)
+def test_neighbours_are_no_fork(x_m: float, lean_deg: float) -> None:
+    assert told(stem(1, -x_m / 2, -lean_deg), stem(2, x_m / 2, lean_deg)) == []
+
+
+def test_on_a_slope_breast_heights_differ_and_the_fork_is_the_same() -> None:
+    one, other = stem(1, -0.14, -10), stem(2, 0.14, 10)
+    moved = 0.2 * np.tan(np.radians(10))
+    raised = stem(2, 0.14 + moved, 10, ground_m=0.2)
+    assert told(one, raised)[0][2] == pytest.approx(told(one, other)[0][2], abs=0.01)
+
+
+def test_stems_without_a_diameter_are_not_compared() -> None:
+    assert told(stem(1, -0.14, -10), stem(2, 0.14, 10, measured=False)) == []
