@@ -26,6 +26,7 @@ from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene
 from fsinfer.silhouettes.combine import Combined, CombineSettings, combine
 from fsinfer.silhouettes.edges import EdgeSettings, StemAxis, Strip, find_edges
+from fsinfer.silhouettes.pose_errors import radius_std
 from fsinfer.silhouettes.strips import draw_strips, keep_strip
 from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
 from fsinfer.trees.cylinder.axis import LEAST_RADIUS_M
@@ -65,15 +66,15 @@ SIZELESS = frozenset(
 class StemPhotos:
     """The photographs a cloud was made of: ``cloud_from_scene`` (4, 4) maps the scene to the cloud, in metres.
 
-    ``depth_folder`` holds ``depth/`` and ``confidence/``. ``pose_std_m`` tells how far the cameras' own errors move the
-    radius of a stem at a place (3,) of the cloud, as a standard deviation in metres; it goes into the interval as the
-    part ``poses``. None where nothing is known of that.
+    ``depth_folder`` holds ``depth/`` and ``confidence/``. ``ray_std_m`` tells how far the cameras' own errors move the
+    rays of each view at a place (3,) of the cloud (:func:`fsinfer.silhouettes.pose_errors.ray_errors`); that goes into
+    the interval as the part ``poses``. None where nothing is known of that.
     """
 
     scene: Scene
     depth_folder: Path
     cloud_from_scene: Floats
-    pose_std_m: Callable[[Floats], float] | None = None
+    ray_std_m: Callable[[Floats], Floats] | None = None
 
 
 #: Depth maps held at once, and directions in which an outline is drawn. Source: numerics.
@@ -174,7 +175,7 @@ def measure_silhouettes(
             dbh=dbh,
             settings=s,
             supported=supported,
-            pose_std_m=0.0 if photos.pose_std_m is None else photos.pose_std_m(stem.breast),
+            pose_std_m=0.0 if photos.ray_std_m is None else radius_std(edges, fit, photos.ray_std_m(stem.breast)),
         )
         pairs.append((_tree(tree, joined, stem, fit), joined))
     pairs, same = one_entry_a_stem(pairs, kept)

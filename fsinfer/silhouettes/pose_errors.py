@@ -10,42 +10,51 @@ from numpy.typing import NDArray
 from fsinfer.geometry.similarity import apply, scale_of
 from fsinfer.poses.adjustment.precision import CameraPrecision
 from fsinfer.scene import Scene, project
+from fsinfer.trees.diameter.silhouette import Edges, SilhouetteFit
 
 Floats = NDArray[np.float64]
 
-#: Photos from farther away add little to a stem, metres. Source: judgement.
-_FAR_M = 15.0
 
-
-def radius_error(
+def ray_errors(
     scene: Scene, cloud_from_scene: Floats, precisions: Mapping[str, CameraPrecision]
-) -> Callable[[Floats], float] | None:
-    """A function that tells the standard deviation that the cameras bring into the radius of a stem, in metres.
+) -> Callable[[Floats], Floats] | None:
+    """A function that tells how far the cameras' errors move their rays at a place (3,) of the cloud.
 
-    It takes the place of the stem (3,) in the cloud. None where nothing is known of the cameras.
+    It returns one standard deviation for each view of the scene, metres across the ray: of the centre and of the
+    direction times the distance; zero for a view of which nothing is known, or behind which the place lies. None where
+    nothing is known of any.
+    """
+    if not any(view.name in precisions for view in scene.views):
+        return None
+    scale, scene_from_cloud = scale_of(cloud_from_scene), np.asarray(np.linalg.inv(cloud_from_scene), np.float64)
+
+    def std_m(place: Floats) -> Floats:
+        point = apply(scene_from_cloud, place[None])
+        found = np.zeros(len(scene.views))
+        for index, view in enumerate(scene.views):
+            known = precisions.get(view.name)
+            if known is not None:
+                depth = max(float(project(point, view.camera)[1][0]), 0.0)
+                found[index] = scale * np.hypot(known.center_std, depth * known.direction_std_rad) if depth else 0.0
+        return found
+
+    return std_m
+
+
+def radius_std(edges: Edges, fit: SilhouetteFit, ray_std_m: Floats) -> float:
+    """Standard deviation that errors of the cameras bring into the radius of a silhouette, metres.
+
+    Parameters
+    ----------
+    ray_std_m: (V,), of each photograph of the scene across its rays.
 
     Notes
     -----
-    What a camera's error moves at a stem is its centre's error and its direction's times the distance; each photo moves
-    the side that it sees, and photos that are known beside their neighbours err independently of each other, so that
-    the mean of n of them errs by 1/sqrt(n) of one.
+    A camera that is moved by s moves the tangent with outward normal n by n.s, on all its bands, and the radius by the
+    sum of that over its edges, each times its gain. Both sides of a stem in one photograph have opposite normals: they
+    move its place, not its size. What is left are stems half hidden in photographs of one side.
     """
-    known = [view for view in scene.views if view.name in precisions]
-    if not known:
-        return None
-    scale, scene_from_cloud = scale_of(cloud_from_scene), np.linalg.inv(cloud_from_scene)
-
-    def std_m(place: Floats) -> float:
-        point = apply(np.asarray(scene_from_cloud, np.float64), place[None])
-        variances = []
-        for view in known:
-            pixel, depth = project(point, view.camera)
-            # The principal point is near the middle of the picture.
-            inside = (pixel[0] >= 0).all() and (pixel[0] < 2 * view.camera.intrinsic[:2, 2] + 1).all()
-            if inside and 0 < scale * depth[0] < _FAR_M:
-                precision = precisions[view.name]
-                moved = (precision.center_std, depth[0] * precision.direction_std_rad)
-                variances.append((scale * float(np.hypot(*moved))) ** 2)
-        return float(np.sqrt(np.sum(variances))) / max(len(variances), 1)
-
-    return std_m
+    pull = np.zeros((len(ray_std_m), 2))
+    normals = np.column_stack([np.cos(edges.angle_rad), np.sin(edges.angle_rad)])
+    np.add.at(pull, edges.photo, fit.gain[:, None] * normals)
+    return float(np.sqrt(((pull**2).sum(axis=1) * ray_std_m**2).sum()))

@@ -101,7 +101,7 @@ class _Opened:
     warnings: tuple[Notice, ...] = ()
 
 
-MEASURE = Stage(name="measure", version=2, result=MeasuredCloud, outputs=("trees.csv",))
+MEASURE = Stage(name="measure", version=3, result=MeasuredCloud, outputs=("trees.csv",))
 
 
 @one_blas_thread()

@@ -51,7 +51,7 @@ class ReportResult:
     path: Path
 
 
-TREES = Stage(name="trees", version=2, result=TreesResult, outputs=("trees.csv", "figures"))
+TREES = Stage(name="trees", version=3, result=TreesResult, outputs=("trees.csv", "figures"))
 REPORT = Stage(name="report", version=1, result=ReportResult, outputs=("report.html",))
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fsinfer.poses.adjustment.precision import read_camera_precisions
 from fsinfer.scene import Scene
 from fsinfer.silhouettes.join import StemPhotos
-from fsinfer.silhouettes.pose_errors import radius_error
+from fsinfer.silhouettes.pose_errors import ray_errors
 
 
 def photos_of_run(out: Path, scene: Scene, cloud_from_scene: NDArray[np.float64]) -> StemPhotos:
@@ -21,5 +21,5 @@ def photos_of_run(out: Path, scene: Scene, cloud_from_scene: NDArray[np.float64]
     SceneError
         The record of the poses is damaged.
     """
-    errors = radius_error(scene, cloud_from_scene, read_camera_precisions(out / "scene"))
-    return StemPhotos(scene=scene, depth_folder=out, cloud_from_scene=cloud_from_scene, pose_std_m=errors)
+    errors = ray_errors(scene, cloud_from_scene, read_camera_precisions(out / "scene"))
+    return StemPhotos(scene=scene, depth_folder=out, cloud_from_scene=cloud_from_scene, ray_std_m=errors)

@@ -15,7 +15,7 @@ maps blur a stem seen from 10 m by centimetres; its edges in the photographs are
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,7 +125,8 @@ class SilhouetteFit:
     harmonics of the support function; ``rays`` how many rays carry the stem's edge and ``share`` their part of all;
     ``photos`` how many photographs they come from; ``sectors`` the part of the directions round the stem that they
     cover; ``noise_m`` the scatter of an edge.
-    ``weight`` (N,) is each candidate's probability of being the stem's edge.
+    ``weight`` (N,) is each candidate's probability of being the stem's edge, ``gain`` (N,) how far the radius goes with
+    its support (zero for a fit that was made by hand).
     """
 
     radius_m: float
@@ -143,6 +144,7 @@ class SilhouetteFit:
     weight: Floats
     one_sided_m: float = 0.0
     dof: float = float("inf")
+    gain: Floats = field(default_factory=lambda: np.zeros(0))
 
     def support(self, angle_rad: Floats, height_m: Floats | float = 0.0) -> Floats:
         """Return the support function at normal angles (N,) and heights about the axis of the cloud's fit."""
@@ -200,6 +202,7 @@ def fit_silhouette(
         weight=weight,
         one_sided_m=parts["one sided"],
         dof=effective_dof(parts, {"edges": dof}),
+        gain=best.gain,
     )
 
 
@@ -215,7 +218,7 @@ def edge_contrast(edges: Edges, radius_m: float, *, taper: float, settings: Silh
 
 @dataclass(frozen=True, kw_only=True)
 class _Solution:
-    """Unknowns ``x`` (K,), each edge's probability ``weight`` (N,) and gradient ``scores`` (N, K)."""
+    """Unknowns ``x`` (K,), each edge's probability ``weight`` (N,), gradient ``scores`` (N, K) and ``gain`` (N,)."""
 
     x: Floats
     weight: Floats
@@ -223,6 +226,7 @@ class _Solution:
     information: Floats
     noise_m: float
     log_posterior: float
+    gain: Floats
 
 
 def _surer(circle: _Solution, oval: _Solution) -> _Solution:
@@ -318,6 +322,7 @@ class _Problem:
             information=information,
             noise_m=noise,
             log_posterior=log_likelihood,
+            gain=np.asarray(np.linalg.solve(information, (design * precision[:, None]).T)[0]),
         )
 
     def _log_fit(self, x: Floats, std: Floats) -> Floats:

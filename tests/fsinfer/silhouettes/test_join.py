@@ -338,12 +338,16 @@ def test_what_the_cameras_errors_do_goes_into_the_interval(photos: StemPhotos) -
     assert moved.sd_m**2 == pytest.approx(sure.sd_m**2 + (2 * 0.004) ** 2)
     asked = []
 
-    def std_at(place: NDArray[np.float64]) -> float:
+    def std_at(place: NDArray[np.float64]) -> NDArray[np.float64]:
         asked.append(place)
-        return 0.004
+        return np.full(len(photos.scene.views), 0.004)
 
-    found = measure_silhouettes(plot_of(section_of(0.28, 0.004)), replace(photos, pose_std_m=std_at))
-    assert found.sections[0].parts_m["poses"] == 0.004
+    section = section_of(0.28, 0.004)
+    still = measure_silhouettes(plot_of(section), photos).sections[0]
+    assert still.parts_m["poses"] == 0.0
+    found = measure_silhouettes(plot_of(section), replace(photos, ray_std_m=std_at))
+    assert 0.0 < found.sections[0].parts_m["poses"] < 0.004
+    assert found.sections[0].sd_m > still.sd_m
     np.testing.assert_allclose(asked, BREAST[None] + np.array([[0.015, -0.01, 0.0]]))
 
 

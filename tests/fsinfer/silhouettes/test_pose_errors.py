@@ -1,4 +1,4 @@
-"""The cameras' errors reach the radius of a stem: more from afar, less the more photos see it."""
+"""The cameras' errors reach the radius of a stem as far as its edges do not balance them."""
 
 from __future__ import annotations
 
@@ -6,56 +6,77 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fsinfer.poses.adjustment.precision import CameraPrecision
 from fsinfer.scene import Camera, Scene, View
-from fsinfer.silhouettes.pose_errors import radius_error
+from fsinfer.silhouettes.pose_errors import radius_std, ray_errors
+from fsinfer.trees.diameter.silhouette import Edges, fit_silhouette
+from training.simulate.stem_edges import edges_from_rows
 
 INTRINSIC = np.array([[1000.0, 0, 640], [0, 1000.0, 360], [0, 0, 1]])
 STEM = np.array([0.0, 0.0, 5.0])
 #: The scene is in units of half a metre.
 METRES = np.diag([0.5, 0.5, 0.5, 1.0])
+KNOWN = CameraPrecision(center_std=0.004, direction_std_rad=0.001)
 
 
-def scene_of(count: int, distance: float) -> Scene:
+def scene_of(*distances_m: float) -> Scene:
     views = []
-    for number in range(count):
+    for number, distance in enumerate(distances_m):
         pose = np.eye(4)
-        pose[:3, 3] = [0.02 * number, 0.0, 2 * distance - 2 * STEM[2]]
+        pose[2, 3] = 2 * (distance - STEM[2])
         camera = Camera(intrinsic=INTRINSIC, cam_from_world=pose, depth_min=1.0, depth_max=60.0)
         views.append(View(name=f"{number}", image_path=Path(f"{number}.jpg"), camera=camera, sources=()))
     return Scene(folder=Path(), views=tuple(views))
 
 
-def std_of(count: int, distance: float, center: float = 0.004, direction: float = 0.001) -> float:
-    scene = scene_of(count, distance)
-    known = {view.name: CameraPrecision(center_std=center, direction_std_rad=direction) for view in scene.views}
-    found = radius_error(scene, METRES, known)
+def test_rays_err_by_the_place_and_by_the_direction_times_the_distance() -> None:
+    found = ray_errors(scene_of(4.0, 8.0, -3.0, 4.0), METRES, {"0": KNOWN, "1": KNOWN, "2": KNOWN})
     assert found is not None
-    return found(STEM)
-
-
-def test_one_photo_by_hand() -> None:
-    assert std_of(1, 4.0) == pytest.approx(np.hypot(0.5 * 0.004, 4.0 * 0.001))
-
-
-def test_many_photos_err_by_the_root_of_their_number_less() -> None:
-    assert std_of(16, 4.0, direction=0.0) == pytest.approx(std_of(1, 4.0, direction=0.0) / 4)
-
-
-def test_what_is_farther_moves_more_until_it_is_not_counted() -> None:
-    assert std_of(4, 8.0) > std_of(4, 3.0)
-    assert std_of(4, 20.0) == 0.0
-
-
-def test_photos_that_do_not_show_the_stem_do_not_count() -> None:
-    scene = scene_of(4, 4.0)
-    known = {view.name: CameraPrecision(center_std=0.004, direction_std_rad=0.001) for view in scene.views}
-    found = radius_error(scene, METRES, known)
-    assert found is not None
-    assert found(STEM + np.array([9.0, 0.0, 0.0])) == 0.0
-    assert found(STEM - np.array([0.0, 0.0, 9.0])) == 0.0
+    by_hand = [np.hypot(0.5 * 0.004, distance * 0.001) for distance in (4.0, 8.0)]
+    np.testing.assert_allclose(found(STEM), [*by_hand, 0.0, 0.0])  # behind the camera; a camera of which none knows
 
 
 def test_of_cameras_from_elsewhere_nothing_is_known() -> None:
-    assert radius_error(scene_of(3, 4.0), METRES, {}) is None
+    assert ray_errors(scene_of(3.0), METRES, {}) is None
+
+
+def edges_of(sides: tuple[int, ...], moved_m: NDArray[np.float64]) -> Edges:
+    """Edges of a stem of 0.3 m, some of both sides of each photograph; photographs are moved by ``moved_m`` along x."""
+    rows = []
+    for number, move in enumerate(moved_m):
+        direction = np.radians(20.0 * number)
+        for side in sides:
+            angle = direction + (np.pi / 2 if side else -np.pi / 2)
+            for band in range(4):
+                support = 0.15 + move * np.cos(angle)
+                rows.append((support, angle, 0.05 * band, 8.0, 0.004, (number * 2 + side) * 4 + band, number))
+    return edges_from_rows(rows)
+
+
+@pytest.mark.parametrize("sides", [(0, 1), (0,)])
+def test_what_is_told_is_what_moved_cameras_do(sides: tuple[int, ...]) -> None:
+    still = np.zeros(12)
+    edges = edges_of(sides, still)
+    fit = fit_silhouette(edges, 0.15, taper=0.0)
+    assert fit is not None
+    step = 0.0005
+    for photo in (0, 5):
+        std = still.copy()
+        std[photo] = step
+        moved = still.copy()
+        moved[photo] = step
+        after = fit_silhouette(edges_of(sides, moved), 0.15, taper=0.0)
+        assert after is not None
+        assert abs(after.radius_m - fit.radius_m) <= 1.2 * radius_std(edges, fit, std) + 1e-6
+
+
+def test_both_sides_of_a_photo_balance_its_error_and_one_does_not() -> None:
+    std = np.full(12, 0.003)
+    both, one = edges_of((0, 1), np.zeros(12)), edges_of((0,), np.zeros(12))
+    balanced, half = (fit_silhouette(edges, 0.15, taper=0.0) for edges in (both, one))
+    assert balanced is not None
+    assert half is not None
+    assert radius_std(both, balanced, std) < 1e-5
+    assert radius_std(one, half, std) > 2e-4
