@@ -53,19 +53,16 @@ def write_figures(
 def plot_stem_map(result: PlotResult, path: Path, *, border: NDArray[np.float64] | None = None) -> None:
     """Stems to scale at their positions with ids and DBH; axes are the cloud's x and y, in metres or model units.
 
-    With the corners (K, 2) of a ``border`` it is drawn, and stems outside of it are pale.
+    With the corners (K, 2) of a ``border`` it is drawn, and stems outside of it are pale. The map shows the stems of
+    the walk; of those listed apart, far outside, it shows what lies within its frame and counts the others.
     """
     from matplotlib.lines import Line2D
     from matplotlib.patches import Circle, Polygon, Rectangle
 
     metre = result.units_per_m or 1.0
-    x0, y0, x1, y1 = result.extent_m
-    for tree in result.trees:
-        x0, y0, x1, y1 = min(x0, tree.x_m), min(y0, tree.y_m), max(x1, tree.x_m), max(y1, tree.y_m)
-    box = (x0, y0, max(x1 - x0, metre), max(y1 - y0, metre))
-    if border is not None:
-        (low_x, low_y), (high_x, high_y) = border.min(axis=0), border.max(axis=0)
-        x0, y0, x1, y1 = min(x0, low_x), min(y0, low_y), max(x1, high_x), max(y1, high_y)
+    low_x, low_y, high_x, high_y = result.extent_m
+    box = (low_x, low_y, max(high_x - low_x, metre), max(high_y - low_y, metre))
+    x0, y0, x1, y1 = _frame(result, border, metre)
     width, height = max(x1 - x0, metre), max(y1 - y0, metre)
     scale = 8.5 / max(width, height)
     figure = _figure(max(width * scale, 4.5) + 1.0, max(height * scale, 3.2) + 1.4)
@@ -73,7 +70,9 @@ def plot_stem_map(result: PlotResult, path: Path, *, border: NDArray[np.float64]
     axes.add_patch(Rectangle(box[:2], *box[2:], fill=False, edgecolor="0.75", linestyle="--", linewidth=1.0))
     if border is not None:
         axes.add_patch(Polygon(border, fill=False, edgecolor=_BORDER, linewidth=1.6))
-    for tree in result.trees:
+    shown = [tree for tree in result.trees if x0 <= tree.x_m <= x1 and y0 <= tree.y_m <= y1]
+    unseen = len(result.trees) - len(shown)
+    for tree in shown:
         # Where no diameter is known, a small ring only marks the place.
         radius = 0.1 * metre if tree.dbh_cm is None else tree.dbh_cm / 200.0
         colour = STATUS_COLOURS.get(tree.status, "0.5")
@@ -92,18 +91,19 @@ def plot_stem_map(result: PlotResult, path: Path, *, border: NDArray[np.float64]
             linespacing=1.1,
             va="bottom",
         )
-    margin = 0.06 * max(width, height)
-    axes.set(xlim=(x0 - margin, x1 + margin), ylim=(y0 - margin, y1 + margin), aspect="equal")
+    axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal")
     unit = "m" if result.units_per_m is None else "model units"
     axes.set(xlabel=f"x ({unit})", ylabel=f"y ({unit})")
     found = f"{len(result.trees)} tree{'' if len(result.trees) == 1 else 's'}"
     measured = sum(tree.dbh_cm is not None for tree in result.trees)
     told = f"{measured} with a DBH (circles to scale)" if result.units_per_m is None else "no scale, no DBH"
-    # The layout keeps room for it, which it does not always for a title of the axes.
-    figure.suptitle(f"Stem map: {found}, {told}", fontsize=11)
     axes.grid(color="0.94")
     axes.set_axisbelow(True)
-    present = [status for status in STATUS_COLOURS if any(tree.status == status for tree in result.trees)]
+    if unseen:
+        told += f"; {unseen} beyond it"
+    # The layout keeps room for it, which it does not always for a title of the axes.
+    figure.suptitle(f"Stem map: {found}, {told}", fontsize=11)
+    present = [status for status in STATUS_COLOURS if any(tree.status == status for tree in shown)]
     handles = [
         Line2D([], [], marker="o", linestyle="", markersize=8, markeredgecolor=STATUS_COLOURS[status], label=status,
                markerfacecolor="none" if status in ("unmeasured", "outside") else STATUS_COLOURS[status])
@@ -117,6 +117,18 @@ def plot_stem_map(result: PlotResult, path: Path, *, border: NDArray[np.float64]
     if not result.trees:
         axes.text(0.5, 0.5, "no trees found", transform=axes.transAxes, ha="center", color="0.4")
     _save(figure, path)
+
+
+def _frame(result: PlotResult, border: NDArray[np.float64] | None, metre: float) -> tuple[float, float, float, float]:
+    """Least and greatest x and y of the map: its stems, its border, and room for their labels."""
+    places = [(tree.x_m, tree.y_m) for tree in result.trees if not tree.outside]
+    if not places:
+        x0, y0, x1, y1 = result.extent_m
+        places = [(x0, y0), (x1, y1), *((tree.x_m, tree.y_m) for tree in result.trees)]
+    corners = np.array([*places, *([] if border is None else border)])
+    (x0, y0), (x1, y1) = corners.min(axis=0), corners.max(axis=0)
+    margin = max(0.08 * max(x1 - x0, y1 - y0), metre)
+    return float(x0 - margin), float(y0 - margin), float(x1 + margin), float(y1 + margin)
 
 
 def plot_section(
