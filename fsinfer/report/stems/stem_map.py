@@ -85,14 +85,16 @@ def stem_map(contents: Contents) -> MapView | None:
     ]
     if not trees:
         return None
-    stems = np.array([[x, y] for _, x, y, _ in trees])
+    # Stems listed apart lie far outside: the map is that of the others.
+    near = [[x, y] for _, x, y, tree in trees if status_of(tree) != "outside"]
+    stems = np.array(near or [[x, y] for _, x, y, _ in trees])
     low, high = stems.min(axis=0), stems.max(axis=0)
     cameras = camera_places(contents)
     span = max(float((high - low).max()), LEAST_SPAN_M * contents.metre)
     reach = max(STRAY_SHARE * span, NEAR_M * contents.metre)
-    near = cameras[((cameras >= low - reach) & (cameras <= high + reach)).all(axis=1)]
-    if len(near):
-        low, high = np.minimum(low, near.min(axis=0)), np.maximum(high, near.max(axis=0))
+    walked = cameras[((cameras >= low - reach) & (cameras <= high + reach)).all(axis=1)]
+    if len(walked):
+        low, high = np.minimum(low, walked.min(axis=0)), np.maximum(high, walked.max(axis=0))
     plot = border_of(contents)
     outline = np.zeros((0, 2)) if plot is None else plot.border.outline
     if len(outline):
@@ -102,16 +104,20 @@ def stem_map(contents: Contents) -> MapView | None:
     per_unit = (WIDTH - 2 * MARGIN) / float(high[0] - low[0])
     height = per_unit * float(high[1] - low[1]) + 2 * MARGIN
 
+    shown = [tree for tree in trees if low[0] <= tree[1] <= high[0] and low[1] <= tree[2] <= high[1]]
+
     def place(x: float, y: float) -> tuple[float, float]:
         return MARGIN + per_unit * (x - low[0]), height - MARGIN - per_unit * (y - low[1])
 
     step = round_step(float(max(high - low)) / 6)
-    present = {tree.get("status") for _, _, _, tree in trees}
+    present = {tree.get("status") for _, _, _, tree in shown}
     legend = [(status, words) for status, words in STATUS_WORDS.items() if status in present]
-    if len(near):
+    if len(walked):
         legend.append(("camera", "photo taken here"))
     if len(outline):
         legend.append(("border", "border of the plot (pale: outside)"))
+    if len(shown) < len(trees):
+        legend.append(("beyond", f"{len(trees) - len(shown)} outside of the walk, beyond the map"))
     return MapView(
         width=WIDTH,
         height=height,
@@ -119,9 +125,9 @@ def stem_map(contents: Contents) -> MapView | None:
         unit="m" if contents.metric else "units",
         columns=tuple(GridLine(at=place(x, low[1])[0], label=f"{x:g}") for x in _multiples(step, low[0], high[0])),
         rows=tuple(GridLine(at=place(low[0], y)[1], label=f"{y:g}") for y in _multiples(step, low[1], high[1])),
-        cameras=tuple(place(x, y) for x, y in near),
+        cameras=tuple(place(x, y) for x, y in walked),
         border=tuple(place(x, y) for x, y in outline),
-        marks=tuple(_mark(tree_id, *place(x, y), tree, per_unit) for tree_id, x, y, tree in trees),
+        marks=tuple(_mark(tree_id, *place(x, y), tree, per_unit) for tree_id, x, y, tree in shown),
         legend=tuple(legend),
     )
 

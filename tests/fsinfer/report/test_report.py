@@ -272,6 +272,17 @@ def test_a_single_tree_without_a_scale_has_a_map_that_can_be_read(tmp_path: Path
     assert len(ticks) >= 4
 
 
+def test_stems_far_outside_of_the_walk_do_not_shrink_the_map(tmp_path: Path) -> None:
+    far = TREE | {"tree_id": 9, "x_m": 300.0, "dbh_cm": "", "status": "outside"}
+    full_folder(tmp_path, trees=[TREE, far])
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    ticks = [float(text) for text in re.findall(r'class="axis"[^>]*>(-?[\d.]+)<', page)]
+    assert max(ticks) - min(ticks) < 60
+    assert "1 outside of the walk, beyond the map" in page
+    full_folder(tmp_path, trees=[far])  # where there are no others they are shown
+    assert "beyond the map" not in make_report(tmp_path).read_text(encoding="utf-8")
+
+
 def test_the_reasons_of_few_trees_without_a_diameter_are_said_at_once(tmp_path: Path) -> None:
     none = TREE | {"dbh_cm": "", "status": "unmeasured"}
     rows = [none | {"tree_id": number, "reason": f"why {number}"} for number in (1, 2, 3)]
