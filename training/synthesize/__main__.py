@@ -17,10 +17,11 @@ import numpy as np
 
 from fsinfer.io.files import write_text
 from training.synthesize.cameras.cluster import cluster_cameras
-from training.synthesize.cameras.phone import PHONE, PHONE_VIDEO, PhoneEffects, phone_sensor, shots_of, with_overrides
-from training.synthesize.cameras.photo import expose, random_sensor
+from training.synthesize.cameras.phone import PHONE, PHONE_VIDEO, PhoneEffects, with_overrides
+from training.synthesize.cameras.photo import expose
 from training.synthesize.cameras.plot import plot_cameras
 from training.synthesize.forest.world import WorldSettings, build_world
+from training.synthesize.photographs import Photographs, for_training, with_effects
 from training.synthesize.render import Caster
 from training.synthesize.scene_writer import (
     finish_scene,
@@ -64,18 +65,21 @@ def parse(argv: list[str] | None = None) -> argparse.Namespace:
     plot.add_argument("--both-ways", action="store_true", help="walk the inner loop twice, looking in, then out")
     plot.add_argument("--distortion", type=float, default=0.0, help="radial k1 of the images; cams stay pinhole")
     plot.add_argument("--double-faced", action="store_true", help="both sheets of a board show the same number")
-    preset = plot.add_mutually_exclusive_group()
+    plot.add_argument("--min-dbh-cm", type=float, default=8.0)
+    plot.add_argument("--max-dbh-cm", type=float, default=70.0)
+    phone = parser.add_argument_group(
+        "a phone in a wood", "clusters and walks draw each effect at 0 to 1.5 times its strength"
+    )
+    preset = phone.add_mutually_exclusive_group()
     preset.add_argument("--phone", action="store_true", help="what a hand-held phone in a breeze does to photographs")
     preset.add_argument("--phone-video", action="store_true", help="the same of frames of a video, walked at 1 m/s")
-    plot.add_argument(
+    phone.add_argument(
         "--effect",
         nargs="*",
         default=[],
         metavar="NAME=VALUE",
         help="strengths of single effects (fields of training.synthesize.cameras.phone.PhoneEffects)",
     )
-    plot.add_argument("--min-dbh-cm", type=float, default=8.0)
-    plot.add_argument("--max-dbh-cm", type=float, default=70.0)
     return parser.parse_args(argv)
 
 
@@ -123,9 +127,10 @@ def synthesize_clusters(args: argparse.Namespace, seed: int, photos: tuple[Path,
     width, height = args.width or 384, args.height or 288
     start = time.perf_counter()
     rng = np.random.default_rng([seed, 1])
-    settings = cluster_settings(rng, photos, args)
+    effects = for_training(phone_effects(args), np.random.default_rng([seed, 6]))
+    settings = with_effects(cluster_settings(rng, photos, args), effects)
     world = build_world(rng, settings)
-    caster = Caster(world.opaque, world.cards, world.materials, world.light)
+    caster = Caster(world.opaque, world.cards, world.materials, world.light, swaying=world.swaying)
     built = time.perf_counter() - start
     for number, folder in enumerate(folders):
         if finished(folder):
@@ -133,9 +138,10 @@ def synthesize_clusters(args: argparse.Namespace, seed: int, photos: tuple[Path,
         rng = np.random.default_rng([seed, 2, number])
         wide = bool(args.wide_share) and bool(rng.random() < args.wide_share)
         cameras = cluster_cameras(rng, world, caster, views=args.views, width=width, height=height, wide=wide)
-        depths = [caster.depth(c, width, height) for c in cameras]
-        pictures = [caster.picture(c, width, height, args.supersample) for c in cameras]
-        sensor = random_sensor(rng, pictures[len(pictures) // 2])
+        taken = Photographs(caster, world, cameras, effects, (seed, 2, number), (width, height), args.supersample)
+        cameras = taken.cameras
+        depths, pictures = zip(*(taken.depth_and_picture(i) for i in range(len(cameras))), strict=True)
+        sensor = taken.sensor(rng, pictures[len(pictures) // 2])
         cap = float(rng.uniform(20, 30))
         cameras = [with_depth_range(c, d, cap) for c, d in zip(cameras, depths, strict=True)]
         for i, (camera, depth, picture) in enumerate(zip(cameras, depths, pictures, strict=True)):
@@ -151,6 +157,7 @@ def synthesize_clusters(args: argparse.Namespace, seed: int, photos: tuple[Path,
                 "wide": wide,
                 "settings": vars(settings) | {"photos": [p.name for p in photos]},
                 "sensor": vars(sensor),
+                "effects": None if effects is None else vars(effects),
                 "views": args.views,
                 "width": width,
                 "height": height,
@@ -194,9 +201,10 @@ def synthesize_walk(args: argparse.Namespace, seed: int, photos: tuple[Path, ...
     width, height = args.width or 1280, args.height or 720
     start = time.perf_counter()
     rng = np.random.default_rng([seed, 1])
-    settings = walk_settings(rng, photos, args)
+    effects = for_training(phone_effects(args), np.random.default_rng([seed, 6]))
+    settings = with_effects(walk_settings(rng, photos, args), effects)
     world = build_world(rng, settings)
-    caster = Caster(world.opaque, world.cards, world.materials, world.light)
+    caster = Caster(world.opaque, world.cards, world.materials, world.light, swaying=world.swaying)
     rng = np.random.default_rng([seed, 2])
     cameras = plot_cameras(
         rng,
@@ -210,16 +218,18 @@ def synthesize_walk(args: argparse.Namespace, seed: int, photos: tuple[Path, ...
     )
     first = int(rng.integers(len(cameras) - args.views))
     cameras = cameras[first : first + args.views]
-    depths = [caster.depth(camera, width, height) for camera in cameras]
-    pictures = [caster.picture(camera, width, height, args.supersample) for camera in cameras]
-    sensor = random_sensor(rng, pictures[len(pictures) // 2])
+    taken = Photographs(caster, world, cameras, effects, (seed,), (width, height), args.supersample)
+    cameras = taken.cameras
+    depths, pictures = zip(*(taken.depth_and_picture(i) for i in range(len(cameras))), strict=True)
+    sensor = taken.sensor(rng, pictures[len(pictures) // 2])
     for i, (camera, depth, picture) in enumerate(zip(cameras, depths, pictures, strict=True)):
         write_view(
             folder, i, expose(rng, sensor, picture), depth, with_depth_range(camera, depth, 25.0), sensor.quality
         )
     finish_scene(folder, cameras, depths)
     drawn = vars(settings) | {"photos": [p.name for p in photos]}
-    write_record(folder, {"seed": seed, "kind": "walk", "first": first, "settings": drawn, "sensor": vars(sensor)})
+    record = {"seed": seed, "kind": "walk", "first": first, "settings": drawn, "sensor": vars(sensor)}
+    write_record(folder, record | {"effects": None if effects is None else vars(effects)})
     print(f"w{seed:05d}: {len(cameras)} views in {time.perf_counter() - start:.0f} s", flush=True)
 
 
@@ -259,10 +269,9 @@ def synthesize_plot(args: argparse.Namespace, seed: int, photos: tuple[Path, ...
         photo_share=1.0 if args.texture_names else args.photo_share,
         min_dbh_m=args.min_dbh_cm / 100,
         max_dbh_m=args.max_dbh_cm / 100,
-        windy=bool(effects and effects.wind_m),
-        own_bark=bool(effects and effects.own_bark),
         double_faced=args.double_faced,
     )
+    settings = with_effects(settings, effects)
     world = build_world(np.random.default_rng([seed, 1]), settings)
     caster = Caster(world.opaque, world.cards, world.materials, world.light, swaying=world.swaying)
     rng = np.random.default_rng([seed, 2])
@@ -278,14 +287,11 @@ def synthesize_plot(args: argparse.Namespace, seed: int, photos: tuple[Path, ...
         zigzag=args.zigzag,
         both_ways=args.both_ways,
     )
-    middle = cameras[0]
-    sensor = random_sensor(rng, caster.picture(middle, width, height, 1))
-    shots = None
-    if effects is not None:
-        sensor = phone_sensor(sensor, effects)
-        shots = shots_of(np.random.default_rng([seed, 4]), cameras, effects)
-        cameras = [shot.camera for shot in shots]
-        write_text(folder / "shots.json", json.dumps([shot.record() for shot in shots], indent=1) + "\n")
+    taken = Photographs(caster, world, cameras, effects, (seed,), (width, height), args.supersample)
+    sensor = taken.sensor(rng, caster.picture(cameras[0], width, height, 1))
+    cameras = taken.cameras
+    if taken.shots is not None:
+        write_text(folder / "shots.json", json.dumps([shot.record() for shot in taken.shots], indent=1) + "\n")
     inside = world.in_plot
     write_truth(folder / "truth.csv", world.stems[:inside], world.sections[:inside])
     write_truth(folder / "truth_outside.csv", world.stems[inside:], world.sections[inside:])
@@ -297,11 +303,7 @@ def synthesize_plot(args: argparse.Namespace, seed: int, photos: tuple[Path, ...
     for i, camera in enumerate(cameras):
         depth = read_view_depth(folder, i)
         if depth is None:
-            if effects is not None and effects.wind_m:
-                caster.blow(np.random.default_rng([seed, 5, i]), effects.wind_m, world.flutter, world.sway)
-            depth = caster.depth(camera, width, height)
-            shot = None if shots is None else shots[i]
-            picture = caster.picture(camera, width, height, args.supersample, distortion=args.distortion, shot=shot)
+            depth, picture = taken.depth_and_picture(i, args.distortion)
             photo = expose(np.random.default_rng([seed, 3, i]), sensor, picture)
             write_view(folder, i, photo, depth, with_depth_range(camera, depth, 25.0), sensor.quality)
         depths.append(depth)

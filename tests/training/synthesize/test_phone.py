@@ -177,3 +177,16 @@ def alike(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> int:
         return len(good)
     points = np.array([at[m.queryIdx].pt for m in good]), np.array([there[m.trainIdx].pt for m in good])
     return int(cv2.findFundamentalMat(*points, cv2.FM_RANSAC, 2.0)[1].sum())
+
+
+def test_training_scenes_get_the_effects_at_random_strengths(tmp_path: Path) -> None:
+    small = ["--width", "64", "--height", "48", "--texture-px", "64", "--views", "2", "--supersample", "1"]
+    main([str(tmp_path), "--seed", "78", "--kind", "cluster", "--clusters-per-scene", "1", *small, "--phone"])
+    record = json.loads((tmp_path / "s00078_0" / "synth.json").read_text(encoding="utf-8"))
+    drawn = record["effects"]
+    assert drawn["distortion"] == 0  # images are straightened before the network sees them
+    for name in ("wind_m", "readout_s", "breathing", "tone"):
+        assert 0 < drawn[name] <= 1.5 * getattr(PHONE, name)
+    assert drawn["wind_m"] / PHONE.wind_m != pytest.approx(drawn["tone"] / PHONE.tone)
+    cameras = [read_camera(path) for path in sorted((tmp_path / "s00078_0" / "cams").glob("*_cam.txt"))]
+    assert cameras[0].intrinsic[0, 0] != cameras[1].intrinsic[0, 0]  # each has the focal length that it was taken with
