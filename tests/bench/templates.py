@@ -47,7 +47,9 @@ def plot_headline(result: Result) -> tuple[str, str]:
     """A rendered plot: what it is, what came out."""
     f, drawn = result.figures, result.settings.get("plot", {})
     slope = f" on a slope of {float(drawn['slope_deg']):g}°" if "slope_deg" in drawn else ""
-    what = f"a rendered plot{slope}: {f['trees']:g} trees, {f['photos']:g} photographs"
+    phone = {"phone": ", a phone's effects in a breeze", "phone_video": ", a phone's video walked at 1 m/s"}
+    effects = next((words for name, words in phone.items() if drawn.get(name) == "True"), "")
+    what = f"a rendered plot{slope}{effects}: {f['trees']:g} trees, {f['photos']:g} photographs"
     return what, f"{f['photos_registered']:g} of {f['photos']:g} photographs registered, {trees_text(f)}"
 
 
