@@ -208,6 +208,9 @@ def run(
     for row in plot_rows(trees.plot):
         typer.echo(row)
     typer.echo(f"Report: {result.report.result.path}")
+    for part in result.plot["parts"]:
+        told = part["error"] or f"{part['trees']} trees, with DBH {part['trees_with_dbh']}"
+        typer.echo(f"Apart from the rest, {part['photos']} photos: {told}, {out / part['folder'] / 'report.html'}")
 
 
 register_field(app)

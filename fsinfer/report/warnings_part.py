@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from fsinfer.notices.capture import CaptureCode
@@ -40,6 +41,14 @@ class TreesWarning:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PartApart:
+    """A part of the walk with a report of its own at ``link``, relative to this one, and what is said of it."""
+
+    link: str
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class WarningsView:
     """What the section shows.
 
@@ -47,6 +56,7 @@ class WarningsView:
     ----------
     alarm: that there is no scale; empty where there is one.
     sentences, trees: warnings of the plot, and of its trees.
+    parts: of the walk, measured apart.
     remarks: sentences that ask for nothing.
     known: False where there is no ``plot.json``.
     """
@@ -54,6 +64,7 @@ class WarningsView:
     alarm: str
     sentences: tuple[str, ...]
     trees: tuple[TreesWarning, ...]
+    parts: tuple[PartApart, ...]
     remarks: tuple[str, ...]
     known: bool
 
@@ -73,10 +84,29 @@ def warnings_part(contents: Contents) -> Part:
         # The diagnosis may be a warning of its stage, too.
         sentences=tuple(_sentence(text) for text in dict.fromkeys(texts)),
         trees=tuple(_tree_warnings(contents)),
+        parts=tuple(_parts_apart(contents)),
         remarks=tuple(_sentence(warning.text) for warning in said if warning.remark),
         known=bool(plot),
     )
     return Part(anchor="warnings", title="What to look out for", view=view)
+
+
+def _parts_apart(contents: Contents) -> Iterator[PartApart]:
+    parts = contents.plot.get("parts")
+    for part in parts if isinstance(parts, list) else []:
+        folder = str(part.get("folder", "")) if isinstance(part, dict) else ""
+        # What a file says becomes a link: only what this program writes.
+        if re.fullmatch(r"part-[0-9]+", folder):
+            photos, trees, measured = (part.get(name) for name in ("photos", "trees", "trees_with_dbh"))
+            text = f"{photos} photos that nothing ties to the rest "
+            if part.get("error"):
+                text += f"could not be measured: {part['error']}"
+            else:
+                text += (
+                    f"were measured on their own scale: {trees} trees, {measured} with a DBH, in a frame of their own. "
+                    "Trees that both see are in both reports."
+                )
+            yield PartApart(link=f"{folder}/report.html", text=_sentence(text))
 
 
 def _measurement_warnings(contents: Contents) -> list[str]:

@@ -37,6 +37,7 @@ from fsinfer.workflow.cloud_stages import (
     scene_of,
 )
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
+from fsinfer.workflow.parts import PartResult, measure_parts
 from fsinfer.workflow.photo_stages import choose_frames, register_photos, source_files
 from fsinfer.workflow.run_photos import photos_of_run
 from fsinfer.workflow.settings import RunSettings, speedless
@@ -85,6 +86,7 @@ def run(
     settings: RunSettings | None = None,
     edits: Path | None = None,
     progress: StageProgress = silent_stages,
+    apart: bool = True,
 ) -> RunResult:
     """Do the whole job, going on from what an earlier run into ``out`` finished.
 
@@ -95,6 +97,7 @@ def run(
     settings: of all stages.
     edits: corrections of the stem map by hand; without it ``OUT/edits.csv``, where there is one.
     progress: gives the progress callback for a stage's name.
+    apart: parts of the walk that nothing ties to the rest are measured as well, in folders of their own.
 
     Raises
     ------
@@ -113,7 +116,9 @@ def run(
     poses = register_photos(
         ledger, out / "frames" / "images", settings=settings.poses, origin=source, progress=progress
     )
-    return run_from_scene(ledger, frames, poses, settings=settings, source=source.name, edits=edits, progress=progress)
+    return run_from_scene(
+        ledger, frames, poses, settings=settings, source=source.name, edits=edits, progress=progress, apart=apart
+    )
 
 
 def run_from_scene(
@@ -125,8 +130,12 @@ def run_from_scene(
     source: str,
     edits: Path | None = None,
     progress: StageProgress = silent_stages,
+    apart: bool = True,
 ) -> RunResult:
-    """The stages after the poses, of which ``frames`` and ``poses`` are the records; ``source`` names the photos."""
+    """The stages after the poses, of which ``frames`` and ``poses`` are the records; ``source`` names the photos.
+
+    ``apart``: parts of the walk that nothing ties to the rest are measured as well.
+    """
     out = ledger.out
     corrections = find_edits(out, edits)
     scene = scene_of(out)
@@ -142,9 +151,17 @@ def run_from_scene(
     records = PlotRecords(
         frames=frames, poses=poses, depth=depth, check=check, fuse=fused, scale=scale, cloud=cloud, trees=trees
     )
+    parts: tuple[PartResult, ...] = ()
+    if apart:
+
+        def run_part(photos: Path, folder: Path, of_part: RunSettings) -> tuple[int, int, int]:
+            done = run(photos, folder, settings=of_part, progress=progress, apart=False).records
+            return done.poses.result.registered, done.trees.result.trees, done.trees.result.trees_with_dbh
+
+        parts = measure_parts(out, out / "frames" / "images", poses.result, settings, run_part)
     settings_json = dict(as_json(settings))
-    report = _report(ledger, summarize(records, settings=settings_json, source=source), trees, progress)
-    plot = summarize(records, settings=settings_json, source=source, report=report)
+    report = _report(ledger, summarize(records, settings=settings_json, source=source, parts=parts), trees, progress)
+    plot = summarize(records, settings=settings_json, source=source, parts=parts, report=report)
     write_plot(out, plot)
     return RunResult(out=out, plot=plot, records=records, report=report)
 

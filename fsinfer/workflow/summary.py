@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from fsinfer.poses.estimate import PosesResult
 from fsinfer.scale.find import FoundScale
 from fsinfer.workflow.cloud_stages import FusedCloud, PlotCloud
 from fsinfer.workflow.ledger import StageRecord
+from fsinfer.workflow.parts import PartResult
 from fsinfer.workflow.tree_stage import TreesResult
 
 MODEL_UNITS = "model units"
@@ -33,6 +34,7 @@ PLOT_KEYS = (
     "depth_vs_sfm_median_rel", "ground_method", "trees", "trees_with_dbh", "trees_with_silhouette", "diagnosis",
     "stand", "plot_area_m2", "seconds", "peak_rss_mb", "versions", "made_by", "model", "model_sha256",
     "model_precision", "warnings", "warning_codes", "settings", "per_hectare_of", "plot_border", "trees_outside",
+    "parts",
 )  # fmt: skip
 
 
@@ -58,7 +60,12 @@ class PlotRecords:
 
 
 def summarize(
-    records: PlotRecords, *, settings: Mapping[str, Any], source: str, report: StageRecord[Any] | None = None
+    records: PlotRecords,
+    *,
+    settings: Mapping[str, Any],
+    source: str,
+    parts: Sequence[PartResult] = (),
+    report: StageRecord[Any] | None = None,
 ) -> dict[str, Any]:
     """Put the results of the stages together.
 
@@ -67,6 +74,7 @@ def summarize(
     records: of the stages.
     settings: of all stages, JSON values.
     source: name of the photo folder or video, without its path.
+    parts: of the walk, measured apart.
     report: record of the report, once it is written.
 
     Returns
@@ -114,6 +122,7 @@ def summarize(
         **warning_values(all_warnings(records)),
         "settings": dict(settings),
         **border_values(trees),
+        "parts": list(parts),
     }
     return dict(finite(as_json(plot)))
 

@@ -283,6 +283,18 @@ def test_stems_far_outside_of_the_walk_do_not_shrink_the_map(tmp_path: Path) -> 
     assert "beyond the map" not in make_report(tmp_path).read_text(encoding="utf-8")
 
 
+def test_parts_of_the_walk_have_links_to_their_reports_and_nothing_else_has(tmp_path: Path) -> None:
+    part = {"folder": "part-2", "photos": 26, "registered": 26, "trees": 7, "trees_with_dbh": 6, "error": ""}
+    failed = part | {"folder": "part-3", "error": "too dark"}
+    hostile = part | {"folder": "javascript:alert(1)"}
+    full_folder(tmp_path, plot=PLOT | {"parts": [part, failed, hostile, "nonsense"]})
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    assert "26 photos that nothing ties to the rest were measured on their own scale: 7 trees, 6 with a DBH" in page
+    assert '<a href="part-2/report.html">' in page
+    assert "could not be measured: too dark" in page
+    assert "javascript:" not in page
+
+
 def test_the_reasons_of_few_trees_without_a_diameter_are_said_at_once(tmp_path: Path) -> None:
     none = TREE | {"dbh_cm": "", "status": "unmeasured"}
     rows = [none | {"tree_id": number, "reason": f"why {number}"} for number in (1, 2, 3)]

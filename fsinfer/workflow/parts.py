@@ -1,0 +1,99 @@
+"""Parts of a walk that nothing ties to the rest: each is measured on its own scale, in a folder of its own.
+
+Only a part that sees boards has a scale. Its trees stand in a frame of their own, and a tree that the rest sees as well
+is in both tables: the report of the plot names the part, and the person decides.
+"""
+
+from __future__ import annotations
+
+import logging
+import shutil
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from fsinfer.errors import FsinferError
+from fsinfer.io.files import make_folder
+from fsinfer.io.images import list_images, read_image
+from fsinfer.notices.capture import CaptureCode
+from fsinfer.plot_border.request import BorderRequest
+from fsinfer.poses.estimate import PosesResult
+from fsinfer.scale.detection import detect_markers, make_detector
+from fsinfer.scale.request import ScaleRequest
+from fsinfer.workflow.settings import RunSettings
+
+_log = logging.getLogger(__name__)
+
+#: Fewer photos are no plot. Source: judgement; a stem is passed in so many.
+_LEAST_PHOTOS = 10
+#: A board gives a scale where so many photos see it. Source: as the scale stage, which fits a square to three.
+_LEAST_SIGHTINGS = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartResult:
+    """A part of the walk in ``OUT/folder``: its photos, those placed, its trees; or why it could not be measured."""
+
+    folder: str
+    photos: int
+    registered: int = 0
+    trees: int = 0
+    trees_with_dbh: int = 0
+    error: str = ""
+
+
+#: Photos, output folder and settings to the figures of that run: photos placed, trees, those with a diameter.
+RunPart = Callable[[Path, Path, RunSettings], tuple[int, int, int]]
+
+
+def measure_parts(
+    out: Path, images: Path, poses: PosesResult, settings: RunSettings, run_part: RunPart
+) -> tuple[PartResult, ...]:
+    """Run each part that is large enough and sees boards into ``OUT/part-2``, ``OUT/part-3`` and so on.
+
+    Parameters
+    ----------
+    images: folder of the photos that the poses were found of.
+    run_part: does the whole job. What fails in it is told in the result; the plot itself is not lost by it.
+    """
+    files = {path.stem: path for path in list_images(images)}
+    found = []
+    apart = [told.values["names"] for told in poses.warnings if told.code == CaptureCode.part_apart]
+    for number, names in enumerate(apart, start=2):
+        paths = [files[str(name)] for name in names if str(name) in files] if isinstance(names, tuple) else []
+        if len(paths) < _LEAST_PHOTOS or not _sees_boards(paths, settings.scale):
+            _log.info("a part of %d photos has no scale of its own, or is too small", len(paths))
+            continue
+        folder = out / f"part-{number}"
+        photos = make_folder(folder / "photos")
+        for path in paths:
+            if not (photos / path.name).is_file():
+                shutil.copyfile(path, photos / path.name)
+        try:
+            registered, trees, measured = run_part(photos, folder, _of_part(settings))
+        except FsinferError as error:
+            found.append(PartResult(folder=folder.name, photos=len(paths), error=str(error)))
+            continue
+        result = PartResult(
+            folder=folder.name, photos=len(paths), registered=registered, trees=trees, trees_with_dbh=measured
+        )
+        found.append(result)
+    return tuple(found)
+
+
+def _of_part(settings: RunSettings) -> RunSettings:
+    """Without what is said in the frame of the rest: the border, and a scale in its units."""
+    scale = settings.scale
+    boards = ScaleRequest(aruco_length_m=scale.aruco_length_m, aruco_dictionary=scale.aruco_dictionary)
+    return replace(settings, border=BorderRequest(), scale=boards)
+
+
+def _sees_boards(paths: Sequence[Path], scale: ScaleRequest) -> bool:
+    detector = make_detector(scale.aruco_dictionary)
+    seen: Counter[int] = Counter()
+    for path in paths:
+        seen.update({number for number, _ in detect_markers(read_image(path), detector)})
+        if seen and max(seen.values()) >= _LEAST_SIGHTINGS:
+            return True
+    return False
