@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import chain, combinations_with_replacement
 from pathlib import Path
 from typing import Any
@@ -17,39 +16,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from fsinfer.geometry.similarity import Floats, apply, fit_similarity, rotation_of, scale_of
 from fsinfer.poses.boards import Board, BoardSighting, boards_in, by_number
 from fsinfer.poses.joining.common_points import CommonPoints
+from fsinfer.poses.joining.evidence import Evidence
 from fsinfer.poses.joining.known_boards import KnownBoards
+from fsinfer.poses.joining.overlap import LEAST_NEAR, TIMES_TURNED, mean_up, near_shares
 from fsinfer.poses.joining.steps import Steps
 
 _log = logging.getLogger(__name__)
 
 #: Photos that two parts must have in common for a similarity from them. Source: two fix it, the third checks.
 _COMMON_PHOTOS = 3
-#: One board alone is believed where this share of the part's points lies near points of the model, and so many times
-#: more than after half a turn; near is this share of the usual distance between points. Fewer points tell nothing.
-#: Source: judgement.
-_LEAST_NEAR, _TIMES_TURNED, _NEAR_STEPS, _FEWEST_POINTS = 0.12, 2.0, 0.5, 100
-#: Points at which the usual distance is looked at. Source: numerics.
-_MOST_PROBES = 2000
+#: Boards nearer to each other than so many sides hang on one post. Source: judgement.
+_ONE_POST = 4.0
 #: Photos that both have agree where their centres lie within this share of their spread, and their directions within so
 #: many degrees (medians). Source: judgement.
 _CENTER_SHARE, _TURN_DEG = 0.1, 3.0
 #: Directions to the sky of the photos of two parts may differ so much, degrees. Source: people hold a phone level
 #: within some degrees, plots slope by some more.
 _MAX_TILT_DEG = 30.0
-#: A sighting of a board counts as much as so many common points. Source: its four corners, which nothing looks like.
-_BOARD_POINTS = 10
-#: Of the boards that the part sees, this share of the sightings must agree; and so many of them, where two boards are
-#: all that speaks for a place. Source: judgement.
-_SIGHTINGS_AGREE, _FEWEST_SIGHTINGS = 0.6, 3
-#: Common points that bear out a single board, and that are believed alone, in so many photos of each part. Source: by
-#: 30 COLMAP places a photo; judgement.
-_BEARING_POINTS, _POINTS_ALONE, _FEWEST_PHOTOS = 10, 30, 2
 #: Another place may have this share of what speaks for the best one, at most. Source: judgement.
 _RIVAL_SHARE = 0.6
 #: Places differ where the turn between them is larger, in degrees, or the shift, in extents of the part. Source:
@@ -62,48 +50,6 @@ _REFINED = 12
 _SOFT, _WIDE = 0.002, 3.0
 #: Steps of a refinement at most. Source: numerics.
 _STEPS = 30
-
-
-@dataclass(frozen=True, kw_only=True)
-class Evidence:
-    """What speaks for a place of a part.
-
-    Attributes
-    ----------
-    boards: numbers most of whose sightings agree. sightings: those that agree; missed: those that do not.
-    points: common points that agree; photos: that they are in, of the part with fewer.
-    goes_on: whether the walk goes on there; None where it does not tell.
-    """
-
-    boards: int
-    sightings: int
-    missed: int
-    points: int
-    photos: int
-    goes_on: bool | None
-
-    @property
-    def score(self) -> int:
-        """How much there is, in points."""
-        return self.points + _BOARD_POINTS * self.sightings
-
-    @property
-    def possible(self) -> bool:
-        """Whether any refinement could make the place one to believe."""
-        return self.goes_on is not False or self.boards >= 1
-
-    def enough(self, overlap: bool) -> bool:
-        """Whether the place is to be believed; ``overlap``: whether the points of both parts lie on each other."""
-        seen = self.sightings + self.missed
-        if seen and self.sightings < _SIGHTINGS_AGREE * seen:
-            return False
-        if self.boards >= 2 and self.sightings >= _FEWEST_SIGHTINGS:
-            return True
-        borne_out = self.points >= _BEARING_POINTS and self.photos >= _FEWEST_PHOTOS
-        if self.boards == 1:
-            return overlap or borne_out or self.goes_on is True
-        # Trees that look alike have as many points in common as a place: after a leap they are no evidence.
-        return self.points >= _POINTS_ALONE and self.photos >= _FEWEST_PHOTOS and self.goes_on is not False
 
 
 class _Ties:
@@ -228,12 +174,20 @@ def find_place(
 
 
 def _believed(ties: _Ties, evidence: Evidence, place: Floats) -> bool:
+    if not evidence.boards:
+        return evidence.enough(overlap=False)
+    agreeing = set(ties.number[ties.agrees(place)])
+    corners = [b.corners for b in ties.ours if b.number in agreeing]
+    corners += [apply(place, b.corners) for b in ties.theirs if b.number in agreeing]
+    middles = np.array([square.mean(axis=0) for square in corners])
+    side = float(np.linalg.norm(corners[0][1] - corners[0][0]))
     overlap = False
-    if evidence.boards == 1:
-        agreeing = set(ties.number[ties.agrees(place)])
-        seen = [b.corners for b in ties.ours if b.number in agreeing]
-        seen += [apply(place, b.corners) for b in ties.theirs if b.number in agreeing]
-        overlap = _overlaps(ties.model, ties.part, place, seen[0].mean(axis=0))
+    if np.linalg.norm(middles - middles[0], axis=1).max() < _ONE_POST * side:
+        # Boards of one post that have the same number on both sides may be taken for each other's back.
+        near, turned = near_shares(ties.model, ties.part, place, middles[0])
+        overlap = near > LEAST_NEAR and near > TIMES_TURNED * turned
+        if turned > LEAST_NEAR and turned > TIMES_TURNED * near:
+            return False
     return evidence.enough(overlap)
 
 
@@ -301,35 +255,8 @@ def _of_boards(ours: Sequence[Board], theirs: Sequence[Board]) -> Iterator[Float
 
 def _tilt_deg(model: Any, part: Any, where: Floats) -> float:
     """Angle between the mean directions to the sky of the photos of both."""
-    up = [_mean_up(model), rotation_of(where) @ _mean_up(part)]
+    up = [mean_up(model), rotation_of(where) @ mean_up(part)]
     return float(np.degrees(np.arccos(np.clip(up[0] @ up[1], -1.0, 1.0))))
-
-
-def _mean_up(model: Any) -> Floats:
-    ups = np.array([-model.images[i].cam_from_world().rotation.matrix()[1] for i in model.reg_image_ids()])
-    mean: Floats = ups.mean(axis=0) / np.linalg.norm(ups.mean(axis=0))
-    return mean
-
-
-def _overlaps(model: Any, part: Any, where: Floats, middle: Floats) -> bool:
-    """Whether the points of the part lie on those of the model, where one board alone speaks for its place.
-
-    One board may hang on the wrong side of a pair (the same number on both faces): then the part lies turned by half
-    a circle, and its points beside those of the model. What the place is held against is that half turn about the
-    upright through the board, ``middle``.
-    """
-    if min(model.num_points3D(), part.num_points3D()) < _FEWEST_POINTS:
-        return False
-    ours = np.array([point.xyz for point in model.points3D.values()])
-    theirs = apply(where, np.array([point.xyz for point in part.points3D.values()]))
-    tree = cKDTree(ours)
-    up = _mean_up(model)
-    turn = 2 * np.outer(up, up) - np.eye(3)  # half a turn about the upright
-    step = float(np.median(tree.query(ours[:: max(1, len(ours) // _MOST_PROBES)], k=2)[0][:, 1]))
-    reach = _NEAR_STEPS * step
-    near = float((tree.query(theirs)[0] < reach).mean())
-    turned = float((tree.query((theirs - middle) @ turn.T + middle)[0] < reach).mean())
-    return near > _LEAST_NEAR and near > _TIMES_TURNED * turned
 
 
 def _angle_deg(first: Floats, second: Floats) -> float:

@@ -257,3 +257,14 @@ def shifted(truth: Any, count: int) -> NDArray[np.intp]:
                 truth.cameras[1].img_from_cam((matrix[:, :3] @ xyz + matrix[:, 3])[None])
             )
     return np.column_stack([np.arange(100, 100 + count), np.arange(200, 200 + count)])
+
+
+def test_two_boards_of_one_post_with_the_same_numbers_behind_do_not_turn_a_part_round() -> None:
+    """Each part sees its own side: laid on each other's faces, the part would lie turned by half a circle."""
+    truth = walked()
+    facing = SQUARE @ Rotation.from_euler("y", 90, degrees=True).as_matrix().T  # for who stands at -z
+    faces = {number: 0.15 * facing + np.array([0.0, 0.45 * number, 0.0]) for number in (0, 1)}
+    backs = {number: corners * np.array([-1.0, 1.0, -1.0]) for number, corners in faces.items()}
+    model, part = part_of(truth, range(3)), part_of(truth, range(9, 12), moved=True)
+    seen = sightings_of(truth, faces, range(3)) + sightings_of(truth, backs, range(9, 12))
+    assert join_parts(model, [part], seen)[0] == []

@@ -1,0 +1,56 @@
+"""What speaks for a place of a part, and how much of it is enough."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+#: A sighting of a board counts as much as so many common points. Source: its four corners, which nothing looks like.
+_BOARD_POINTS = 10
+#: Of the boards that the part sees, this share of the sightings must agree; and so many of them, where two boards are
+#: all that speaks for a place. Source: judgement.
+_SIGHTINGS_AGREE, _FEWEST_SIGHTINGS = 0.6, 3
+#: Common points that bear out a single board, and that are believed alone, in so many photos of each part. Source: by
+#: 30 COLMAP places a photo; judgement.
+_BEARING_POINTS, _POINTS_ALONE, _FEWEST_PHOTOS = 10, 30, 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evidence:
+    """What speaks for a place of a part.
+
+    Attributes
+    ----------
+    boards: numbers most of whose sightings agree. sightings: those that agree; missed: those that do not.
+    points: common points that agree; photos: that they are in, of the part with fewer.
+    goes_on: whether the walk goes on there; None where it does not tell.
+    """
+
+    boards: int
+    sightings: int
+    missed: int
+    points: int
+    photos: int
+    goes_on: bool | None
+
+    @property
+    def score(self) -> int:
+        """How much there is, in points."""
+        return self.points + _BOARD_POINTS * self.sightings
+
+    @property
+    def possible(self) -> bool:
+        """Whether any refinement could make the place one to believe."""
+        return self.goes_on is not False or self.boards >= 1
+
+    def enough(self, overlap: bool) -> bool:
+        """Whether the place is to be believed; ``overlap``: whether the points of both parts lie on each other."""
+        seen = self.sightings + self.missed
+        if seen and self.sightings < _SIGHTINGS_AGREE * seen:
+            return False
+        if self.boards >= 2 and self.sightings >= _FEWEST_SIGHTINGS:
+            return True
+        borne_out = self.points >= _BEARING_POINTS and self.photos >= _FEWEST_PHOTOS
+        if self.boards == 1:
+            return overlap or borne_out or self.goes_on is True
+        # Trees that look alike have as many points in common as a place: after a leap they are no evidence.
+        return self.points >= _POINTS_ALONE and self.photos >= _FEWEST_PHOTOS and self.goes_on is not False
