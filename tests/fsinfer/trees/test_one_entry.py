@@ -10,6 +10,7 @@ import pytest
 from fsinfer.notices.notice import notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees.diameter.section import Section, unmeasured_section
+from fsinfer.trees.diameter.silhouette import SilhouetteFit
 from fsinfer.trees.one_entry import one_entry_a_stem
 from fsinfer.trees.stem_measurement import tree_of
 from fsinfer.trees.tree import Tree
@@ -55,6 +56,27 @@ def test_a_measured_stem_stays_before_one_that_is_not_whatever_their_order() -> 
     assert numbers(one_entry_a_stem([entry(1, 0.0, None), entry(2, 0.05, 0.2, status="doubtful")])[0]) == [2]
     # Without a DBH its circle may be anything: it does not swallow what stands 35 cm away.
     assert numbers(one_entry_a_stem([entry(1, 0.0, None), entry(2, 0.35, 0.2)])[0]) == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("status", "edges", "left"), [("doubtful", False, [1]), ("ok", False, [1, 2]), ("doubtful", True, [1, 2])]
+)
+def test_a_doubtful_wall_beside_a_stem_whose_edges_are_seen_is_its_haze(
+    status: str, edges: bool, left: list[int]
+) -> None:
+    """Three centimetres of air between them, as in a walk that was torn and joined."""
+    fit = SilhouetteFit(
+        radius_m=0.063, std_m=0.001, shift_m=np.zeros(2), slope=np.zeros(2), taper=0.0, shape_m=np.zeros(6), rays=90.0,
+        share=0.9, photos=39, sectors=0.8, noise_m=0.002, contrast=1.5, weight=np.zeros(0),
+    )  # fmt: skip
+    stem, wall = entry(1, 0.0, 0.125), entry(2, 0.187, 0.188, sd_m=0.02, status=status)
+    pairs = [
+        (stem[0], replace(stem[1], silhouette=fit)),
+        (wall[0], replace(wall[1], silhouette=fit if edges else None)),
+    ]
+    assert numbers(one_entry_a_stem(pairs)[0]) == left
+    # Without photographs nobody looked for edges.
+    assert numbers(one_entry_a_stem([stem, wall])[0]) == [1, 2]
 
 
 def test_what_a_person_put_there_stays() -> None:
