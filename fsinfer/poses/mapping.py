@@ -96,12 +96,15 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
     images, database = work / "images", work / "database.db"
     extract_features(database, images, walk.cameras, settings, progress)
     match_features(database, walk.files, settings, progress)
+    sightings = find_boards(
+        images, walk.files, dictionary=settings.dictionary, longest_px=FEATURE_SIZE_PX, progress=progress
+    )
     models = reconstruct(database, images, work / "models", settings, progress)
     placed = models[0].num_reg_images() if models else 0
     model: Any = None
     misplaced: dict[str, list[str]] = {}
     if placed >= settings.min_registered:
-        model, misplaced = repair(models[0], database, walk.files, work, settings, progress)
+        model, misplaced = repair(models[0], database, walk.files, work, settings, progress, sightings=sightings)
     matched = database
     has_place = walk.has_place(model) if model is not None else [False] * len(walk.files)
     matched = database
@@ -110,7 +113,7 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
         start = _beyond_the_tear(model, walk, seams(has_place, settings.thorough.beside), settings)
         again = reconstruct(richer, images, work / "thorough", settings, progress, start=start)
         if again and again[0].num_reg_images() >= max(sum(has_place), settings.min_registered):
-            better, wrong = repair(again[0], richer, walk.files, work, settings, progress)
+            better, wrong = repair(again[0], richer, walk.files, work, settings, progress, sightings=sightings)
             if sum(walk.has_place(better)) > sum(has_place):
                 _log.info("thorough: %d instead of %d photos", better.num_reg_images(), sum(has_place))
                 model, misplaced, models = better, wrong, again
@@ -123,9 +126,6 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
     if model.num_reg_images() < settings.min_registered:
         msg = f"the {len(walk.files)} photos in {given} match in ways that contradict each other: {ADVICE}"
         raise PosesError(msg)
-    sightings = find_boards(
-        images, walk.files, dictionary=settings.dictionary, longest_px=FEATURE_SIZE_PX, progress=progress
-    )
     # What was taken out as misplaced hangs together, too: mapped alone, nothing false pulls at it.
     if settings.mapper == "incremental":
         parts = _alone(model, matched, walk, work, settings, progress)

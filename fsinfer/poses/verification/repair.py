@@ -7,7 +7,9 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
+from fsinfer.poses.boards import BoardSighting
 from fsinfer.poses.colmap import inliers_by_rank, reconstruct
+from fsinfer.poses.joining.stretches import cut_and_join
 from fsinfer.poses.pairs import in_walking_order
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.verification.misplaced import (
@@ -27,7 +29,14 @@ _WAYS = (("never", False), ("before", False), ("never", True))
 
 
 def repair(
-    model: Any, database: Path, walk: Sequence[str], work: Path, settings: PoseSettings, progress: Progress
+    model: Any,
+    database: Path,
+    walk: Sequence[str],
+    work: Path,
+    settings: PoseSettings,
+    progress: Progress,
+    *,
+    sightings: Sequence[BoardSighting] = (),
 ) -> tuple[Any, dict[str, list[str]]]:
     """The model that most matches agree with, and by reason the files of the photos that were taken out of it.
 
@@ -36,6 +45,7 @@ def repair(
     model: ``pycolmap.Reconstruction`` that the mapper made of ``database``; it is changed.
     walk: files of all photos in the order of walking.
     work: folder that holds the photos in ``images``.
+    sightings: of boards, which tie stretches of the walk.
 
     Notes
     -----
@@ -45,7 +55,7 @@ def repair(
     ordered = in_walking_order(inliers_by_rank(database, walk), len(walk), settings.pairs)
     neighbours = settings.pairs.overlap if ordered else 0
     return max(
-        _candidates(model, database, walk, work, settings, progress, neighbours),
+        _candidates(model, database, walk, work, settings, progress, neighbours, sightings),
         key=lambda candidate: agreeing_matches(candidate[0], database, neighbours),
     )
 
@@ -58,12 +68,21 @@ def _candidates(
     settings: PoseSettings,
     progress: Progress,
     neighbours: int,
+    sightings: Sequence[BoardSighting],
 ) -> Iterator[tuple[Any, dict[str, list[str]]]]:
     """The mapper's model and, where photos were placed against their matches, what becomes of it without them.
 
+    First, and often enough: the stretches of an ordered walk, each of which is right in itself, put together anew.
     Without the false matches that misled the mapper it finds their true place, or none. Which matches were false is
     judged in several ways. Each comes with the files of the photos that were taken out of it.
     """
+    if neighbours and settings.mapper == "incremental":
+        straight = cut_and_join(model, database, walk, sightings, work, settings, progress)
+        if straight is not None:
+            misplaced = _drop_misplaced(straight, database, walk, neighbours)
+            yield straight, misplaced
+            if straight.num_reg_images() == len(walk) and not any(misplaced.values()):
+                return  # nothing can be better
     image_ids, votes = pair_votes(model, database)
     for stretches, lenient in _WAYS if settings.mapper == "incremental" else ():
         wrong = contradicted(votes, len(image_ids), neighbours=neighbours, stretches=stretches, lenient=lenient)

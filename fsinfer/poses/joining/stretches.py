@@ -1,0 +1,55 @@
+"""A model that was bent where the walk goes on: cut there, and its stretches put together again."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fsinfer.poses.boards import BoardSighting
+from fsinfer.poses.colmap import reconstruct
+from fsinfer.poses.joining.parts import join_parts
+from fsinfer.poses.settings import PoseSettings
+from fsinfer.poses.verification.misplaced import drop
+from fsinfer.poses.verification.pair_votes import pair_votes
+from fsinfer.poses.verification.stretches import stretches_of_walk
+from fsinfer.progress import Progress
+
+_log = logging.getLogger(__name__)
+
+
+def cut_and_join(
+    model: Any,
+    database: Path,
+    walk: Sequence[str],
+    sightings: Sequence[BoardSighting],
+    work: Path,
+    settings: PoseSettings,
+    progress: Progress,
+) -> Any | None:
+    """The stretches of ``model``, a ``pycolmap.Reconstruction``, each at its place; None where it was not bent.
+
+    Photos of stretches too short to be placed are mapped onto the others, as far as they can be.
+    """
+    image_ids, votes = pair_votes(model, database)
+    stretch = stretches_of_walk(votes, len(image_ids), settings.pairs.overlap)
+    if not len(stretch) or stretch[-1] == 0:
+        return None
+    parts = []
+    for number in np.unique(stretch):
+        if (stretch == number).sum() >= settings.min_registered:
+            part = deepcopy(model)
+            drop(part, [i for i, own in zip(image_ids, stretch, strict=True) if own != number])
+            parts.append(part)
+    if not parts:
+        return None
+    parts.sort(key=lambda part: -part.num_reg_images())
+    base = parts[0]
+    joined, left = join_parts(base, parts[1:], sightings, database=database, walk=walk)
+    _log.info("cut into %d stretches; %d photos joined, %d stretches left", stretch[-1] + 1, len(joined), len(left))
+    mapped = reconstruct(database, work / "images", work / "cut", settings, progress, start=base)
+    return mapped[0] if mapped else None
