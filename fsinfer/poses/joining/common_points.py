@@ -22,9 +22,9 @@ from fsinfer.poses.pairs import MIN_INLIERS
 #: A point agrees where it is seen within this share of the focal length in the photos of both; about eight pixels of a
 #: photo of 1280. Source: judgement; parts have drifted a little, each in its own way.
 _REACH = 0.008
-#: Trials, and how many matches of one pair take part in them. Source: numerics; three of 500 samples are all true where
+#: Trials, and how many matches of one pair take part in them. Source: numerics; four samples of 500 are all true where
 #: one match of five is, and one pair must not outvote all others.
-_TRIALS, _MOST_OF_A_PAIR = 3000, 60
+_TRIALS, _MOST_OF_A_PAIR = 1500, 60
 #: Fewer points than this are no evidence. Source: judgement; four fix a similarity and test it once.
 _FEWEST = 8
 
