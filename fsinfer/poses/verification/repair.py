@@ -27,9 +27,9 @@ from fsinfer.progress import Progress
 # none of these ways was the best on all plots.
 _WAYS = (("never", False), ("before", False), ("never", True))
 
-#: Of the matches of stretches that were put together by evidence of their own, the share that must speak for it. Source:
-#: judgement; on a rendered plot two straight walks that were right to 24 mm had 0.58 for them: a walk begun anew has no
-#: true neighbours, and false matches with these count much.
+#: Of the matches of stretches that were put together by evidence of their own, the share that must speak for it.
+#: Source: judgement; on a rendered plot two straight walks that were right to 24 mm had 0.58 for them: a walk begun anew
+#: has no true neighbours, and false matches with these count much.
 _STRETCHES_SHARE = 0.4
 
 
