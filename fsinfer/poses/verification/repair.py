@@ -28,8 +28,8 @@ from fsinfer.progress import Progress
 _WAYS = (("never", False), ("before", False), ("never", True))
 
 #: Of the matches of stretches that were put together by evidence of their own, the share that must speak for it.
-#: Source: judgement; on a rendered plot two straight walks that were right to 24 mm had 0.58 for them: a walk begun anew
-#: has no true neighbours, and false matches with these count much.
+#: Source: judgement; on a rendered plot two straight walks that were right to 24 mm had 0.58: a walk begun anew has no
+#: true neighbours, and false matches with these count much.
 _STRETCHES_SHARE = 0.4
 
 
