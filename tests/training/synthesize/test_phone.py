@@ -167,7 +167,7 @@ def test_of_one_photograph_each_tree_has_a_bark_of_its_own() -> None:
 
 def alike(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> int:
     """Features of two pictures that match and fit one epipolar geometry."""
-    sift = cv2.SIFT_create(4000)
+    sift = cv2.SIFT.create(4000)
     (at, first), (there, second) = (
         sift.detectAndCompute(cv2.cvtColor(x, cv2.COLOR_RGB2GRAY), None) for x in (one, other)
     )
