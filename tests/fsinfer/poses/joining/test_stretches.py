@@ -21,6 +21,7 @@ PHOTOS = 12
 
 
 def synthetic(database: Path) -> Any:
+    pycolmap.set_random_seed(0)  # where its cameras stand, and how upright, is drawn
     options = pycolmap.SyntheticDatasetOptions()
     options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig = 1, 1, PHOTOS
     options.num_points3D = 200
