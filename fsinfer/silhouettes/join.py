@@ -154,7 +154,8 @@ def measure_silhouettes(
     )
     pairs, shrubs = [], []
     for tree, section, stem, edges, seen in zip(result.trees, result.sections, stems, found, strips, strict=True):
-        fit = fit_silhouette(edges, stem.radius_m, taper=stem.taper, settings=s.fit)
+        points = None if section.dbh_m is None else (section.dbh_m / 2.0, _points_std(section, s))
+        fit = fit_silhouette(edges, stem.radius_m, taper=stem.taper, settings=s.fit, points=points)
         if fit is None or fit.photos < s.min_photos:
             if fit is None and tree.tree_id not in kept and _is_shrub(tree, stem, edges, s):
                 shrubs.append(tree)

@@ -38,10 +38,12 @@ ROUNDS, TOLERANCES_M, ROUND_FIRST = 12, (0.012, 0.008, 0.006, 0.005, 0.004), 10.
 #: Ovals that a fit is begun with beside the circle: second harmonic, share of the radius, and directions. Source: half
 #: of what one stem in a hundred has (renders, and ovality 1.2 of leaning stems).
 OVAL, OVAL_TURNS = 0.06, 6
-#: Log posterior that an oval must have more than what began as a circle. Source: two more unknowns for some hundred
-#: pairs of photograph and side cost about 5 (Schwarz 1978), and the six bands of a side err together; on two
-#: development plots three stems that are oval gained 44 to 149, one that is not 11, others at most 2; renders only.
-OVAL_GAIN = 30.0
+#: An oval is believed where it is so much more likely than what began as a circle. The edges' log posterior counts as
+#: that of one band in so many, because the bands of a side err together; the cloud's radius, where there is one, as it
+#: is, up to so many standard deviations. Source: two more unknowns for some hundred pairs of photograph and side cost
+#: about 5 (Schwarz 1978); on three development plots stems that are oval gained 10 to 149 by their edges, one that is
+#: not 11, and the points parted these; renders only.
+OVAL_GAIN, OVAL_BANDS, OVAL_POINTS_STD = 5.0, 6.0, 3.0
 #: An edge is never surer, metres. Source: numerics.
 LEAST_NOISE_M = 0.001
 
@@ -155,9 +157,18 @@ class SilhouetteFit:
 
 
 def fit_silhouette(
-    edges: Edges, radius_m: float, *, taper: float, settings: SilhouetteSettings | None = None
+    edges: Edges,
+    radius_m: float,
+    *,
+    taper: float,
+    settings: SilhouetteSettings | None = None,
+    points: tuple[float, float] | None = None,
 ) -> SilhouetteFit | None:
-    """Fit the support function of a stem whose radius is roughly ``radius_m``; None where the edges do not agree."""
+    """Fit the support function of a stem whose radius is roughly ``radius_m``; None where the edges do not agree.
+
+    ``points`` are the cloud's radius and its standard deviation, metres, where it has one: where the edges allow a
+    round stem and an oval one it tells which.
+    """
     s = settings or SilhouetteSettings()
     if len(np.unique(edges.ray)) < s.min_edges:
         return None
@@ -165,12 +176,11 @@ def fit_silhouette(
     starts, contrast = problem.vote()
     if contrast < s.min_contrast:
         return None
-    best = _surer(
-        *(
-            max((problem.refine(*start) for start in some), key=lambda found: found.log_posterior)
-            for some in (problem.circles(starts), problem.ovals(starts))
-        )
+    circle, oval = (
+        max((problem.refine(*start) for start in some), key=lambda found: found.log_posterior)
+        for some in (problem.circles(starts), problem.ovals(starts))
     )
+    best = _surer(circle, oval, points)
     weight, used = best.weight, best.weight > 0.5
     if used.sum() < s.min_edges or weight.sum() < s.min_share * problem.rays:
         return None
@@ -229,8 +239,14 @@ class _Solution:
     gain: Floats
 
 
-def _surer(circle: _Solution, oval: _Solution) -> _Solution:
-    return oval if oval.log_posterior > circle.log_posterior + OVAL_GAIN else circle
+def _surer(circle: _Solution, oval: _Solution, points: tuple[float, float] | None) -> _Solution:
+    """The oval where edges and points (radius and its standard deviation, metres) speak for it together."""
+
+    def score(found: _Solution) -> float:
+        away = 0.0 if points is None else min(abs(float(found.x[0]) - points[0]) / points[1], OVAL_POINTS_STD)
+        return found.log_posterior / OVAL_BANDS - 0.5 * away**2
+
+    return oval if score(oval) > score(circle) + OVAL_GAIN else circle
 
 
 class _Problem:
