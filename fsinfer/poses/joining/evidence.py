@@ -22,7 +22,7 @@ class Evidence:
     ----------
     boards: numbers most of whose sightings agree. sightings: those that agree; missed: those that do not.
     points: common points that agree; photos: that they are in, of the part with fewer.
-    goes_on: whether the walk goes on there; None where it does not tell.
+    goes_on: whether the walk goes on there; None where it does not tell. ordered: whether the photos follow each other.
     """
 
     boards: int
@@ -31,6 +31,7 @@ class Evidence:
     points: int
     photos: int
     goes_on: bool | None
+    ordered: bool = False
 
     @property
     def score(self) -> int:
@@ -52,5 +53,7 @@ class Evidence:
         borne_out = self.points >= _BEARING_POINTS and self.photos >= _FEWEST_PHOTOS
         if self.boards == 1:
             return overlap or borne_out or self.goes_on is True
-        # Trees that look alike have as many points in common as a place: after a leap they are no evidence.
-        return self.points >= _POINTS_ALONE and self.photos >= _FEWEST_PHOTOS and self.goes_on is not False
+        # Trees that look alike have as many points in common as a place: in an ordered walk only those count that put
+        # the part where the walk goes on.
+        goes_on = self.goes_on is True if self.ordered else self.goes_on is not False
+        return self.points >= _POINTS_ALONE and self.photos >= _FEWEST_PHOTOS and goes_on

@@ -90,6 +90,7 @@ class _Ties:
             points=int(point.sum()),
             photos=self.points.photos(point),
             goes_on=self.steps.go_on(place),
+            ordered=self.steps.ordered,
         )
 
     def agrees(self, place: Floats, times: float = 1.0) -> NDArray[np.bool_]:

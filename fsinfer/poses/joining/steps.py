@@ -16,9 +16,13 @@ _STEP_RATIO = 3.0
 
 
 class Steps:
-    """Where photos that follow each other in the walk stand, in the model and in a part of it."""
+    """Where photos that follow each other in the walk stand, in the model and in a part of it.
+
+    ``ordered`` tells whether the photos have an order at all.
+    """
 
     def __init__(self, model: Any, part: Any, walk: Sequence[str]) -> None:
+        self.ordered = bool(walk)
         rank = {file: index for index, file in enumerate(walk)}
         self._ours, self._theirs = _centers(model, rank), _centers(part, rank)
         self._step, self._part_step = _usual_step(self._ours), _usual_step(self._theirs)

@@ -33,7 +33,7 @@ def cut_and_join(
 ) -> Any | None:
     """The stretches of ``model``, a ``pycolmap.Reconstruction``, each at its place; None where it was not bent.
 
-    Photos of stretches too short to be placed are mapped onto the others, as far as they can be.
+    Photos of stretches that could not be placed are mapped onto the others, as far as neighbours then agree.
     """
     image_ids, votes = pair_votes(model, database)
     stretch = stretches_of_walk(votes, len(image_ids), settings.pairs.overlap)
@@ -51,5 +51,17 @@ def cut_and_join(
     base = parts[0]
     joined, left = join_parts(base, parts[1:], sightings, database=database, walk=walk)
     _log.info("cut into %d stretches; %d photos joined, %d stretches left", stretch[-1] + 1, len(joined), len(left))
+    placed = set(base.reg_image_ids())
     mapped = reconstruct(database, work / "images", work / "cut", settings, progress, start=base)
-    return mapped[0] if mapped else None
+    if not mapped:
+        return None
+    drop(mapped[0], _bent_again(mapped[0], database, placed, settings.pairs.overlap))
+    return mapped[0]
+
+
+def _bent_again(model: Any, database: Path, placed: set[int], neighbours: int) -> list[int]:
+    """Photos that the mapper put where their neighbours contradict it, of those that were not ``placed`` before."""
+    image_ids, votes = pair_votes(model, database)
+    stretch = stretches_of_walk(votes, len(image_ids), neighbours)
+    trusted = {int(own) for image_id, own in zip(image_ids, stretch, strict=True) if image_id in placed}
+    return [image_id for image_id, own in zip(image_ids, stretch, strict=True) if int(own) not in trusted]

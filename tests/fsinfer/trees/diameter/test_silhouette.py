@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fsinfer.trees.diameter.silhouette import Edges, fit_silhouette
+from fsinfer.trees.diameter.silhouette import Edges, _Solution, _surer, fit_silhouette
 from training.simulate.stem_edges import edges_from_rows
 
 TAPER = -0.008
@@ -52,3 +52,30 @@ def test_an_oval_stem_seen_from_some_sides_has_its_girth(long_deg: float) -> Non
     assert abs(fit.radius_m - 0.28) < 3 * fit.std_m
     assert np.hypot(*fit.shape_m[:2]) == pytest.approx(0.09 * 0.28, rel=0.2)
     assert fit.share > 0.9
+
+
+def solution(radius_m: float, log_posterior: float) -> _Solution:
+    none = np.zeros(0)
+    return _Solution(
+        x=np.array([radius_m]), weight=none, scores=none, information=none, noise_m=0.001, gain=none,
+        log_posterior=log_posterior,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("gain", "points_m", "believed"),
+    [
+        (10.0, None, False),
+        (60.0, None, True),
+        (10.0, 0.255, True),
+        (10.0, 0.264, False),
+        (40.0, 0.264, False),
+        (60.0, 0.264, True),
+    ],
+)
+def test_where_edges_allow_a_round_stem_and_an_oval_one_the_points_tell(
+    gain: float, points_m: float | None, believed: bool
+) -> None:
+    """As 51.3 cm in an oval and 52.9 in a circle, where the points said 51.0."""
+    circle, oval = solution(0.2646, 900.0), solution(0.2569, 900.0 + gain)
+    assert (_surer(circle, oval, None if points_m is None else (points_m, 0.0025)) is oval) is believed
