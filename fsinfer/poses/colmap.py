@@ -16,7 +16,7 @@ from typing import Any
 
 from fsinfer.errors import PosesError
 from fsinfer.poses.colmap_calls import ColmapError, call, copy_database, open_database
-from fsinfer.poses.pairs import MIN_INLIERS, first_pairs, most_pairs, pairs_beside
+from fsinfer.poses.pairs import MIN_INLIERS, first_pairs, in_walking_order, most_pairs, pairs_beside
 from fsinfer.poses.refinement import ENOUGH
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.progress import Progress
@@ -213,6 +213,11 @@ def inliers_by_rank(database: Path, names: Sequence[str]) -> dict[tuple[int, int
         first, second = sorted(number[i] for i in pycolmap.pair_id_to_image_pair(pair_id))
         found[first, second] = int(inliers)
     return found
+
+
+def is_walk(database: Path, names: Sequence[str], settings: PoseSettings) -> bool:
+    """Whether the photos, in the order of their names, were taken one after the other, as far as matches tell."""
+    return in_walking_order(inliers_by_rank(database, names), len(names), settings.pairs)
 
 
 def _match(

@@ -15,14 +15,13 @@ from fsinfer.errors import PosesError
 from fsinfer.poses.boards import boards_in, find_boards, tie_boards
 from fsinfer.poses.colmap import (
     extract_features,
-    inliers_by_rank,
+    is_walk,
     match_features,
     reconstruct,
     triangulate,
     with_calibration,
 )
 from fsinfer.poses.joining.parts import join_parts
-from fsinfer.poses.pairs import in_walking_order
 from fsinfer.poses.refinement import FEATURE_SIZE_PX
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.thorough import rematch, seams, torn
@@ -105,7 +104,6 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
     misplaced: dict[str, list[str]] = {}
     if placed >= settings.min_registered:
         model, misplaced = repair(models[0], database, walk.files, work, settings, progress, sightings=sightings)
-    matched = database
     has_place = walk.has_place(model) if model is not None else [False] * len(walk.files)
     matched = database
     if torn(has_place, settings):
@@ -131,8 +129,7 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
         parts = _alone(model, matched, walk, work, settings, progress)
     else:
         parts = [part for part in models[1:] if part.num_reg_images() >= settings.min_registered]
-    ordered = in_walking_order(inliers_by_rank(matched, walk.files), len(walk.files), settings.pairs)
-    path = walk.files if ordered else ()
+    path = walk.files if is_walk(matched, walk.files, settings) else ()
     joined, left = join_parts(model, parts, sightings, database=matched, walk=path)
     if joined:
         # What both parts see of the wood was never compared while they stood apart.

@@ -33,7 +33,7 @@ class Photographs:
     Attributes
     ----------
     cameras: true pinholes, of each photograph's own focal length and principal point where the phone changes them.
-    shots: what happened at each; None without effects. sensor: of all, once the first pictures are known.
+    shots: what happened at each; None without effects.
     """
 
     def __init__(

@@ -8,7 +8,7 @@ place is looked for by random samples (Fischler and Bolles 1981) and its error i
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -56,13 +56,7 @@ class Seen:
 
     def chosen(self, which: NDArray[Any]) -> Seen:
         """Those of an index or a mask."""
-        return Seen(
-            points=self.points[which],
-            rotation=self.rotation[which],
-            shift=self.shift[which],
-            rays=self.rays[which],
-            photo=self.photo[which],
-        )
+        return Seen(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
 
 
 class CommonPoints:
@@ -103,8 +97,11 @@ class CommonPoints:
     def few_of_each_pair(self) -> CommonPoints:
         """Without most of the points of a pair of photos that has many, so that none outvotes all others."""
         order = np.random.default_rng(0).permutation(len(self.pair))
-        few = np.sort(order[_rank_within(self.pair[order]) < _MOST_OF_A_PAIR])
-        return CommonPoints(self.ours.chosen(few), self.theirs.chosen(few), self.pair[few])
+        return self.chosen(np.sort(order[_rank_within(self.pair[order]) < _MOST_OF_A_PAIR]))
+
+    def chosen(self, which: NDArray[Any]) -> CommonPoints:
+        """Those of an index or a mask."""
+        return CommonPoints(self.ours.chosen(which), self.theirs.chosen(which), self.pair[which])
 
     def agrees(self, place: Floats, times: float = 1.0) -> NDArray[np.bool_]:
         """Whether each point lies where it was seen, within so many times the usual reach, (N,)."""
@@ -182,13 +179,7 @@ def _joined(parts: list[Seen]) -> Seen:
     if not parts:
         none = np.zeros((0, 3))
         return Seen(points=none, rotation=np.zeros((0, 3, 3)), shift=none, rays=none[:, :2], photo=np.zeros(0, np.intp))
-    return Seen(
-        points=np.concatenate([part.points for part in parts]),
-        rotation=np.concatenate([part.rotation for part in parts]),
-        shift=np.concatenate([part.shift for part in parts]),
-        rays=np.concatenate([part.rays for part in parts]),
-        photo=np.concatenate([part.photo for part in parts]),
-    )
+    return Seen(**{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Seen)})
 
 
 def _rank_within(group: NDArray[np.intp]) -> NDArray[np.intp]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fsinfer.geometry.similarity import Floats, apply
-from fsinfer.poses.boards import Board, BoardSighting
+from fsinfer.poses.boards import Board, BoardSighting, by_number
 
 #: A sighting agrees where its corners lie within so many thousandths of a focal length of where the board should be, or
 #: within this share of the side that it shows. Source: judgement; a part has drifted a little since.
@@ -43,13 +43,11 @@ class KnownBoards:
     ) -> None:
         self._back = back
         by_name = {part.images[i].name: i for i in part.reg_image_ids()}
-        faces: dict[int, list[Floats]] = {}
-        for board in boards:
-            faces.setdefault(board.number, []).append(board.corners)
+        faces = by_number(boards)
         known = [s for s in sightings if s.file in by_name and s.number in faces]
         self.number = np.array([s.number for s in known], np.intp)
         self.photo = np.array([by_name[s.file] for s in known], np.intp)
-        self._faces = [np.array(faces[s.number]) for s in known]  # each (faces, 4, 3)
+        self._faces = [np.array([face.corners for face in faces[s.number]]) for s in known]  # each (faces, 4, 3)
         rays, poses = [], []
         for sighting, photo in zip(known, self.photo, strict=True):
             image = part.images[photo]

@@ -35,20 +35,20 @@ def join_parts(
     database: of the matches, if photos of two parts may share some.
     walk: files of all photos in the order of walking, if they have one.
     """
-    left = list(parts)
+    left = [(part, boards_in(part, sightings)) for part in parts]
     gained: list[str] = []
     progress = bool(left)
     while progress:
         progress = False
         ours = boards_in(model, sightings)
-        for number, part in enumerate(left):
-            where = find_place(model, part, ours, sightings, database=database, walk=walk)
+        for number, (part, theirs) in enumerate(left):
+            where = find_place(model, part, ours, theirs, sightings, database=database, walk=walk)
             if where is not None:
                 gained += _take_over(model, part, where)
                 del left[number]
                 progress = bool(left)
                 break
-    return gained, left
+    return gained, [part for part, _ in left]
 
 
 def _take_over(model: Any, part: Any, where: Floats) -> list[str]:

@@ -19,7 +19,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from fsinfer.geometry.similarity import Floats, apply, fit_similarity, rotation_of, scale_of
-from fsinfer.poses.boards import Board, BoardSighting, boards_in, by_number
+from fsinfer.poses.boards import Board, BoardSighting, by_number
 from fsinfer.poses.joining.common_points import CommonPoints
 from fsinfer.poses.joining.evidence import Evidence
 from fsinfer.poses.joining.known_boards import KnownBoards
@@ -55,15 +55,27 @@ _STEPS = 30
 class _Ties:
     """All that ties a part to the model."""
 
-    def __init__(self, model: Any, part: Any, ours: Sequence[Board], sightings: Sequence[BoardSighting]) -> None:
-        self.model, self.part, self.ours = model, part, ours
-        self.theirs = boards_in(part, sightings)
+    def __init__(
+        self,
+        model: Any,
+        part: Any,
+        ours: Sequence[Board],
+        theirs: Sequence[Board],
+        sightings: Sequence[BoardSighting],
+        *,
+        points: CommonPoints,
+        steps: Steps,
+    ) -> None:
+        self.model, self.part, self.ours, self.theirs, self.points, self.steps = (
+            model, part, ours, theirs, points, steps
+        )  # fmt: skip
+        centers = np.array([part.images[i].projection_center() for i in part.reg_image_ids()])
+        self.middle, self.extent = centers.mean(axis=0), _spread(centers)
+        self._up, self._part_up = mean_up(model), mean_up(part)
         known = {board.number for board in ours}
         unknown = [board for board in self.theirs if board.number not in known]
         self.boards = [KnownBoards(ours, part, sightings), KnownBoards(unknown, model, sightings, back=True)]
         self.number = np.concatenate([known.number for known in self.boards])
-        self.points = CommonPoints.none()
-        self.steps = Steps(model, part, ())
 
     def places(self) -> Iterator[Floats]:
         of_photos = chain.from_iterable(known.places() for known in self.boards)
@@ -71,7 +83,19 @@ class _Ties:
         return (place for place in proposed if self._allowed(place))
 
     def _allowed(self, place: Floats) -> bool:
-        return _tilt_deg(self.model, self.part, place) <= _MAX_TILT_DEG and self.steps.same_pace(place)
+        cosine = self._up @ (rotation_of(place) @ self._part_up)
+        tilt_deg = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+        return tilt_deg <= _MAX_TILT_DEG and self.steps.same_pace(place)
+
+    def differ(self, one: Floats, other: Floats) -> bool:
+        """Whether two places of the part are not the same but for errors."""
+        shift = float(np.linalg.norm(apply(one, self.middle) - apply(other, self.middle)))
+        ratio = abs(np.log(scale_of(one) / scale_of(other)))
+        return bool(
+            _turn_deg(rotation_of(one), rotation_of(other)) > _OTHER_TURN_DEG
+            or shift > _OTHER_SHIFT * self.extent * scale_of(one)
+            or ratio > _OTHER_SHIFT
+        )
 
     def proposals(self) -> Iterator[tuple[Evidence, Floats]]:
         """Places with what speaks for each of them roughly."""
@@ -101,18 +125,14 @@ class _Ties:
         """With the least errors in the photos of both, of what agrees at least roughly."""
         for _ in range(3):
             near = self.points.agrees(place, _WIDE)
-            points = CommonPoints(
-                self.points.ours.chosen(near), self.points.theirs.chosen(near), self.points.pair[near]
-            )
             board = self.agrees(place, _WIDE)
             if not board.any() and near.sum() < 3:
                 return place
-            place = self._adjusted(place, points, board)
+            place = self._adjusted(place, self.points.chosen(near), board)
         return place
 
     def _adjusted(self, place: Floats, points: CommonPoints, board: NDArray[np.bool_]) -> Floats:
-        middle = np.mean([self.part.images[i].projection_center() for i in self.part.reg_image_ids()], axis=0)
-        unit = _extent(self.part) or 1.0
+        middle, unit = self.middle, self.extent or 1.0
 
         def placed(step: Floats) -> Floats:
             change: Floats = np.eye(4)
@@ -134,6 +154,7 @@ def find_place(
     model: Any,
     part: Any,
     ours: Sequence[Board],
+    theirs: Sequence[Board],
     sightings: Sequence[BoardSighting],
     *,
     database: Path | None = None,
@@ -143,7 +164,7 @@ def find_place(
 
     Parameters
     ----------
-    model, part: ``pycolmap.Reconstruction``. ours: the boards in ``model``.
+    model, part: ``pycolmap.Reconstruction``. ours, theirs: the boards in ``model`` and in ``part``.
     database: of the matches. walk: files in the order of walking.
     """
     common = sorted(set(model.reg_image_ids()) & set(part.reg_image_ids()))
@@ -151,14 +172,12 @@ def find_place(
         found = _by_photos(model, part, common)
         if found is not None:
             return found
-    ties = _Ties(model, part, ours, sightings)
-    if database is not None:
-        ties.points = CommonPoints.of(model, part, database).few_of_each_pair()
-    ties.steps = Steps(model, part, walk)
+    points = CommonPoints.none() if database is None else CommonPoints.of(model, part, database).few_of_each_pair()
+    ties = _Ties(model, part, ours, theirs, sightings, points=points, steps=Steps(model, part, walk))
     # Look-alike trees speak for false places with hundreds of points: what can never be believed is no proposal.
     proposed = [(evidence, place) for evidence, place in ties.proposals() if evidence.possible]
     proposed.sort(key=lambda entry: -entry[0].score)
-    refined = [ties.refined(place) for _, place in _distinct(proposed, part)[:_REFINED]]
+    refined = [ties.refined(place) for _, place in _distinct(proposed, ties)]
     judged = sorted(((ties.evidence(place), place) for place in refined), key=lambda entry: -entry[0].score)
     believed = [(evidence, place) for evidence, place in judged if _believed(ties, evidence, place)]
     if not believed:
@@ -166,7 +185,7 @@ def find_place(
             _log.info("a part of %d photos stays apart; the most speaks for %s", part.num_reg_images(), judged[0][0])
         return None
     evidence, best = believed[0]
-    rivals = [other for other, place in believed if _differ(best, place, part)]
+    rivals = [other for other, place in believed if ties.differ(best, place)]
     if rivals and rivals[0].score > _RIVAL_SHARE * evidence.score:
         _log.info("a part of %d photos could lie in two places: %s, %s", part.num_reg_images(), evidence, rivals[0])
         return None
@@ -192,30 +211,15 @@ def _believed(ties: _Ties, evidence: Evidence, place: Floats) -> bool:
     return evidence.enough(overlap)
 
 
-def _distinct(proposed: Sequence[tuple[Evidence, Floats]], part: Any) -> list[tuple[Evidence, Floats]]:
-    """The best of each cluster of places, in their order."""
+def _distinct(proposed: Sequence[tuple[Evidence, Floats]], ties: _Ties) -> list[tuple[Evidence, Floats]]:
+    """The best of each cluster of places, in their order; so many as are refined."""
     kept: list[tuple[Evidence, Floats]] = []
     for evidence, place in proposed:
-        if evidence.score > 0 and all(_differ(place, other, part) for _, other in kept):
+        if evidence.score > 0 and all(ties.differ(place, other) for _, other in kept):
             kept.append((evidence, place))
             if len(kept) == _REFINED:
                 break
     return kept
-
-
-def _differ(one: Floats, other: Floats, part: Any) -> bool:
-    middle = np.mean([part.images[i].projection_center() for i in part.reg_image_ids()], axis=0)
-    turn = Rotation.from_matrix(rotation_of(one) @ rotation_of(other).T).magnitude()
-    shift = float(np.linalg.norm(apply(one, middle) - apply(other, middle)))
-    ratio = abs(np.log(scale_of(one) / scale_of(other)))
-    extent = _extent(part) * scale_of(one)
-    return bool(np.degrees(turn) > _OTHER_TURN_DEG or shift > _OTHER_SHIFT * extent or ratio > _OTHER_SHIFT)
-
-
-def _extent(part: Any) -> float:
-    """RMS distance of the photos of a part from their middle, in its units."""
-    centers = np.array([part.images[i].projection_center() for i in part.reg_image_ids()])
-    return float(np.sqrt(((centers - centers.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
 
 def _by_photos(model: Any, part: Any, common: Sequence[int]) -> Floats | None:
@@ -225,16 +229,15 @@ def _by_photos(model: Any, part: Any, common: Sequence[int]) -> Floats | None:
     found = fit_similarity(theirs, ours)
     if found is None:
         return None
-    spread = float(np.sqrt(((ours - ours.mean(axis=0)) ** 2).sum(axis=1).mean()))
     residual = float(np.median(np.linalg.norm(apply(found, theirs) - ours, axis=1)))
     turns = [
-        _angle_deg(
+        _turn_deg(
             model.images[i].cam_from_world().rotation.matrix() @ rotation_of(found),
             part.images[i].cam_from_world().rotation.matrix(),
         )
         for i in common
     ]
-    return found if residual < _CENTER_SHARE * spread and float(np.median(turns)) < _TURN_DEG else None
+    return found if residual < _CENTER_SHARE * _spread(ours) and float(np.median(turns)) < _TURN_DEG else None
 
 
 def _of_boards(ours: Sequence[Board], theirs: Sequence[Board]) -> Iterator[Floats]:
@@ -254,12 +257,11 @@ def _of_boards(ours: Sequence[Board], theirs: Sequence[Board]) -> Iterator[Float
             yield found
 
 
-def _tilt_deg(model: Any, part: Any, where: Floats) -> float:
-    """Angle between the mean directions to the sky of the photos of both."""
-    up = [mean_up(model), rotation_of(where) @ mean_up(part)]
-    return float(np.degrees(np.arccos(np.clip(up[0] @ up[1], -1.0, 1.0))))
+def _spread(centers: Floats) -> float:
+    """RMS distance of centres (N, 3) from their middle."""
+    return float(np.sqrt(((centers - centers.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
 
-def _angle_deg(first: Floats, second: Floats) -> float:
-    cosine = (np.trace(first @ second.T) - 1) / 2
-    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+def _turn_deg(one: Floats, other: Floats) -> float:
+    """Angle of the turn between two rotations (3, 3)."""
+    return float(np.degrees(Rotation.from_matrix(one @ other.T).magnitude()))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fsinfer.geometry.similarity import Floats, apply
+from fsinfer.geometry.similarity import Floats, apply, scale_of
 
 #: Photos at most so many apart in the walk stand at most so many usual steps apart for each. Source: judgement.
 _NEAR, _MOST_STEPS = 3, 3.0
@@ -37,8 +37,7 @@ class Steps:
         """Whether the part was walked in steps like those of the rest, as far as both tell."""
         if not (self._step and self._part_step):
             return True
-        scale = float(np.cbrt(np.linalg.det(place[:3, :3])))
-        return bool(abs(np.log(scale * self._part_step / self._step)) < np.log(_STEP_RATIO))
+        return bool(abs(np.log(scale_of(place) * self._part_step / self._step)) < np.log(_STEP_RATIO))
 
     def go_on(self, place: Floats) -> bool | None:
         """Whether the part is reached by usual steps from the rest; None where no photos are near each other.

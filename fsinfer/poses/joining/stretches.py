@@ -15,7 +15,7 @@ from fsinfer.poses.colmap import reconstruct
 from fsinfer.poses.joining.parts import join_parts
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.verification.misplaced import drop
-from fsinfer.poses.verification.pair_votes import pair_votes
+from fsinfer.poses.verification.pair_votes import PairVote, pair_votes
 from fsinfer.poses.verification.stretches import stretches_of_walk
 from fsinfer.progress import Progress
 
@@ -24,6 +24,7 @@ _log = logging.getLogger(__name__)
 
 def cut_and_join(
     model: Any,
+    votes: tuple[Sequence[int], Sequence[PairVote]],
     database: Path,
     walk: Sequence[str],
     sightings: Sequence[BoardSighting],
@@ -34,9 +35,10 @@ def cut_and_join(
     """The stretches of ``model``, a ``pycolmap.Reconstruction``, each at its place; None where it was not bent.
 
     Photos of stretches that could not be placed are mapped onto the others, as far as neighbours then agree.
+    ``votes`` are those of :func:`fsinfer.poses.verification.pair_votes.pair_votes` on the model.
     """
-    image_ids, votes = pair_votes(model, database)
-    stretch = stretches_of_walk(votes, len(image_ids), settings.pairs.overlap)
+    image_ids, cast = votes
+    stretch = stretches_of_walk(cast, len(image_ids), settings.pairs.overlap)
     if not len(stretch) or stretch[-1] == 0:
         return None
     parts = []

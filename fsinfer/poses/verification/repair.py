@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from fsinfer.poses.boards import BoardSighting
-from fsinfer.poses.colmap import inliers_by_rank, reconstruct
+from fsinfer.poses.colmap import is_walk, reconstruct
 from fsinfer.poses.joining.stretches import cut_and_join
-from fsinfer.poses.pairs import in_walking_order
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.verification.misplaced import (
     agreeing_matches,
@@ -57,8 +56,7 @@ def repair(
     Rendered plots whose trees share their bark: of 300 photos 24 lay 6.4 m off, of the first 100 of them 20, and all
     are right afterwards; of 200 with a quick turn 8 were wrong, ten are left out afterwards and the others right.
     """
-    ordered = in_walking_order(inliers_by_rank(database, walk), len(walk), settings.pairs)
-    neighbours = settings.pairs.overlap if ordered else 0
+    neighbours = settings.pairs.overlap if is_walk(database, walk, settings) else 0
     return max(
         _candidates(model, database, walk, work, settings, progress, neighbours, sightings),
         key=lambda candidate: agreeing_matches(candidate[0], database, neighbours),
@@ -81,14 +79,14 @@ def _candidates(
     Without the false matches that misled the mapper it finds their true place, or none. Which matches were false is
     judged in several ways. Each comes with the files of the photos that were taken out of it.
     """
+    image_ids, votes = pair_votes(model, database)
     if neighbours and settings.mapper == "incremental":
-        straight = cut_and_join(model, database, walk, sightings, work, settings, progress)
+        straight = cut_and_join(model, (image_ids, votes), database, walk, sightings, work, settings, progress)
         if straight is not None:
             misplaced = _drop_misplaced(straight, database, walk, neighbours, min_share=_STRETCHES_SHARE)
             yield straight, misplaced
             if straight.num_reg_images() == len(walk) and not any(misplaced.values()):
                 return  # nothing can be better
-    image_ids, votes = pair_votes(model, database)
     for stretches, lenient in _WAYS if settings.mapper == "incremental" else ():
         wrong = contradicted(votes, len(image_ids), neighbours=neighbours, stretches=stretches, lenient=lenient)
         if not wrong.any():

@@ -212,7 +212,7 @@ def fit_silhouette(
         weight=weight,
         one_sided_m=parts["one sided"],
         dof=effective_dof(parts, {"edges": dof}),
-        gain=best.gain,
+        gain=np.asarray(np.linalg.solve(best.information, (problem.design * best.precision[:, None]).T)[0]),
     )
 
 
@@ -228,7 +228,7 @@ def edge_contrast(edges: Edges, radius_m: float, *, taper: float, settings: Silh
 
 @dataclass(frozen=True, kw_only=True)
 class _Solution:
-    """Unknowns ``x`` (K,), each edge's probability ``weight`` (N,), gradient ``scores`` (N, K) and ``gain`` (N,)."""
+    """Unknowns ``x`` (K,); of each edge its probability ``weight``, ``precision`` (N,), gradient ``scores`` (N, K)."""
 
     x: Floats
     weight: Floats
@@ -236,7 +236,7 @@ class _Solution:
     information: Floats
     noise_m: float
     log_posterior: float
-    gain: Floats
+    precision: Floats
 
 
 def _surer(circle: _Solution, oval: _Solution, points: tuple[float, float] | None) -> _Solution:
@@ -312,7 +312,7 @@ class _Problem:
         edges, design = self.edges, self.design
         x = self.prior_mean.copy()
         x[[0, 2, 3]], x[6:8] = start, oval
-        first = x.copy()
+        held = np.r_[self.prior_mean[:6], x[6:]]
         noise = LEAST_NOISE_M
         for turn in range(ROUNDS):
             early = turn < len(TOLERANCES_M)
@@ -322,7 +322,7 @@ class _Problem:
             prior, expected = self.prior.copy(), self.prior_mean
             if early:
                 prior[6:] *= ROUND_FIRST**2
-                expected = np.r_[self.prior_mean[:6], first[6:]]
+                expected = held
             information = (design * precision[:, None]).T @ design + np.diag(prior)
             x = np.linalg.solve(information, design.T @ (precision * edges.support_m) + prior * expected)
             residual = edges.support_m - design @ x
@@ -330,15 +330,14 @@ class _Problem:
             noise = float(np.sqrt(max(excess, LEAST_NOISE_M**2)))
         # Starts are compared at one tolerance: a larger noise must not look like a better fit. Nor an unlikely shape.
         _, log_likelihood = self._responsibility(self._log_fit(x, np.hypot(self.pixel, TOLERANCES_M[-1])))
-        log_likelihood -= 0.5 * float((self.prior[6:] * x[6:] ** 2).sum())
         return _Solution(
             x=x,
             weight=weight,
             scores=design * (precision * residual)[:, None],
             information=information,
             noise_m=noise,
-            log_posterior=log_likelihood,
-            gain=np.asarray(np.linalg.solve(information, (design * precision[:, None]).T)[0]),
+            log_posterior=log_likelihood - 0.5 * float((self.prior[6:] * x[6:] ** 2).sum()),
+            precision=precision,
         )
 
     def _log_fit(self, x: Floats, std: Floats) -> Floats:

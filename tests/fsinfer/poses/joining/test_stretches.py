@@ -13,6 +13,7 @@ from fsinfer.geometry.similarity import apply, fit_similarity
 from fsinfer.poses.joining import stretches
 from fsinfer.poses.joining.stretches import cut_and_join
 from fsinfer.poses.settings import PoseSettings
+from fsinfer.poses.verification.pair_votes import pair_votes
 from fsinfer.progress import silent
 
 pycolmap = pytest.importorskip("pycolmap")
@@ -53,6 +54,12 @@ def bend(model: Any, image_ids: list[int]) -> None:
         model.frame(image.frame_id).set_cam_from_world(image.camera_id, pose)
 
 
+def straightened(model: Any, folder: Path, walk: list[str]) -> Any:
+    database = folder / "database.db"
+    votes = pair_votes(model, database)
+    return cut_and_join(model, votes, database, walk, (), folder, PoseSettings(threads=1), silent)
+
+
 def test_a_bent_walk_is_straightened(tmp_path: Path) -> None:
     model = synthetic(tmp_path / "database.db")
     (tmp_path / "images").mkdir()
@@ -60,8 +67,7 @@ def test_a_bent_walk_is_straightened(tmp_path: Path) -> None:
     walk = [model.images[i].name for i in image_ids]
     true = np.array([model.images[i].projection_center() for i in image_ids])
     bend(model, image_ids[7:])
-    settings = PoseSettings(threads=1)
-    straight = cut_and_join(model, tmp_path / "database.db", walk, (), tmp_path, settings, silent)
+    straight = straightened(model, tmp_path, walk)
     assert straight is not None
     assert sorted(straight.reg_image_ids()) == image_ids
     found = np.array([straight.images[i].projection_center() for i in image_ids])
@@ -76,7 +82,7 @@ def test_its_stretches_are_joined_before_the_mapper_goes_on(tmp_path: Path, monk
     walk = [model.images[i].name for i in image_ids]
     bend(model, image_ids[7:])
     monkeypatch.setattr(stretches, "reconstruct", lambda *_given, start: [start])
-    straight = cut_and_join(model, tmp_path / "database.db", walk, (), tmp_path, PoseSettings(threads=1), silent)
+    straight = straightened(model, tmp_path, walk)
     assert straight is not None
     assert sorted(straight.reg_image_ids()) == image_ids
 
@@ -84,5 +90,5 @@ def test_its_stretches_are_joined_before_the_mapper_goes_on(tmp_path: Path, monk
 def test_a_walk_that_was_not_bent_is_left_alone(tmp_path: Path) -> None:
     model = synthetic(tmp_path / "database.db")
     walk = [model.images[i].name for i in sorted(model.reg_image_ids())]
-    assert cut_and_join(model, tmp_path / "database.db", walk, (), tmp_path, PoseSettings(threads=1), silent) is None
+    assert straightened(model, tmp_path, walk) is None
     assert not (tmp_path / "cut").exists()

@@ -57,7 +57,7 @@ def test_an_oval_stem_seen_from_some_sides_has_its_girth(long_deg: float) -> Non
 def solution(radius_m: float, log_posterior: float) -> _Solution:
     none = np.zeros(0)
     return _Solution(
-        x=np.array([radius_m]), weight=none, scores=none, information=none, noise_m=0.001, gain=none,
+        x=np.array([radius_m]), weight=none, scores=none, information=none, noise_m=0.001, precision=none,
         log_posterior=log_posterior,
     )  # fmt: skip
 
