@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fsinfer.poses.verification.misplaced import drop_contradicted
@@ -19,6 +20,7 @@ from fsinfer.poses.verification.pair_votes import (
     outvoted_stretch,
     pair_votes,
     sampson_error,
+    telling,
 )
 
 
@@ -117,6 +119,35 @@ def test_sampson_error_of_true_matches_is_zero_and_grows_with_the_distance() -> 
     # Across the epipolar line (baseline along x, roughly) by 0.01: two rays share the error.
     shifted = sampson_error(one, other + np.array([0, 0.01, 0]), motion)
     assert 0.003 < np.median(shifted) < 0.01
+
+
+def test_what_is_far_away_does_not_vote() -> None:
+    rng = np.random.default_rng(0)
+    near = rng.uniform([-1, -1, 3], [1, 1, 6], (40, 3))
+    far = 4000 * near[:30] + rng.uniform(-900, 900, (30, 3))
+    motion = np.eye(4)
+    motion[:3, :3] = Rotation.from_rotvec([0.1, -0.2, 0.05]).as_matrix()
+    motion[:3, 3] = [0.5, 0.1, -0.2]
+
+    def rays(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        moved = points @ motion[:3, :3].T + motion[:3, 3]
+        return points / points[:, 2:], moved / moved[:, 2:]
+
+    both = np.concatenate([near, far])
+    assert telling(*rays(both), motion, 0.003, 0.006) == (40, 40)
+    # One camera was put 15 m aside: what is far away fits there as well, what is near does not.
+    aside = motion.copy()
+    aside[:3, 3] = [-2.0, 15.0, 1.0]
+    tell, fit = telling(*rays(both), aside, 0.003, 0.006)
+    assert tell == 40
+    assert fit <= 4
+    assert telling(*rays(far), aside, 0.003, 0.006) == (0, 0)
+    # A wrong turn contradicts what is far away as well.
+    turned = motion.copy()
+    turned[:3, :3] = Rotation.from_rotvec([0.1, -0.1, 0.05]).as_matrix()
+    tell, fit = telling(*rays(far), turned, 0.003, 0.006)
+    assert tell == 30
+    assert fit <= 8
 
 
 def test_a_moved_photo_leaves_the_model(tmp_path: Path) -> None:
