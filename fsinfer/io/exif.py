@@ -8,19 +8,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fsinfer.errors import ImageError
+from fsinfer.io.gravity import EXIF_IFD, USER_COMMENT, gravity_comment, noted_gravity
 from fsinfer.io.images import image_size, open_header
 
 if TYPE_CHECKING:
     from PIL.Image import Exif
 
-#: Tags of the camera and its lens, and the part of the file that the lens stands in. Source: format; Exif 2.32.
-_EXIF_IFD, _MAKE, _MODEL, _FOCAL_LENGTH, _FOCAL_LENGTH_35MM = 0x8769, 0x010F, 0x0110, 0x920A, 0xA405
+#: Tags of the camera and its lens. Source: format; Exif 2.32.
+_MAKE, _MODEL, _FOCAL_LENGTH, _FOCAL_LENGTH_35MM = 0x010F, 0x0110, 0x920A, 0xA405
 #: Tags of the place, and the part of the file that they stand in. Source: format; Exif 2.32.
 _GNSS_IFD, _LATITUDE_REF, _LATITUDE, _LONGITUDE_REF, _LONGITUDE = 0x8825, 1, 2, 3, 4
 
 
 def camera_exif(path: Path | str) -> bytes | None:
-    """Metadata for a copy that is written upright: maker, model and focal length, nothing about the place.
+    """Metadata for a copy that is written upright: maker, model, focal length, gravity, nothing about the place.
 
     Returns
     -------
@@ -39,9 +40,24 @@ def camera_exif(path: Path | str) -> bytes | None:
         if tag in tags:
             kept[tag] = tags[tag]
     kept_lens = {tag: lens[tag] for tag in (_FOCAL_LENGTH, _FOCAL_LENGTH_35MM) if tag in lens}
+    gravity = noted_gravity(path)
+    if gravity is not None:
+        kept_lens[USER_COMMENT] = gravity_comment(gravity)
     if kept_lens:
-        kept.get_ifd(_EXIF_IFD).update(kept_lens)
+        kept.get_ifd(EXIF_IFD).update(kept_lens)
     return kept.tobytes() if len(kept) or kept_lens else None
+
+
+def gravity_exif(path: Path | str) -> bytes | None:
+    """Metadata for a picture that was made of a photo without turning it: gravity alone, if the phone noted it."""
+    from PIL import Image
+
+    gravity = noted_gravity(path)
+    if gravity is None:
+        return None
+    kept = Image.Exif()
+    kept.get_ifd(EXIF_IFD)[USER_COMMENT] = gravity_comment(gravity)
+    return kept.tobytes()
 
 
 def named_camera_exif(model: str) -> bytes:
@@ -94,7 +110,7 @@ def _read_exif(path: Path) -> tuple[Exif, dict[int, object]]:
     with image:
         tags = image.getexif()
         try:
-            lens = dict(tags.get_ifd(_EXIF_IFD))
+            lens = dict(tags.get_ifd(EXIF_IFD))
         except (KeyError, ValueError, TypeError, OSError):
             # Broken metadata is common after editing, and only costs the focal length prior.
             lens = {}

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.geometry.similarity import apply, compose, rotation_of, scaling
-from fsinfer.placement.level import LevelSettings, level
+from fsinfer.io.gravity import noted_gravity
+from fsinfer.placement.level import level
+from fsinfer.placement.settings import LevelSettings
 
 if TYPE_CHECKING:
     from fsinfer.io.cloud import PointCloud
@@ -87,8 +89,16 @@ def level_scene(
     # People tilt a phone up or down more than they roll it: its horizontal axis tells what is level.
     right = np.array([view.camera.cam_from_world[0, :3] for view in scene.views])
     scale = 1.0 if m_per_unit is None else m_per_unit
-    plot_from_scene = compose(scaling(scale), level(points, centers, down, camera_right=right, settings=settings))
+    levelled = level(points, centers, down, camera_right=right, gravity=_gravity_of(scene), settings=settings)
+    plot_from_scene = compose(scaling(scale), levelled)
     return plot_from_scene, float(np.median(centers @ plot_from_scene[2, :3] + plot_from_scene[2, 3]))
+
+
+def _gravity_of(scene: Scene) -> NDArray[np.float64]:
+    """(G, 3) unit vectors to the ground, in scene coordinates, of the views whose phone noted it."""
+    noted = ((view.camera, noted_gravity(view.image_path)) for view in scene.views)
+    down = [camera.cam_from_world[:3, :3].T @ gravity for camera, gravity in noted if gravity is not None]
+    return np.array(down).reshape(-1, 3)
 
 
 def transform_cloud(cloud: PointCloud, similarity: NDArray[np.float64]) -> PointCloud:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from fsinfer.errors import ImageError, OutputError, PosesError
-from fsinfer.io.exif import camera_exif, camera_key
+from fsinfer.io.exif import camera_exif, camera_key, gravity_exif
 from fsinfer.io.files import make_folder, write_text
 from fsinfer.io.images import is_upright_jpeg_or_png, list_images, read_image, write_image
 from fsinfer.notices.capture import CaptureCode
@@ -237,12 +237,13 @@ def _write_scene(
         progress(done, len(image_ids), "undistorting")
         image = model.images[image_id]
         target = out / "images" / f"{name}.jpg"
-        pixels = read_image(by_file[image.name].source)
+        source = by_file[image.name].source
+        pixels = read_image(source)
         map_of = maps[image.camera_id]
         if image_id in adjustment.effects:
             lens, pinhole = lenses[image.camera_id], model.cameras[image.camera_id]
             map_of = maps_of_photo(map_of, lens, pinhole, adjustment.effects[image_id])
-        write_image(target, undistort(pixels, map_of), quality=settings.jpeg_quality)
+        write_image(target, undistort(pixels, map_of), quality=settings.jpeg_quality, exif=gravity_exif(source))
     for image_id in image_ids.values():
         image = model.images[image_id]
         image.name = f"{by_file[image.name].name}.jpg"

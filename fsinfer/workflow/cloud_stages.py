@@ -20,8 +20,8 @@ from fsinfer.fusion.fuse import FusionSettings, fuse, most_points
 from fsinfer.io.cloud import read_cloud, write_cloud
 from fsinfer.notices.notice import Notice
 from fsinfer.output.plot_json import read_plot
-from fsinfer.placement.level import LevelSettings
 from fsinfer.placement.place import density_per_m2, place_cloud
+from fsinfer.placement.settings import LevelSettings
 from fsinfer.poses.sparse import read_sparse
 from fsinfer.progress import StageProgress, silent_stages
 from fsinfer.scale.doubts import EarlierScale, doubt_endpoints, doubt_height, unknown_error
@@ -65,7 +65,7 @@ DEPTH = Stage(name="depth", version=1, result=DepthResult, outputs=("depth", "co
 CHECK = Stage(name="check", version=1, result=DepthCheck)
 FUSE = Stage(name="fuse", version=1, result=FusedCloud, outputs=("fused",))
 SCALE = Stage(name="scale", version=1, result=FoundScale)
-CLOUD = Stage(name="cloud", version=1, result=PlotCloud, outputs=("cloud.ply", "cloud.laz"))
+CLOUD = Stage(name="cloud", version=2, result=PlotCloud, outputs=("cloud.ply", "cloud.laz"))
 
 
 def model_digest(settings: DepthSettings) -> str:

@@ -10,7 +10,7 @@ from fsinfer.depth.sfm_check import SfmCheckSettings
 from fsinfer.frames.select import FrameSettings
 from fsinfer.fusion.fuse import FusionSettings
 from fsinfer.output.json_values import as_json
-from fsinfer.placement.level import LevelSettings
+from fsinfer.placement.settings import LevelSettings
 from fsinfer.plot_border.request import BorderRequest
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.scale.request import ScaleRequest

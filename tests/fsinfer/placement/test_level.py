@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -5,7 +7,12 @@ from scipy.spatial.transform import Rotation
 
 from fsinfer.errors import CloudError
 from fsinfer.io.cloud import read_cloud
-from fsinfer.placement.level import estimate_up, ground_plane, level, sample_normals
+from fsinfer.placement.ground_plane import ground_plane
+from fsinfer.placement.level import level
+from fsinfer.placement.place import level_scene
+from fsinfer.placement.up import estimate_up, sample_normals
+from fsinfer.scene import Camera, Scene, View
+from tests.support.apple_note import phone_photo
 from tests.support.places import DATA
 
 # Points, camera centres, and the image axes down and right of every camera.
@@ -206,3 +213,66 @@ def test_laser_scan_of_pines_is_found_upright() -> None:
     levelled = points @ motion[:3, :3].T + motion[:3, 3]
     near = np.hypot(levelled[:, 0], levelled[:, 1]) < 1.5
     assert abs(np.percentile(levelled[near, 2], 5)) < 0.2
+
+
+def noted(turn: NDArray[np.float64], *, count: int = 12, error_deg: float = 1.2, seed: int = 5) -> NDArray[np.float64]:
+    """Gravity as phones noted it, in the coordinates of a plot that was turned."""
+    rng = np.random.default_rng(seed)
+    return -turn[:, 2] + np.radians(rng.normal(0, error_deg, (count, 3)))
+
+
+def test_noted_gravity_rights_one_leaning_tree_that_all_cameras_look_at_from_one_side() -> None:
+    turn, (points, centers, down, right) = move(make_plot(stems=1, together_deg=7.0))
+    few = slice(0, 6)
+    up, method = estimate_up(points, None, right[few], down[few], camera_centers=centers[few])
+    assert angle_deg(up, turn[:, 2]) > 3
+    up, method = estimate_up(points, None, right[few], down[few], gravity=noted(turn), camera_centers=centers[few])
+    assert method == "gravity and leaning stems"
+    assert angle_deg(up, turn[:, 2]) < 1.2
+
+
+def test_noted_gravity_is_enough_where_nothing_stands() -> None:
+    turn, (points, centers, down, right) = move(make_plot(slope_deg=15, stems=0, pitch_deg=30))
+    few = slice(0, 4)
+    up, method = estimate_up(points, None, right[few], down[few], gravity=noted(turn), camera_centers=centers[few])
+    assert method == "gravity"
+    assert angle_deg(up, turn[:, 2]) < 1.2
+    # One of twelve taken in a fall does not turn the plot.
+    shaken = noted(turn)
+    shaken[4] = turn[:, 0]
+    up, method = estimate_up(points, None, right[few], down[few], gravity=shaken, camera_centers=centers[few])
+    assert method == "gravity"
+    assert angle_deg(up, turn[:, 2]) < 1.5
+
+
+def test_upright_stems_are_surer_than_what_a_phone_noted() -> None:
+    turn, (points, centers, down, right) = move(make_plot())
+    up, method = estimate_up(points, None, right, down, gravity=noted(turn), camera_centers=centers)
+    assert method == "stems"
+    assert angle_deg(up, turn[:, 2]) < 0.3
+
+
+@pytest.mark.parametrize("wrong", ["few", "at odds"])
+def test_notes_that_are_worth_nothing_are_left_alone(wrong: str) -> None:
+    turn, (points, centers, down, right) = move(make_plot(slope_deg=15, stems=0))
+    gravity = noted(turn, count=3) if wrong == "few" else noted(turn, error_deg=20.0)
+    up, method = estimate_up(points, None, right, down, gravity=gravity, camera_centers=centers)
+    assert method == "cameras"
+    assert angle_deg(up, turn[:, 2]) < 1.5
+
+
+def test_a_scene_tells_gravity_by_the_notes_of_its_photographs(tmp_path: Path) -> None:
+    parts = make_plot(stems=1, together_deg=7.0)
+    turn, (points, centers, down, right) = move(parts)
+    views = []
+    for number in range(6):
+        rows = np.stack([right[number], down[number], np.cross(right[number], down[number])])
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = rows, -rows @ centers[number]
+        # The phone, held upright, feels gravity in its own axes: right, top, out of the screen.
+        felt = np.array([1.0, -1.0, -1.0]) * (rows @ -turn[:, 2])
+        image = phone_photo(tmp_path / f"{number}.jpg", list(felt), 6)
+        camera = Camera(intrinsic=np.diag([100.0, 100.0, 1.0]), cam_from_world=pose, depth_min=1.0, depth_max=9.0)
+        views.append(View(name=str(number), image_path=image, camera=camera, sources=()))
+    plot_from_scene, _ = level_scene(points, Scene(folder=tmp_path, views=tuple(views)))
+    assert angle_deg(plot_from_scene[2, :3], turn[:, 2]) < 1.0

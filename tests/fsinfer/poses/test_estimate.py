@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from fsinfer.errors import FsinferError, ImageError, OutputError, PosesError
+from fsinfer.io.gravity import noted_gravity
 from fsinfer.io.images import image_size, read_image, write_image
 from fsinfer.notices.sentences import sentence
 from fsinfer.poses.estimate import PosesResult, estimate_poses
@@ -21,6 +22,7 @@ from fsinfer.poses.sparse import read_sparse
 from fsinfer.progress import Progress
 from fsinfer.scene import Scene, read_scene
 from fsinfer.workflow.single_stages import poses_of
+from tests.support.apple_note import phone_exif
 from tests.support.places import DATA
 from tests.support.rendered_room import photographs, poses
 
@@ -33,7 +35,8 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("room")
     for index, image in enumerate(photographs()):
         # A space and an umlaut: names come from phones and people.
-        write_image(folder / "photos" / f"Bäume {index}.png", image)
+        note = phone_exif((-1.0, 0.1, -0.02 * index), 1, maker=None).tobytes()
+        write_image(folder / "photos" / f"Bäume {index}.png", image, exif=note)
     (folder / "photos" / "cut.jpg").write_bytes(b"\xff\xd8\xff\xe0 this is no photograph")
     return folder
 
@@ -55,6 +58,15 @@ def test_every_readable_photo_is_placed_and_the_damaged_one_is_named(result: Pos
     record = json.loads((result.scene / "poses.json").read_text(encoding="utf-8"))
     assert (record["photos"], record["registered"]) == (9, 8)
     assert record["mean_reprojection_error_px"] < 1
+
+
+def test_the_scene_keeps_which_way_gravity_pulled(room: Path, scene: Scene) -> None:
+    for view in scene.views:
+        given = noted_gravity(room / "photos" / f"{view.name}.png")
+        kept = noted_gravity(view.image_path)
+        assert given is not None
+        assert kept is not None
+        np.testing.assert_allclose(kept, given, atol=1e-4)
 
 
 def test_cameras_agree_with_the_truth_up_to_a_similarity(scene: Scene) -> None:
