@@ -1,6 +1,6 @@
 """Which of a phone's effects tears a walk: each alone and doubled, ours beside COLMAP's default settings.
 
-python -m tests.bench.effects OUT --textures PHOTOS [--photos 60] [--step 3] [--only wind rolling] [--colmap]
+python -m tests.bench.effects OUT --textures PHOTOS [--photos 60] [--width 960 --height 540] [--only wind] [--colmap]
 
 Each effect is rendered on the same walk through the same plot (``training.synthesize --effect``), its photographs are
 mapped by ``estimate_poses``, by the same without a second look (``cheap``), and with ``--colmap`` by COLMAP's default
@@ -180,6 +180,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--texture-names")
     parser.add_argument("--seed", type=int, default=881000)
     parser.add_argument("--photos", type=int, default=60)
+    parser.add_argument("--width", type=int, default=1280, help="what is told in pixels is not made smaller with it")
+    parser.add_argument("--height", type=int, default=720)
     parser.add_argument("--step", type=int, default=1, help="of the rendered photographs every so many-th is used")
     parser.add_argument("--only", nargs="*", default=[], choices=[*cases([])], metavar="CASE")
     parser.add_argument("--colmap", action="store_true", help="COLMAP's default settings beside; minutes a case")
@@ -193,7 +195,8 @@ def main(argv: list[str] | None = None) -> int:
             textures = ["--textures", str(args.textures)] if args.textures else []
             textures += ["--texture-names", args.texture_names] if args.texture_names else []
             walk = ["--kind", "plot", "--seed", str(args.seed), "--photos", str(args.photos), "--trees", "16"]
-            synthesize([str(plot), *walk, "--radius-m", "5", *textures, *options])
+            size = ["--width", str(args.width), "--height", str(args.height)]
+            synthesize([str(plot), *walk, "--radius-m", "5", *size, *textures, *options])
             done.write_text(json.dumps(measured(name, plot, args.out, args)) + "\n", encoding="utf-8")
         row = json.loads(done.read_text(encoding="utf-8"))
         rows.append(row)
@@ -201,7 +204,7 @@ def main(argv: list[str] | None = None) -> int:
     figures = {
         f"{row['case']}_{key}": value for row in rows for key, value in row.items() if isinstance(value, int | float)
     }
-    settings = {"seed": args.seed, "photos": args.photos, "step": args.step}
+    settings = {"seed": args.seed, "photos": args.photos, "step": args.step, "size": [args.width, args.height]}
     save_result(args, figures, module="tests.bench.effects", arguments=argv, settings=settings)
     return 0
 

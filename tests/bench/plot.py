@@ -31,6 +31,7 @@ from fsinfer.scene import read_scene
 from fsinfer.trees.outputs.table import read_trees
 from fsinfer.workflow.pipeline import run
 from fsinfer.workflow.settings import RunSettings
+from tests.bench.classes import MeasuredStem, class_figures, class_lines, nearest_m, truth_of_stems
 from tests.bench.results import add_result_options, check_result_options, save_result
 
 # Photos doubled before looking for features, as COLMAP does, and half as many neighbours again; six source views in
@@ -172,13 +173,26 @@ def main(argv: list[str] | None = None) -> int:
     result = evaluate(read_measured(args.plot / "truth.csv"), trees, align="never", area_margin_m=1.0)
     by_id = {str(tree.tree_id): tree for tree in trees}
     inside = []
+    stems = []
+    true_stems = truth_of_stems(args.plot / "truth.csv")
     for pair in result.pairs:
         tree = by_id[pair.extracted_id]
         if pair.extracted_cm is None:
             print(f"tree {pair.measured_id:>3}: {pair.measured_cm:6.2f} cm, not measured: {tree.reason}")
             continue
         low, high = tree.dbh_lo95_cm or 0.0, tree.dbh_hi95_cm or 0.0
-        inside.append(low <= pair.measured_cm <= high)
+        lean_deg, place = true_stems[pair.measured_id]
+        stem = MeasuredStem(
+            true_cm=pair.measured_cm,
+            found_cm=pair.extracted_cm,
+            low_cm=low,
+            high_cm=high,
+            sides=tree.arc_coverage,
+            lean_deg=lean_deg,
+            camera_m=nearest_m(place, expected),
+        )
+        stems.append(stem)
+        inside.append(stem.inside)
         print(
             f"tree {pair.measured_id:>3}: {pair.measured_cm:6.2f} cm, found {pair.extracted_cm:6.2f} "
             f"[{low:.2f}, {high:.2f}], error {pair.extracted_cm - pair.measured_cm:+5.2f}, "
@@ -198,6 +212,8 @@ def main(argv: list[str] | None = None) -> int:
         f"MAE {result.mae_cm or np.nan:.2f} cm, AE {100 * (result.ae or np.nan):.1f} %, "
         f"in their interval {sum(inside)} of {len(inside)}"
     )
+    by_class = class_figures(stems)
+    print("\n".join(class_lines(by_class)))
     sources = source_errors(args.out / "dbh_sources.csv", {p.extracted_id: p.measured_cm for p in result.pairs})
     print("seconds", summary["seconds"], "peak MB", summary["peak_rss_mb"])
     plot_evaluation(result, args.out / "evaluation.png")
@@ -207,6 +223,7 @@ def main(argv: list[str] | None = None) -> int:
         "cameras_worst_mm": 1000 * float(residual.max()),
         "scale_error_percent": 100 * (1 / scale - 1),
         **tree_figures(result, inside),
+        **by_class,
         **sources,
     }
     drawn = {"plot": plot_settings(args.plot), "precision": summary.get("model_precision")}

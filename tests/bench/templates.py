@@ -6,10 +6,15 @@ show, good or bad. The headline takes blind sets only.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
+from tests.bench.classes import CLASSES as STEM_CLASSES
 from tests.bench.results import RESULTS, Result, read_result
+
+#: How the figures of a class of stems of a rendered plot begin.
+CLASS_PREFIXES = tuple(prefix for prefix, _ in STEM_CLASSES.values())
 
 Lines = list[str]
 Template = Callable[[Sequence[Result]], Lines]
@@ -214,6 +219,31 @@ def classes(results: Sequence[Result]) -> Lines:
     )
 
 
+def plot_classes(results: Sequence[Result]) -> Lines:
+    """Coverage by class over the stems of several rendered plots together."""
+    sums = Counter[str]()
+    for result in results:
+        sums.update({key: value for key, value in result.figures.items() if key.startswith(CLASS_PREFIXES)})
+    rows = []
+    for name, (prefix, _) in STEM_CLASSES.items():
+        count = sums[f"{prefix}stems"]
+        if not count:
+            rows.append([name, "0", *["not measured"] * 4])
+            continue
+        rows.append(
+            [
+                name,
+                f"{count:g}",
+                f"{number((sums[f'{prefix}error_squares_cm2'] / count) ** 0.5, '.2f')} cm",
+                f"{number(sums[f'{prefix}error_sum_cm'] / count, '+.2f')} cm",
+                f"{sums[f'{prefix}inside']:g}",
+                f"± {number(sums[f'{prefix}half_width_sum_cm'] / count, '.2f')} cm",
+            ]
+        )
+    head = ["class", "stems with a DBH", "RMSE", "bias", "inside their 95 % interval", "interval, mean"]
+    return table(head, rows)
+
+
 def error(result: Result, prefix: str) -> str:
     """RMSE and bias of one group."""
     return f"{known(result, f'{prefix}rmse_cm', '.2f', ' cm')}, {known(result, f'{prefix}bias_cm', '+.2f', ' cm')}"
@@ -252,5 +282,6 @@ TEMPLATES: dict[str, Template] = {
     "plots": plots,
     "stems": stems,
     "classes": classes,
+    "plot-classes": plot_classes,
     "index": index,
 }
