@@ -85,8 +85,8 @@ def _candidates(
         if straight is not None:
             misplaced = _drop_misplaced(straight, database, walk, neighbours, min_share=_STRETCHES_SHARE)
             yield straight, misplaced
-            if straight.num_reg_images() == len(walk) and not any(misplaced.values()):
-                return  # nothing can be better
+            if straight.num_reg_images() >= settings.thorough.min_share * len(walk):
+                return  # what is still missing is not worth mapping the walk three times more
     for stretches, lenient in _WAYS if settings.mapper == "incremental" else ():
         wrong = contradicted(votes, len(image_ids), neighbours=neighbours, stretches=stretches, lenient=lenient)
         if not wrong.any():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fsinfer.poses.settings import PoseSettings
-from fsinfer.poses.verification.misplaced import agreeing_matches, drop_strays, without_pairs
+from fsinfer.poses.verification.misplaced import agreeing_matches, drop, drop_strays, without_pairs
 from fsinfer.poses.verification.pair_votes import PairVote
 from fsinfer.poses.verification.repair import repair
 from fsinfer.progress import silent
@@ -104,3 +105,35 @@ def test_a_walk_begun_anew_elsewhere_stays_where_its_matches_vouch_for_it(
     # Without matches nothing vouches for it.
     model = _Model(images)
     assert set(drop_strays(model, walk)) == set(walk[80:])
+
+
+@pytest.mark.parametrize(("missing", "mapped_again"), [(1, False), (2, True)])
+def test_a_straightened_walk_is_mapped_again_only_where_much_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, missing: int, mapped_again: bool
+) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig = 1, 1, 40
+    options.num_points3D = 100
+    database = tmp_path / "database.db"
+    with pycolmap.Database.open(database) as opened:
+        model = pycolmap.synthesize_dataset(options, opened)
+    image_ids = sorted(model.reg_image_ids())
+    walk = [model.images[i].name for i in image_ids]
+    straight = deepcopy(model)
+    drop(straight, image_ids[5 : 5 + missing])
+    # The mapper's own model is bent in the middle.
+    for image_id in image_ids[20:]:
+        image = model.images[image_id]
+        turn = pycolmap.Rotation3d(Rotation.from_rotvec([0.0, 0.4, 0.1]).as_quat())
+        pose = pycolmap.Rigid3d(turn, np.array([0.6, 0.0, 0.2])) * image.cam_from_world()
+        model.frame(image.frame_id).set_cam_from_world(image.camera_id, pose)
+    again: list[Path] = []
+    monkeypatch.setattr("fsinfer.poses.verification.repair.is_walk", lambda *_: True)
+    monkeypatch.setattr("fsinfer.poses.verification.repair.cut_and_join", lambda *_: straight)
+    monkeypatch.setattr(
+        "fsinfer.poses.verification.repair.reconstruct", lambda *given, **_: again.append(given[2]) or []
+    )
+    repaired, _ = repair(model, database, walk, tmp_path, PoseSettings(threads=1), silent)
+    assert repaired.num_reg_images() == 40 - missing
+    assert bool(again) is mapped_again
