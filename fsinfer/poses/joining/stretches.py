@@ -15,7 +15,7 @@ from fsinfer.poses.colmap import reconstruct
 from fsinfer.poses.joining.parts import join_parts
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.verification.misplaced import drop
-from fsinfer.poses.verification.pair_votes import PairVote, pair_votes
+from fsinfer.poses.verification.pair_votes import PairVote, pair_votes, telling_votes
 from fsinfer.poses.verification.stretches import stretches_of_walk
 from fsinfer.progress import Progress
 
@@ -38,7 +38,7 @@ def cut_and_join(
     ``votes`` are those of :func:`fsinfer.poses.verification.pair_votes.pair_votes` on the model.
     """
     image_ids, cast = votes
-    stretch = stretches_of_walk(cast, len(image_ids), settings.pairs.overlap)
+    stretch = stretches_of_walk(telling_votes(cast), len(image_ids), settings.pairs.overlap)
     if not len(stretch) or stretch[-1] == 0:
         return None
     parts = []
@@ -64,6 +64,6 @@ def cut_and_join(
 def _bent_again(model: Any, database: Path, placed: set[int], neighbours: int) -> list[int]:
     """Photos that the mapper put where their neighbours contradict it, of those that were not ``placed`` before."""
     image_ids, votes = pair_votes(model, database)
-    stretch = stretches_of_walk(votes, len(image_ids), neighbours)
+    stretch = stretches_of_walk(telling_votes(votes), len(image_ids), neighbours)
     trusted = {int(own) for image_id, own in zip(image_ids, stretch, strict=True) if image_id in placed}
     return [image_id for image_id, own in zip(image_ids, stretch, strict=True) if int(own) not in trusted]

@@ -68,13 +68,15 @@ def _vouched_for(
     return vouched
 
 
-def drop_contradicted(model: Any, database: Path, neighbours: int = 0, *, min_share: float = MIN_SHARE) -> list[str]:
+def drop_contradicted(
+    model: Any, database: Path, neighbours: int = 0, *, min_share: float = MIN_SHARE, parts: bool = True
+) -> list[str]:
     """Take photos whose own matches speak against their place out of the model; returns their files.
 
-    ``neighbours``, ``min_share``: see :func:`fsinfer.poses.verification.pair_votes.contradicted`.
+    ``neighbours``, ``min_share``, ``parts``: see :func:`fsinfer.poses.verification.pair_votes.contradicted`.
     """
     image_ids, votes = pair_votes(model, database)
-    wrong = contradicted(votes, len(image_ids), neighbours=neighbours, min_share=min_share)
+    wrong = contradicted(votes, len(image_ids), neighbours=neighbours, min_share=min_share, parts=parts)
     return drop(model, [image_id for image_id, is_wrong in zip(image_ids, wrong, strict=True) if is_wrong])
 
 

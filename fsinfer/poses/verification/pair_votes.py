@@ -26,8 +26,8 @@ MIN_SHARE = 0.6
 #: Source: judgement.
 AGREEING_SHARE, MAX_ERROR_PX = 0.6, 3.0
 #: Matches that lie this near to where the turn alone takes them are of trees far away: they fit wherever both photos
-#: stood, and have no vote. Source: judgement, twice the pixels above; on a rendered walk nearly half of the matches
-#: over a bend were such ones, and hid that one side of it stood 15 m away.
+#: stood. Source: judgement, twice the pixels above; on a rendered walk nearly half of the matches over a bend were such
+#: ones, and hid that one side of it stood 15 m away.
 _LEAST_PARALLAX_PX = 6.0
 #: Neighbours in a walk look at the same trees, while look-alikes stand apart, so that their matches count more. Source:
 #: a rendered plot of 300: with 1 its 20 wrong photos had 0.51 of their matches for them and the same photos rightly
@@ -41,12 +41,20 @@ CLOSE_WEIGHT, _CLOSE = 24.0, 3
 
 @dataclass(frozen=True, kw_only=True)
 class PairVote:
-    """What the matches between two photos say about their places; photos by number."""
+    """What the matches between two photos say about their places; photos by number.
+
+    Attributes
+    ----------
+    matches, agrees: of all matches. telling, telling_agrees: without those of what is far away, which fit wherever the
+        two photos stood; see :func:`telling`.
+    """
 
     first: int
     second: int
     matches: int
     agrees: bool
+    telling: int = 0
+    telling_agrees: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,6 +95,7 @@ def contradicted(
     stretches: str = "after",
     lenient: bool = False,
     neighbours: int = 0,
+    parts: bool = True,
 ) -> NDArray[np.bool_]:
     """Whether the matches of each of ``count`` photos speak against its place, (count,) bool.
 
@@ -95,7 +104,8 @@ def contradicted(
     when one of its edges is cut, and stretches of photos that follow each other in the walk (their numbers), which
     false ties may hold more firmly than true ones. The most contradicted part is wrong; where no part is, the most
     contradicted photo; then votes are counted again without them, until no more are found. A photo without any vote
-    is left alone. ``stretches`` are looked at ``before`` the parts of the tree, ``after`` them, or ``never``.
+    is left alone. ``stretches`` are looked at ``before`` the parts of the tree, ``after`` them, or ``never``. Without
+    ``parts`` only single photos can be found wrong.
 
     Matches between photos that follow each other within ``neighbours`` count more, see ``NEIGHBOUR_WEIGHT`` and
     ``CLOSE_WEIGHT``; 0 where photos are in no order.
@@ -104,9 +114,10 @@ def contradicted(
     left. Photos that false matches tie to them come back as well.
     """
     ballot = Ballot.of(votes, neighbours)
-    looks = {"before": (outvoted_stretch, _outvoted_part), "after": (_outvoted_part, outvoted_stretch)}.get(
+    of_parts = {"before": (outvoted_stretch, _outvoted_part), "after": (_outvoted_part, outvoted_stretch)}.get(
         stretches, (_outvoted_part,)
     )
+    looks = of_parts if parts else ()
     wrong = np.zeros(count, dtype=bool)
     while True:
         left = ballot.only(np.asarray(~wrong[ballot.ends].any(axis=1)))
@@ -237,10 +248,24 @@ def _votes(model: Any, database: Path, image_ids: list[int]) -> Iterator[PairVot
             one, other = rays[first][matches[:, 0]], rays[second][matches[:, 1]]
             focal = 0.5 * sum(focal_px[model.images[i].camera_id] for i in (first, second))
             motion = poses[second] @ np.linalg.inv(poses[first])
-            tell, fit = telling(one, other, motion, MAX_ERROR_PX / focal, _LEAST_PARALLAX_PX / focal)
-            if tell >= MIN_INLIERS:
-                agrees = fit > AGREEING_SHARE * tell
-                yield PairVote(first=number[first], second=number[second], matches=tell, agrees=agrees)
+            fits, tells = telling(one, other, motion, MAX_ERROR_PX / focal, _LEAST_PARALLAX_PX / focal)
+            yield PairVote(
+                first=number[first],
+                second=number[second],
+                matches=len(matches),
+                agrees=bool(fits.mean() > AGREEING_SHARE),
+                telling=int(tells.sum()),
+                telling_agrees=bool((fits & tells).sum() > AGREEING_SHARE * tells.sum()),
+            )
+
+
+def telling_votes(votes: Sequence[PairVote]) -> list[PairVote]:
+    """The votes of the matches that tell how two photos stand to each other, of pairs that have enough of these."""
+    return [
+        PairVote(first=vote.first, second=vote.second, matches=vote.telling, agrees=vote.telling_agrees)
+        for vote in votes
+        if vote.telling >= MIN_INLIERS
+    ]
 
 
 def telling(
@@ -249,8 +274,8 @@ def telling(
     other_from_one: NDArray[np.float64],
     max_error: float,
     least_parallax: float,
-) -> tuple[int, int]:
-    """How many matches tell how two cameras stand to each other, and how many of these fit a motion between them.
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which matches (N,) fit a motion between two cameras, and which tell how these stand to each other.
 
     What the turn alone explains tells nothing: it is too far away, and fits whatever lies between the cameras.
 
@@ -262,7 +287,7 @@ def telling(
     """
     fits = sampson_error(one, other, other_from_one) < max_error
     tells = ~fits | (parallax(one, other, other_from_one[:3, :3]) > least_parallax)
-    return int(tells.sum()), int((fits & tells).sum())
+    return fits, tells
 
 
 def parallax(one: NDArray[np.float64], other: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.float64]:

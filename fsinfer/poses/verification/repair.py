@@ -19,17 +19,12 @@ from fsinfer.poses.verification.misplaced import (
     drop_strays,
     without_pairs,
 )
-from fsinfer.poses.verification.pair_votes import MIN_SHARE, contradicted, false_pairs, pair_votes
+from fsinfer.poses.verification.pair_votes import contradicted, false_pairs, pair_votes
 from fsinfer.progress import Progress
 
 # How photos are judged before they are mapped again, see :func:`fsinfer.poses.verification.pair_votes.contradicted`:
 # none of these ways was the best on all plots.
 _WAYS = (("never", False), ("before", False), ("never", True))
-
-#: Of the matches of stretches that were put together by evidence of their own, the share that must speak for it.
-#: Source: judgement; on a rendered plot two straight walks that were right to 24 mm had 0.58: a walk begun anew has no
-#: true neighbours, and false matches with these count much.
-_STRETCHES_SHARE = 0.4
 
 
 def repair(
@@ -83,7 +78,7 @@ def _candidates(
     if neighbours and settings.mapper == "incremental":
         straight = cut_and_join(model, (image_ids, votes), database, walk, sightings, work, settings, progress)
         if straight is not None:
-            misplaced = _drop_misplaced(straight, database, walk, neighbours, min_share=_STRETCHES_SHARE)
+            misplaced = _drop_misplaced(straight, database, walk, neighbours, joined=True)
             yield straight, misplaced
             if straight.num_reg_images() >= settings.thorough.min_share * len(walk):
                 return  # what is still missing is not worth mapping the walk three times more
@@ -108,12 +103,16 @@ def _candidates(
 
 
 def _drop_misplaced(
-    model: Any, database: Path, walk: Sequence[str], neighbours: int, *, min_share: float = MIN_SHARE
+    model: Any, database: Path, walk: Sequence[str], neighbours: int, *, joined: bool = False
 ) -> dict[str, list[str]]:
-    """Take photos that are placed wrongly out of the model; returns their files by reason."""
+    """Take photos that are placed wrongly out of the model; returns their files by reason.
+
+    Parts that were ``joined`` by evidence of their own are not outvoted: a walk begun anew has no true neighbours, and
+    false matches with these count much. Of two straight walks, right to 20 mm, less than two fifths of the votes were.
+    """
     return {
         "astray": drop_strays(model, walk, database),
         # All matches vote, so that no photo comes back whose true matches were taken for false ones.
-        "contradicted": drop_contradicted(model, database, neighbours, min_share=min_share),
+        "contradicted": drop_contradicted(model, database, neighbours, parts=not joined),
         "loose": drop_loose_parts(model),
     }

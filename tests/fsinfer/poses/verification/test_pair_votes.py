@@ -21,6 +21,7 @@ from fsinfer.poses.verification.pair_votes import (
     pair_votes,
     sampson_error,
     telling,
+    telling_votes,
 )
 
 
@@ -133,21 +134,46 @@ def test_what_is_far_away_does_not_vote() -> None:
         moved = points @ motion[:3, :3].T + motion[:3, 3]
         return points / points[:, 2:], moved / moved[:, 2:]
 
+    def counts(points: NDArray[np.float64], assumed: NDArray[np.float64]) -> tuple[int, int, int]:
+        fits, tells = telling(*rays(points), assumed, 0.003, 0.006)
+        return int(fits.sum()), int(tells.sum()), int((fits & tells).sum())
+
     both = np.concatenate([near, far])
-    assert telling(*rays(both), motion, 0.003, 0.006) == (40, 40)
+    assert counts(both, motion) == (70, 40, 40)
     # One camera was put 15 m aside: what is far away fits there as well, what is near does not.
     aside = motion.copy()
     aside[:3, 3] = [-2.0, 15.0, 1.0]
-    tell, fit = telling(*rays(both), aside, 0.003, 0.006)
+    fit, tell, both_fit = counts(both, aside)
     assert tell == 40
-    assert fit <= 4
-    assert telling(*rays(far), aside, 0.003, 0.006) == (0, 0)
+    assert both_fit <= 4
+    assert fit - both_fit == 30
+    assert counts(far, aside) == (30, 0, 0)
     # A wrong turn contradicts what is far away as well.
     turned = motion.copy()
     turned[:3, :3] = Rotation.from_rotvec([0.1, -0.1, 0.05]).as_matrix()
-    tell, fit = telling(*rays(far), turned, 0.003, 0.006)
+    fit, tell, _ = counts(far, turned)
     assert tell == 30
     assert fit <= 8
+
+
+def test_votes_of_what_tells_leave_out_pairs_that_see_nothing_near() -> None:
+    votes = [
+        PairVote(first=0, second=1, matches=200, agrees=True, telling=40, telling_agrees=False),
+        PairVote(first=1, second=2, matches=200, agrees=True, telling=5, telling_agrees=False),
+    ]
+    assert telling_votes(votes) == [PairVote(first=0, second=1, matches=40, agrees=False)]
+
+
+def test_parts_that_were_joined_by_other_evidence_are_not_outvoted() -> None:
+    # Twelve photos and six more that vouch for each other; across, false matches speak against them.
+    votes = [PairVote(first=a, second=b, matches=100, agrees=True) for a in range(12) for b in range(a)]
+    votes += [PairVote(first=a, second=b, matches=100, agrees=True) for a in range(12, 18) for b in range(12, a)]
+    votes += [PairVote(first=a, second=a + 12, matches=30, agrees=a == 0) for a in range(6)]
+    assert contradicted(votes, 18).tolist() == [False] * 12 + [True] * 6
+    assert not contradicted(votes, 18, parts=False).any()
+    # A single photo is.
+    votes += [PairVote(first=a, second=18, matches=100, agrees=False) for a in range(8)]
+    assert np.flatnonzero(contradicted(votes, 19, parts=False)).tolist() == [18]
 
 
 def test_a_moved_photo_leaves_the_model(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from copy import deepcopy
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -131,9 +132,12 @@ def test_a_straightened_walk_is_mapped_again_only_where_much_is_missing(
     again: list[Path] = []
     monkeypatch.setattr("fsinfer.poses.verification.repair.is_walk", lambda *_: True)
     monkeypatch.setattr("fsinfer.poses.verification.repair.cut_and_join", lambda *_: straight)
-    monkeypatch.setattr(
-        "fsinfer.poses.verification.repair.reconstruct", lambda *given, **_: again.append(given[2]) or []
-    )
+
+    def reconstruct(*given: Any, **_: Any) -> list[Any]:
+        again.append(given[2])
+        return []
+
+    monkeypatch.setattr("fsinfer.poses.verification.repair.reconstruct", reconstruct)
     repaired, _ = repair(model, database, walk, tmp_path, PoseSettings(threads=1), silent)
     assert repaired.num_reg_images() == 40 - missing
     assert bool(again) is mapped_again
