@@ -54,7 +54,8 @@ def plot_headline(result: Result) -> tuple[str, str]:
     slope = f" on a slope of {float(drawn['slope_deg']):g}°" if "slope_deg" in drawn else ""
     phone = {"phone": ", a phone's effects in a breeze", "phone_video": ", a phone's video walked at 1 m/s"}
     effects = next((words for name, words in phone.items() if drawn.get(name) == "True"), "")
-    what = f"a rendered plot{slope}{effects}: {f['trees']:g} trees, {f['photos']:g} photographs"
+    undergrown = ", undergrown" if float(drawn.get("undergrowth") or 0) > 0.5 else ""
+    what = f"a rendered plot{slope}{undergrown}{effects}: {f['trees']:g} trees, {f['photos']:g} photographs"
     return what, f"{f['photos_registered']:g} of {f['photos']:g} photographs registered, {trees_text(f)}"
 
 
