@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import ScaleError
-from fsinfer.io.images import read_image
+from fsinfer.io.images import luminance, read_image
 from fsinfer.progress import Progress, silent
-from fsinfer.scale.detection import detect_markers, make_detector
+from fsinfer.scale.blooming import bloom_of, common_blooming, without_blooming
+from fsinfer.scale.detection import detect_markers, make_detector, predefined_dictionary
 from fsinfer.scale.printed_boards import DICTIONARY
 from fsinfer.scale.scale import MarkerDetails, MarkerScale, RejectedMarker, Scale, check_length
 from fsinfer.scale.square_fit import FittedMarker, MarkerSettings, Sighting, find_markers
@@ -60,15 +62,24 @@ def scale_from_aruco(
     for length in length_m.values() if isinstance(length_m, Mapping) else (length_m,):
         check_length(length, "the side of the markers")
     settings = settings or MarkerSettings()
-    detector = make_detector(dictionary)
+    detector, printed = make_detector(dictionary), predefined_dictionary(dictionary)
     sightings: list[Sighting] = []
     for index, view in enumerate(scene.views):
         progress(index, len(scene.views), "looking for markers")
-        for number, corners_px in detect_markers(
-            read_image(view.image_path), detector, min_side_px=settings.min_side_px
-        ):
+        pixels = read_image(view.image_path)
+        for number, corners_px in detect_markers(pixels, detector, min_side_px=settings.min_side_px):
             if not isinstance(length_m, Mapping) or number in length_m:
-                sightings.append(Sighting(marker_id=number, view=index, corners_px=corners_px))
+                bloom_px = bloom_of(luminance(pixels), corners_px, number, printed)
+                sightings.append(Sighting(marker_id=number, view=index, corners_px=corners_px, bloom_px=bloom_px))
+    blooming = common_blooming(
+        [sighting.bloom_px for sighting in sightings],
+        fewest=settings.min_blooming,
+        least_std_px=settings.least_bloom_std_px,
+        varies=settings.bloom_varies,
+    )
+    if blooming is not None:
+        shift_px = blooming.shift_px
+        sightings = [replace(one, corners_px=without_blooming(one.corners_px, shift_px)) for one in sightings]
     progress(len(scene.views), len(scene.views), "looking for markers")
     projections = [view.camera.intrinsic @ view.camera.cam_from_world[:3] for view in scene.views]
     centers = np.array([view.camera.center for view in scene.views])
@@ -84,9 +95,9 @@ def scale_from_aruco(
     numbers = [marker.sightings[0].marker_id for marker in markers]
     lengths = [length_m[number] if isinstance(length_m, Mapping) else length_m for number in numbers]
     combined, rel_std, each = _combine(scene, markers, np.array(lengths), settings)
-    # Blooming moves every edge the same way: no averaging over views or markers takes it out.
+    # What is left of blooming moves every edge the same way: no averaging over views or markers takes it out.
     side_px = float(np.mean([sighting.side_px for marker in markers for sighting in marker.sightings]))
-    edge_rel_std = 2 * settings.edge_std_px / side_px
+    edge_rel_std = 2 * (settings.edge_std_px if blooming is None else blooming.std_px) / side_px
     rel_std = float(np.hypot(rel_std, edge_rel_std))
     details = MarkerDetails(
         photos_searched=len(scene.views),
@@ -96,6 +107,7 @@ def scale_from_aruco(
         rejected=tuple(rejected),
         mean_side_px=side_px,
         edge_rel_std=edge_rel_std,
+        edge_shift_px=None if blooming is None else blooming.shift_px,
         markers=each,
     )
     _log.info("scale %.6g m per unit from %d markers, %.2f %%", combined, len(markers), 100 * rel_std)

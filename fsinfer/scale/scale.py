@@ -91,6 +91,7 @@ class MarkerDetails:
     length_m: side of every marker; None where their numbers tell it.
     rejected: numbers that could not be used.
     mean_side_px: of all detections; edge_rel_std: what blooming may add to it, common to all.
+    edge_shift_px: how far the camera draws black edges outwards, which was undone; None where too few markers tell.
     markers: each one's say.
     """
 
@@ -101,6 +102,7 @@ class MarkerDetails:
     rejected: tuple[RejectedMarker, ...]
     mean_side_px: float
     edge_rel_std: float
+    edge_shift_px: float | None = None
     markers: tuple[MarkerScale, ...]
 
 

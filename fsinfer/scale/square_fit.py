@@ -31,7 +31,12 @@ class MarkerSettings:
     max_off_plane: and its corners lie off their plane by this share of the side. Source: judgement.
     length_rel_std: of the printed length; common to all markers. Source: half a millimetre on a quarter of a metre.
     edge_std_px: how far blooming and the camera's tone curve may shift the edge between black and white; common to
-        all edges, and the reason to go near the markers. Source: judgement.
+        all edges, and the reason to go near the markers. Where the markers tell the shift it is undone. Source:
+        judgement.
+    min_blooming: sightings that must tell the shift. Source: judgement.
+    least_bloom_std_px: what they tell is known no better. Source: simulated markers of 30 to 50 pixels.
+    bloom_varies: share of the shift by which small and large sightings differ. Source: simulated markers of 24 and 50
+        pixels, blurred by 0.8 pixels before the tone curve: 0.38 and 0.53.
     least_corner_std_px: a corner is hit no better. Source: judgement; OpenCV's refinement promises about a tenth.
     """
 
@@ -44,6 +49,9 @@ class MarkerSettings:
     max_off_plane: float = 0.08
     length_rel_std: float = 0.002
     edge_std_px: float = 0.07
+    min_blooming: int = 5
+    least_bloom_std_px: float = 0.03
+    bloom_varies: float = 0.2
     least_corner_std_px: float = 0.1
 
 
@@ -60,11 +68,15 @@ _UNIT_SQUARE = np.array([[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [
 
 @dataclass(frozen=True, kw_only=True)
 class Sighting:
-    """One detection: the corners of marker ``marker_id`` in view ``view``, (4, 2) float64 pixels, in printed order."""
+    """One detection: the corners of marker ``marker_id`` in view ``view``, (4, 2) float64 pixels, in printed order.
+
+    ``bloom_px`` is how far its edges stand outwards as far as it tells, see :mod:`fsinfer.scale.blooming`.
+    """
 
     marker_id: int
     view: int
     corners_px: NDArray[np.float64]
+    bloom_px: float | None = None
 
     @property
     def side_px(self) -> float:
