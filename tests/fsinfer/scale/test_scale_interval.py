@@ -36,7 +36,7 @@ def corners(board: int, side: float, pose: NDArray[np.float64], bloom_px: float)
 
 @pytest.mark.parametrize(
     ("side", "least_px", "most_px", "bloom_px", "told"),
-    [(0.2, 20, 30, 0.07, False), (0.2, 20, 30, 1.0, True), (1.2, 110, 220, 0.07, False)],
+    [(0.2, 20, 30, 0.07, False), (0.2, 20, 30, 2.0, True), (1.2, 110, 220, 0.07, False)],
     ids=["far", "far, told", "near"],
 )
 def test_scales_are_off_by_what_they_say(
