@@ -66,8 +66,8 @@ def scale(
     typer.echo(f"Scale: {found.m_per_unit:.6g} m per model unit, ± {percent:.2f} %, by {_errors(result.clicked.scale)}")
     if result.run is None:
         imported = read_origin(out / "scene") is not None
-        trees = f"trees {out / 'cloud.ply'} {out}"
-        onwards = f"fsinfer {trees if imported else f'run with the same photos and {out}'}"
+        measure = f"trees {out / 'cloud.ply'} {out}"
+        onwards = f"fsinfer {measure if imported else f'run with the same photos and {out}'}"
         typer.echo(f"Kept in {out / 'scale_clicks.json'}; {onwards} goes on with it.")
         return
     warn(result.run.plot["warnings"])

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from fsinfer.errors import SceneError
-from fsinfer.importers.files import ByteReader, numbers, read_text, unfit
+from fsinfer.importers.files import MOST, ByteReader, numbers, read_text, unfit
 from fsinfer.importers.foreign import Floats, ForeignScene, rotation_of_quaternion
 from fsinfer.importers.lens import Lens
 from fsinfer.importers.photos import Registered, gather
@@ -226,14 +226,14 @@ def _text_points(path: Path) -> _Points:
 
 
 def _finite(points: _Points, path: Path) -> _Points:
-    if points.xyz and not np.isfinite(points.xyz).all():
+    if points.xyz and not (np.abs(points.xyz) < MOST).all():
         raise unfit(path, "a point has no finite coordinates")
     return points
 
 
 def _pose(values: Sequence[float] | Floats, path: Path, name: str) -> Floats:
     pose = np.eye(4)
-    w, x, y, z = (float(value) for value in values[:4])
+    w, x, y, z, *place = (float(value) for value in numbers(list(values), 7, path, f"the pose of {name}"))
     pose[:3, :3] = rotation_of_quaternion(w, x, y, z, f"{path}, {name}")
-    pose[:3, 3] = numbers(list(values[4:7]), 3, path, f"the place of {name}")
+    pose[:3, 3] = place
     return pose

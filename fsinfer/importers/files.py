@@ -18,6 +18,8 @@ from fsinfer.io.images import PHOTO_SUFFIXES
 
 #: Text larger than this is no list of cameras. Source: numerics; points3D.txt of 1,000 photos has 500 MB.
 _MOST_TEXT_BYTES = 2_000_000_000
+#: Numbers beyond are none of a camera or a place. Source: numerics; their squares and products stay finite.
+MOST = 1e12
 #: What file systems do not allow in a name. Source: format; Windows, and the control characters.
 _NOT_IN_NAMES = re.compile(r'[\x00-\x1f<>:"/\\|?*]')
 #: Letters of a view's name at most. Source: format; 255 bytes of a file name, less what is added to it.
@@ -77,7 +79,7 @@ def numbers(values: Any, count: int, path: Path, what: str) -> NDArray[np.float6
         array = np.array(values, dtype=np.float64).ravel()
     except (TypeError, ValueError, OverflowError) as error:
         raise unfit(path, f"{what} are no numbers") from error
-    if len(array) != count or not np.isfinite(array).all():
+    if len(array) != count or not (np.abs(array) < MOST).all():
         raise unfit(path, f"{what}: {count} finite numbers are needed, {len(array)} are there")
     return array
 

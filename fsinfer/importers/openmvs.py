@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from fsinfer.errors import SceneError
-from fsinfer.importers.files import ByteReader, find_photo, numbers, unfit
+from fsinfer.importers.files import MOST, ByteReader, find_photo, numbers, unfit
 from fsinfer.importers.foreign import Floats, ForeignScene, exact_rotation
 from fsinfer.importers.lens import Lens
 from fsinfer.importers.photos import Registered, gather
@@ -88,6 +88,8 @@ def read_openmvs(path: Path, photos: Sequence[Path]) -> ForeignScene:
         except IndexError as error:
             raise unfit(path, f"{name} names a camera or a pose that is not there") from error
         where = f"{path}, {name}"
+        for part in (chosen.rotation, chosen.center, rotation, center):
+            numbers(part, part.size, path, f"the pose of {name}")
         cam_from_world = np.eye(4)
         cam_from_world[:3, :3] = exact_rotation(chosen.rotation @ rotation, where)
         place = rotation.T @ chosen.center + center
@@ -179,7 +181,7 @@ def _vertices(reader: ByteReader, names: dict[int, str]) -> SparseModel | None:
     for rank in range(count):
         place = reader.array("<f4", 3)
         views = reader.array("<u4", 2 * reader.count("Q", 8))
-        if rank % step or not np.isfinite(place).all():
+        if rank % step or not (np.abs(place) < MOST).all():
             continue
         images = views[::2].tolist()
         for image in set(images) & names.keys():

@@ -60,7 +60,7 @@ def read_transforms(path: Path, photos: Sequence[Path]) -> ForeignScene:
 def _lens(values: Mapping[str, Any], name: str, path: Path, photos: Sequence[Path]) -> Lens:
     model = str(values.get("camera_model") or "").upper()
     if model not in _MODELS or values.get("is_fisheye"):
-        msg = f"{path}: {name} has the camera model {model or 'fisheye'}, which is not read; undistort the photos"
+        msg = f"{path}: {name} has the camera model {model or ''} (or a fisheye), which is not read; undistort it"
         raise SceneError(msg)
 
     def number(key: str, default: float) -> float:

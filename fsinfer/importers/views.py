@@ -32,7 +32,7 @@ class GeometricSettings:
     near_steps, far_steps: the same where it is not, in medians of the way from a photo to its nearest one. Source:
         judgement; photographs are taken a step or two apart, 0.6 to 1.2 m.
     least_part, most_part: distances at which places count for the choice of sources, as a factor of the near end and
-        as a share of the far one. Source: judgement; 2 to 10 m, where stems are measured.
+        as a share of the far one. Source: judgement; 2 to 6 m, where stems are measured.
     columns, rows, layers: places in each picture. Source: numerics.
     """
 
@@ -41,7 +41,7 @@ class GeometricSettings:
     near_steps: float = 0.5
     far_steps: float = 30.0
     least_part: float = 4.0
-    most_part: float = 1 / 3
+    most_part: float = 1 / 5
     columns: int = 4
     rows: int = 3
     layers: int = 4

@@ -86,7 +86,8 @@ def project(photo: TruePhoto, lens: TrueLens, points: Floats) -> tuple[Floats, F
     rotation, _ = cv2.Rodrigues(photo.cam_from_world[:3, :3])
     bent = np.array([*lens.bent, *[0.0] * (8 - len(lens.bent))])
     pixels, _ = cv2.projectPoints(points, rotation, photo.cam_from_world[:3, 3], lens.matrix, bent)
-    return pixels[:, 0], (points @ photo.cam_from_world[:3, :3].T + photo.cam_from_world[:3, 3])[:, 2]
+    depth = np.asarray(points @ photo.cam_from_world[:3, :3].T + photo.cam_from_world[:3, 3])[:, 2]
+    return np.asarray(pixels[:, 0], dtype=np.float64), depth
 
 
 def visible(scene: Truth) -> list[NDArray[np.int64]]:
@@ -131,7 +132,7 @@ def write_photos(scene: Truth, folder: Path, names: Sequence[str] | None = None,
 
 
 def world_from_cam(photo: TruePhoto) -> Floats:
-    return np.linalg.inv(photo.cam_from_world)
+    return np.asarray(np.linalg.inv(photo.cam_from_world), dtype=np.float64)
 
 
 def quaternion(rotation: Floats) -> tuple[float, float, float, float]:
@@ -197,8 +198,8 @@ def write_colmap(scene: Truth, model: Path, *, kind: str = "OPENCV", binary: boo
     (model / "images.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
     lines = ["# 3D point list with one line of data per point:"]
     for rank, point in enumerate(scene.points):
-        track = [f"{i + 3} {int(np.searchsorted(seen[i], rank))}" for i in range(len(seen)) if rank in seen[i]]
-        lines.append(f"{rank + 10} {_words(point)} 1 2 3 0.4 {' '.join(track)}")
+        told_track = [f"{i + 3} {int(np.searchsorted(seen[i], rank))}" for i in range(len(seen)) if rank in seen[i]]
+        lines.append(f"{rank + 10} {_words(point)} 1 2 3 0.4 {' '.join(told_track)}")
     (model / "points3D.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
