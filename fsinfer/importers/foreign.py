@@ -20,9 +20,9 @@ _ROTATION_TOLERANCE = 2e-3
 #: Coordinates beyond this are taken relative to the middle of the cameras. Source: numerics; single precision keeps a
 #: millimetre up to here.
 FAR_AWAY = 10_000.0
-#: Turns and mirrors the camera axes x right, y up, z backward (OpenGL, ARKit) to x right, y down, z forward.
+#: Turns the camera axes x right, y up, z backward (OpenGL, ARKit) to x right, y down, z forward. Source: format.
 FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
-#: From a world whose y points up (ARKit) to one whose z does.
+#: From a world whose y points up (ARKit) to one whose z does. Source: format.
 Z_UP_FROM_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
 

@@ -149,6 +149,17 @@ def test_frames_poses_depth_and_trees_in_folders_with_awkward_names(call: Call, 
     assert (base / "Bäume" / "trees.csv").is_file()
 
 
+def test_powershell_is_told_the_same_as_sh() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    blocks = dict(re.findall(r"```(sh|powershell)\n(.*?demo demo-plot.*?)```", text, flags=re.DOTALL))
+    of_sh = [part.strip() for part in blocks["sh"].split("&&")]
+    # Windows PowerShell 5 knows no &&, and activates by a script of its own.
+    assert "&&" not in blocks["powershell"]
+    assert "Activate.ps1" in blocks["powershell"]
+    found = [part.strip() for part in re.split(r"[;\n{}]", blocks["powershell"])]
+    assert [part for part in found if part in of_sh] == of_sh == ["pip install .", "fsinfer demo demo-plot"]
+
+
 def run_in(environment: dict[str, str], before: str, *arguments: object, flags: tuple[str, ...] = ()) -> str:
     """The command line in a process of its own, after the code ``before``; returns what it printed."""
     code = (
