@@ -93,11 +93,11 @@ def test_trees_and_depth_need_no_pycolmap(call: Call, tmp_path: Path) -> None:
     assert (code, "3 trees, 3 with DBH" in text) == (0, True), text
     scene = write_plane_scene(tmp_path / "scene", height=75, width=90)
     assert call("depth", scene, tmp_path / "depth", "--jobs", 1, "-q")[0] == 0
-    assert call("fuse", scene, tmp_path / "depth", "-q")[0] == 0
-    assert (tmp_path / "depth" / "cloud.laz").is_file()
-    made.write_colmap(made.truth(made.BROWN, views=3), tmp_path / "model", kind="OPENCV", binary=True)
-    made.write_photos(made.truth(made.BROWN, views=3), tmp_path / "images")
+    made.write_colmap(made.truth(made.BROWN), tmp_path / "model", kind="OPENCV", binary=True)
+    made.write_photos(made.truth(made.BROWN), tmp_path / "images")
     assert call("depth", tmp_path / "model", tmp_path / "imported", "--jobs", 1, "-q")[0] == 0
+    assert call("fuse", tmp_path / "model", tmp_path / "imported", "--no-level", "-q")[0] == 0
+    assert (tmp_path / "imported" / "cloud.laz").is_file()
 
 
 @pytest.mark.usefixtures("without_pycolmap")

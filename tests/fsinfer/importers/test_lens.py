@@ -52,10 +52,10 @@ def test_the_pinhole_image_shows_the_photo_alone_and_much_of_it(lens: Lens) -> N
     assert (pinhole.fx, pinhole.fy) == (lens.fx, lens.fy)
     x, y = undistortion_maps(lens, pinhole)
     assert x.shape == (pinhole.height, pinhole.width)
-    assert x.min() >= -0.55
-    assert y.min() >= -0.55
-    assert x.max() <= lens.width - 0.45
-    assert y.max() <= lens.height - 0.45
+    # The border of the image is the photo's: half a pixel beyond the centres of its pixels.
+    assert min(x.min(), y.min()) >= -0.1
+    assert x.max() <= lens.width - 0.9
+    assert y.max() <= lens.height - 0.9
     # The largest: a pixel more on each side would look beyond the photo.
     assert min(x.min(), y.min(), lens.width - 1 - x.max(), lens.height - 1 - y.max()) < 0.6
 
@@ -100,6 +100,14 @@ def test_a_lens_that_none_has_is_told(change: dict[str, tuple[float, ...]], told
     with pytest.raises(SceneError) as raised:
         pinhole_of(Lens(width=160, height=120, fx=130.0, fy=130.0, cx=79.5, cy=59.5, **change))  # type: ignore[arg-type]
     assert re.search(told, str(raised.value))
+
+
+def test_a_border_beyond_a_fold_is_told() -> None:
+    # The bent rays rise, fall and rise again: the border has a ray, but another one falls on the same pixel.
+    lens = Lens(width=160, height=120, fx=130.0, fy=130.0, cx=79.5, cy=59.5, radial=(-2.0, 1.5))
+    beyond = np.array([[1.02, 0.0]])
+    with pytest.raises(SceneError, match="cannot be undone"):
+        lens.rays_of(lens.pixels_of(beyond))
 
 
 @pytest.mark.parametrize("change", [{"fx": 0.0}, {"fy": -1.0}, {"cx": float("nan")}, {"width": 0}])

@@ -111,14 +111,14 @@ def test_photographs_without_distortion_are_copied(tmp_path: Path) -> None:
         assert copied.read_bytes() == given.read_bytes()
 
 
-def test_the_tag_that_turns_a_photograph_does_not_turn_its_camera(tmp_path: Path) -> None:
+@pytest.mark.parametrize("turn", [6, 3])
+def test_the_tag_that_turns_a_photograph_does_not_turn_its_camera(tmp_path: Path, turn: int) -> None:
     scene = made.truth(PINHOLE)
     made.write_transforms(scene, tmp_path / "transforms.json")
     for photo in scene.photos:
         exif = Image.Exif()
-        exif[0x0112] = 6  # turn it by a quarter to look at it
+        exif[0x0112] = turn  # by a quarter, or head over heels, to look at it
         (tmp_path / "images").mkdir(exist_ok=True)
-        # The name's suffix is another one: only the stem is trusted to be there.
         Image.fromarray(made.render(photo, PINHOLE)).save(tmp_path / "images" / f"{photo.name}.png", exif=exif)
     write_scene(read(tmp_path), tmp_path / "out")
     for view, photo in zip(read_scene(tmp_path / "out").views, scene.photos, strict=True):
@@ -168,16 +168,20 @@ def test_names_from_a_file_lead_nowhere(tmp_path: Path) -> None:
     scene = made.truth(PINHOLE)
     # Two cards with the same names, a way up, a drive: all of them end in the folder of images, apart.
     names = ["card1/a.png", "card2/a.png", "../../../a.png", "C:\\photos\\..\\A.png"]
-    made.write_transforms(scene, tmp_path / "in" / "transforms.json")
-    content = json.loads((tmp_path / "in" / "transforms.json").read_text(encoding="utf-8"))
+    given = tmp_path / "in" / "one" / "two" / "three"
+    made.write_transforms(scene, given / "transforms.json")
+    content = json.loads((given / "transforms.json").read_text(encoding="utf-8"))
     for frame, name in zip(content["frames"], names, strict=True):
         frame["file_path"] = name
-    (tmp_path / "in" / "transforms.json").write_text(json.dumps(content), encoding="utf-8")
-    made.write_photos(scene, tmp_path / "in", ["card1/a", "card2/a", "a", "A"])
-    # Lies where ../../../a.png would lead from the images, and must not be taken.
-    write_scene(read(tmp_path / "in"), tmp_path / "out")
+    (given / "transforms.json").write_text(json.dumps(content), encoding="utf-8")
+    made.write_photos(scene, given, ["card1/a", "card2/a", "a", "A"])
+    # Where ../../../a.png leads to from there: outside of the folders that are looked at.
+    (tmp_path / "in" / "a.png").write_bytes((given / "card1" / "a.png").read_bytes())
+    write_scene(read(given), tmp_path / "out")
     views = read_scene(tmp_path / "out").views
     assert sorted(view.name.lower() for view in views) == ["a", "a_2", "card1_a", "card2_a"]
+    of_name = {view.name: view.image_path.read_bytes() for view in views}
+    assert of_name["a"] == (given / "a.png").read_bytes()
     inside = {path.relative_to(tmp_path).parts[0] for path in tmp_path.rglob("*") if path.is_file()}
     assert inside == {"in", "out"}
 
