@@ -13,7 +13,7 @@ from pathlib import Path
 from fsinfer.errors import InputError, SceneError
 from fsinfer.importers.foreign import ForeignScene
 from fsinfer.importers.formats import reader_of
-from fsinfer.importers.write import ImportedScene, ImportSettings, read_origin, told, write_scene
+from fsinfer.importers.write import ImportedScene, ImportSettings, told, write_scene
 from fsinfer.io.digest import file_digest
 from fsinfer.io.files import make_folder
 from fsinfer.output.layout import CAMERAS_FOLDER, SCENE_FOLDER
@@ -68,7 +68,12 @@ def our_scene(
     record = Ledger(make_folder(out)).run(
         IMPORT,
         lambda _: write_scene(foreign, target, settings=used, progress=progress("scene")),
-        inputs={"settings": speedless(used), "cameras": _camera_digest(foreign), "files": _digests(foreign)},
+        inputs={
+            "source": _told_as(source),
+            "settings": speedless(used),
+            "cameras": _camera_digest(foreign),
+            "files": _digests(foreign),
+        },
     )
     for sentence in told(record.result):
         _log.warning("%s", sentence)
@@ -85,10 +90,17 @@ def imported_scene(source: Path, out: Path) -> Path:
     """
     if (source / CAMERAS_FOLDER).is_dir() or reader_of(source) is None:
         return source
-    if read_origin(out / SCENE_FOLDER) is None:
-        msg = f"{source} has no depth maps in {out}; make them with: fsinfer depth {source} {out}"
+    made_of = (Ledger(out).inputs_of(IMPORT.name) or {}).get("source")
+    if made_of != _told_as(source):
+        what = "has no depth maps in" if made_of is None else "is not the scene that was imported into"
+        msg = f"{source} {what} {out}; make its depth maps with: fsinfer depth {source} {out}"
         raise SceneError(msg)
     return out / SCENE_FOLDER
+
+
+def _told_as(source: Path) -> str:
+    """What tells one source from another without reading its photographs."""
+    return file_digest(source) if source.is_file() else source.resolve().name
 
 
 def _paths(foreign: ForeignScene) -> Sequence[Path]:

@@ -124,6 +124,9 @@ def test_cameras_of_metashape_become_a_cloud_in_metres(call: Call, tmp_path: Pat
     assert wall_error(out) < 0.03
     centers = np.array([view.camera.center for view in read_scene(out / "scene").views])
     assert np.linalg.norm(centers[1] - centers[0]) == pytest.approx(0.3, abs=0.06)
+    made.write_metashape(made.truth(BROWN), base / "others.xml", component=False)
+    code, _, err = call("fuse", base / "others.xml", out, "--no-level", "-q")
+    assert (code, "not the scene that was imported" in err) == (2, True)
     code, text, err = call("fuse", base / "cameras.xml", out, "--no-level", "-q")
     assert (code, err) == (0, ""), text
     plot = read_plot(out)
