@@ -154,7 +154,10 @@ def read_scene(folder: Path | str) -> Scene:
         raise SceneError(msg)
     names = sorted(p.name.removesuffix("_cam.txt") for p in (folder / "cams").glob("*_cam.txt"))
     if not names:
-        msg = f"{folder / 'cams'} holds no NAME_cam.txt; make a scene of your photos with: fsinfer poses"
+        msg = (
+            f"{folder / 'cams'} holds no NAME_cam.txt; make a scene of your photos with: fsinfer poses, or give the "
+            "scene of a program that fsinfer depth knows (COLMAP, OpenMVS, Metashape, nerfstudio and others)"
+        )
         raise SceneError(msg)
     pairs = read_pairs(folder / "pair.txt")
     views = []

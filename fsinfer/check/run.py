@@ -47,6 +47,7 @@ from fsinfer.workflow.photo_stages import (
     is_registered,
     is_registered_so,
     register_photos,
+    require_poses,
     source_files,
 )
 
@@ -101,6 +102,7 @@ def check_capture(
     settings = settings or CheckSettings()
     source, out = Path(source), Path(out)
     files = source_files(source, out)
+    require_poses(out)
     ledger = Ledger(make_folder(out))
     start = time.monotonic()
     seconds: dict[str, float] = {}

@@ -44,6 +44,7 @@ def scale(
     trees are measured again. Later runs into the folder keep that scale, until scale_clicks.json in it is deleted.
     """
     from fsinfer.errors import InputError
+    from fsinfer.importers.write import read_origin
     from fsinfer.workflow.clicked_scale import click_scale
 
     if not click or length_m is None:
@@ -64,7 +65,10 @@ def scale(
     percent = 100.0 * (found.rel_std or 0.0)
     typer.echo(f"Scale: {found.m_per_unit:.6g} m per model unit, ± {percent:.2f} %, by {_errors(result.clicked.scale)}")
     if result.run is None:
-        typer.echo(f"Kept in {out / 'scale_clicks.json'}; fsinfer run with the same photos and {out} goes on with it.")
+        imported = read_origin(out / "scene") is not None
+        measure = f"trees {out / 'cloud.ply'} {out}"
+        onwards = f"fsinfer {measure if imported else f'run with the same photos and {out}'}"
+        typer.echo(f"Kept in {out / 'scale_clicks.json'}; {onwards} goes on with it.")
         return
     warn(result.run.plot["warnings"])
     trees = result.run.records.trees.result

@@ -50,7 +50,12 @@ from fsinfer.output.layout import FRAMES_FILE, OutputFolder
 from fsinfer.scale.request import ScaleRequest
 
 SceneFolder = Annotated[
-    Path, typer.Argument(help="Scene in MVSNet format: images/, cams/, pair.txt.", show_default=False)
+    Path,
+    typer.Argument(
+        help="Scene in MVSNet format (images/, cams/, pair.txt), or of COLMAP, OpenMVS, Metashape (XML), nerfstudio, "
+        "Polycam, 3D Scanner App, Record3D, RTAB-Map.",
+        show_default=False,
+    ),
 ]
 
 
@@ -103,6 +108,14 @@ def poses(
 def depth(
     scene: SceneFolder,
     out: Out,
+    images: Annotated[
+        Path | None,
+        typer.Option(
+            "--images",
+            help="Folder of the photos of another program's scene. Default: beside its files.",
+            show_default=False,
+        ),
+    ] = None,
     model: Model = DepthSettings.model,
     views: Views = DEFAULT_VIEWS,
     max_size: MaxSize = DepthSettings.max_size_px,
@@ -113,7 +126,10 @@ def depth(
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
-    """Estimate depth and confidence for every view of a scene. Run again to go on after a stop."""
+    """Estimate depth and confidence for every view of a scene. Run again to go on after a stop.
+
+    The scene of another program is made a scene of ours in OUT/scene first.
+    """
     settings = depth_settings(
         model=model,
         views=views,
@@ -126,7 +142,7 @@ def depth(
     from fsinfer.workflow.single_stages import depth_of
 
     with stage_progress(quiet=quiet) as progress:
-        record = depth_of(scene, out, settings=settings, progress=progress)
+        record = depth_of(scene, out, settings=settings, images=images, progress=progress)
     typer.echo(f"{record.result.views} depth maps in {OutputFolder(out).depth}, {record.seconds:.0f} s")
 
 

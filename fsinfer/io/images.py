@@ -55,8 +55,8 @@ def list_images(folder: Path | str) -> list[Path]:
     return paths
 
 
-def read_image(path: Path | str) -> NDArray[np.uint8]:
-    """Read a photograph upright (the EXIF orientation is applied).
+def read_image(path: Path | str, *, upright: bool = True) -> NDArray[np.uint8]:
+    """Read a photograph upright (the EXIF orientation is applied), or else as the sensor saw it.
 
     Returns
     -------
@@ -76,8 +76,7 @@ def read_image(path: Path | str) -> NDArray[np.uint8]:
         with Image.open(path) as image:
             # Loading first: decoding errors must not hide in a lazy transposition.
             image.load()
-            upright = ImageOps.exif_transpose(image)
-            return _as_rgb(upright)
+            return _as_rgb(ImageOps.exif_transpose(image) if upright else image)
     except UnidentifiedImageError as error:
         msg = f"{path} is not a photo that can be read; copy it again from the camera or delete it"
         raise ImageError(msg) from error

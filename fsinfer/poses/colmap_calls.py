@@ -12,9 +12,26 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
+from fsinfer.errors import PosesError
+
+#: What to do where pycolmap is missing.
+MISSING = (
+    "finding poses needs pycolmap, which cannot be loaded here ({error}); pip has it for Linux on x86-64, Windows on "
+    "x64 and Macs with Apple silicon, elsewhere use conda: conda install -c conda-forge 'pycolmap>=4.1.1'. Or register "
+    "the photos in another program: fsinfer depth reads scenes of COLMAP, Metashape and others"
+)
+
 
 class ColmapError(Exception):
     """COLMAP itself failed; caught by :func:`fsinfer.poses.colmap.colmap_errors`."""
+
+
+def require_pycolmap() -> None:
+    """Raise :class:`PosesError` with the way out where pycolmap is not installed or cannot be loaded."""
+    try:
+        import pycolmap  # noqa: F401
+    except ImportError as error:
+        raise PosesError(MISSING.format(error=error)) from error
 
 
 def call(function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:

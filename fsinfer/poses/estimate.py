@@ -22,6 +22,7 @@ from fsinfer.notices.sentences import sentences
 from fsinfer.poses.adjustment.adjust import PhotoAdjustment, adjust_photos
 from fsinfer.poses.adjustment.tell import told
 from fsinfer.poses.colmap import colmap_errors
+from fsinfer.poses.colmap_calls import require_pycolmap
 from fsinfer.poses.mapping import ADVICE, Walk, map_walk
 from fsinfer.poses.refinement import larger_than_usual, refine
 from fsinfer.poses.settings import PoseSettings
@@ -104,6 +105,7 @@ def estimate_poses(
     """
     images, out, settings = Path(images), Path(out), settings or PoseSettings()
     given = origin or images
+    require_pycolmap()
     paths = list_images(images)
     if images.resolve().is_relative_to((out / "images").resolve()):
         msg = f"{images} would be overwritten by the scene; choose another output folder than {out}"

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import SceneError
+from fsinfer.poses.colmap_calls import require_pycolmap
 
 _log = logging.getLogger(__name__)
 
@@ -49,6 +50,7 @@ def read_sparse(folder: Path | str) -> SparseModel:
     if not (folder / "points3D.bin").is_file() and not (folder / "points3D.txt").is_file():
         msg = f"{folder} holds no COLMAP model (points3D.bin); make the scene with: fsinfer poses"
         raise SceneError(msg)
+    require_pycolmap()
     import pycolmap
 
     try:

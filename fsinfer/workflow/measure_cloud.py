@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import CloudError, InputError, ScaleError
 from fsinfer.geometry.similarity import scale_of
+from fsinfer.importers.write import read_origin
 from fsinfer.io.chunks import ChunkedCloud, open_chunks
 from fsinfer.io.cloud import PointCloud, read_cloud
 from fsinfer.io.digest import file_digest
@@ -26,8 +27,9 @@ from fsinfer.output.plot_json import package_versions, read_plot
 from fsinfer.placement.place import density_per_m2, transform_cloud
 from fsinfer.plot_border.request import BorderRequest
 from fsinfer.progress import Progress, silent
+from fsinfer.scale.clicks.file import read_clicks
 from fsinfer.scale.find import FoundScale, find_scale
-from fsinfer.scale.request import ScaleRequest
+from fsinfer.scale.request import ClickedLength, ScaleRequest
 from fsinfer.scale.scale import UNKNOWN, MarkerDetails, Scale, marker_centers
 from fsinfer.scene import read_scene, scene_digest
 from fsinfer.silhouettes.join import StemPhotos
@@ -308,6 +310,9 @@ def _depth_index(folder: Path) -> list[str]:
 
 def _cloud_scale(request: ScaleRequest, cloud_path: Path, out: Path, origin: _Origin) -> FoundScale:
     """Metres per unit of the cloud file; unknown where nothing was asked for."""
+    clicked = None if request.given else _clicks_of_import(cloud_path, out, origin)
+    if clicked is not None:
+        return _per_cloud(find_scale(replace(request, clicks=clicked), scene=read_scene(out / "scene")), origin)
     if not request.given:
         unscaled = origin.units == MODEL_UNITS
         return FoundScale(scale=UNKNOWN, warnings=(notice(CaptureCode.no_scale_given),) if unscaled else ())
@@ -320,9 +325,18 @@ def _cloud_scale(request: ScaleRequest, cloud_path: Path, out: Path, origin: _Or
             "use it with fsinfer run, or give --scale or --endpoints with --length-m"
         )
         raise ScaleError(msg)
-    found = find_scale(request, scene=read_scene(out / "scene"))
-    if found.scale.m_per_unit is None:
+    return _per_cloud(find_scale(request, scene=read_scene(out / "scene")), origin)
+
+
+def _clicks_of_import(cloud_path: Path, out: Path, origin: _Origin) -> ClickedLength | None:
+    """The ends clicked in the photographs of a scene of another program, whose cloud this is; a run uses its own."""
+    own = cloud_path.resolve().parent == out.resolve() and origin.cloud_from_scene is not None
+    return read_clicks(out).used if own and read_origin(out / "scene") is not None else None
+
+
+def _per_cloud(found: FoundScale, origin: _Origin) -> FoundScale:
+    if found.scale.m_per_unit is None or origin.cloud_from_scene is None:
         return found
-    # The markers give metres per unit of the scene; the cloud may have been scaled since.
+    # Photographs give metres per unit of the scene; the cloud may have been scaled since.
     per_cloud = found.scale.m_per_unit / scale_of(origin.cloud_from_scene)
     return replace(found, scale=replace(found.scale, m_per_unit=per_cloud))

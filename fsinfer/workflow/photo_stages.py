@@ -15,6 +15,7 @@ from fsinfer.frames.select import FramesResult, list_captures, select_frames
 from fsinfer.frames.settings import FrameSettings
 from fsinfer.io.digest import file_digest
 from fsinfer.io.images import list_images
+from fsinfer.poses.colmap_calls import require_pycolmap
 from fsinfer.poses.estimate import PosesResult, estimate_poses
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.progress import StageProgress, silent_stages
@@ -47,6 +48,15 @@ def source_files(source: Path, out: Path) -> list[Path]:
         msg = f"{source} lies in {out / inside[0]}, which the run empties and fills; choose another output folder"
         raise InputError(msg)
     return list_captures(source)
+
+
+def require_poses(out: Path) -> None:
+    """Raise :class:`PosesError` where ``out`` has no finished poses and this computer cannot find any.
+
+    Else it would show after all frames were looked at.
+    """
+    if Ledger(out).recall(POSES) is None:
+        require_pycolmap()
 
 
 def choose_frames(

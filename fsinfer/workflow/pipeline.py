@@ -38,7 +38,7 @@ from fsinfer.workflow.cloud_stages import (
 )
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
 from fsinfer.workflow.parts import PartResult, measure_parts
-from fsinfer.workflow.photo_stages import choose_frames, register_photos, source_files
+from fsinfer.workflow.photo_stages import choose_frames, register_photos, require_poses, source_files
 from fsinfer.workflow.run_photos import photos_of_run
 from fsinfer.workflow.settings import RunSettings, speedless
 from fsinfer.workflow.summary import PlotRecords, summarize
@@ -110,6 +110,7 @@ def run(
     # A wrong model name, or an edit that cannot be read, must not show after an hour of structure from motion.
     model_digest(settings.depth)
     find_edits(out, edits)
+    require_poses(out)
     ledger = Ledger(make_folder(out))
 
     frames = choose_frames(ledger, source, files, settings=settings.frames, progress=progress)

@@ -14,6 +14,7 @@ from fsinfer.depth.stage import DepthResult
 from fsinfer.errors import ImageError
 from fsinfer.frames.select import FrameSettings, FramesResult, list_captures
 from fsinfer.fusion.fuse import FusionSettings, fuse, most_points
+from fsinfer.importers.write import read_origin
 from fsinfer.io.cloud import write_cloud
 from fsinfer.io.digest import file_digest
 from fsinfer.io.files import make_folder
@@ -24,9 +25,10 @@ from fsinfer.poses.settings import PoseSettings
 from fsinfer.progress import StageProgress, silent_stages
 from fsinfer.scene import read_scene, scene_digest
 from fsinfer.threads import one_blas_thread
-from fsinfer.workflow.cloud_stages import compute_depth
+from fsinfer.workflow.cloud_stages import compute_depth, model_digest
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
-from fsinfer.workflow.photo_stages import choose_frames, register_photos
+from fsinfer.workflow.photo_stages import choose_frames, register_photos, require_poses
+from fsinfer.workflow.scene_source import imported_scene, our_scene
 from fsinfer.workflow.settings import speedless
 from fsinfer.workflow.summary import MODEL_UNITS, SCENE_UNITS, update_plot
 
@@ -76,6 +78,7 @@ def poses_of(
     """``fsinfer poses``: register the photos of a folder and write ``out`` as a scene, unless that was done before."""
     _refuse_overwriting(images, out, "the scene")
     list_captures(images)  # a folder without photos is told before anything is written
+    require_poses(out)
     return register_photos(
         Ledger(make_folder(out)),
         images,
@@ -88,10 +91,20 @@ def poses_of(
 
 @one_blas_thread()
 def depth_of(
-    scene_folder: Path, out: Path, *, settings: DepthSettings, progress: StageProgress = silent_stages
+    source: Path,
+    out: Path,
+    *,
+    settings: DepthSettings,
+    images: Path | None = None,
+    progress: StageProgress = silent_stages,
 ) -> StageRecord[DepthResult]:
-    """``fsinfer depth``: depth and confidence of every view of a scene, unless that was done before."""
-    scene = read_scene(scene_folder)
+    """``fsinfer depth``: depth and confidence of every view of a scene, unless that was done before.
+
+    A scene of another program is made a scene folder in ``OUT/scene`` first; ``images`` is the folder of its
+    photographs, where they do not lie beside it.
+    """
+    model_digest(settings)  # a wrong name must not show after the images are undistorted
+    scene = read_scene(our_scene(source, out, images=images, progress=progress))
     return compute_depth(Ledger(make_folder(out)), scene, settings=settings, progress=progress)
 
 
@@ -108,15 +121,18 @@ def fuse_scene(
 
     Parameters
     ----------
-    scene_folder: scene in MVSNet format.
+    scene_folder: scene in MVSNet format, or the scene of another program that ``out`` was made of.
     out: holds ``depth/`` and ``confidence/``.
-    level: turn the cloud z up. None does so for a scene made by ``fsinfer poses``, whose axes mean nothing, and keeps
-        the coordinates of any other scene, whose axes may.
+    level: turn the cloud z up. None does so for a scene made by ``fsinfer poses`` or imported from a format whose axes
+        mean nothing, and keeps the coordinates of any other scene, whose axes may.
     """
     settings = settings or FusionSettings()
+    scene_folder = imported_scene(scene_folder, out)
     scene = read_scene(scene_folder)
+    origin = read_origin(scene_folder)
     ours = (scene_folder / "poses.json").is_file()
-    levelled = ours if level is None else level
+    metric = origin is not None and origin.metric
+    levelled = (ours or (origin is not None and not origin.z_up)) if level is None else level
 
     def work(_resume: bool) -> SceneCloud:
         cloud = fuse(scene, out, settings=settings, progress=progress("fuse"))
@@ -136,10 +152,10 @@ def fuse_scene(
     }
     record = Ledger(out).run(FUSE_SCENE, work, inputs=inputs)
     values = {
-        # The scenes of others may well be in metres; those of our own structure from motion never are.
-        "units": MODEL_UNITS if ours else SCENE_UNITS,
-        "scale_m_per_unit": None,
-        "scale_source": "none",
+        # The scenes of others may well be in metres; those of structure from motion never are.
+        "units": "m" if metric else MODEL_UNITS if ours or origin is not None else SCENE_UNITS,
+        "scale_m_per_unit": 1.0 if metric else None,
+        "scale_source": origin.program if origin is not None and metric else "none",
         "points": record.result.points,
         "density_per_m2": None,
         "cloud_from_scene": record.result.cloud_from_scene,

@@ -12,7 +12,7 @@ def test_the_constraints_are_the_lower_bounds() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     bounds = []
     for dependency in project["dependencies"]:
-        found = re.fullmatch(r"([\w-]+)(?:\[[\w,-]+\])?>=([\w.]+)(?:,[<!].+)?", dependency)
+        found = re.fullmatch(r"([\w-]+)(?:\[[\w,-]+\])?>=([\w.]+)(?:,[<!].+)?(?:; .+)?", dependency)
         assert found, f"{dependency} has no lower bound to try"
         bounds.append(f"{found[1]}=={found[2]}")
     lines = (ROOT / "tests" / "constraints-oldest.txt").read_text(encoding="utf-8").splitlines()

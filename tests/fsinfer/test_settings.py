@@ -39,6 +39,7 @@ REQUIRED = (
     "fsinfer",
     "fusion",
     "geometry",
+    "importers",
     "io",
     "notices",
     "output",

@@ -1,0 +1,239 @@
+"""COLMAP's models, text and binary, read without COLMAP: cameras, images and points3D.
+
+``cam_from_world`` is a quaternion (w, x, y, z) and a translation; camera axes x right, y down, z forward. The centre of
+the top left pixel lies at (0.5, 0.5). Lengths have no unit. Source: COLMAP's documentation, "Output Format", and its
+camera models.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from fsinfer.errors import SceneError
+from fsinfer.importers.files import MOST, ByteReader, numbers, read_text, unfit
+from fsinfer.importers.foreign import Floats, ForeignScene, rotation_of_quaternion
+from fsinfer.importers.lens import Lens
+from fsinfer.importers.photos import Registered, gather
+from fsinfer.poses.sparse import SparseModel
+
+PROGRAM = "COLMAP"
+#: Where a project keeps its models.
+MODEL_FOLDERS = (".", "sparse/0", "sparse", "0", "colmap/sparse/0", "dense/sparse", "dense/0/sparse")
+#: Number, name, and count of parameters of each camera model. Source: format; COLMAP's camera models.
+_MODELS = {
+    0: ("SIMPLE_PINHOLE", 3),
+    1: ("PINHOLE", 4),
+    2: ("SIMPLE_RADIAL", 4),
+    3: ("RADIAL", 5),
+    4: ("OPENCV", 8),
+    5: ("OPENCV_FISHEYE", 8),
+    6: ("FULL_OPENCV", 12),
+    7: ("FOV", 5),
+    8: ("SIMPLE_RADIAL_FISHEYE", 4),
+    9: ("RADIAL_FISHEYE", 5),
+    10: ("THIN_PRISM_FISHEYE", 12),
+    11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+}
+_READ = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Image:
+    """One line of ``images``; ``number`` is what tracks name it by."""
+
+    number: int
+    name: str
+    camera: int
+    cam_from_world: Floats
+
+
+@dataclass(kw_only=True)
+class _Points:
+    """Tie points while they are read; ``seen`` are their ranks by the number of the image."""
+
+    xyz: list[tuple[float, ...]] = field(default_factory=list)
+    errors_px: list[float] = field(default_factory=list)
+    lengths: list[int] = field(default_factory=list)
+    seen: dict[int, list[int]] = field(default_factory=dict)
+
+    def add(self, xyz: tuple[float, ...], error_px: float, images: Sequence[int]) -> None:
+        """One point and the images that it was seen in."""
+        for image in set(images):
+            self.seen.setdefault(int(image), []).append(len(self.xyz))
+        self.lengths.append(len(images))
+        self.xyz.append(xyz)
+        self.errors_px.append(error_px)
+
+
+def find_model(path: Path) -> Path | None:
+    """The folder of a COLMAP model in a project or scene; None where there is none."""
+    for part in MODEL_FOLDERS:
+        for suffix in (".bin", ".txt"):
+            if all((path / part / f"{name}{suffix}").is_file() for name in ("cameras", "images")):
+                return path / part
+    return None
+
+
+def read_colmap(folder: Path, photos: Sequence[Path]) -> ForeignScene:
+    """Read the model in ``folder``; ``photos`` are the folders in which its photographs may lie.
+
+    Raises
+    ------
+    SceneError
+        A file is damaged, a camera is a fisheye, or no photograph is found.
+    """
+    suffix = ".bin" if (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file() else ".txt"
+    files = [folder / f"{name}{suffix}" for name in ("cameras", "images", "points3D")]
+    lenses = dict(_binary_cameras(files[0]) if suffix == ".bin" else _text_cameras(files[0]))
+    images = list(_binary_images(files[1]) if suffix == ".bin" else _text_images(files[1]))
+    registered = []
+    for image in images:
+        if image.camera not in lenses:
+            raise unfit(files[1], f"{image.name} has camera {image.camera}, which {files[0].name} does not")
+        registered.append(
+            Registered(
+                name=image.name, lens=lenses[image.camera], cam_from_world=image.cam_from_world, number=image.number
+            )
+        )
+    gathered = gather(registered, photos, source=files[1])
+    sparse = None
+    if files[2].is_file():
+        points = _binary_points(files[2]) if suffix == ".bin" else _text_points(files[2])
+        sparse = _sparse(points, {number: name for name, number in gathered.numbers.items()})
+    return ForeignScene(
+        program=PROGRAM,
+        files=tuple(file for file in files if file.is_file()),
+        photos=gathered.photos,
+        sparse=sparse,
+        left_out=gathered.missing,
+    )
+
+
+def _sparse(points: _Points, names: dict[int, str]) -> SparseModel | None:
+    if not points.xyz:
+        return None
+    return SparseModel(
+        points=np.array(points.xyz, dtype=np.float64),
+        errors_px=np.array(points.errors_px, dtype=np.float64),
+        track_lengths=np.array(points.lengths, dtype=np.int64),
+        observations={names[n]: np.array(ranks, dtype=np.int64) for n, ranks in points.seen.items() if n in names},
+    )
+
+
+def _lens(path: Path, model: str, width: int, height: int, given: Sequence[float]) -> Lens:
+    if model not in _READ:
+        msg = (
+            f"{path}: a camera has the model {model}, which is not read ({', '.join(_READ)} are); undistort the "
+            "photographs with colmap image_undistorter and give the folder that it writes"
+        )
+        raise SceneError(msg)
+    count = next(count for name, count in _MODELS.values() if name == model)
+    values = [float(v) for v in numbers(given, count, path, f"the parameters of a {model} camera")]
+    one_focal = model in ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+    fx, fy, cx, cy, *bent = [values[0], *values] if one_focal else values
+    full = model == "FULL_OPENCV"
+    tangential = (bent[2], bent[3]) if len(bent) >= 4 else (0.0, 0.0)
+    return Lens(
+        width=width,
+        height=height,
+        fx=fx,
+        fy=fy,
+        cx=cx - 0.5,
+        cy=cy - 0.5,
+        radial=(*bent[:2], *(bent[4:5] if full else ())),
+        divisor=tuple(bent[5:8]) if full else (),
+        tangential=tangential,
+    )
+
+
+def _binary_cameras(path: Path) -> Iterator[tuple[int, Lens]]:
+    reader = ByteReader(path)
+    for _ in range(reader.count("Q", 48)):
+        number, model, width, height = reader.take("iiQQ")
+        if model not in _MODELS:
+            raise unfit(path, f"there is no camera model {model}")
+        name, count = _MODELS[model]
+        yield int(number), _lens(path, name, int(width), int(height), reader.take(f"{count}d"))
+
+
+def _binary_images(path: Path) -> Iterator[_Image]:
+    reader = ByteReader(path)
+    for _ in range(reader.count("Q", 73)):
+        number, *pose, camera = reader.take("i7di")
+        name = reader.text_to_nul()
+        reader.skip(24 * reader.count("Q", 24))
+        yield _Image(number=int(number), name=name, camera=int(camera), cam_from_world=_pose(pose, path, name))
+
+
+def _binary_points(path: Path) -> _Points:
+    reader = ByteReader(path)
+    points = _Points()
+    for _ in range(reader.count("Q", 51)):
+        _, x, y, z, _, _, _, error = reader.take("Q3d3Bd")
+        track = reader.array("<u4", 2 * reader.count("Q", 8))
+        points.add((x, y, z), error, track[::2].tolist())
+    return _finite(points, path)
+
+
+def _lines(path: Path) -> Iterator[str]:
+    return (line for line in read_text(path).splitlines() if not line.startswith("#"))
+
+
+def _text_cameras(path: Path) -> Iterator[tuple[int, Lens]]:
+    for line in _lines(path):
+        words = line.split()
+        if not words:
+            continue
+        try:
+            number, model, width, height = int(words[0]), words[1], int(words[2]), int(words[3])
+        except (ValueError, IndexError) as error:
+            raise unfit(path, f"{line[:60]!r} is no camera") from error
+        yield number, _lens(path, model, width, height, words[4:])  # type: ignore[arg-type]
+
+
+def _text_images(path: Path) -> Iterator[_Image]:
+    lines = _lines(path)
+    for line in lines:
+        if not line.strip():
+            continue
+        words = line.split(maxsplit=9)
+        try:
+            number, camera, name = int(words[0]), int(words[8]), words[9].strip()
+        except (ValueError, IndexError) as error:
+            raise unfit(path, f"{line[:60]!r} is no image") from error
+        next(lines, "")  # its observations, which may be none: an empty line
+        pose = numbers(words[1:8], 7, path, f"the pose of {name}")
+        yield _Image(number=number, name=name, camera=camera, cam_from_world=_pose(pose, path, name))
+
+
+def _text_points(path: Path) -> _Points:
+    points = _Points()
+    for line in _lines(path):
+        words = line.split()
+        if not words:
+            continue
+        try:
+            x, y, z, error = (float(words[index]) for index in (1, 2, 3, 7))
+            images = [int(word) for word in words[8::2]]
+        except (ValueError, IndexError) as wrong:
+            raise unfit(path, f"{line[:60]!r} is no point") from wrong
+        points.add((x, y, z), error, images)
+    return _finite(points, path)
+
+
+def _finite(points: _Points, path: Path) -> _Points:
+    if points.xyz and not (np.abs(points.xyz) < MOST).all():
+        raise unfit(path, "a point has no finite coordinates")
+    return points
+
+
+def _pose(values: Sequence[float] | Floats, path: Path, name: str) -> Floats:
+    pose = np.eye(4)
+    w, x, y, z, *place = (float(value) for value in numbers(list(values), 7, path, f"the pose of {name}"))
+    pose[:3, :3] = rotation_of_quaternion(w, x, y, z, f"{path}, {name}")
+    pose[:3, 3] = place
+    return pose

@@ -1,0 +1,219 @@
+"""Each format is read to the cameras that it was written from: places, directions and lenses, to a millionth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fsinfer.importers.foreign import ForeignScene, centers_of
+from fsinfer.importers.formats import reader_of
+from tests.support import foreign_scenes as made
+from tests.support.foreign_scenes import BROWN, COLMAP_LENSES, PINHOLE, SIZE, Truth
+
+#: Writes a scene below a folder and returns what is given to fsinfer, for a lens that the format can say.
+Writer = Callable[[Truth, Path], Path]
+
+
+def _colmap(kind: str, *, binary: bool) -> Writer:
+    def write(scene: Truth, folder: Path) -> Path:
+        made.write_colmap(scene, folder / "sparse" / "0", kind=kind, binary=binary)
+        made.write_photos(scene, folder / "images")
+        return folder
+
+    return write
+
+
+def _openmvs(version: int, *, normalized: bool = False) -> Writer:
+    def write(scene: Truth, folder: Path) -> Path:
+        made.write_openmvs(scene, folder / "scene.mvs", version=version, normalized=normalized)
+        made.write_photos(scene, folder / "images")
+        return folder / "scene.mvs"
+
+    return write
+
+
+def _metashape(*, component: bool) -> Writer:
+    def write(scene: Truth, folder: Path) -> Path:
+        made.write_metashape(scene, folder / "cameras.xml", component=component)
+        made.write_photos(scene, folder / "images")
+        return folder / "cameras.xml"
+
+    return write
+
+
+def _transforms(scene: Truth, folder: Path) -> Path:
+    made.write_transforms(scene, folder / "transforms.json")
+    made.write_photos(scene, folder / "images")
+    return folder
+
+
+def _folder(write: Callable[[Truth, Path], None]) -> Writer:
+    def written(scene: Truth, folder: Path) -> Path:
+        write(scene, folder / "export")
+        return folder / "export"
+
+    return written
+
+
+FORMATS = {
+    **{f"colmap-{kind}-text": (_colmap(kind, binary=False), lens) for kind, lens in COLMAP_LENSES.items()},
+    **{f"colmap-{kind}-binary": (_colmap(kind, binary=True), lens) for kind, lens in COLMAP_LENSES.items()},
+    **{f"openmvs-{version}": (_openmvs(version), PINHOLE) for version in (1, 3, 4, 5, 6, 7)},
+    "openmvs-normalized": (_openmvs(7, normalized=True), PINHOLE),
+    "metashape-component": (_metashape(component=True), replace(BROWN, fy=129.0)),
+    "metashape-chunk": (_metashape(component=False), BROWN),
+    "transforms": (_transforms, replace(BROWN, fy=129.0)),
+    "polycam": (_folder(made.write_polycam), PINHOLE),
+    "scanner": (_folder(made.write_scanner_app), PINHOLE),
+    "record3d": (_folder(made.write_record3d), PINHOLE),
+    "rtabmap": (_folder(made.write_rtabmap), BROWN),
+}
+
+
+def read(given: Path, images: Path | None = None) -> ForeignScene:
+    reader = reader_of(given, images)
+    assert reader is not None, given
+    return reader()
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_cameras_are_those_that_were_written(tmp_path: Path, name: str) -> None:
+    write, lens = FORMATS[name]
+    scene = made.truth(lens)
+    found = read(write(scene, tmp_path / "a plot"))
+    assert len(found.photos) == len(scene.photos)
+    for photo, true in zip(found.photos, scene.photos, strict=True):
+        np.testing.assert_allclose(photo.cam_from_world, true.cam_from_world, atol=1e-6)
+        assert (photo.lens.width, photo.lens.height) == SIZE
+        # The whole lens at once: where it puts points that OpenCV projects.
+        pixels, depth = made.project(true, lens, scene.points)
+        near = (depth > 0) & (np.abs(pixels - np.array(SIZE) / 2) < np.array(SIZE)).all(axis=1)
+        in_camera = scene.points @ true.cam_from_world[:3, :3].T + true.cam_from_world[:3, 3]
+        rays = in_camera[near, :2] / in_camera[near, 2:]
+        np.testing.assert_allclose(photo.lens.pixels_of(rays), pixels[near], atol=1e-6 * lens.fx)
+        assert photo.path.is_file()
+
+
+@pytest.mark.parametrize("name", ["colmap-OPENCV-text", "colmap-OPENCV-binary", "openmvs-1", "openmvs-7"])
+def test_tie_points_and_who_sees_them(tmp_path: Path, name: str) -> None:
+    write, lens = FORMATS[name]
+    scene = made.truth(lens)
+    sparse = read(write(scene, tmp_path)).sparse
+    assert sparse is not None
+    np.testing.assert_allclose(sparse.points, scene.points, atol=1e-6)
+    for photo, seen in zip(scene.photos, made.visible(scene), strict=True):
+        assert sparse.observations[photo.name].tolist() == seen.tolist()
+    counts = np.bincount(np.concatenate(made.visible(scene)), minlength=len(scene.points))
+    assert sparse.track_lengths.tolist() == counts.tolist()
+
+
+@pytest.mark.parametrize(
+    ("name", "metric", "z_up"),
+    [
+        ("colmap-OPENCV-text", False, False),
+        ("openmvs-7", False, False),
+        ("transforms", False, False),
+        ("metashape-chunk", True, False),
+        ("polycam", True, True),
+        ("scanner", True, True),
+        ("record3d", True, False),
+        ("rtabmap", True, True),
+    ],
+)
+def test_what_is_known_of_the_unit_and_of_the_vertical(tmp_path: Path, name: str, metric: bool, z_up: bool) -> None:
+    write, lens = FORMATS[name]
+    found = read(write(made.truth(lens), tmp_path))
+    assert (found.metric, found.z_up) == (metric, z_up)
+
+
+def test_a_chunk_without_a_scale_is_in_its_own_unit(tmp_path: Path) -> None:
+    scene = made.truth(PINHOLE)
+    made.write_metashape(scene, tmp_path / "cameras.xml", scaled=False)
+    made.write_photos(scene, tmp_path)
+    found = read(tmp_path / "cameras.xml")
+    assert not found.metric
+    assert any("no scale" in remark for remark in found.remarks)
+    steps = np.linalg.norm(np.diff(centers_of(found.photos), axis=0), axis=1)
+    true = [np.linalg.norm(made.world_from_cam(b)[:3, 3] - made.world_from_cam(a)[:3, 3])
+            for a, b in zip(scene.photos[:-1], scene.photos[1:], strict=True)]  # fmt: skip
+    np.testing.assert_allclose(steps * made.CHUNK_SCALE, true, rtol=1e-9)
+
+
+def test_a_chunk_on_the_earth_gets_z_up_and_small_coordinates(tmp_path: Path) -> None:
+    # Geocentric coordinates at 47° north, 8.5° east, 500 m above the ellipsoid (WGS84).
+    latitude, longitude, height = np.radians(47.0), np.radians(8.5), 500.0
+    a, e2 = 6378137.0, 6.69437999014e-3
+    n = a / np.sqrt(1 - e2 * np.sin(latitude) ** 2)
+    place = [
+        (n + height) * np.cos(latitude) * np.cos(longitude),
+        (n + height) * np.cos(latitude) * np.sin(longitude),
+        (n * (1 - e2) + height) * np.sin(latitude),
+    ]
+    east = [-np.sin(longitude), np.cos(longitude), 0]
+    up = [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)]
+    earth = np.eye(4)
+    earth[:3, :3] = np.column_stack([east, np.cross(up, east), up])
+    earth[:3, 3] = place
+    scene = made.truth(PINHOLE)
+    made.write_metashape(scene, tmp_path / "cameras.xml", world_from_truth=earth)
+    made.write_photos(scene, tmp_path)
+    found = read(tmp_path)
+    assert found.metric
+    assert found.z_up
+    assert np.abs(centers_of(found.photos)).max() < 5
+    np.testing.assert_allclose(found.origin, place, atol=5)
+    for photo, true in zip(found.photos, scene.photos, strict=True):
+        # The normal of the ellipsoid is taken below the cameras, not through them: 1e-5 rad at most.
+        np.testing.assert_allclose(photo.cam_from_world[:3, :3], true.cam_from_world[:3, :3], atol=1e-5)
+        steps = centers_of(found.photos) - centers_of(found.photos)[0]
+    true_centers = np.array([made.world_from_cam(photo)[:3, 3] for photo in scene.photos])
+    np.testing.assert_allclose(steps, true_centers - true_centers[0], atol=1e-5)
+
+
+def test_pycolmap_and_the_reader_agree(tmp_path: Path) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_frames_per_rig, options.num_points3D = 5, 60
+    model = pycolmap.synthesize_dataset(options)
+    for binary in (True, False):
+        folder = tmp_path / str(binary)
+        folder.mkdir()
+        (model.write_binary if binary else model.write_text)(folder)
+        for image in model.images.values():
+            path = folder / Path(image.name)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.with_suffix(".png").write_bytes(b"")
+        names = {Path(image.name).stem: image for image in model.images.values()}
+        found = read(folder)
+        assert found.sparse is not None
+        assert sorted(photo.name for photo in found.photos) == sorted(names)
+        for photo in found.photos:
+            image = names[photo.name]
+            np.testing.assert_allclose(photo.cam_from_world[:3], image.cam_from_world().matrix(), atol=1e-9)
+            assert len(found.sparse.observations[photo.name]) == image.num_points3D
+            camera = model.cameras[image.camera_id]
+            rays = np.array([[0.1, -0.2], [-0.3, 0.05]])
+            pixels = camera.img_from_cam(np.column_stack([rays, np.ones(2)])) - 0.5
+            np.testing.assert_allclose(photo.lens.pixels_of(rays), pixels, atol=1e-6)
+
+
+def test_frames_of_a_film_are_thinned(tmp_path: Path) -> None:
+    scene = made.truth(PINHOLE, views=4)
+    crowded = replace(scene, photos=tuple(photo for photo in scene.photos for _ in range(5)))
+    crowded = replace(crowded, photos=tuple(replace(photo, name=f"{i}") for i, photo in enumerate(crowded.photos)))
+    made.write_record3d(crowded, tmp_path / "export")
+    found = read(tmp_path / "export")
+    assert [photo.name for photo in found.photos] == ["0", "5", "10", "15"]
+    assert any("of 20 frames 4" in remark for remark in found.remarks)
+
+
+def test_what_no_program_wrote_is_no_foreign_scene(tmp_path: Path) -> None:
+    for name, content in (("a.xml", "<svg/>"), ("b.json", "{}"), ("c.mvs", "hello"), ("cameras.txt", "1 PINHOLE")):
+        (tmp_path / name).write_text(content, encoding="utf-8")
+        assert reader_of(tmp_path / name) is None
+    assert reader_of(tmp_path) is None
+    assert reader_of(tmp_path / "nowhere") is None
