@@ -36,13 +36,10 @@ MOST_AT_ONCE = 256
 class Cluster:
     """Plots on the workers of the scheduler at ``address``; with ``copy`` the photographs are sent to them."""
 
-    def __init__(
-        self, address: str, *, copy: bool = False, connect_s: float = CONNECT_S, alone_s: float = ALONE_S
-    ) -> None:
+    def __init__(self, address: str, *, copy: bool = False) -> None:
         self._address = address
         self._copy = copy
-        self._alone_s = alone_s
-        self._client = _connect(address, connect_s)
+        self._client = _connect(address)
         self._changed = threading.Condition()
         self._threads: dict[str, int] = {}
         self._lent: Counter[str] = Counter()
@@ -147,14 +144,14 @@ class Cluster:
             try:
                 self._look()
             except Exception as error:
-                if not self._closed.is_set() and time.monotonic() - self._seen > self._alone_s:
+                if not self._closed.is_set() and time.monotonic() - self._seen > ALONE_S:
                     self._fail(f"the scheduler {self._address} does not answer any more ({type(error).__name__})")
                     return
                 continue
             if self._threads:
                 self._seen = time.monotonic()
-            elif time.monotonic() - self._seen > self._alone_s:
-                self._fail(f"the scheduler {self._address} has had no worker for {self._alone_s:.0f} s")
+            elif time.monotonic() - self._seen > ALONE_S:
+                self._fail(f"the scheduler {self._address} has had no worker for {ALONE_S:.0f} s")
                 return
 
     def _look(self) -> None:
@@ -181,7 +178,7 @@ class Cluster:
             raise ClusterError(msg)
 
 
-def _connect(address: str, connect_s: float) -> Any:
+def _connect(address: str) -> Any:
     try:
         from distributed import Client
     except ImportError as error:
@@ -189,7 +186,7 @@ def _connect(address: str, connect_s: float) -> Any:
         raise InputError(msg) from error
     try:
         connect: Any = Client
-        return connect(address, timeout=connect_s, set_as_default=False, name="fsinfer-batch")
+        return connect(address, timeout=CONNECT_S, set_as_default=False, name="fsinfer-batch")
     except (OSError, TimeoutError, ValueError) as error:
         msg = f"no Dask scheduler answers at {address} ({error}); start one with: dask scheduler"
         raise InputError(msg) from error

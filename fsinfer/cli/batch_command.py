@@ -106,8 +106,8 @@ def batch(
 
     Columns: name, photos, and any of scale, aruco_length_m, aruco_dictionary, endpoints, length_m, interval_s,
     equalize, views, max_size, bh, bh_rule, plot_radius_m, plot_center, plot_polygon, edits, far_stems (as the options
-    of fsinfer run), latitude_deg, longitude_deg. A plot that fails touches no other. Run again to go on: what is finished and
-    unchanged is not repeated.
+    of fsinfer run), latitude_deg, longitude_deg. A plot that fails touches no other. Run again to go on: what is
+    finished and unchanged is not repeated.
 
     Exit code: 0 when all plots are measured; 3 when some failed, each with its reason in OUT/summary.csv; 2 when the
     table, an option or the cluster cannot be used.

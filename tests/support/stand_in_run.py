@@ -1,6 +1,6 @@
 """Stands in for ``fsinfer run``: what it leaves, in a moment; and it fails as its photographs' folder asks it to.
 
-``python -m tests.support.stand_in_run PHOTOS OUT [options]``. ``PHOTOS/behave.json`` may hold: ``seconds`` to sleep,
+``python stand_in_run.py PHOTOS OUT [options]``. ``PHOTOS/behave.json`` may hold: ``seconds`` to sleep,
 ``exit`` with ``say``, ``signal`` to die by, ``gb`` to hold, ``child`` (starts another process), ``once`` (only the
 first attempt behaves so), ``cloud`` (how large the cloud is).
 """
