@@ -21,7 +21,7 @@ from fsinfer.io.files import make_folder
 
 #: What the command line's exit codes mean (docs/quickstart.md). Source: format.
 _EXIT_FAULT, _EXIT_INPUT, _EXIT_STOPPED = 1, 2, 130
-# By number: 9 is how the system ends a process when memory runs out.
+#: By number of the signal: 9 is how the system ends a process when memory runs out. Source: format; signal(7).
 _WHY_KILLED = {9: ", mostly for want of memory: give fewer --jobs, or a smaller max_size"}
 
 

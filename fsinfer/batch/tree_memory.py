@@ -15,7 +15,7 @@ _PROC = Path("/proc")
 _PROC_IS_THERE = (_PROC / "self" / "stat").is_file()
 #: Bytes of a GB, as options count them. Source: format; its definition.
 BYTES_OF_GB = 1e9
-# Fields of /proc/PID/stat behind the name (proc(5)): parent, session, resident pages.
+#: Fields of /proc/PID/stat behind the name: parent, session, resident pages. Source: format; proc(5).
 _PARENT, _SESSION, _RESIDENT = 1, 3, 21
 
 

@@ -17,7 +17,7 @@ STAND_IN = (sys.executable, str(Path(__file__).with_name("stand_in_run.py")))
 
 def write_table(folder: Path, rows: Sequence[Mapping[str, object]]) -> Path:
     """``plots.csv`` in ``folder``; a row without photos gets a folder of its own, called as the plot."""
-    rows = [{"photos": f"photos/{row['name']}"} | row for row in rows]
+    rows = [{"photos": f"photos/{row['name']}", **row} for row in rows]
     columns = list(dict.fromkeys(key for row in rows for key in row))
     path = folder / "plots.csv"
     with path.open("w", encoding="utf-8", newline="") as stream:

@@ -170,7 +170,7 @@ class Page(HTMLParser):
 def test_no_name_or_message_becomes_a_formula_or_a_part_of_the_page(tmp_path: Path) -> None:
     names = ("=1+1", "@sum", "-2+3", "+4", "a & b", "100%41 #2", "it's", "ok {{ 7 + 7 }}")
     places = [{"latitude_deg": 47 + i / 100, "longitude_deg": 8 - i / 50} for i in range(len(names))]
-    table = write_table(tmp_path, [{"name": name} | place for name, place in zip(names, places, strict=True)])
+    table = write_table(tmp_path, [{"name": name, **place} for name, place in zip(names, places, strict=True)])
     behave(tmp_path, "@sum", exit=2, say="Error: =cmd|' /C calc'!A0 <script>alert(1)</script>")
     out = tmp_path / "out"
     run(table, out, jobs=4)
