@@ -38,7 +38,8 @@ class RunningCluster:
 
 
 def start(folder: Path, *words: str) -> subprocess.Popen[bytes]:
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "DASK_DISTRIBUTED__ADMIN__TICK__LIMIT": "60s"}
+    paths = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
+    environment = os.environ | {"PYTHONPATH": paths, "DASK_DISTRIBUTED__ADMIN__TICK__LIMIT": "60s"}
     with (folder / "dask.log").open("ab") as log:
         return subprocess.Popen(
             [sys.executable, "-m", "dask", *words], cwd=folder, env=environment, stdout=log, stderr=log
