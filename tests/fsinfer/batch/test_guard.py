@@ -108,7 +108,9 @@ def test_the_folder_of_a_dead_one_is_free_at_once_and_that_of_a_silent_one_later
     import socket
 
     lease.write_text(json.dumps({"host": socket.gethostname(), "pid": int(done.stdout), "token": "1"}))
-    assert Lease(tmp_path).take(lambda: False)
+    # Long before it would be stale.
+    end = time.monotonic() + 20
+    assert Lease(tmp_path).take(lambda: time.monotonic() > end)
     lease.write_text(json.dumps({"host": "elsewhere", "pid": 1, "token": "2"}))
     start = time.monotonic()
     assert Lease(tmp_path, stale_s=0.4).take(lambda: False, pause_s=0.02)
