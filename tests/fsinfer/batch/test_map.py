@@ -97,7 +97,7 @@ def test_what_failed_and_what_waits_is_told(tmp_path: Path) -> None:
     ]
     text = write_report(tmp_path, rows, title="Plots").read_text(encoding="utf-8")
     assert "<li><b>a</b>: too &lt;dark&gt;</li>" in text
-    assert "1 plots are not yet measured. Run the same command again" in text
+    assert "1 plot is not yet measured. Run the same command again" in text
     assert 'class="dot failed"' in text
     assert 'class="dot waiting"' in text
     # Without a report of its own there is nothing to link.
