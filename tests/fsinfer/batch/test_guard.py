@@ -13,6 +13,8 @@ import pytest
 
 from fsinfer.batch.guard import Ended, GuardTask, guard
 from fsinfer.batch.lease import LEASE_FILE, Lease
+from fsinfer.batch.tree_memory import check_can_look, resident_gb
+from fsinfer.errors import InputError
 from tests.support.batch_plots import is_alive, kill, wait_for
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks processes up in /proc")
@@ -54,12 +56,34 @@ def test_it_is_ended_after_its_time_with_what_it_started(tmp_path: Path) -> None
 
 
 def test_memory_of_what_it_started_counts(tmp_path: Path) -> None:
-    result = guard(task(tmp_path, PARENT % 300_000_000, limit_gb=0.25, limit_minutes=5), threading.Event())
+    result = guard(task(tmp_path, PARENT % 300_000_000, limit_gb=0.25, limit_minutes=1), threading.Event())
     assert result.ended is Ended.memory
     assert result.peak_gb is not None
     assert 0.25 < result.peak_gb < 0.6
     child = child_of(tmp_path)
     wait_for(lambda: not is_alive(child))
+
+
+def test_memory_is_seen_without_proc_as_well(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("psutil")
+    process = subprocess.Popen([sys.executable, "-c", PARENT % 200_000_000], stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        child = int(process.stdout.readline())
+        wait_for(lambda: resident_gb(child) > 0.2)
+        by_proc = resident_gb(process.pid)
+        monkeypatch.setattr("fsinfer.batch.tree_memory._PROC_IS_THERE", False)
+        check_can_look()
+        assert resident_gb(process.pid) == pytest.approx(by_proc, rel=0.05)
+        assert resident_gb(child) < by_proc
+        kill(child)
+    finally:
+        process.kill()
+        process.communicate()
+    assert resident_gb(process.pid) == 0.0
+    monkeypatch.setitem(sys.modules, "psutil", None)
+    with pytest.raises(InputError, match="--limit-gb needs the package psutil"):
+        check_can_look()
 
 
 def test_what_a_finished_command_left_behind_is_ended(tmp_path: Path) -> None:
