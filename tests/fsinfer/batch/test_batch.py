@@ -275,6 +275,16 @@ def test_a_batch_that_was_stopped_starts_nothing_more(tmp_path: Path) -> None:
     assert table.is_file()
 
 
+def test_a_worker_with_another_version_measures_nothing(tmp_path: Path) -> None:
+    from fsinfer.batch.attempt import PlotTask, attempt
+
+    task = PlotTask(batch="b", photos=tmp_path, out=tmp_path / "out", command=STAND_IN, version="0.0.1")
+    tried = attempt(task)
+    assert "the batch 0.0.1; install the same version everywhere" in tried.message
+    assert (tried.done, tried.again) == (False, True)
+    assert not (tmp_path / "out").exists()
+
+
 def invoke(*words: str) -> tuple[int, str]:
     result = CliRunner().invoke(app, ["batch", *words], env={"COLUMNS": "300"})
     return result.exit_code, " ".join(result.output.replace("│", " ").split())

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from fsinfer.batch.run import BatchResult, run_batch
+from fsinfer.batch.places_to_run import ClusterError
+from fsinfer.batch.run import BatchResult, PlotNews, run_batch
 from fsinfer.batch.settings import BatchSettings
 from tests.support.batch_plots import STAND_IN, behave, is_alive, kill, read_csv, started, wait_for, write_table
 from tests.support.places import ROOT
@@ -34,6 +35,7 @@ class RunningCluster:
 
     address: str
     folder: Path
+    scheduler: subprocess.Popen[bytes]
     workers: list[subprocess.Popen[bytes]]
 
 
@@ -62,7 +64,7 @@ def cluster(tmp_path: Path) -> Iterator[RunningCluster]:
             # Without a nanny, which would start it again: this worker is gone for good.
             words = ("--no-nanny", "--nthreads", "2", "--host", "127.0.0.1", "--no-dashboard", "--name", f"w{number}")
             workers.append(start(folder, "worker", address, *words, "--local-directory", str(folder / f"w{number}")))
-        yield RunningCluster(address=address, folder=folder, workers=workers)
+        yield RunningCluster(address=address, folder=folder, scheduler=scheduler, workers=workers)
     finally:
         for process in (*workers, scheduler):
             process.kill()
@@ -137,6 +139,25 @@ def test_photos_are_sent_to_workers_that_share_no_disk(tmp_path: Path, cluster: 
     near = tmp_path / "near"
     run(table, near, jobs=3)
     assert summary(out) == summary(near)
+
+
+def test_when_the_scheduler_stays_away_the_batch_ends_and_keeps_what_is_finished(
+    tmp_path: Path, cluster: RunningCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table, out = write_table(tmp_path, [{"name": name} for name in "abc"]), tmp_path / "far"
+    for name in "bc":
+        behave(tmp_path, name, seconds=600)
+
+    def news(item: PlotNews) -> None:
+        assert item.row.plot == "a"
+        monkeypatch.setattr("fsinfer.batch.cluster.ALONE_S", 3.0)
+        kill(cluster.scheduler.pid)
+
+    settings = BatchSettings(command=STAND_IN, scheduler=cluster.address)
+    with pytest.raises(ClusterError, match=r"does not answer any more.*finished plots are kept"):
+        run_batch(table, out, settings=settings, news=news)
+    states = {row["plot"]: row["state"] for row in read_csv(out / "summary.csv")}
+    assert states == {"a": "done", "b": "waiting", "c": "waiting"}
 
 
 def run(table: Path, out: Path, **settings: object) -> BatchResult:
