@@ -7,6 +7,9 @@ prints it on one line and exits with code 2; anything that is not a ``FsinferErr
 
 from __future__ import annotations
 
+#: What the command line says when memory ran out, by which a batch knows that another attempt is worth it.
+NOT_ENOUGH_MEMORY = "this computer has not enough free memory"
+
 
 class FsinferError(Exception):
     """Base class of every error that a user can put right."""

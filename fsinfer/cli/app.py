@@ -9,6 +9,7 @@ import typer
 import typer.core
 
 from fsinfer._version import __version__
+from fsinfer.cli.batch_command import register_batch
 from fsinfer.cli.console import (
     Debug,
     Quiet,
@@ -63,6 +64,7 @@ from fsinfer.scale.request import ScaleRequest
 
 EXAMPLES = {
     "run": "photos my-plot",
+    "batch": "plots.csv my-plots",
     "check": "photos my-plot",
     "demo": "demo-plot",
     "frames": "walk.mp4 my-frames",
@@ -213,6 +215,7 @@ def run(
         typer.echo(f"Apart from the rest, {part['photos']} photos: {told}, {out / part['folder'] / 'report.html'}")
 
 
+register_batch(app)
 register_field(app)
 register_scale(app)
 register_stages(app)

@@ -18,7 +18,7 @@ import typer
 
 from fsinfer.cli.faults import how_to_report, keep_trace
 from fsinfer.cli.remaining import RemainingTime, as_words
-from fsinfer.errors import FsinferError
+from fsinfer.errors import NOT_ENOUGH_MEMORY, FsinferError
 from fsinfer.progress import Progress, silent
 
 #: Source: format; what the shell is told.
@@ -80,7 +80,7 @@ def explain(error: Exception) -> tuple[str, int]:
         return f"Error: {error.strerror}{where}; free some space or choose another output folder", EXIT_USER_ERROR
     if isinstance(error, MemoryError):
         hint = "close other programs, or give a smaller --max-size; what is finished is kept"
-        return f"Error: this computer has not enough free memory; {hint}", EXIT_USER_ERROR
+        return f"Error: {NOT_ENOUGH_MEMORY}; {hint}", EXIT_USER_ERROR
     what = f"{type(error).__name__}: {_one_line(error)}".rstrip(": ")
     return f"Internal error ({what}). This is a fault of fsinfer; --debug shows the details.", EXIT_OUR_FAULT
 

@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from jinja2 import Environment
     from markupsafe import Markup
 
+# The package whose templates these are.
+_OWN = "fsinfer.report"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
@@ -52,11 +55,11 @@ def missing_part(anchor: str, title: str, why: str) -> Part:
     return Part(anchor=anchor, title=title, view=MissingView(why=why), template="missing")
 
 
-def render_part(part: Part) -> RenderedPart:
-    """Fill the template of one part."""
+def render_part(part: Part, *, templates: str = _OWN) -> RenderedPart:
+    """Fill the template of one part; ``templates`` is the package that has it, where it is none of this one."""
     from markupsafe import Markup
 
-    template = _environment().get_template(f"{part.template or part.anchor}.html.jinja")
+    template = _environment(templates).get_template(f"{part.template or part.anchor}.html.jinja")
     return RenderedPart(anchor=part.anchor, title=part.title, html=Markup(template.render(view=part.view)))
 
 
@@ -66,12 +69,12 @@ def render_page(title: str, subtitle: str, parts: Sequence[RenderedPart]) -> str
 
 
 @cache
-def _environment() -> Environment:
+def _environment(templates: str = _OWN) -> Environment:
     # Here, not at the top: only who makes a report pays for it.
-    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
-        loader=PackageLoader("fsinfer.report"),
+        loader=ChoiceLoader([PackageLoader(package) for package in dict.fromkeys((templates, _OWN))]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

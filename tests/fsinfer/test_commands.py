@@ -40,7 +40,7 @@ BLOCK = re.compile(r"^(?P<indent> *)```sh\n(?P<text>.*?)^(?P=indent)```", flags=
 FENCED = re.compile(r"^ *```.*?^ *```", flags=re.DOTALL | re.MULTILINE)
 INLINE = re.compile(r"`((?:fsinfer|python -m) [^`]+)`")
 #: What the shell itself, or what is installed beside fsinfer, does.
-OTHERS = {"pip", "pre-commit", "python3", ".", "for", "done", "do", "pytest", "mkdocs"}
+OTHERS = {"pip", "dask", "pre-commit", "python3", ".", "for", "done", "do", "pytest", "mkdocs"}
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import pytest
 
 from tests.support.places import ROOT
 
-HEAVY = ("torch", "pycolmap", "matplotlib", "onnxruntime", "laspy", "cv2", "scipy", "numpy", "typer")
+HEAVY = ("torch", "distributed", "pycolmap", "matplotlib", "onnxruntime", "laspy", "cv2", "scipy", "numpy", "typer")
 # Makes any "import torch" fail, as in an installation without it.
 BLOCK_TORCH = "import sys; sys.modules['torch'] = None; "
 
@@ -40,7 +40,7 @@ def test_help_loads_nothing_heavy() -> None:
     assert [name for name in HEAVY if name in loaded and name != "typer"] == []
 
 
-@pytest.mark.parametrize("command", ["run", "depth", "frames", "trees", "evaluate", "check", "marker"])
+@pytest.mark.parametrize("command", ["run", "batch", "depth", "frames", "trees", "evaluate", "check", "marker"])
 def test_help_of_a_command_loads_nothing_heavy(command: str) -> None:
     code = (
         f"import contextlib, io, json; sys.argv = ['fsinfer', '{command}', '--help']\n"

@@ -30,6 +30,7 @@ make_settings = _load(ROOT / "docs" / "make_settings.py")
 
 #: Packages whose every number says its source.
 REQUIRED = (
+    "batch",
     "check",
     "cli",
     "conventions",

@@ -40,10 +40,9 @@ def read_sheets(path: Path) -> list[Sheet]:
         parts = {name: archive.read(name) for name in archive.namelist()}
     for part in parts.values():
         ElementTree.fromstring(part)
-    shared = [
-        "".join(text.itertext())
-        for text in ElementTree.fromstring(parts["xl/sharedStrings.xml"]).iterfind("m:si", SPACE)
-    ]
+    # A workbook that is written row by row has its texts in the cells instead.
+    texts = ElementTree.fromstring(parts.get("xl/sharedStrings.xml", b"<sst/>"))
+    shared = ["".join(text.itertext()) for text in texts.iterfind("m:si", SPACE)]
     styles = ElementTree.fromstring(parts["xl/styles.xml"])
     codes = BUILT_IN_FORMATS | {
         int(entry.attrib["numFmtId"]): entry.attrib["formatCode"]
@@ -68,11 +67,19 @@ def _sheet(name: str, xml: str, shared: list[str], kinds: list[tuple[str, bool]]
     values: dict[str, float | str | bool] = {}
     formats, bold = {}, set()
     for cell in root.iterfind(".//m:c", SPACE):
-        place, text = cell.attrib["r"], cell.findtext("m:v", namespaces=SPACE)
+        place, kind = cell.attrib["r"], cell.attrib.get("t", "n")
+        text = cell.findtext("m:is/m:t" if kind == "inlineStr" else "m:v", namespaces=SPACE)
         if text is None:
             continue
-        kind = cell.attrib.get("t", "n")
-        values[place] = shared[int(text)] if kind == "s" else text == "1" if kind == "b" else float(text)
+        values[place] = (
+            text
+            if kind == "inlineStr"
+            else shared[int(text)]
+            if kind == "s"
+            else text == "1"
+            if kind == "b"
+            else float(text)
+        )
         formats[place], is_bold = kinds[int(cell.attrib.get("s", 0))]
         if is_bold:
             bold.add(place)
@@ -98,3 +105,9 @@ def _column(place: str) -> int:
     for letter in place.rstrip("0123456789"):
         column = 26 * column + ord(letter) - ord("A") + 1
     return column - 1
+
+
+def _value(kind: str, text: str, shared: list[str]) -> float | str | bool:
+    if kind in ("s", "inlineStr"):
+        return shared[int(text)] if kind == "s" else text
+    return text == "1" if kind == "b" else float(text)

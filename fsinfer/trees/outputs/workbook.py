@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +23,8 @@ Cell = str | int | float | bool | None
 
 #: The date in the file: the same trees give the same bytes, whenever they are written. Source: layout; any would do.
 _CREATED = datetime(2000, 1, 1)
+# By default a text that begins with "=" or "http:" would become a formula or a link.
+_OPTIONS = {"strings_to_formulas": False, "strings_to_urls": False, "strings_to_numbers": False}
 #: Digits that are shown by the ending of a name; the cells themselves hold more. Source: layout; what a calliper tells.
 _SHOWN = (
     ("_cm", "0.0"),
@@ -35,6 +37,29 @@ _SHOWN = (
 )
 #: Least and greatest width of a column, characters: wider ones push the next off the screen. Source: layout.
 _WIDTH_CHARACTERS = (8, 60)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sheet:
+    """A table of a workbook: rows as long as ``columns``; numbers are shown by the units of their columns' names."""
+
+    name: str
+    columns: Sequence[str]
+    rows: Iterable[Sequence[Cell]]
+
+
+def write_workbook(path: Path, sheets: Sequence[Sheet], *, title: str) -> None:
+    """Write tables of any length as the sheets of one XLSX workbook, atomically; see :func:`write_tables` for cells."""
+    import xlsxwriter
+
+    with atomic_path(path) as temporary:
+        body = io.BytesIO()
+        # Rows go to the disk as they come, so that a hundred thousand trees take no memory.
+        with xlsxwriter.Workbook(body, _OPTIONS | {"constant_memory": True}) as book:
+            book.set_properties({"title": title, "comments": "written by fsinfer", "created": _CREATED})
+            for sheet in sheets:
+                _write_sheet(book, sheet.name, sheet.columns, sheet.rows, _format_of_column)
+        temporary.write_bytes(body.getvalue())
 
 
 def write_tables(
@@ -54,9 +79,7 @@ def write_tables(
     import xlsxwriter
 
     body = io.BytesIO()
-    # By default a text that begins with "=" or "http:" would become a formula or a link.
-    options = {"in_memory": True, "strings_to_formulas": False, "strings_to_urls": False, "strings_to_numbers": False}
-    with xlsxwriter.Workbook(body, options) as book:
+    with xlsxwriter.Workbook(body, _OPTIONS | {"in_memory": True}) as book:
         book.set_properties({"title": "Trees of a plot", "comments": "written by fsinfer", "created": _CREATED})
         _write_sheet(book, "trees", COLUMNS, map(table_row, result.trees), _format_of_column)
         stand = asdict(result.stand).items()

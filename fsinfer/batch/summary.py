@@ -1,0 +1,69 @@
+"""The summary of a batch: tables of all plots and of all trees, the same as a workbook, and in JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from fsinfer._version import __version__
+from fsinfer.batch.outcome import State
+from fsinfer.batch.rows import PLOT_COLUMNS, TREE_COLUMNS, PlotRow, PlotTrees, cells
+from fsinfer.io.csv_text import write_table
+from fsinfer.io.files import write_text
+from fsinfer.output.json_values import as_json
+from fsinfer.output.plot_json import finite
+from fsinfer.trees.outputs.workbook import Sheet, write_workbook
+
+SUMMARY_CSV = "summary.csv"
+SUMMARY_XLSX = "summary.xlsx"
+SUMMARY_JSON = "summary.json"
+TREES_FILE = "trees.csv"
+#: Rows of a sheet, its header among them. Source: format; XLSX.
+MOST_ROWS = 1_048_576
+
+
+@dataclass(frozen=True, kw_only=True)
+class Counts:
+    """How many plots stand where, and how many trees they have."""
+
+    plots: int
+    done: int
+    failed: int
+    waiting: int
+    trees: int
+    trees_with_dbh: int
+
+
+def count(rows: Sequence[PlotRow]) -> Counts:
+    """Of all rows."""
+    of = {state: sum(row.state is state for row in rows) for state in State}
+    return Counts(
+        plots=len(rows),
+        done=of[State.done],
+        failed=of[State.failed],
+        waiting=of[State.waiting],
+        trees=sum(row.trees or 0 for row in rows),
+        trees_with_dbh=sum(row.trees_with_dbh or 0 for row in rows),
+    )
+
+
+def write_plots(out: Path, rows: Sequence[PlotRow]) -> None:
+    """Write the table of plots and the same in JSON, each atomically."""
+    write_table(out / SUMMARY_CSV, PLOT_COLUMNS, map(cells, rows))
+    told = {"made_by": __version__, **as_json(count(rows)), "rows": as_json(rows)}
+    write_text(out / SUMMARY_JSON, json.dumps(finite(told), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def write_trees_and_workbook(out: Path, rows: Sequence[PlotRow], trees: Sequence[PlotTrees]) -> None:
+    """Write the table of all trees, and both tables as sheets of a workbook, each atomically.
+
+    Where a sheet cannot hold all trees, the workbook has none of them: ``trees.csv`` has.
+    """
+    write_table(out / TREES_FILE, TREE_COLUMNS, (tree for plot in trees for tree in plot.text))
+    sheets = [Sheet(name="plots", columns=PLOT_COLUMNS, rows=map(cells, rows))]
+    if sum(len(plot.values) for plot in trees) < MOST_ROWS:
+        values = (tree for plot in trees for tree in plot.values)
+        sheets.append(Sheet(name="trees", columns=TREE_COLUMNS, rows=values))
+    write_workbook(out / SUMMARY_XLSX, sheets, title="Plots")

@@ -1,0 +1,164 @@
+"""The command for many plots: a table of them, each measured in a process of its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fsinfer.cli.console import Debug, Quiet, reports_errors, say
+from fsinfer.cli.options import DEFAULT_PRECISION, MemoryGb, Model, PrecisionHow, Provider, decimal
+from fsinfer.cli.remaining import as_words
+from fsinfer.depth.settings import DepthSettings
+
+if TYPE_CHECKING:
+    from fsinfer.batch.run import BatchResult, PlotNews
+
+#: Exit code when the batch came to its end, but not every plot did. Source: format; what the shell is told.
+EXIT_SOME_FAILED = 3
+
+_WHERE = "Where"
+_LIMITS = "Limits of a plot"
+_PLOTS = "For all plots, as in fsinfer run"
+
+
+def register_batch(app: typer.Typer) -> None:
+    """Add the command of this module to ``app``."""
+    app.command()(batch)
+
+
+@reports_errors
+def batch(
+    plots: Annotated[
+        Path,
+        typer.Argument(
+            metavar="PLOTS.csv", help="Table, a plot a row: name, photos (folder or video), ...", show_default=False
+        ),
+    ],
+    out: Annotated[Path, typer.Argument(help="Output folder of all plots; made if missing.", show_default=False)],
+    jobs: Annotated[
+        int, typer.Option("--jobs", "-j", min=1, help="Plots at once on this computer.", rich_help_panel=_WHERE)
+    ] = 1,
+    scheduler: Annotated[
+        str,
+        typer.Option(
+            "--scheduler",
+            metavar="ADDRESS",
+            help="Dask scheduler, like tcp://10.0.0.5:8786: its workers measure the plots. Needs fsinfer\\[cluster].",
+            rich_help_panel=_WHERE,
+            show_default=False,
+        ),
+    ] = "",
+    copy: Annotated[
+        bool,
+        typer.Option(
+            "--copy",
+            help="Send the photos to the workers' own disks and fetch the results. Default: workers see PLOTS' paths "
+            "and OUT as this computer does.",
+            rich_help_panel=_WHERE,
+        ),
+    ] = False,
+    retries: Annotated[
+        int,
+        typer.Option(
+            "--retries",
+            min=0,
+            help="Try a plot so often again that was killed, ran out of memory, or lost its worker.",
+            rich_help_panel=_LIMITS,
+        ),
+    ] = 2,
+    limit_minutes: Annotated[
+        float | None,
+        typer.Option(
+            "--limit-minutes",
+            parser=decimal,
+            help="End a plot after so many minutes. Running it again goes on from there.",
+            rich_help_panel=_LIMITS,
+        ),
+    ] = None,
+    limit_gb: Annotated[
+        float | None,
+        typer.Option(
+            "--limit-gb",
+            parser=decimal,
+            help="End a plot that holds more memory, in GB, with all that it has started.",
+            rich_help_panel=_LIMITS,
+        ),
+    ] = None,
+    threads: Annotated[
+        int,
+        typer.Option(
+            "--threads",
+            min=0,
+            help="Processor cores of each plot; 0 = its share of the computer.",
+            rich_help_panel=_PLOTS,
+        ),
+    ] = 0,
+    memory_gb: MemoryGb = DepthSettings.memory_gb,
+    model: Model = DepthSettings.model,
+    provider: Provider = DepthSettings.provider,
+    precision: PrecisionHow = DEFAULT_PRECISION,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Measure many plots: fsinfer run for each row of a table, and one summary, map and report over all of them.
+
+    Columns: name, photos, and any of scale, aruco_length_m, aruco_dictionary, endpoints, length_m, interval_s,
+    equalize, views, max_size, bh, bh_rule, plot_radius_m, plot_center, plot_polygon, edits, far_stems (as the options
+    of fsinfer run), latitude_deg, longitude_deg. A plot that fails touches no other. Run again to go on: what is
+    finished and unchanged is not repeated.
+
+    Exit code: 0 when all plots are measured; 3 when some failed, each with its reason in OUT/summary.csv; 2 when the
+    table, an option or the cluster cannot be used.
+    """
+    from fsinfer.batch.run import run_batch
+    from fsinfer.batch.settings import BatchSettings
+
+    settings = BatchSettings(
+        jobs=jobs,
+        retries=retries,
+        limit_minutes=limit_minutes,
+        limit_gb=limit_gb,
+        scheduler=scheduler,
+        copy=copy,
+        threads=threads,
+        options=(
+            f"--memory-gb={memory_gb!r}",
+            # A manifest is a file, which the plots are to find from wherever they run.
+            f"--model={Path(model).absolute() if Path(model).is_file() else model}",
+            f"--provider={provider}",
+            f"--precision={precision.value}",
+        ),
+    )
+    result = run_batch(plots, out, settings=settings, news=_say_nothing if quiet else _say_news)
+    for line in _lines(result):
+        typer.echo(line)
+    if result.counts.failed:
+        raise typer.Exit(EXIT_SOME_FAILED)
+
+
+def _say_nothing(_: PlotNews) -> None:
+    pass
+
+
+def _say_news(news: PlotNews) -> None:
+    row = news.row
+    if row.state.value == "failed":
+        told = f"failed: {row.message}"
+    else:
+        told = f"{row.trees} trees, {row.trees_with_dbh} with DBH"
+        told += f", {as_words(row.seconds or 0.0)}" if news.ran else ", done before"
+    left = "" if not news.seconds_left else f"; about {as_words(news.seconds_left)} left"
+    say(f"{news.finished}/{news.plots} {row.plot}: {told}{left}")
+
+
+def _lines(result: BatchResult) -> list[str]:
+    counts = result.counts
+    lines = [] if result.ran else ["Nothing to do: everything was finished before."]
+    lines.append(f"Plots: {counts.done} of {counts.plots} measured, {counts.failed} failed")
+    lines.append(f"Trees: {counts.trees}, with DBH {counts.trees_with_dbh}")
+    lines += [f"  {row.plot} failed: {row.message}" for row in result.rows if row.state.value == "failed"]
+    lines.append(f"Summary: {result.out / 'summary.csv'}, {result.out / 'summary.xlsx'}")
+    lines.append(f"Report: {result.report}")
+    return lines

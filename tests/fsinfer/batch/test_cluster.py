@@ -1,0 +1,164 @@
+"""Plots on a real Dask cluster of two workers, one of which is killed in mid-run: all in the summary, each once."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from fsinfer.batch.places_to_run import ClusterError
+from fsinfer.batch.run import BatchResult, PlotNews, run_batch
+from fsinfer.batch.settings import BatchSettings
+from tests.support.batch_plots import STAND_IN, behave, is_alive, kill, read_csv, started, wait_for, write_table
+from tests.support.places import ROOT
+
+pytest.importorskip("distributed")
+pytestmark = [
+    pytest.mark.skipif(sys.platform != "linux", reason="looks processes up in /proc"),
+    # What Dask says of itself, its files and its sockets is no warning of ours.
+    pytest.mark.filterwarnings("default"),
+]
+#: Columns that tell who did it and how long it took.
+OF_THE_RUN = ("attempts", "seconds", "host")
+
+
+@dataclass
+class RunningCluster:
+    """A scheduler and its workers, processes of their own as on several computers."""
+
+    address: str
+    folder: Path
+    scheduler: subprocess.Popen[bytes]
+    workers: list[subprocess.Popen[bytes]]
+
+
+def start(folder: Path, *words: str) -> subprocess.Popen[bytes]:
+    paths = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
+    environment = os.environ | {"PYTHONPATH": paths, "DASK_DISTRIBUTED__ADMIN__TICK__LIMIT": "60s"}
+    with (folder / "dask.log").open("ab") as log:
+        return subprocess.Popen(
+            [sys.executable, "-m", "dask", *words], cwd=folder, env=environment, stdout=log, stderr=log
+        )
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[RunningCluster]:
+    folder = tmp_path / "dask"
+    folder.mkdir()
+    told = folder / "scheduler.json"
+    scheduler = start(
+        folder, "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(told)
+    )
+    workers: list[subprocess.Popen[bytes]] = []
+    try:
+        wait_for(lambda: told.is_file() and told.read_text().strip().endswith("}"), seconds=120)
+        address = json.loads(told.read_text(encoding="utf-8"))["address"]
+        for number in range(2):
+            # Without a nanny, which would start it again: this worker is gone for good.
+            words = ("--no-nanny", "--nthreads", "2", "--host", "127.0.0.1", "--no-dashboard", "--name", f"w{number}")
+            workers.append(start(folder, "worker", address, *words, "--local-directory", str(folder / f"w{number}")))
+        yield RunningCluster(address=address, folder=folder, scheduler=scheduler, workers=workers)
+    finally:
+        for process in (*workers, scheduler):
+            process.kill()
+            process.wait()
+
+
+def summary(out: Path) -> list[dict[str, str]]:
+    return [{k: v for k, v in row.items() if k not in OF_THE_RUN} for row in read_csv(out / "summary.csv")]
+
+
+def test_fifty_plots_with_one_worker_killed_come_out_as_on_one_computer(
+    tmp_path: Path, cluster: RunningCluster
+) -> None:
+    names = [f"plot {number:02d}" for number in range(50)]
+    table = write_table(tmp_path, [{"name": name, "latitude_deg": 47, "longitude_deg": 8} for name in names])
+    behave(tmp_path, "plot 07", exit=2, say="Error: too dark; take them by day")
+    # Two plots that are under way when their worker is killed, and would be for long.
+    for name in ("plot 00", "plot 01", "plot 02", "plot 03"):
+        behave(tmp_path, name, seconds=600, child=True, once=True)
+    out = tmp_path / "far"
+    begun = [out / "plots" / name / "child.txt" for name in names[:4]]
+    children: list[int] = []
+    killed: list[int] = []
+
+    def kill_the_workers() -> None:
+        """Each of the two has two of the four long plots; after the first a third worker takes its place."""
+        wait_for(lambda: all(path.is_file() and path.read_text() != "" for path in begun), seconds=120)
+        children.extend(int(path.read_text()) for path in begun)
+        first = cluster.workers[0]
+        kill(first.pid)
+        first.wait()
+        wait_for(lambda: sum(not is_alive(child) for child in children) == 2, seconds=60)
+        killed.append(first.pid)
+        # The plots of the other worker are not touched by that; they end now, by themselves.
+        for child_file in begun:
+            if is_alive(int(child_file.read_text())):
+                kill(int((child_file.parent / "pid.txt").read_text()))
+
+    killer = threading.Thread(target=kill_the_workers)
+    killer.start()
+    result = run(table, out, scheduler=cluster.address)
+    killer.join()
+    assert killed
+    assert [row["plot"] for row in read_csv(out / "summary.csv")] == names
+    assert (result.counts.plots, result.counts.done, result.counts.failed) == (50, 49, 1)
+    assert result.rows[7].message == "too dark; take them by day"
+    # The four were tried again: two had lost their worker, two were killed alone. All others ran once.
+    tries = {name: started(out / "plots" / name) for name in names}
+    assert {name for name, number in tries.items() if number != 1} == set(names[:4])
+    assert set(tries.values()) == {1, 2}
+    assert not any(is_alive(child) for child in children)
+    # The same on this computer, without the long plots.
+    for name in names[:4]:
+        (tmp_path / "photos" / name / "behave.json").unlink()
+    near = tmp_path / "near"
+    run(table, near, jobs=4)
+    assert summary(out) == summary(near)
+    assert (out / "trees.csv").read_bytes() == (near / "trees.csv").read_bytes()
+
+
+def test_photos_are_sent_to_workers_that_share_no_disk(tmp_path: Path, cluster: RunningCluster) -> None:
+    table, out = write_table(tmp_path, [{"name": name} for name in "abc"]), tmp_path / "far"
+    behave(tmp_path, "b", exit=2, say="Error: too dark")
+    behave(tmp_path, "c", cloud=9_000_000)
+    result = run(table, out, scheduler=cluster.address, copy=True)
+    assert {row.plot: row.message for row in result.rows} == {"a": "", "b": "too dark", "c": ""}
+    assert (out / "plots" / "c" / "cloud.ply").stat().st_size == 9_000_000
+    # It ran in the workers' own folders, of which nothing is left.
+    assert not list(cluster.folder.rglob("fsinfer-*"))
+    again = run(table, out, scheduler=cluster.address, copy=True)
+    assert again.ran == 1
+    near = tmp_path / "near"
+    run(table, near, jobs=3)
+    assert summary(out) == summary(near)
+
+
+def test_when_the_scheduler_stays_away_the_batch_ends_and_keeps_what_is_finished(
+    tmp_path: Path, cluster: RunningCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table, out = write_table(tmp_path, [{"name": name} for name in "abc"]), tmp_path / "far"
+    for name in "bc":
+        behave(tmp_path, name, seconds=600)
+
+    def news(item: PlotNews) -> None:
+        assert item.row.plot == "a"
+        monkeypatch.setattr("fsinfer.batch.cluster.ALONE_S", 3.0)
+        kill(cluster.scheduler.pid)
+
+    settings = BatchSettings(command=STAND_IN, scheduler=cluster.address)
+    with pytest.raises(ClusterError, match=r"does not answer any more.*finished plots are kept"):
+        run_batch(table, out, settings=settings, news=news)
+    states = {row["plot"]: row["state"] for row in read_csv(out / "summary.csv")}
+    assert states == {"a": "done", "b": "waiting", "c": "waiting"}
+
+
+def run(table: Path, out: Path, **settings: object) -> BatchResult:
+    return run_batch(table, out, settings=BatchSettings(command=STAND_IN, **settings))  # type: ignore[arg-type]
