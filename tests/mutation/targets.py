@@ -20,10 +20,15 @@ _FUSION = (
 )
 _INTERVAL = ("tests/fsinfer/trees/diameter/test_interval.py",)
 
+_DIAMETER = "tests/fsinfer/trees/diameter/"
+_SILHOUETTES = "tests/fsinfer/silhouettes/"
+_SCALE = "tests/fsinfer/scale/"
+
 TARGETS: dict[str, Target] = {
     "consistency": Target(files=("fsinfer/fusion/consistency.py",), tests=_FUSION),
     "fusion": Target(
-        files=("fsinfer/fusion/fuse.py", "fsinfer/fusion/voxels.py", "fsinfer/fusion/surfaces.py"), tests=_FUSION
+        files=("fsinfer/fusion/fuse.py", "fsinfer/fusion/voxels.py", "fsinfer/fusion/surfaces.py"),
+        tests=(*_FUSION[:2], "tests/fsinfer/fusion/test_surfaces.py", _FUSION[2]),
     ),
     "scale": Target(
         files=(
@@ -32,36 +37,50 @@ TARGETS: dict[str, Target] = {
             "fsinfer/scale/corners.py",
             "fsinfer/scale/scale.py",
         ),
-        tests=("tests/fsinfer/scale",),
+        tests=(
+            f"{_SCALE}test_scale.py",
+            f"{_SCALE}test_corners.py",
+            f"{_SCALE}test_scale_interval.py",
+            f"{_SCALE}test_aruco.py",
+        ),
     ),
     "slice": Target(
         files=("fsinfer/trees/diameter/slice.py",),
-        tests=("tests/fsinfer/trees/diameter/test_slice.py", *_INTERVAL, "tests/fsinfer/trees/diameter/test_dbh.py"),
+        tests=(f"{_DIAMETER}test_slice.py", *_INTERVAL, f"{_DIAMETER}test_dbh.py"),
     ),
     "circle": Target(
         files=("fsinfer/trees/diameter/circle.py",),
-        tests=("tests/fsinfer/trees/diameter/test_circle.py", "tests/fsinfer/trees/diameter/test_slice.py"),
+        tests=(f"{_DIAMETER}test_circle.py", f"{_DIAMETER}test_slice.py"),
     ),
     "dbh": Target(
         files=("fsinfer/trees/diameter/dbh.py",),
-        tests=(
-            *_INTERVAL,
-            "tests/fsinfer/trees/diameter/test_tapered_fit.py",
-            "tests/fsinfer/trees/diameter/test_dbh.py",
-        ),
+        tests=(f"{_DIAMETER}test_measure_together.py", *_INTERVAL, f"{_DIAMETER}test_tapered_fit.py", f"{_DIAMETER}test_dbh.py"),
     ),
     "spread": Target(
         files=("fsinfer/trees/diameter/spread.py",),
-        tests=("tests/fsinfer/trees/diameter/test_sides_and_spread.py", *_INTERVAL),
+        tests=(f"{_DIAMETER}test_sides_and_spread.py", *_INTERVAL),
     ),
-    "silhouettes": Target(
-        files=(
-            "fsinfer/silhouettes/join.py",
-            "fsinfer/silhouettes/edges.py",
-            "fsinfer/trees/diameter/silhouette.py",
-        ),
-        tests=("tests/fsinfer/silhouettes",),
+    "silhouette-fit": Target(
+        files=("fsinfer/trees/diameter/silhouette.py",),
+        tests=(f"{_DIAMETER}test_silhouette.py", f"{_SILHOUETTES}test_join.py"),
     ),
+    "silhouette-edges": Target(
+        files=("fsinfer/silhouettes/edges.py",),
+        tests=(f"{_SILHOUETTES}test_edges.py", f"{_SILHOUETTES}test_join.py"),
+    ),
+    "silhouette-join": Target(
+        files=("fsinfer/silhouettes/join.py", "fsinfer/silhouettes/combine.py"),
+        tests=(f"{_SILHOUETTES}test_join.py",),
+    ),
+    "pose-errors": Target(
+        files=("fsinfer/silhouettes/pose_errors.py",),
+        tests=(f"{_SILHOUETTES}test_pose_errors.py",),
+    ),
+    "stems": Target(
+        files=("fsinfer/trees/one_entry.py", "fsinfer/trees/forks.py"),
+        tests=("tests/fsinfer/trees/test_one_entry.py", "tests/fsinfer/trees/test_forks.py"),
+    ),
+    "level": Target(files=("fsinfer/placement/level.py",), tests=("tests/fsinfer/placement/test_level.py",)),
     "warping": Target(
         files=("fsinfer/depth/warping.py", "fsinfer/depth/cost_volume.py"),
         tests=("tests/fsinfer/depth/test_warping.py",),
