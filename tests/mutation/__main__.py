@@ -91,7 +91,8 @@ def main(argv: list[str] | None = None) -> int:
         if not args.named:
             todo = [(name, mutants, TARGETS[name].tests) for name, mutants in chosen.items()]
         files = {mutant.file for _, mutants, _ in todo for mutant in mutants}
-        load_libraries(with_torch=any(file.startswith(("training", "export")) for file in files))
+        with_torch = any(file.startswith(("training", "export")) for file in files)
+        load_libraries(ROOT / ".mutation" / "bytecode", with_torch=with_torch)
         for name, mutants, tests in todo:
             run_target(name, mutants, tests, record)
     text = write_report(chosen, named, record, seed=args.seed, per_module=args.per_module)

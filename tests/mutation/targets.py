@@ -24,6 +24,12 @@ _DIAMETER = "tests/fsinfer/trees/diameter/"
 _SILHOUETTES = "tests/fsinfer/silhouettes/"
 _SCALE = "tests/fsinfer/scale/"
 
+
+def _of_model(*tests: str) -> tuple[str, ...]:
+    """Those of the network that are quick; others train it."""
+    return tuple(f"tests/training/test_model.py::{test}" for test in tests)
+
+
 TARGETS: dict[str, Target] = {
     "consistency": Target(files=("fsinfer/fusion/consistency.py",), tests=_FUSION),
     "fusion": Target(
@@ -54,7 +60,12 @@ TARGETS: dict[str, Target] = {
     ),
     "dbh": Target(
         files=("fsinfer/trees/diameter/dbh.py",),
-        tests=(f"{_DIAMETER}test_measure_together.py", *_INTERVAL, f"{_DIAMETER}test_tapered_fit.py", f"{_DIAMETER}test_dbh.py"),
+        tests=(
+            f"{_DIAMETER}test_measure_together.py",
+            *_INTERVAL,
+            f"{_DIAMETER}test_tapered_fit.py",
+            f"{_DIAMETER}test_dbh.py",
+        ),
     ),
     "spread": Target(
         files=("fsinfer/trees/diameter/spread.py",),
@@ -87,12 +98,34 @@ TARGETS: dict[str, Target] = {
     ),
     "training-volume": Target(
         files=("training/model/warping.py", "training/model/volume.py"),
-        tests=("tests/training/test_model.py",),
+        tests=_of_model(
+            "test_planes_go_from_one_end_of_the_depths_to_the_other_in_equal_steps",
+            "test_volumes_equal_the_deployed_numpy_volumes",
+            "test_a_window_is_a_cut_of_the_whole_volume",
+            "test_chunked_correlation_equals_the_plain_one_with_its_gradients",
+        ),
     ),
     "losses": Target(
         files=("training/losses.py",),
-        tests=("tests/training/test_losses.py", "tests/training/test_model.py"),
+        tests=(
+            "tests/training/test_losses.py",
+            *_of_model(
+                "test_the_hybrid_loss_is_that_of_the_paper",
+                "test_cross_entropy_is_least_at_the_split_label",
+                "test_attention_is_between_0_on_walls_and_1_at_edges",
+                "test_attention_does_not_look_at_unknown_depth",
+                "test_target_index_of_a_plane_is_its_number",
+            ),
+        ),
     ),
-    "attention": Target(files=("training/model/attention.py",), tests=("tests/training/test_model.py",)),
+    "attention": Target(
+        files=("training/model/attention.py",),
+        tests=_of_model(
+            "test_squeeze_excitation_over_slabs_is_one_volume",
+            "test_squeeze_excitation_hears_channels_below_zero_and_hides_what_the_hidden_layer_has_below_zero",
+            "test_squeeze_excitation_reduces_by_16_down_to_its_floor",
+            "test_the_papers_squeeze_excitation_weighs_the_channels_of_the_cost_volume",
+        ),
+    ),
     "parity": Target(files=("export/parity.py", "export/__main__.py"), tests=("tests/export/test_command_line.py",)),
 }
