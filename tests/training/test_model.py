@@ -244,7 +244,7 @@ def test_squeeze_excitation_hears_channels_below_zero_and_hides_what_the_hidden_
         assert not torch.allclose(shares[1][0], shares[1][1], atol=1e-4)  # both below zero, and not the same
         first = se.fc[0]
         assert isinstance(first, torch.nn.Linear)
-        first.weight.fill_(1.0)
+        first.weight.fill_(0.02)
         first.bias.fill_(0.0)
         # All hidden values are the sum over the channels: below zero they say nothing, above zero they do.
         below, above = (se(torch.full((1, 32, 1, 1, 1), value)) / value for value in (-1.0, 1.0))
