@@ -185,15 +185,18 @@ def estimate_up(
     settings = settings or LevelSettings()
     down = np.asarray(camera_down, dtype=np.float64)
     tilted = -_unit(down.mean(axis=0))
-    prior = None if camera_right is None else _up_from_right(np.asarray(camera_right), tilted, settings)
+    right = None
+    if camera_right is not None:
+        right = np.asarray(camera_right) / np.linalg.norm(camera_right, axis=1, keepdims=True)
+    prior = None if right is None else _up_from_right(right, tilted, settings)
     start, window = (tilted, settings.blind_window) if prior is None else (prior, settings.stem_window)
     if normals is None:
         normals = sample_normals(points, _MOST_NORMALS)
     else:
         normals = np.asarray(normals[:: -(-len(normals) // _MOST_NORMALS)], dtype=np.float64)
     stems = _up_from_normals(np.asarray(normals, dtype=np.float64), start, window, settings)
-    if stems is not None and prior is not None:
-        weighed = _weighed(stems, prior, np.asarray(camera_right), settings)
+    if stems is not None and prior is not None and right is not None:
+        weighed = _weighed(stems, prior, right, settings)
         if weighed is not None:
             return weighed, "cameras and leaning stems"
     if stems is not None:
@@ -282,8 +285,7 @@ def ground_plane(
 
 
 def _up_from_right(right: Array, tilted: Array, settings: LevelSettings) -> Array | None:
-    """Return the direction most orthogonal to the x axes; None where it contradicts the downward axes."""
-    right = right / np.linalg.norm(right, axis=1, keepdims=True)
+    """Return the direction most orthogonal to the x axes (C, 3), unit; None where it contradicts the downward ones."""
     weights = np.ones(len(right))
     up = tilted
     for _ in range(_CAMERA_ROUNDS):
@@ -299,7 +301,6 @@ def _up_from_right(right: Array, tilted: Array, settings: LevelSettings) -> Arra
 
 def _weighed(stems: Array, cameras: Array, right: Array, settings: LevelSettings) -> Array | None:
     """Both directions by their precision, where the cameras contradict the stems; None where they do not."""
-    right = right / np.linalg.norm(right, axis=1, keepdims=True)
     roll = right @ cameras
     weights = 1 / (1 + (roll / settings.roll_scale) ** 2)
     usual = np.radians(settings.usual_roll_deg) ** 2
