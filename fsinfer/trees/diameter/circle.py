@@ -102,7 +102,8 @@ def fit_circle(points_xy: ArrayLike, *, settings: CircleSettings | None = None, 
         residuals = residuals_to(local, circle)
         limit = _drop_limit(residuals, settings)
         now = np.abs(residuals) <= limit
-        if now.sum() < 3 or np.array_equal(now, kept):
+        # Three and more are always within: the limit is above the median, of four points above the third.
+        if np.array_equal(now, kept):
             break
         kept = now
     fused, radius_std = _fuse_subsamples(local[kept], circle, settings, rng)
