@@ -107,10 +107,10 @@ def write_report(
     command = "python -m tests.mutation --report docs/mutation.md"
     lines = [
         _HEAD.format(command=command),
-        f"## Score\n\nA sample of {per_module or 'all'} breakages of each module, drawn with seed {seed}. *Without",
-        "effect* are survivors that no test could tell from the sound code; the last column leaves them out. Tests",
-        "were written for survivors of this very sample, so that it flatters: another `--seed` draws breakages that",
-        "nobody has looked at.\n",
+        f"## Score\n\nUp to {per_module or 'all'} breakages of each module, drawn with seed {seed}; *tried* says how many",
+        "the machine had the time for. *Without effect* are survivors that no test could tell from the sound code; the",
+        "last column leaves them out. Tests were written with this very sample before one's eyes, so that it flatters:",
+        "another `--seed` draws breakages that nobody has looked at.\n",
         "| module | tried | killed | survived | without effect | score | score without those |",
         "| --- | --- | --- | --- | --- | --- | --- |",
         *rows,

@@ -70,7 +70,7 @@ def test_what_is_told_is_what_moved_cameras_do(sides: tuple[int, ...], photo: in
         assert after is not None
         off.append(after.radius_m - fit.radius_m)
     std = step * (np.arange(12) == photo)
-    assert np.hypot(*off) == pytest.approx(radius_std(edges, fit, std), rel=0.2, abs=1e-6)
+    assert np.hypot(off[0], off[1]) == pytest.approx(radius_std(edges, fit, std), rel=0.2, abs=1e-6)
     # Each camera errs for itself.
     all_std = [radius_std(edges, fit, step * (np.arange(12) == number)) for number in range(12)]
     assert radius_std(edges, fit, np.full(12, step)) == pytest.approx(np.linalg.norm(all_std))

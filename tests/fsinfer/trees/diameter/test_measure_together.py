@@ -43,7 +43,7 @@ def measure(
     return section
 
 
-def codes(section: Section) -> set[StemCode]:
+def codes(section: Section) -> set[str]:
     return {why.code for why in section.reasons}
 
 

@@ -59,8 +59,8 @@ def test_blocks_that_go_with_their_neighbours_tell_less(rho: float, holes: float
         layers, sectors = 8, 24
         shared = np.empty((layers, sectors))
         shared[0] = rng.normal(0.0, 1.0, sectors)
-        for layer in range(1, layers):
-            shared[layer] = rho * shared[layer - 1] + np.sqrt(1 - rho**2) * rng.normal(0.0, 1.0, sectors)
+        for above in range(1, layers):
+            shared[above] = rho * shared[above - 1] + np.sqrt(1 - rho**2) * rng.normal(0.0, 1.0, sectors)
         angle, height = rng.uniform(-np.pi, np.pi, 3000), rng.uniform(0.9, 1.7, 3000)
         layer = np.floor((height - 0.9) / 0.1).astype(int)
         sector = np.floor((angle + np.pi) / (2 * np.pi) * sectors).astype(int)
