@@ -107,9 +107,9 @@ def write_report(
     command = "python -m tests.mutation --report docs/mutation.md"
     lines = [
         _HEAD.format(command=command),
-        f"## Score\n\nUp to {per_module or 'all'} breakages of each module, drawn with seed {seed}; *tried* says how many",
-        "the machine had the time for. *Without effect* are survivors that no test could tell from the sound code; the",
-        "last column leaves them out. Tests were written with this very sample before one's eyes, so that it flatters:",
+        f"## Score\n\nUp to {per_module or 'all'} breakages of each module, drawn with seed {seed}; *tried* says how",
+        "many there was time for. *Without effect* are survivors that no test could tell from the sound code; the last",
+        "column leaves them out. Tests were written with this very sample before one's eyes, so that it flatters:",
         "another `--seed` draws breakages that nobody has looked at.\n",
         "| module | tried | killed | survived | without effect | score | score without those |",
         "| --- | --- | --- | --- | --- | --- | --- |",
