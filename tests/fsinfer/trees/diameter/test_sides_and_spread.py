@@ -54,7 +54,7 @@ def test_what_patches_share_is_found_and_does_not_average_away() -> None:
 def test_blocks_that_go_with_their_neighbours_tell_less(rho: float, holes: float) -> None:
     """Errors that go on from layer to layer leave the radius off by what is said, wherever the stem is seen."""
     rng = np.random.default_rng(6)
-    errors = []
+    errors, counts_for_one = [], []
     for _ in range(60):
         layers, sectors = 8, 24
         shared = np.empty((layers, sectors))
@@ -65,10 +65,17 @@ def test_blocks_that_go_with_their_neighbours_tell_less(rho: float, holes: float
         layer = np.floor((height - 0.9) / 0.1).astype(int)
         sector = np.floor((angle + np.pi) / (2 * np.pi) * sectors).astype(int)
         radius = 0.15 - 0.006 * (height - 1.3) + 0.004 * shared[layer, sector] + rng.normal(0.0, 0.002, 3000)
-        seen = rng.random((layers, sectors))[layer, sector] >= holes
+        whole = rng.random((layers, sectors)) >= holes
+        seen = whole[layer, sector]
         fit, offset, foot = _fit(np.column_stack([radius * np.cos(angle), radius * np.sin(angle), height])[seen])
-        errors.append((fit.radius_m - 0.15) / np.sqrt(fit_spread(fit, offset, foot).covariance[4, 4]))
+        spread = fit_spread(fit, offset, foot)
+        errors.append((fit.radius_m - 0.15) / np.sqrt(spread.covariance[4, 4]))
+        counts_for_one.append((whole.sum() - len(spread.covariance)) / spread.tau_dof)
     assert 0.7 < np.sqrt(np.mean(np.square(errors))) < 1.3
+    # The mean of a long row that goes on like that is as unsure as that of so many times fewer. From the few pairs that
+    # holes leave, less what the fit takes up, it comes out smaller.
+    fewer = (1 + rho) / (1 - rho)
+    assert np.sqrt(fewer) < np.median(counts_for_one) < 1.3 * fewer
 
 
 def test_of_a_few_blocks_a_third_of_the_noise_is_taken_for_shared() -> None:
