@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
@@ -73,6 +74,31 @@ def test_without_a_scene_nothing_is_compared_and_a_users_error_is_one_line(
     assert capsys.readouterr().out == ""
     assert command.main(["run.pt", "--out", str(tmp_path), "--only-parity", "--parity", "scene"]) == 2
     assert capsys.readouterr().out == "Error: there is no scene\n"
+
+
+def test_an_export_hands_on_where_its_weights_come_from_and_tiles_alone_are_added(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    state: dict[str, Any] = {"training": {"data": ["plots"], "seed": 3}, "step": 700, "spent_s": 59.6}
+    told: dict[str, Any] = {}
+
+    def export_model(model: object, out: Path, **given: Any) -> Path:
+        told.update(given, model=model, out=out)
+        graphs = {"features": {"file": "paper-features.onnx", "difference_p999_over_largest": 2e-5}}
+        (out / "paper.json").write_text(json.dumps({"graphs": graphs}))
+        return out / "paper.json"
+
+    monkeypatch.setattr(command, "load_checkpoint", lambda _: (PAPER, state))
+    monkeypatch.setattr(command, "export_model", export_model)
+    monkeypatch.setattr(command, "add_tiles", lambda *given: told.update(tiles=given))
+    assert command.main(["run.pt", "--out", str(tmp_path), "--confidence-threshold", "0.4"]) == 0
+    provenance = {"data": ["plots"], "seed": 3, "preset": "paper", "steps": 700, "seconds": 60}
+    assert told == {"model": PAPER, "out": tmp_path, "provenance": provenance, "confidence_threshold": 0.4}
+    assert capsys.readouterr().out == "paper-features.onnx: features, difference to PyTorch 2.0e-05\n"
+    told.clear()
+    assert command.main(["run.pt", "--out", str(tmp_path), "--only-tiles"]) == 0
+    assert told == {"tiles": (PAPER, tmp_path / "paper.json")}
+    assert capsys.readouterr().out == ""
 
 
 SHAPE = (20, 50)

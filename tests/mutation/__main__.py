@@ -2,6 +2,7 @@
 
 python -m tests.mutation                            # 25 breakages of each module; goes on where it was stopped
 python -m tests.mutation dbh spread --per-module 0  # every breakage of two of them
+python -m tests.mutation --named                    # those that a review found unnoticed, by hand
 python -m tests.mutation --report docs/mutation.md  # what is known so far; runs nothing
 
 No file is touched: the broken module is imported from memory. What was found is kept in .mutation/, so that the same
@@ -11,17 +12,19 @@ command goes on where it was stopped; a breakage that survived is tried again wh
 from __future__ import annotations
 
 import argparse
+import hashlib
 import os
-import random
 import sys
 from collections.abc import Sequence
+from functools import cache
 from itertools import islice
 from pathlib import Path
 
 from tests.mutation.mutants import Mutant, is_python, mutants_of
+from tests.mutation.named import NAMED, ways_of
 from tests.mutation.record import Record, digest_of, write_report
 from tests.mutation.targets import TARGETS, Target
-from tests.mutation.trial import load_libraries, try_tests
+from tests.mutation.trial import Outcome, load_libraries, try_tests
 from tests.support.places import ROOT
 
 #: A trial may take so many times the seconds of a core that the sound tests take, and so many more.
@@ -31,23 +34,30 @@ PER_MODULE = 25
 
 
 def sample(target: Target, name: str, count: int, seed: int, root: Path = ROOT) -> list[Mutant]:
-    """``count`` breakages of a target's files, all where it is 0; a larger count holds those of a smaller one."""
+    """``count`` breakages of a target's files, all where it is 0; a larger count holds those of a smaller one.
+
+    They are drawn by their names: another line in a file leaves the others in the sample.
+    """
     sources = {file: (root / file).read_text(encoding="utf-8") for file in target.files}
     every = [mutant for file, source in sources.items() for mutant in mutants_of(source, file)]
-    random.Random(f"{seed} {name}").shuffle(every)
+    every.sort(key=lambda mutant: hashlib.sha256(f"{seed} {name} {mutant.name}".encode()).digest())
     usable = (mutant for mutant in every if is_python(mutant.apply(sources[mutant.file])))
     return list(usable if count == 0 else islice(usable, count))
 
 
-def run_target(name: str, mutants: Sequence[Mutant], record: Record) -> None:
-    """Try the breakages that are not known yet, and note each at once."""
-    target = TARGETS[name]
-    tests = [test for test in target.tests if (ROOT / test).exists()]
+@cache
+def _sound(tests: tuple[str, ...]) -> Outcome:
+    """What the tests say of what is not broken."""
+    return try_tests(ROOT, tests, limit_s=1800.0)
+
+
+def run_target(name: str, mutants: Sequence[Mutant], tests: Sequence[str], record: Record) -> None:
+    """Try the breakages that are not known yet against their tests, and note each at once."""
     version = digest_of(tests)
     open_ = [mutant for mutant in mutants if not record.knows(mutant, version)]
     if not open_:
         return
-    sound = try_tests(ROOT, tests, limit_s=1800.0)
+    sound = _sound(tuple(tests))
     if sound.state != "survived":
         sys.exit(f"{name}: the tests fail without any breakage ({sound.by or sound.state})")
     print(f"{name}: {len(open_)} breakages, the sound tests take {sound.seconds:.0f} s of a core", flush=True)
@@ -70,17 +80,22 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("modules", nargs="*", choices=[[], *TARGETS], metavar="MODULE", help=", ".join(TARGETS))
     parser.add_argument("--per-module", type=int, default=PER_MODULE, help="breakages of each; 0 tries all")
     parser.add_argument("--seed", type=int, default=0, help="of the choice among them")
+    parser.add_argument("--named", action="store_true", help="only the breakages of tests/mutation/named.py")
     parser.add_argument("--report", type=Path, metavar="FILE", help="only write what is known so far as a page")
     args = parser.parse_args(argv)
     chosen = {name: sample(TARGETS[name], name, args.per_module, args.seed) for name in (args.modules or list(TARGETS))}
+    named = {name: ways_of(name) for name in NAMED}
     record = Record(ROOT / ".mutation" / "results.jsonl")
     if args.report is None:
-        load_libraries(
-            with_torch=any(file.startswith(("training", "export")) for n in chosen for file in TARGETS[n].files)
-        )
-        for name, mutants in chosen.items():
-            run_target(name, mutants, record)
-    text = write_report(chosen, record, seed=args.seed, per_module=args.per_module)
+        todo = [(name, mutants, NAMED[name].tests) for name, mutants in named.items()]
+        if not args.named:
+            todo = [(name, mutants, TARGETS[name].tests) for name, mutants in chosen.items()]
+        files = {mutant.file for _, mutants, _ in todo for mutant in mutants}
+        with_torch = any(file.startswith(("training", "export")) for file in files)
+        load_libraries(ROOT / ".mutation" / "bytecode", with_torch=with_torch)
+        for name, mutants, tests in todo:
+            run_target(name, mutants, tests, record)
+    text = write_report(chosen, named, record, seed=args.seed, per_module=args.per_module)
     if args.report is not None:
         args.report.write_text(text, encoding="utf-8")
     else:

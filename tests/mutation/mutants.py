@@ -6,8 +6,9 @@ are built up (``+=`` left out), branches of a conditional expression (changed ov
 call (changed over).
 
 What is not: texts, annotations, what is logged or raised; numbers below :data:`GUARD`, which only keep a division from
-failing; numbers that the code declares to decide nothing (``Source: numerics``, ``layout`` or ``format``); and whether
-a bound itself belongs to an interval of floating-point numbers (``<`` against ``<=``), which no input shows.
+failing; ``strict`` of ``zip``, which only keeps a mistake from going on; numbers that the code declares to decide
+nothing (``Source: numerics``, ``layout`` or ``format``); and whether a bound itself belongs to an interval of
+floating-point numbers (``<`` against ``<=``), which no input shows.
 """
 
 from __future__ import annotations
@@ -130,6 +131,8 @@ class _Finder:
 
     def _skipped(self, node: ast.AST, where: tuple[str, ...], owner: ast.ClassDef | None) -> bool:
         if isinstance(node, ast.Raise | ast.JoinedStr | ast.Import | ast.ImportFrom | ast.Assert):
+            return True
+        if isinstance(node, ast.keyword) and node.arg == "strict":
             return True
         if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
             return True

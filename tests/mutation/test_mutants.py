@@ -9,6 +9,7 @@ import pytest
 
 from tests.mutation.__main__ import sample
 from tests.mutation.mutants import Mutant, mutants_of
+from tests.mutation.named import NAMED, ways_of
 from tests.mutation.record import Record, digest_of, write_report
 from tests.mutation.targets import TARGETS
 from tests.mutation.trial import METHOD, Outcome, try_tests
@@ -44,6 +45,7 @@ def inside(a: float, b: float = 2) -> bool:
         raise ValueError(f"{a} < {0}")
     total = max(a * b + 1e-9, LIMIT)
     total += atan(a, b)
+    list(zip([a], [b], strict=True))
     return total > 1 and not b
 '''
 
@@ -62,6 +64,7 @@ def test_numbers_terms_comparisons_bounds_and_arguments_are_broken() -> None:
 
 def test_what_decides_nothing_is_left_alone() -> None:
     numbers = {before for before, _ in breakages() if before.replace(".", "").isdigit()}
+    assert "True" not in {before for before, _ in breakages()}
     assert numbers == {"0.5", "0.25", "2", "0", "1"}  # not ROUNDS, steps, 1e-9, nor what is raised or written
 
 
@@ -75,11 +78,20 @@ def test_every_breakage_is_one_place_and_can_be_read() -> None:
 
 def test_targets_are_files_and_samples_hold_each_other() -> None:
     for name, target in TARGETS.items():
-        assert all((ROOT / path).exists() for path in (*target.files, *target.tests)), name
+        assert all((ROOT / path.partition("::")[0]).exists() for path in (*target.files, *target.tests)), name
         few, more = sample(target, name, 2, 0), sample(target, name, 4, 0)
         assert more[:2] == few
     every = mutants_of((ROOT / "fsinfer/trees/diameter/dbh.py").read_text(encoding="utf-8"), "dbh.py")
     assert len({mutant.name for mutant in every}) == len(every) > 250
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_what_is_broken_by_name_is_still_there(name: str) -> None:
+    source = (ROOT / NAMED[name].file).read_text(encoding="utf-8")
+    assert all((ROOT / test.partition("::")[0]).exists() for test in NAMED[name].tests)
+    for way in ways_of(name):
+        assert way.apply(source) == source.replace(way.before, way.after)
+        ast.parse(way.apply(source))
 
 
 @pytest.fixture
@@ -121,7 +133,9 @@ def test_what_is_known_is_kept_and_told(tmp_path: Path) -> None:
     reasons = tmp_path / "survivors.toml"
     for why, score in (("numerics", "50 % | 50 %"), ("without effect: it is the same", "50 % | 100 %")):
         reasons.write_text(f'{second.name} = "{why}"\n')
-        text = write_report({"dbh": [first, second, third]}, again, seed=0, per_module=3, reasons=reasons)
+        named = {"both": [first, second], "none": [third]}
+        text = write_report({"dbh": [first, second, third]}, named, again, seed=0, per_module=3, reasons=reasons)
+        assert "| both | 2 | 1 |\n| none | 1 | not tried |" in text
         assert f"| dbh | 2 | 1 | 1 | {int('effect' in why)} | {score} |" in text
         assert f"({second.name}) | {why} |" in text
 

@@ -107,7 +107,7 @@ def test_the_loss_of_field_adds_both_scales_and_stops_where_classes_decide() -> 
 
 def test_cross_entropy_is_the_split_labels_at_every_pixel_with_truth() -> None:
     scores = torch.randn(10, 2, 2, generator=torch.Generator().manual_seed(0))
-    index = torch.tensor([[4.25, 9.0], [0.0, 7.0]])
+    index = torch.tensor([[4.25, 9.0], [0.0, 70.0]])  # the last one is unknown: no plane has it
     mask = torch.tensor([[True, True], [True, False]])
     log = torch.log_softmax(scores, dim=0)
     expected = -(0.75 * log[4, 0, 0] + 0.25 * log[5, 0, 0] + log[9, 0, 1] + log[0, 1, 0]) / 3

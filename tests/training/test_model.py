@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from fsinfer.depth.cost_volume import Features, correlation_volume, upsample_index, variance_volume
+from fsinfer.depth.cost_volume import plane_inverse_depths as numpy_planes
 from fsinfer.depth.warping import relative_projection as numpy_projection
 from training.losses import compute_loss, cross_entropy_two_bins, edge_attention, target_index
 from training.model import CONFIGS, PRESETS, DepthOutput, FSMVSNet
@@ -197,6 +198,16 @@ def test_chunked_correlation_equals_the_plain_one_with_its_gradients(
     torch.testing.assert_close(found, expected, atol=1e-4, rtol=1e-4)
 
 
+@pytest.mark.parametrize("inverse", [True, False])
+def test_planes_go_from_one_end_of_the_depths_to_the_other_in_equal_steps(inverse: bool) -> None:
+    planes = plane_inverse_depths(torch.tensor(2.0), torch.tensor(8.0), 7, inverse=inverse)
+    values = planes if inverse else 1 / planes
+    assert values[[0, -1]].tolist() == pytest.approx([1 / 8, 1 / 2] if inverse else [2.0, 8.0])
+    torch.testing.assert_close(values.diff(), values.diff()[:1].expand(6))
+    deployed = numpy_planes(2.0, 8.0, 7, inverse=inverse)
+    np.testing.assert_allclose(planes.numpy(), deployed, rtol=1e-6)
+
+
 def test_a_window_is_a_cut_of_the_whole_volume() -> None:
     _, intrinsics, poses = views()
     torch.manual_seed(2)
@@ -221,6 +232,26 @@ def test_squeeze_excitation_over_slabs_is_one_volume() -> None:
     slabs = torch.randn(6, 32, 5, 7)
     volume = slabs.transpose(0, 1)[None]
     torch.testing.assert_close(se.over_slabs(slabs), se(volume)[0].transpose(0, 1))
+
+
+def test_squeeze_excitation_hears_channels_below_zero_and_hides_what_the_hidden_layer_has_below_zero() -> None:
+    torch.manual_seed(0)
+    se = SqueezeExcitation(32)
+    means = torch.zeros(2, 32, 1, 1, 1)
+    means[0, 0], means[1, 0] = -1.0, -2.0
+    with torch.no_grad():
+        shares = [se(means + one) / (means + one) for one in (3.0, -3.0)]
+        assert not torch.allclose(shares[1][0], shares[1][1], atol=1e-4)  # both below zero, and not the same
+        first = se.fc[0]
+        assert isinstance(first, torch.nn.Linear)
+        first.weight.fill_(0.02)
+        first.bias.fill_(0.0)
+        # All hidden values are the sum over the channels: below zero they say nothing, above zero they do.
+        below, above = (se(torch.full((1, 32, 1, 1, 1), value)) / value for value in (-1.0, 1.0))
+        torch.testing.assert_close(below, se(torch.full((1, 32, 1, 1, 1), -5.0)) / -5.0)
+        assert not torch.allclose(above, below, atol=1e-3)
+        assert float(above.min()) > 0.0
+        assert float(above.max()) < 1.0
 
 
 def test_packing_and_neighbours() -> None:

@@ -39,6 +39,8 @@ LEAST_OF_SUBSAMPLE, RUNAWAY, LEAST_SUPPORT, LEAST_SQUARE = 8, 4.0, 1e-3, 1e-4
 SUBSAMPLE_SHARE = 0.5
 #: Guards against collinear points, metres. Source: numerics.
 MOST_RADIUS_M = 1e6
+#: Damping of a geometric fit with which it gives up. Source: numerics.
+MOST_DAMPING = 1e3
 #: Least number of points for a circle in a noisy slice. Source: four times the circle's parameters.
 LEAST_POINTS = 12
 #: Points a sector on average, or sectors get wider. Source: statistics, one in 400 stays empty by chance.
@@ -100,7 +102,8 @@ def fit_circle(points_xy: ArrayLike, *, settings: CircleSettings | None = None, 
         residuals = residuals_to(local, circle)
         limit = _drop_limit(residuals, settings)
         now = np.abs(residuals) <= limit
-        if now.sum() < 3 or np.array_equal(now, kept):
+        # Three and more are always within: the limit is above the median, of four points above the third.
+        if np.array_equal(now, kept):
             break
         kept = now
     fused, radius_std = _fuse_subsamples(local[kept], circle, settings, rng)
@@ -154,7 +157,7 @@ def fit_geometric(points: Floats, start: Floats, weights: Floats | None = None) 
                 break
         else:
             damping = max(damping * 10.0, 1e-9)
-            if damping > 1e3:
+            if damping > MOST_DAMPING:
                 break
     circle[2] = abs(circle[2])
     return circle
@@ -198,7 +201,7 @@ def covered_bins(offsets: Floats, *, bins: int = 2 * SECTORS[1]) -> Bools:
     bins = int(np.clip(len(offsets) // POINTS_A_SECTOR, SECTORS[0], bins))
     count = np.bincount(sector_of(offsets, bins), minlength=bins)
     typical = float(np.median(count[count > 0]))
-    return np.asarray(count >= max(1.0, STRAY_SHARE * typical))
+    return np.asarray((count > 0) & (count >= STRAY_SHARE * typical))
 
 
 def _drop_limit(residuals: Floats, settings: CircleSettings) -> float:
@@ -208,11 +211,8 @@ def _drop_limit(residuals: Floats, settings: CircleSettings) -> float:
 
 def _start(points: Floats, settings: CircleSettings, rng: np.random.Generator) -> Floats:
     """Best of Taubin's circle and of circles through random triples, by points within the drop limit."""
-    candidates = [fit_taubin(points)[None]]
-    if len(points) > 3:
-        index = rng.integers(0, len(points), size=(TRIPLES, 3))
-        candidates.append(fit_taubin(points[index]))
-    circles = np.concatenate(candidates)
+    index = rng.integers(0, len(points), size=(TRIPLES, 3))
+    circles = np.concatenate([fit_taubin(points)[None], fit_taubin(points[index])])
     good = np.isfinite(circles).all(axis=1) & (circles[:, 2] < MOST_RADIUS_M) & (circles[:, 2] > 0)
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if not good.any() or spread[1] <= 1e-9 * max(spread[0], 1e-300):
@@ -252,7 +252,7 @@ def _fuse_subsamples(
     residuals = residuals_to(points[None], fits[:, None, :])
     squared = (residuals**2).mean(axis=1)
     support = (np.abs(residuals) <= settings.drop_residual_m).mean(axis=1)
-    usable = np.isfinite(fits).all(axis=1) & (squared <= RUNAWAY * np.median(squared) + 1e-18)
+    usable = np.isfinite(fits).all(axis=1) & (squared <= RUNAWAY * np.median(squared))
     if not usable.any():
         return circle, float("nan")
     weight = np.where(usable, (support + LEAST_SUPPORT) / (squared + LEAST_SQUARE * settings.drop_residual_m**2), 0.0)

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from fsinfer.conventions.breast_height import BREAST_HEIGHT_M
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
-from fsinfer.trees.cylinder.axis import LEAST_RADIUS_M, AxisFit, axis_coordinates
+from fsinfer.trees.cylinder.axis import LEAST_CORE, LEAST_RADIUS_M, AxisFit, axis_coordinates
 from fsinfer.trees.diameter.budget import effective_dof, factor95, total_std
 from fsinfer.trees.diameter.circle import LEAST_POINTS, covered_bins
 from fsinfer.trees.diameter.double_wall import blurred_gap, wall_gap
@@ -148,12 +148,14 @@ def _section(
 ) -> Section:
     """The section of one stem whose ``fit`` rests on the points ``used``."""
     height = fit.height_m
-    if used is None:
+    if used is None or fit.core.sum() < LEAST_CORE:
+        # A fit that has lost the bark says nothing of it.
+        few = notice(StemCode.too_few_at_breast_height, least=LEAST_POINTS)
         beside = points[np.abs(points[:, 2] - height) <= s.slice.half_slices_m[-1]]
         return unmeasured_section(
             fit.center_at(height),
             height,
-            (notice(StemCode.too_few_at_breast_height, least=LEAST_POINTS),),
+            (few if used is None else notice(StemCode.too_few_on_bark, points=0),),
             radius_m=fit.radius_m,
             lean_deg=fit.lean_deg,
             slope=fit.parameters[2:4],

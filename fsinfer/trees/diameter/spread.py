@@ -89,7 +89,7 @@ def fit_spread(fit: AxisFit, offsets: Floats, foot: Floats, *, settings: SpreadS
         both = mask & np.roll(mask, -1, axis=axis)
         if axis == 0:
             both[-1] = False  # the layers do not close into a ring
-        if both.sum() >= LEAST_PAIRS and tau2 > 0.0:
+        if both.sum() >= LEAST_PAIRS:
             rho = float((grid * shifted)[both].mean() / max(float((grid[both] ** 2).mean()), 1e-12))
             rho = float(np.clip(rho, 0.0, s.max_correlation))
             inflation *= (1.0 + rho) / (1.0 - rho)

@@ -130,6 +130,13 @@ def test_upsampling_keeps_every_second_pixel() -> None:
     np.testing.assert_allclose(up[1, 0], (values[0, 0] + values[1, 0]) / 2)
 
 
+def test_a_slanted_plane_stays_one_between_the_pixels() -> None:
+    row, column = np.mgrid[0:5, 0:7].astype(np.float32)
+    up = upsample_twice(2 * row + 3 * column, 10, 14)
+    row, column = np.minimum(np.mgrid[0:10, 0:14] / 2, [[[4]], [[6]]])  # beyond the last pixel it repeats
+    np.testing.assert_allclose(up, 2 * row + 3 * column, atol=1e-6)
+
+
 def test_upsampling_across_a_step_invents_no_surface() -> None:
     index = np.zeros((4, 6), np.float32)
     index[:, 3:] = 50

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from fsinfer.fusion import voxels
 from fsinfer.fusion.fuse import FusionSettings
 from fsinfer.fusion.voxels import Samples, VoxelMerger, join, merge_voxels, much_worse_than_nearby, sum_within
 
@@ -43,6 +44,28 @@ def test_batches_give_the_same_as_all_at_once() -> None:
     assert batched is not None
     np.testing.assert_allclose(batched.xyz, at_once.xyz, atol=1e-12)
     np.testing.assert_array_equal(batched.count, at_once.count)
+
+
+def test_batches_are_merged_when_enough_has_come_and_not_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    sizes: list[int] = []
+
+    def merge(samples: Samples, voxel: float) -> Samples:
+        sizes.append(len(samples))
+        return merge_voxels(samples, voxel)
+
+    monkeypatch.setattr(voxels, "merge_voxels", merge)
+    merger = VoxelMerger(1.0, max_points=100, batch_points=50)
+    for _ in range(12):
+        merger.add(make_samples([[0.5, 0.5, 0.5]] * 10))
+    merger.result()
+    assert sizes == [60, 61]  # the second with what the first left
+
+
+def test_voxels_beside_each_other_stay_apart_on_both_sides_of_the_origin() -> None:
+    places = np.stack(np.meshgrid(*[[-1.5, -0.5, 0.5, 1.5]] * 3), axis=-1).reshape(-1, 3)
+    merged = merge_voxels(make_samples(np.concatenate([places, places + 0.1])), 1.0)
+    assert len(merged) == 64
+    assert set(merged.count.tolist()) == {2}
 
 
 def test_size_stays_bounded_and_nothing_is_nothing() -> None:

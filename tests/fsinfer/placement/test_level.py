@@ -95,6 +95,8 @@ def test_a_stand_that_leans_together_does_not_read_as_upright(lean_deg: float) -
     up, method = estimate_up(points, None, right, down, camera_centers=centers)
     assert method == "cameras and leaning stems"
     assert angle_deg(up, turn[:, 2]) < 2.0
+    longer = right * np.linspace(0.3, 5.0, len(right))[:, None]
+    np.testing.assert_allclose(estimate_up(points, None, longer, down, camera_centers=centers)[0], up, atol=1e-9)
     # Two photographs of 40 that look one way tell nothing against the stems.
     few = slice(0, 2)
     up, method = estimate_up(points, None, right[few], down[few], camera_centers=centers[few])

@@ -31,8 +31,11 @@ def looking_at_the_axis(angle: float) -> Camera:
     return Camera(intrinsic=intrinsic, cam_from_world=pose, depth_min=0.5, depth_max=50.0)
 
 
-def write_plot(folder: Path, *, screen: float = 0.0, units_per_m: float = 1.0) -> Scene:
-    """Two photographs, a quarter turn apart, of a brown stem before green; ``screen``: share of rows hidden."""
+def write_plot(folder: Path, *, screen: float = 0.0, units_per_m: float = 1.0, step: int = 1) -> Scene:
+    """Two photographs, a quarter turn apart, of a brown stem before green; ``screen``: share of rows hidden.
+
+    ``step``: pixels of the photograph from one pixel of the depth map to the next.
+    """
     fine = (np.arange(WIDTH * 8) + 0.5) / 8 - 0.5
     half_px = FOCAL * np.tan(np.arcsin(RADIUS / DISTANCE_M))
     row = np.where((np.abs(fine - 149.5) <= half_px)[:, None], [110.0, 80.0, 60.0], [70.0, 130.0, 60.0])
@@ -48,16 +51,17 @@ def write_plot(folder: Path, *, screen: float = 0.0, units_per_m: float = 1.0) -
         write_camera(folder / "cams" / f"p{index}_cam.txt", camera)
         maps = np.broadcast_to(units_per_m * depth, (HEIGHT, WIDTH)).astype(np.float32)
         maps[: round(screen * HEIGHT)] = units_per_m * 0.6
+        maps = maps[::step, ::step]
         write_pfm(folder / "depth" / f"p{index}.pfm", maps)
         write_pfm(folder / "confidence" / f"p{index}.pfm", np.ones_like(maps))
-    (folder / "depth" / "depth.json").write_text(json.dumps({"pixel_step_x": 1, "pixel_step_y": 1}))
+    (folder / "depth" / "depth.json").write_text(json.dumps({"pixel_step_x": step, "pixel_step_y": step}))
     write_pairs(folder / "pair.txt", {0: [(1, 1.0)], 1: [(0, 1.0)]})
     return read_scene(folder)
 
 
-@pytest.mark.parametrize("units_per_m", [1.0, 0.25])
-def test_the_strongest_edges_are_where_rays_graze_the_stem(tmp_path: Path, units_per_m: float) -> None:
-    scene = write_plot(tmp_path, units_per_m=units_per_m)
+@pytest.mark.parametrize(("units_per_m", "step"), [(1.0, 1), (0.25, 1), (1.0, 2)])
+def test_the_strongest_edges_are_where_rays_graze_the_stem(tmp_path: Path, units_per_m: float, step: int) -> None:
+    scene = write_plot(tmp_path, units_per_m=units_per_m, step=step)
     metres = np.diag([1 / units_per_m] * 3 + [1.0])
     strips: list[tuple[int, Strip]] = []
     (edges,) = find_edges(
@@ -69,6 +73,7 @@ def test_the_strongest_edges_are_where_rays_graze_the_stem(tmp_path: Path, units
         assert strip.pixel_m == pytest.approx(DISTANCE_M / FOCAL)
     best = [np.flatnonzero(edges.ray == ray)[np.argmax(edges.strength[edges.ray == ray])] for ray in set(edges.ray)]
     assert len(best) == 2 * 2 * 6  # photographs, sides, bands
+    assert len(edges.strength) == len(best)  # the grain of bark and background is no edge
     # A pixel is 3 mm here; the place where the ray crosses the strip is 1.2 mm farther out than the stem reaches.
     np.testing.assert_allclose(edges.support_m[best], RADIUS, atol=0.0007)
     # The normal of a grazed edge is square to the ray: by the half angle under which the stem is seen less than 90

@@ -48,12 +48,18 @@ def test_two_stems_of_one_root_are_named_with_the_height_at_which_they_part() ->
     assert height == pytest.approx(0.5, abs=0.01)
 
 
+def test_stems_that_part_widely_are_a_fork_as_far_as_their_radii_allow() -> None:
+    ((_, _, height),) = told(stem(1, -0.3, -20), stem(2, 0.3, 20))
+    assert height == pytest.approx(1.3 - 0.3 / np.tan(np.radians(20)), abs=0.01)
+
+
 @pytest.mark.parametrize(
     ("x_m", "lean_deg"),
     [
         (0.3, 0.0),  # side by side, upright
         (0.3, -10.0),  # leaning together: they meet above
         (1.5, 10.0),  # too far from each other
+        (1.2, 25.0),  # too far from each other for stems so thin, though they meet at the ground
         (0.5, 3.0),  # would meet below the ground
     ],
 )

@@ -50,6 +50,53 @@ def test_what_patches_share_is_found_and_does_not_average_away() -> None:
     assert spread.tau_dof < spread.radius_dof < 2.0 * spread.tau_dof
 
 
+@pytest.mark.parametrize(("rho", "holes"), [(0.0, 0.0), (0.6, 0.0), (0.6, 0.45)])
+def test_blocks_that_go_with_their_neighbours_tell_less(rho: float, holes: float) -> None:
+    """Errors that go on from layer to layer leave the radius off by what is said, wherever the stem is seen."""
+    rng = np.random.default_rng(6)
+    errors, counts_for_one = [], []
+    for _ in range(60):
+        layers, sectors = 8, 24
+        shared = np.empty((layers, sectors))
+        shared[0] = rng.normal(0.0, 1.0, sectors)
+        for above in range(1, layers):
+            shared[above] = rho * shared[above - 1] + np.sqrt(1 - rho**2) * rng.normal(0.0, 1.0, sectors)
+        angle, height = rng.uniform(-np.pi, np.pi, 3000), rng.uniform(0.9, 1.7, 3000)
+        layer = np.floor((height - 0.9) / 0.1).astype(int)
+        sector = np.floor((angle + np.pi) / (2 * np.pi) * sectors).astype(int)
+        radius = 0.15 - 0.006 * (height - 1.3) + 0.004 * shared[layer, sector] + rng.normal(0.0, 0.002, 3000)
+        whole = rng.random((layers, sectors)) >= holes
+        seen = whole[layer, sector]
+        fit, offset, foot = _fit(np.column_stack([radius * np.cos(angle), radius * np.sin(angle), height])[seen])
+        spread = fit_spread(fit, offset, foot)
+        errors.append((fit.radius_m - 0.15) / np.sqrt(spread.covariance[4, 4]))
+        counts_for_one.append((whole.sum() - len(spread.covariance)) / spread.tau_dof)
+    assert 0.7 < np.sqrt(np.mean(np.square(errors))) < 1.3
+    # The mean of a long row that goes on like that is as unsure as that of so many times fewer. From the few pairs that
+    # holes leave, less what the fit takes up, it comes out smaller.
+    fewer = (1 + rho) / (1 - rho)
+    assert np.sqrt(fewer) < np.median(counts_for_one) < 1.3 * fewer
+
+
+def test_of_a_few_blocks_a_third_of_the_noise_is_taken_for_shared() -> None:
+    points = _stem(np.random.default_rng(7), arc_deg=200.0, spacing_m=0.006)
+    fit, offset, foot = _fit(points[np.abs(points[:, 2] - 1.3) < 0.04])
+    spread = fit_spread(fit, offset, foot)
+    assert spread.tau_m == pytest.approx(0.3 * fit.sigma_m)
+    assert spread.covariance[4, 4] > fit.covariance[4, 4]
+    assert 1.0 <= spread.tau_dof < 4.0
+
+
+@pytest.mark.parametrize("arc_deg", [110.0, 200.0, 360.0])
+def test_where_nothing_is_shared_the_spread_is_that_of_the_fit(arc_deg: float) -> None:
+    ratios = []
+    for seed in range(6):
+        fit, offset, foot = _fit(_stem(np.random.default_rng(seed), arc_deg=arc_deg))
+        ratios.append(np.sqrt(np.diag(fit_spread(fit, offset, foot).covariance) / np.diag(fit.covariance)))
+    assert np.min(ratios) > 0.97
+    assert np.median(ratios) < 1.25
+
+
 def test_shape_is_measured_where_seen_and_doubted_where_hidden() -> None:
     rng = np.random.default_rng(2)
     whole, *_ = _fit(_stem(rng, ovality=0.04))

@@ -54,6 +54,21 @@ def test_an_oval_stem_seen_from_some_sides_has_its_girth(long_deg: float) -> Non
     assert fit.share > 0.9
 
 
+def test_the_scatter_of_an_edge_is_found_by_few_of_them() -> None:
+    rng = np.random.default_rng(20)
+    found = []
+    for _ in range(30):
+        rows = []
+        for number, direction in enumerate(np.arange(0.0, np.pi, np.pi / 12)):
+            for side in (0, 1):
+                angle = float(direction + (np.pi / 2 if side else -np.pi / 2))
+                rows.append((0.15 + rng.normal(0, 0.004), angle, 0.0, 8.0, 0.001, number * 2 + side, number))
+        fit = fit_silhouette(edges_from_rows(rows), 0.15, taper=TAPER)
+        assert fit is not None
+        found.append(fit.noise_m**2)
+    assert 0.82 < np.sqrt(np.mean(found)) / 0.004 < 1.15
+
+
 def solution(radius_m: float, log_posterior: float) -> _Solution:
     none = np.zeros(0)
     return _Solution(

@@ -1,0 +1,157 @@
+"""When a diameter is given, doubted and refused, on stems whose one trouble is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fsinfer.notices.stems import StemCode
+from fsinfer.trees.cylinder.axis import Axis
+from fsinfer.trees.diameter.dbh import DbhSettings, measure_together, too_uncertain, wide_interval
+from fsinfer.trees.diameter.section import Section
+from fsinfer.trees.search.stem import Stem
+from tests.support.stem_clouds import wall
+
+Floats = NDArray[np.float64]
+BH = 1.3
+
+
+def points_of(
+    radius: float = 0.16, *, sigma_m: float = 0.002, spacing_m: float = 0.012, seed: int = 0, **kwargs: float
+) -> Floats:
+    """Bark from 0.3 m to 2.3 m."""
+    rng = np.random.default_rng(seed)
+    points = wall(rng, radius=radius, spacing_m=spacing_m, **kwargs)
+    points = points[np.abs(points[:, 2] - BH) < 1.0]
+    return np.asarray(points + rng.normal(0.0, sigma_m, points.shape))
+
+
+def measure(
+    points: Floats,
+    radius: float = 0.16,
+    *,
+    bottom_m: float = 0.3,
+    top_m: float = 2.3,
+    lean: float = 0.0,
+    sigma_m: float = 0.004,
+) -> Section:
+    """The section of one stem that the search has with ``radius`` where the points are."""
+    axis = Axis(parameters=np.array([0.0, 0.0, lean, 0.0, radius, -0.005]), height_m=BH, sigma_m=sigma_m)
+    stem = Stem(axis=axis, bottom_m=bottom_m, top_m=top_m, length_m=top_m - bottom_m, arc_coverage=1.0, quality=1.0)
+    (section,) = measure_together([points], [stem])
+    return section
+
+
+def codes(section: Section) -> set[str]:
+    return {why.code for why in section.reasons}
+
+
+@pytest.mark.parametrize(
+    ("arc_deg", "says"),
+    [(52.0, StemCode.too_little_seen), (82.0, StemCode.little_seen), (125.0, None), (360.0, None)],
+)
+def test_a_sliver_has_no_diameter_and_a_quarter_a_doubtful_one(arc_deg: float, says: StemCode | None) -> None:
+    section = measure(points_of(arc_deg=arc_deg))
+    assert codes(section) & {StemCode.too_little_seen, StemCode.little_seen} == ({says} if says else set())
+    assert section.coverage == pytest.approx(arc_deg / 360.0, abs=0.03)
+    assert (section.dbh_m is None) == (says == StemCode.too_little_seen)
+    assert (section.status == "ok") == (says is None)
+    # A side that nobody saw is worth a hundredth of the radius and more.
+    assert section.parts_m["hidden"] == pytest.approx(0.042 * (1 - arc_deg / 360) * section.circle_m[2], abs=3e-4)
+
+
+@pytest.mark.parametrize(
+    ("bottom_m", "top_m", "bh_m", "says"),
+    [
+        (1.23, 2.3, 1.33, None),
+        (1.28, 2.3, 1.38, StemCode.above_breast_height),
+        (0.3, 1.37, 1.27, None),
+        (0.3, 1.32, 1.22, StemCode.below_breast_height),
+    ],
+)
+def test_a_stem_that_is_not_seen_at_breast_height_is_measured_where_it_is(
+    bottom_m: float, top_m: float, bh_m: float, says: StemCode | None
+) -> None:
+    section = measure(points_of(taper=-0.02), bottom_m=bottom_m, top_m=top_m)
+    assert section.bh_m == pytest.approx(bh_m)
+    assert codes(section) == ({says} if says else set())
+    assert section.dbh_m == pytest.approx(2 * (0.16 - 0.02 * (bh_m - BH)), abs=0.001)
+    for why in section.reasons:
+        assert why.values["off_cm"] == pytest.approx(100 * abs(bh_m - BH))
+
+
+def test_a_leaning_stem_is_looked_for_where_it_is_at_that_height() -> None:
+    points = points_of()
+    points[:, 0] += 0.2 * (points[:, 2] - BH)
+    section = measure(points, lean=0.2, bottom_m=1.5)
+    assert section.bh_m == pytest.approx(1.6)
+    np.testing.assert_allclose(section.center, [0.06, 0.0], atol=0.002)
+    assert section.slope[0] == pytest.approx(0.2, abs=0.01)
+    assert section.lean_deg == pytest.approx(11.3, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("radius", "sigma_m", "rough"), [(0.2, 0.019, False), (0.2, 0.04, True), (0.05, 0.012, False), (0.05, 0.023, True)]
+)
+def test_bark_that_is_no_surface_any_more_has_no_diameter(radius: float, sigma_m: float, rough: bool) -> None:
+    section = measure(points_of(radius, sigma_m=sigma_m, spacing_m=0.01), radius)
+    assert (StemCode.too_rough in codes(section)) == rough
+    assert (section.dbh_m is None) == rough
+
+
+@pytest.mark.parametrize(
+    ("radius", "searched", "round_"), [(0.1, 0.13, True), (0.2, 0.17, True), (0.2, 0.12, False), (0.09, 0.2, False)]
+)
+def test_a_fit_far_from_what_the_search_had_is_another_thing(radius: float, searched: float, round_: bool) -> None:
+    section = measure(points_of(radius), searched, sigma_m=0.03)
+    assert codes(section) == (set() if round_ else {StemCode.not_round})
+    assert (section.outline is not None) == round_
+
+
+def test_a_fit_that_finds_no_bark_is_refused() -> None:
+    # All points lie where the search has the inside of the stem.
+    section = measure(points_of(0.1), 0.22)
+    assert section.dbh_m is None
+    assert codes(section) == {StemCode.too_few_on_bark}
+    assert np.isfinite(section.circle_m).all()
+
+
+def test_bark_beyond_forty_centimetres_up_and_down_does_not_count_where_there_is_enough() -> None:
+    near, other = points_of(), points_of(0.175, seed=1)
+    thicker = np.concatenate([near[np.abs(near[:, 2] - BH) < 0.41], other[np.abs(other[:, 2] - BH) > 0.41]])
+    assert measure(thicker).dbh_m == pytest.approx(measure(near).dbh_m, abs=1e-3)
+
+
+def test_the_outline_is_that_at_breast_height() -> None:
+    # Nearly all that is seen lies above, where the stem is up to 3 cm thinner in diameter.
+    points = points_of(taper=-0.04, ovality=0.06)
+    rng = np.random.default_rng(3)
+    points = points[(points[:, 2] > BH) | (rng.random(len(points)) < 0.1)]
+    outline = measure(points).outline
+    assert outline is not None
+    assert outline.min_diameter_m == pytest.approx(0.32 * 0.94, abs=0.003)
+    assert outline.max_diameter_m == pytest.approx(0.32 * 1.06, abs=0.003)
+    assert outline.girth_diameter_m == pytest.approx(0.32, abs=0.004)
+
+
+@pytest.mark.parametrize(("arc_deg", "drawn"), [(250.0, False), (310.0, True)])
+def test_an_outline_is_drawn_where_nearly_all_of_it_was_seen(arc_deg: float, drawn: bool) -> None:
+    assert (measure(points_of(arc_deg=arc_deg)).outline is not None) == drawn
+
+
+def test_taper_alone_is_no_second_wall() -> None:
+    section = measure(points_of(taper=-0.12, sigma_m=0.004))
+    assert StemCode.double_wall not in codes(section)
+    assert section.dbh_m == pytest.approx(0.32, abs=0.002)
+
+
+def test_an_interval_of_more_than_a_fifth_is_doubted_and_one_of_more_than_three_fifths_refused() -> None:
+    s = DbhSettings()
+    dbh_m = 0.3
+    assert [bool(wide_interval(dbh_m, width * dbh_m / 2, s)) for width in (0.18, 0.26)] == [False, True]
+    assert [bool(too_uncertain(dbh_m, width * dbh_m / 2, s)) for width in (0.5, 0.7)] == [False, True]
+    (why,) = too_uncertain(dbh_m, 0.12, s)
+    assert (why.code, dict(why.values)) == (StemCode.too_uncertain, {"dbh_cm": 30.0, "half_width_cm": 12.0})
+    (why,) = wide_interval(dbh_m, 0.06, s)
+    assert (why.code, dict(why.values)) == (StemCode.wide_interval, {"half_width_cm": 6.0})
