@@ -91,7 +91,13 @@ TARGETS: dict[str, Target] = {
         files=("fsinfer/trees/one_entry.py", "fsinfer/trees/forks.py"),
         tests=("tests/fsinfer/trees/test_one_entry.py", "tests/fsinfer/trees/test_forks.py"),
     ),
-    "level": Target(files=("fsinfer/placement/up.py", "fsinfer/placement/level.py",), tests=("tests/fsinfer/placement/test_level.py",)),
+    "level": Target(
+        files=(
+            "fsinfer/placement/up.py",
+            "fsinfer/placement/level.py",
+        ),
+        tests=("tests/fsinfer/placement/test_level.py",),
+    ),
     "warping": Target(
         files=("fsinfer/depth/warping.py", "fsinfer/depth/cost_volume.py"),
         tests=("tests/fsinfer/depth/test_warping.py",),
