@@ -7,9 +7,20 @@ prints it on one line and exits with code 2; anything that is not a ``FsinferErr
 
 from __future__ import annotations
 
+#: Length of a message that is still read in a terminal. Source: judgement.
+_MOST_LETTERS = 1500
+
 
 class FsinferError(Exception):
-    """Base class of every error that a user can put right."""
+    """Base class of every error that a user can put right.
+
+    A message that quotes half of a damaged file says nothing: the middle of a long one is left out.
+    """
+
+    def __init__(self, message: str = "") -> None:
+        if len(message) > _MOST_LETTERS:
+            message = f"{message[: _MOST_LETTERS * 2 // 3]} [...] {message[-_MOST_LETTERS // 3 :]}"
+        super().__init__(message)
 
 
 class InputError(FsinferError):

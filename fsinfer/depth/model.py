@@ -24,7 +24,7 @@ from fsinfer.depth.precision import AUTO, INT8, choose_precision
 from fsinfer.depth.session import available_providers, find_providers, load_graph
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.warping import relative_projection
-from fsinfer.errors import InputError
+from fsinfer.errors import InputError, ModelError
 from fsinfer.threads import one_blas_thread
 
 Float32 = NDArray[np.float32]
@@ -124,6 +124,10 @@ class DepthModel:
             raise InputError(msg)
         nchw = np.ascontiguousarray(image.transpose(2, 0, 1)[None], dtype=np.float32)
         outputs = self._sessions["features"].run(None, {"images": nchw})
+        if not outputs or any(maps.ndim != 4 or maps.shape[1] % 4 or not maps.size for maps in outputs):
+            shapes = [maps.shape for maps in outputs]
+            msg = f"the features of model {self.manifest.name} are {shapes}, not (1, C, h, w) with C a multiple of 4"
+            raise ModelError(msg)
         return ViewFeatures(
             quarter=Features.from_chw(outputs[0][0]),
             half=Features.from_chw(outputs[1][0]) if len(outputs) > 1 else None,
@@ -225,8 +229,7 @@ class DepthModel:
 
     def regularize(self, volume: Float32) -> tuple[Float32, Float32]:
         """Plane index, with fraction, and the network's own confidence (h, w) of a volume of :meth:`cost_volume`."""
-        index, confidence = self._sessions["regularizer"].run(None, {"volume": volume})
-        return index, confidence
+        return self._sessions["regularizer"].run_two({"volume": volume})
 
     def _refine(
         self,
@@ -256,8 +259,8 @@ class DepthModel:
             view_weights=upsample_twice(weights, height, width),
             threads=self.threads,
         )
-        fine_index, fine_confidence = self._sessions["refiner"].run(
-            None, {"volume": fine_volume.reshape(-1, height, width), "features": half[0].to_chw()}
+        fine_index, fine_confidence = self._sessions["refiner"].run_two(
+            {"volume": fine_volume.reshape(-1, height, width), "features": half[0].to_chw()}
         )
         step = np.float32(2 * manifest.refine_span / (manifest.refine_planes - 1))
         final = centre + offsets[0] + fine_index * step

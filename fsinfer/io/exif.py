@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fsinfer.errors import ImageError
 from fsinfer.io.images import image_size, open_header
 
 if TYPE_CHECKING:
@@ -39,9 +38,12 @@ def camera_exif(path: Path | str) -> bytes | None:
         if tag in tags:
             kept[tag] = tags[tag]
     kept_lens = {tag: lens[tag] for tag in (_FOCAL_LENGTH, _FOCAL_LENGTH_35MM) if tag in lens}
-    if kept_lens:
-        kept.get_ifd(_EXIF_IFD).update(kept_lens)
-    return kept.tobytes() if len(kept) or kept_lens else None
+    try:
+        if kept_lens:
+            kept.get_ifd(_EXIF_IFD).update(kept_lens)
+        return kept.tobytes() if len(kept) or kept_lens else None
+    except Exception:  # values of a type that the tag cannot have
+        return None
 
 
 def named_camera_exif(model: str) -> bytes:
@@ -83,19 +85,23 @@ def gnss_degrees(path: Path | str) -> tuple[float, float] | None:
             degrees, minutes, seconds = (float(part) for part in tags[value])
             sign = -1 if str(tags.get(reference, "")).upper().startswith(negative) else 1
             values.append(sign * (degrees + minutes / 60 + seconds / 3600))
-    except (ImageError, OSError, KeyError, ValueError, TypeError, ZeroDivisionError):
+    except Exception:  # of any kind that Pillow raises
         # Broken metadata costs a direction and nothing else.
         return None
     return (values[0], values[1]) if np.isfinite(values).all() else None
 
 
 def _read_exif(path: Path) -> tuple[Exif, dict[int, object]]:
-    image = open_header(path)
-    with image:
-        tags = image.getexif()
+    from PIL.Image import Exif
+
+    with open_header(path) as image:
+        # Broken metadata is common after editing, raises whatever there is, and only costs the focal length prior.
+        try:
+            tags = image.getexif()
+        except Exception:
+            return Exif(), {}
         try:
             lens = dict(tags.get_ifd(_EXIF_IFD))
-        except (KeyError, ValueError, TypeError, OSError):
-            # Broken metadata is common after editing, and only costs the focal length prior.
+        except Exception:
             lens = {}
     return tags, lens

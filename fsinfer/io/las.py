@@ -88,7 +88,7 @@ def open_las(path: Path) -> Iterator[Any]:
             raise _damaged(path, why)
         with laspy.open(path) as reader:
             yield reader
-    except (FsinferError, GeneratorExit, KeyboardInterrupt, SystemExit):
+    except (FsinferError, MemoryError, GeneratorExit, KeyboardInterrupt, SystemExit):
         raise
     except OSError as error:
         msg = f"cannot read {path}: {error.strerror or error}; check the path"

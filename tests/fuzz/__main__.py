@@ -1,7 +1,7 @@
 """Give changed files to the readers of what a user can supply: ``python -m tests.fuzz READER [--minutes N]``.
 
-A reader may succeed, or raise an error of fsinfer that names the file. Anything else is a finding: another exception,
-a crash, more than ``--hang-s`` seconds of the processor, more memory than the file is worth. Cases follow from reader, seed and number
+A reader may succeed, or raise an error of fsinfer that names the file. Anything else is a finding: another exception, a
+crash, more than ``--hang-s`` seconds of the processor, more memory than the file is worth. Cases follow from reader, seed and number
 alone, so that ``--first N --cases 1`` repeats one. Without READER the readers are listed; "all" runs them all, each
 for ``--minutes``. Ends with 1 where there is a finding.
 """
@@ -51,9 +51,7 @@ class Tally:
             self.examples.setdefault(kind, (outcome.case, outcome.trace))
 
 
-def fuzz(
-    name: str, *, seconds: float, cases: int, seed: int, first: int, hang_s: float
-) -> Tally:
+def fuzz(name: str, *, seconds: float, cases: int, seed: int, first: int, hang_s: float) -> Tally:
     """Run cases of one reader until the time or the number is spent; a process that dies is started again behind."""
     tally = Tally(name=name)
     folder = Path(tempfile.mkdtemp(prefix="fuzz-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None))

@@ -15,7 +15,7 @@ from random import Random
 from tests.fuzz.reader import Reader
 
 #: A message is read in a terminal: one that quotes half of a damaged file says nothing. Characters.
-MOST_LETTERS = 1000
+MOST_LETTERS = 1600
 #: Address space beyond what the process has before a case, times ``most_mb``: what asks for more gets a MemoryError.
 ADDRESS_SPACE = 3
 #: Memory that a byte of the files may be worth.

@@ -30,6 +30,14 @@ from tests.support.synthetic_plot import M_PER_UNIT, VIEWS, write_depth_folder, 
 
 def main(source: Path, out: Path, stage: str, writes: int) -> None:
     kill_after(out / ".fsinfer" / f"{stage}.json", writes)
+    stand_in()
+    settings = RunSettings(scale=ScaleRequest(factor=M_PER_UNIT))
+    result = pipeline.run(source, out, settings=settings)
+    print(*(record.name for record in result.stages if record.ran))
+
+
+def stand_in() -> None:
+    """Exact frames, poses and depth in the place of the real ones, and no drawing."""
     manifest = SimpleNamespace(int8_regularizer=None, sha256_of=lambda *, int8: "0" * 64)
     checked = DepthCheck(median_rel=0.0025, per_view_rel={}, compared=1, asked=1, relaxed=False)
     stand_ins = {
@@ -42,11 +50,8 @@ def main(source: Path, out: Path, stage: str, writes: int) -> None:
         "fsinfer.report.make_report": report,
         "fsinfer.trees.outputs.figures.write_figures": lambda folder, *_, **__: make_folder(folder),
     }
-    for name, stand_in in stand_ins.items():
-        patch(name, stand_in).start()
-    settings = RunSettings(scale=ScaleRequest(factor=M_PER_UNIT))
-    result = pipeline.run(source, out, settings=settings)
-    print(*(record.name for record in result.stages if record.ran))
+    for name, made in stand_ins.items():
+        patch(name, made).start()
 
 
 def kill_after(record: Path, writes: int) -> None:
