@@ -1,9 +1,9 @@
 """Give changed files to the readers of what a user can supply: ``python -m tests.fuzz READER [--minutes N]``.
 
 A reader may succeed, or raise an error of fsinfer that names the file. Anything else is a finding: another exception, a
-crash, more than ``--hang-s`` seconds of the processor, more memory than the file is worth. Cases follow from reader, seed and number
-alone, so that ``--first N --cases 1`` repeats one. Without READER the readers are listed; "all" runs them all, each
-for ``--minutes``. Ends with 1 where there is a finding.
+crash, more than ``--hang-s`` seconds of the processor, more memory than the file is worth. Cases follow from
+reader, seed and number alone, so that ``--first N --cases 1`` repeats one. Without READER the readers are listed; "all"
+runs them all, each for ``--minutes``. Ends with 1 where there is a finding.
 """
 
 from __future__ import annotations

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from shutil import copytree
@@ -114,10 +115,8 @@ def _read_plot(folder: Path) -> None:
     from fsinfer.workflow.settings import RunSettings
 
     plot = read_plot(folder)
-    try:
+    with suppress(TypeError, ValueError, KeyError, OverflowError):  # as the caller does
         of_json(RunSettings, plot.get("settings"))
-    except (TypeError, ValueError, KeyError, OverflowError):
-        pass  # as the caller does
     write_plot(folder.parent / "again", plot)
     contents = read_contents(folder)
     _ = (contents.metric, contents.metre, contents.cloud_from_scene, contents.trees_per_cloud, contents.warnings)
