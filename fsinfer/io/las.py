@@ -30,7 +30,7 @@ _MOST_STEPS = 2e9
 #: Factor from 8-bit colours to those of 16 bits. Source: format; LAS 1.4, 65535 over 255.
 _COLOUR_FACTOR = 257
 #: Points that are unpacked at once. Source: numerics; a header that lies costs no more memory than so many.
-_PIECE_POINTS = 1_000_000
+_PIECE_POINTS, _PIECE_BYTES = 1_000_000, 1 << 28
 #: Keys ProjectedCSTypeGeoKey and GeographicTypeGeoKey, and the value for "user defined". Source: format; GeoTIFF 1.1.
 _PROJECTED_KEY, _GEOGRAPHIC_KEY, _USER_DEFINED = 3072, 2048, 32767
 
@@ -53,15 +53,15 @@ def read_las(path: Path) -> dict[str, NDArray[Any]]:
     # Piece by piece: a header that promises more than the file holds is found out before it takes all the memory.
     for record in iterate_las(path, _PIECE_POINTS):
         extra = list(record.point_format.extra_dimension_names)
-        for axis in ("x", "y", "z"):
-            pieces[axis].append(np.array(record[axis], dtype=np.float64))
-        for name in record.point_format.dimension_names:
-            if name in _COLOURS or name in _KEPT_DIMENSIONS or name in extra:
-                pieces.setdefault(name, []).append(np.array(record[name]))
-    try:
-        whole = {name: np.concatenate(parts) if parts else np.empty(0) for name, parts in pieces.items()}
-    except ValueError as error:
-        raise _damaged(path, str(error)) from error
+        try:
+            for axis in ("x", "y", "z"):
+                pieces[axis].append(np.array(record[axis], dtype=np.float64))
+            for name in record.point_format.dimension_names:
+                if name in _COLOURS or name in _KEPT_DIMENSIONS or name in extra:
+                    pieces.setdefault(name, []).append(np.array(record[name]))
+        except (ValueError, KeyError, TypeError) as error:  # names and types of extra dimensions that make no sense
+            raise _damaged(path, str(error)) from error
+    whole = {name: np.concatenate(parts) if parts else np.empty(0) for name, parts in pieces.items()}
     columns = {axis: whole[axis] for axis in ("x", "y", "z")}
     if set(_COLOURS) <= set(whole):
         colours = {name: whole[name] for name in _COLOURS}
@@ -108,6 +108,8 @@ def iterate_las(path: Path, chunk_points: int) -> Iterator[Any]:
     """The points of a LAS or LAZ file as laspy records of up to ``chunk_points``; raises where some are missing."""
     with open_las(path) as reader:
         expected, have = int(reader.header.point_count), 0
+        # Points may be as long as a header says.
+        chunk_points = max(1, min(chunk_points, _PIECE_BYTES // max(int(reader.header.point_format.size), 1)))
         for record in reader.chunk_iterator(chunk_points):
             have += len(record)
             yield record

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
+from fsinfer.io.laz_pieces import why_laz_damaged
+
 #: Bytes of the longest header (LAS 1.4), and of a record before its content, ordinary and extended. Source: format.
 _HEADER_BYTES, _RECORD_BYTES, _LONG_RECORD_BYTES = 375, 54, 60
 #: Bit of the point format that says that the points are compressed. Source: format; LASzip.
@@ -50,25 +52,31 @@ def why_damaged(path: Path) -> str:
             return "" if have >= head.points else f"{have} of {head.points} points are there"
         if head.points > _MOST_POINTS_PER_BYTE * size:
             return "its header promises more points than the file can hold"
-        return _why_table_damaged(stream, head, size) if head.points else ""
+        return (
+            why_laz_damaged(
+                stream,
+                points_at=head.points_at,
+                point_bytes=head.point_bytes,
+                size=size,
+                records=_records(stream, head),
+            )
+            if head.points
+            else ""
+        )
 
 
-def _why_table_damaged(stream: BinaryIO, head: _Header, size: int) -> str:
-    """The table of the compressed pieces: its place stands before the points, its length at its beginning."""
-    stream.seek(head.points_at)
-    place = stream.read(8)
-    if len(place) < 8:
-        return f"0 of {head.points} points are there"
-    (at,) = struct.unpack("<q", place)
-    if at == -1:  # written by a program that could not go back; then the place is at the end of the file
-        stream.seek(size - 8)
-        (at,) = struct.unpack("<q", stream.read(8))
-    if not head.points_at + 8 <= at <= size - 8:
-        return "the table of its compressed points is missing"
-    stream.seek(at)
-    _, pieces = struct.unpack("<II", stream.read(8))
-    # Each piece takes a byte at the least.
-    return "" if pieces <= size else "its compressed points promise more than the file can hold"
+def _records(stream: BinaryIO, head: _Header) -> list[tuple[bytes, int, bytes]]:
+    """User, number and content of the records before the points."""
+    stream.seek(head.header_bytes)
+    rest = stream.read(head.points_at - head.header_bytes)
+    records, at = [], 0
+    for _ in range(head.records):
+        if at + _RECORD_BYTES > len(rest):
+            break
+        user, number, length = struct.unpack_from("<2x16sHH", rest, at)
+        records.append((user.rstrip(b"\0"), number, rest[at + _RECORD_BYTES : at + _RECORD_BYTES + length]))
+        at += _RECORD_BYTES + length
+    return records
 
 
 def _parse(head: bytes) -> _Header | None:

@@ -7,7 +7,6 @@ The stages from fusion on are the real ones; drawing is left out for speed.
 from __future__ import annotations
 
 import os
-import shutil
 import signal
 import sys
 from pathlib import Path
@@ -19,7 +18,7 @@ from fsinfer.depth.sfm_check import DepthCheck
 from fsinfer.depth.stage import DepthResult
 from fsinfer.frames.select import FramesResult
 from fsinfer.frames.table import FrameRow
-from fsinfer.io.files import make_folder, write_text
+from fsinfer.io.files import copy_file, make_folder, write_text
 from fsinfer.io.images import list_images
 from fsinfer.poses.estimate import PosesResult
 from fsinfer.scale.request import ScaleRequest
@@ -80,8 +79,7 @@ def select_frames(source: Path, out: Path, **_: Any) -> FramesResult:
     (out / "images").mkdir(parents=True, exist_ok=True)
     rows = []
     for path in list_images(source):
-        part = Path(shutil.copy(path, out / "images" / f".{path.name}"))
-        part.replace(out / "images" / path.name)
+        copy_file(path, out / "images" / path.name)
         rows.append(
             FrameRow(
                 name=path.stem,
