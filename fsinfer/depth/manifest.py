@@ -186,7 +186,8 @@ def read_manifest(name_or_path: str | Path) -> ModelManifest:
 
 def _check(manifest: ModelManifest, data: dict[str, Any]) -> None:
     """Raise ValueError or KeyError where an entry has another type or size than any model has."""
-    files = [manifest.features, manifest.regularizer, manifest.refiner, manifest.int8_regularizer]
+    files: list[Any] = [manifest.features, manifest.regularizer]
+    files += [file for file in (manifest.refiner, manifest.int8_regularizer) if file is not None]
     hashes: list[Any] = [manifest.sha256]
     if manifest.int8_regularizer is not None:
         hashes.append(manifest.int8_sha256)
@@ -195,7 +196,7 @@ def _check(manifest: ModelManifest, data: dict[str, Any]) -> None:
         hashes.append(data["tiles"]["sha256"])
     for file in files:
         # A manifest of somebody else names graphs beside it, and nothing elsewhere.
-        if file is not None and (not isinstance(file, str) or file in ("", "..") or set(file) & set("/\\:\0")):
+        if not isinstance(file, str) or file in ("", "..") or set(file) & set("/\\:\0"):
             msg = f"{file!r} is no name of a file beside it"
             raise ValueError(msg)
     for sha256 in hashes:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fsinfer.io.images import image_size, open_header
+from fsinfer.io.images import image_size, open_header, quiet
 
 if TYPE_CHECKING:
     from PIL.Image import Exif
@@ -78,7 +78,7 @@ def camera_key(path: Path | str) -> tuple[str, ...]:
 def gnss_degrees(path: Path | str) -> tuple[float, float] | None:
     """(latitude, longitude) in degrees that the phone noted, None where it noted none that can be read."""
     try:
-        with open_header(Path(path)) as image:
+        with open_header(Path(path)) as image, quiet():
             tags = dict(image.getexif().get_ifd(_GNSS_IFD))
         values = []
         for value, reference, negative in ((_LATITUDE, _LATITUDE_REF, "S"), (_LONGITUDE, _LONGITUDE_REF, "W")):
@@ -97,11 +97,13 @@ def _read_exif(path: Path) -> tuple[Exif, dict[int, object]]:
     with open_header(path) as image:
         # Broken metadata is common after editing, raises whatever there is, and only costs the focal length prior.
         try:
-            tags = image.getexif()
+            with quiet():
+                tags = image.getexif()
         except Exception:
             return Exif(), {}
         try:
-            lens = dict(tags.get_ifd(_EXIF_IFD))
+            with quiet():
+                lens = dict(tags.get_ifd(_EXIF_IFD))
         except Exception:
             lens = {}
     return tags, lens

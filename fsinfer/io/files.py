@@ -16,6 +16,8 @@ _FULL_BYTES = 1 << 16
 #: Bytes that are copied at once. Source: numerics.
 _COPY_BYTES = 1 << 20
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
+# What lazrs and sqlite3 raise where the system does not let them write; named, since this module loads neither.
+_ERRORS_OF_WRITERS = ("LazrsError", "OperationalError")
 # Systems that cannot flush a file: it is written all the same.
 _NO_FLUSH = frozenset({errno.EINVAL, errno.EOPNOTSUPP, errno.ENOSYS})
 
@@ -52,9 +54,12 @@ def atomic_path(path: Path) -> Iterator[Path]:
     except FsinferError:
         raise
     except Exception as error:
-        # Writers of LAZ, GeoPackage and others have errors of their own.
+        # Writers of LAZ and GeoPackage have errors of their own.
         if is_disk_full(path.parent):
             raise disk_full(path) from error
+        if type(error).__name__ in _ERRORS_OF_WRITERS:
+            msg = f"cannot write {path}: {error}; choose another output folder"
+            raise OutputError(msg) from error
         raise
     finally:
         with suppress(OSError):

@@ -7,6 +7,7 @@ and says nothing.
 from __future__ import annotations
 
 import importlib.util
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -138,12 +139,21 @@ def open_header(path: Path) -> Image:
 
 
 @contextmanager
+def quiet() -> Iterator[None]:
+    """Without the warnings of Pillow about metadata and large photos: nobody can do anything about them."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+@contextmanager
 def _told(path: Path) -> Iterator[None]:
     """Whatever goes wrong with a photograph inside is told as a :class:`ImageError`."""
     from PIL import Image, UnidentifiedImageError
 
     try:
-        yield
+        with quiet():
+            yield
     except UnidentifiedImageError as error:
         msg = f"{path} is not a photo that can be read; copy it again from the camera or delete it"
         raise ImageError(msg) from error
@@ -168,7 +178,8 @@ def _told(path: Path) -> Iterator[None]:
 def _orientation(image: Image) -> int:
     """How the photo has to be turned, by Exif; 1 (not at all) where its metadata is damaged, as for the pixels."""
     try:
-        return int(image.getexif().get(_ORIENTATION, 1))
+        with quiet():
+            return int(image.getexif().get(_ORIENTATION, 1))
     except Exception:  # see _told; broken metadata is common after editing
         return 1
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import CloudError, FsinferError
 from fsinfer.io.crs import horizontal_epsg
-from fsinfer.io.files import atomic_path
+from fsinfer.io.files import atomic_path, is_disk_full
 from fsinfer.io.las_header import why_damaged
 
 # Names under which CloudCompare stores and finds normals in LAS extra dimensions.
@@ -81,13 +81,20 @@ def open_las(path: Path) -> Iterator[Any]:
     """A laspy reader of ``path``; whatever goes wrong while it is used is told as a :class:`CloudError`."""
     import laspy
 
-    try:
+    with _told(path):
         # Before laspy and lazrs believe the header.
         why = why_damaged(path)
         if why:
             raise _damaged(path, why)
         with laspy.open(path) as reader:
             yield reader
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """Whatever laspy cannot do inside is told as damage of ``path``."""
+    try:
+        yield
     except (FsinferError, MemoryError, GeneratorExit, KeyboardInterrupt, SystemExit):
         raise
     except OSError as error:
@@ -221,21 +228,41 @@ def copy_las(
 
     with open_las(source) as reader:
         old = reader.header
-    header = laspy.LasHeader(point_format=old.point_format, version=old.version)
-    # One dimension of that name may be there from an earlier run; then it is written over.
-    if name not in set(header.point_format.dimension_names):
-        header.add_extra_dim(laspy.ExtraBytesParams(name=name, type=np.int32))
-    header.scales, header.offsets = old.scales * factor, old.offsets * factor
-    if factor == 1.0:
-        header.vlrs.extend(record for record in old.vlrs if _names_frame(record))
-        header.global_encoding.wkt = old.global_encoding.wkt
-    with atomic_path(target) as temporary, laspy.open(str(temporary), mode="w", header=header) as writer:
+        header = laspy.LasHeader(point_format=old.point_format, version=old.version)
+        # One dimension of that name may be there from an earlier run; then it is written over.
+        if name not in set(header.point_format.dimension_names):
+            header.add_extra_dim(laspy.ExtraBytesParams(name=name, type=np.int32))
+        header.scales, header.offsets = old.scales * factor, old.offsets * factor
+        if factor == 1.0:
+            header.vlrs.extend(record for record in old.vlrs if _names_frame(record))
+            header.global_encoding.wkt = old.global_encoding.wkt
+    with atomic_path(target) as temporary, ExitStack() as open_file:
+        with _writing(source, target):
+            writer = open_file.enter_context(laspy.open(str(temporary), mode="w", header=header))
         for points in iterate_las(source, chunk_points):
-            record = laspy.ScaleAwarePointRecord.zeros(len(points), header=header)
-            for dimension in points.point_format.dimension_names:
-                record[dimension] = points[dimension]
-            record[name] = label(np.column_stack([points.x, points.y, points.z]) * factor)
-            writer.write_points(record)
+            numbers = label(np.column_stack([points.x, points.y, points.z]) * factor)
+            with _writing(source, target):
+                record = laspy.ScaleAwarePointRecord.zeros(len(points), header=header)
+                for dimension in points.point_format.dimension_names:
+                    record[dimension] = points[dimension]
+                record[name] = numbers
+                writer.write_points(record)
+        with _writing(source, target):
+            open_file.close()
+
+
+@contextmanager
+def _writing(source: Path, target: Path) -> Iterator[None]:
+    """As :func:`_told`, but what cannot be written is no fault of ``source``: such errors pass."""
+    try:
+        yield
+    except (OSError, MemoryError):
+        raise
+    except Exception as error:
+        # Points are unpacked elsewhere: what lazrs says here is that it cannot write.
+        if is_disk_full(target.parent) or type(error).__name__ == "LazrsError":
+            raise
+        raise _damaged(source, str(error)) from error
 
 
 def _names_frame(record: Any) -> bool:

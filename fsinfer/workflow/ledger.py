@@ -196,10 +196,14 @@ class Ledger:
         return self._path(name).is_file()
 
     def _record(self, stage: Stage[T], entry: Mapping[str, Any], *, ran: bool) -> StageRecord[T]:
+        seconds = _number(entry["seconds"])
+        if seconds is None:
+            msg = f"{entry['seconds']!r} are no seconds"
+            raise ValueError(msg)
         return StageRecord(
             name=stage.name,
             run_id=str(entry["run_id"]),
-            seconds=float(entry["seconds"]),
+            seconds=seconds,
             peak_rss_mb=_number(entry.get("peak_rss_mb")),
             made_by=str(entry["made_by"]),
             result=of_json(stage.result, entry["result"], folder=self.out),
