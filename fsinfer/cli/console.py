@@ -28,8 +28,15 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress; re
 Debug = Annotated[bool, typer.Option("--debug", help="Show the full technical trace when something fails.")]
 
 # Errors of the operating system that the user can do something about.
-# What OpenCV and COLMAP say instead of a MemoryError.
-_NO_MEMORY = ("Insufficient memory", "Failed to allocate", "std::bad_alloc")
+# What OpenCV, COLMAP and the system say instead of a MemoryError.
+_NO_MEMORY = (
+    "Insufficient memory",
+    "Failed to allocate",
+    "std::bad_alloc",
+    "Cannot allocate memory",
+    "failed to map segment",
+    "can't start new thread",
+)
 _USER_ERRNOS = frozenset({errno.ENOSPC, errno.EACCES, errno.EPERM, errno.EROFS, errno.EDQUOT})
 
 #: Stage, counts, time, step, what is left: "poses     300/300 0:07:12 matching photos, about 12 min left in all".

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+import logging
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import ModelError
 from fsinfer.io.json_text import read_json
+
+_log = logging.getLogger(__name__)
 
 #: Channels of the feature maps at a quarter and at half resolution, where a manifest does not tell. Source: format;
 #: those of the model that is shipped.
@@ -131,8 +134,11 @@ def models_folder() -> Path:
     return inside if inside.is_dir() else package.parent / "models"
 
 
-def read_manifest(name_or_path: str | Path) -> ModelManifest:
+def read_manifest(name_or_path: str | Path, *, trust: bool = False) -> ModelManifest:
     """Find and check a model by its name (``field``) or the path of its manifest (``.json``).
+
+    With ``trust`` graphs whose hash is not the manifest's are taken all the same, with a warning in the log; the hashes
+    of the manifest that is returned are those of the graphs.
 
     Raises
     ------
@@ -177,11 +183,13 @@ def read_manifest(name_or_path: str | Path) -> ModelManifest:
         msg = f"{path} is not a model manifest ({type(error).__name__}: {error}); install fsinfer again or re-export"
         raise ModelError(msg) from error
     precisions = (False, True) if manifest.int8_regularizer is not None else (False,)
-    for int8 in precisions:
-        _check_files(manifest, manifest.files_of(int8=int8), manifest.sha256_of(int8=int8))
+    found = [
+        _check_files(manifest, manifest.files_of(int8=int8), manifest.sha256_of(int8=int8), trust=trust)
+        for int8 in precisions
+    ]
     if manifest.tiles is not None:
-        _check_files(manifest, [manifest.folder / manifest.tiles.regularizer], data["tiles"]["sha256"])
-    return manifest
+        _check_files(manifest, [manifest.folder / manifest.tiles.regularizer], data["tiles"]["sha256"], trust=trust)
+    return replace(manifest, sha256=found[0], int8_sha256=found[1] if len(found) > 1 else manifest.int8_sha256)
 
 
 def _check(manifest: ModelManifest, data: dict[str, Any]) -> None:
@@ -214,13 +222,14 @@ def _check(manifest: ModelManifest, data: dict[str, Any]) -> None:
     if manifest.refiner is not None and manifest.refine_planes < 2:
         msg = f"refine_planes is {manifest.refine_planes}"
         raise ValueError(msg)
-    span = manifest.refine_span
+    span: Any = manifest.refine_span
     if manifest.planes < 2 or isinstance(span, bool) or not isinstance(span, (int, float)) or not 0 <= span <= _MOST:
         msg = f"planes are {manifest.planes}, refine_span is {span!r}"
         raise ValueError(msg)
 
 
-def _check_files(manifest: ModelManifest, files: list[Path], sha256: str) -> None:
+def _check_files(manifest: ModelManifest, files: list[Path], sha256: str, *, trust: bool) -> str:
+    """The hash of the files, which is ``sha256`` unless it is trusted."""
     missing = [file.name for file in files if not file.is_file()]
     if missing:
         where = f"missing in {manifest.folder}"
@@ -231,12 +240,14 @@ def _check_files(manifest: ModelManifest, files: list[Path], sha256: str) -> Non
     except OSError as error:
         msg = f"model {manifest.name} in {manifest.folder} cannot be read ({error}); install fsinfer again"
         raise ModelError(msg) from error
-    if found != sha256:
-        msg = (
-            f"model {manifest.name} in {manifest.folder} is damaged or was changed: SHA-256 {found[:12]}…, manifest "
-            f"{sha256[:12]}…; install fsinfer again or re-export the model"
-        )
+    if found == sha256:
+        return found
+    what = f"model {manifest.name} in {manifest.folder} is damaged or was changed: SHA-256 {found[:12]}…"
+    if not trust:
+        msg = f"{what}, manifest {sha256[:12]}…; install fsinfer again, re-export the model, or give --trust-model"
         raise ModelError(msg)
+    _log.warning("%s; it is used all the same", what)
+    return found
 
 
 def _config(data: dict[str, Any], name: str, default: int) -> int:

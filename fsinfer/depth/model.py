@@ -99,16 +99,18 @@ class DepthModel:
         calibrate: bool = True,
         provider: str = "cpu",
         precision: str = AUTO,
+        trust: bool = False,
     ) -> DepthModel:
         """Load a shipped model by name, or any model by the path of its manifest.
 
         ``threads`` = 0 uses every core; ``calibrate`` = False leaves the network's confidence as it is; ``provider``
         see :func:`fsinfer.depth.session.find_providers`; ``precision`` see
-        :func:`fsinfer.depth.precision.choose_precision`. Raises :class:`ModelError` where a file is missing, damaged or
-        not ONNX, or the provider is not there, and :class:`InputError` for an unknown precision.
+        :func:`fsinfer.depth.precision.choose_precision`; ``trust`` takes graphs whose hash is not the manifest's.
+        Raises :class:`ModelError` where a file is missing, damaged or not ONNX, or the provider is not there, and
+        :class:`InputError` for an unknown precision.
         """
         providers = find_providers(provider, available_providers())
-        manifest = read_manifest(name_or_path)
+        manifest = read_manifest(name_or_path, trust=trust)
         precision = choose_precision(precision, manifest, provider=provider)
         threads = threads or os.cpu_count() or 1
         files = manifest.files_of(int8=precision == INT8)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import SceneError
+from fsinfer.poses.model_files import why_damaged
 
 _log = logging.getLogger(__name__)
 
@@ -52,11 +53,14 @@ def read_sparse(folder: Path | str) -> SparseModel:
     import pycolmap
 
     try:
+        why = why_damaged(folder)
+        if why:
+            raise ValueError(why)
         model = pycolmap.Reconstruction(folder)
-    except (RuntimeError, ValueError, IndexError) as error:
+        return sparse_of(model)
+    except (OSError, RuntimeError, ValueError, IndexError, KeyError, TypeError) as error:
         msg = f"{folder} is no complete COLMAP model ({error}); make the scene again with: fsinfer poses"
         raise SceneError(msg) from error
-    return sparse_of(model)
 
 
 def sparse_of(model: Any) -> SparseModel:

@@ -17,8 +17,10 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+import numpy as np
 
 from tests.faults.runs import CODES, STAGES, Injection, chain, make_photos, results, run
 from tests.fuzz.table import put_rows
@@ -49,6 +51,11 @@ def inject(faults: list[str], stages: list[str], work: Path) -> list[Injection]:
     import fsinfer.trees.outputs.figures
     import fsinfer.workflow.pipeline  # noqa: F401
     import tests.support.killed_run  # noqa: F401
+
+    # Libraries that take memory at their first use, and end the process where they get none.
+    np.linalg.solve(np.eye(300), np.eye(300))
+    with suppress(ImportError):
+        import pyproj  # noqa: F401
 
     photos = make_photos(work / "photos")
     (work / "whole").mkdir()

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 #: Address space that a run keeps when memory ends, bytes; and size from which on no file is written, bytes.
-_LAST_MEMORY, _LARGEST_FILE = 1 << 19, 256
+_LAST_MEMORY, _LARGEST_FILE = 1 << 21, 256
 #: How long a folder stalls, seconds.
 _STALL_S = 1.0
 

@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from fsinfer.cli.app import app
 from fsinfer.depth.manifest import models_folder, read_manifest
 from fsinfer.depth.maps import DepthMaps
 from fsinfer.depth.model import DepthModel
@@ -414,6 +415,25 @@ def test_a_manifest_that_no_model_has(model: Path, tmp_path: Path, entry: dict[s
         link.unlink()
     with pytest.raises(ModelError, match=r"manifest\.json is not a model manifest"):
         read_manifest(changed(model, tmp_path, **entry))
+
+
+def test_a_changed_graph_is_used_only_when_told(
+    model: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = changed(model, tmp_path, sha256="0" * 64)
+    with pytest.raises(ModelError, match="damaged or was changed.*--trust-model"):
+        read_manifest(path)
+    trusted = read_manifest(path, trust=True)
+    assert trusted.sha256 == read_manifest(model).sha256
+    assert "it is used all the same" in caplog.text
+    # On the command line: with the option the next thing that is wrong is told.
+    scene = write_plane_scene(tmp_path / "scene")
+    (scene / "images" / "1.png").write_bytes(b"x")
+    for options, said in (([], "damaged or was changed"), (["--trust-model"], "1.png")):
+        with pytest.raises(SystemExit) as stopped:
+            app(["depth", str(scene), str(tmp_path / "out"), "--model", str(path), "--quiet", *options])
+        assert stopped.value.code == 2
+        assert said in capsys.readouterr().err
 
 
 class Session:

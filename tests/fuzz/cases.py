@@ -112,10 +112,11 @@ def serve(connection, name: str, folder: Path, seed: int, first: int, seconds: f
     import signal
 
     from tests.fuzz.catalogue import READERS
+    from tests.fuzz.trial import TRIALS
 
     logging.disable(logging.CRITICAL)
     faulthandler.register(signal.SIGUSR1, file=(folder.parent / "hang.txt").open("w"), all_threads=False)
-    reader = READERS[name]
+    reader = {**READERS, **TRIALS}[name]
     cases = Cases(reader, folder, seed)
     _limit_memory(reader.most_mb * ADDRESS_SPACE + 512)
     # Time of the processor: a busy machine must not shorten the work.

@@ -41,7 +41,8 @@ def _make(folder: Path) -> None:
     copytree(_scene(), folder, dirs_exist_ok=True)
 
 
-def _make_colmap(folder: Path) -> None:
+def make_colmap(folder: Path) -> None:
+    """A COLMAP model of two photographs and six points in ``folder/sparse``."""
     import pycolmap
 
     camera = pycolmap.Camera.create_from_model_name(1, "SIMPLE_RADIAL", 40.0, 40, 36)
@@ -116,7 +117,7 @@ READERS = (
         targets=("cams/*.txt", "depth/*.pfm", "depth/depth.json", "pair.txt"), mutators=(change_text, change_bytes),
     ),
     Reader(
-        name="colmap", what="COLMAP models", make=_make_colmap, targets=("sparse/*.bin",), read=_read_colmap,
+        name="colmap", what="COLMAP models", make=make_colmap, targets=("sparse/*.bin",), read=_read_colmap,
         mutators=(lie_in_counts, change_bytes, cut),
     ),
 )  # fmt: skip

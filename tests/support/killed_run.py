@@ -43,7 +43,7 @@ def stand_in() -> None:
         "fsinfer.workflow.photo_stages.select_frames": select_frames,
         "fsinfer.workflow.photo_stages.estimate_poses": estimate_poses,
         "fsinfer.workflow.cloud_stages.estimate_depth": estimate_depth,
-        "fsinfer.workflow.cloud_stages.read_manifest": lambda _: manifest,
+        "fsinfer.workflow.cloud_stages.read_manifest": lambda _, **__: manifest,
         "fsinfer.workflow.cloud_stages.read_sparse": lambda _: None,
         "fsinfer.workflow.cloud_stages.check_depth": lambda *_, **__: checked,
         "fsinfer.report.make_report": report,
