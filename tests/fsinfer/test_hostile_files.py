@@ -421,7 +421,7 @@ def test_a_changed_graph_is_used_only_when_told(
     model: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = changed(model, tmp_path, sha256="0" * 64)
-    with pytest.raises(ModelError, match="damaged or was changed.*--trust-model"):
+    with pytest.raises(ModelError, match=r"damaged or was changed.*--trust-model"):
         read_manifest(path)
     trusted = read_manifest(path, trust=True)
     assert trusted.sha256 == read_manifest(model).sha256
