@@ -61,7 +61,9 @@ def read_las(path: Path) -> dict[str, NDArray[Any]]:
                     pieces.setdefault(name, []).append(np.array(record[name]))
         except (ValueError, KeyError, TypeError) as error:  # names and types of extra dimensions that make no sense
             raise _damaged(path, str(error)) from error
-    whole = {name: np.concatenate(parts) if parts else np.empty(0) for name, parts in pieces.items()}
+    whole: dict[str, NDArray[Any]] = {
+        name: np.concatenate(parts) if parts else np.empty(0) for name, parts in pieces.items()
+    }
     columns = {axis: whole[axis] for axis in ("x", "y", "z")}
     if set(_COLOURS) <= set(whole):
         colours = {name: whole[name] for name in _COLOURS}

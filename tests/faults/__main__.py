@@ -16,8 +16,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -44,9 +45,15 @@ def small_disk(folder: Path) -> Iterator[bool]:
             subprocess.run(["umount", "-l", str(folder)], check=False)
 
 
-def inject(faults: list[str], stages: list[str], work: Path) -> list[Injection]:
-    """All faults in all stages; those that cannot be had on this machine are said and left out."""
+def inject(
+    faults: list[str], stages: list[str], work: Path, *, done_with: Callable[[list[Injection]], None] | None = None
+) -> list[Injection]:
+    """All faults in all stages; those that cannot be had on this machine are said and left out.
+
+    ``done_with`` is given the injections of each fault as soon as they are done.
+    """
     # Loaded once: every run is a copy of this process.
+    import fsinfer.cli.app
     import fsinfer.report
     import fsinfer.trees.outputs.figures
     import fsinfer.workflow.pipeline  # noqa: F401
@@ -80,6 +87,8 @@ def inject(faults: list[str], stages: list[str], work: Path) -> list[Injection]:
         for one in bad:
             print("".join(f"    {one.stage}: {problem}\n" for problem in one.problems), end="", flush=True)
         injections += done
+        if done_with is not None:
+            done_with(done)
     return injections
 
 
@@ -96,22 +105,23 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error("this system cannot copy a process; run it on Linux or macOS")
     work = Path(tempfile.mkdtemp(prefix="faults-"))
     try:
-        injections = inject(args.faults, args.stages, work)
+        injections = inject(args.faults, args.stages, work, done_with=partial(_put, args.report))
     finally:
         shutil.rmtree(work, ignore_errors=True)
     bad = [one for one in injections if one.problems]
     print(f"{len(injections)} injections, {len(bad)} not as promised")
-    if args.report:
-        rows = {}
-        for fault in args.faults:
-            of_fault = [one for one in injections if one.fault == fault]
-            if of_fault:
-                codes = sorted({one.code for one in of_fault})
-                ended = ", ".join("killed" if code < 0 else str(code) for code in codes)
-                failed = sum(bool(one.problems) for one in of_fault)
-                rows[fault] = (", ".join(one.stage for one in of_fault), str(len(of_fault)), ended, str(failed))
-        put_rows(args.report, "faults", rows)
     return 1 if bad else 0
+
+
+def _put(report: Path | None, injections: list[Injection]) -> None:
+    """The row of one fault."""
+    if report is None:
+        return
+    codes = sorted({one.code for one in injections})
+    ended = ", ".join("killed" if code < 0 else str(code) for code in codes)
+    failed = sum(bool(one.problems) for one in injections)
+    cells = (", ".join(one.stage for one in injections), str(len(injections)), ended, str(failed))
+    put_rows(report, "faults", {injections[0].fault: cells})
 
 
 if __name__ == "__main__":
