@@ -45,7 +45,7 @@ def why_damaged(path: Path) -> str:
             return "it has no LAS header"
         if head.points_at > size or head.header_bytes + _RECORD_BYTES * head.records > head.points_at:
             return "its header promises more records than the file can hold"
-        if head.long_records and head.long_records_at + _LONG_RECORD_BYTES * head.long_records > size:
+        if not _hold_long_records(stream, head, size):
             return "its header promises more records than the file can hold"
         if not head.compressed:
             have = (size - head.points_at) // max(head.point_bytes, 1)
@@ -63,6 +63,20 @@ def why_damaged(path: Path) -> str:
             if head.points
             else ""
         )
+
+
+def _hold_long_records(stream: BinaryIO, head: _Header, size: int) -> bool:
+    """Whether the records behind the points end within the file; each says its own length."""
+    at = head.long_records_at
+    for _ in range(head.long_records):
+        stream.seek(at + 20)
+        length = stream.read(8)
+        if len(length) < 8:
+            return False
+        at += _LONG_RECORD_BYTES + int.from_bytes(length, "little")
+        if at > size:
+            return False
+    return True
 
 
 def _records(stream: BinaryIO, head: _Header) -> list[tuple[bytes, int, bytes]]:

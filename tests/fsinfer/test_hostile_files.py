@@ -33,6 +33,7 @@ from fsinfer.errors import (
     OutputError,
     SceneError,
 )
+from fsinfer.io.chunks import open_chunks
 from fsinfer.io.cloud import PointCloud, read_cloud, write_cloud
 from fsinfer.io.exif import camera_exif, camera_key, gnss_degrees
 from fsinfer.io.files import atomic_path, copy_file, write_text
@@ -78,7 +79,20 @@ def test_a_las_header_that_promises_too_much(
     if offset == 243:
         overwrite(path, 235, "<Q", 375)
     overwrite(path, offset, form, value)
-    with pytest.raises(CloudError, match=rf"a\.las .*{said}"):
+    for read in (read_cloud, open_chunks):
+        with pytest.raises(CloudError, match=rf"a\.las .*{said}"):
+            read(path)
+
+
+def test_a_record_behind_the_points_that_is_longer_than_the_file(tmp_path: Path, cloud: PointCloud) -> None:
+    path = tmp_path / "a.las"
+    write_cloud(path, cloud)
+    overwrite(path, 235, "<QI", path.stat().st_size, 1)
+    sound = path.read_bytes() + bytes(20) + struct.pack("<Q", 4) + bytes(32) + b"text"
+    path.write_bytes(sound)
+    assert len(read_cloud(path)) == 50
+    path.write_bytes(sound[:-44] + struct.pack("<Q", 2**40) + sound[-36:])
+    with pytest.raises(CloudError, match="more records than the file can hold"):
         read_cloud(path)
 
 
