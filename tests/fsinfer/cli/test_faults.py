@@ -100,8 +100,8 @@ def test_the_support_zip_holds_the_trace_of_a_run_that_failed_at_once(
 
 @pytest.mark.parametrize(
     "error",
-    [MemoryError(), RuntimeError("std::bad_alloc"), OSError(12, "Cannot allocate memory"), RuntimeError("can't start new thread"),
-     ImportError("x.so: failed to map segment from shared object")],
+    [MemoryError(), RuntimeError("std::bad_alloc"), OSError(12, "Cannot allocate memory"),
+     RuntimeError("can't start new thread"), ImportError("x.so: failed to map segment from shared object")],
 )  # fmt: skip
 def test_too_little_memory_is_told_whatever_says_so(error: Exception) -> None:
     message, code = explain(error)
