@@ -33,6 +33,7 @@ from fsinfer.errors import (
     OutputError,
     SceneError,
 )
+from fsinfer.evaluation.metrics import read_measured
 from fsinfer.io.chunks import open_chunks
 from fsinfer.io.cloud import PointCloud, read_cloud, write_cloud
 from fsinfer.io.exif import camera_exif, camera_key, gnss_degrees
@@ -481,6 +482,13 @@ def test_features_of_another_shape(model: Path) -> None:
         loaded._sessions["features"] = Graph(Path("a.onnx"), Session(answer))
         with pytest.raises(ModelError, match="the features of model field"):
             loaded.features(np.zeros((40, 40, 3), np.uint8))
+
+
+def test_a_table_of_measured_trees_without_trees_is_named(tmp_path: Path) -> None:
+    (tmp_path / "truth.csv").write_text("tree_id,x_m,y_m,dbh_cm\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"truth\.csv holds no measured trees"):
+        read_measured(tmp_path / "truth.csv")
+    assert read_measured(tmp_path / "truth.csv", need_dbh=False) == []
 
 
 def test_every_error_keeps_its_class() -> None:
