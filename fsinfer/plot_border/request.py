@@ -171,7 +171,7 @@ def _read_geojson(path: Path) -> tuple[Place, ...]:
         msg = f"cannot read the plot's polygon {path}: {error}; {_POLYGON}"
         raise InputError(msg) from error
     shapes = _shapes(content)
-    if len(shapes) != 1 or shapes[0].get("type") not in {"Polygon", "MultiPolygon"}:
+    if len(shapes) != 1 or shapes[0].get("type") not in ("Polygon", "MultiPolygon"):
         msg = f"{path} holds {len(shapes)} shapes{_kinds(shapes)}; {_POLYGON}"
         raise InputError(msg)
     rings = shapes[0].get("coordinates")

@@ -44,6 +44,7 @@ from fsinfer.io.las import copy_las
 from fsinfer.io.pfm import read_pfm
 from fsinfer.output.json_values import of_json
 from fsinfer.output.plot_json import read_plot
+from fsinfer.plot_border.request import read_polygon
 from fsinfer.scene import read_camera, read_scene
 from fsinfer.workflow.ledger import Ledger, Stage
 from tests.support.plane_scene import write_plane_scene
@@ -489,6 +490,14 @@ def test_a_table_of_measured_trees_without_trees_is_named(tmp_path: Path) -> Non
     with pytest.raises(InputError, match=r"truth\.csv holds no measured trees"):
         read_measured(tmp_path / "truth.csv")
     assert read_measured(tmp_path / "truth.csv", need_dbh=False) == []
+
+
+@pytest.mark.parametrize("kind", ["[]", "{}", "null", "5"])
+def test_a_border_of_no_kind(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "plot.geojson"
+    path.write_text(f'{{"type": {kind}, "coordinates": [[[0, 0], [1, 0], [1, 1]]]}}', encoding="utf-8")
+    with pytest.raises(InputError, match=r"plot\.geojson"):
+        read_polygon(path)
 
 
 def test_every_error_keeps_its_class() -> None:
