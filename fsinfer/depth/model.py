@@ -231,7 +231,8 @@ class DepthModel:
 
     def regularize(self, volume: Float32) -> tuple[Float32, Float32]:
         """Plane index, with fraction, and the network's own confidence (h, w) of a volume of :meth:`cost_volume`."""
-        return self._sessions["regularizer"].run_two({"volume": volume})
+        index, confidence = self._sessions["regularizer"].run_two({"volume": volume})
+        return index, confidence
 
     def _refine(
         self,

@@ -44,7 +44,7 @@ def _read(folder: Path) -> None:
     for path in sorted(folder.iterdir()):
         for reader in (image_size, is_upright_jpeg_or_png, camera_key, camera_exif, gnss_degrees, read_image):
             try:
-                reader(path)  # type: ignore[operator]
+                reader(path)
             except _own_errors() as error:
                 problems.append(error)
     if problems:

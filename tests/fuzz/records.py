@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 from shutil import copytree
 from tempfile import mkdtemp
+from typing import Any
 
 from tests.fuzz.mutators import change_json, change_text, cut
 from tests.fuzz.reader import Reader
@@ -55,11 +56,12 @@ def _run_stages(out: Path) -> None:
 
 
 def _read_ledger(folder: Path) -> None:
-    from fsinfer.workflow.ledger import Ledger
+    from fsinfer.workflow.ledger import Ledger, Stage
     from fsinfer.workflow.photo_stages import FRAMES, POSES
 
     ledger = Ledger(folder)
-    for stage in (FRAMES, POSES):
+    stages: tuple[Stage[Any], ...] = (FRAMES, POSES)
+    for stage in stages:
         ledger.recall(stage)
         ledger.inputs_of(stage.name)
         ledger.has(stage.name)

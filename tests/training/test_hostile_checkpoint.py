@@ -36,7 +36,7 @@ def state() -> dict[str, Any]:
 def refused(path: Path, tmp_path: Path) -> None:
     for read in (load_checkpoint, lambda path: slim(path, tmp_path / "slim.pt")):
         with pytest.raises(ModelError, match=rf"{path.name} .*checkpoint"):
-            read(path)  # type: ignore[operator]
+            read(path)
 
 
 def test_code_in_a_checkpoint_is_not_run(tmp_path: Path, state: dict[str, Any]) -> None:
