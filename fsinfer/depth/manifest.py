@@ -22,8 +22,7 @@ _FEATURE_CHANNELS, _REFINE_CHANNELS = 16, 8
 #: Channels of the first level of a 3D regularizer, where a manifest does not tell. Source: format; MVSNet.
 _LEVEL_CHANNELS = 8
 
-#: Numbers of a manifest that count something, and more than any model has of it. Source: judgement; memory goes with
-#: their product.
+# Numbers of a manifest that count something.
 _COUNTS = (
     "packed_planes",
     "planes",
@@ -33,6 +32,7 @@ _COUNTS = (
     "refine_channels",
     "refine_planes",
 )
+#: More than any model has of any of them. Source: judgement; memory goes with their product.
 _MOST = 4096
 
 

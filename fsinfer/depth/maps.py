@@ -18,6 +18,8 @@ from fsinfer.scene import Camera, Scene, project
 
 _log = logging.getLogger(__name__)
 
+#: Pixels of a photograph to one of its depth map. Source: judgement; ours take eight at most.
+_MOST_STEP = 10_000
 #: Maps kept in memory where nobody says how many. Source: numerics.
 CACHED_MAPS = 24
 
@@ -193,8 +195,8 @@ def _read_grid(entry: dict[str, float]) -> PixelGrid:
         offset_y_px=float(entry.get("offset_y_px", 0.0)),
     )
     sound = np.isfinite([grid.step_x, grid.step_y, grid.offset_x_px, grid.offset_y_px]).all()
-    if not (sound and grid.step_x > 0 and grid.step_y > 0):
-        msg = f"pixel steps must be positive and finite, not {grid.step_x}, {grid.step_y}"
+    if not (sound and 0 < grid.step_x <= _MOST_STEP and 0 < grid.step_y <= _MOST_STEP):
+        msg = f"pixel steps must be positive and no larger than a photograph, not {grid.step_x}, {grid.step_y}"
         raise ValueError(msg)
     return grid
 

@@ -8,13 +8,16 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
-#: Bytes before the counts and of what is counted (COLMAP 3 and 4, binary). Source: format.
+#: Bytes of an image before its name, and of each of its points (COLMAP 3 and 4, binary). Source: format.
 _IMAGE, _POINT2D = 4 + 7 * 8 + 4, 2 * 8 + 8
+#: Bytes of a point before its track, and of an element of it. Source: format.
 _POINT3D, _TRACK_ELEMENT = 8 + 3 * 8 + 3 + 8, 2 * 4
+#: Bytes of a frame before its data, and of each of them. Source: format.
 _FRAME, _FRAME_DATA = 4 + 4 + 7 * 8, 4 + 4 + 8
-_RIG, _SENSOR, _LEAST_SENSOR = 4, 4 + 4 + 1, 4 + 4
+#: Bytes of a rig before its sensors, of a sensor, of the first one, which has no pose, and of a pose. Source: format.
+_RIG, _SENSOR, _LEAST_SENSOR, _POSE = 4, 4 + 4 + 1, 4 + 4, 7 * 8
+#: Bytes of a camera without its parameters. Source: format.
 _LEAST_CAMERA = 4 + 4 + 8 + 8
-_POSE = 7 * 8
 
 
 def why_damaged(folder: Path) -> str:

@@ -84,6 +84,7 @@ def _take(out: Path, path: Path) -> BinaryIO | None:
 
 
 #: Byte that is locked on Windows, where what is locked cannot be read: behind all that the file says.
+#: Source: numerics.
 _FAR = 1 << 20
 
 
