@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import errno
 import logging
-import os
-import socket
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,6 +14,7 @@ from fsinfer.errors import OutputError
 from fsinfer.io.files import make_folder
 from fsinfer.output.layout import RECORDS_FOLDER
 
+#: Stays where it is, empty: whoever took it away would leave two runs with locks of their own.
 LOCK_FILE = "lock"
 #: What systems answer that have no locks for this folder, as some network shares.
 _NO_LOCKS = frozenset({errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL})
@@ -43,7 +42,7 @@ def alone_in(out: Path) -> Iterator[None]:
     with _guard:
         holder, times = _held.get(folder, (me, 0))
         if holder != me:
-            raise _busy(out, "in this program")
+            raise _busy(out)
         stream = _take(out, folder / LOCK_FILE) if times == 0 else None
         _held[folder] = (me, times + 1)
     try:
@@ -70,22 +69,9 @@ def _take(out: Path, path: Path) -> BinaryIO | None:
         if error.errno in _NO_LOCKS:
             _log.info("%s: this folder has no locks (%s); going on without", out, error)
             return stream
-        stream.seek(0)
-        who = _read(stream)
         stream.close()
-        raise _busy(out, who) from error
-    try:
-        stream.truncate(0)
-        stream.write(f"process {os.getpid()} on {socket.gethostname()}".encode())
-        stream.flush()
-    except OSError:
-        pass  # it only says who holds the lock
+        raise _busy(out) from error
     return stream
-
-
-#: Byte that is locked on Windows, where what is locked cannot be read: behind all that the file says.
-#: Source: numerics.
-_FAR = 1 << 20
 
 
 def _lock(stream: BinaryIO) -> None:
@@ -94,21 +80,13 @@ def _lock(stream: BinaryIO) -> None:
     except ImportError:  # Windows
         import msvcrt
 
-        stream.seek(_FAR)
+        stream.seek(0)
         msvcrt.locking(stream.fileno(), msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined,unused-ignore]
         return
     fcntl.flock(stream.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
-def _read(stream: BinaryIO) -> str:
-    try:
-        return stream.read(200).decode("utf-8", errors="replace")
-    except OSError:
-        return ""
-
-
-def _busy(out: Path, who: str) -> OutputError:
+def _busy(out: Path) -> OutputError:
     return OutputError(
-        f"another run of fsinfer is at work in {out}{f' ({who})' if who else ''}; wait until it has ended, or choose "
-        "another output folder"
+        f"another run of fsinfer is at work in {out}; wait until it has ended, or choose another output folder"
     )

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import traceback
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -80,6 +81,9 @@ def _run_here(photos: Path, out: Path, stage: str, writes: int, fault: str, log:
         with log.open("wb") as stream:
             for number in (1, 2):
                 os.dup2(stream.fileno(), number)
+        # Not those of a test, which keeps what is said and takes warnings for errors.
+        sys.stdout, sys.stderr = os.fdopen(1, "w", closefd=False), os.fdopen(2, "w", closefd=False)
+        warnings.resetwarnings()
         from tests.support.killed_run import stand_in
         from tests.support.synthetic_plot import M_PER_UNIT
 
@@ -99,6 +103,8 @@ def _run_here(photos: Path, out: Path, stage: str, writes: int, fault: str, log:
     except BaseException:
         os.write(2, traceback.format_exc().encode())
     finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
         os._exit(code)
 
 

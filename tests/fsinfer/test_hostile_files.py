@@ -42,12 +42,15 @@ from fsinfer.io.images import image_size, is_upright_jpeg_or_png, read_image
 from fsinfer.io.json_text import parse_json
 from fsinfer.io.las import copy_las
 from fsinfer.io.pfm import read_pfm
+from fsinfer.notices.stems import StemCode
 from fsinfer.output.json_values import of_json
 from fsinfer.output.plot_json import read_plot
 from fsinfer.plot_border.request import read_polygon
 from fsinfer.scene import read_camera, read_scene
+from fsinfer.trees.measure import analyse_plot
 from fsinfer.workflow.ledger import Ledger, Stage
 from tests.support.plane_scene import write_plane_scene
+from tests.support.report_plot import plot_cloud
 
 
 @pytest.fixture
@@ -500,6 +503,13 @@ def test_a_border_of_no_kind(tmp_path: Path, kind: str) -> None:
     path.write_text(f'{{"type": {kind}, "coordinates": [[[0, 0], [1, 0], [1, 1]]]}}', encoding="utf-8")
     with pytest.raises(InputError, match=r"plot\.geojson"):
         read_polygon(path)
+
+
+def test_a_point_at_the_end_of_the_world_is_left_out() -> None:
+    plot = plot_cloud(points_per_stem=800, ground=4000).xyz
+    result = analyse_plot(np.vstack([plot, [0.0, 0.0, 1e30]]))
+    assert [tree.dbh_cm for tree in result.trees] == [tree.dbh_cm for tree in analyse_plot(plot).trees]
+    assert any(warning.code == StemCode.far_outside for warning in result.warnings)
 
 
 def test_every_error_keeps_its_class() -> None:

@@ -112,11 +112,16 @@ def _make_plot_cloud(folder: Path) -> None:
 
 
 def _measure(folder: Path) -> None:
+    from fsinfer.errors import CloudError
     from fsinfer.io.cloud import read_cloud
     from fsinfer.trees import measure_trees
 
     for path in folder.iterdir():
-        measure_trees(read_cloud(path).xyz)
+        points = read_cloud(path).xyz
+        try:
+            measure_trees(points)
+        except CloudError as error:  # of points, which have no file any more
+            raise CloudError(f"{path}: {error}") from error
 
 
 READERS = (
