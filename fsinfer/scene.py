@@ -110,6 +110,10 @@ def read_camera(path: Path | str) -> Camera:
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > _MOST_SKEW or np.linalg.det(rotation) < 0:
         msg = f"{path}: the first three columns of its extrinsic are no rotation; write the scene again"
         raise SceneError(msg)
+    rows = np.abs(cam_from_world[3] - [0, 0, 0, 1]).max(), np.abs(intrinsic[2] - [0, 0, 1]).max()
+    if max(rows) > _MOST_SKEW or not np.linalg.det(intrinsic) > _LEAST_DEPTH:
+        msg = f"{path}: the last row of a matrix is not 0 0 1, or its intrinsic has no inverse; write the scene again"
+        raise SceneError(msg)
     return Camera(intrinsic=intrinsic, cam_from_world=cam_from_world, depth_min=depth_min, depth_max=depth_max)
 
 

@@ -178,7 +178,7 @@ CAMERA = "extrinsic\n{0} 0 0 0\n0 {1} 0 0\n0 0 1 0\n0 0 0 1\n\nintrinsic\n{2} 0 
 @pytest.mark.parametrize(
     "values",
     [(1, 1, "nan", 9, 5), (1, 1, 9, "inf", 5), (1, 1, 9, -9, 5), (1, 1, 9, 9, "inf"), (2, 2, 9, 9, 5), (-1, 1, 9, 9, 5),
-     (0, 0, 9, 9, 5), (1, "1e400", 9, 9, 5)],
+     (0, 0, 9, 9, 5), (1, "1e400", 9, 9, 5), (1, 1, 1e-300, 9, 5), (1, 1, "9 0 0 5 0 9 0 0 0", 9, 5)],
 )  # fmt: skip
 def test_cameras_that_are_none(tmp_path: Path, values: tuple[object, ...]) -> None:
     path = tmp_path / "a_cam.txt"
