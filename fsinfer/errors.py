@@ -9,10 +9,20 @@ from __future__ import annotations
 
 #: What the command line says when memory ran out, by which a batch knows that another attempt is worth it.
 NOT_ENOUGH_MEMORY = "this computer has not enough free memory"
+#: Length of a message that is still read in a terminal. Source: judgement.
+_MOST_LETTERS = 1500
 
 
 class FsinferError(Exception):
-    """Base class of every error that a user can put right."""
+    """Base class of every error that a user can put right.
+
+    A message that quotes half of a damaged file says nothing: the middle of a long one is left out.
+    """
+
+    def __init__(self, message: str = "") -> None:
+        if len(message) > _MOST_LETTERS:
+            message = f"{message[: _MOST_LETTERS * 2 // 3]} [...] {message[-_MOST_LETTERS // 3 :]}"
+        super().__init__(message)
 
 
 class InputError(FsinferError):

@@ -19,6 +19,9 @@ from fsinfer.io.files import write_text
 
 #: Planes of a camera file that tells no number. Source: format; MVSNet (Yao et al. 2018).
 DEPTH_PLANES = 192
+#: What rows of a rotation may differ from being of length one and at right angles. Source: judgement; matrices that
+#: were written with three digits.
+_MOST_SKEW = 0.02
 #: Depth that stands for none where a point lies in the plane of the camera. Source: numerics.
 _LEAST_DEPTH = 1e-12
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".JPG", ".JPEG", ".PNG")
@@ -99,8 +102,17 @@ def read_camera(path: Path | str) -> Camera:
         raise SceneError(msg) from error
     planes = depths[2] if len(depths) > 2 else DEPTH_PLANES
     depth_max = depths[3] if len(depths) > 3 else depth_min + interval * (planes - 1)
-    if not (0 < depth_min < depth_max and np.isfinite(cam_from_world).all() and intrinsic[0, 0] > 0):
+    finite = np.isfinite([*cam_from_world.flat, *intrinsic.flat, depth_min, depth_max]).all()
+    if not (finite and 0 < depth_min < depth_max and intrinsic[0, 0] > 0 and intrinsic[1, 1] > 0):
         msg = f"{path}: needs 0 < depth_min < depth_max and finite numbers, has {depth_min=}, {depth_max=}"
+        raise SceneError(msg)
+    rotation = cam_from_world[:3, :3]
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > _MOST_SKEW or np.linalg.det(rotation) < 0:
+        msg = f"{path}: the first three columns of its extrinsic are no rotation; write the scene again"
+        raise SceneError(msg)
+    rows = np.abs(cam_from_world[3] - [0, 0, 0, 1]).max(), np.abs(intrinsic[2] - [0, 0, 1]).max()
+    if max(rows) > _MOST_SKEW or not np.linalg.det(intrinsic) > _LEAST_DEPTH:
+        msg = f"{path}: the last row of a matrix is not 0 0 1, or its intrinsic has no inverse; write the scene again"
         raise SceneError(msg)
     return Camera(intrinsic=intrinsic, cam_from_world=cam_from_world, depth_min=depth_min, depth_max=depth_max)
 

@@ -20,6 +20,7 @@ from pathlib import Path
 import torch
 
 from fsinfer.errors import FsinferError, SceneError
+from training.checkpoint import read_state
 from training.data.find import find_true_scenes
 from training.model import CONFIGS
 
@@ -143,7 +144,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     except subprocess.CalledProcessError as error:
         return int(error.returncode) or 1
-    state = torch.load(checkpoint, map_location="cpu", weights_only=True)
+    state = read_state(checkpoint)
     samples = state["step"] * state["training"]["samples_per_step"]
     print(f"{checkpoint}: {state['step']} steps, {samples / max(state['spent_s'], 1e-9):.1f} samples a second")
     return 0

@@ -25,7 +25,8 @@ from torch.optim import Optimizer
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torch.utils.data import DataLoader
 
-from fsinfer.errors import FsinferError
+from fsinfer.errors import FsinferError, ModelError
+from training.checkpoint import read_state
 from training.data.find import find_true_scenes
 from training.data.samples import Sample, SamplingSettings, SceneSamples, load_sample
 from training.losses import at_stride, compute_loss
@@ -138,14 +139,24 @@ class Trainer:
         self.before: list[dict[str, Any]] = []
         settings.out.mkdir(parents=True, exist_ok=True)
         self.checkpoint = settings.out / "checkpoint.pt"
-        if self.checkpoint.is_file():
-            self._load(torch.load(self.checkpoint, map_location=self.device, weights_only=True))
-        elif settings.init is not None:
-            state = torch.load(settings.init, map_location=self.device, weights_only=True)
-            self.model.load_state_dict(state["average"])
-            self.average.module.load_state_dict(state["average"])
-            earlier = dict(state["training"])
-            self.before = [*earlier.pop("before", []), {**earlier, "steps": state["step"], "spent_s": state["spent_s"]}]
+        given = self.checkpoint if self.checkpoint.is_file() else settings.init
+        if given is None:
+            return
+        state = read_state(given, self.device)
+        try:
+            if given == self.checkpoint:
+                self._load(state)
+            else:
+                self._begin_with(state)
+        except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+            msg = f"{given} does not fit the preset {settings.preset} ({error}); give a checkpoint of this network"
+            raise ModelError(msg) from error
+
+    def _begin_with(self, state: dict[str, Any]) -> None:
+        self.model.load_state_dict(state["average"])
+        self.average.module.load_state_dict(state["average"])
+        earlier = dict(state["training"])
+        self.before = [*earlier.pop("before", []), {**earlier, "steps": state["step"], "spent_s": state["spent_s"]}]
 
     def _load(self, state: dict[str, Any]) -> None:
         self.model.load_state_dict(state["model"])

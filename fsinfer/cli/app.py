@@ -46,6 +46,7 @@ from fsinfer.cli.options import (
     Provider,
     ScaleFactor,
     Threads,
+    TrustModel,
     Views,
     depth_settings,
     frame_settings,
@@ -161,6 +162,7 @@ def run(
     memory_gb: MemoryGb = DepthSettings.memory_gb,
     provider: Provider = DepthSettings.provider,
     precision: PrecisionHow = DEFAULT_PRECISION,
+    trust_model: TrustModel = False,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
@@ -189,6 +191,7 @@ def run(
             memory_gb=memory_gb,
             provider=provider,
             precision=precision,
+            trust_model=trust_model,
         ),
         fusion=FusionSettings(memory_gb=memory_gb),
         trees=tree_settings(bh_m=bh, bh_rule=bh_rule),

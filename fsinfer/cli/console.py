@@ -28,6 +28,17 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress; re
 Debug = Annotated[bool, typer.Option("--debug", help="Show the full technical trace when something fails.")]
 
 # Errors of the operating system that the user can do something about.
+#: Memory that a run cannot go on without. Source: judgement; an array of a photograph.
+_PROBE_BYTES = 1 << 24
+# What OpenCV, COLMAP and the system say instead of a MemoryError.
+_NO_MEMORY = (
+    "Insufficient memory",
+    "Failed to allocate",
+    "std::bad_alloc",
+    "Cannot allocate memory",
+    "failed to map segment",
+    "can't start new thread",
+)
 _USER_ERRNOS = frozenset({errno.ENOSPC, errno.EACCES, errno.EPERM, errno.EROFS, errno.EDQUOT})
 
 #: Stage, counts, time, step, what is left: "poses     300/300 0:07:12 matching photos, about 12 min left in all".
@@ -78,11 +89,20 @@ def explain(error: Exception) -> tuple[str, int]:
     if isinstance(error, OSError) and error.errno in _USER_ERRNOS:
         where = f": {error.filename}" if error.filename else ""
         return f"Error: {error.strerror}{where}; free some space or choose another output folder", EXIT_USER_ERROR
-    if isinstance(error, MemoryError):
+    if isinstance(error, MemoryError) or any(word in str(error) for word in _NO_MEMORY) or _is_memory_out():
         hint = "close other programs, or give a smaller --max-size; what is finished is kept"
         return f"Error: {NOT_ENOUGH_MEMORY}; {hint}", EXIT_USER_ERROR
     what = f"{type(error).__name__}: {_one_line(error)}".rstrip(": ")
     return f"Internal error ({what}). This is a fault of fsinfer; --debug shows the details.", EXIT_OUR_FAULT
+
+
+def _is_memory_out() -> bool:
+    """Whether there is no memory now: then libraries fail in ways that name something else."""
+    try:
+        bytearray(_PROBE_BYTES)
+    except MemoryError:
+        return True
+    return False
 
 
 def say(message: str) -> None:

@@ -99,6 +99,9 @@ EqualizeHow = Annotated[
 ]
 
 Model = Annotated[str, typer.Option("--model", help="Depth model: a name that comes with fsinfer, or a manifest file.")]
+TrustModel = Annotated[
+    bool, typer.Option("--trust-model", help="Use the model though its files are not those of its manifest.")
+]
 Views = Annotated[
     int, typer.Option("--views", min=2, max=11, help="Photos compared at a time: one and its best neighbours.")
 ]
@@ -197,6 +200,7 @@ def depth_settings(
     memory_gb: float,
     provider: str,
     precision: Precision,
+    trust_model: bool,
 ) -> DepthSettings:
     """Settings of the depth stage; ``views`` counts the reference photograph too."""
     return DepthSettings(
@@ -207,6 +211,7 @@ def depth_settings(
         memory_gb=memory_gb,
         provider=provider,
         precision=precision.value,
+        trust_model=trust_model,
     )
 
 

@@ -34,6 +34,7 @@ from fsinfer.cli.options import (
     Provider,
     ScaleFactor,
     Threads,
+    TrustModel,
     Views,
     depth_settings,
     frame_settings,
@@ -123,6 +124,7 @@ def depth(
     memory_gb: MemoryGb = DepthSettings.memory_gb,
     provider: Provider = DepthSettings.provider,
     precision: PrecisionHow = DEFAULT_PRECISION,
+    trust_model: TrustModel = False,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
@@ -138,6 +140,7 @@ def depth(
         memory_gb=memory_gb,
         provider=provider,
         precision=precision,
+        trust_model=trust_model,
     )
     from fsinfer.workflow.single_stages import depth_of
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import json
-from dataclasses import dataclass
+import logging
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +12,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import ModelError
+from fsinfer.io.json_text import read_json
+
+_log = logging.getLogger(__name__)
 
 #: Channels of the feature maps at a quarter and at half resolution, where a manifest does not tell. Source: format;
 #: those of the model that is shipped.
 _FEATURE_CHANNELS, _REFINE_CHANNELS = 16, 8
 #: Channels of the first level of a 3D regularizer, where a manifest does not tell. Source: format; MVSNet.
 _LEVEL_CHANNELS = 8
+
+# Numbers of a manifest that count something.
+_COUNTS = (
+    "packed_planes",
+    "planes",
+    "groups",
+    "level_channels",
+    "feature_channels",
+    "refine_channels",
+    "refine_planes",
+)
+#: More than any model has of any of them. Source: judgement; memory goes with their product.
+_MOST = 4096
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,8 +134,11 @@ def models_folder() -> Path:
     return inside if inside.is_dir() else package.parent / "models"
 
 
-def read_manifest(name_or_path: str | Path) -> ModelManifest:
+def read_manifest(name_or_path: str | Path, *, trust: bool = False) -> ModelManifest:
     """Find and check a model by its name (``field``) or the path of its manifest (``.json``).
+
+    With ``trust`` graphs whose hash is not the manifest's are taken all the same, with a warning in the log; the hashes
+    of the manifest that is returned are those of the graphs.
 
     Raises
     ------
@@ -134,7 +153,7 @@ def read_manifest(name_or_path: str | Path) -> ModelManifest:
         msg = f"no depth model {name_or_path!s}: {path} does not exist; models that came with fsinfer: {known}"
         raise ModelError(msg)
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = read_json(path)
         manifest = ModelManifest(
             name=data["name"],
             folder=path.parent,
@@ -159,30 +178,76 @@ def read_manifest(name_or_path: str | Path) -> ModelManifest:
             calibration=_calibration(data.get("confidence_calibration")),
             details=data,
         )
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        _check(manifest, data)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         msg = f"{path} is not a model manifest ({type(error).__name__}: {error}); install fsinfer again or re-export"
         raise ModelError(msg) from error
     precisions = (False, True) if manifest.int8_regularizer is not None else (False,)
-    for int8 in precisions:
-        _check_files(manifest, manifest.files_of(int8=int8), manifest.sha256_of(int8=int8))
+    found = [
+        _check_files(manifest, manifest.files_of(int8=int8), manifest.sha256_of(int8=int8), trust=trust)
+        for int8 in precisions
+    ]
     if manifest.tiles is not None:
-        _check_files(manifest, [manifest.folder / manifest.tiles.regularizer], data["tiles"]["sha256"])
-    return manifest
+        _check_files(manifest, [manifest.folder / manifest.tiles.regularizer], data["tiles"]["sha256"], trust=trust)
+    return replace(manifest, sha256=found[0], int8_sha256=found[1] if len(found) > 1 else manifest.int8_sha256)
 
 
-def _check_files(manifest: ModelManifest, files: list[Path], sha256: str) -> None:
+def _check(manifest: ModelManifest, data: dict[str, Any]) -> None:
+    """Raise ValueError or KeyError where an entry has another type or size than any model has."""
+    files: list[Any] = [manifest.features, manifest.regularizer]
+    files += [file for file in (manifest.refiner, manifest.int8_regularizer) if file is not None]
+    hashes: list[Any] = [manifest.sha256]
+    if manifest.int8_regularizer is not None:
+        hashes.append(manifest.int8_sha256)
+    if manifest.tiles is not None:
+        files.append(manifest.tiles.regularizer)
+        hashes.append(data["tiles"]["sha256"])
+    for file in files:
+        # A manifest of somebody else names graphs beside it, and nothing elsewhere.
+        if not isinstance(file, str) or file in ("", "..") or set(file) & set("/\\:\0"):
+            msg = f"{file!r} is no name of a file beside it"
+            raise ValueError(msg)
+    for sha256 in hashes:
+        if not isinstance(sha256, str):
+            msg = f"{sha256!r} is no hash"
+            raise ValueError(msg)
+    for name in _COUNTS:
+        value = getattr(manifest, name)
+        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= _MOST:
+            msg = f"{name} is {value!r}"
+            raise ValueError(msg)
+    if manifest.packed_planes and manifest.planes % manifest.packed_planes:
+        msg = f"{manifest.planes} planes are no whole number of slabs of {manifest.packed_planes}"
+        raise ValueError(msg)
+    if manifest.refiner is not None and manifest.refine_planes < 2:
+        msg = f"refine_planes is {manifest.refine_planes}"
+        raise ValueError(msg)
+    span: Any = manifest.refine_span
+    if manifest.planes < 2 or isinstance(span, bool) or not isinstance(span, (int, float)) or not 0 <= span <= _MOST:
+        msg = f"planes are {manifest.planes}, refine_span is {span!r}"
+        raise ValueError(msg)
+
+
+def _check_files(manifest: ModelManifest, files: list[Path], sha256: str, *, trust: bool) -> str:
+    """The hash of the files, which is ``sha256`` unless it is trusted."""
     missing = [file.name for file in files if not file.is_file()]
     if missing:
         where = f"missing in {manifest.folder}"
         msg = f"model {manifest.name}: {missing} {where}; install fsinfer again or re-export the model"
         raise ModelError(msg)
-    found = hash_files(files)
-    if found != sha256:
-        msg = (
-            f"model {manifest.name} in {manifest.folder} is damaged or was changed: SHA-256 {found[:12]}…, manifest "
-            f"{sha256[:12]}…; install fsinfer again or re-export the model"
-        )
+    try:
+        found = hash_files(files)
+    except OSError as error:
+        msg = f"model {manifest.name} in {manifest.folder} cannot be read ({error}); install fsinfer again"
+        raise ModelError(msg) from error
+    if found == sha256:
+        return found
+    what = f"model {manifest.name} in {manifest.folder} is damaged or was changed: SHA-256 {found[:12]}…"
+    if not trust:
+        msg = f"{what}, manifest {sha256[:12]}…; install fsinfer again, re-export the model, or give --trust-model"
         raise ModelError(msg)
+    _log.warning("%s; it is used all the same", what)
+    return found
 
 
 def _config(data: dict[str, Any], name: str, default: int) -> int:
@@ -219,7 +284,7 @@ def _calibration(entry: dict[str, list[float]] | None) -> tuple[NDArray[np.float
     if entry is None:
         return None
     raw, share = np.array(entry["raw"], np.float32), np.array(entry["within_1pct"], np.float32)
-    if raw.shape != share.shape or raw.ndim != 1 or len(raw) < 2 or (np.diff(raw) <= 0).any():
+    if raw.shape != share.shape or raw.ndim != 1 or len(raw) < 2 or not (np.diff(raw) > 0).all():
         msg = f"confidence_calibration needs two equally long rising lists, has {raw.shape=}, {share.shape=}"
         raise ValueError(msg)
     return raw, share

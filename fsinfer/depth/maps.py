@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections import OrderedDict
 from dataclasses import dataclass
@@ -13,11 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import SceneError
+from fsinfer.io.json_text import read_json
 from fsinfer.io.pfm import read_pfm
 from fsinfer.scene import Camera, Scene, project
 
 _log = logging.getLogger(__name__)
 
+#: Pixels of a photograph to one of its depth map. Source: judgement; ours take eight at most.
+_MOST_STEP = 10_000
 #: Maps kept in memory where nobody says how many. Source: numerics.
 CACHED_MAPS = 24
 
@@ -172,13 +174,13 @@ class DepthMaps:
 def _read_grids(path: Path, names: list[str]) -> dict[str, PixelGrid]:
     """Grids by view name: from ``views`` where ``depth.json`` has it, else one grid for all from its top level."""
     try:
-        saved = json.loads(path.read_text(encoding="utf-8"))
+        saved = read_json(path)
         entries = saved.get("views") or dict.fromkeys(names, saved)
         grids = {name: _read_grid(entries[name]) for name in names if name in entries}
     except FileNotFoundError as error:
         msg = f"{path} is missing; make the depth maps with: fsinfer depth"
         raise SceneError(msg) from error
-    except (OSError, ValueError, TypeError, AttributeError, KeyError) as error:
+    except (OSError, ValueError, TypeError, AttributeError, KeyError, OverflowError) as error:
         msg = f"{path} does not say where the pixels of the depth maps lie ({error!r}); run again: fsinfer depth"
         raise SceneError(msg) from error
     return grids
@@ -192,8 +194,9 @@ def _read_grid(entry: dict[str, float]) -> PixelGrid:
         offset_x_px=float(entry.get("offset_x_px", 0.0)),
         offset_y_px=float(entry.get("offset_y_px", 0.0)),
     )
-    if not (grid.step_x > 0 and grid.step_y > 0):
-        msg = f"pixel steps must be positive, not {grid.step_x}, {grid.step_y}"
+    sound = np.isfinite([grid.step_x, grid.step_y, grid.offset_x_px, grid.offset_y_px]).all()
+    if not (sound and 0 < grid.step_x <= _MOST_STEP and 0 < grid.step_y <= _MOST_STEP):
+        msg = f"pixel steps must be positive and no larger than a photograph, not {grid.step_x}, {grid.step_y}"
         raise ValueError(msg)
     return grid
 
@@ -202,7 +205,7 @@ def read_depth_index(depth_folder: Path) -> dict[str, Any]:
     """``depth/depth.json`` of a folder that the stage wrote; :class:`SceneError` where there is none."""
     path = depth_folder / "depth" / "depth.json"
     try:
-        index = json.loads(path.read_text(encoding="utf-8"))
+        index = read_json(path)
         if not isinstance(index["views"], dict):
             raise TypeError
     except (OSError, ValueError, KeyError, TypeError) as error:

@@ -24,7 +24,7 @@ from fsinfer.depth.precision import AUTO, INT8, choose_precision
 from fsinfer.depth.session import available_providers, find_providers, load_graph
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.warping import relative_projection
-from fsinfer.errors import InputError
+from fsinfer.errors import InputError, ModelError
 from fsinfer.threads import one_blas_thread
 
 Float32 = NDArray[np.float32]
@@ -99,16 +99,18 @@ class DepthModel:
         calibrate: bool = True,
         provider: str = "cpu",
         precision: str = AUTO,
+        trust: bool = False,
     ) -> DepthModel:
         """Load a shipped model by name, or any model by the path of its manifest.
 
         ``threads`` = 0 uses every core; ``calibrate`` = False leaves the network's confidence as it is; ``provider``
         see :func:`fsinfer.depth.session.find_providers`; ``precision`` see
-        :func:`fsinfer.depth.precision.choose_precision`. Raises :class:`ModelError` where a file is missing, damaged or
-        not ONNX, or the provider is not there, and :class:`InputError` for an unknown precision.
+        :func:`fsinfer.depth.precision.choose_precision`; ``trust`` takes graphs whose hash is not the manifest's.
+        Raises :class:`ModelError` where a file is missing, damaged or not ONNX, or the provider is not there, and
+        :class:`InputError` for an unknown precision.
         """
         providers = find_providers(provider, available_providers())
-        manifest = read_manifest(name_or_path)
+        manifest = read_manifest(name_or_path, trust=trust)
         precision = choose_precision(precision, manifest, provider=provider)
         threads = threads or os.cpu_count() or 1
         files = manifest.files_of(int8=precision == INT8)
@@ -124,6 +126,10 @@ class DepthModel:
             raise InputError(msg)
         nchw = np.ascontiguousarray(image.transpose(2, 0, 1)[None], dtype=np.float32)
         outputs = self._sessions["features"].run(None, {"images": nchw})
+        if not outputs or any(maps.ndim != 4 or maps.shape[1] % 4 or not maps.size for maps in outputs):
+            shapes = [maps.shape for maps in outputs]
+            msg = f"the features of model {self.manifest.name} are {shapes}, not (1, C, h, w) with C a multiple of 4"
+            raise ModelError(msg)
         return ViewFeatures(
             quarter=Features.from_chw(outputs[0][0]),
             half=Features.from_chw(outputs[1][0]) if len(outputs) > 1 else None,
@@ -225,7 +231,7 @@ class DepthModel:
 
     def regularize(self, volume: Float32) -> tuple[Float32, Float32]:
         """Plane index, with fraction, and the network's own confidence (h, w) of a volume of :meth:`cost_volume`."""
-        index, confidence = self._sessions["regularizer"].run(None, {"volume": volume})
+        index, confidence = self._sessions["regularizer"].run_two({"volume": volume})
         return index, confidence
 
     def _refine(
@@ -256,8 +262,8 @@ class DepthModel:
             view_weights=upsample_twice(weights, height, width),
             threads=self.threads,
         )
-        fine_index, fine_confidence = self._sessions["refiner"].run(
-            None, {"volume": fine_volume.reshape(-1, height, width), "features": half[0].to_chw()}
+        fine_index, fine_confidence = self._sessions["refiner"].run_two(
+            {"volume": fine_volume.reshape(-1, height, width), "features": half[0].to_chw()}
         )
         step = np.float32(2 * manifest.refine_span / (manifest.refine_planes - 1))
         final = centre + offsets[0] + fine_index * step

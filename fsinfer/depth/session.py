@@ -25,6 +25,10 @@ PROVIDERS = {
 }
 
 
+# What onnxruntime says where an allocation fails.
+_NO_MEMORY = ("Failed to allocate memory", "bad allocation", "bad_alloc")
+
+
 def available_providers() -> list[str]:
     """Execution providers of the installed onnxruntime, by their full names."""
     import onnxruntime
@@ -57,26 +61,57 @@ def find_providers(name: str, available: list[str]) -> list[str]:
     return [CPU] if wanted == CPU else [wanted, CPU]
 
 
-def load_graph(file: Path, threads: int, providers: Sequence[str]) -> Any:
+class Graph:
+    """A session of onnxruntime of which everything that goes wrong is told as a :class:`ModelError`."""
+
+    def __init__(self, file: Path, session: Any) -> None:
+        self.file, self.session = file, session
+
+    def get_inputs(self) -> list[Any]:
+        """Names, types and shapes of what it takes."""
+        return list(self.session.get_inputs())
+
+    def run(self, outputs: Sequence[str] | None, feeds: Mapping[str, NDArray[np.float32]], options: Any = None) -> Any:
+        """As the session does; raises MemoryError where there is too little of it."""
+        try:
+            return self.session.run(outputs, feeds, options)
+        except Exception as error:  # onnxruntime raises its own family of exceptions
+            if any(word in str(error) for word in _NO_MEMORY):
+                raise MemoryError(str(error)) from error
+            msg = f"{self.file} does not compute what its manifest says ({error}); re-export the model"
+            raise ModelError(msg) from error
+
+    def run_two(self, feeds: Mapping[str, NDArray[np.float32]]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The two outputs (h, w) of a regularizer or a refiner; :class:`ModelError` where they are something else."""
+        outputs = self.run(None, feeds)
+        if len(outputs) != 2 or any(output.ndim != 2 for output in outputs) or outputs[0].shape != outputs[1].shape:
+            shapes = [output.shape for output in outputs]
+            msg = f"{self.file} gives {shapes}, not an index and a confidence of one size; re-export the model"
+            raise ModelError(msg)
+        return outputs[0], outputs[1]
+
+
+def load_graph(file: Path, threads: int, providers: Sequence[str]) -> Graph:
     """A session of onnxruntime; raises :class:`ModelError`."""
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
-    options.log_severity_level = 3
+    # Of what fails the error tells; onnxruntime would print it a second time.
+    options.log_severity_level = 4
     # A plan of the memory makes onnxruntime keep one block for all of a run: 2.2 instead of 1.4 GB, and no faster.
     options.enable_mem_pattern = False
     # Threads that wait by spinning take the cores from those that build the cost volume.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     try:
-        return onnxruntime.InferenceSession(file, options, providers=list(providers))
+        return Graph(file, onnxruntime.InferenceSession(file, options, providers=list(providers)))
     except Exception as error:  # onnxruntime raises its own family of exceptions
         msg = f"{file} cannot be loaded by onnxruntime ({error}); install fsinfer again or re-export the model"
         raise ModelError(msg) from error
 
 
 def run_for(
-    session: Any, outputs: Sequence[str], feeds: Mapping[str, NDArray[np.float32]]
+    session: Graph, outputs: Sequence[str], feeds: Mapping[str, NDArray[np.float32]]
 ) -> list[NDArray[np.float32]]:
     """Run only that part of a graph which the named outputs need; onnxruntime runs all of it otherwise."""
     import onnxruntime

@@ -62,6 +62,7 @@ class DepthSettings:
         computed in tiles where a whole map does not fit. Source: option; leaves a laptop of 8 GB usable.
     provider: of onnxruntime, see :mod:`fsinfer.depth.session`. Source: option.
     precision: of the regularizer, one of :class:`Precision`, see :mod:`fsinfer.depth.precision`. Source: option.
+    trust_model: a model is used though its files are not those that its manifest names by their hash. Source: option.
     """
 
     model: str = "field"
@@ -74,3 +75,4 @@ class DepthSettings:
     memory_gb: float = 3.0
     provider: str = "cpu"
     precision: str = Precision.auto.value
+    trust_model: bool = False

@@ -7,6 +7,7 @@ import logging
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -82,9 +83,14 @@ def estimate_depth(
         A depth map takes more than ``settings.memory_gb``.
     """
     settings = settings or DepthSettings()
-    model = DepthModel.load(
-        settings.model, threads=settings.threads, provider=settings.provider, precision=settings.precision
+    load = partial(
+        DepthModel.load,
+        settings.model,
+        threads=settings.threads,
+        provider=settings.provider,
+        trust=settings.trust_model,
     )
+    model = load(precision=settings.precision)
     usable = [view for view in scene.views if view.sources]
     if not usable:
         msg = f"{scene.folder / 'pair.txt'} gives no view a source view; the photos do not overlap"
@@ -92,7 +98,7 @@ def estimate_depth(
     plan = _plan(usable, settings, model)
     if plan.tile_size and model.precision == INT8:
         # Tiles are computed in float32 alone; what is written says so.
-        model = DepthModel.load(settings.model, threads=settings.threads, provider=settings.provider, precision=FLOAT32)
+        model = load(precision=FLOAT32)
     predictor = TiledDepth(model, plan.tile_size, keeps_volume=plan.keeps_volume) if plan.tile_size else model
     make_folder(out / "depth")
     make_folder(out / "confidence")

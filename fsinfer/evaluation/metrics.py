@@ -147,6 +147,9 @@ def read_measured(path: Path, *, need_dbh: bool = True, need_position: bool = Tr
                 dbh_cm=dbh,
             )
         )
+    if need_dbh and not trees:
+        msg = f"{path} holds no measured trees, only a header; give at least one tree"
+        raise InputError(msg)
     return trees
 
 

@@ -15,7 +15,7 @@ from fsinfer.frames.settings import FrameSettings, VideoSettings
 from fsinfer.frames.table import FrameRow, frames_csv
 from fsinfer.frames.video import VIDEO_SUFFIXES, sharpest_frames
 from fsinfer.io.exif import camera_exif, named_camera_exif
-from fsinfer.io.files import make_folder, write_text
+from fsinfer.io.files import copy_file, write_text
 from fsinfer.io.images import PHOTO_SUFFIXES, is_upright_jpeg_or_png, list_images, read_image, write_image
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
@@ -173,12 +173,7 @@ def _from_photos(
 def _write_photo(path: Path, target: Path, settings: FrameSettings) -> None:
     copied = settings.equalize == "none" and path.suffix.lower() in _JPEG_SUFFIXES and is_upright_jpeg_or_png(path)
     if copied:
-        make_folder(target.parent)
-        try:
-            shutil.copyfile(path, target)
-        except OSError as error:
-            msg = f"cannot write {target}: {error.strerror or error}; choose another output folder"
-            raise OutputError(msg) from error
+        copy_file(path, target)
         return
     image = equalize(read_image(path), settings.equalize)
     write_image(target, image, quality=settings.jpeg_quality, exif=camera_exif(path))

@@ -60,7 +60,7 @@ def sharpest_frames(path: Path, *, settings: VideoSettings, progress: Progress) 
             raise ImageError(msg)
         capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1)
         found = False
-        for frame in _choose(capture, settings, progress):
+        for frame in _readable(_choose(capture, settings, progress), path):
             found = True
             yield frame
         if not found:
@@ -68,6 +68,15 @@ def sharpest_frames(path: Path, *, settings: VideoSettings, progress: Progress) 
             raise ImageError(msg)
     finally:
         capture.release()
+
+
+def _readable(frames: Iterator[VideoFrame], path: Path) -> Iterator[VideoFrame]:
+    """The same frames; what OpenCV cannot do with a damaged one is told as an error of the video."""
+    try:
+        yield from frames
+    except cv2.error as error:
+        msg = f"{path} is damaged ({error}); copy it again from the camera, or give a folder of photos"
+        raise ImageError(msg) from error
 
 
 def _choose(capture: cv2.VideoCapture, settings: VideoSettings, progress: Progress) -> Iterator[VideoFrame]:

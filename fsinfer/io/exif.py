@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fsinfer.errors import ImageError
 from fsinfer.io.gravity import EXIF_IFD, USER_COMMENT, gravity_comment, noted_gravity
-from fsinfer.io.images import image_size, open_header
+from fsinfer.io.images import image_size, open_header, quiet
 
 if TYPE_CHECKING:
     from PIL.Image import Exif
@@ -43,9 +42,12 @@ def camera_exif(path: Path | str) -> bytes | None:
     gravity = noted_gravity(path)
     if gravity is not None:
         kept_lens[USER_COMMENT] = gravity_comment(gravity)
-    if kept_lens:
-        kept.get_ifd(EXIF_IFD).update(kept_lens)
-    return kept.tobytes() if len(kept) or kept_lens else None
+    try:
+        if kept_lens:
+            kept.get_ifd(EXIF_IFD).update(kept_lens)
+        return kept.tobytes() if len(kept) or kept_lens else None
+    except Exception:  # values of a type that the tag cannot have
+        return None
 
 
 def gravity_exif(path: Path | str) -> bytes | None:
@@ -92,26 +94,32 @@ def camera_key(path: Path | str) -> tuple[str, ...]:
 def gnss_degrees(path: Path | str) -> tuple[float, float] | None:
     """(latitude, longitude) in degrees that the phone noted, None where it noted none that can be read."""
     try:
-        with open_header(Path(path)) as image:
+        with open_header(Path(path)) as image, quiet():
             tags = dict(image.getexif().get_ifd(_GNSS_IFD))
         values = []
         for value, reference, negative in ((_LATITUDE, _LATITUDE_REF, "S"), (_LONGITUDE, _LONGITUDE_REF, "W")):
             degrees, minutes, seconds = (float(part) for part in tags[value])
             sign = -1 if str(tags.get(reference, "")).upper().startswith(negative) else 1
             values.append(sign * (degrees + minutes / 60 + seconds / 3600))
-    except (ImageError, OSError, KeyError, ValueError, TypeError, ZeroDivisionError):
+    except Exception:  # of any kind that Pillow raises
         # Broken metadata costs a direction and nothing else.
         return None
     return (values[0], values[1]) if np.isfinite(values).all() else None
 
 
 def _read_exif(path: Path) -> tuple[Exif, dict[int, object]]:
-    image = open_header(path)
-    with image:
-        tags = image.getexif()
+    from PIL.Image import Exif
+
+    with open_header(path) as image:
+        # Broken metadata is common after editing, raises whatever there is, and only costs the focal length prior.
         try:
-            lens = dict(tags.get_ifd(EXIF_IFD))
-        except (KeyError, ValueError, TypeError, OSError):
-            # Broken metadata is common after editing, and only costs the focal length prior.
+            with quiet():
+                tags = image.getexif()
+        except Exception:
+            return Exif(), {}
+        try:
+            with quiet():
+                lens = dict(tags.get_ifd(EXIF_IFD))
+        except Exception:
             lens = {}
     return tags, lens

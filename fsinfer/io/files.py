@@ -4,11 +4,22 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from fsinfer.errors import OutputError
+from fsinfer.errors import FsinferError, InputError, OutputError
+
+#: A disk with less room than this is full. Source: judgement; a block or two are left where nothing fits any more.
+_FULL_BYTES = 1 << 16
+#: Bytes that are copied at once. Source: numerics.
+_COPY_BYTES = 1 << 20
+_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
+# What lazrs and sqlite3 raise where the system does not let them write; named, since this module loads neither.
+_ERRORS_OF_WRITERS = ("LazrsError", "OperationalError")
+# Systems that cannot flush a file: it is written all the same.
+_NO_FLUSH = frozenset({errno.EINVAL, errno.EOPNOTSUPP, errno.ENOSYS})
 
 
 def make_folder(folder: Path) -> Path:
@@ -33,12 +44,26 @@ def atomic_path(path: Path) -> Iterator[Path]:
     make_folder(path.parent)
     temporary = path.with_name(f".{path.stem}.part{path.suffix}")
     try:
+        # A link of that name, in a folder that somebody has sent, would be written through.
+        temporary.unlink(missing_ok=True)
         yield temporary
+        _flush(temporary)
         temporary.replace(path)
     except OSError as error:
         raise _output_error(path, error) from error
+    except FsinferError:
+        raise
+    except Exception as error:
+        # Writers of LAZ and GeoPackage have errors of their own.
+        if is_disk_full(path.parent):
+            raise disk_full(path) from error
+        if type(error).__name__ in _ERRORS_OF_WRITERS:
+            msg = f"cannot write {path}: {error}; choose another output folder"
+            raise OutputError(msg) from error
+        raise
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -47,7 +72,50 @@ def write_text(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
+def copy_file(source: Path, target: Path) -> None:
+    """Copy a file, atomically: a copy that a kill has cut would be taken for a whole one by whoever goes on.
+
+    Raises
+    ------
+    InputError
+        ``source`` cannot be read.
+    OutputError
+        ``target`` cannot be written.
+    """
+    try:
+        stream = source.open("rb")
+    except OSError as error:
+        msg = f"cannot read {source}: {error.strerror or error}"
+        raise InputError(msg) from error
+    with stream, atomic_path(target) as temporary, temporary.open("wb") as copy:
+        shutil.copyfileobj(stream, copy, _COPY_BYTES)
+
+
+def is_disk_full(folder: Path) -> bool:
+    """Whether nothing more fits onto the disk of ``folder``."""
+    try:
+        return shutil.disk_usage(folder).free < _FULL_BYTES
+    except OSError:
+        return False
+
+
+def disk_full(path: Path) -> OutputError:
+    """The error of a disk on which ``path`` found no room."""
+    return OutputError(f"the disk is full: could not write {path}; free some space and run the same command again")
+
+
+def _flush(path: Path) -> None:
+    """Have the content on the disk before the name: after a power cut there is the old file or the new one."""
+    with path.open("r+b") as stream:
+        try:
+            os.fsync(stream.fileno())
+        except OSError as error:
+            if error.errno not in _NO_FLUSH:
+                raise
+
+
 def _output_error(path: Path, error: OSError) -> OutputError:
-    if error.errno == errno.ENOSPC:
-        return OutputError(f"the disk is full: could not write {path}; free some space and run the same command again")
+    # NumPy tells no number where a file could not be written to its end.
+    if error.errno in _FULL or (error.errno is None and is_disk_full(path.parent)):
+        return disk_full(path)
     return OutputError(f"cannot write {path}: {error.strerror or error}; choose another output folder")

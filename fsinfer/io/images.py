@@ -7,6 +7,9 @@ and says nothing.
 from __future__ import annotations
 
 import importlib.util
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -68,28 +71,12 @@ def read_image(path: Path | str, *, upright: bool = True) -> NDArray[np.uint8]:
         The file is missing, is no image, is cut short, or is HEIC while ``pillow-heif`` is not installed.
     """
     path = Path(path)
-    if path.suffix.lower() in _HEIF_SUFFIXES:
-        _register_heif(path)
-    from PIL import Image, ImageOps, UnidentifiedImageError
+    from PIL import ImageOps
 
-    try:
-        with Image.open(path) as image:
-            # Loading first: decoding errors must not hide in a lazy transposition.
-            image.load()
-            return _as_rgb(ImageOps.exif_transpose(image) if upright else image)
-    except UnidentifiedImageError as error:
-        msg = f"{path} is not a photo that can be read; copy it again from the camera or delete it"
-        raise ImageError(msg) from error
-    except Image.DecompressionBombError as error:
-        msg = f"{path} has too many pixels ({error}); save it with fewer than 150 megapixels"
-        raise ImageError(msg) from error
-    except FileNotFoundError as error:
-        msg = f"{path} does not exist; check the name"
-        raise ImageError(msg) from error
-    except (OSError, SyntaxError, ValueError, EOFError) as error:
-        # Pillow: OSError for a cut JPEG, SyntaxError for a broken PNG, ValueError and EOFError for broken headers.
-        msg = f"{path} is damaged or cut short ({error}); copy it again from the camera or delete it"
-        raise ImageError(msg) from error
+    with open_header(path) as image, _told(path):
+        # Loading first: decoding errors must not hide in a lazy transposition.
+        image.load()
+        return _as_rgb(ImageOps.exif_transpose(image) if upright else image)
 
 
 def write_image(path: Path | str, image: NDArray[np.uint8], quality: int = 95, *, exif: bytes | None = None) -> None:
@@ -127,36 +114,73 @@ def write_image(path: Path | str, image: NDArray[np.uint8], quality: int = 95, *
 
 def image_size(path: Path | str) -> tuple[int, int]:
     """(width, height) of the upright photo, from its header alone; :class:`ImageError` where it cannot be read."""
-    path = Path(path)
-    image = open_header(path)
-    with image:
+    with open_header(Path(path)) as image:
         width, height = image.size
-        turned = int(image.getexif().get(_ORIENTATION, 1)) in (5, 6, 7, 8)
+        turned = _orientation(image) in (5, 6, 7, 8)
     return (height, width) if turned else (width, height)
 
 
 def is_upright_jpeg_or_png(path: Path | str) -> bool:
     """Whether every reader sees the same pixels: JPEG or PNG in 8 bits, without an orientation to apply."""
-    image = open_header(Path(path))
-    with image:
+    with open_header(Path(path)) as image:
         plain = image.format in ("JPEG", "PNG") and image.mode in ("RGB", "L")
-        return plain and int(image.getexif().get(_ORIENTATION, 1)) in (0, 1)
+        return plain and _orientation(image) in (0, 1)
 
 
 def open_header(path: Path) -> Image:
     """Open a photograph without decoding it; :class:`ImageError` where its header cannot be read."""
     if path.suffix.lower() in _HEIF_SUFFIXES:
         _register_heif(path)
+    from PIL import Image
+
+    with _told(path):
+        return Image.open(path)
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Without the warnings of Pillow about metadata and large photos: nobody can do anything about them."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """Whatever goes wrong with a photograph inside is told as a :class:`ImageError`."""
     from PIL import Image, UnidentifiedImageError
 
     try:
-        return Image.open(path)
+        with quiet():
+            yield
     except UnidentifiedImageError as error:
         msg = f"{path} is not a photo that can be read; copy it again from the camera or delete it"
         raise ImageError(msg) from error
-    except (OSError, Image.DecompressionBombError) as error:
-        msg = f"cannot read {path} ({error}); copy it again from the camera or delete it"
+    except Image.DecompressionBombError as error:
+        msg = f"{path} has too many pixels ({error}); save it with fewer than 150 megapixels"
         raise ImageError(msg) from error
+    except FileNotFoundError as error:
+        msg = f"{path} does not exist; check the name"
+        raise ImageError(msg) from error
+    except PermissionError as error:
+        msg = f"cannot read {path}: {error.strerror or error}; ask for the right to"
+        raise ImageError(msg) from error
+    except MemoryError:
+        raise  # no fault of the photograph
+    except Exception as error:
+        # Its readers have no kind of error in common: OSError for a cut JPEG, SyntaxError for a broken PNG, ValueError,
+        # EOFError, struct.error, KeyError, RuntimeError and others for broken headers.
+        msg = f"{path} is damaged or cut short ({error}); copy it again from the camera or delete it"
+        raise ImageError(msg) from error
+
+
+def _orientation(image: Image) -> int:
+    """How the photo has to be turned, by Exif; 1 (not at all) where its metadata is damaged, as for the pixels."""
+    try:
+        with quiet():
+            return int(image.getexif().get(_ORIENTATION, 1))
+    except Exception:  # see _told; broken metadata is common after editing
+        return 1
 
 
 def _register_heif(path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import CloudError, FsinferError
 from fsinfer.io.crs import horizontal_epsg
-from fsinfer.io.files import atomic_path
+from fsinfer.io.files import atomic_path, is_disk_full
+from fsinfer.io.las_header import why_damaged
 
 # Names under which CloudCompare stores and finds normals in LAS extra dimensions.
 NORMAL_NAMES = ("NormalX", "NormalY", "NormalZ")
 # Standard dimensions worth keeping when they say anything (are not all zero).
 _KEPT_DIMENSIONS = ("intensity", "classification")
+_COLOURS = ("red", "green", "blue")
 #: Steps of the stored integers in the extent of a cloud, at least: 0.1 mm on a plot of 30 m. Source: numerics.
 _STEPS_PER_EXTENT = 1e5
 #: Finest and coarsest step, metres: a millimetre is told of any forest. Source: numerics.
@@ -27,8 +29,8 @@ _STEP_RANGE_M = (1e-7, 1e-3)
 _MOST_STEPS = 2e9
 #: Factor from 8-bit colours to those of 16 bits. Source: format; LAS 1.4, 65535 over 255.
 _COLOUR_FACTOR = 257
-#: A header that promises more points in a byte of the file is damaged. Source: judgement; LAZ takes about one.
-_MOST_POINTS_PER_BYTE = 1000
+#: Points that are unpacked at once. Source: numerics; a header that lies costs no more memory than so many.
+_PIECE_POINTS, _PIECE_BYTES = 1_000_000, 1 << 28
 #: Keys ProjectedCSTypeGeoKey and GeographicTypeGeoKey, and the value for "user defined". Source: format; GeoTIFF 1.1.
 _PROJECTED_KEY, _GEOGRAPHIC_KEY, _USER_DEFINED = 3072, 2048, 32767
 
@@ -46,26 +48,34 @@ def read_las(path: Path) -> dict[str, NDArray[Any]]:
     CloudError
         The file is missing, is no LAS/LAZ, or is cut short.
     """
-    with open_las(path) as reader:
-        expected = int(reader.header.point_count)
-        cloud = reader.read()
-    if len(cloud.points) < expected:
-        raise _damaged(path, f"{len(cloud.points)} of {expected} points are there")
-    columns: dict[str, NDArray[Any]] = {axis: np.asarray(cloud[axis], dtype=np.float64) for axis in ("x", "y", "z")}
-    names = set(cloud.point_format.dimension_names)
-    if "red" in names:
-        colours = {name: np.asarray(cloud[name]) for name in ("red", "green", "blue")}
+    pieces: dict[str, list[NDArray[Any]]] = {axis: [] for axis in ("x", "y", "z")}
+    extra: list[str] = []
+    # Piece by piece: a header that promises more than the file holds is found out before it takes all the memory.
+    for record in iterate_las(path, _PIECE_POINTS):
+        extra = list(record.point_format.extra_dimension_names)
+        try:
+            for axis in ("x", "y", "z"):
+                pieces[axis].append(np.array(record[axis], dtype=np.float64))
+            for name in record.point_format.dimension_names:
+                if name in _COLOURS or name in _KEPT_DIMENSIONS or name in extra:
+                    pieces.setdefault(name, []).append(np.array(record[name]))
+        except (ValueError, KeyError, TypeError) as error:  # names and types of extra dimensions that make no sense
+            raise _damaged(path, str(error)) from error
+    whole: dict[str, NDArray[Any]] = {
+        name: np.concatenate(parts) if parts else np.empty(0) for name, parts in pieces.items()
+    }
+    columns = {axis: whole[axis] for axis in ("x", "y", "z")}
+    if set(_COLOURS) <= set(whole):
+        colours = {name: whole[name] for name in _COLOURS}
         peak = max((int(c.max()) for c in colours.values() if c.size), default=0)
         # The standard says 16 bit; many programs write 8-bit values all the same.
         if peak > 0:
             columns |= {name: (c >> 8 if peak > 255 else c).astype(np.uint8) for name, c in colours.items()}
     for name in _KEPT_DIMENSIONS:
-        values = np.asarray(cloud[name]) if name in names else np.empty(0)
-        if values.any():
-            columns[name] = values
-    for name in cloud.point_format.extra_dimension_names:
-        columns[name] = np.asarray(cloud[name])
-    return columns
+        if name in whole and whole[name].any():
+            columns[name] = whole[name]
+    # Vectors (an extra dimension of several numbers a point) have no place in a table of points.
+    return columns | {name: whole[name] for name in extra if whole[name].ndim == 1}
 
 
 @contextmanager
@@ -73,19 +83,27 @@ def open_las(path: Path) -> Iterator[Any]:
     """A laspy reader of ``path``; whatever goes wrong while it is used is told as a :class:`CloudError`."""
     import laspy
 
-    try:
+    with _told(path):
+        # Before laspy and lazrs believe the header.
+        why = why_damaged(path)
+        if why:
+            raise _damaged(path, why)
         with laspy.open(path) as reader:
-            # Each chunk of LAZ has at least one byte a point or so; a header that promises far more is damaged, and
-            # believing it would ask for all the memory there is.
-            if int(reader.header.point_count) > _MOST_POINTS_PER_BYTE * path.stat().st_size:
-                raise _damaged(path, "its header promises more points than the file can hold")
             yield reader
-    except FsinferError:
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """Whatever laspy cannot do inside is told as damage of ``path``."""
+    try:
+        yield
+    except (FsinferError, MemoryError, GeneratorExit, KeyboardInterrupt, SystemExit):
         raise
     except OSError as error:
         msg = f"cannot read {path}: {error.strerror or error}; check the path"
         raise CloudError(msg) from error
-    except Exception as error:  # laspy, lazrs and struct each raise their own kinds on a damaged file
+    # laspy, lazrs and struct each raise their own kinds on a damaged file; a panic of lazrs is no Exception.
+    except BaseException as error:
         raise _damaged(path, str(error)) from error
 
 
@@ -99,6 +117,8 @@ def iterate_las(path: Path, chunk_points: int) -> Iterator[Any]:
     """The points of a LAS or LAZ file as laspy records of up to ``chunk_points``; raises where some are missing."""
     with open_las(path) as reader:
         expected, have = int(reader.header.point_count), 0
+        # Points may be as long as a header says.
+        chunk_points = max(1, min(chunk_points, _PIECE_BYTES // max(int(reader.header.point_format.size), 1)))
         for record in reader.chunk_iterator(chunk_points):
             have += len(record)
             yield record
@@ -210,21 +230,41 @@ def copy_las(
 
     with open_las(source) as reader:
         old = reader.header
-    header = laspy.LasHeader(point_format=old.point_format, version=old.version)
-    # One dimension of that name may be there from an earlier run; then it is written over.
-    if name not in set(header.point_format.dimension_names):
-        header.add_extra_dim(laspy.ExtraBytesParams(name=name, type=np.int32))
-    header.scales, header.offsets = old.scales * factor, old.offsets * factor
-    if factor == 1.0:
-        header.vlrs.extend(record for record in old.vlrs if _names_frame(record))
-        header.global_encoding.wkt = old.global_encoding.wkt
-    with atomic_path(target) as temporary, laspy.open(str(temporary), mode="w", header=header) as writer:
+        header = laspy.LasHeader(point_format=old.point_format, version=old.version)
+        # One dimension of that name may be there from an earlier run; then it is written over.
+        if name not in set(header.point_format.dimension_names):
+            header.add_extra_dim(laspy.ExtraBytesParams(name=name, type=np.int32))
+        header.scales, header.offsets = old.scales * factor, old.offsets * factor
+        if factor == 1.0:
+            header.vlrs.extend(record for record in old.vlrs if _names_frame(record))
+            header.global_encoding.wkt = old.global_encoding.wkt
+    with atomic_path(target) as temporary, ExitStack() as open_file:
+        with _writing(source, target):
+            writer = open_file.enter_context(laspy.open(str(temporary), mode="w", header=header))
         for points in iterate_las(source, chunk_points):
-            record = laspy.ScaleAwarePointRecord.zeros(len(points), header=header)
-            for dimension in points.point_format.dimension_names:
-                record[dimension] = points[dimension]
-            record[name] = label(np.column_stack([points.x, points.y, points.z]) * factor)
-            writer.write_points(record)
+            numbers = label(np.column_stack([points.x, points.y, points.z]) * factor)
+            with _writing(source, target):
+                record = laspy.ScaleAwarePointRecord.zeros(len(points), header=header)
+                for dimension in points.point_format.dimension_names:
+                    record[dimension] = points[dimension]
+                record[name] = numbers
+                writer.write_points(record)
+        with _writing(source, target):
+            open_file.close()
+
+
+@contextmanager
+def _writing(source: Path, target: Path) -> Iterator[None]:
+    """As :func:`_told`, but what cannot be written is no fault of ``source``: such errors pass."""
+    try:
+        yield
+    except (OSError, MemoryError):
+        raise
+    except Exception as error:
+        # Points are unpacked elsewhere: what lazrs says here is that it cannot write.
+        if is_disk_full(target.parent) or type(error).__name__ == "LazrsError":
+            raise
+        raise _damaged(source, str(error)) from error
 
 
 def _names_frame(record: Any) -> bool:

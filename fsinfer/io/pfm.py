@@ -38,7 +38,7 @@ def read_pfm(path: Path | str) -> NDArray[np.float32]:
     except ValueError as error:
         msg = f"{path} is not a PFM file; write it again or delete it"
         raise SceneError(msg) from error
-    if magic.strip() != b"Pf" or len(body) < 4 * width * height:
+    if magic.strip() != b"Pf" or min(width, height) < 1 or len(body) < 4 * width * height:
         msg = f"{path} is not a complete one-channel PFM ({width}x{height}); delete it and run the stage again"
         raise SceneError(msg)
     values = np.frombuffer(body, dtype=dtype, count=width * height).reshape(height, width)

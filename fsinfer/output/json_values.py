@@ -50,7 +50,7 @@ def of_json(kind: type[T], value: Any, *, folder: Path | None = None) -> T:
 
     Raises
     ------
-    TypeError, ValueError, KeyError
+    TypeError, ValueError, KeyError, OverflowError
         The value is not of this type: it was written by another version.
     """
     result: T = _read(kind, value, folder)
@@ -78,7 +78,7 @@ def _read(kind: Any, value: Any, folder: Path | None) -> Any:
     if origin is np.ndarray:
         return np.asarray(value, dtype=np.float64)
     if kind is Path:
-        return (folder or Path()) / value
+        return _path(folder, value)
     if isinstance(kind, type) and issubclass(kind, Enum):
         return kind(value)
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
@@ -89,13 +89,24 @@ def _read(kind: Any, value: Any, folder: Path | None) -> Any:
     return value
 
 
+def _path(folder: Path | None, value: Any) -> Path:
+    """A path as :func:`as_json` writes it: below the folder, whatever a record says that somebody has sent."""
+    path = Path(value)
+    if folder is None:
+        return path
+    if path.is_absolute() or ".." in path.parts:
+        msg = f"{value!r} leads out of {folder}"
+        raise ValueError(msg)
+    return folder / path
+
+
 def _read_union(kinds: tuple[Any, ...], value: Any, folder: Path | None) -> Any:
     if value is None and type(None) in kinds:
         return None
     for kind in kinds:
         try:
             return _read(kind, value, folder)
-        except (TypeError, ValueError, KeyError):
+        except (TypeError, ValueError, KeyError, OverflowError):
             continue
     msg = f"{value!r} is none of {kinds}"
     raise TypeError(msg)

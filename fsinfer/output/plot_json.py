@@ -14,6 +14,7 @@ from typing import Any
 from fsinfer._version import __version__
 from fsinfer.errors import InputError
 from fsinfer.io.files import write_text
+from fsinfer.io.json_text import read_json
 from fsinfer.output.json_values import as_json
 from fsinfer.output.layout import OutputFolder
 
@@ -36,7 +37,7 @@ def read_plot(out: Path) -> dict[str, Any]:
     """
     path = OutputFolder(out).plot_json
     try:
-        plot = json.loads(path.read_text(encoding="utf-8"))
+        plot = read_json(path)
     except FileNotFoundError:
         return {}
     except (OSError, ValueError) as error:

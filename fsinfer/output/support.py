@@ -20,6 +20,7 @@ from typing import Any
 
 from fsinfer.errors import InputError
 from fsinfer.io.files import atomic_path
+from fsinfer.io.json_text import parse_json
 from fsinfer.output.layout import LOG_FILE
 from fsinfer.output.plot_json import package_versions
 
@@ -175,7 +176,7 @@ def _scrubbed(content: bytes, suffix: str, scrub: Callable[[str], str]) -> bytes
     text = content.decode("utf-8", errors="replace")
     if suffix == ".json":
         try:
-            value = json.loads(text)
+            value = parse_json(text)
         except ValueError:
             pass
         else:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from typing import Any
 
 from fsinfer.errors import InputError
 from fsinfer.io.csv_text import read_table
+from fsinfer.io.json_text import read_json
 
 Place = tuple[float, float]
 #: Radii and sides of plots, metres: outside of these a number is in another unit. Source: forest inventories use 1 to
@@ -163,7 +163,7 @@ def _read_csv(path: Path) -> tuple[Place, ...]:
 
 def _read_geojson(path: Path) -> tuple[Place, ...]:
     try:
-        content = json.loads(path.read_text(encoding="utf-8-sig"))
+        content = read_json(path, encoding="utf-8-sig")
     except FileNotFoundError as error:
         msg = f"cannot read the plot's polygon {path}: there is no such file; {_POLYGON}"
         raise InputError(msg) from error
@@ -171,7 +171,7 @@ def _read_geojson(path: Path) -> tuple[Place, ...]:
         msg = f"cannot read the plot's polygon {path}: {error}; {_POLYGON}"
         raise InputError(msg) from error
     shapes = _shapes(content)
-    if len(shapes) != 1 or shapes[0].get("type") not in {"Polygon", "MultiPolygon"}:
+    if len(shapes) != 1 or shapes[0].get("type") not in ("Polygon", "MultiPolygon"):
         msg = f"{path} holds {len(shapes)} shapes{_kinds(shapes)}; {_POLYGON}"
         raise InputError(msg)
     rings = shapes[0].get("coordinates")

@@ -14,7 +14,7 @@ import numpy as np
 
 from fsinfer.errors import ImageError, OutputError, PosesError
 from fsinfer.io.exif import camera_exif, camera_key, gravity_exif
-from fsinfer.io.files import make_folder, write_text
+from fsinfer.io.files import copy_file, make_folder, write_text
 from fsinfer.io.images import is_upright_jpeg_or_png, list_images, read_image, write_image
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
@@ -203,7 +203,7 @@ def _prepare(paths: Sequence[Path], folder: Path, warnings: list[Notice], progre
         file = f"{done:05d}{path.suffix.lower() if plain else '.jpg'}"
         if not (folder / file).is_file():
             if plain:
-                shutil.copyfile(path, folder / file)
+                copy_file(path, folder / file)
             else:
                 write_image(folder / file, pixels, exif=camera_exif(path))
         photos.append(_Photo(name=path.stem, source=path, file=file))

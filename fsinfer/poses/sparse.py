@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import SceneError
 from fsinfer.poses.colmap_calls import require_pycolmap
+from fsinfer.poses.model_files import why_damaged
 
 _log = logging.getLogger(__name__)
 
@@ -54,11 +55,14 @@ def read_sparse(folder: Path | str) -> SparseModel:
     import pycolmap
 
     try:
+        why = why_damaged(folder)
+        if why:
+            raise ValueError(why)
         model = pycolmap.Reconstruction(folder)
-    except (RuntimeError, ValueError, IndexError) as error:
+        return sparse_of(model)
+    except (OSError, RuntimeError, ValueError, IndexError, KeyError, TypeError) as error:
         msg = f"{folder} is no complete COLMAP model ({error}); make the scene again with: fsinfer poses"
         raise SceneError(msg) from error
-    return sparse_of(model)
 
 
 def sparse_of(model: Any) -> SparseModel:

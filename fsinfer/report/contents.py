@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import FsinferError
 from fsinfer.io.csv_text import read_rows
+from fsinfer.io.json_text import read_json
 from fsinfer.scale.scale import CAMERA_HEIGHT_M
 
 T = TypeVar("T")
@@ -150,7 +150,7 @@ def _lenient(read: Callable[[], T], name: str, notes: list[str]) -> T | None:
 
 
 def _read_plot(path: Path) -> dict[str, Any]:
-    plot = json.loads(path.read_text(encoding="utf-8"))
+    plot = read_json(path)
     if not isinstance(plot, dict):
         msg = "it is no JSON object"
         raise ValueError(msg)
@@ -159,7 +159,7 @@ def _read_plot(path: Path) -> dict[str, Any]:
 
 def _read_revisit_advised(path: Path) -> frozenset[int]:
     """Numbers of the trees with a reason that carries ``advises_revisit``; entries of another shape are passed over."""
-    trees = json.loads(path.read_text(encoding="utf-8"))
+    trees = read_json(path)
     if not isinstance(trees, list):
         msg = "it is no JSON list"
         raise ValueError(msg)

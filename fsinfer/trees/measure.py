@@ -38,6 +38,8 @@ from fsinfer.trees.tree import Tree
 Floats = NDArray[np.float64]
 #: What is said of how high a cloud reaches: this percentile, for the sake of strays. Source: layout.
 TOP_PERCENTILE = 99.9
+#: What lies so far above or below the rest belongs to no plot, metres. Source: judgement; higher than any slope.
+FAR_UP_M = 1e4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,6 +132,7 @@ def analyse_plot(
     near = np.ones(len(xyz), dtype=bool)
     for axis in range(2):
         near &= np.abs(columns[axis] - box[:, axis].mean()) <= 0.5 * np.ptp(box[:, axis]) + margin
+    near &= np.abs(columns[2] - median(np.ascontiguousarray(xyz[:: max(len(xyz) // BOX_POINTS, 1), 2]))) <= FAR_UP_M
     if not near.all():
         warnings.append(notice(StemCode.far_outside, points=int((~near).sum())))
         columns = columns.compress(near, axis=1)

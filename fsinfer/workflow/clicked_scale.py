@@ -72,7 +72,7 @@ def _run_again(out: Path, clicked: Clicked, progress: StageProgress) -> RunResul
         return None
     try:
         settings = of_json(RunSettings, plot["settings"])
-    except (TypeError, ValueError, KeyError):
+    except (TypeError, ValueError, KeyError, OverflowError):
         return None  # of another version of fsinfer: what its settings mean now is for its user to say
     settings = replace(settings, scale=ScaleRequest(clicks=clicked.clicks))
     return run_from_scene(

@@ -70,7 +70,7 @@ CLOUD = Stage(name="cloud", version=2, result=PlotCloud, outputs=("cloud.ply", "
 
 def model_digest(settings: DepthSettings) -> str:
     """Hash of the graphs that depth will be computed with; errors of a wrong model or precision come here."""
-    manifest = read_manifest(settings.model)
+    manifest = read_manifest(settings.model, trust=settings.trust_model)
     precision = choose_precision(settings.precision, manifest, provider=settings.provider)
     return manifest.sha256_of(int8=precision == INT8)
 

@@ -13,10 +13,12 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+import math
 import secrets
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -24,15 +26,19 @@ from typing import Any, Generic, TypeVar
 from fsinfer._version import __version__
 from fsinfer.errors import InputError, OutputError
 from fsinfer.io.digest import file_digest
-from fsinfer.io.files import make_folder, write_text
+from fsinfer.io.files import disk_full, is_disk_full, make_folder, write_text
+from fsinfer.io.json_text import read_json
 from fsinfer.output.json_values import as_json, of_json
 from fsinfer.output.layout import RECORDS_FOLDER
+from fsinfer.workflow.folder_lock import alone_in
 from fsinfer.workflow.memory_peak import MemoryPeak
 
 #: Raised when records of an older layout must not be trusted any more. Source: the layout of the record.
 RECORD_FORMAT = 2
 
 T = TypeVar("T")
+# What of_json raises for a result that somebody else wrote.
+_UNREADABLE = (TypeError, ValueError, KeyError, OverflowError, InputError)
 _log = logging.getLogger(__name__)
 
 
@@ -110,9 +116,22 @@ class Ledger:
         ------
         InputError
             A folder the stage would have to empty was not made by this stage.
+        OutputError
+            Another run is at work in the folder, or the disk is full.
         FsinferError
             Whatever ``work`` raises; the stage stays not done.
         """
+        with alone_in(self.out):
+            return self._run(stage, work, inputs=inputs, after=after)
+
+    def _run(
+        self,
+        stage: Stage[T],
+        work: Callable[[bool], T],
+        *,
+        inputs: Mapping[str, Any],
+        after: Sequence[StageRecord[Any]],
+    ) -> StageRecord[T]:
         told = {
             "format": RECORD_FORMAT,
             "stage": stage.name,
@@ -126,7 +145,7 @@ class Ledger:
         if same and saved.get("state") == "done" and saved.get("outputs") == self._describe(stage.outputs):
             try:
                 record = self._record(stage, saved, ran=False)
-            except (TypeError, ValueError, KeyError):
+            except _UNREADABLE:
                 _log.info("stage %s: its record is of another version", stage.name)
             else:
                 _log.info("stage %s: done before, skipped", stage.name)
@@ -134,7 +153,7 @@ class Ledger:
         carried_on = same and saved.get("state") == "started" and stage.keeps_partial
         if not carried_on:
             self._empty(stage, known=bool(saved))
-        spent_s = float(saved.get("seconds", 0.0)) if carried_on else 0.0
+        spent_s = (_number(saved.get("seconds")) or 0.0) if carried_on else 0.0
         entry: dict[str, Any] = {"state": "started", "fingerprint": fingerprint, "run_id": secrets.token_hex(8)}
         entry |= {"version": stage.version, "made_by": __version__, "inputs": told["inputs"]}
         self._write(stage.name, entry | {"seconds": spent_s})
@@ -142,9 +161,14 @@ class Ledger:
         peak = MemoryPeak()
         try:
             result = work(carried_on)
-        except BaseException:
+        except BaseException as error:
+            # Before the record is written: libraries have errors of their own for a full disk.
+            full = isinstance(error, Exception) and not isinstance(error, OutputError) and is_disk_full(self.out)
             # Only for the clock: the time of an attempt that a later one goes on from is part of the cost.
-            self._write(stage.name, entry | {"seconds": spent_s + time.perf_counter() - start})
+            with suppress(OutputError):
+                self._write(stage.name, entry | {"seconds": spent_s + time.perf_counter() - start})
+            if full:
+                raise disk_full(self.out) from error
             raise
         entry |= {"seconds": round(spent_s + time.perf_counter() - start, 3), "peak_rss_mb": peak.read_mb()}
         entry |= {"result": as_json(result, folder=self.out), "outputs": self._describe(stage.outputs), "state": "done"}
@@ -158,7 +182,7 @@ class Ledger:
             return None
         try:
             return self._record(stage, saved, ran=False)
-        except (TypeError, ValueError, KeyError):
+        except _UNREADABLE:
             return None
 
     def inputs_of(self, name: str) -> dict[str, Any] | None:
@@ -172,11 +196,15 @@ class Ledger:
         return self._path(name).is_file()
 
     def _record(self, stage: Stage[T], entry: Mapping[str, Any], *, ran: bool) -> StageRecord[T]:
+        seconds = _number(entry["seconds"])
+        if seconds is None:
+            msg = f"{entry['seconds']!r} are no seconds"
+            raise ValueError(msg)
         return StageRecord(
             name=stage.name,
             run_id=str(entry["run_id"]),
-            seconds=float(entry["seconds"]),
-            peak_rss_mb=entry.get("peak_rss_mb"),
+            seconds=seconds,
+            peak_rss_mb=_number(entry.get("peak_rss_mb")),
             made_by=str(entry["made_by"]),
             result=of_json(stage.result, entry["result"], folder=self.out),
             ran=ran,
@@ -187,7 +215,7 @@ class Ledger:
 
     def _read(self, name: str) -> dict[str, Any]:
         try:
-            saved = json.loads(self._path(name).read_text(encoding="utf-8"))
+            saved = read_json(self._path(name))
         except FileNotFoundError:
             return {}
         except (OSError, ValueError):
@@ -216,6 +244,12 @@ class Ledger:
                 msg = f"cannot empty {folder} for stage {stage.name} ({error.strerror or error}); delete it by hand"
                 raise OutputError(msg) from error
             make_folder(folder)
+
+
+def _number(value: Any) -> float | None:
+    """A finite number of a record, None for anything else."""
+    sound = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    return float(value) if sound else None
 
 
 def _digest(value: Any) -> str:

@@ -7,14 +7,13 @@ is in both tables: the report of the plot names the part, and the person decides
 from __future__ import annotations
 
 import logging
-import shutil
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fsinfer.errors import FsinferError
-from fsinfer.io.files import make_folder
+from fsinfer.io.files import copy_file, make_folder
 from fsinfer.io.images import list_images, read_image
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.plot_border.request import BorderRequest
@@ -69,7 +68,7 @@ def measure_parts(
         photos = make_folder(folder / "photos")
         for path in paths:
             if not (photos / path.name).is_file():
-                shutil.copyfile(path, photos / path.name)
+                copy_file(path, photos / path.name)
         try:
             registered, trees, measured = run_part(photos, folder, _of_part(settings))
         except FsinferError as error:

@@ -36,6 +36,7 @@ from fsinfer.workflow.cloud_stages import (
     place_plot,
     scene_of,
 )
+from fsinfer.workflow.folder_lock import alone_in
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
 from fsinfer.workflow.parts import PartResult, measure_parts
 from fsinfer.workflow.photo_stages import choose_frames, register_photos, require_poses, source_files
@@ -112,14 +113,14 @@ def run(
     find_edits(out, edits)
     require_poses(out)
     ledger = Ledger(make_folder(out))
-
-    frames = choose_frames(ledger, source, files, settings=settings.frames, progress=progress)
-    poses = register_photos(
-        ledger, out / "frames" / "images", settings=settings.poses, origin=source, progress=progress
-    )
-    return run_from_scene(
-        ledger, frames, poses, settings=settings, source=source.name, edits=edits, progress=progress, apart=apart
-    )
+    with alone_in(out):
+        frames = choose_frames(ledger, source, files, settings=settings.frames, progress=progress)
+        poses = register_photos(
+            ledger, out / "frames" / "images", settings=settings.poses, origin=source, progress=progress
+        )
+        return run_from_scene(
+            ledger, frames, poses, settings=settings, source=source.name, edits=edits, progress=progress, apart=apart
+        )
 
 
 def run_from_scene(

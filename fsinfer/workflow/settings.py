@@ -20,9 +20,9 @@ from fsinfer.silhouettes.walk import WalkSettings
 from fsinfer.trees import TreeSettings
 from fsinfer.trees.stem_curve import CurveSettings
 
-# How the work is spread over the machine does not change what comes out. The precision asked for may, but the hash of
-# the graphs that it led to on this machine says so better.
-_SPEED_OPTIONS = frozenset({"threads", "memory_gb", "provider", "precision"})
+# How the work is spread over the machine does not change what comes out. The precision asked for and the trust in a
+# model may, but the hash of the graphs that they led to on this machine says so better.
+_SPEED_OPTIONS = frozenset({"threads", "memory_gb", "provider", "precision", "trust_model"})
 
 
 @dataclass(frozen=True, kw_only=True)

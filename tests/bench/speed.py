@@ -85,7 +85,7 @@ class Timed:
         finally:
             self._seconds[self._name] = self._seconds.get(self._name, 0.0) + time.perf_counter() - started
 
-    run = __call__  # stands for a session too
+    run_two = __call__  # stands for a graph too
 
 
 def ours(args: argparse.Namespace, precision: str) -> Callable[[], dict[str, float]]:
@@ -99,7 +99,8 @@ def ours(args: argparse.Namespace, precision: str) -> Callable[[], dict[str, flo
     model = depth_model.DepthModel.load(args.model, threads=args.threads, precision=precision)
     sessions = model._sessions
     model._sessions = {
-        name: Timed(session.run, seconds, name) if name != "features" else session for name, session in sessions.items()
+        name: Timed(session.run_two, seconds, name) if name != "features" else session
+        for name, session in sessions.items()
     }
 
     def volume(*arguments: Any, **keywords: Any) -> Any:

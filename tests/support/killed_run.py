@@ -7,7 +7,6 @@ The stages from fusion on are the real ones; drawing is left out for speed.
 from __future__ import annotations
 
 import os
-import shutil
 import signal
 import sys
 from pathlib import Path
@@ -19,7 +18,7 @@ from fsinfer.depth.sfm_check import DepthCheck
 from fsinfer.depth.stage import DepthResult
 from fsinfer.frames.select import FramesResult
 from fsinfer.frames.table import FrameRow
-from fsinfer.io.files import make_folder, write_text
+from fsinfer.io.files import copy_file, make_folder, write_text
 from fsinfer.io.images import list_images
 from fsinfer.poses.estimate import PosesResult
 from fsinfer.scale.request import ScaleRequest
@@ -30,23 +29,28 @@ from tests.support.synthetic_plot import M_PER_UNIT, VIEWS, write_depth_folder, 
 
 def main(source: Path, out: Path, stage: str, writes: int) -> None:
     kill_after(out / ".fsinfer" / f"{stage}.json", writes)
+    stand_in()
+    settings = RunSettings(scale=ScaleRequest(factor=M_PER_UNIT))
+    result = pipeline.run(source, out, settings=settings)
+    print(*(record.name for record in result.stages if record.ran))
+
+
+def stand_in() -> None:
+    """Exact frames, poses and depth in the place of the real ones, and no drawing."""
     manifest = SimpleNamespace(int8_regularizer=None, sha256_of=lambda *, int8: "0" * 64)
     checked = DepthCheck(median_rel=0.0025, per_view_rel={}, compared=1, asked=1, relaxed=False)
     stand_ins = {
         "fsinfer.workflow.photo_stages.select_frames": select_frames,
         "fsinfer.workflow.photo_stages.estimate_poses": estimate_poses,
         "fsinfer.workflow.cloud_stages.estimate_depth": estimate_depth,
-        "fsinfer.workflow.cloud_stages.read_manifest": lambda _: manifest,
+        "fsinfer.workflow.cloud_stages.read_manifest": lambda _, **__: manifest,
         "fsinfer.workflow.cloud_stages.read_sparse": lambda _: None,
         "fsinfer.workflow.cloud_stages.check_depth": lambda *_, **__: checked,
         "fsinfer.report.make_report": report,
         "fsinfer.trees.outputs.figures.write_figures": lambda folder, *_, **__: make_folder(folder),
     }
-    for name, stand_in in stand_ins.items():
-        patch(name, stand_in).start()
-    settings = RunSettings(scale=ScaleRequest(factor=M_PER_UNIT))
-    result = pipeline.run(source, out, settings=settings)
-    print(*(record.name for record in result.stages if record.ran))
+    for name, made in stand_ins.items():
+        patch(name, made).start()
 
 
 def kill_after(record: Path, writes: int) -> None:
@@ -75,8 +79,7 @@ def select_frames(source: Path, out: Path, **_: Any) -> FramesResult:
     (out / "images").mkdir(parents=True, exist_ok=True)
     rows = []
     for path in list_images(source):
-        part = Path(shutil.copy(path, out / "images" / f".{path.name}"))
-        part.replace(out / "images" / path.name)
+        copy_file(path, out / "images" / path.name)
         rows.append(
             FrameRow(
                 name=path.stem,

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from fsinfer.io.files import write_text
 from fsinfer.io.images import write_image
 from fsinfer.io.pfm import write_pfm
 from fsinfer.scene import Camera, Scene, write_camera, write_pairs
@@ -88,4 +89,4 @@ def write_depth_folder(scene: Scene, out: Path) -> None:
     grid = {"pixel_step_x": 1.0, "pixel_step_y": 1.0, "width": SIZE[0], "height": SIZE[1]}
     entry = {**grid, "offset_x_px": 0.0, "offset_y_px": 0.0}
     views = {view.name: entry for view in scene.views}
-    (out / "depth" / "depth.json").write_text(json.dumps({**grid, "model": "exact", "views": views}), encoding="utf-8")
+    write_text(out / "depth" / "depth.json", json.dumps({**grid, "model": "exact", "views": views}))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from fsinfer.errors import SceneError
+from fsinfer.io.json_text import read_json
 from fsinfer.poses.adjustment.fit import Weighting, columns_of, normal_equations
 from fsinfer.poses.adjustment.problem import Group, Unknowns
 from fsinfer.poses.adjustment.projection import Floats
@@ -131,11 +131,11 @@ def read_camera_precisions(scene: Path | str) -> dict[str, CameraPrecision]:
     if not path.is_file():
         return {}
     try:
-        entries = json.loads(path.read_text(encoding="utf-8")).get("camera_std", {})
+        entries = read_json(path).get("camera_std", {})
         return {
             name: CameraPrecision(center_std=float(entry["center"]), direction_std_rad=float(entry["direction_rad"]))
             for name, entry in entries.items()
         }
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         msg = f"{path} is damaged ({error}); make the scene again with: fsinfer poses"
         raise SceneError(msg) from error

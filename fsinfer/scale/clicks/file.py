@@ -11,6 +11,7 @@ from typing import Any
 
 from fsinfer.errors import InputError
 from fsinfer.io.files import write_text
+from fsinfer.io.json_text import read_json
 from fsinfer.scale.request import ClickedEnds, ClickedLength, Pixel
 
 CLICKS_FILE = "scale_clicks.json"
@@ -30,7 +31,7 @@ def read_clicks(out: Path) -> SavedClicks:
     """Read the file of an output folder; nothing where there is none. :class:`InputError` where it is damaged."""
     path = out / CLICKS_FILE
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(path)
     except FileNotFoundError:
         return SavedClicks()
     except (OSError, ValueError) as error:

@@ -11,8 +11,9 @@ import pytest
 import typer
 import yaml
 
+from fsinfer.cli import console
 from fsinfer.cli.app import main
-from fsinfer.cli.console import reports_errors
+from fsinfer.cli.console import explain, reports_errors
 from fsinfer.cli.faults import ISSUE_FORM
 from fsinfer.errors import CloudError
 from tests.support.places import ROOT
@@ -95,6 +96,24 @@ def test_the_support_zip_holds_the_trace_of_a_run_that_failed_at_once(
         log = archive.read("fsinfer.log").decode()
     assert "IndexError: list index out of range" in log
     assert str(tmp_path) not in log
+
+
+@pytest.mark.parametrize(
+    "error",
+    [MemoryError(), RuntimeError("std::bad_alloc"), OSError(12, "Cannot allocate memory"),
+     RuntimeError("can't start new thread"), ImportError("x.so: failed to map segment from shared object")],
+)  # fmt: skip
+def test_too_little_memory_is_told_whatever_says_so(error: Exception) -> None:
+    message, code = explain(error)
+    assert (code, "not enough free memory" in message) == (2, True)
+
+
+def test_a_strange_error_while_there_is_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    strange = SystemError("error return without exception set")
+    assert explain(strange)[1] == 1
+    monkeypatch.setattr(console, "_PROBE_BYTES", 1 << 62)
+    message, code = explain(strange)
+    assert (code, "not enough free memory" in message) == (2, True)
 
 
 def test_the_form_is_there() -> None:

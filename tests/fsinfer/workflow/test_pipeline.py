@@ -140,7 +140,7 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> Fakes:
     monkeypatch.setattr(cloud_stages, "estimate_depth", estimate_depth)
     monkeypatch.setattr(cloud_stages, "fuse", fuse)
     monkeypatch.setattr(pipeline, "measure_plot", measure_plot)
-    monkeypatch.setattr(cloud_stages, "read_manifest", lambda _: FakeManifest())
+    monkeypatch.setattr(cloud_stages, "read_manifest", lambda _, **__: FakeManifest())
     # The fake scene has no COLMAP model to compare with.
     monkeypatch.setattr(cloud_stages, "read_sparse", lambda _: None)
     checked = DepthCheck(median_rel=0.0025, per_view_rel={}, compared=1, asked=1, relaxed=False)
