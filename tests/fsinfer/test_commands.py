@@ -166,7 +166,7 @@ def test_every_option_that_is_named_exists() -> None:
     for command in group.commands.values():
         for parameter in command.params:
             known |= {*parameter.opts, *parameter.secondary_opts}
-    for folder in ("training", "export", "tests/bench", "tests/mutation", "docs"):
+    for folder in ("training", "export", "tests/bench", "tests/mutation", "tests/faults", "tests/fuzz", "docs"):
         for path in (ROOT / folder).rglob("*.py"):
             known |= set(re.findall(r"\"(--[a-z][a-z0-9-]*)\"", path.read_text(encoding="utf-8")))
     known |= {
@@ -175,7 +175,8 @@ def test_every_option_that_is_named_exists() -> None:
         "--cov-report",
         "--all-files",
         "--nproc-per-node",
-    }  # mkdocs, pytest, pre-commit, torchrun
+        "--local-directory",
+    }  # mkdocs, pytest, pre-commit, torchrun, dask
     unknown = {}
     for document in DOCUMENTS:
         text = FENCED.sub("", (ROOT / document).read_text(encoding="utf-8"))
