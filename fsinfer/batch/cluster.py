@@ -96,9 +96,13 @@ class Cluster:
     def _call(self, worker: str, function: Callable[..., Any], *arguments: object) -> Any:
         """What ``function`` returns on the worker; WorkerLostError when it is not there any more."""
         # A key of its own for each call: the same call may be made twice, and has to be done twice.
-        future = self._client.submit(
-            function, *arguments, workers=[worker], allow_other_workers=False, pure=False, retries=0
-        )
+        try:
+            future = self._client.submit(
+                function, *arguments, workers=[worker], allow_other_workers=False, pure=False, retries=0
+            )
+        except Exception as refused:
+            self._give_up_if_closed(refused)
+            raise
         lost = f"its worker {worker} was lost"
         done = threading.Event()
         future.add_done_callback(lambda _: done.set())
@@ -119,7 +123,16 @@ class Cluster:
                 raise WorkerLostError(msg) from error
             raise error
         finally:
-            future.cancel()
+            with contextlib.suppress(Exception):  # nobody is there to be told
+                future.cancel()
+
+    def _give_up_if_closed(self, error: Exception) -> None:
+        """Raise ClusterError where Dask has given the scheduler up, which it does for good."""
+        if self._client.status not in ("closing", "closed"):
+            return
+        if not self._gone:
+            self._fail(f"the scheduler {self._address} does not answer any more ({type(error).__name__})")
+        raise ClusterError(self._gone) from error
 
     def _lend(self) -> str:
         """A worker that has room, waited for."""

@@ -13,6 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from fsinfer._version import __version__
+from fsinfer.batch.attempt import PlotTask
+from fsinfer.batch.cluster import Cluster
 from fsinfer.batch.places_to_run import ClusterError
 from fsinfer.batch.run import BatchResult, PlotNews, run_batch
 from fsinfer.batch.settings import BatchSettings
@@ -162,3 +165,31 @@ def test_when_the_scheduler_stays_away_the_batch_ends_and_keeps_what_is_finished
 
 def run(table: Path, out: Path, **settings: object) -> BatchResult:
     return run_batch(table, out, settings=BatchSettings(command=STAND_IN, **settings))  # type: ignore[arg-type]
+
+
+class ClosedClient:
+    """A client of Dask that has given its scheduler up, while its workers are still on the list."""
+
+    status = "closed"
+
+    def nthreads(self) -> dict[str, int]:
+        return {"tcp://127.0.0.1:9": 1}
+
+    def run(self, *_: object, **__: object) -> dict[str, str]:
+        return {"tcp://127.0.0.1:9": __version__}
+
+    def submit(self, *_: object, **__: object) -> None:
+        raise RuntimeError("closed")
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_client_that_gave_up_is_no_fault_of_a_plot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fsinfer.batch.cluster._connect", lambda _: ClosedClient())
+    cluster = Cluster("tcp://127.0.0.1:8")
+    try:
+        with pytest.raises(ClusterError, match="does not answer any more"):
+            cluster.run(PlotTask(batch="b", photos=tmp_path, out=tmp_path / "out"), ())
+    finally:
+        cluster.close()
