@@ -24,7 +24,7 @@ _MIN_CONTRAST = 40.0
 _STEP_PX, _LINES, _MIDDLE = 0.25, 5, (0.25, 0.75)
 #: White is looked for so far outside, from and to, in cells; so far into the white cell; black so far into the border.
 #: Source: the cells; blur reaches a third of a cell.
-_OUTSIDE, _INSIDE, _BORDER = (-0.7, -0.3), (1.35, 1.65), (0.3, 0.7)
+_OUTSIDE, _INSIDE, _BORDER = (-0.7, -0.3), (1.35, 1.65), (0.4, 0.6)
 #: Edges of one marker that tell. Source: judgement.
 _FEWEST_EDGES = 3
 #: What is left of the border's excess for each edge: both ends of it move, and the side that it is measured by as well.
@@ -144,7 +144,7 @@ def _border_width(grey: NDArray[np.uint8], pixels: NDArray[np.float64], inwards:
     outside, inside, border = (
         profile[(inwards > first) & (inwards < last)] for first, last in (_OUTSIDE, _INSIDE, _BORDER)
     )
-    dark = float(border.min())
+    dark = float(border.mean())
     if min(outside.mean(), inside.mean()) - dark < _MIN_CONTRAST:
         return None
     middle = int(np.abs(inwards - 0.5).argmin())
