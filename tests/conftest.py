@@ -13,6 +13,8 @@ from tests.support.browser import browser
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
+    from tests.support.command_line import Call
+
 # A test is right or wrong, however busy the machine is.
 settings.register_profile("untimed", deadline=None)
 settings.load_profile("untimed")
@@ -22,3 +24,12 @@ settings.load_profile("untimed")
 def chromium() -> Iterator[Browser]:
     with browser() as started:
         yield started
+
+
+@pytest.fixture
+def call(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Call:
+    """Run the command line as a shell would."""
+    # Not at the top: most tests need no command line, and it takes its time to load.
+    from tests.support.command_line import caller
+
+    return caller(monkeypatch, capfd)

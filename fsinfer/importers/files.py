@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import struct
 from collections import Counter
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import SceneError
 from fsinfer.io.images import PHOTO_SUFFIXES
+from fsinfer.io.json_text import parse_json
 
 #: Text larger than this is no list of cameras. Source: numerics; points3D.txt of 1,000 photos has 500 MB.
 _MOST_TEXT_BYTES = 2_000_000_000
@@ -52,8 +52,8 @@ def read_text(path: Path) -> str:
 def read_json(path: Path) -> dict[str, Any]:
     """The object in a JSON file."""
     try:
-        value = json.loads(read_text(path))
-    except (ValueError, RecursionError) as error:
+        value = parse_json(read_text(path))
+    except ValueError as error:
         raise unfit(path, f"no JSON: {error}") from error
     if not isinstance(value, dict):
         raise unfit(path, "no JSON object")

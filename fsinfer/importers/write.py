@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -15,7 +14,7 @@ from fsinfer.errors import SceneError
 from fsinfer.importers.foreign import Floats, ForeignPhoto, ForeignScene, centers_of
 from fsinfer.importers.lens import Lens, pinhole_of, undistortion_maps
 from fsinfer.importers.views import GeometricSettings, range_without_points, scores_without_points
-from fsinfer.io.files import atomic_path, write_text
+from fsinfer.io.files import copy_file, write_text
 from fsinfer.io.images import image_size, is_upright_jpeg_or_png, open_header, read_image, write_image
 from fsinfer.poses.sparse import SparseModel
 from fsinfer.poses.undistortion import undistort
@@ -189,8 +188,7 @@ def _fit(photo: ForeignPhoto) -> tuple[Lens, bool]:
 
 def _copy(source: Path, target: Path, *, upright: bool, quality: int) -> None:
     if is_upright_jpeg_or_png(source) and source.suffix in IMAGE_SUFFIXES:
-        with atomic_path(target.with_name(f"{target.name}{source.suffix.lower()}")) as temporary:
-            shutil.copyfile(source, temporary)
+        copy_file(source, target.with_name(f"{target.name}{source.suffix.lower()}"))
     else:
         pixels = read_image(source, upright=upright)
         write_image(target.with_name(f"{target.name}.jpg"), pixels, quality=quality)

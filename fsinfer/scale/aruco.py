@@ -67,9 +67,10 @@ def scale_from_aruco(
     for index, view in enumerate(scene.views):
         progress(index, len(scene.views), "looking for markers")
         pixels = read_image(view.image_path)
+        grey = luminance(pixels)
         for number, corners_px in detect_markers(pixels, detector, min_side_px=settings.min_side_px):
             if not isinstance(length_m, Mapping) or number in length_m:
-                bloom_px = bloom_of(luminance(pixels), corners_px, number, printed)
+                bloom_px = bloom_of(grey, corners_px, number, printed)
                 sightings.append(Sighting(marker_id=number, view=index, corners_px=corners_px, bloom_px=bloom_px))
     blooming = common_blooming(
         [sighting.bloom_px for sighting in sightings],

@@ -4,33 +4,17 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from fsinfer.cli.app import EXAMPLES, main
+from fsinfer.cli.app import EXAMPLES
 from fsinfer.io.cloud import PointCloud, write_cloud
 from fsinfer.io.images import write_image
 from fsinfer.scene import read_scene
+from tests.support.command_line import Call
 from tests.support.synthetic_plot import write_depth_folder, write_scene_folder
-
-Call = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def call(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Call:
-    """Run the command line as a shell would; returns exit code, stdout, stderr."""
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["fsinfer", *(str(a) for a in arguments)])
-        with pytest.raises(SystemExit) as stopped:
-            main()
-        captured = capfd.readouterr()
-        return int(stopped.value.code or 0), captured.out, captured.err
-
-    return run
 
 
 def errors_of(result: tuple[int, str, str]) -> list[str]:

@@ -8,38 +8,24 @@ import shutil
 import subprocess
 import sys
 import tomllib
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
 
-from fsinfer.cli.app import main
 from fsinfer.io.cloud import write_cloud
 from fsinfer.io.images import write_image
 from fsinfer.io.pfm import read_pfm
 from fsinfer.scene import read_scene
 from tests.support import foreign_scenes as made
+from tests.support.command_line import Call
 from tests.support.places import ROOT
 from tests.support.plane_scene import write_plane_scene
 from tests.support.rendered_room import photographs
 from tests.support.report_plot import plot_cloud
 
-Call = Callable[..., tuple[int, str, str]]
 AWKWARD = "Größe & Höhe 林 1,5 %"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-
-
-@pytest.fixture
-def call(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Call:
-    def run(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["fsinfer", *(str(a) for a in arguments)])
-        with pytest.raises(SystemExit) as stopped:
-            main()
-        captured = capfd.readouterr()
-        return int(stopped.value.code or 0), captured.out, captured.err
-
-    return run
 
 
 @pytest.fixture

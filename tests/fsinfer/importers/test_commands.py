@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import json
-import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from fsinfer.cli.app import main
 from fsinfer.io.cloud import read_cloud
 from fsinfer.io.pfm import read_pfm
 from fsinfer.output.plot_json import read_plot
@@ -18,23 +15,11 @@ from fsinfer.scale.clicks.file import SavedClicks, write_clicks
 from fsinfer.scale.request import ClickedEnds, ClickedLength
 from fsinfer.scene import project, read_scene
 from tests.support import foreign_scenes as made
+from tests.support.command_line import Call
 from tests.support.foreign_scenes import BROWN, PINHOLE, WALL_M, Truth
 
-Call = Callable[..., tuple[int, str, str]]
 #: Blanks, umlauts, characters of three bytes, and a sign that shells and formats read otherwise.
 AWKWARD = "Wald & Försterei 林 1,5"
-
-
-@pytest.fixture
-def call(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Call:
-    def run(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["fsinfer", *(str(a) for a in arguments)])
-        with pytest.raises(SystemExit) as stopped:
-            main()
-        captured = capfd.readouterr()
-        return int(stopped.value.code or 0), captured.out, captured.err
-
-    return run
 
 
 def wall_error(out: Path) -> float:
