@@ -15,9 +15,11 @@ if TYPE_CHECKING:
 
     from tests.support.command_line import Call
 
-# A test is right or wrong, however busy the machine is.
-settings.register_profile("untimed", deadline=None)
-settings.load_profile("untimed")
+# A test is right or wrong, however busy the machine is, and the same today and tomorrow: a change is judged by what it
+# changed. New examples are looked for with ``pytest --hypothesis-profile exploring``; what they find becomes a test.
+settings.register_profile("repeatable", deadline=None, derandomize=True)
+settings.register_profile("exploring", deadline=None)
+settings.load_profile("repeatable")
 
 
 @pytest.fixture(scope="module")

@@ -141,7 +141,11 @@ def fit_taubin(points: Floats, weights: Floats | None = None) -> Floats:
 
 
 def fit_geometric(points: Floats, start: Floats, weights: Floats | None = None) -> Floats:
-    """Weighted geometric least squares from ``start`` (x, y, radius): damped Gauss-Newton, points (N, 2) -> (3,)."""
+    """Weighted geometric least squares from ``start`` (x, y, radius): damped Gauss-Newton, points (N, 2) -> (3,).
+
+    The start is an algebraic fit's or better: from outside of the circle the descent may end at a straight line
+    (N. Chernov, Circular and Linear Regression, 2010, section 3.8: the cost has valleys to infinity).
+    """
     columns = np.ascontiguousarray(points.T)
     circle = start.astype(np.float64).copy()
     damping = 1e-9

@@ -62,8 +62,11 @@ def test_taubin_of_points_on_a_circle_is_that_circle(
 
 
 @settings(max_examples=25, deadline=None)
-@given(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(0.02, 1.0), st.integers(0, 1000))
-def test_the_geometric_fit_is_the_same_from_wherever_it_starts(x: float, y: float, radius: float, seed: int) -> None:
+@given(st.floats(-0.15, 0.15), st.floats(-0.15, 0.15), st.floats(0.05, 0.5), st.integers(0, 1000))
+def test_the_geometric_fit_is_the_same_from_wherever_it_starts_inside(
+    x: float, y: float, radius: float, seed: int
+) -> None:
+    # From outside of the circle, and five times too large, it may follow the valley of the cost to a straight line.
     rng = np.random.default_rng(seed)
     points = _arc((0.0, 0.0), 0.2, 0.0, 4.0, 40) + rng.normal(0.0, 0.005, (40, 2))
     near = fit_geometric(points, np.array([0.0, 0.0, 0.2]))
