@@ -18,6 +18,7 @@ from fsinfer.io.pfm import write_pfm
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.scene import Camera, read_scene, write_camera, write_pairs
+from fsinfer.silhouettes.combine import combine
 from fsinfer.silhouettes.join import (
     SilhouetteJoinSettings,
     StemPhotos,
@@ -289,6 +290,16 @@ def test_join_by_precision_and_alone_where_they_disagree() -> None:
     assert alone.sd_m > between.sd_m > 2 * 0.15 * 0.002  # never surer than the scale
 
 
+def test_the_points_count_as_if_their_error_were_twice_as_large() -> None:
+    mean = combine(0.150, 0.002, 0.153, 0.004)
+    assert mean.radius_m == pytest.approx(0.1515)  # both know it to 4 mm
+    assert mean.edges_std_m == pytest.approx(0.002)
+    assert mean.points_std_m == pytest.approx(0.002)
+    # But whether they can both be right is asked of what they say: 9 mm apart, 2 x 4.5 mm.
+    assert combine(0.150, 0.002, 0.1591, 0.004).contradict
+    assert not combine(0.150, 0.002, 0.1588, 0.004).contradict
+
+
 def test_sources_that_contradict_each_other_widen_the_interval_and_say_so() -> None:
     """33.0 +- 0.4 from points and 30.3 +- 0.4 from edges is not 30.3 +- 0.8 beyond doubt."""
     std = 0.002 / 1.96  # of the radius: 0.4 cm are half of the interval of the diameter
@@ -452,12 +463,12 @@ def test_edges_that_all_err_alike_are_in_the_error_of_the_fit() -> None:
 
 
 def test_joined_diameters_are_off_by_what_they_say() -> None:
-    """Edges that tell little, and a cloud that is off by its own error and by what depth maps fatten (seed 44031)."""
+    """Edges that tell little, and a cloud off by twice what it says and by what depth maps fatten (seed 44031)."""
     rng = np.random.default_rng(44031)
     for own in (0.0, 0.002):
         errors = []
         for _ in range(400):
-            cloud = 0.15 + rng.normal(0.0, np.hypot(own, 0.0015))
+            cloud = 0.15 + rng.normal(0.0, 2 * np.hypot(own, 0.0015))
             edges = 0.15 + rng.normal(0.0, 0.006)
             found = join(
                 section_of(2 * cloud, own),
