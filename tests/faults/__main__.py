@@ -18,6 +18,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -45,14 +46,17 @@ def small_disk(folder: Path) -> Iterator[bool]:
             subprocess.run(["umount", "-l", str(folder)], check=False)
 
 
-def inject(
-    faults: list[str], stages: list[str], work: Path, *, done_with: Callable[[list[Injection]], None] | None = None
-) -> list[Injection]:
-    """All faults in all stages; those that cannot be had on this machine are said and left out.
+@dataclass(frozen=True, kw_only=True)
+class Undisturbed:
+    """Photographs, and the digests of what a run makes of them that nothing strikes."""
 
-    ``done_with`` is given the injections of each fault as soon as they are done.
-    """
-    # Loaded once: every run is a copy of this process.
+    photos: Path
+    whole: dict[str, str]
+
+
+def undisturbed(work: Path) -> Undisturbed:
+    """The run that all others are held against; each of those is a copy of this process."""
+    # Loaded once.
     import fsinfer.cli.app
     import fsinfer.report
     import fsinfer.trees.outputs.figures
@@ -66,10 +70,24 @@ def inject(
 
     photos = make_photos(work / "photos")
     (work / "whole").mkdir()
-    undisturbed = run(photos, work / "whole" / "out")
-    if undisturbed.code != 0:
-        raise RuntimeError(f"the undisturbed run ended with {undisturbed.code}: {undisturbed.told}")
-    whole = results(work / "whole" / "out")
+    ended = run(photos, work / "whole" / "out")
+    if ended.code != 0:
+        raise RuntimeError(f"the undisturbed run ended with {ended.code}: {ended.told}")
+    return Undisturbed(photos=photos, whole=results(work / "whole" / "out"))
+
+
+def inject(
+    faults: list[str],
+    stages: list[str],
+    work: Path,
+    sound: Undisturbed,
+    *,
+    done_with: Callable[[list[Injection]], None] | None = None,
+) -> list[Injection]:
+    """All faults in all stages; those that cannot be had on this machine are said and left out.
+
+    ``done_with`` is given the injections of each fault as soon as they are done.
+    """
     injections = []
     for fault in faults:
         start = time.perf_counter()
@@ -79,9 +97,9 @@ def inject(
                 if not mounted:
                     print(f"{fault}: left out, no file system may be mounted here")
                     continue
-                done = chain(fault, stages, photos, folder, whole)
+                done = chain(fault, stages, sound.photos, folder, sound.whole)
         else:
-            done = chain(fault, stages, photos, folder, whole)
+            done = chain(fault, stages, sound.photos, folder, sound.whole)
         bad = [one for one in done if one.problems]
         print(f"{fault:18s} {len(done)} injections, {len(bad)} not as promised, {time.perf_counter() - start:.0f} s")
         for one in bad:
@@ -105,7 +123,7 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error("this system cannot copy a process; run it on Linux or macOS")
     work = Path(tempfile.mkdtemp(prefix="faults-"))
     try:
-        injections = inject(args.faults, args.stages, work, done_with=partial(_put, args.report))
+        injections = inject(args.faults, args.stages, work, undisturbed(work), done_with=partial(_put, args.report))
     finally:
         shutil.rmtree(work, ignore_errors=True)
     bad = [one for one in injections if one.problems]

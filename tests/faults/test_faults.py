@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.faults.__main__ import inject
+from tests.faults.__main__ import Undisturbed, inject, undisturbed
 from tests.faults.runs import Injection
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot copy a process")
@@ -24,8 +24,13 @@ CHAINS = {
 }
 
 
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Undisturbed:
+    return undisturbed(tmp_path_factory.mktemp("sound"))
+
+
 @pytest.mark.parametrize("fault", CHAINS)
-def test_a_fault_costs_no_result(tmp_path: Path, fault: str) -> None:
-    injections: list[Injection] = inject([fault], CHAINS[fault], tmp_path)
+def test_a_fault_costs_no_result(tmp_path: Path, sound: Undisturbed, fault: str) -> None:
+    injections: list[Injection] = inject([fault], CHAINS[fault], tmp_path, sound)
     assert [one.stage for one in injections] == CHAINS[fault]
     assert {one.stage: one.problems for one in injections if one.problems} == {}

@@ -181,6 +181,7 @@ def test_every_option_that_is_named_exists() -> None:
         "--strict",
         "--cov",
         "--cov-report",
+        "--hypothesis-profile",
         "--all-files",
         "--nproc-per-node",
         "--local-directory",

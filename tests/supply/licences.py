@@ -207,5 +207,5 @@ compiled libraries under licences that ask for more than the wheel's own.
 PyTorch is needed for training alone. Its build for NVIDIA's GPUs brings NVIDIA's packages under NVIDIA's licence; they
 are not in the tables, and nothing here needs them.
 
-The parts of a wheel are listed for machines, too (CycloneDX): `python -m tests.supply sbom`, see
+The parts of a wheel are listed for machines, too (CycloneDX): `python -m tests.supply sbom DIST.whl OUT.json`, see
 [CONTRIBUTING.md](../CONTRIBUTING.md)."""
