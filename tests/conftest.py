@@ -21,6 +21,26 @@ settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.register_profile("exploring", deadline=None)
 settings.load_profile("repeatable")
 
+#: The files that take longest, begun first: at the end the processes have small ones left to share, and none waits long
+#: for the other.
+LONGEST = (
+    "tests/faults/test_faults.py",
+    "tests/fsinfer/batch/test_cluster.py",
+    "tests/fuzz/test_fuzz.py",
+    "tests/fsinfer/test_demo.py",
+    "tests/fsinfer/test_killed.py",
+    "tests/fsinfer/workflow/test_pipeline.py",
+    "tests/training/test_train.py",
+    "tests/training/test_timed_run.py",
+    "tests/training/test_processes.py",
+    "tests/training/synthesize/test_demo_plot.py",
+    "tests/training/synthesize/test_synthesize.py",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: not item.nodeid.startswith(LONGEST))
+
 
 @pytest.fixture(scope="module")
 def chromium() -> Iterator[Browser]:
