@@ -9,6 +9,8 @@ from __future__ import annotations
 
 #: What the command line says when memory ran out, by which a batch knows that another attempt is worth it.
 NOT_ENOUGH_MEMORY = "this computer has not enough free memory"
+#: And where COLMAP crashed: what crashes once may go well the next time.
+CRASHED = "finding poses crashed"
 #: Length of a message that is still read in a terminal. Source: judgement.
 _MOST_LETTERS = 1500
 

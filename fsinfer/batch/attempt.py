@@ -16,7 +16,7 @@ from pathlib import Path
 from fsinfer._version import __version__
 from fsinfer.batch.guard import Ended, GuardResult, GuardTask, signal_session
 from fsinfer.batch.run_log import LOG_FILE, last_words
-from fsinfer.errors import NOT_ENOUGH_MEMORY
+from fsinfer.errors import CRASHED, NOT_ENOUGH_MEMORY
 from fsinfer.io.files import make_folder
 
 #: What the command line's exit codes mean (docs/quickstart.md). Source: format.
@@ -194,8 +194,8 @@ def _judge(told: GuardResult | None, task: PlotTask, words: str) -> tuple[bool, 
     if code == 0:
         return True, "", False
     if code == _EXIT_INPUT:
-        # The one message of this kind that is no fault of the input.
-        return False, words, NOT_ENOUGH_MEMORY in words
+        # The messages of this kind that are no fault of the input.
+        return False, words, NOT_ENOUGH_MEMORY in words or CRASHED in words
     if code == _EXIT_FAULT:
         return False, words, False
     if code == _EXIT_STOPPED:

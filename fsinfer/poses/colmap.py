@@ -7,15 +7,13 @@ kill goes on from the database.
 from __future__ import annotations
 
 import logging
-import signal
-import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from fsinfer.errors import PosesError
-from fsinfer.poses.colmap_calls import ColmapError, call, copy_database, open_database
+from fsinfer.poses.colmap_calls import ColmapError, call, copy_database, open_database, require_pycolmap
 from fsinfer.poses.pairs import MIN_INLIERS, first_pairs, in_walking_order, most_pairs, pairs_beside
 from fsinfer.poses.refinement import ENOUGH
 from fsinfer.poses.settings import PoseSettings
@@ -48,11 +46,9 @@ def colmap_errors(what: str, work: Path) -> Iterator[None]:
 
     What our code raises between its calls and in its callbacks passes: it is a fault of ours and looks like one.
     """
+    require_pycolmap()
     import pycolmap
 
-    if threading.current_thread() is threading.main_thread():
-        # Its library prints a trace where a program is told to end; who asked for the end needs none.
-        signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGTERM))
     levels = pycolmap.logging.minloglevel
     pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value
     try:

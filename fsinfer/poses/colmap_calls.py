@@ -6,7 +6,9 @@ when it is wrong. A failure of COLMAP is one that comes out of a call of COLMAP 
 
 from __future__ import annotations
 
+import signal
 import sqlite3
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -32,6 +34,10 @@ def require_pycolmap() -> None:
         import pycolmap  # noqa: F401
     except ImportError as error:
         raise PosesError(MISSING.format(error=error)) from error
+    handler = signal.getsignal(signal.SIGTERM)
+    if threading.current_thread() is threading.main_thread() and handler is not None:
+        # Once loaded, its library prints a trace where a program is told to end; who asked for the end needs none.
+        signal.signal(signal.SIGTERM, handler)
 
 
 def call(function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:

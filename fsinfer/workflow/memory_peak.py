@@ -7,16 +7,21 @@ from pathlib import Path
 
 _STATUS = Path("/proc") / "self" / "status"
 _CLEAR_REFS = Path("/proc") / "self" / "clear_refs"
+# Of this stretch; as the kernel's mark, one for the whole process.
+_of_child_mb = 0.0
 
 
 class MemoryPeak:
     """Starts watching when made; :meth:`read_mb` gives the peak since then.
 
     On Linux the kernel's high-water mark is reset at the start, so the figure belongs to the stretch. Elsewhere it
-    is the peak of the whole process so far (macOS), or unknown (Windows). Child processes are not counted.
+    is the peak of the whole process so far (macOS), or unknown (Windows). Of child processes the largest that told its
+    peak (:func:`child_ended`) is added.
     """
 
     def __init__(self) -> None:
+        global _of_child_mb
+        _of_child_mb = 0.0
         try:
             # "5" resets VmHWM (proc(5)); without the right to, the figure is that of the whole process.
             _CLEAR_REFS.write_text("5", encoding="ascii")
@@ -28,7 +33,7 @@ class MemoryPeak:
         try:
             for line in _STATUS.read_text(encoding="ascii", errors="replace").splitlines():
                 if line.startswith("VmHWM:"):
-                    return round(int(line.split()[1]) / 1024, 1)
+                    return round(int(line.split()[1]) / 1024 + _of_child_mb, 1)
         except OSError:
             pass
         if sys.platform == "win32":
@@ -36,4 +41,10 @@ class MemoryPeak:
         import resource
 
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return round(peak / (1024 * 1024 if sys.platform == "darwin" else 1024), 1)
+        return round(peak / (1024 * 1024 if sys.platform == "darwin" else 1024) + _of_child_mb, 1)
+
+
+def child_ended(peak_mb: float | None) -> None:
+    """A process that worked for this one has ended; ``peak_mb`` is the peak that it read of itself."""
+    global _of_child_mb
+    _of_child_mb = max(_of_child_mb, peak_mb or 0.0)

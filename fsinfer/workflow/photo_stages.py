@@ -16,10 +16,11 @@ from fsinfer.frames.settings import FrameSettings
 from fsinfer.io.digest import file_digest
 from fsinfer.io.images import list_images
 from fsinfer.poses.colmap_calls import require_pycolmap
-from fsinfer.poses.estimate import PosesResult, estimate_poses
+from fsinfer.poses.estimate import PosesResult
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.progress import StageProgress, silent_stages
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
+from fsinfer.workflow.poses_apart import estimate_poses_apart
 from fsinfer.workflow.settings import speedless
 
 #: Folders that a run empties and fills.
@@ -96,7 +97,7 @@ def register_photos(
     target = folder or ledger.out / "scene"
     return ledger.run(
         replace(POSES, outputs=outputs),
-        lambda resume: estimate_poses(
+        lambda resume: estimate_poses_apart(
             images, target, settings=settings, origin=origin, resume=resume, progress=progress("poses")
         ),
         inputs=_poses_inputs(list_images(images), settings),

@@ -41,7 +41,7 @@ def stand_in() -> None:
     checked = DepthCheck(median_rel=0.0025, per_view_rel={}, compared=1, asked=1, relaxed=False)
     stand_ins = {
         "fsinfer.workflow.photo_stages.select_frames": select_frames,
-        "fsinfer.workflow.photo_stages.estimate_poses": estimate_poses,
+        "fsinfer.workflow.photo_stages.estimate_poses_apart": estimate_poses,
         "fsinfer.workflow.cloud_stages.estimate_depth": estimate_depth,
         "fsinfer.workflow.cloud_stages.read_manifest": lambda _, **__: manifest,
         "fsinfer.workflow.cloud_stages.read_sparse": lambda _: None,

@@ -18,7 +18,7 @@ from fsinfer.batch.remaining import RemainingPlots
 from fsinfer.batch.run import BatchResult, PlotNews, run_batch
 from fsinfer.batch.settings import BatchSettings
 from fsinfer.cli.app import app
-from fsinfer.errors import NOT_ENOUGH_MEMORY, InputError
+from fsinfer.errors import CRASHED, NOT_ENOUGH_MEMORY, InputError
 from fsinfer.io.csv_text import read_table
 from tests.support.batch_plots import STAND_IN, behave, is_alive, read_csv, started, wait_for, write_table
 from tests.support.places import ROOT
@@ -35,7 +35,7 @@ def messages(result: BatchResult) -> dict[str, str]:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="sees memory in /proc, and knows such signals")
 def test_a_plot_that_fails_touches_no_other_and_says_why(tmp_path: Path) -> None:
-    names = ("good", "input", "box", "fault", "crash", "once", "memory", "full")
+    names = ("good", "input", "box", "fault", "crash", "once", "memory", "poses", "full")
     table = write_table(tmp_path, [{"name": name} for name in names] + [{"name": "also good"}])
     behave(tmp_path, "input", exit=2, say="Error: 3 of 40 photos registered; take more photos between them")
     behave(tmp_path, "box", exit=2, say="Usage: fsinfer\n╭─ Error ────╮\n│ Invalid value for '--bh': 9.0    │\n╰────╯")
@@ -43,6 +43,7 @@ def test_a_plot_that_fails_touches_no_other_and_says_why(tmp_path: Path) -> None
     behave(tmp_path, "crash", signal=int(signal.SIGSEGV))
     behave(tmp_path, "once", signal=int(signal.SIGKILL), once=True)
     behave(tmp_path, "memory", exit=2, say=f"Error: {NOT_ENOUGH_MEMORY}; close other programs", once=True)
+    behave(tmp_path, "poses", exit=2, say=f"Error: {CRASHED} while matching photos (SIGSEGV)", once=True)
     behave(tmp_path, "full", gb=0.5, seconds=600)
     news: list[PlotNews] = []
     settings = BatchSettings(command=STAND_IN, jobs=4, retries=1, limit_gb=0.3)
@@ -58,13 +59,13 @@ def test_a_plot_that_fails_touches_no_other_and_says_why(tmp_path: Path) -> None
     # Bad input is not worth another attempt; crashes and memory are.
     attempts = {name: started(tmp_path / "out" / "plots" / name) for name in names}
     assert attempts == {
-        "good": 1, "input": 1, "box": 1, "fault": 1, "crash": 2, "once": 2, "memory": 2, "full": 2,
+        "good": 1, "input": 1, "box": 1, "fault": 1, "crash": 2, "once": 2, "memory": 2, "poses": 2, "full": 2,
     }  # fmt: skip
     assert {row.plot: row.attempts for row in result.rows} == attempts | {"also good": 1}
     # Each once, in the order of the table, whatever the order in which they ended.
     assert [row["plot"] for row in read_csv(tmp_path / "out" / "summary.csv")] == [*names, "also good"]
     assert sorted(item.row.plot for item in news) == sorted([*names, "also good"])
-    assert [item.finished for item in news] == list(range(1, 10))
+    assert [item.finished for item in news] == list(range(1, 11))
 
 
 def test_a_plot_that_takes_too_long_is_ended_and_not_tried_again(tmp_path: Path) -> None:

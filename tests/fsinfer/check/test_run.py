@@ -228,7 +228,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     def no_depth(*_: Any, **__: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(photo_stages, "estimate_poses", place)
+    monkeypatch.setattr(photo_stages, "estimate_poses_apart", place)
     monkeypatch.setattr("fsinfer.workflow.cloud_stages.estimate_depth", no_depth)
     return calls
 

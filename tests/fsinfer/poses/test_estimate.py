@@ -165,6 +165,8 @@ def test_goes_on_from_the_features_after_a_kill(tmp_path: Path, monkeypatch: pyt
     def forbidden(*_args: object, **_options: object) -> None:
         pytest.fail("features were extracted again")
 
+    # In this process, where that is seen.
+    monkeypatch.setattr("fsinfer.workflow.photo_stages.estimate_poses_apart", estimate_poses)
     monkeypatch.setattr(pycolmap, "extract_features", forbidden)
     assert poses_of(photos, out, settings=SETTINGS).result.registered == 4
     assert not (out / "work").exists()

@@ -136,7 +136,7 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> Fakes:
         return real_trees(*args, **kwargs)
 
     monkeypatch.setattr(photo_stages, "select_frames", select_frames)
-    monkeypatch.setattr(photo_stages, "estimate_poses", estimate_poses)
+    monkeypatch.setattr(photo_stages, "estimate_poses_apart", estimate_poses)
     monkeypatch.setattr(cloud_stages, "estimate_depth", estimate_depth)
     monkeypatch.setattr(cloud_stages, "fuse", fuse)
     monkeypatch.setattr(pipeline, "measure_plot", measure_plot)
