@@ -116,7 +116,7 @@ def test_a_crash_ends_no_run_and_the_same_command_goes_on(
 ) -> None:
     out = tmp_path / "out"
     words = {}
-    for step, how in (("matching photos", "SIGSEGV"), ("placing photos", "SIGKILL"), ("placing photos", "memory")):
+    for step, how in (("matching photos", "SIGSEGV"), ("placing photos", "SIGKILL")):
         strike(step, how)
         code, _, err = call("poses", photos, out, "--jobs", 1, "-q")
         assert code == 2, err
