@@ -16,6 +16,22 @@ from tests.bench.results import RESULTS, Result, read_result
 #: How the figures of a class of stems of a rendered plot begin.
 CLASS_PREFIXES = tuple(prefix for prefix, _ in STEM_CLASSES.values())
 
+#: The cases of ``tests.bench.effects`` in words, in the order of the table.
+EFFECT_WORDS = {
+    "none": "none",
+    "rolling": "rolling shutter, 25 ms",
+    "blur": "motion blur, 8 ms",
+    "breathing": "focal length ± 0.15 %",
+    "principal": "principal point ± 2 px",
+    "distortion": "distortion",
+    "exposure": "exposure ± 30 %, clouds",
+    "tone": "local tone mapping, noise, sharpening, glare",
+    "wind": "leaves and undergrowth move 1.5 cm",
+    "bark": "a bark of its own for each tree",
+    "phone": "all together (`--phone`)",
+    "video": "all together, 1 m/s (`--phone-video`)",
+}
+
 Lines = list[str]
 Template = Callable[[Sequence[Result]], Lines]
 
@@ -245,6 +261,25 @@ def plot_classes(results: Sequence[Result]) -> Lines:
     return table(head, rows)
 
 
+def effects(results: Sequence[Result]) -> Lines:
+    """Each effect of a phone alone and doubled: photographs at their true place, ours beside COLMAP's default."""
+
+    def placed(f: Mapping[str, float], case: str, way: str) -> str:
+        right, of, rms_mm = (f.get(f"{case}_{key}") for key in (f"{way}_right", "photos", f"{way}_rms_mm"))
+        if right is None or of is None or rms_mm is None:
+            return "not measured"
+        return f"{right:g} of {of:g}, {number(rms_mm, '.1f')} mm"
+
+    rows = []
+    for f in (result.figures for result in results):
+        for case, words in EFFECT_WORDS.items():
+            for name, said in ((case, words), (f"{case}2", f"{words}, doubled")):
+                if f"{name}_photos" in f:
+                    rows.append([said, *(placed(f, name, way) for way in ("cheap", "ours", "colmap"))])
+    head = ["effect", "without a second look", "as shipped", "COLMAP, default settings, photographs doubled"]
+    return table(head, rows)
+
+
 def error(result: Result, prefix: str) -> str:
     """RMSE and bias of one group."""
     return f"{known(result, f'{prefix}rmse_cm', '.2f', ' cm')}, {known(result, f'{prefix}bias_cm', '+.2f', ' cm')}"
@@ -284,5 +319,6 @@ TEMPLATES: dict[str, Template] = {
     "stems": stems,
     "classes": classes,
     "plot-classes": plot_classes,
+    "effects": effects,
     "index": index,
 }

@@ -126,3 +126,14 @@ def test_what_is_no_figure_is_refused(tmp_path: Path) -> None:
 def test_a_command_names_no_folder_of_the_machine_and_no_option_of_the_result() -> None:
     words = ["/data/plots/plot", "out", "--result", "a", "--result-set=blind", "--note", "x y", "--slow"]
     assert command_line("tests.bench.plot", words) == "python -m tests.bench.plot plot out --slow"
+
+
+def test_effects_are_listed_with_who_placed_how_many(tmp_path: Path) -> None:
+    row = {"photos": 26, "cheap_right": 26, "cheap_rms_mm": 3.6, "ours_right": 26, "ours_rms_mm": 3.6}
+    figures = {f"wind2_{key}": value for key, value in (row | {"colmap_right": 16, "colmap_rms_mm": 21.6}).items()}
+    figures |= {f"none_{key}": value for key, value in row.items()}
+    write_result("try", figures, command="python -m tests.bench.effects OUT", kind="development", folder=tmp_path)
+    assert TEMPLATES["effects"]([read_result("try", tmp_path)])[2:] == [
+        "| none | 26 of 26, 3.6 mm | 26 of 26, 3.6 mm | not measured |",
+        "| leaves and undergrowth move 1.5 cm, doubled | 26 of 26, 3.6 mm | 26 of 26, 3.6 mm | 16 of 26, 21.6 mm |",
+    ]
