@@ -20,6 +20,10 @@ def install(folder: Path, name: str, *lines: str, files: tuple[str, ...] = ()) -
         "\n".join(["Metadata-Version: 2.4", f"Name: {name}", "Version: 1.0", *lines, "", ""])
     )
     (info / "RECORD").write_text("".join(f"{file},,\n" for file in files))
+    for file in files:
+        # importlib_metadata, once anything has loaded it, lists only files that there are.
+        (folder / file).parent.mkdir(exist_ok=True)
+        (folder / file).touch()
 
 
 @pytest.fixture

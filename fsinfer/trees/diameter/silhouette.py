@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,9 +36,10 @@ STARTS = 3
 #: Rounds of a fit; tolerance of the vote and of the first ones, metres, after which it is what was found, and how
 #: much tighter harmonics are held in them: they would bend a wrong circle through a few edges. Source: numerics.
 ROUNDS, TOLERANCES_M, ROUND_FIRST = 12, (0.012, 0.008, 0.006, 0.005, 0.004), 10.0
-#: Ovals that a fit is begun with beside the circle: second harmonic, share of the radius, and directions. Source: half
-#: of what one stem in a hundred has (renders, and ovality 1.2 of leaning stems).
-OVAL, OVAL_TURNS = 0.06, 6
+#: Ovals that a fit is begun with beside the circle: second harmonics, shares of the radius, and directions. Source:
+#: renders only; on four development plots one stem of 106 is not reached from 0.06, another not from 0.10
+#: (docs/trials-accuracy.md).
+OVALS, OVAL_TURNS = (0.06, 0.10), 6
 #: An oval is believed where it is so much more likely than what began as a circle. The edges' log posterior counts as
 #: that of one band in so many, because the bands of a side err together; the cloud's radius, where there is one, as it
 #: is, up to so many standard deviations. Source: two more unknowns for some hundred pairs of photograph and side cost
@@ -303,9 +305,9 @@ class _Problem:
 
         From a circle the edges of an oval stem's longer side are out of reach, and what is found has one side right.
         """
-        for start in starts:
+        for start, oval in product(starts, OVALS):
             for turn in np.arange(OVAL_TURNS) * 2 * np.pi / OVAL_TURNS:
-                yield start, OVAL * start[0] * np.array([np.cos(turn), np.sin(turn)])
+                yield start, oval * start[0] * np.array([np.cos(turn), np.sin(turn)])
 
     def refine(self, start: Floats, oval: Floats) -> _Solution:
         """Expectation-maximisation from ``start`` (radius and place) and a second harmonic, then with all harmonics."""
