@@ -67,7 +67,8 @@ def trees_text(f: Mapping[str, float]) -> str:
 def plot_headline(result: Result) -> tuple[str, str]:
     """A rendered plot: what it is, what came out."""
     f, drawn = result.figures, result.settings.get("plot", {})
-    slope = f" on a slope of {float(drawn['slope_deg']):g}°" if "slope_deg" in drawn else ""
+    slope_deg = float(drawn.get("slope_deg") or 0)
+    slope = f" on a slope of {slope_deg:g}°" if slope_deg else " on flat ground" if "slope_deg" in drawn else ""
     phone = {"phone": ", a phone's effects in a breeze", "phone_video": ", a phone's video walked at 1 m/s"}
     effects = next((words for name, words in phone.items() if drawn.get(name) == "True"), "")
     undergrown = ", undergrown" if float(drawn.get("undergrowth") or 0) > 0.5 else ""
