@@ -26,6 +26,7 @@ from fsinfer.errors import PosesError
 from fsinfer.poses.colmap import colmap_errors
 from fsinfer.poses.estimate import estimate_poses
 from fsinfer.poses.settings import PoseSettings
+from fsinfer.poses.thorough import torn
 from fsinfer.scene import read_scene
 from tests.bench.plot import similarity
 from tests.bench.results import add_result_options, check_result_options, save_result
@@ -154,24 +155,25 @@ def measured(name: str, plot: Path, out: Path, args: argparse.Namespace) -> dict
     photos = out / name / "photos"
     shutil.rmtree(photos, ignore_errors=True)
     photos.mkdir(parents=True)
-    for path in sorted((plot / "images").iterdir())[:: args.step]:
+    chosen = sorted((plot / "images").iterdir())[:: args.step]
+    for path in chosen:
         shutil.copy(path, photos)
     truth = centers_of(plot)
     thorough = PoseSettings()
     cheap = replace(thorough, thorough=replace(thorough.thorough, min_share=0.0))
-    row: dict[str, Any] = {"case": name, "photos": len(list(photos.iterdir()))}
-    kept: set[str] = set()
+    row: dict[str, Any] = {"case": name, "photos": len(chosen)}
+    placed: list[bool] = []
     for way in ("cheap", "ours", "colmap") if args.colmap else ("cheap", "ours"):
         started = time.monotonic()
-        if way == "ours" and len(kept) >= thorough.thorough.min_share * row["photos"]:
-            # Nothing tore, so that there is no second look: both are the same.
+        if way == "ours" and not torn(placed, thorough):
+            # There is no second look: both are the same.
             row |= {key.replace("cheap", "ours"): value for key, value in row.items() if key.startswith("cheap")}
             continue
         if way == "colmap":
             centers = by_colmap(photos, out / name / way)
         else:
             centers = by_us(photos, out / name / way, thorough if way == "ours" else cheap)
-            kept = set(centers)
+            placed = [path.stem in centers for path in chosen]
         right, rms_mm = rightly_placed(centers, truth)
         row |= {f"{way}_placed": len(centers), f"{way}_right": right, f"{way}_rms_mm": round(rms_mm, 1)}
         row[f"{way}_s"] = round(time.monotonic() - started, 1)

@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from tests.bench import tables
+from tests.bench import effects, tables
 from tests.bench.results import KINDS, RESULTS, ROOT, command_line, read_result, write_result
 from tests.bench.tables import TableError, differences, filled, marks
-from tests.bench.templates import TEMPLATES
+from tests.bench.templates import EFFECT_WORDS, TEMPLATES
 
 FIGURES = {"rmse_cm": 0.2374, "bias_cm": -0.051, "trees": 5, "false": 0}
 
@@ -126,6 +126,10 @@ def test_what_is_no_figure_is_refused(tmp_path: Path) -> None:
 def test_a_command_names_no_folder_of_the_machine_and_no_option_of_the_result() -> None:
     words = ["/data/plots/plot", "out", "--result", "a", "--result-set=blind", "--note", "x y", "--slow"]
     assert command_line("tests.bench.plot", words) == "python -m tests.bench.plot plot out --slow"
+
+
+def test_every_effect_that_is_measured_has_words_in_the_table() -> None:
+    assert {*EFFECT_WORDS} == {name.removesuffix("2") for name in effects.cases([])}
 
 
 def test_effects_are_listed_with_who_placed_how_many(tmp_path: Path) -> None:

@@ -79,6 +79,6 @@ def compiled_in(distribution: metadata.Distribution) -> list[str]:
     for file in distribution.files or ():
         path = PurePosixPath(file)
         beside = any(folder.endswith(".libs") or folder == ".dylibs" for folder in path.parts[:-1])
-        if (beside and path.name.endswith((".dll", ".dylib"))) or (beside and ".so" in path.name):
+        if beside and (path.name.endswith((".dll", ".dylib")) or ".so" in path.name):
             names.add(path.name.split(".")[0].split("-")[0])
     return sorted(names)

@@ -16,16 +16,15 @@ import numpy as np
 import pytest
 
 import fsinfer
-from fsinfer.cli.app import main
 from fsinfer.cli.console import explain, reports_errors, stage_progress, warn
 from fsinfer.depth.manifest import models_folder
 from fsinfer.errors import CloudError
 from fsinfer.io.cloud import read_cloud
 from fsinfer.output.plot_json import read_plot
 from fsinfer.scene import read_scene
+from tests.support.command_line import Call
 from tests.support.synthetic_plot import M_PER_UNIT, STEMS, write_depth_folder, write_scene_folder
 
-Call = Callable[..., tuple[int, str, str]]
 COMMANDS = (
     "demo",
     "run",
@@ -40,20 +39,6 @@ COMMANDS = (
     "report",
     "support",
 )
-
-
-@pytest.fixture
-def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Call:
-    """Run the command line as a shell would; returns exit code, stdout, stderr."""
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["fsinfer", *(str(a) for a in arguments)])
-        with pytest.raises(SystemExit) as stopped:
-            main()
-        captured = capsys.readouterr()
-        return int(stopped.value.code or 0), captured.out, captured.err
-
-    return run
 
 
 def test_help_names_every_command(call: Call) -> None:
@@ -231,13 +216,13 @@ def test_evaluate(tmp_path: Path, call: Call) -> None:
     assert (tmp_path / "f.png").stat().st_size > 1000
 
 
-def test_warnings_of_the_library_are_shown_once(call: Call, capsys: pytest.CaptureFixture[str]) -> None:
+def test_warnings_of_the_library_are_shown_once(call: Call, capfd: pytest.CaptureFixture[str]) -> None:
     call("--version")
     call("--version")
     logging.getLogger("fsinfer.io.cloud").warning("%d points dropped", 3)
     warn(["3 points dropped"])
     logging.getLogger("fsinfer.io.cloud").info("not for people")
-    assert capsys.readouterr().err == "Warning: 3 points dropped\n"
+    assert capfd.readouterr().err == "Warning: 3 points dropped\n"
 
 
 def test_a_provider_that_is_not_there_is_the_users_error(call: Call, tmp_path: Path) -> None:
