@@ -206,7 +206,7 @@ def _inputs(
     """Features, intrinsics, poses and depth range of a view and its sources, as in the depth stage."""
     settings = DepthSettings()
     group = [view, *(scene.views[i] for i in view.sources[: settings.source_views])]
-    loaded = [load_view(model, v, settings.max_size_px) for v in group]
+    loaded = [load_view(model, v, settings) for v in group]
     searched = search_range(
         view.camera.depth_min, view.camera.depth_max, settings, inverse_depth=model.manifest.inverse_depth
     )

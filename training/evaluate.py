@@ -17,11 +17,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from fsinfer.depth.median_filter import settle_unsure
 from fsinfer.depth.model import DepthModel
 from fsinfer.depth.precision import FLOAT32, PRECISIONS
 from fsinfer.depth.settings import DepthSettings
-from fsinfer.depth.stage import search_range
+from fsinfer.depth.stage import finish_depth, search_range
+from fsinfer.depth.subpixel import normalised
 from fsinfer.errors import FsinferError, SceneError
 from fsinfer.io.images import read_image
 from fsinfer.scene import Scene, View
@@ -49,7 +49,7 @@ def onnx_predictor(
     confidence.
 
     ``precision`` is float32 unless asked for, so that figures of models do not depend on the machine.
-    Without calibration unsure pixels are left alone: how sure they are is not known then.
+    Without calibration the network's depth is left alone: how sure a pixel is, is not known then.
     """
     settings = settings or DepthSettings()
     loaded = DepthModel.load(model, threads=threads, calibrate=calibrate, precision=precision)
@@ -65,7 +65,8 @@ def onnx_predictor(
         estimate = loaded.predict(images, intrinsics, cam_from_world, searched)
         depth = estimate.depth
         if calibrate:
-            depth = settle_unsure(depth, estimate.confidence, settings=settings.unsure)
+            greys = [normalised(image, settings.subpixel).astype(np.float16) for image in images]
+            depth = finish_depth(estimate, greys, intrinsics, cam_from_world, settings=settings, threads=loaded.threads)
         return depth, estimate.confidence, estimate.stride
 
     return predict
@@ -198,6 +199,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--unsure-below", type=float, default=unsure.below, help="0 leaves unsure pixels alone (ONNX)")
     parser.add_argument("--unsure-radius-px", type=int, default=unsure.radius_px)
     parser.add_argument("--unsure-power", type=float, default=unsure.power)
+    subpixel = DepthSettings().subpixel
+    parser.add_argument("--subpixel-rounds", type=int, default=subpixel.rounds, help="0 leaves the network's (ONNX)")
     parser.add_argument("--confidence", action="store_true", help="print how the error falls with the confidence")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     args = parser.parse_args(arguments)
@@ -206,6 +209,7 @@ def main(arguments: list[str] | None = None) -> int:
             min_far_over_near=args.min_far_over_near,
             max_far_over_near=args.max_far_over_near,
             unsure=replace(unsure, below=args.unsure_below, radius_px=args.unsure_radius_px, power=args.unsure_power),
+            subpixel=replace(subpixel, rounds=args.subpixel_rounds),
         )
         predict = (
             torch_predictor(args.checkpoint, settings)

@@ -7,13 +7,13 @@ with the volume and not with the number of views. Blocks are independent: thread
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.depth.blocks import over_blocks
 from fsinfer.depth.warping import Projection, sample, sample_reference, source_coordinates
 
 Float32 = NDArray[np.float32]
@@ -114,7 +114,7 @@ def correlation_volume(
         block /= weight_sum
         volume[:, :, rows] = block.transpose(1, 0, 2, 3)
 
-    _over_blocks(fill, height, block_rows, threads)
+    over_blocks(fill, height, block_rows, threads)
     return volume, weights
 
 
@@ -155,7 +155,7 @@ def variance_volume(
             variance = squares / views - total * total
             volume[4 * g : 4 * g + 4, :, rows] = variance.transpose(3, 0, 1, 2)
 
-    _over_blocks(fill, height, block_rows, threads)
+    over_blocks(fill, height, block_rows, threads)
     return volume
 
 
@@ -210,13 +210,3 @@ def upsample_index(index_hw: Float32, height: int, width: int) -> Float32:
 def _block_rows(planes: int, width: int) -> int:
     """Rows of a block whose samples fill ``BLOCK_BYTES``, at least 2."""
     return max(2, BLOCK_BYTES // (planes * width * 16))
-
-
-def _over_blocks(fill: Callable[[int], None], height: int, block_rows: int, threads: int) -> None:
-    starts = range(0, height, block_rows)
-    if threads <= 1:
-        for start in starts:
-            fill(start)
-        return
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(fill, starts))

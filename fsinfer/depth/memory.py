@@ -86,8 +86,8 @@ def plan_depth(
         Not even one depth map fits; says which ``--max-size`` would.
     """
     quarter = -(-width // 4) * -(-height // 4)
-    # float32, at a quarter and at half resolution.
-    of_view = 4 * quarter * (feature_channels + 4 * refine_channels)
+    # float32, at a quarter and at half resolution; grey values at full size in half as many bytes.
+    of_view = 4 * quarter * (feature_channels + 4 * refine_channels) + 2 * width * height
     of_volume = 4 * planes * groups
     if level_channels:
         whole_peak = tile_peak = 4 * planes * (_VOLUMES_AT_PEAK * groups + _LEVELS_AT_PEAK * level_channels)

@@ -16,7 +16,7 @@ class Precision(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class UnsureSettings:
-    """Of the last step, in which unsure pixels follow their surroundings (:mod:`fsinfer.depth.median_filter`).
+    """Of the step in which unsure pixels follow their surroundings (:mod:`fsinfer.depth.median_filter`).
 
     Attributes
     ----------
@@ -38,6 +38,43 @@ class UnsureSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SubpixelSettings:
+    """Of the step to a tenth of a pixel (:mod:`fsinfer.depth.subpixel`); pixels are those of the image at full size.
+
+    Attributes
+    ----------
+    rounds: Gauss-Newton steps; 0 leaves the network's depth.
+    normalise_px: standard deviation of the window of the local mean and contrast.
+    least_contrast: grey levels; contrast below it is noise.
+    window_px: standard deviation of the window that moves as one.
+    difference_px: to either side along the epipolar line, for the slope of the grey values.
+    damping: squared slope that counts as much as none: places without texture stay where they are.
+    outlier: normalised grey values by which two photographs may differ before they count less (Huber 1964).
+    least_correlation: of a source with the reference, at which it has no weight.
+    full_correlation: from which on it has all of it.
+    most_px: a step moves a place no farther, in the source in which it moves most.
+    median_px: side of the median filter behind each step, 3 or 5; 0 is none.
+
+    Notes
+    -----
+    Source of all: saharov32, eight views, and seven views of a rendered plot (seed 900101), tables in
+    docs/trials-accuracy.md; neither is blind to it.
+    """
+
+    rounds: int = 1
+    normalise_px: float = 2.0
+    least_contrast: float = 3.0
+    window_px: float = 3.0
+    difference_px: float = 0.5
+    damping: float = 0.05
+    outlier: float = 1.0
+    least_correlation: float = 0.5
+    full_correlation: float = 0.9
+    most_px: float = 0.5
+    median_px: int = 5
+
+
+@dataclass(frozen=True, kw_only=True)
 class DepthSettings:
     """Settings of the stage.
 
@@ -56,7 +93,8 @@ class DepthSettings:
         the planes to itself: from 0.2 m on they lie half a metre apart at 4 m. What is nearer is lost instead, so the
         bound must stay nearer than the trunks beside the path. Source: a rendered plot, on which 30 lost those within
         1.5 m of the camera and the RMSE of the DBH went from 0.45 to 1.71 cm; renders only.
-    unsure: of the last step.
+    unsure: of the step in which unsure pixels follow their surroundings.
+    subpixel: of the last step.
     threads: 0 uses every core. Source: option.
     memory_gb: limit of the resident memory, 1e9 bytes; fewer feature maps are kept where it is tight, and depth is
         computed in tiles where a whole map does not fit. Source: option; leaves a laptop of 8 GB usable.
@@ -71,6 +109,7 @@ class DepthSettings:
     min_far_over_near: float = 7.0
     max_far_over_near: float = 100.0
     unsure: UnsureSettings = field(default_factory=UnsureSettings)
+    subpixel: SubpixelSettings = field(default_factory=SubpixelSettings)
     threads: int = 0
     memory_gb: float = 3.0
     provider: str = "cpu"

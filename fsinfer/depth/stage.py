@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from fsinfer.depth.maps import read_depth_index
 from fsinfer.depth.median_filter import settle_unsure
 from fsinfer.depth.memory import DepthPlan, plan_depth
-from fsinfer.depth.model import DepthModel, ViewFeatures
+from fsinfer.depth.model import DepthEstimate, DepthModel, ViewFeatures
 from fsinfer.depth.precision import FLOAT32, INT8
 from fsinfer.depth.settings import DepthSettings
+from fsinfer.depth.subpixel import normalised, refine_depth
 from fsinfer.depth.tiles import TiledDepth
 from fsinfer.errors import SceneError
 from fsinfer.io.files import make_folder, write_text
@@ -53,9 +54,13 @@ class DepthResult:
 
 @dataclass(frozen=True, kw_only=True)
 class LoadedView:
-    """Feature maps of a photograph reduced by ``scale_x``, ``scale_y``, and its (3, 3) intrinsics after that."""
+    """Feature maps of a photograph reduced by ``scale_x``, ``scale_y``, and its (3, 3) intrinsics after that.
+
+    ``grey`` (H, W) float16 are its grey values for the sub-pixel step (:func:`fsinfer.depth.subpixel.normalised`).
+    """
 
     features: ViewFeatures
+    grey: NDArray[np.float16]
     intrinsic: NDArray[np.float64]
     scale_x: float
     scale_y: float
@@ -113,16 +118,19 @@ def estimate_depth(
             sources = [scene.views[i] for i in view.sources[: settings.source_views]]
             if view.name in index["views"] and _complete(out, view.name):
                 continue
-            loaded = [_recall(model, v, settings.max_size_px, cache, cached_views) for v in (view, *sources)]
+            loaded = [_recall(model, v, settings, cache, cached_views) for v in (view, *sources)]
+            intrinsics = np.stack([item.intrinsic for item in loaded])
+            cam_from_world = np.stack([v.camera.cam_from_world for v in (view, *sources)])
             estimate = predictor.predict_from_features(
                 [item.features for item in loaded],
-                np.stack([item.intrinsic for item in loaded]),
-                np.stack([v.camera.cam_from_world for v in (view, *sources)]),
+                intrinsics,
+                cam_from_world,
                 search_range(
                     view.camera.depth_min, view.camera.depth_max, settings, inverse_depth=model.manifest.inverse_depth
                 ),
             )
-            depth = settle_unsure(estimate.depth, estimate.confidence, settings=settings.unsure)
+            greys = [item.grey for item in loaded]
+            depth = finish_depth(estimate, greys, intrinsics, cam_from_world, settings=settings, threads=model.threads)
             write_pfm(out / "depth" / f"{view.name}.pfm", depth)
             write_pfm(out / "confidence" / f"{view.name}.pfm", estimate.confidence)
             scale_x, scale_y = loaded[0].scale_x, loaded[0].scale_y
@@ -149,6 +157,28 @@ def estimate_depth(
         model=model.manifest.name,
         model_sha256=model.sha256,
         precision=model.precision,
+    )
+
+
+def finish_depth(
+    estimate: DepthEstimate,
+    greys: Sequence[NDArray[np.float16]],
+    intrinsics: NDArray[np.float64],
+    cam_from_world: NDArray[np.float64],
+    *,
+    settings: DepthSettings,
+    threads: int = 1,
+) -> NDArray[np.float32]:
+    """Depth (h, w) of the network with its unsure pixels settled, and that at a tenth of a pixel.
+
+    ``greys`` (N, H, W), ``intrinsics`` (N, 3, 3) and ``cam_from_world`` (N, 4, 4) of reference and sources.
+    """
+    depth = settle_unsure(estimate.depth, estimate.confidence, settings=settings.unsure)
+    if settings.subpixel.rounds == 0:
+        return depth
+    images = [grey.astype(np.float32) for grey in greys]
+    return refine_depth(
+        depth, estimate.confidence, images, intrinsics, cam_from_world, settings=settings.subpixel, threads=threads
     )
 
 
@@ -194,22 +224,22 @@ def _plan(views: Sequence[View], settings: DepthSettings, model: DepthModel) -> 
 
 
 def _recall(
-    model: DepthModel, view: View, max_size_px: int, cache: OrderedDict[str, LoadedView], cached_views: int
+    model: DepthModel, view: View, settings: DepthSettings, cache: OrderedDict[str, LoadedView], cached_views: int
 ) -> LoadedView:
     if view.name in cache:
         cache.move_to_end(view.name)
         return cache[view.name]
-    loaded = cache[view.name] = load_view(model, view, max_size_px)
+    loaded = cache[view.name] = load_view(model, view, settings)
     while len(cache) > cached_views:
         cache.popitem(last=False)
     return loaded
 
 
-def load_view(model: DepthModel, view: View, max_size_px: int) -> LoadedView:
+def load_view(model: DepthModel, view: View, settings: DepthSettings) -> LoadedView:
     """Read a photograph, reduce it to ``max_size_px`` on its longer side, and compute its feature maps."""
     image = read_image(view.image_path)
     height, width = image.shape[:2]
-    factor = min(1.0, max_size_px / max(height, width))
+    factor = min(1.0, settings.max_size_px / max(height, width))
     intrinsic = view.camera.intrinsic.copy()
     scale_x = scale_y = 1.0
     if factor < 1:
@@ -221,7 +251,8 @@ def load_view(model: DepthModel, view: View, max_size_px: int) -> LoadedView:
         intrinsic[1] *= scale_y
         intrinsic[0, 2] += 0.5 * scale_x - 0.5
         intrinsic[1, 2] += 0.5 * scale_y - 0.5
-    return LoadedView(features=model.features(image), intrinsic=intrinsic, scale_x=scale_x, scale_y=scale_y)
+    grey = normalised(image, settings.subpixel).astype(np.float16)
+    return LoadedView(features=model.features(image), grey=grey, intrinsic=intrinsic, scale_x=scale_x, scale_y=scale_y)
 
 
 def _begin(out: Path, settings: DepthSettings, model_sha256: str, *, resume: bool) -> dict[str, Any]:
