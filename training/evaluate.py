@@ -21,7 +21,7 @@ from fsinfer.depth.model import DepthModel
 from fsinfer.depth.precision import FLOAT32, PRECISIONS
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.stage import finish_depth, search_range
-from fsinfer.depth.subpixel import normalised
+from fsinfer.depth.subpixel import enlarged, enlarged_surfaces, normalised
 from fsinfer.errors import FsinferError, SceneError
 from fsinfer.io.images import read_image
 from fsinfer.scene import Scene, View
@@ -95,14 +95,26 @@ def torch_predictor(checkpoint: Path, settings: DepthSettings | None = None) -> 
     return predict
 
 
-def on_truth_grid(values: Float32, stride: int, truth_shape: tuple[int, int], image_shape: tuple[int, int]) -> Float32:
-    """Nearest estimate at each pixel of a truth map that is the image reduced by some factor (1, 2, 4, …)."""
+def on_truth_grid(values: Float32, truth_shape: tuple[int, int]) -> Float32:
+    """Nearest estimate at each pixel of a truth map that is the image reduced by some factor (1, 2, 4, …).
+
+    ``values`` (H, W) are at the image's own size.
+    """
     indices = []
-    for size, full, limit in zip(truth_shape, image_shape, values.shape, strict=True):
-        factor = full / size
-        pixel = (np.arange(size) + 0.5) * factor - 0.5
-        indices.append(np.clip(np.rint(pixel / stride), 0, limit - 1).astype(np.intp))
+    for size, full in zip(truth_shape, values.shape, strict=True):
+        pixel = (np.arange(size) + 0.5) * full / size - 0.5
+        indices.append(np.clip(np.rint(pixel), 0, full - 1).astype(np.intp))
     return values[np.ix_(*indices)]
+
+
+def at_full_size(depth: Float32, stride: int, image_shape: tuple[int, int]) -> Float32:
+    """Depth at the image's own size: inverse depths between those of one surface, steps between two surfaces.
+
+    Without it a map at half size would be blamed for half a pixel of every slope at three of four pixels.
+    """
+    inverse = np.divide(1.0, depth, out=np.zeros_like(depth), where=depth > 0)
+    full = enlarged_surfaces(inverse, stride, image_shape)
+    return np.divide(1.0, full, out=np.zeros_like(full), where=full > 0)
 
 
 def evaluate_scene(
@@ -136,8 +148,8 @@ def evaluate_scene(
         )
         height, width = images[0].shape[:2]
         shape = (truth.shape[0], truth.shape[1])
-        depth = on_truth_grid(depth, stride, shape, (height, width))
-        confidence = on_truth_grid(confidence, stride, shape, (height, width))
+        depth = on_truth_grid(at_full_size(depth, stride, (height, width)), shape)
+        confidence = on_truth_grid(enlarged(confidence, stride, (height, width)), shape)
         errors = depth_errors(depth, confidence, truth, max_depth=max_depth)
         if pixels is not None:
             pixels.append(pixel_errors(depth, confidence, truth, max_depth=max_depth))

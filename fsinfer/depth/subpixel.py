@@ -78,8 +78,8 @@ def refine_depth(
     ]
     known = depth > 0
     inverse = np.divide(1.0, depth, out=np.zeros_like(depth), where=known)
-    inverse = _enlarged_surfaces(inverse, stride, (height, width))
-    weight = _enlarged(np.where(known, confidence, 0).astype(np.float32), stride, (height, width))
+    inverse = enlarged_surfaces(inverse, stride, (height, width))
+    weight = enlarged(np.where(known, confidence, 0).astype(np.float32), stride, (height, width))
     for _ in range(s.rounds):
         moved = inverse.copy()
 
@@ -163,9 +163,9 @@ def _window(values: Float32, s: SubpixelSettings) -> Float32:
     return np.asarray(cv2.GaussianBlur(values, (size, size), s.window_px, borderType=cv2.BORDER_REPLICATE), np.float32)
 
 
-def _enlarged_surfaces(inverse: Float32, stride: int, shape: tuple[int, int]) -> Float32:
+def enlarged_surfaces(inverse: Float32, stride: int, shape: tuple[int, int]) -> Float32:
     """Inverse depth at the image's own size; across a silhouette it steps, or places between the surfaces would fly."""
-    smooth = _enlarged(inverse, stride, shape)
+    smooth = enlarged(inverse, stride, shape)
     height, width = shape
     step = inverse.repeat(stride, axis=0).repeat(stride, axis=1)
     step = np.pad(step, ((0, max(0, height - step.shape[0])), (0, max(0, width - step.shape[1]))), mode="edge")
@@ -173,7 +173,7 @@ def _enlarged_surfaces(inverse: Float32, stride: int, shape: tuple[int, int]) ->
     return np.where(np.abs(smooth - step) > SILHOUETTE * step, step, smooth)
 
 
-def _enlarged(values: Float32, stride: int, shape: tuple[int, int]) -> Float32:
+def enlarged(values: Float32, stride: int, shape: tuple[int, int]) -> Float32:
     """Map at the image's own size; pixel (i, j) stays at (stride i, stride j), between them it is interpolated."""
     if stride == 1:
         return values

@@ -25,7 +25,7 @@ from training.data.samples import (
     mirrored,
     turned,
 )
-from training.evaluate import confidence_curve, evaluate_scene, main, on_truth_grid
+from training.evaluate import at_full_size, confidence_curve, evaluate_scene, main, on_truth_grid
 from training.metrics import PixelErrors, depth_errors, flying_pixels, mean_errors, pool, pooled_errors
 from training.model import ModelConfig
 from training.train import Trainer, TrainSettings, parse_arguments, pick_window, train
@@ -216,9 +216,19 @@ def test_disturbed_poses_move_pixels_by_as_much_as_asked(scenes: Path) -> None:
 
 
 def test_estimates_are_read_at_the_centres_of_the_truth_pixels() -> None:
-    values = np.arange(8 * 12, dtype=np.float32).reshape(8, 12)
-    np.testing.assert_array_equal(on_truth_grid(values, 2, (16, 24), (16, 24))[::2, ::2], values)
-    np.testing.assert_array_equal(on_truth_grid(values, 2, (4, 6), (16, 24)), values[1::2, 1::2])
+    values = np.arange(16 * 24, dtype=np.float32).reshape(16, 24)
+    np.testing.assert_array_equal(on_truth_grid(values, (16, 24)), values)
+    np.testing.assert_array_equal(on_truth_grid(values, (4, 6)), values[2::4, 2::4])
+
+
+def test_between_the_pixels_of_a_half_size_map_a_slope_goes_on_and_a_silhouette_steps() -> None:
+    x = np.arange(24, dtype=np.float32)
+    slope = np.tile(1.0 / (0.5 - 0.002 * x), (16, 1)).astype(np.float32)
+    full = at_full_size(np.ascontiguousarray(slope[::2, ::2]), 2, slope.shape)
+    np.testing.assert_allclose(full[:, :23], slope[:, :23], rtol=1e-5)
+    step = np.where(x < 12, np.float32(2.0), np.float32(4.0))[None].repeat(16, axis=0)
+    full = at_full_size(np.ascontiguousarray(step[::2, ::2]), 2, step.shape)
+    assert set(np.unique(full.round(4))) == {2.0, 4.0}
 
 
 def test_a_perfect_predictor_has_no_error(scenes: Path) -> None:

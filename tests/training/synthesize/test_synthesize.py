@@ -21,6 +21,7 @@ from fsinfer.scene import read_scene
 from training.synthesize.__main__ import main
 from training.synthesize.cameras.camera_path import intrinsics, look_at, make_camera
 from training.synthesize.cameras.photo import expose, random_sensor
+from training.synthesize.cameras.plot import plot_cameras
 from training.synthesize.forest.boards import SIDE_M, board_material, board_pair
 from training.synthesize.forest.light import random_light
 from training.synthesize.forest.material import Material, lookup, pyramid
@@ -191,6 +192,30 @@ def test_plot_writes_truth_markers_and_walks_clear_of_stems(tmp_path: Path) -> N
         for row in rows + outside:
             gap = np.hypot(view.camera.center[0] - float(row["x_m"]), view.camera.center[1] - float(row["y_m"]))
             assert gap - float(row["dbh_cm"]) / 200 > 0.5
+
+
+@pytest.mark.parametrize(("radius_m", "photos", "zigzag"), [(8.0, 200, 0.4), (7.0, 200, 0.4), (8.0, 300, 0.3)])
+def test_a_walk_with_transects_has_no_leap(radius_m: float, photos: int, zigzag: float) -> None:
+    """Each photograph shares most of its view with the last: no step of two, no turning on the spot."""
+    terrain = make_terrain(np.random.default_rng(1), slope_deg=4.0, roughness=0.5)
+    cameras = plot_cameras(
+        np.random.default_rng(2),
+        terrain,
+        np.zeros((0, 3)),
+        radius_m=radius_m,
+        photos=photos,
+        width=1280,
+        height=720,
+        hfov_deg=65.0,
+        zigzag=zigzag,
+    )
+    assert len(cameras) == photos
+    places = np.array([camera.center for camera in cameras])
+    ahead = np.array([camera.cam_from_world[2, :3] for camera in cameras])
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    turns = np.degrees(np.arccos(np.clip((ahead[1:] * ahead[:-1]).sum(axis=1), -1, 1)))
+    assert steps.max() < 2 * np.median(steps)
+    assert turns.max() < 30
 
 
 def test_lookup_is_bilinear_and_wraps() -> None:

@@ -85,11 +85,7 @@ def plot_cameras(
     both_ways: bool = False,
 ) -> list[Camera]:
     """The photographs' cameras in walking order (:func:`walk`); a share ``zigzag`` of them is taken on transects."""
-    crossing = round(photos * zigzag)
-    places, yaw = walk(radius_m, photos - crossing, both_ways=both_ways)
-    if crossing:
-        more, heading = transects(radius_m, crossing)
-        places, yaw = np.concatenate([places, more]), np.concatenate([yaw, heading])
+    places, yaw = _whole_walk(radius_m, photos, zigzag, both_ways=both_ways)
     places = _keep_clear(places, obstacles)
     intrinsic = intrinsics(width, height, hfov_deg)
     cameras = []
@@ -103,6 +99,26 @@ def plot_cameras(
         target = center + np.array([*ahead, 0.7 * slope - drop])
         cameras.append(make_camera(intrinsic, look_at(center, target, rng.normal(0, 0.03))))
     return cameras
+
+
+def _whole_walk(
+    radius_m: float, photos: int, zigzag: float, *, both_ways: bool
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Loops, the way from their end to the transects, turning on the way, and the transects: no photograph leaps."""
+    crossing = round(photos * zigzag)
+    if not crossing:
+        return walk(radius_m, photos, both_ways=both_ways)
+    places, yaw = walk(radius_m, photos - crossing, both_ways=both_ways)
+    gap = np.linalg.norm(transects(radius_m, crossing)[0][0] - places[-1])
+    step = np.median(np.linalg.norm(np.diff(places, axis=0), axis=1))
+    between = min(int(gap / step), photos // 4)
+    crossing = round((photos - between) * zigzag)
+    places, yaw = walk(radius_m, photos - between - crossing, both_ways=both_ways)
+    more, heading = transects(radius_m, crossing)
+    share = np.arange(1, between + 1) / (between + 1)
+    way = places[-1] + share[:, None] * (more[0] - places[-1])
+    turn = (heading[0] - yaw[-1] + np.pi) % (2 * np.pi) - np.pi
+    return np.concatenate([places, way, more]), np.concatenate([yaw, yaw[-1] + share * turn, heading])
 
 
 def _keep_clear(places: NDArray[np.float64], obstacles: NDArray[np.float64]) -> NDArray[np.float64]:
