@@ -53,7 +53,7 @@ class ReportResult:
     path: Path
 
 
-TREES = Stage(name="trees", version=4, result=TreesResult, outputs=("trees.csv", "figures"))
+TREES = Stage(name="trees", version=5, result=TreesResult, outputs=("trees.csv", "figures"))
 REPORT = Stage(name="report", version=1, result=ReportResult, outputs=("report.html",))
 
 

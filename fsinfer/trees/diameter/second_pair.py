@@ -10,7 +10,7 @@ the cameras by a pose error, but both by the same, so that the distance between 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,8 @@ class SecondPairSettings:
     ----------
     min_apart_deg: between the mean directions of both parts, so that a stem is seen from 60 degrees of its sides at
         least. Source: geometry, a false edge on the bark moves by half a radius then.
+    min_contrast: of each part, more than of the whole: a part of few rays has peaks of its own. Source: renders only,
+        stems have 1.4 to 1.9.
     min_photos: in which the edges agree, in each part. Source: renders only, as for the stem itself but one less.
     reach_std: standard deviations within which an edge is where it should be. Source: statistics, 87 %.
     min_share: of the other part's rays that must have one there. Source: statistics, between the 87 % of a stem and the
@@ -38,6 +40,7 @@ class SecondPairSettings:
     """
 
     min_apart_deg: float = 30.0
+    min_contrast: float = 1.3
     min_photos: int = 3
     reach_std: float = 1.5
     min_share: float = 0.7
@@ -68,7 +71,8 @@ def second_pair(
     settings: SecondPairSettings | None = None,
 ) -> SecondPair:
     """Measure a stem whose radius is roughly ``radius_m`` twice, from two parts of the photographs of its edges."""
-    s, of_fit = settings or SecondPairSettings(), silhouette or SilhouetteSettings()
+    s = settings or SecondPairSettings()
+    of_fit = replace(silhouette or SilhouetteSettings(), min_contrast=s.min_contrast)
     first, apart = _parted(edges)
     parts = [_of(edges, part) for part in (first, ~first)]
     radii: list[float | None] = []

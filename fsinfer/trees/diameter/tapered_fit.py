@@ -25,6 +25,10 @@ Floats = NDArray[np.float64]
 MOST_POINTS = 5000
 #: So many times the points that a circle needs are enough bark, or a longer piece is fitted. Source: not recorded.
 ENOUGH = 4
+#: Least and greatest mean length of the outward tail, metres, longer than where stems are looked for: a tail of a
+#: centimetre takes half of a wall that the cameras' errors have made thick, and the stem comes out too thin. Source:
+#: chosen on three rendered plots (docs/trials-accuracy.md); simulated stems, whose tail is 3 cm, do not mind.
+TAIL_M = (0.03, 0.06)
 #: The second fit starts with so many times the noise of the first, and at least so many metres. Source: numerics.
 SECOND_START = (1.2, 0.004)
 
@@ -43,7 +47,7 @@ def joint_fits(
     ``starts`` (K, 6) are where the search has the axes at ``heights_m`` (K,), ``sigmas_m`` (K,) its noise. None for the
     points says that there are too few. ``half_windows_m`` are half lengths of the piece of stem, ascending.
     """
-    s = AxisSettings()
+    s = AxisSettings(tail_m=TAIL_M)
     rngs = [np.random.default_rng(seed) for _ in points]
     result: list[tuple[AxisFit, Floats | None]] = [
         (_unfitted(start, height, sigma), None)
@@ -80,7 +84,7 @@ def _fits(
     """Number, fit and points of each stem: all sides alike first, then those that were seen, the hazy ones less."""
     those = np.array(list(near), dtype=np.int64)
     sigma = np.array([wider(float(sigmas_m[k])) for k in those])
-    first = fit_sections(list(near.values()), starts[those], heights_m[those], sigma_m=sigma, order=s.order)
+    first = fit_sections(list(near.values()), starts[those], heights_m[those], sigma_m=sigma, order=s.order, settings=s)
     found = {k: (fit, own) for (k, own), fit in zip(near.items(), first, strict=True)}
     again: dict[int, tuple[Floats, Floats]] = {}
     for k, (fit, own) in found.items():
@@ -98,6 +102,7 @@ def _fits(
         sigma_m=np.array([max(SECOND_START[0] * found[k][0].sigma_m, SECOND_START[1]) for k in again]),
         order=s.order,
         relative=[relative for _, relative in again.values()],
+        settings=s,
     )
     found |= {k: (fit, own) for (k, (own, _)), fit in zip(again.items(), second, strict=True)}
     return [(k, fit, own) for k, (fit, own) in found.items()]
