@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fsinfer.trees.diameter.silhouette import Edges, _Solution, _surer, fit_silhouette
+from fsinfer.trees.diameter.silhouette import Edges, _Solution, _surer, edge_contrast, fit_silhouette
 from training.simulate.stem_edges import edges_from_rows
 
 TAPER = -0.008
@@ -52,6 +52,13 @@ def test_an_oval_stem_seen_from_some_sides_has_its_girth(long_deg: float) -> Non
     assert abs(fit.radius_m - 0.28) < 3 * fit.std_m
     assert np.hypot(*fit.shape_m[:2]) == pytest.approx(0.09 * 0.28, rel=0.2)
     assert fit.share > 0.9
+
+
+def test_a_thin_stem_stands_out_too() -> None:
+    """The votes of its radius are held against radii centimetres away, not only against its own neighbours."""
+    edges = walked(0.04, 0.0, 0.0, np.arange(0.0, 60.0, 4), np.random.default_rng(0))
+    # 1.56 where one and a half times the radius is the greatest that is looked at
+    assert edge_contrast(edges, 0.04, taper=TAPER) > 1.8
 
 
 def test_the_scatter_of_an_edge_is_found_by_few_of_them() -> None:
