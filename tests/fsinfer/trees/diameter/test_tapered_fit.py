@@ -95,7 +95,7 @@ def test_strays_on_the_side_that_nobody_saw_do_not_make_the_stem_thicker() -> No
 
 
 def test_a_wall_with_flanks_to_both_sides_and_a_short_tail_is_not_taken_for_its_inside() -> None:
-    """As depth maps from cameras that are some millimetres off give it: a tail of a centimetre would eat the outside."""
+    """As depth maps of cameras that are some millimetres off have it: a tail of a centimetre would eat the outside."""
     errors_mm = []
     for seed in range(5):
         rng = np.random.default_rng(seed)
