@@ -36,7 +36,7 @@ class Plane:
         """Waves of a few centimetres to a few decimetres, which pixels resolve."""
         rng = np.random.default_rng(self.seed)
         waves = [(*rng.uniform(-1, 1, 2) * 2 * np.pi / 0.12, rng.uniform(0, 2 * np.pi)) for _ in range(12)]
-        return np.sum([np.sin(a * x + b * y + c) for a, b, c in waves], axis=0)
+        return np.asarray(np.sum([np.sin(a * x + b * y + c) for a, b, c in waves], axis=0))
 
 
 def seen(plane: Plane, centre: tuple[float, float]) -> NDArray[np.uint8]:
@@ -72,7 +72,7 @@ def px_off(found: NDArray[np.float32], truth: NDArray[np.float32]) -> NDArray[np
 def shifted(truth: NDArray[np.float32], px: float) -> NDArray[np.float32]:
     """A depth map that many pixels off, at the widest baseline."""
     inverse = 1.0 / truth + px / (FOCAL * np.hypot(*BASELINES_M[0]))
-    return (1.0 / inverse).astype(np.float32)
+    return np.asarray(1.0 / inverse, np.float32)
 
 
 def refined(
@@ -229,8 +229,8 @@ def bilinear(image: Floats, u: float, v: float) -> float:
 def reference_shift(depth: Floats, greys: list[Floats], row: int, column: int, s: SubpixelSettings) -> float:
     """Inverse depth of one place after one step, term by term as the module's docstring has it; all confidence is 1."""
     size = int(np.ceil(3 * s.window_px))
-    offsets = np.arange(-size, size + 1)
-    kernel = np.exp(-0.5 * (offsets / s.window_px) ** 2)
+    offsets = range(-size, size + 1)
+    kernel = np.exp(-0.5 * (np.array(offsets) / s.window_px) ** 2)
     kernel /= kernel.sum()
 
     def terms(source: int, y: int, x: int) -> tuple[float, float, float, float]:
