@@ -42,7 +42,7 @@ BLOCK = 5
 
 @dataclass(frozen=True, kw_only=True)
 class Pair:
-    """Photographs, intrinsics and depth range of the reference, true depth, baseline in metres, pixels that both show."""
+    """Photographs, intrinsics and depth range of the reference, true depth, baseline in metres, what both show."""
 
     images: tuple[NDArray[np.uint8], NDArray[np.uint8]]
     intrinsic: NDArray[np.float64]
