@@ -57,7 +57,7 @@ class SubpixelSettings:
 
     Notes
     -----
-    Source of all: saharov32, eight views, and seven views of a rendered plot (seed 900101), tables in
+    Source of the rest: saharov32, eight views, and seven views of a rendered plot (seed 900101), tables in
     docs/trials-accuracy.md; neither is blind to it.
     """
 

@@ -36,6 +36,7 @@ WINDOW_ENDS = 3.0
 #: Neighbouring places of a depth map whose inverse depths differ by more lie on two surfaces. Source: numerics; a
 #: surface seen at 85 degrees changes by 0.02 a pixel at a focal length of 600.
 SILHOUETTE = np.float32(0.02)
+#: Keeps divisions finite. Source: numerics.
 _TINY = np.float32(1e-9)
 
 

@@ -32,6 +32,7 @@ ARGUMENTS = {
     "poses": ["plot"],
     "speed": [],
     "stems": [],
+    "stereo": [],
     "trunks": ["trunks", "out"],
     "video": ["out"],
 }
