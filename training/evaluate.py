@@ -65,7 +65,7 @@ def onnx_predictor(
         estimate = loaded.predict(images, intrinsics, cam_from_world, searched)
         depth = estimate.depth
         if calibrate:
-            greys = [normalised(image, settings.subpixel).astype(np.float16) for image in images]
+            greys = [normalised(image, settings.subpixel) for image in images]
             depth = finish_depth(estimate, greys, intrinsics, cam_from_world, settings=settings, threads=loaded.threads)
         return depth, estimate.confidence, estimate.stride
 

@@ -176,9 +176,8 @@ def finish_depth(
     depth = settle_unsure(estimate.depth, estimate.confidence, settings=settings.unsure)
     if settings.subpixel.rounds == 0:
         return depth
-    images = [grey.astype(np.float32) for grey in greys]
     return refine_depth(
-        depth, estimate.confidence, images, intrinsics, cam_from_world, settings=settings.subpixel, threads=threads
+        depth, estimate.confidence, greys, intrinsics, cam_from_world, settings=settings.subpixel, threads=threads
     )
 
 
@@ -251,7 +250,7 @@ def load_view(model: DepthModel, view: View, settings: DepthSettings) -> LoadedV
         intrinsic[1] *= scale_y
         intrinsic[0, 2] += 0.5 * scale_x - 0.5
         intrinsic[1, 2] += 0.5 * scale_y - 0.5
-    grey = normalised(image, settings.subpixel).astype(np.float16)
+    grey = normalised(image, settings.subpixel)
     return LoadedView(features=model.features(image), grey=grey, intrinsic=intrinsic, scale_x=scale_x, scale_y=scale_y)
 
 

@@ -24,9 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.depth.blocks import over_blocks
+from fsinfer.depth.cost_volume import upsample_twice
 from fsinfer.depth.settings import SubpixelSettings
 from fsinfer.depth.warping import Projection, relative_projection
 
+Float16 = NDArray[np.float16]
 Float32 = NDArray[np.float32]
 
 #: Rows at a time: their arrays stay in a processor's cache. Source: numerics.
@@ -40,22 +42,23 @@ SILHOUETTE = np.float32(0.02)
 _TINY = np.float32(1e-9)
 
 
-def normalised(image: NDArray[np.uint8], settings: SubpixelSettings | None = None) -> Float32:
+def normalised(image: NDArray[np.uint8], settings: SubpixelSettings | None = None) -> Float16:
     """Grey values (H, W) of an (H, W, 3) RGB image less their local mean, over their local standard deviation.
 
-    Exposure, glare and shade drop out; noise in flat places stays small (``least_contrast``).
+    Exposure, glare and shade drop out; noise in flat places stays small (``least_contrast``). In half precision, for
+    the stage keeps those of many views.
     """
     s = settings or SubpixelSettings()
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
     mean = cv2.GaussianBlur(grey, (0, 0), s.normalise_px)
     variance = cv2.GaussianBlur(grey * grey, (0, 0), s.normalise_px) - mean * mean
-    return np.asarray((grey - mean) / np.sqrt(np.maximum(variance, 0) + np.float32(s.least_contrast**2)), np.float32)
+    return np.asarray((grey - mean) / np.sqrt(np.maximum(variance, 0) + np.float32(s.least_contrast**2)), np.float16)
 
 
 def refine_depth(
     depth: Float32,
     confidence: Float32,
-    images: Sequence[Float32],
+    greys: Sequence[Float16],
     intrinsics: NDArray[np.float64],
     cam_from_world: NDArray[np.float64],
     *,
@@ -67,10 +70,11 @@ def refine_depth(
     Parameters
     ----------
     depth, confidence: (h, w) of the network, pixel (i, j) at image pixel (stride i, stride j), stride 1, 2 or 4.
-    images: N >= 2 maps (H, W) of :func:`normalised`; the first is the reference.
+    greys: N >= 2 maps (H, W) of :func:`normalised`; the first is the reference.
     intrinsics, cam_from_world: (N, 3, 3) pixels and (N, 4, 4).
     """
     s = settings or SubpixelSettings()
+    images = [grey.astype(np.float32) for grey in greys]
     height, width = images[0].shape
     stride = round(width / depth.shape[1])
     projections = [
@@ -90,7 +94,7 @@ def refine_depth(
 
         over_blocks(fill, height, BLOCK_ROWS, threads)
         inverse = np.asarray(cv2.medianBlur(moved, s.median_px), np.float32) if s.median_px else moved
-    at_depth = inverse[::stride, ::stride][: depth.shape[0], : depth.shape[1]]
+    at_depth = inverse[::stride, ::stride]
     refined = np.divide(1.0, at_depth, out=np.zeros_like(depth), where=known & (at_depth > 0))
     return np.asarray(refined, np.float32)
 
@@ -168,25 +172,14 @@ def enlarged_surfaces(inverse: Float32, stride: int, shape: tuple[int, int]) -> 
     """Inverse depth at the image's own size; across a silhouette it steps, or places between the surfaces would fly."""
     smooth = enlarged(inverse, stride, shape)
     height, width = shape
-    step = inverse.repeat(stride, axis=0).repeat(stride, axis=1)
-    step = np.pad(step, ((0, max(0, height - step.shape[0])), (0, max(0, width - step.shape[1]))), mode="edge")
-    step = step[:height, :width]
+    step = inverse.repeat(stride, axis=0).repeat(stride, axis=1)[:height, :width]
     return np.where(np.abs(smooth - step) > SILHOUETTE * step, step, smooth)
 
 
 def enlarged(values: Float32, stride: int, shape: tuple[int, int]) -> Float32:
     """Map at the image's own size; pixel (i, j) stays at (stride i, stride j), between them it is interpolated."""
-    if stride == 1:
-        return values
-    height, width = shape
-    matrix = np.array([[1 / stride, 0, 0], [0, 1 / stride, 0]], np.float64)
-    return np.asarray(
-        cv2.warpAffine(
-            values,
-            matrix,
-            (width, height),
-            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-            borderMode=cv2.BORDER_REPLICATE,
-        ),
-        np.float32,
-    )
+    while stride > 1:
+        stride //= 2
+        height, width = (-(-length // stride) for length in shape)
+        values = upsample_twice(values, height, width)
+    return values

@@ -116,7 +116,7 @@ def ours(args: argparse.Namespace, precision: str) -> Callable[[], dict[str, flo
     settings = DepthSettings()
 
     def of_view(image: NDArray[np.uint8]) -> Any:
-        return model.features(image), normalised(image, settings.subpixel).astype(np.float16)
+        return model.features(image), normalised(image, settings.subpixel)
 
     def run() -> dict[str, float]:
         seconds.clear()

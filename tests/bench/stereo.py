@@ -10,19 +10,15 @@ its median.
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.depth.model import DepthModel
-from fsinfer.depth.precision import FLOAT32
 from fsinfer.depth.settings import DepthSettings
-from fsinfer.depth.stage import finish_depth, search_range
-from fsinfer.depth.subpixel import normalised
 from tests.bench.results import add_result_options, check_result_options, save_result
-from training.evaluate import at_full_size
+from training.evaluate import Predict, at_full_size, onnx_predictor
 from training.synthesize.__main__ import parse, texture_photos, walk_settings
 from training.synthesize.cameras.camera_path import make_camera
 from training.synthesize.cameras.photo import expose, random_sensor
@@ -113,18 +109,12 @@ def in_both(depth: Float32, beside: Float32, scale: float) -> NDArray[np.bool_]:
     return np.asarray((depth > 0) & (there > depth * (1 - HIDDEN)) & (there < depth * (1 + HIDDEN)))
 
 
-def ours(model: DepthModel, pair: Pair, rounds: int | None) -> Float32:
+def ours(predict: Predict, pair: Pair) -> Float32:
     """Disparity (H, W) of the depth that the depth stage would write."""
-    settings = DepthSettings()
-    if rounds is not None:
-        settings = DepthSettings(subpixel=type(settings.subpixel)(rounds=rounds))
     intrinsics, poses = np.stack([pair.intrinsic] * 2), np.stack([np.eye(4)] * 2)
     poses[1, 0, 3] = -pair.baseline_m
-    searched = search_range(*pair.depth_range, settings, inverse_depth=model.manifest.inverse_depth)
-    estimate = model.predict(list(pair.images), intrinsics, poses, searched)
-    greys = [normalised(image, settings.subpixel).astype(np.float16) for image in pair.images]
-    depth = finish_depth(estimate, greys, intrinsics, poses, settings=settings, threads=model.threads)
-    full = at_full_size(depth, estimate.stride, pair.depth.shape)
+    depth, _, stride = predict(list(pair.images), intrinsics, poses, pair.depth_range)
+    full = at_full_size(depth, stride, pair.depth.shape)
     scale = np.float32(pair.intrinsic[0, 0] * pair.baseline_m)
     return np.divide(scale, full, out=np.zeros_like(full), where=full > 0)
 
@@ -159,7 +149,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--first-seed", type=int, default=630000)
     parser.add_argument("--textures", help="as of training.synthesize")
     parser.add_argument("--texture-names", help="as of training.synthesize")
-    parser.add_argument("--rounds", type=int, help="sub-pixel steps; 0 leaves the network's depth")
+    subpixel = DepthSettings().subpixel
+    parser.add_argument("--rounds", type=int, default=subpixel.rounds, help="0 leaves the network's depth")
     add_result_options(parser)
     args = parser.parse_args(argv)
     check_result_options(parser, args)
@@ -167,15 +158,14 @@ def main(argv: list[str] | None = None) -> int:
         f"--{name.replace('_', '-')}={v}" for name in ("textures", "texture_names") if (v := getattr(args, name))
     ]
     synthesis = parse(["unused", *options])
-    cv2.setNumThreads(1)
-    model = DepthModel.load("field", precision=FLOAT32)
+    predict = onnx_predictor("field", settings=DepthSettings(subpixel=replace(subpixel, rounds=args.rounds)))
     errors: dict[str, dict[float, list[Float32]]] = {
         side: {p: [] for p in BASELINES_PERCENT} for side in ("field", "sgbm")
     }
     ratio = []
     for seed in range(args.first_seed, args.first_seed + args.pairs):
         for pair in pairs_of(seed, synthesis):
-            for side, found in (("field", ours(model, pair, args.rounds)), ("sgbm", semi_global(pair))):
+            for side, found in (("field", ours(predict, pair)), ("sgbm", semi_global(pair))):
                 error = np.abs(found - pair.disparity)[pair.seen]
                 errors[side][pair.percent].append(error)
                 print(
