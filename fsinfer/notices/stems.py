@@ -28,6 +28,7 @@ class StemCode(StrEnum):
     rougher_than_others = "rougher_than_others"
     edges_alone = "edges_alone"
     sources_disagree = "sources_disagree"
+    parts_disagree = "parts_disagree"
     # What else is said of a tree.
     added_by_hand = "added_by_hand"
     merged_by_hand = "merged_by_hand"
@@ -73,6 +74,7 @@ class StemCode(StrEnum):
     same_stem = "same_stem"
     forked = "forked"
     stems_outside_walk = "stems_outside_walk"
+    part_joined = "part_joined"
     corrected_by_hand = "corrected_by_hand"
     # Parts of ``corrected_by_hand``.
     tree_added = "tree_added"
@@ -107,6 +109,7 @@ SENTENCES: dict[StemCode, str] = {
     ),
     StemCode.edges_alone: "only from its edges in {photos} photos ({refused})",
     StemCode.sources_disagree: "the points say {points_cm:.1f} cm, the edges in the photos {edges_cm:.1f} cm",
+    StemCode.parts_disagree: "another part of the walk says {other_cm:.1f} cm",
     StemCode.added_by_hand: "added by hand",
     StemCode.merged_by_hand: "{tree_id} and {other_id} merged by hand",
     StemCode.as_written: "{text}",
@@ -161,6 +164,10 @@ SENTENCES: dict[StemCode, str] = {
         "{stems} stems outside of the walk are listed apart and not counted: {trees}; go nearer, or measure them with "
         "--far-stems"
     ),
+    StemCode.part_joined: (
+        "{folder} was put into the plot by the pattern of its stems: {common} that the rest saw too, "
+        "{apart_cm:.0f} cm apart, and {new} new ones"
+    ),
     StemCode.corrected_by_hand: "stem map corrected by hand: tree {changes}",
     StemCode.tree_added: "{tree_id} added",
     StemCode.tree_deleted: "{tree_id} deleted",
@@ -174,6 +181,7 @@ ADVICE: dict[StemCode, str] = {
     StemCode.too_rough: "undergrowth or bad depth at breast height",
     StemCode.too_uncertain: "walk round the stem",
     StemCode.edges_unsupported: "walk round it",
+    StemCode.parts_disagree: "check with a tape",
     StemCode.sources_disagree: "look at its strips of photographs, or check with a tape",
     StemCode.none_at_stem_height: "check the scale, or photograph the stems as well as the ground",
     StemCode.none_round: "check the scale",
@@ -188,6 +196,7 @@ REMARKS: frozenset[StemCode] = frozenset(
         StemCode.same_stem,
         StemCode.forked,
         StemCode.stems_outside_walk,
+        StemCode.part_joined,
     }
 )
 #: The sentence says already that the stem has to be walked round again.

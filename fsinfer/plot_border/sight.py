@@ -6,6 +6,7 @@ or on a corner where nobody walked.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,7 +55,7 @@ class SeenShare:
 
 
 def seen_share(
-    border: Border, points: Floats, ground: Ground, stems: Floats, *, cameras: Cameras | None = None
+    border: Border, points: Floats, ground: Ground, stems: Floats, *, cameras: Sequence[Cameras] = ()
 ) -> SeenShare:
     """Share of the area within ``border`` where a stem would have been seen.
 
@@ -62,7 +63,7 @@ def seen_share(
     ----------
     points: (N, 3) cloud, metres, z up.
     stems: (T, 3) x, y and radius at breast height; they hide what is behind them.
-    cameras: without them the ground in the cloud speaks alone.
+    cameras: of each part of the walk; without any the ground in the cloud speaks alone.
     """
     cells = plot_cells(border)
     if len(cells) == 0:
@@ -71,9 +72,10 @@ def seen_share(
     around = rows(points, near)
     low = rows(around[:, :2], np.abs(around[:, 2] - ground.height_at(around[:, :2])) <= NEAR_GROUND_M)
     seen = seen_cells(low).at(cells)
-    if cameras is None:
+    if not cameras:
         return SeenShare(share=float(seen.mean()), method=BY_GROUND)
-    seen &= views_of(cells, ground.height_at(cells), stems, cameras) >= LEAST_VIEWS
+    height_m = ground.height_at(cells)
+    seen &= np.sum([views_of(cells, height_m, stems, part) for part in cameras], axis=0) >= LEAST_VIEWS
     return SeenShare(share=float(seen.mean()), method=BY_SIGHT)
 
 

@@ -99,7 +99,14 @@ def _parts_apart(contents: Contents) -> Iterator[PartApart]:
         if re.fullmatch(r"part-[0-9]+", folder):
             photos, trees, measured = (part.get(name) for name in ("photos", "trees", "trees_with_dbh"))
             text = f"{photos} photos that nothing ties to the rest "
-            if part.get("error"):
+            joined = part.get("joined")
+            if isinstance(joined, dict):
+                text = (
+                    f"{photos} photos that share nothing with the rest were measured by themselves and put into this "
+                    f"plot by the pattern of their stems: {joined.get('common')} that the rest saw too, and "
+                    f"{joined.get('new')} new ones."
+                )
+            elif part.get("error"):
                 text += f"could not be measured: {part['error']}"
             else:
                 text += (
@@ -109,9 +116,18 @@ def _parts_apart(contents: Contents) -> Iterator[PartApart]:
             yield PartApart(link=f"{folder}/report.html", text=_sentence(text))
 
 
+def _joined(plot: Mapping[str, object]) -> list[Mapping[str, object]]:
+    """The parts whose stems are in the plot's tables."""
+    parts = plot.get("parts")
+    found = [part for part in parts if isinstance(part, dict)] if isinstance(parts, list) else []
+    return [part for part in found if isinstance(part.get("joined"), dict)]
+
+
 def _measurement_warnings(contents: Contents) -> list[str]:
     plot, texts = contents.plot, []
     photos, registered = number(plot.get("photos")), number(plot.get("registered"))
+    if photos and registered is not None:
+        registered += sum(number(part.get("registered")) or 0.0 for part in _joined(plot))
     if photos and registered is not None and registered < LEAST_PLACED * photos:
         texts.append(
             f"Only {registered:.0f} of {photos:.0f} photos could be placed: parts of the plot may be missing. Take "

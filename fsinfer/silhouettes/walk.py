@@ -8,6 +8,7 @@ is asked for.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay, QhullError
 
-from fsinfer.notices.notice import notice
+from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.scene import Scene
 from fsinfer.trees import PlotResult, Section, Tree
@@ -84,8 +85,7 @@ def apart_from_walk(
     pairs = list(zip(result.trees, result.sections, strict=True))
     inside = [pair for pair, apart in zip(pairs, far, strict=True) if not apart]
     beyond = [_apart(*pair, float(nearest[i]), s) for i, pair in enumerate(pairs) if far[i]]
-    numbers = ", ".join(str(tree.tree_id) for tree, _ in beyond)
-    told = () if s.measure_far else (notice(StemCode.stems_outside_walk, stems=len(beyond), trees=numbers),)
+    told = () if s.measure_far else (stems_outside_walk([tree for tree, _ in beyond]),)
     return replace(
         result,
         trees=tuple(tree for tree, _ in (*inside, *beyond)),
@@ -93,6 +93,11 @@ def apart_from_walk(
         diagnosis=trees_found([tree for tree, _ in inside]),
         warnings=(*result.warnings, *told),
     )
+
+
+def stems_outside_walk(trees: Sequence[Tree]) -> Notice:
+    """That these are listed apart and not counted."""
+    return notice(StemCode.stems_outside_walk, stems=len(trees), trees=", ".join(str(tree.tree_id) for tree in trees))
 
 
 def _apart(tree: Tree, section: Section, nearest_m: float, s: WalkSettings) -> tuple[Tree, Section]:

@@ -48,7 +48,8 @@ class PlotResult:
 
     ``diagnosis`` says what was found, or why nothing was. ``extent_m`` is x_min, y_min, x_max, y_max.
     With ``units_per_m`` the scale is unknown: positions and ``extent_m`` are in model units, of which so many are
-    guessed to make a metre, and the sections are in metres by that guess.
+    guessed to make a metre, and the sections are in metres by that guess. ``joined`` are stems of other parts of the
+    walk, which were measured there: they have no section here.
     """
 
     trees: tuple[Tree, ...]
@@ -60,11 +61,17 @@ class PlotResult:
     spacing_m: float
     plot_area_m2: float = 0.0
     units_per_m: float | None = None
+    joined: tuple[Tree, ...] = ()
+
+    @property
+    def all_trees(self) -> tuple[Tree, ...]:
+        """The trees, and those that other parts of the walk measured."""
+        return (*self.trees, *self.joined)
 
     @property
     def stand(self) -> StandTable:
         """Stems and basal area a hectare on ``plot_area_m2``, the area where ground was seen; none outside the walk."""
-        return stand_table([tree for tree in self.trees if not tree.outside], self.plot_area_m2)
+        return stand_table([tree for tree in self.all_trees if not tree.outside], self.plot_area_m2)
 
 
 @one_blas_thread()

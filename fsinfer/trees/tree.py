@@ -26,6 +26,9 @@ class Tree:
     Where the plot has a border (:mod:`fsinfer.plot_border`), ``in_plot`` says whether the centre is within it,
     ``border_m`` how far from it, negative outside, and ``at_border`` whether that is less than the stem's radius or
     than the error of its place.
+
+    ``part`` names the folder of the part of the walk that measured the stem, None for the walk's main part: its figures
+    and points are there (:mod:`fsinfer.trees.pattern.join`).
     """
 
     tree_id: int
@@ -49,6 +52,7 @@ class Tree:
     in_plot: bool | None = None
     border_m: float | None = None
     at_border: bool | None = None
+    part: str | None = None
 
     @property
     def outside(self) -> bool:

@@ -1,7 +1,8 @@
 """Parts of a walk that nothing ties to the rest: each is measured on its own scale, in a folder of its own.
 
-Only a part that sees boards has a scale. Its trees stand in a frame of their own, and a tree that the rest sees as well
-is in both tables: the report of the plot names the part, and the person decides.
+Only a part that sees boards has a scale. Its trees stand in a frame of their own; where the pattern of the stems tells
+how that lies in the plot, :mod:`fsinfer.workflow.joined_parts` puts them into its tables. Else a tree that both see is
+in both tables: the report of the plot names the part, and the person decides.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from fsinfer.errors import FsinferError
 from fsinfer.io.files import copy_file, make_folder
 from fsinfer.io.images import list_images, read_image
 from fsinfer.notices.capture import CaptureCode
+from fsinfer.notices.notice import Notice
 from fsinfer.plot_border.request import BorderRequest
 from fsinfer.poses.estimate import PosesResult
 from fsinfer.scale.detection import detect_markers, make_detector
@@ -58,13 +60,13 @@ def measure_parts(
     """
     files = {path.stem: path for path in list_images(images)}
     found = []
-    apart = [told.values["names"] for told in poses.warnings if told.code == CaptureCode.part_apart]
-    for number, names in enumerate(apart, start=2):
+    for told, name in folders_of_parts(poses).items():
+        names = told.values["names"]
         paths = [files[str(name)] for name in names if str(name) in files] if isinstance(names, tuple) else []
         if len(paths) < _LEAST_PHOTOS or not _sees_boards(paths, settings.scale):
             _log.info("a part of %d photos has no scale of its own, or is too small", len(paths))
             continue
-        folder = out / f"part-{number}"
+        folder = out / name
         photos = make_folder(folder / "photos")
         for path in paths:
             if not (photos / path.name).is_file():
@@ -79,6 +81,12 @@ def measure_parts(
         )
         found.append(result)
     return tuple(found)
+
+
+def folders_of_parts(poses: PosesResult) -> dict[Notice, str]:
+    """Name of the folder of each part that the poses left apart, by what they said of it."""
+    apart = [told for told in poses.warnings if told.code == CaptureCode.part_apart]
+    return {told: f"part-{number}" for number, told in enumerate(apart, start=2)}
 
 
 def _of_part(settings: RunSettings) -> RunSettings:

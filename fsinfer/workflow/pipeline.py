@@ -37,6 +37,7 @@ from fsinfer.workflow.cloud_stages import (
     scene_of,
 )
 from fsinfer.workflow.folder_lock import alone_in
+from fsinfer.workflow.joined_parts import digests_of
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
 from fsinfer.workflow.parts import PartResult, measure_parts
 from fsinfer.workflow.photo_stages import choose_frames, register_photos, require_poses, source_files
@@ -53,7 +54,7 @@ class ReportResult:
     path: Path
 
 
-TREES = Stage(name="trees", version=5, result=TreesResult, outputs=("trees.csv", "figures"))
+TREES = Stage(name="trees", version=6, result=TreesResult, outputs=("trees.csv", "figures"))
 REPORT = Stage(name="report", version=1, result=ReportResult, outputs=("report.html",))
 
 
@@ -149,10 +150,6 @@ def run_from_scene(
     )
     m_per_unit = scale.result.scale.m_per_unit
     cloud = place_plot(ledger, scene, fused, m_per_unit=m_per_unit, settings=settings.level, progress=progress)
-    trees = _measure_trees(ledger, depth, scale, cloud, settings=settings, edits=corrections, progress=progress)
-    records = PlotRecords(
-        frames=frames, poses=poses, depth=depth, check=check, fuse=fused, scale=scale, cloud=cloud, trees=trees
-    )
     parts: tuple[PartResult, ...] = ()
     if apart:
 
@@ -161,6 +158,13 @@ def run_from_scene(
             return done.poses.result.registered, done.trees.result.trees, done.trees.result.trees_with_dbh
 
         parts = measure_parts(out, out / "frames" / "images", poses.result, settings, run_part)
+    folders = [out / part.folder for part in parts if not part.error]
+    trees = _measure_trees(
+        ledger, depth, scale, cloud, settings=settings, edits=corrections, parts=folders, progress=progress
+    )
+    records = PlotRecords(
+        frames=frames, poses=poses, depth=depth, check=check, fuse=fused, scale=scale, cloud=cloud, trees=trees
+    )
     settings_json = dict(as_json(settings))
     report = _report(ledger, summarize(records, settings=settings_json, source=source, parts=parts), trees, progress)
     plot = summarize(records, settings=settings_json, source=source, parts=parts, report=report)
@@ -184,9 +188,10 @@ def _measure_trees(
     *,
     settings: RunSettings,
     edits: Sequence[TreeEdit],
+    parts: Sequence[Path],
     progress: StageProgress,
 ) -> StageRecord[TreesResult]:
-    """Stage ``trees``: tables, maps and figures."""
+    """Stage ``trees``: tables, maps and figures; with the stems of ``parts``, folders of those measured apart."""
     out, scale, cloud = ledger.out, found.result.scale, placed.result
 
     def work(_resume: bool) -> TreesResult:
@@ -199,6 +204,7 @@ def _measure_trees(
             marker_numbers=tuple(marker.id for marker in scale.markers),
             photos=photos_of_run(out, scene_of(out), cloud.cloud_from_scene),
             edits=edits,
+            parts=parts,
         )
         try:
             return measure_plot(given, out, settings=of_trees, progress=progress("trees"))
@@ -212,8 +218,11 @@ def _measure_trees(
         stem_curve=settings.stem_curve,
         border=settings.border,
         walk=settings.walk,
+        pattern=settings.pattern,
     )
-    inputs = {"settings": speedless(of_trees), "rel_std": scale.rel_std, "edits": edits}
+    inputs = {
+        "settings": speedless(of_trees), "rel_std": scale.rel_std, "edits": edits, "parts": digests_of(parts),
+    }  # fmt: skip
     return ledger.run(TREES, work, inputs=inputs, after=[depth, found, placed])
 
 

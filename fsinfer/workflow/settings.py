@@ -18,6 +18,7 @@ from fsinfer.scale.square_fit import MarkerSettings
 from fsinfer.silhouettes.join import SilhouetteJoinSettings
 from fsinfer.silhouettes.walk import WalkSettings
 from fsinfer.trees import TreeSettings
+from fsinfer.trees.pattern.match import PatternSettings
 from fsinfer.trees.stem_curve import CurveSettings
 
 # How the work is spread over the machine does not change what comes out. The precision asked for and the trust in a
@@ -46,6 +47,7 @@ class RunSettings:
     stem_curve: CurveSettings = field(default_factory=CurveSettings)
     border: BorderRequest = field(default_factory=BorderRequest)
     walk: WalkSettings = field(default_factory=WalkSettings)
+    pattern: PatternSettings = field(default_factory=PatternSettings)
 
 
 def speedless(settings: Any) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from fsinfer.poses.estimate import PosesResult
 from fsinfer.scale.find import FoundScale
 from fsinfer.workflow.cloud_stages import FusedCloud, PlotCloud
 from fsinfer.workflow.ledger import StageRecord
-from fsinfer.workflow.parts import PartResult
+from fsinfer.workflow.parts import PartResult, folders_of_parts
 from fsinfer.workflow.tree_stage import TreesResult
 
 MODEL_UNITS = "model units"
@@ -87,10 +87,12 @@ def summarize(
     ``warning_codes`` are the ``warnings`` with their codes and values, in the same order; ``made_by`` is the version of
     fsinfer that did each stage, which may be older than that in ``versions``. ``stand`` is of the seen ground in any
     case; ``plot_border`` holds the plot within its border and its figures a hectare, and ``per_hectare_of`` says
-    which of the two is the plot.
+    which of the two is the plot. ``parts`` were measured apart; ``joined`` tells how one lies in the plot whose stems
+    are in its tables, and is null for one that stands alone.
     """
     frames, poses, scale = records.frames.result, records.poses.result, records.scale.result.scale
     cloud, trees, depth = records.cloud.result, records.trees.result, records.depth.result
+    joined = {part.name: part for part in trees.joined}
     done = (*records.in_order, *(() if report is None else (report,)))
     seconds = {record.name: record.seconds for record in done}
     peaks = [record.peak_rss_mb for record in done if record.peak_rss_mb is not None]
@@ -119,10 +121,10 @@ def summarize(
         "model": depth.model,
         "model_sha256": depth.model_sha256,
         "model_precision": depth.precision,
-        **warning_values(all_warnings(records)),
+        **warning_values(all_warnings(records, joined)),
         "settings": dict(settings),
         **border_values(trees),
-        "parts": list(parts),
+        "parts": [as_json(part) | {"joined": as_json(joined.get(part.folder))} for part in parts],
     }
     return dict(finite(as_json(plot)))
 
@@ -156,12 +158,16 @@ def warning_values(warnings: Iterable[Notice]) -> dict[str, Any]:
     return {"warnings": [sentence(item) for item in given], "warning_codes": codes}
 
 
-def all_warnings(records: PlotRecords) -> tuple[Notice, ...]:
-    """What all stages warn of; that there is no scale is said once, by the stage that looked for one."""
+def all_warnings(records: PlotRecords, joined: Collection[str] = ()) -> tuple[Notice, ...]:
+    """What all stages warn of; that there is no scale is said once, by the stage that looked for one.
+
+    Of the parts that the poses left apart those in ``joined`` (their folders) were tied to the rest later.
+    """
     found = records.scale.result.warnings
+    apart = folders_of_parts(records.poses.result)
     return (
         *records.frames.result.warnings,
-        *records.poses.result.warnings,
+        *(told for told in records.poses.result.warnings if apart.get(told) not in joined),
         *found,
         *records.cloud.result.warnings,
         *no_scale_once(found, records.trees.result.warnings),

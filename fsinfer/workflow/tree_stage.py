@@ -31,8 +31,11 @@ from fsinfer.trees.outputs.maps import write_maps
 from fsinfer.trees.outputs.reasons import write_reasons
 from fsinfer.trees.outputs.table import write_trees
 from fsinfer.trees.outputs.workbook import write_tables
+from fsinfer.trees.pattern.join import JoinedPart
+from fsinfer.trees.pattern.match import PatternSettings
 from fsinfer.trees.posts import without_posts
 from fsinfer.trees.stem_curve import CurvePoint, CurveSettings, stem_curves, write_curves
+from fsinfer.workflow.joined_parts import JoinedParts, cameras_of, copy_figures, join_measured
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +54,7 @@ class TreesResult:
     ----------
     trees, trees_with_dbh, trees_with_silhouette: numbers of stems; of those with a DBH; with edges in photographs.
     trees_outside: stems outside of the walk, which are not among ``trees``.
+    joined: parts of the walk, measured apart, whose stems are among ``trees``.
     ground_method: how the ground was found, None where it was not.
     diagnosis: what was found, or why nothing was.
     stand: the stand table of the seen ground; plot_area_m2: its area, None when unknown.
@@ -70,6 +74,7 @@ class TreesResult:
     plot: PlotFigures | None = None
     warnings: tuple[Notice, ...] = ()
     trees_outside: int = 0
+    joined: tuple[JoinedPart, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,6 +93,8 @@ class PlotCloudInput:
     epsg: code of the cloud's horizontal frame; None for local metres.
     photos: those the cloud was made of; the stems' edges in them make the diameters sharper (metres only).
     edits: corrections by hand (:mod:`fsinfer.trees.edits`), applied to what was found.
+    parts: folders of parts of the walk that were measured apart; their stems are put into this plot where their pattern
+        tells how (metres only).
     write_labelled: writes ``trees.laz`` instead, for a cloud of which only a part is in memory.
     """
 
@@ -100,6 +107,7 @@ class PlotCloudInput:
     epsg: int | None = None
     photos: StemPhotos | None = None
     edits: Sequence[TreeEdit] = ()
+    parts: Sequence[Path] = ()
     write_labelled: Callable[[Path, PlotResult], None] | None = None
 
 
@@ -112,6 +120,7 @@ class TreeStageSettings:
     stem_curve: CurveSettings = field(default_factory=CurveSettings)
     border: BorderRequest = field(default_factory=BorderRequest)
     walk: WalkSettings = field(default_factory=WalkSettings)
+    pattern: PatternSettings = field(default_factory=PatternSettings)
 
 
 def measure_plot(
@@ -137,9 +146,17 @@ def measure_plot(
     if given.metric:
         measured = replace(measured, warnings=(*measured.warnings, *forks(measured.trees, measured.sections)))
     curves = stem_curves(given.cloud.xyz, measured, settings=settings.stem_curve) if given.metric else {}
-    bordered, plot = _draw_border(measured, given, settings)
+    whole, added = join_measured(
+        measured,
+        given.cloud.xyz,
+        given.parts if given.metric else (),
+        settings=settings.pattern,
+        ground=settings.trees.ground,
+    )
+    bordered, plot = _draw_border(whole, given, settings, added, out)
     _write(bordered, given, out, curves, plot)
-    return _summary(bordered, plot)
+    copy_figures(out, bordered, added.numbers)
+    return replace(_summary(bordered, plot), joined=added.parts)
 
 
 def no_trees(out: Path, *, reason: Notice) -> TreesResult:
@@ -230,7 +247,7 @@ def _look_at_photos(
 
 
 def _draw_border(
-    result: PlotResult, given: PlotCloudInput, settings: TreeStageSettings
+    result: PlotResult, given: PlotCloudInput, settings: TreeStageSettings, added: JoinedParts, out: Path
 ) -> tuple[PlotResult, PlotFigures | None]:
     """The trees sorted by the plot's border, and its figures; None where there is no border or it cannot be placed."""
     request = settings.border
@@ -239,19 +256,24 @@ def _draw_border(
     if not given.metric:
         return _without_border(result, notice(PlotCode.no_metres)), None
     photos = given.photos
-    cameras = None if photos is None else Cameras(scene=photos.scene, cloud_from_scene=photos.cloud_from_scene)
+    own = () if photos is None else (Cameras(scene=photos.scene, cloud_from_scene=photos.cloud_from_scene),)
+    cameras = (*own, *cameras_of(out, added.parts)) if own else ()
     centers = [] if given.marker_xyz is None else [(float(x), float(y)) for x, y, _ in given.marker_xyz]
     border = place_border(
         request,
-        cameras_xy=None if cameras is None else cameras.places[:, :2],
+        cameras_xy=np.concatenate([part.places[:, :2] for part in cameras]) if cameras else None,
         markers=list(zip(given.marker_numbers, centers, strict=True)),
     )
     if isinstance(border, Notice):
         return _without_border(result, border), None
-    seen = seen_share(border, given.cloud.xyz, result.ground, stem_circles(result.trees), cameras=cameras)
-    plot = plot_of(result.trees, border, seen, slope_deg=result.ground.slope_deg, scale_rel_std=given.scale_rel_std)
+    trees = result.all_trees
+    ground_of_parts = np.column_stack([added.ground_xy, result.ground.height_at(added.ground_xy)])
+    points = np.concatenate([given.cloud.xyz, ground_of_parts]) if len(added.ground_xy) else given.cloud.xyz
+    seen = seen_share(border, points, result.ground, stem_circles(trees), cameras=cameras)
+    plot = plot_of(trees, border, seen, slope_deg=result.ground.slope_deg, scale_rel_std=given.scale_rel_std)
     told = (*result.warnings, *plot.warnings)
-    return replace(result, trees=plot.trees, warnings=told), plot.figures
+    count = len(result.trees)
+    return replace(result, trees=plot.trees[:count], joined=plot.trees[count:], warnings=told), plot.figures
 
 
 def _without_border(result: PlotResult, why: Notice) -> PlotResult:
@@ -278,15 +300,15 @@ def _write(
     """Tables, figures, maps and labelled points."""
     from fsinfer.trees.outputs.figures import write_figures  # loads matplotlib
 
-    write_trees(out / "trees.csv", result.trees)
-    write_reasons(out / "trees.json", result.trees)
+    write_trees(out / "trees.csv", result.all_trees)
+    write_reasons(out / "trees.json", result.all_trees)
     border = None if plot is None else plot.border.outline
     write_figures(out / "figures", result, curves=curves, border=border)
     if not given.metric:
         return
     write_curves(out / "stem_curve.csv", curves.values())
     write_tables(out / "trees.xlsx", result, curves, plot=() if plot is None else figure_rows(plot))
-    write_maps(out, result.trees, epsg=given.epsg)
+    write_maps(out, result.all_trees, epsg=given.epsg)
     if given.write_labelled is not None:
         given.write_labelled(out / "trees.laz", result)
         return
@@ -295,20 +317,21 @@ def _write(
 
 
 def _summary(result: PlotResult, plot: PlotFigures | None) -> TreesResult:
-    counted = [pair for pair in zip(result.trees, result.sections, strict=True) if not pair[0].outside]
-    unmeasured = [tree for tree, _ in counted if tree.dbh_cm is None]
+    counted = [tree for tree in result.all_trees if not tree.outside]
+    unmeasured = [tree for tree in counted if tree.dbh_cm is None]
+    own = zip(result.trees, result.sections, strict=True)
     return TreesResult(
         trees=len(counted),
         trees_with_dbh=len(counted) - len(unmeasured),
-        trees_with_silhouette=sum(section.silhouette is not None for _, section in counted),
+        trees_with_silhouette=sum(section.silhouette is not None for tree, section in own if not tree.outside),
         ground_method=None if result.ground is None else result.ground.method,
         diagnosis=result.diagnosis,
         stand=result.stand,
         plot_area_m2=result.plot_area_m2 or None,
         unmeasured=tuple(UnmeasuredTree(tree_id=tree.tree_id, reasons=tree.reasons) for tree in unmeasured),
         plot=plot,
-        warnings=(*result.warnings, *(() if result.trees else (result.diagnosis,))),
-        trees_outside=len(result.trees) - len(counted),
+        warnings=(*result.warnings, *(() if result.all_trees else (result.diagnosis,))),
+        trees_outside=len(result.all_trees) - len(counted),
     )
 
 

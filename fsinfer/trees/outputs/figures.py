@@ -70,8 +70,8 @@ def plot_stem_map(result: PlotResult, path: Path, *, border: NDArray[np.float64]
     axes.add_patch(Rectangle(box[:2], *box[2:], fill=False, edgecolor="0.75", linestyle="--", linewidth=1.0))
     if border is not None:
         axes.add_patch(Polygon(border, fill=False, edgecolor=_BORDER, linewidth=1.6))
-    shown = [tree for tree in result.trees if x0 <= tree.x_m <= x1 and y0 <= tree.y_m <= y1]
-    unseen = len(result.trees) - len(shown)
+    shown = [tree for tree in result.all_trees if x0 <= tree.x_m <= x1 and y0 <= tree.y_m <= y1]
+    unseen = len(result.all_trees) - len(shown)
     for tree in shown:
         # Where no diameter is known, a small ring only marks the place.
         radius = 0.1 * metre if tree.dbh_cm is None else tree.dbh_cm / 200.0
@@ -87,15 +87,15 @@ def plot_stem_map(result: PlotResult, path: Path, *, border: NDArray[np.float64]
             (tree.x_m + 0.75 * radius, tree.y_m + 0.75 * radius),
             xytext=(3, 2),
             textcoords="offset points",
-            fontsize=8 if len(result.trees) <= 60 else 6,
+            fontsize=8 if len(result.all_trees) <= 60 else 6,
             linespacing=1.1,
             va="bottom",
         )
     axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal")
     unit = "m" if result.units_per_m is None else "model units"
     axes.set(xlabel=f"x ({unit})", ylabel=f"y ({unit})")
-    found = f"{len(result.trees)} tree{'' if len(result.trees) == 1 else 's'}"
-    measured = sum(tree.dbh_cm is not None for tree in result.trees)
+    found = f"{len(result.all_trees)} tree{'' if len(result.all_trees) == 1 else 's'}"
+    measured = sum(tree.dbh_cm is not None for tree in result.all_trees)
     told = f"{measured} with a DBH (circles to scale)" if result.units_per_m is None else "no scale, no DBH"
     axes.grid(color="0.94")
     axes.set_axisbelow(True)
@@ -114,17 +114,17 @@ def plot_stem_map(result: PlotResult, path: Path, *, border: NDArray[np.float64]
         words = "border of the plot (pale: outside)"
         handles.append(Line2D([], [], color=_BORDER, linewidth=1.6, label=words))
     figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=9, frameon=False)
-    if not result.trees:
+    if not result.all_trees:
         axes.text(0.5, 0.5, "no trees found", transform=axes.transAxes, ha="center", color="0.4")
     _save(figure, path)
 
 
 def _frame(result: PlotResult, border: NDArray[np.float64] | None, metre: float) -> tuple[float, float, float, float]:
     """Least and greatest x and y of the map: its stems, its border, and room for their labels."""
-    places = [(tree.x_m, tree.y_m) for tree in result.trees if not tree.outside]
+    places = [(tree.x_m, tree.y_m) for tree in result.all_trees if not tree.outside]
     if not places:
         x0, y0, x1, y1 = result.extent_m
-        places = [(x0, y0), (x1, y1), *((tree.x_m, tree.y_m) for tree in result.trees)]
+        places = [(x0, y0), (x1, y1), *((tree.x_m, tree.y_m) for tree in result.all_trees)]
     corners = np.array([*places, *([] if border is None else border)])
     (x0, y0), (x1, y1) = corners.min(axis=0), corners.max(axis=0)
     margin = max(0.08 * max(x1 - x0, y1 - y0), metre)

@@ -6,8 +6,10 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
+from fsinfer.errors import InputError
 from fsinfer.io.files import write_text
-from fsinfer.notices.notice import Notice, notice_json
+from fsinfer.io.json_text import read_json
+from fsinfer.notices.notice import Notice, notice_json, notice_of_json
 from fsinfer.notices.sentences import advises_revisit, sentence
 from fsinfer.trees.tree import Tree
 
@@ -19,6 +21,15 @@ def write_reasons(path: Path, trees: Sequence[Tree]) -> None:
         for tree in trees
     ]
     write_text(path, json.dumps(entries, indent=1, ensure_ascii=False) + "\n")
+
+
+def read_reasons(path: Path) -> dict[int, tuple[Notice, ...]]:
+    """The reasons by ``tree_id``, as :func:`write_reasons` wrote them; :class:`InputError` for anything else."""
+    try:
+        return {int(entry["tree_id"]): tuple(map(notice_of_json, entry["reasons"])) for entry in read_json(path)}
+    except (OSError, TypeError, KeyError, ValueError) as error:
+        msg = f"cannot read {path} ({error}); delete its folder and run the command again"
+        raise InputError(msg) from error
 
 
 def _reason(why: Notice) -> dict[str, object]:

@@ -16,7 +16,7 @@ from fsinfer.trees.tree import Tree
 COLUMNS: tuple[str, ...] = tuple("reason" if field.name == "reasons" else field.name for field in fields(Tree))
 _OPTIONAL = frozenset(field.name for field in fields(Tree) if "None" in str(field.type))
 _INTEGERS = frozenset({"tree_id", "points"})
-_TEXT = frozenset({"status", "reason"})
+_TEXT = frozenset({"status", "reason", "part"})
 _YES_OR_NO = frozenset(field.name for field in fields(Tree) if str(field.type).startswith("bool"))
 #: Columns that a table of an earlier version lacks; they are read as empty.
 _LATER = frozenset(field.name for field in fields(Tree) if field.default is not MISSING)
@@ -74,7 +74,7 @@ def _tree(row: CsvRow) -> Tree:
             text = row.text(name)
             values["reasons"] = (notice(StemCode.as_written, text=text),) if text else ()
         elif name in _TEXT:
-            values[name] = row.text(name)
+            values[name] = row.text(name) or (None if name in _OPTIONAL else "")
         elif name in _YES_OR_NO:
             given = row.number(name)
             values[name] = None if given is None else given != 0

@@ -81,7 +81,7 @@ def write_tables(
     body = io.BytesIO()
     with xlsxwriter.Workbook(body, _OPTIONS | {"in_memory": True}) as book:
         book.set_properties({"title": "Trees of a plot", "comments": "written by fsinfer", "created": _CREATED})
-        _write_sheet(book, "trees", COLUMNS, map(table_row, result.trees), _format_of_column)
+        _write_sheet(book, "trees", COLUMNS, map(table_row, result.all_trees), _format_of_column)
         stand = asdict(result.stand).items()
         _write_sheet(book, "stand", ("figure", "value"), stand, lambda _, row: _number_format(str(row[0])))
         if plot:

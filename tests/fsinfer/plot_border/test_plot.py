@@ -172,14 +172,14 @@ def test_two_photos_must_look_at_a_place(walked: Cameras) -> None:
     points = ground_points(-12, 12)
     border = Border(center=(0.0, 0.0), radius_m=4.0, origin="walk", moves_along=True)
     stems = np.array(STEMS)
-    assert seen_share(border, points, FLAT, stems, cameras=one_view(walked)).share == 0.0
-    whole = seen_share(border, points, FLAT, stems, cameras=walked)
+    assert seen_share(border, points, FLAT, stems, cameras=[one_view(walked)]).share == 0.0
+    whole = seen_share(border, points, FLAT, stems, cameras=[walked])
     assert whole.share == 1.0
     assert "fewer than 2 photos" in whole.method
     # A walk along one side, and a thick stem in the middle.
     side = replace(walked, scene=Scene(folder=Path(), views=walked.scene.views[:3]))
-    shadow = seen_share(border, points, FLAT, np.array([[1.0, 0.4, 0.8]]), cameras=side).share
-    open_view = seen_share(border, points, FLAT, np.zeros((0, 3)), cameras=side).share
+    shadow = seen_share(border, points, FLAT, np.array([[1.0, 0.4, 0.8]]), cameras=[side]).share
+    open_view = seen_share(border, points, FLAT, np.zeros((0, 3)), cameras=[side]).share
     assert 0.2 < shadow < open_view - 0.1
 
 

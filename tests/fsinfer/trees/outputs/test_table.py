@@ -35,7 +35,7 @@ def result(plot: StemPlot) -> PlotResult:
 def test_columns_are_those_of_the_contract() -> None:
     assert ",".join(COLUMNS) == (
         "tree_id,x_m,y_m,z_ground_m,dbh_cm,dbh_lo95_cm,dbh_hi95_cm,dbh_perimeter_cm,dbh_min_cm,dbh_max_cm,"
-        "bh_m,arc_coverage,points,residual_cm,lean_deg,height_m,status,reason,in_plot,border_m,at_border"
+        "bh_m,arc_coverage,points,residual_cm,lean_deg,height_m,status,reason,in_plot,border_m,at_border,part"
     )
 
 
@@ -56,27 +56,29 @@ def test_table_round_trip(tmp_path: Path, result: PlotResult) -> None:
     write_trees(tmp_path / "trees.csv", [*result.trees, unmeasured])
     back = read_trees(tmp_path / "trees.csv")
     assert back[-1] == unmeasured
-    assert all(tree.in_plot is tree.border_m is tree.at_border is None for tree in back)
+    assert all(tree.in_plot is tree.border_m is tree.at_border is None and tree.part is None for tree in back)
     assert [tree.dbh_cm for tree in back[:-1]] == pytest.approx([tree.dbh_cm for tree in result.trees], abs=0.006)
     assert [tree.x_m for tree in back[:-1]] == pytest.approx([tree.x_m for tree in result.trees], abs=0.0006)
 
 
 def test_columns_of_the_border_round_trip_and_an_older_table_lacks_them(tmp_path: Path, result: PlotResult) -> None:
     path = tmp_path / "trees.csv"
-    inside = replace(result.trees[0], in_plot=True, border_m=0.25, at_border=True)
+    inside = replace(result.trees[0], in_plot=True, border_m=0.25, at_border=True, part="part-2")
     outside = replace(result.trees[1], in_plot=False, border_m=-3.125, at_border=False)
     write_trees(path, [inside, outside])
-    assert [(tree.in_plot, tree.border_m, tree.at_border) for tree in read_trees(path)] == [
-        (True, 0.25, True),
-        (False, -3.125, False),
+    assert [(tree.in_plot, tree.border_m, tree.at_border, tree.part) for tree in read_trees(path)] == [
+        (True, 0.25, True, "part-2"),
+        (False, -3.125, False, None),
     ]
-    assert [line.rsplit(",", 3)[1:] for line in path.read_text().splitlines()[1:]] == [
-        ["1", "0.250", "1"],
-        ["0", "-3.125", "0"],
+    assert [line.rsplit(",", 4)[1:] for line in path.read_text().splitlines()[1:]] == [
+        ["1", "0.250", "1", "part-2"],
+        ["0", "-3.125", "0", ""],
     ]
-    older = [",".join(line.split(",")[:-3]) for line in path.read_text().splitlines()]
+    older = [",".join(line.split(",")[:-4]) for line in path.read_text().splitlines()]
     path.write_text("\n".join(older))
-    assert read_trees(path) == [replace(t, in_plot=None, border_m=None, at_border=None) for t in read_trees(path)]
+    read = read_trees(path)
+    assert read == [replace(t, in_plot=None, border_m=None, at_border=None, part=None) for t in read]
+    assert [tree.tree_id for tree in read] == [inside.tree_id, outside.tree_id]
 
 
 def test_reasons_are_written_as_codes_with_values_and_words(tmp_path: Path, result: PlotResult) -> None:

@@ -95,7 +95,7 @@ def test_a_plot_with_a_border_has_a_sheet(plot: Plot, tmp_path: Path) -> None:
     trees, _, sheet, _ = read_sheets(tmp_path / "trees.xlsx")
     assert (sheet.name, sheet.rows()[1:]) == ("plot", [list(row) for row in figures])
     assert (sheet.formats["B2"], sheet.formats["B3"]) == ("0.00", "0")
-    assert trees.rows()[1][-3:] == [True, 1.25, False]
+    assert trees.rows()[1][-4:-1] == [True, 1.25, False]
 
 
 def test_numbers_are_shown_by_their_unit(plot: Plot, tmp_path: Path) -> None:

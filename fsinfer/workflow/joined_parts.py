@@ -1,0 +1,165 @@
+"""Parts of a walk that were measured apart, put into the plot's tables by the pattern of their stems."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.errors import FsinferError
+from fsinfer.geometry.similarity import apply, compose
+from fsinfer.io.cloud import read_cloud
+from fsinfer.io.digest import file_digest
+from fsinfer.io.files import copy_file
+from fsinfer.notices.notice import Notice
+from fsinfer.notices.stems import StemCode
+from fsinfer.output.layout import OutputFolder
+from fsinfer.output.plot_json import read_plot
+from fsinfer.plot_border.sight import Cameras
+from fsinfer.scene import read_scene
+from fsinfer.silhouettes.walk import stems_outside_walk
+from fsinfer.trees.ground.ground import GroundSettings, find_ground
+from fsinfer.trees.measure import PlotResult, trees_found
+from fsinfer.trees.outputs.reasons import read_reasons
+from fsinfer.trees.outputs.table import read_trees
+from fsinfer.trees.pattern.join import JoinedPart, PartStems, join_parts
+from fsinfer.trees.pattern.match import PatternSettings
+from fsinfer.trees.points.cells import rows
+from fsinfer.trees.stand import CELL_M, NEAR_GROUND_M, seen_area, seen_cells
+from fsinfer.trees.tree import OUTSIDE, Tree
+
+_log = logging.getLogger(__name__)
+Floats = NDArray[np.float64]
+#: Places in a cell that stand for it: a turned raster must leave no holes. Source: geometry.
+_QUARTERS = ((0.25, 0.25), (0.25, 0.75), (0.75, 0.25), (0.75, 0.75))
+
+
+@dataclass(frozen=True, kw_only=True)
+class JoinedParts:
+    """What joined parts add to a plot.
+
+    Attributes
+    ----------
+    parts: those that are joined. numbers: of their stems in their parts, by those in the plot.
+    ground_xy: (N, 2), where they saw ground, in the plot's frame.
+    """
+
+    parts: tuple[JoinedPart, ...] = ()
+    numbers: dict[int, int] = field(default_factory=dict)
+    ground_xy: Floats = field(default_factory=lambda: np.zeros((0, 2)))
+
+
+def digests_of(folders: Sequence[Path]) -> list[str]:
+    """What the stems of the parts depend on."""
+    return [file_digest(path) for folder in folders if (path := OutputFolder(folder).trees_csv).is_file()]
+
+
+def join_measured(
+    result: PlotResult, points: Floats, folders: Sequence[Path], *, settings: PatternSettings, ground: GroundSettings
+) -> tuple[PlotResult, JoinedParts]:
+    """The plot with the stems of the parts in ``folders``, each stem once.
+
+    Parameters
+    ----------
+    points: (N, 3), the plot's cloud. folders: of parts that were measured; one without metres, or that cannot be read,
+        stays apart.
+
+    Returns
+    -------
+    The plot, whose area holds the ground of the joined parts, and what they add besides.
+    """
+    if not folders:
+        return result, JoinedParts()
+    stems = [part for folder in folders if (part := _stems_of(folder)) is not None]
+    joined = join_parts(result.trees, stems, settings=settings)
+    stay = {tree.tree_id for tree in joined.stay}
+    pairs = [pair for pair in zip(result.trees, result.sections, strict=True) if pair[0].tree_id in stay]
+    by_name = {folder.name: folder for folder in folders}
+    added = JoinedParts(
+        parts=joined.parts,
+        numbers=joined.numbers,
+        ground_xy=np.concatenate([np.zeros((0, 2)), *(_ground_of(by_name[p.name], p, ground) for p in joined.parts)]),
+    )
+    if not joined.parts:
+        return result, JoinedParts()
+    told = (*_outside_now(result.warnings, (*joined.stay, *joined.joined)), *joined.warnings)
+    plot = replace(
+        result,
+        diagnosis=trees_found((*joined.stay, *joined.joined)),
+        trees=tuple(tree for tree, _ in pairs),
+        sections=tuple(section for _, section in pairs),
+        joined=joined.joined,
+        warnings=told,
+    )
+    return replace(plot, plot_area_m2=_area(plot, points, added.ground_xy)), added
+
+
+def cameras_of(out: Path, parts: Sequence[JoinedPart]) -> tuple[Cameras, ...]:
+    """The cameras of joined parts, in the plot's frame."""
+    found = []
+    for part in parts:
+        folder = out / part.name
+        own = np.asarray(read_plot(folder)["cloud_from_scene"], np.float64)
+        place = compose(part.plot_from_part, own)
+        found.append(Cameras(scene=read_scene(OutputFolder(folder).scene), cloud_from_scene=place))
+    return tuple(found)
+
+
+def copy_figures(out: Path, plot: PlotResult, numbers: dict[int, int]) -> None:
+    """The figures of joined stems, by their numbers in the plot; ``numbers`` are those in their parts."""
+    there = OutputFolder(out)
+    for tree in plot.joined:
+        part = OutputFolder(out / str(tree.part))
+        number = numbers[tree.tree_id]
+        for source, target in (
+            (part.section_figure(number), there.section_figure(tree.tree_id)),
+            (part.edges_figure(number), there.edges_figure(tree.tree_id)),
+        ):
+            if source.is_file():
+                copy_file(source, target)
+
+
+def _outside_now(warnings: Sequence[Notice], trees: Sequence[Tree]) -> tuple[Notice, ...]:
+    """The warnings, of which the one about stems outside of the walk names those that no part measured."""
+    outside = [tree for tree in trees if tree.status == OUTSIDE]
+    others = tuple(told for told in warnings if told.code != StemCode.stems_outside_walk)
+    return (*others, stems_outside_walk(outside)) if outside and len(others) < len(warnings) else others
+
+
+def _stems_of(folder: Path) -> PartStems | None:
+    """The stems that a part measured, None where it has no metres or cannot be read."""
+    part = OutputFolder(folder)
+    try:
+        if read_plot(folder).get("units") != "m":
+            return None
+        reasons = read_reasons(part.trees_json)
+        trees = tuple(replace(tree, reasons=reasons[tree.tree_id]) for tree in read_trees(part.trees_csv))
+    except (FsinferError, OSError, KeyError) as error:
+        _log.info("the stems of %s cannot be read: %s", folder.name, error)
+        return None
+    return PartStems(name=folder.name, trees=trees)
+
+
+def _ground_of(folder: Path, part: JoinedPart, settings: GroundSettings) -> Floats:
+    """Middles (N, 2) of the quarters of the cells where the part saw ground, in the plot's frame."""
+    points = read_cloud(OutputFolder(folder).cloud_ply).xyz
+    ground = find_ground(points, settings=settings)
+    low = rows(points[:, :2], np.abs(points[:, 2] - ground.height_at(points[:, :2])) <= NEAR_GROUND_M)
+    cells = seen_cells(low)
+    corners = cells.corner + CELL_M * np.argwhere(cells.seen)
+    quarters = (corners[:, None] + CELL_M * np.array(_QUARTERS)).reshape(-1, 2)
+    flat = np.column_stack([quarters, np.zeros(len(quarters))])
+    return np.asarray(apply(part.plot_from_part, flat)[:, :2])
+
+
+def _area(plot: PlotResult, points: Floats, more_xy: Floats) -> float:
+    """Where the ground was seen, square metres, with that of the parts."""
+    if not len(more_xy) or plot.ground is None:
+        return plot.plot_area_m2
+    low = rows(points[:, :2], np.abs(points[:, 2] - plot.ground.height_at(points[:, :2])) <= NEAR_GROUND_M)
+    places = np.array([[tree.x_m, tree.y_m] for tree in plot.all_trees if not tree.outside]).reshape(-1, 2)
+    return seen_area(np.concatenate([low, more_xy]), places)
