@@ -79,7 +79,7 @@ def test_the_scatter_of_an_edge_is_found_by_few_of_them() -> None:
 def solution(radius_m: float, log_posterior: float) -> _Solution:
     none = np.zeros(0)
     return _Solution(
-        x=np.array([radius_m]), weight=none, scores=none, information=none, noise_m=0.001, precision=none,
+        x=np.array([radius_m]), own=none, weight=none, scores=none, information=none, noise_m=0.001, precision=none,
         log_posterior=log_posterior,
     )  # fmt: skip
 
