@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsinfer.trees.diameter.second_pair import second_pair
+from fsinfer.trees.diameter.second_pair import SecondPairSettings, second_pair
 from fsinfer.trees.diameter.silhouette import Edges, fit_silhouette
 from training.simulate.stem_edges import edges_from_rows
 
@@ -67,6 +67,32 @@ def test_two_parts_that_each_find_another_size_do_not_agree() -> None:
     found = second_pair(together(one, other), 0.062, taper=TAPER)
     assert found.radii_m == pytest.approx((0.05, 0.08), abs=0.004)
     assert not found.agree
+
+
+@pytest.mark.parametrize(("aside_m", "agree"), [(0.03, True), (0.08, False)])
+def test_the_place_that_one_part_cannot_see_is_not_asked_for(aside_m: float, agree: bool) -> None:
+    """Cameras of the second part stand aside: both sides of the stem are moved by the same, as far as poses may err."""
+    rng = np.random.default_rng(5)
+    # Too few to find a size by themselves; they are asked for the one that the first part found.
+    other = edges_of(0.12, [80.0, 84.0, 88.0], rng=rng, photo=10)
+    moved = replace(other, support_m=other.support_m + aside_m * np.sign(np.cos(other.angle_rad - np.radians(170.0))))
+    edges = together(edges_of(0.12, [0.0, 4.0, 8.0, 12.0], rng=rng), moved)
+    assert second_pair(edges, 0.12, taper=TAPER, settings=SecondPairSettings(both_share=0.7)).agree == agree
+
+
+@pytest.mark.parametrize(("bent", "agree"), [(0.3, True), (0.7, False)])
+def test_two_parts_that_find_the_same_size_need_fewer_of_each_others_edges(bent: float, agree: bool) -> None:
+    """Of the rays of both a share is lost to bark, twigs or a fit that is bent; the sizes are the same."""
+    rng = np.random.default_rng(6)
+    edges = edges_of(0.06, [float(v) for v in (*range(0, 24, 2), *range(70, 94, 2))], rng=rng)
+    lost = rng.random(int(edges.ray.max()) + 1)[edges.ray] < bent
+    edges = replace(
+        edges, support_m=np.where(lost, edges.support_m + rng.uniform(0.03, 0.1, len(lost)), edges.support_m)
+    )
+    found = second_pair(edges, 0.06, taper=TAPER)
+    assert found.agree == agree
+    strict = second_pair(edges, 0.06, taper=TAPER, settings=SecondPairSettings(both_share=0.7))
+    assert not strict.agree
 
 
 def test_one_photograph_and_no_edges_agree_with_nothing() -> None:

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fsinfer.trees.diameter.silhouette import Edges, _Solution, _surer, edge_contrast, fit_silhouette
+from fsinfer.trees.diameter.silhouette import (
+    Edges,
+    SilhouetteSettings,
+    _Solution,
+    _surer,
+    edge_contrast,
+    fit_silhouette,
+)
 from training.simulate.stem_edges import edges_from_rows
 
 TAPER = -0.008
@@ -52,6 +61,44 @@ def test_an_oval_stem_seen_from_some_sides_has_its_girth(long_deg: float) -> Non
     assert abs(fit.radius_m - 0.28) < 3 * fit.std_m
     assert np.hypot(*fit.shape_m[:2]) == pytest.approx(0.09 * 0.28, rel=0.2)
     assert fit.share > 0.9
+
+
+def aside(edges: Edges, photos: list[int], offset_m: float) -> Edges:
+    """Photographs placed ``offset_m`` aside: both their sides are moved the same way across the line of sight."""
+    moved = np.isin(edges.photo, photos)
+    sign = np.where(edges.ray // 6 % 2 == 0, 1.0, -1.0)
+    return replace(edges, support_m=edges.support_m + moved * sign * offset_m)
+
+
+@pytest.mark.parametrize("offset_m", [0.015, -0.008])
+def test_photographs_placed_aside_do_not_bend_the_stem(offset_m: float) -> None:
+    """Some photographs in a row stand aside of the others, which see the stem from other directions."""
+    rng = np.random.default_rng(3)
+    edges = walked(0.127, 0.0, 0.0, np.arange(0.0, 170.0, 5), rng)
+    near = replace(edges, pixel_m=np.where(edges.photo < 8, 0.002, 0.009))
+    fit = fit_silhouette(aside(near, list(range(8)), offset_m), 0.124, taper=TAPER)
+    assert fit is not None
+    assert fit.radius_m == pytest.approx(0.127, abs=0.0015)
+    assert np.hypot(*fit.shape_m[:2]) < 0.015 * fit.radius_m
+    # The stem is where most of the photographs have it, and the edges of those aside count.
+    assert np.hypot(*fit.shift_m) < 0.006
+    assert fit.share > 0.9
+    # And what they stand aside is no scatter of the edges.
+    assert fit.noise_m < 0.003
+
+
+def test_what_a_photograph_tells_is_the_width_where_its_place_is_unsure() -> None:
+    """One side alone says little of the radius; with the other side it says as much as ever."""
+    edges = walked(0.15, 0.0, 0.0, np.arange(0.0, 170.0, 10), np.random.default_rng(4))
+    both = fit_silhouette(edges, 0.15, taper=TAPER)
+    one = edges.ray // 6 % 2 == 0
+    half = fit_silhouette(Edges(**{name: getattr(edges, name)[one] for name in vars(edges)}), 0.15, taper=TAPER)
+    surer = fit_silhouette(edges, 0.15, taper=TAPER, settings=SilhouetteSettings(offset_m=1e-6))
+    assert both is not None
+    assert half is not None
+    assert surer is not None
+    assert both.std_m < 1.3 * surer.std_m
+    assert half.std_m > 1.5 * both.std_m
 
 
 def test_a_thin_stem_stands_out_too() -> None:
