@@ -43,8 +43,8 @@ class SecondPairSettings:
         20 to 50 % that edges at random places reach.
     both_std, both_share: where both parts find the stem by themselves, with radii that differ by so many standard
         deviations at most, this share of the rays is enough: two sizes that are found apart are seldom the same by
-        chance, and a fit of few sides is bent where the others look. Source: statistics, 95 %; renders only, five of
-        five such stems on three development plots are within 0.4 cm, with shares of 0.56 to 0.77.
+        chance, and a fit of few sides is bent where the others look. Source: statistics, 95 %; renders only, four of
+        four such stems on three development plots are within 0.4 cm, with shares of 0.56 to 0.77.
     most_std: of the radius found, as a share of it: beyond, nothing is told. Source: statistics, a third of the range
         in which the vote looks.
     """
