@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from fsinfer.report.contents import Contents, number, tree_number
 from fsinfer.report.page import Part, missing_part
 from fsinfer.report.plot_border import is_in
-from fsinfer.report.stems.row import STATUS_WORDS, interval_of, interval_text, status_of
+from fsinfer.report.stems.row import STATUS_WORDS, interval_of, interval_text, remark_of, status_of
 
 _ANCHOR, _TITLE = "trees", "Tree table"
 
@@ -62,7 +62,7 @@ def table_part(contents: Contents) -> Part:
         Row(
             tree_id=tree_number(tree),
             status=status_of(tree),
-            cells=(*(_cell(column, tree) for column in columns), Cell(text=_reason(tree), key=_reason(tree))),
+            cells=(*(_cell(column, tree) for column in columns), Cell(text=remark_of(tree), key=remark_of(tree))),
         )
         for tree in trees
     )
@@ -107,7 +107,3 @@ def _cell(column: _Column, tree: Mapping[str, str]) -> Cell:
     if column.name == "in_plot":
         return Cell(text="yes" if is_in(tree) else "no", key=repr(value))
     return Cell(text=column.form.format(value), key=repr(value), is_number=column.name != "tree_id")
-
-
-def _reason(tree: Mapping[str, str]) -> str:
-    return tree.get("reason", "")

@@ -13,7 +13,7 @@ from fsinfer.report.page import Part
 from fsinfer.report.picture import Picture, picture_of, shrink
 from fsinfer.report.plot_border import where
 from fsinfer.report.stems.photos import TreePhoto, tree_photos
-from fsinfer.report.stems.row import STATUS_WORDS, interval_of, interval_text, status_of
+from fsinfer.report.stems.row import STATUS_WORDS, interval_of, interval_text, remark_of, status_of
 from fsinfer.report.stems.stem_map import MapView, stem_map
 
 #: Photos of all trees and of one at most, and trees of which each gets fewer and smaller ones. Source: layout; the page
@@ -113,7 +113,7 @@ def _card(
         status_words=STATUS_WORDS[status],
         dbh="DBH not measured" if dbh_cm is None else f"DBH {dbh_cm:.1f} cm",
         interval="" if interval_cm is None else interval_text(interval_cm),
-        reason=tree.get("reason", ""),
+        reason=remark_of(tree),
         photos=pictures,
         photo_note=photo_note,
         facts=tuple(_facts(tree, "m" if contents.metric else "model units")),

@@ -1,4 +1,4 @@
-"""What is shown of a row of ``trees.csv`` wherever the tree appears: its status, its interval."""
+"""What is shown of a row of ``trees.csv`` wherever the tree appears: its status, its interval, its remark."""
 
 from __future__ import annotations
 
@@ -25,3 +25,10 @@ def interval_of(tree: Mapping[str, str]) -> tuple[float, float] | None:
 def interval_text(interval_cm: tuple[float, float]) -> str:
     """Both ends as text, without the unit."""
     return f"{interval_cm[0]:.1f} to {interval_cm[1]:.1f}"
+
+
+def remark_of(tree: Mapping[str, str]) -> str:
+    """The reasons for the status, and where it was measured if that is another part of the walk; may be empty."""
+    part = tree.get("part") or ""
+    texts = (f"measured in {part}, and put here by the pattern of the stems" if part else "", tree.get("reason") or "")
+    return "; ".join(filter(None, texts))

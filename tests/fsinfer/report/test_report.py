@@ -295,6 +295,23 @@ def test_parts_of_the_walk_have_links_to_their_reports_and_nothing_else_has(tmp_
     assert "javascript:" not in page
 
 
+def test_a_part_that_was_joined_is_said_with_its_stems_and_counts_as_placed(tmp_path: Path) -> None:
+    part = {"folder": "part-2", "photos": 16, "registered": 14, "trees": 7, "trees_with_dbh": 6, "error": ""}
+    joined = part | {"joined": {"name": "part-2", "common": 5, "new": 2}}
+    rows = [TREE | {"tree_id": 1, "part": ""}, TREE | {"tree_id": 2, "part": "part-2", "reason": "little seen"}]
+    full_folder(tmp_path, plot=PLOT | {"parts": [joined]}, trees=rows)
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    assert "put into this plot by the pattern of their stems: 5 that the rest saw too, and 2 new ones." in page
+    assert '<a href="part-2/report.html">' in page
+    assert "on their own scale" not in page
+    remark = "measured in part-2, and put here by the pattern of the stems; little seen"
+    assert page.count(remark) == 3  # on the card, in the table, and what that is sorted by
+    # 25 of 40 photos and the 14 of the part are nearly all.
+    assert "photos could be placed" not in page
+    full_folder(tmp_path, plot=PLOT | {"parts": [part | {"joined": None}]}, trees=rows)
+    assert "Only 25 of 40 photos could be placed" in make_report(tmp_path).read_text(encoding="utf-8")
+
+
 def test_the_reasons_of_few_trees_without_a_diameter_are_said_at_once(tmp_path: Path) -> None:
     none = TREE | {"dbh_cm": "", "status": "unmeasured"}
     rows = [none | {"tree_id": number, "reason": f"why {number}"} for number in (1, 2, 3)]

@@ -32,11 +32,12 @@ from fsinfer.frames.select import FramesResult
 from fsinfer.frames.table import FrameRow
 from fsinfer.fusion.fuse import FusionSettings
 from fsinfer.fusion.fuse import fuse as real_fuse
-from fsinfer.io.cloud import read_cloud
+from fsinfer.io.cloud import read_cloud, write_cloud
 from fsinfer.io.files import make_folder, write_text
 from fsinfer.io.images import list_images, write_image
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import notice
+from fsinfer.output.plot_json import write_plot
 from fsinfer.plot_border.request import BorderRequest
 from fsinfer.poses.estimate import PosesResult
 from fsinfer.scale.request import ScaleRequest
@@ -44,13 +45,17 @@ from fsinfer.scene import project, read_camera, read_scene, write_camera
 from fsinfer.silhouettes.edges import find_edges
 from fsinfer.trees import TreeSettings
 from fsinfer.trees.outputs.table import read_trees
+from fsinfer.trees.pattern.match import PatternSettings
 from fsinfer.workflow.clicked_scale import click_scale
 from fsinfer.workflow.measure_cloud import measure_cloud_file
+from fsinfer.workflow.parts import PartResult
 from fsinfer.workflow.pipeline import run
 from fsinfer.workflow.settings import RunSettings
 from fsinfer.workflow.single_stages import depth_of
 from fsinfer.workflow.summary import PLOT_KEYS
+from fsinfer.workflow.tree_stage import PlotCloudInput
 from fsinfer.workflow.tree_stage import measure_plot as real_trees
+from tests.support.report_plot import plot_cloud
 from tests.support.synthetic_plot import _TURN, M_PER_UNIT, STEMS, VIEWS, write_depth_folder, write_scene_folder
 
 METRIC = RunSettings(scale=ScaleRequest(factor=M_PER_UNIT))
@@ -211,6 +216,45 @@ def test_plot_json(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
     assert plot["camera_height"] == pytest.approx(1.5, abs=0.02)
     # The scene's own origin lies on the ground.
     assert similarity[2, 3] == pytest.approx(0, abs=0.02)
+
+
+def test_parts_that_were_measured_apart_come_into_the_plot(
+    fakes: Fakes, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two parts: the first holds the same stems in the same frame, the second could not be measured."""
+    out = tmp_path / "out"
+    apart = [notice(CaptureCode.part_apart, photos=40, names=(f"part{number}",)) for number in (2, 3)]
+    placed = photo_stages.estimate_poses_apart  # the fake one
+    monkeypatch.setattr(
+        photo_stages, "estimate_poses_apart", lambda *a, **k: replace(placed(*a, **k), warnings=tuple(apart))
+    )
+
+    def measure_parts(*_: Any) -> tuple[PartResult, ...]:
+        folder = out / "part-2"
+        if not folder.is_dir():
+            cloud = plot_cloud(points_per_stem=12_000, ground=30_000)
+            write_cloud(make_folder(folder) / "cloud.ply", cloud)
+            write_plot(folder, {"units": "m"})
+            real_trees(PlotCloudInput(cloud=cloud), folder)
+        return (
+            PartResult(folder="part-2", photos=12, registered=11, trees=3, trees_with_dbh=3),
+            PartResult(folder="part-3", photos=12, error="too dark"),
+        )
+
+    monkeypatch.setattr(pipeline, "measure_parts", measure_parts)
+    # Three stems are no evidence by themselves.
+    settings = replace(METRIC, pattern=PatternSettings(by_chance=1e3, rival_share=0.9))
+    plot = run(photos, out, settings=settings).plot
+    first, second = plot["parts"]
+    assert (first["joined"]["common"], first["joined"]["new"], second["joined"]) == (3, 0, None)
+    assert plot["trees"] == len(STEMS)
+    # Of the parts that nothing tied the joined one is no warning any more.
+    said = [entry for entry in plot["warning_codes"] if entry["code"] == "part_apart"]
+    assert [entry["values"]["names"] for entry in said] == [["part3"]]
+    assert ran(run(photos, out, settings=settings)) == []
+    table = (out / "part-2" / "trees.csv").read_text(encoding="utf-8")
+    write_text(out / "part-2" / "trees.csv", table.replace(",ok,", ",doubtful,", 1))
+    assert ran(run(photos, out, settings=settings)) == ["trees", "report"]
 
 
 def test_scale_and_tree_options_repeat_nothing_dear(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
