@@ -224,10 +224,13 @@ def test_parts_that_were_measured_apart_come_into_the_plot(
     """Two parts: the first holds the same stems in the same frame, the second could not be measured."""
     out = tmp_path / "out"
     apart = [notice(CaptureCode.part_apart, photos=40, names=(f"part{number}",)) for number in (2, 3)]
-    placed = photo_stages.estimate_poses_apart  # the fake one
-    monkeypatch.setattr(
-        photo_stages, "estimate_poses_apart", lambda *a, **k: replace(placed(*a, **k), warnings=tuple(apart))
-    )
+    told = PosesResult(scene=out / "scene", photos=VIEWS, registered=VIEWS, left_out=(), warnings=tuple(apart))
+
+    def estimate_poses(_: Path, scene: Path, **__: Any) -> PosesResult:
+        write_scene_folder(scene)
+        return told
+
+    monkeypatch.setattr(photo_stages, "estimate_poses_apart", estimate_poses)
 
     def measure_parts(*_: Any) -> tuple[PartResult, ...]:
         folder = out / "part-2"
