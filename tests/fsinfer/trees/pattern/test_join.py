@@ -102,6 +102,24 @@ def test_haze_beside_a_stem_is_no_second_one() -> None:
     assert len(by_number(join_parts(trees[:14], [part([*trees[6:], near])]))) == 21
 
 
+def test_two_entries_of_a_part_beside_one_stem_are_not_both_it() -> None:
+    trees = wood()
+    other = [replace(trees[8], tree_id=60 + k, dbh_cm=55.0 + k, dbh_lo95_cm=54.0, dbh_hi95_cm=57.0) for k in (0, 1)]
+    beside = [replace(tree, x_m=tree.x_m + shift) for tree, shift in zip(other, (0.25, -0.25), strict=True)]
+    joined = join_parts(trees[:14], [part([*trees[6:8], *beside, *trees[9:]])])
+    assert sorted(by_number(joined)) == list(range(1, 22))
+
+
+def test_stems_outside_of_a_walk_neither_tie_a_part_nor_stand_before_what_was_walked_to() -> None:
+    trees = wood()
+    far = [replace(tree, reasons=(FAR,)) for tree in trees]  # measured all the same, as the user may ask for
+    apart = join_parts([*trees[:6], *far[6:14]], [part(trees[6:])])
+    assert apart.parts == ()
+    wide = [replace(tree, dbh_lo95_cm=(tree.dbh_cm or 0) - 1.5, dbh_hi95_cm=(tree.dbh_cm or 0) + 1.5) for tree in trees]
+    found = by_number(join_parts([*trees[:13], far[13]], [part([*trees[6:13], *wide[13:]])]))
+    assert (found[14].part, found[14].outside) == ("part-2", False)
+
+
 def test_one_part_ties_the_next() -> None:
     """The third part has nothing in common with the rest, but with the second."""
     trees = wood(36)

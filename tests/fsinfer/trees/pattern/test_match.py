@@ -81,6 +81,14 @@ def test_stems_of_other_diameters_are_others() -> None:
     assert len(found.ours) == 10
 
 
+def test_one_stem_of_another_diameter_is_not_among_those_that_agree() -> None:
+    plot = strewn(24, seed=8)
+    part = [replace(plot[0], dbh_cm=70.0, dbh_lo95_cm=69.0, dbh_hi95_cm=71.0), *plot[1:10]]
+    match = match_stems(StemMap.of(plot), elsewhere(part))
+    assert match is not None
+    assert sorted(match.ours) == list(range(1, 10))
+
+
 def test_a_stem_on_other_ground_is_not_the_same() -> None:
     plot = strewn(24, seed=8)
     part = [replace(plot[0], z_ground_m=plot[0].z_ground_m + 2.0), *plot[1:10]]
