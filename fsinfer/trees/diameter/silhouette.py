@@ -281,17 +281,21 @@ class _Problem:
         self.rays = int(self.ray.max()) + 1
         self.log_strength = np.log(np.maximum(edges.strength, 1.0))
         self.pixel = s.edge_std_px * edges.pixel_m
-        shape_std = s.hull_of_rough_bark * np.array(AxisSettings().shape_std)
-        self.design = _design(edges.angle_rad, edges.height_m, len(shape_std))
-        shape = np.repeat(shape_std * radius_m, 2)
-        self.prior = 1.0 / np.r_[np.inf, s.taper_std, [s.place_std_m] * 2, [s.slope_std] * 2, shape] ** 2
-        self.prior_mean = np.zeros(len(self.prior))
-        self.prior_mean[1] = taper
         names, self.photo = np.unique(edges.photo, return_inverse=True)
         self.photos = len(names)
         first = edges.angle_rad[np.unique(self.photo, return_index=True)[1]]
         # Which of the two sides of the stem in its photograph an edge lies on.
         self.side = np.where(np.cos(edges.angle_rad - first[self.photo]) > 0.0, 1.0, -1.0)
+        shape_std = s.hull_of_rough_bark * np.array(AxisSettings().shape_std)
+        self.design = _design(edges.angle_rad, edges.height_m, len(shape_std))
+        # Sums over the edges of each photograph, which every round needs, are taken of its rows in one piece.
+        self.by_photo = np.argsort(self.photo, kind="stable")
+        self.first_of_photo = np.searchsorted(self.photo[self.by_photo], np.arange(self.photos))
+        self.design_by_photo = self.design[self.by_photo]
+        shape = np.repeat(shape_std * radius_m, 2)
+        self.prior = 1.0 / np.r_[np.inf, s.taper_std, [s.place_std_m] * 2, [s.slope_std] * 2, shape] ** 2
+        self.prior_mean = np.zeros(len(self.prior))
+        self.prior_mean[1] = taper
 
     def vote(self) -> tuple[list[Floats], float]:
         """Radius and place (3,) where the most rays have a strong edge: the best few radii, each at its best place.
@@ -382,8 +386,8 @@ class _Problem:
     def _without_offsets(self, precision: Floats, offset_prior: Floats) -> Floats:
         """The design (N, K) without what the photographs' offsets take up of it (Schur's complement)."""
         held = np.bincount(self.photo, precision, self.photos) + offset_prior
-        sided = precision * self.side
-        taken = np.stack([np.bincount(self.photo, sided * column, self.photos) for column in self.design.T], axis=1)
+        sided = (precision * self.side)[self.by_photo, None] * self.design_by_photo
+        taken = np.add.reduceat(sided, self.first_of_photo, axis=0)
         return np.asarray(self.design - self.side[:, None] * (taken / held[:, None])[self.photo])
 
     def _log_fit(self, x: Floats, offset: Floats, std: Floats) -> Floats:
