@@ -188,14 +188,8 @@ def _radii(trees: Sequence[Tree]) -> Floats:
 
 def _dbh_std_m(trees: Sequence[Tree]) -> Floats:
     """Of the intervals in the table, the scale included; NaN where there is none."""
-    return np.array(
-        [
-            np.nan
-            if tree.dbh_lo95_cm is None or tree.dbh_hi95_cm is None
-            else (tree.dbh_hi95_cm - tree.dbh_lo95_cm) / (2.0 * Z95 * 100.0)
-            for tree in trees
-        ]
-    )
+    std = np.array([tree.half95_cm for tree in trees]) / (100.0 * Z95)
+    return np.where(np.isfinite(std), std, np.nan)
 
 
 def _place_std(trees: Sequence[Tree], scale_rel_std: float) -> Floats:

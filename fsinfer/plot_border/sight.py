@@ -18,7 +18,7 @@ from fsinfer.plot_border.border import Border
 from fsinfer.scene import Scene, View, project
 from fsinfer.trees.ground.ground import Ground
 from fsinfer.trees.points.cells import rows
-from fsinfer.trees.stand import CELL_M, NEAR_GROUND_M, seen_cells
+from fsinfer.trees.stand import CELL_M, near_ground, seen_cells
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -69,9 +69,7 @@ def seen_share(
     if len(cells) == 0:
         return SeenShare(share=0.0, method=BY_GROUND)
     near = np.abs(points[:, :2] - cells.mean(axis=0)).max(axis=1) <= np.ptp(cells, axis=0).max()
-    around = rows(points, near)
-    low = rows(around[:, :2], np.abs(around[:, 2] - ground.height_at(around[:, :2])) <= NEAR_GROUND_M)
-    seen = seen_cells(low).at(cells)
+    seen = seen_cells(near_ground(rows(points, near), ground)).at(cells)
     if not cameras:
         return SeenShare(share=float(seen.mean()), method=BY_GROUND)
     height_m = ground.height_at(cells)

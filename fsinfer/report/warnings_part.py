@@ -92,9 +92,8 @@ def warnings_part(contents: Contents) -> Part:
 
 
 def _parts_apart(contents: Contents) -> Iterator[PartApart]:
-    parts = contents.plot.get("parts")
-    for part in parts if isinstance(parts, list) else []:
-        folder = str(part.get("folder", "")) if isinstance(part, dict) else ""
+    for part in _parts(contents.plot):
+        folder = str(part.get("folder", ""))
         # What a file says becomes a link: only what this program writes.
         if re.fullmatch(r"part-[0-9]+", folder):
             photos, trees, measured = (part.get(name) for name in ("photos", "trees", "trees_with_dbh"))
@@ -116,18 +115,19 @@ def _parts_apart(contents: Contents) -> Iterator[PartApart]:
             yield PartApart(link=f"{folder}/report.html", text=_sentence(text))
 
 
-def _joined(plot: Mapping[str, object]) -> list[Mapping[str, object]]:
-    """The parts whose stems are in the plot's tables."""
+def _parts(plot: Mapping[str, object]) -> list[Mapping[str, object]]:
+    """The parts of the walk that ``plot.json`` tells of."""
     parts = plot.get("parts")
-    found = [part for part in parts if isinstance(part, dict)] if isinstance(parts, list) else []
-    return [part for part in found if isinstance(part.get("joined"), dict)]
+    return [part for part in parts if isinstance(part, dict)] if isinstance(parts, list) else []
 
 
 def _measurement_warnings(contents: Contents) -> list[str]:
     plot, texts = contents.plot, []
     photos, registered = number(plot.get("photos")), number(plot.get("registered"))
     if photos and registered is not None:
-        registered += sum(number(part.get("registered")) or 0.0 for part in _joined(plot))
+        registered += sum(
+            number(part.get("registered")) or 0.0 for part in _parts(plot) if isinstance(part.get("joined"), dict)
+        )
     if photos and registered is not None and registered < LEAST_PLACED * photos:
         texts.append(
             f"Only {registered:.0f} of {photos:.0f} photos could be placed: parts of the plot may be missing. Take "

@@ -52,11 +52,15 @@ def one_entry_a_stem(pairs: Sequence[Pair], kept: Collection[int] = ()) -> tuple
     return [pairs[i] for i in sorted(standing)], tuple(told)
 
 
+def trust_rank(tree: Tree) -> int:
+    """Place of the tree's status in the order of trust: the lower, the surer."""
+    return TRUST.index(tree.status) if tree.status in TRUST else len(TRUST)
+
+
 def _rank(pair: Pair, kept: Collection[int]) -> tuple[bool, int, float, float]:
     tree, section = pair
-    trust = TRUST.index(tree.status) if tree.status in TRUST else len(TRUST)
     width = float("inf") if section.dbh_m is None else section.half95_m / section.dbh_m
-    return tree.tree_id not in kept, trust, width, -tree.arc_coverage
+    return tree.tree_id not in kept, trust_rank(tree), width, -tree.arc_coverage
 
 
 def _same(worse: Pair, better: Pair, apart: NDArray[np.float64]) -> bool:

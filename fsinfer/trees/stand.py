@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_closing
 
-from fsinfer.trees.points.cells import column_min
+from fsinfer.trees.ground.ground import Ground
+from fsinfer.trees.points.cells import column_min, rows
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
@@ -84,6 +85,11 @@ class SeenCells:
         result = np.zeros(len(xy), dtype=bool)
         result[within] = self.seen[cell[within, 0], cell[within, 1]]
         return result
+
+
+def near_ground(points: Floats, ground: Ground) -> Floats:
+    """Places (M, 2) of those of points (N, 3) that show ground, or what is as low as herbs."""
+    return rows(points[:, :2], np.abs(points[:, 2] - ground.height_at(points[:, :2])) <= NEAR_GROUND_M)
 
 
 def seen_cells(low: Floats, *, close: bool = True) -> SeenCells:

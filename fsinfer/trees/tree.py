@@ -60,6 +60,12 @@ class Tree:
         return any(why.code == StemCode.outside_walk for why in self.reasons)
 
     @property
+    def half95_cm(self) -> float:
+        """Half the width of the 95 % interval, infinite where there is none."""
+        lo, hi = self.dbh_lo95_cm, self.dbh_hi95_cm
+        return float("inf") if lo is None or hi is None else (hi - lo) / 2.0
+
+    @property
     def reason(self) -> str:
         """The reasons in words, with semicolons between; empty where there is none."""
         return joined(self.reasons)

@@ -28,8 +28,7 @@ from fsinfer.trees.outputs.reasons import read_reasons
 from fsinfer.trees.outputs.table import read_trees
 from fsinfer.trees.pattern.join import JoinedPart, PartStems, join_parts
 from fsinfer.trees.pattern.match import PatternSettings
-from fsinfer.trees.points.cells import rows
-from fsinfer.trees.stand import CELL_M, NEAR_GROUND_M, seen_area, seen_cells
+from fsinfer.trees.stand import CELL_M, near_ground, seen_area, seen_cells
 from fsinfer.trees.tree import OUTSIDE, Tree
 
 _log = logging.getLogger(__name__)
@@ -76,6 +75,8 @@ def join_measured(
         return result, JoinedParts()
     stems = [part for folder in folders if (part := _stems_of(folder)) is not None]
     joined = join_parts(result.trees, stems, settings=settings)
+    if not joined.parts:
+        return result, JoinedParts()
     stay = {tree.tree_id for tree in joined.stay}
     pairs = [pair for pair in zip(result.trees, result.sections, strict=True) if pair[0].tree_id in stay]
     by_name = {folder.name: folder for folder in folders}
@@ -84,16 +85,14 @@ def join_measured(
         numbers=joined.numbers,
         ground_xy=np.concatenate([np.zeros((0, 2)), *(_ground_of(by_name[p.name], p, ground) for p in joined.parts)]),
     )
-    if not joined.parts:
-        return result, JoinedParts()
-    told = (*_outside_now(result.warnings, (*joined.stay, *joined.joined)), *joined.warnings)
+    trees = (*joined.stay, *joined.joined)
     plot = replace(
         result,
-        diagnosis=trees_found((*joined.stay, *joined.joined)),
+        diagnosis=trees_found(trees),
         trees=tuple(tree for tree, _ in pairs),
         sections=tuple(section for _, section in pairs),
         joined=joined.joined,
-        warnings=told,
+        warnings=(*_outside_now(result.warnings, trees), *joined.warnings),
     )
     return replace(plot, plot_area_m2=_area(plot, points, added.ground_xy)), added
 
@@ -147,9 +146,7 @@ def _stems_of(folder: Path) -> PartStems | None:
 def _ground_of(folder: Path, part: JoinedPart, settings: GroundSettings) -> Floats:
     """Middles (N, 2) of the quarters of the cells where the part saw ground, in the plot's frame."""
     points = read_cloud(OutputFolder(folder).cloud_ply).xyz
-    ground = find_ground(points, settings=settings)
-    low = rows(points[:, :2], np.abs(points[:, 2] - ground.height_at(points[:, :2])) <= NEAR_GROUND_M)
-    cells = seen_cells(low)
+    cells = seen_cells(near_ground(points, find_ground(points, settings=settings)))
     corners = cells.corner + CELL_M * np.argwhere(cells.seen)
     quarters = (corners[:, None] + CELL_M * np.array(_QUARTERS)).reshape(-1, 2)
     flat = np.column_stack([quarters, np.zeros(len(quarters))])
@@ -160,6 +157,5 @@ def _area(plot: PlotResult, points: Floats, more_xy: Floats) -> float:
     """Where the ground was seen, square metres, with that of the parts."""
     if not len(more_xy) or plot.ground is None:
         return plot.plot_area_m2
-    low = rows(points[:, :2], np.abs(points[:, 2] - plot.ground.height_at(points[:, :2])) <= NEAR_GROUND_M)
     places = np.array([[tree.x_m, tree.y_m] for tree in plot.all_trees if not tree.outside]).reshape(-1, 2)
-    return seen_area(np.concatenate([low, more_xy]), places)
+    return seen_area(np.concatenate([near_ground(points, plot.ground), more_xy]), places)

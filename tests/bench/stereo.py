@@ -60,7 +60,7 @@ def pairs_of(seed: int, synthesis: argparse.Namespace) -> list[Pair]:
     rng = np.random.default_rng([seed, 1])
     settings = walk_settings(rng, texture_photos(synthesis), synthesis)
     world = build_world(rng, settings)
-    caster = Caster(world.opaque, world.cards, world.materials, world.light, swaying=world.swaying)
+    caster = Caster.of(world)
     rng = np.random.default_rng([seed, 2])
     cameras = plot_cameras(
         rng,

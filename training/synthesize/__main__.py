@@ -130,7 +130,7 @@ def synthesize_clusters(args: argparse.Namespace, seed: int, photos: tuple[Path,
     effects = for_training(phone_effects(args), np.random.default_rng([seed, 6]))
     settings = with_effects(cluster_settings(rng, photos, args), effects)
     world = build_world(rng, settings)
-    caster = Caster(world.opaque, world.cards, world.materials, world.light, swaying=world.swaying)
+    caster = Caster.of(world)
     built = time.perf_counter() - start
     for number, folder in enumerate(folders):
         if finished(folder):
@@ -204,7 +204,7 @@ def synthesize_walk(args: argparse.Namespace, seed: int, photos: tuple[Path, ...
     effects = for_training(phone_effects(args), np.random.default_rng([seed, 6]))
     settings = with_effects(walk_settings(rng, photos, args), effects)
     world = build_world(rng, settings)
-    caster = Caster(world.opaque, world.cards, world.materials, world.light, swaying=world.swaying)
+    caster = Caster.of(world)
     rng = np.random.default_rng([seed, 2])
     cameras = plot_cameras(
         rng,
@@ -273,7 +273,7 @@ def synthesize_plot(args: argparse.Namespace, seed: int, photos: tuple[Path, ...
     )
     settings = with_effects(settings, effects)
     world = build_world(np.random.default_rng([seed, 1]), settings)
-    caster = Caster(world.opaque, world.cards, world.materials, world.light, swaying=world.swaying)
+    caster = Caster.of(world)
     rng = np.random.default_rng([seed, 2])
     cameras = plot_cameras(
         rng,

@@ -16,6 +16,7 @@ from training.synthesize.forest.light import SUN_RADIUS_RAD, Light
 from training.synthesize.forest.material import Material, sample
 from training.synthesize.forest.mesh import Mesh
 from training.synthesize.forest.wind import blown
+from training.synthesize.forest.world import World
 
 #: Transparent card texels a ray may pass before it is stopped by the next card as if that were
 #: solid. Source: numerics.
@@ -67,6 +68,11 @@ class Caster:
         self._cards = None if cards is None else _Tree(cards)
         self._swaying = None if swaying is None else _Tree(swaying)
         self._calm = (cards, swaying)
+
+    @classmethod
+    def of(cls, world: World) -> Caster:
+        """The whole of a world, in the calm."""
+        return cls(world.opaque, world.cards, world.materials, world.light, swaying=world.swaying)
 
     def blow(
         self,

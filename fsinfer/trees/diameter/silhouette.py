@@ -344,7 +344,7 @@ class _Problem:
         edges, design = self.edges, self.design
         x = self.prior_mean.copy()
         x[[0, 2, 3]], x[6:8] = start, oval
-        held = np.r_[self.prior_mean[:6], x[6:]]
+        start_shape = np.r_[self.prior_mean[:6], x[6:]]
         noise = LEAST_NOISE_M
         offset, offset_prior = np.zeros(self.photos), np.full(self.photos, OFFSET_FIRST_M**-2)
         for turn in range(ROUNDS):
@@ -355,15 +355,16 @@ class _Problem:
             prior, expected = self.prior.copy(), self.prior_mean
             if early:
                 prior[6:] *= ROUND_FIRST**2
-                expected = held
-            own = self._without_offsets(precision, offset_prior)
+                expected = start_shape
+            told = np.bincount(self.photo, precision, self.photos)
+            held = told + offset_prior
+            own = self._without_offsets(precision, held)
             information = (own * precision[:, None]).T @ design + np.diag(prior)
             x = np.linalg.solve(information, own.T @ (precision * edges.support_m) + prior * expected)
             residual = edges.support_m - design @ x
-            told = np.bincount(self.photo, precision, self.photos)
-            offset = np.bincount(self.photo, precision * self.side * residual, self.photos) / (told + offset_prior)
+            offset = np.bincount(self.photo, precision * self.side * residual, self.photos) / held
             residual -= self.side * offset[self.photo]
-            free = float((told / (told + offset_prior)).sum())
+            free = float((told / held).sum())
             offset_prior = 2.0 / (self.s.offset_m**2 + offset**2)
             total = max(float(weight.sum()), 1.0)
             pixels = float((weight * self.pixel**2).sum()) * max(1.0 - free / total, 0.0)
@@ -383,9 +384,11 @@ class _Problem:
             precision=precision,
         )
 
-    def _without_offsets(self, precision: Floats, offset_prior: Floats) -> Floats:
-        """The design (N, K) without what the photographs' offsets take up of it (Schur's complement)."""
-        held = np.bincount(self.photo, precision, self.photos) + offset_prior
+    def _without_offsets(self, precision: Floats, held: Floats) -> Floats:
+        """The design (N, K) without what the photographs' offsets take up of it (Schur's complement).
+
+        ``held`` (P,) is the precision of each photograph's offset, by its edges and its prior.
+        """
         sided = (precision * self.side)[self.by_photo, None] * self.design_by_photo
         taken = np.add.reduceat(sided, self.first_of_photo, axis=0)
         return np.asarray(self.design - self.side[:, None] * (taken / held[:, None])[self.photo])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from fsinfer.geometry.similarity import apply
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
-from fsinfer.trees.one_entry import TRUST
+from fsinfer.trees.one_entry import trust_rank
 from fsinfer.trees.pattern.match import PatternMatch, PatternSettings, StemMap, match_stems
 from fsinfer.trees.points.sums import Z95
 from fsinfer.trees.tree import Tree
@@ -173,16 +173,9 @@ def _radius(tree: Tree) -> float:
     return 0.0 if tree.dbh_cm is None else tree.dbh_cm / 200.0
 
 
-def _half_cm(tree: Tree) -> float:
-    """Half the width of the 95 % interval."""
-    lo, hi = tree.dbh_lo95_cm, tree.dbh_hi95_cm
-    return float("inf") if lo is None or hi is None else (hi - lo) / 2.0
-
-
 def _rank(tree: Tree) -> tuple[bool, int, float, float]:
-    trust = TRUST.index(tree.status) if tree.status in TRUST else len(TRUST)
-    width = float("inf") if not tree.dbh_cm else _half_cm(tree) / tree.dbh_cm
-    return tree.outside, trust, width, -tree.arc_coverage
+    width = float("inf") if not tree.dbh_cm else tree.half95_cm / tree.dbh_cm
+    return tree.outside, trust_rank(tree), width, -tree.arc_coverage
 
 
 def _agreed(better: Tree, worse: Tree) -> Tree:
@@ -190,7 +183,7 @@ def _agreed(better: Tree, worse: Tree) -> Tree:
     one, other = better.dbh_cm, worse.dbh_cm
     if one is None or other is None or worse.status != "ok" or better.status != "ok":
         return better
-    sd = float(np.hypot(_half_cm(better), _half_cm(worse))) / Z95
+    sd = float(np.hypot(better.half95_cm, worse.half95_cm)) / Z95
     if abs(one - other) <= _CONTRADICT_SDS * sd:
         return better
     lo = min(entry for tree in (better, worse) if (entry := tree.dbh_lo95_cm) is not None)

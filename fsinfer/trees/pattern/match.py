@@ -80,10 +80,7 @@ class StemMap:
         """Of trees in metres; a doubtful diameter tells nothing here."""
         sound = [tree.status == "ok" and tree.dbh_cm is not None for tree in trees]
         dbh = [(tree.dbh_cm or 0.0) / 100.0 if ok else np.nan for tree, ok in zip(trees, sound, strict=True)]
-        half = [
-            ((tree.dbh_hi95_cm or 0.0) - (tree.dbh_lo95_cm or 0.0)) / 200.0 if ok else np.nan
-            for tree, ok in zip(trees, sound, strict=True)
-        ]
+        half = [tree.half95_cm / 100.0 if ok else np.nan for tree, ok in zip(trees, sound, strict=True)]
         return cls(
             xyz=np.array([[tree.x_m, tree.y_m, tree.z_ground_m] for tree in trees], np.float64).reshape(-1, 3),
             dbh_m=np.array(dbh, np.float64),
