@@ -69,7 +69,8 @@ def seen_share(
     if len(cells) == 0:
         return SeenShare(share=0.0, method=BY_GROUND)
     near = np.abs(points[:, :2] - cells.mean(axis=0)).max(axis=1) <= np.ptp(cells, axis=0).max()
-    seen = seen_cells(near_ground(rows(points, near), ground)).at(cells)
+    around = rows(points, near)
+    seen = seen_cells(near_ground(around, ground.height_at(around[:, :2]))).at(cells)
     if not cameras:
         return SeenShare(share=float(seen.mean()), method=BY_GROUND)
     height_m = ground.height_at(cells)

@@ -17,7 +17,7 @@ from fsinfer.threads import one_blas_thread
 from fsinfer.trees.diameter.section import Section
 from fsinfer.trees.ground.ground import Ground, find_ground
 from fsinfer.trees.one_entry import one_entry_a_stem
-from fsinfer.trees.points.cells import BOX_MARGIN_M, BOX_PERCENTILES, rows
+from fsinfer.trees.points.cells import BOX_MARGIN_M, BOX_PERCENTILES
 from fsinfer.trees.points.sums import median
 from fsinfer.trees.sanity import (
     BOX_POINTS,
@@ -31,7 +31,7 @@ from fsinfer.trees.sanity import (
 )
 from fsinfer.trees.search.find import LEAST_POINTS, StemSearch, find_stems
 from fsinfer.trees.settings import TreeSettings
-from fsinfer.trees.stand import NEAR_GROUND_M, StandTable, seen_area, stand_table
+from fsinfer.trees.stand import StandTable, near_ground, seen_area, stand_table
 from fsinfer.trees.stem_measurement import doubt_the_rough, measure_stems
 from fsinfer.trees.tree import Tree
 
@@ -152,7 +152,7 @@ def analyse_plot(
     if ground.share < settings.sanity.min_ground:
         warnings.append(notice(StemCode.ground_in_part, percent=100.0 * ground.share))
     stand = np.stack([*columns[:2], columns[2] - ground.height_at(local[:, :2])]).T
-    low = rows(stand[:, :2], np.abs(stand[:, 2]) <= NEAR_GROUND_M)
+    low = near_ground(stand, 0.0)
     if seen_area(low, np.zeros((0, 2)), close=False) < settings.sanity.little_ground * plan_m2:
         warnings.append(notice(StemCode.little_ground))
     progress(1, 3, "looking for stems")

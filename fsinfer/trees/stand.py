@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_closing
 
-from fsinfer.trees.ground.ground import Ground
 from fsinfer.trees.points.cells import column_min, rows
 from fsinfer.trees.tree import Tree
 
@@ -87,9 +86,12 @@ class SeenCells:
         return result
 
 
-def near_ground(points: Floats, ground: Ground) -> Floats:
-    """Places (M, 2) of those of points (N, 3) that show ground, or what is as low as herbs."""
-    return rows(points[:, :2], np.abs(points[:, 2] - ground.height_at(points[:, :2])) <= NEAR_GROUND_M)
+def near_ground(points: Floats, ground_m: Floats | float) -> Floats:
+    """Places (M, 2) of those of points (N, 3) that show ground, or what is as low as herbs.
+
+    ``ground_m`` (N,) is the height of the ground there.
+    """
+    return rows(points[:, :2], np.abs(points[:, 2] - ground_m) <= NEAR_GROUND_M)
 
 
 def seen_cells(low: Floats, *, close: bool = True) -> SeenCells:

@@ -146,7 +146,8 @@ def _stems_of(folder: Path) -> PartStems | None:
 def _ground_of(folder: Path, part: JoinedPart, settings: GroundSettings) -> Floats:
     """Middles (N, 2) of the quarters of the cells where the part saw ground, in the plot's frame."""
     points = read_cloud(OutputFolder(folder).cloud_ply).xyz
-    cells = seen_cells(near_ground(points, find_ground(points, settings=settings)))
+    ground = find_ground(points, settings=settings)
+    cells = seen_cells(near_ground(points, ground.height_at(points[:, :2])))
     corners = cells.corner + CELL_M * np.argwhere(cells.seen)
     quarters = (corners[:, None] + CELL_M * np.array(_QUARTERS)).reshape(-1, 2)
     flat = np.column_stack([quarters, np.zeros(len(quarters))])
@@ -158,4 +159,5 @@ def _area(plot: PlotResult, points: Floats, more_xy: Floats) -> float:
     if not len(more_xy) or plot.ground is None:
         return plot.plot_area_m2
     places = np.array([[tree.x_m, tree.y_m] for tree in plot.all_trees if not tree.outside]).reshape(-1, 2)
-    return seen_area(np.concatenate([near_ground(points, plot.ground), more_xy]), places)
+    low = near_ground(points, plot.ground.height_at(points[:, :2]))
+    return seen_area(np.concatenate([low, more_xy]), places)
