@@ -57,3 +57,11 @@ class ScaleError(FsinferError):
 
 class OutputError(FsinferError):
     """A result cannot be written (folder not writable, disk full)."""
+
+
+class WorkerLostError(FsinferError):
+    """The worker of a cluster that had a piece of work is gone; another may do it."""
+
+
+class ClusterError(FsinferError):
+    """A cluster cannot be used at all, or not any more."""

@@ -1,4 +1,4 @@
-"""Threads of NumPy's and SciPy's linear algebra: one, whatever the environment says.
+"""Threads of NumPy's and SciPy's linear algebra: one, whatever the environment says. And the cores there are.
 
 The heavy work of fsinfer shares itself out over the cores (blocks of a cost volume, onnxruntime, COLMAP). The products
 in it are small, and a library for linear algebra that starts threads of its own for each of them fights for the same
@@ -7,6 +7,7 @@ cores. In one thread its sums are the same on every machine with the same instru
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -35,6 +36,12 @@ def one_blas_thread() -> Iterator[None]:
             _inside -= 1
             if _inside == 0:
                 _unlimit()
+
+
+def cores() -> int:
+    """Processor cores that this process may use."""
+    allowed = getattr(os, "sched_getaffinity", None)  # Linux alone knows
+    return len(allowed(0)) if allowed is not None else os.cpu_count() or 1
 
 
 def _limit() -> None:

@@ -18,6 +18,7 @@ from fsinfer.batch.guard import Ended, GuardResult, GuardTask, signal_session
 from fsinfer.batch.run_log import LOG_FILE, last_words
 from fsinfer.errors import CRASHED, NOT_ENOUGH_MEMORY
 from fsinfer.io.files import make_folder
+from fsinfer.threads import cores
 
 #: What the command line's exit codes mean (docs/quickstart.md). Source: format.
 _EXIT_FAULT, _EXIT_INPUT, _EXIT_STOPPED = 1, 2, 130
@@ -145,12 +146,6 @@ def _command_line(task: PlotTask) -> tuple[str, ...]:
     # Absolute paths: none begins with a dash, so none is taken for an option.
     places = (str(task.photos.absolute()), str(task.out.absolute()))
     return (*command, *places, *task.options, f"--threads={threads}")
-
-
-def cores() -> int:
-    """Processor cores that this process may use."""
-    allowed = getattr(os, "sched_getaffinity", None)  # Linux alone knows
-    return len(allowed(0)) if allowed is not None else os.cpu_count() or 1
 
 
 def _under_guard(batch: str, task: GuardTask) -> GuardResult | None:

@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fsinfer.batch.attempt import Attempt, PlotTask
+from fsinfer.batch.attempt import Attempt, PlotTask, attempt
 from fsinfer.batch.outcome import CORRECTIONS, photo_files
 from fsinfer.batch.run_log import LOG_FILE
-from fsinfer.batch.scratch import (
-    Part,
-    Piece,
-    attempt_in,
+from fsinfer.cluster.pieces import (
     below,
     bundles,
     list_files,
     make_scratch,
+    pieces_of,
     read_parts,
     remove_scratch,
     write_pieces,
 )
-from fsinfer.errors import InputError
 from fsinfer.io.files import make_folder
 from fsinfer.output.layout import LOG_FILE as FAULT_LOG_FILE
 from fsinfer.output.layout import METRIC_TREE_FILES
@@ -54,7 +51,7 @@ def attempt_there(call: Call, task: PlotTask, files: Sequence[tuple[str, Path]],
     sent |= {f"{out}/{name}": task.out / name for name in CORRECTIONS if (task.out / name).is_file()}
     folder = call(make_scratch, scratch_in)
     try:
-        for pieces in _read(sent):
+        for pieces in pieces_of(sent):
             call(write_pieces, folder, pieces)
         there = replace(task, photos=Path(inside), out=Path(out))
         tried: Attempt = call(attempt_in, folder, there, [(flag, name) for flag, name, _ in named])
@@ -64,20 +61,12 @@ def attempt_there(call: Call, task: PlotTask, files: Sequence[tuple[str, Path]],
     return tried
 
 
-def _read(sent: dict[str, Path]) -> Iterator[list[Piece]]:
-    for load in bundles((name, path.stat().st_size) for name, path in sent.items()):
-        yield [_piece(part, sent[part.name]) for part in load]
-
-
-def _piece(part: Part, path: Path) -> Piece:
-    try:
-        with path.open("rb") as stream:
-            stream.seek(part.start)
-            data = stream.read(part.length)
-    except OSError as error:
-        msg = f"cannot read {path}: {error.strerror or error}"
-        raise InputError(msg) from error
-    return Piece(name=part.name, start=part.start, data=data)
+def attempt_in(folder: str, task: PlotTask, files: Sequence[tuple[str, str]]) -> Attempt:
+    """Run the plot in scratch; photographs, output folder and files of options are given below ``folder``."""
+    root = Path(folder)
+    options = (*task.options, *(f"{flag}={root / name}" for flag, name in files))
+    here = {"photos": root / task.photos, "out": root / task.out, "options": options}
+    return attempt(PlotTask(**(vars(task) | here)))
 
 
 def _bring(call: Call, folder: str, out: Path, *, only: Sequence[str]) -> None:

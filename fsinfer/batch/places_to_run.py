@@ -9,15 +9,6 @@ from typing import Protocol
 from fsinfer.batch.attempt import PlotTask, stop_batch
 from fsinfer.batch.outcome import Outcome
 from fsinfer.batch.plot_run import run_plot
-from fsinfer.errors import FsinferError
-
-
-class WorkerLostError(FsinferError):
-    """The worker that had a plot is gone; another may do it."""
-
-
-class ClusterError(FsinferError):
-    """The cluster cannot be used at all, or not any more."""
 
 
 class PlaceToRun(Protocol):

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from fsinfer.batch.attempt import PlotTask
 from fsinfer.batch.outcome import Outcome, State, read_outcome
-from fsinfer.batch.places_to_run import ClusterError, PlaceToRun, ThisComputer, WorkerLostError
+from fsinfer.batch.places_to_run import PlaceToRun, ThisComputer
 from fsinfer.batch.plots_table import Plot, read_plots
 from fsinfer.batch.remaining import RemainingPlots
 from fsinfer.batch.report import REPORT_FILE, write_report
@@ -21,7 +21,7 @@ from fsinfer.batch.rows import PLOTS_FOLDER, PlotRow, PlotTrees, plot_row
 from fsinfer.batch.settings import BatchSettings
 from fsinfer.batch.summary import Counts, count, write_plots, write_trees_and_workbook
 from fsinfer.batch.tree_memory import check_can_look
-from fsinfer.errors import FsinferError
+from fsinfer.errors import ClusterError, FsinferError, WorkerLostError
 from fsinfer.io.files import make_folder
 
 #: The workbook and the report of thousands of plots take a while to write: after a plot they wait until so many times

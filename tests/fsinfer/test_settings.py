@@ -32,6 +32,7 @@ make_settings = _load(ROOT / "docs" / "make_settings.py")
 REQUIRED = (
     "batch",
     "check",
+    "cluster",
     "cli",
     "conventions",
     "depth",

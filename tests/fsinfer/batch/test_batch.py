@@ -333,7 +333,7 @@ def test_what_cannot_be_used_is_told_before_anything_runs(
 ) -> None:
     if "--scheduler" in words:
         pytest.importorskip("distributed")
-        monkeypatch.setattr("fsinfer.batch.cluster.CONNECT_S", 1.0)
+        monkeypatch.setattr("fsinfer.cluster.workers.CONNECT_S", 1.0)
     monkeypatch.chdir(tmp_path)
     write_table(tmp_path, [{"name": "a"}])
     code, said = invoke(*words)

@@ -16,9 +16,9 @@ import pytest
 from fsinfer._version import __version__
 from fsinfer.batch.attempt import PlotTask
 from fsinfer.batch.cluster import Cluster
-from fsinfer.batch.places_to_run import ClusterError
 from fsinfer.batch.run import BatchResult, PlotNews, run_batch
 from fsinfer.batch.settings import BatchSettings
+from fsinfer.errors import ClusterError
 from tests.support.batch_plots import STAND_IN, behave, is_alive, kill, read_csv, started, wait_for, write_table
 from tests.support.places import ROOT
 
@@ -153,7 +153,7 @@ def test_when_the_scheduler_stays_away_the_batch_ends_and_keeps_what_is_finished
 
     def news(item: PlotNews) -> None:
         assert item.row.plot == "a"
-        monkeypatch.setattr("fsinfer.batch.cluster.ALONE_S", 3.0)
+        monkeypatch.setattr("fsinfer.cluster.workers.ALONE_S", 3.0)
         kill(cluster.scheduler.pid)
 
     settings = BatchSettings(command=STAND_IN, scheduler=cluster.address)
@@ -186,7 +186,7 @@ class ClosedClient:
 
 
 def test_a_client_that_gave_up_is_no_fault_of_a_plot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fsinfer.batch.cluster._connect", lambda _: ClosedClient())
+    monkeypatch.setattr("fsinfer.cluster.workers._connect", lambda *_: ClosedClient())
     cluster = Cluster("tcp://127.0.0.1:8")
     try:
         with pytest.raises(ClusterError, match="does not answer any more"):

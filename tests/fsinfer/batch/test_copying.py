@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from fsinfer.batch import scratch
 from fsinfer.batch.attempt import Attempt, PlotTask
-from fsinfer.batch.copying import attempt_there
-from fsinfer.batch.scratch import Part, Piece, bundles, write_pieces
+from fsinfer.batch.copying import attempt_in, attempt_there
+from fsinfer.cluster import pieces
+from fsinfer.cluster.pieces import Part, Piece, bundles, write_pieces
 from fsinfer.errors import InputError
 from tests.support.batch_plots import STAND_IN, behave, write_table
 
@@ -37,7 +37,7 @@ def send(folder: Path, name: str, call: Callable[..., Any] = call_here, **files:
 
 
 def test_the_results_come_back_as_if_the_plot_had_run_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scratch, "PIECE_BYTES", 1000)
+    monkeypatch.setattr(pieces, "PIECE_BYTES", 1000)
     write_table(tmp_path, [{"name": "a"}])
     behave(tmp_path, "a", cloud=5000)
     photo = bytes(range(256)) * 20
@@ -52,7 +52,7 @@ def test_the_results_come_back_as_if_the_plot_had_run_here(tmp_path: Path, monke
     seen: list[str] = []
 
     def call(function: Callable[..., Any], *arguments: Any) -> Any:
-        if function is scratch.attempt_in:
+        if function is attempt_in:
             root = Path(arguments[0])
             seen.extend(path.relative_to(root).as_posix() for path in sorted(root.rglob("*")) if path.is_file())
             assert (root / "photos" / "a" / "two.jpg").read_bytes() == photo
@@ -102,9 +102,9 @@ def test_no_worker_writes_outside_of_the_plot(tmp_path: Path, name: str) -> None
     write_table(tmp_path, [{"name": "a"}])
 
     def call(function: Callable[..., Any], *arguments: object) -> Any:
-        if function is scratch.list_files:
+        if function is pieces.list_files:
             return [(name, 4)]
-        if function is scratch.read_parts:
+        if function is pieces.read_parts:
             return [Piece(name=name, start=0, data=b"evil")]
         return function(*arguments)
 
@@ -118,7 +118,7 @@ def test_no_worker_writes_outside_of_the_plot(tmp_path: Path, name: str) -> None
 
 
 def test_loads_hold_every_byte_once_and_few_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scratch, "PIECE_BYTES", 10)
+    monkeypatch.setattr(pieces, "PIECE_BYTES", 10)
     files = [("a", 25), ("empty", 0), ("b", 3), ("c", 10)]
     loads = list(bundles(files))
     assert all(sum(part.length for part in load) <= 10 for load in loads)

@@ -1,4 +1,4 @@
-"""A plot on the disk of a worker that sees neither photographs nor output folder: what runs there, and its pieces.
+"""Files to and from the disk of a worker that does not see them, in pieces.
 
 Every function takes or gives a few megabytes at most, so that neither scheduler nor worker ever holds a whole plot.
 """
@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from fsinfer.batch.attempt import Attempt, PlotTask, attempt
 from fsinfer.errors import InputError
 
 #: Bytes that travel at a time. Source: numerics; Dask warns of calls beyond 10 MB.
@@ -73,14 +72,6 @@ def list_files(folder: str, names: Sequence[str] = ()) -> list[tuple[str, int]]:
     return [(path.relative_to(root).as_posix(), path.stat().st_size) for path in found if path.is_file()]
 
 
-def attempt_in(folder: str, task: PlotTask, files: Sequence[tuple[str, str]]) -> Attempt:
-    """Run the plot in scratch; photographs, output folder and files of options are given below ``folder``."""
-    root = Path(folder)
-    options = (*task.options, *(f"{flag}={root / name}" for flag, name in files))
-    here = {"photos": root / task.photos, "out": root / task.out, "options": options}
-    return attempt(PlotTask(**(vars(task) | here)))
-
-
 def below(folder: Path, name: str) -> Path:
     """A file below ``folder``; :class:`InputError` for a name that would lead out of it."""
     path = PurePosixPath(name)
@@ -108,3 +99,26 @@ def bundles(files: Iterable[tuple[str, int]]) -> Iterator[list[Part]]:
                 break
     if load:
         yield load
+
+
+def pieces_of(sent: Mapping[str, Path]) -> Iterator[list[Piece]]:
+    """The content of files by the names that they are to have there, in loads of ``PIECE_BYTES``.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read.
+    """
+    for load in bundles((name, path.stat().st_size) for name, path in sent.items()):
+        yield [_piece(part, sent[part.name]) for part in load]
+
+
+def _piece(part: Part, path: Path) -> Piece:
+    try:
+        with path.open("rb") as stream:
+            stream.seek(part.start)
+            data = stream.read(part.length)
+    except OSError as error:
+        msg = f"cannot read {path}: {error.strerror or error}"
+        raise InputError(msg) from error
+    return Piece(name=part.name, start=part.start, data=data)
