@@ -25,7 +25,7 @@ from onnxruntime.quantization.shape_inference import quant_pre_process
 from fsinfer.depth.manifest import hash_files, read_manifest
 from fsinfer.depth.model import DepthEstimate, DepthModel, ViewFeatures
 from fsinfer.depth.settings import DepthSettings
-from fsinfer.depth.stage import load_view, search_range
+from fsinfer.depth.view_maps import load_view, search_range
 from fsinfer.errors import FsinferError, SceneError
 from fsinfer.scene import Scene, View, read_scene
 

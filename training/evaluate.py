@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from fsinfer.depth.model import DepthModel
 from fsinfer.depth.precision import FLOAT32, PRECISIONS
 from fsinfer.depth.settings import DepthSettings
-from fsinfer.depth.stage import finish_depth, search_range
 from fsinfer.depth.subpixel import enlarged, enlarged_surfaces, normalised
+from fsinfer.depth.view_maps import finish_depth, search_range
 from fsinfer.errors import FsinferError, SceneError
 from fsinfer.io.images import read_image
 from fsinfer.scene import Scene, View

@@ -94,8 +94,8 @@ def ours(args: argparse.Namespace, precision: str) -> Callable[[], dict[str, flo
     import cv2
 
     from fsinfer.depth import model as depth_model
-    from fsinfer.depth.stage import finish_depth
     from fsinfer.depth.subpixel import normalised
+    from fsinfer.depth.view_maps import finish_depth
 
     cv2.setNumThreads(1)  # as the depth stage does
     seconds: dict[str, float] = {}

@@ -17,7 +17,7 @@ from export.parity import whole_parity
 from fsinfer.depth.manifest import read_manifest
 from fsinfer.depth.model import DepthModel
 from fsinfer.depth.settings import DepthSettings
-from fsinfer.depth.stage import search_range
+from fsinfer.depth.view_maps import search_range
 from fsinfer.errors import InputError, ModelError
 from fsinfer.scene import read_scene
 from tests.support.plane_scene import write_plane_scene

@@ -14,7 +14,7 @@ import pytest
 import torch
 from torch import nn
 
-import fsinfer.depth.stage as depth_stage
+import fsinfer.depth.job as depth_job
 from export.graphs import fold_batch_norm
 from export.onnx_export import export_model
 from export.volume_heads import TileVolumeHead, VolumeHead
@@ -132,7 +132,7 @@ def test_the_stage_runs_the_papers_model_as_a_whole_and_in_tiles(
     found = {}
     for name in ("whole", "tiles"):
         if name == "tiles":
-            monkeypatch.setattr(depth_stage, "plan_depth", lambda *_, **__: tiles)
+            monkeypatch.setattr(depth_job, "plan_depth", lambda *_, **__: tiles)
         result = estimate_depth(scene, tmp_path / name, settings=settings)
         assert result.model == "paper"
         found[name] = read_pfm(tmp_path / name / "depth" / "0.pfm")

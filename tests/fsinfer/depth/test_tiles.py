@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import fsinfer.depth.stage as depth_stage
+import fsinfer.depth.job as depth_job
 from fsinfer.depth.manifest import models_folder, read_manifest
 from fsinfer.depth.maps import read_depth_index
 from fsinfer.depth.memory import DepthPlan
@@ -104,7 +104,7 @@ def test_the_depth_stage_cuts_what_does_not_fit(
     estimate_depth(scene, tmp_path / "whole", settings=settings)
     assert "tiles" not in caplog.text
     plan = DepthPlan(cached_views=3, peak_bytes=0, tile_size=16)
-    monkeypatch.setattr(depth_stage, "plan_depth", lambda *_, **__: plan)
+    monkeypatch.setattr(depth_job, "plan_depth", lambda *_, **__: plan)
     for precision in ("float32", "auto"):
         # Tiles are float32, whatever this processor would do otherwise, and the result says so.
         result = estimate_depth(scene, tmp_path / precision, settings=replace(settings, precision=precision))

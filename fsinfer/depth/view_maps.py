@@ -1,0 +1,170 @@
+"""The depth and the confidence map of one view after the other, with the feature maps of the last ones at hand."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.depth.job import DepthJob
+from fsinfer.depth.median_filter import settle_unsure
+from fsinfer.depth.memory import DepthPlan
+from fsinfer.depth.model import DepthEstimate, DepthModel, ViewFeatures
+from fsinfer.depth.settings import DepthSettings
+from fsinfer.depth.subpixel import normalised, refine_depth
+from fsinfer.depth.tiles import TiledDepth
+from fsinfer.io.images import read_image
+from fsinfer.scene import View
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadedView:
+    """Feature maps of a photograph reduced by ``scale_x``, ``scale_y``, and its (3, 3) intrinsics after that.
+
+    ``grey`` (H, W) float16 are its grey values for the sub-pixel step (:func:`fsinfer.depth.subpixel.normalised`).
+    """
+
+    features: ViewFeatures
+    grey: NDArray[np.float16]
+    intrinsic: NDArray[np.float64]
+    scale_x: float
+    scale_y: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewMaps:
+    """What is written of a view.
+
+    Attributes
+    ----------
+    depth, confidence: (h, w) float32.
+    stride: pixels of the reduced photograph to one of the maps.
+    scale_x, scale_y: by which the photograph was reduced.
+    """
+
+    depth: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    stride: int
+    scale_x: float
+    scale_y: float
+
+
+class MapsOfViews:
+    """The model of a job, which computes the maps of its views in any order; those of neighbours are quickest together.
+
+    Parameters
+    ----------
+    plan: of the job, or one for less memory that cuts depth into the same tiles.
+    threads: 0 uses every core.
+
+    Raises
+    ------
+    ModelError
+        The model cannot be loaded.
+    """
+
+    def __init__(self, job: DepthJob, *, plan: DepthPlan, threads: int) -> None:
+        self._settings = job.settings
+        self._cached_views = plan.cached_views
+        self._model = DepthModel.load(
+            job.settings.model,
+            threads=threads,
+            provider=job.settings.provider,
+            precision=job.precision,
+            trust=job.settings.trust_model,
+        )
+        self.model_sha256 = self._model.sha256
+        self._predictor = (
+            TiledDepth(self._model, plan.tile_size, keeps_volume=plan.keeps_volume) if plan.tile_size else self._model
+        )
+        self._cache: OrderedDict[str, LoadedView] = OrderedDict()
+
+    def of(self, view: View, sources: Sequence[View]) -> ViewMaps:
+        """The maps of a view, compared with its sources."""
+        settings = self._settings
+        loaded = [self._recall(v) for v in (view, *sources)]
+        intrinsics = np.stack([item.intrinsic for item in loaded])
+        cam_from_world = np.stack([v.camera.cam_from_world for v in (view, *sources)])
+        depth_range = search_range(
+            view.camera.depth_min, view.camera.depth_max, settings, inverse_depth=self._model.manifest.inverse_depth
+        )
+        estimate = self._predictor.predict_from_features(
+            [item.features for item in loaded], intrinsics, cam_from_world, depth_range
+        )
+        greys = [item.grey for item in loaded]
+        depth = finish_depth(
+            estimate, greys, intrinsics, cam_from_world, settings=settings, threads=self._model.threads
+        )
+        return ViewMaps(
+            depth=depth,
+            confidence=estimate.confidence,
+            stride=estimate.stride,
+            scale_x=loaded[0].scale_x,
+            scale_y=loaded[0].scale_y,
+        )
+
+    def _recall(self, view: View) -> LoadedView:
+        cache = self._cache
+        if view.name in cache:
+            cache.move_to_end(view.name)
+            return cache[view.name]
+        loaded = cache[view.name] = load_view(self._model, view, self._settings)
+        while len(cache) > self._cached_views:
+            cache.popitem(last=False)
+        return loaded
+
+
+def load_view(model: DepthModel, view: View, settings: DepthSettings) -> LoadedView:
+    """Read a photograph, reduce it to ``max_size_px`` on its longer side, and compute its feature maps."""
+    image = read_image(view.image_path)
+    height, width = image.shape[:2]
+    factor = min(1.0, settings.max_size_px / max(height, width))
+    intrinsic = view.camera.intrinsic.copy()
+    scale_x = scale_y = 1.0
+    if factor < 1:
+        size = (round(width * factor), round(height * factor))
+        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.uint8)
+        scale_x, scale_y = size[0] / width, size[1] / height
+        # cv2.resize maps the centre of pixel x to (x + 0.5) * scale - 0.5.
+        intrinsic[0] *= scale_x
+        intrinsic[1] *= scale_y
+        intrinsic[0, 2] += 0.5 * scale_x - 0.5
+        intrinsic[1, 2] += 0.5 * scale_y - 0.5
+    grey = normalised(image, settings.subpixel)
+    return LoadedView(features=model.features(image), grey=grey, intrinsic=intrinsic, scale_x=scale_x, scale_y=scale_y)
+
+
+def finish_depth(
+    estimate: DepthEstimate,
+    greys: Sequence[NDArray[np.float16]],
+    intrinsics: NDArray[np.float64],
+    cam_from_world: NDArray[np.float64],
+    *,
+    settings: DepthSettings,
+    threads: int = 1,
+) -> NDArray[np.float32]:
+    """Depth (h, w) of the network with its unsure pixels settled, and that at a tenth of a pixel.
+
+    ``greys`` (N, H, W), ``intrinsics`` (N, 3, 3) and ``cam_from_world`` (N, 4, 4) of reference and sources.
+    """
+    depth = settle_unsure(estimate.depth, estimate.confidence, settings=settings.unsure)
+    if settings.subpixel.rounds == 0:
+        return depth
+    return refine_depth(
+        depth, estimate.confidence, greys, intrinsics, cam_from_world, settings=settings.subpixel, threads=threads
+    )
+
+
+def search_range(near: float, far: float, settings: DepthSettings, *, inverse_depth: bool) -> tuple[float, float]:
+    """Depth range to search where planes are uniform in 1/depth, see :class:`DepthSettings`; others are searched as is.
+
+    The near bound of a range that is too long is moved out first, then the far bound of one that is too tight.
+    """
+    if not inverse_depth:
+        return near, far
+    near = max(near, far / settings.max_far_over_near)
+    return near, max(far, settings.min_far_over_near * near)
