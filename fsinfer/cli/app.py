@@ -29,6 +29,8 @@ from fsinfer.cli.options import (
     ArucoLength,
     BreastHeight,
     BreastHeightRule,
+    DepthCopy,
+    DepthScheduler,
     Edits,
     Endpoints,
     EndpointsLength,
@@ -163,6 +165,8 @@ def run(
     provider: Provider = DepthSettings.provider,
     precision: PrecisionHow = DEFAULT_PRECISION,
     trust_model: TrustModel = False,
+    scheduler: DepthScheduler = DepthSettings.scheduler,
+    copy: DepthCopy = DepthSettings.copy_photos,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
@@ -192,6 +196,8 @@ def run(
             provider=provider,
             precision=precision,
             trust_model=trust_model,
+            scheduler=scheduler,
+            copy=copy,
         ),
         fusion=FusionSettings(memory_gb=memory_gb),
         trees=tree_settings(bh_m=bh, bh_rule=bh_rule),
@@ -199,7 +205,8 @@ def run(
         border=border,
         walk=WalkSettings(measure_far=far_stems),
     )
-    with stage_progress(quiet=quiet, whole=RemainingTime()) as progress:
+    elsewhere = ("depth",) if scheduler else ()
+    with stage_progress(quiet=quiet, whole=RemainingTime(elsewhere=elsewhere)) as progress:
         result = run_pipeline(source, out, settings=settings, edits=edits, progress=progress)
     poses, cloud, trees = result.records.poses.result, result.records.cloud.result, result.records.trees.result
     warn(result.plot["warnings"])

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 _SCALE = "Scale (one of)"
 _BORDER = "Border of the plot"
+_WHERE = "Where depth is computed"
 
 # What the settings have by default, as the options show it.
 DEFAULT_EQUALIZE = Equalize(FrameSettings.equalize)
@@ -101,6 +102,24 @@ EqualizeHow = Annotated[
 Model = Annotated[str, typer.Option("--model", help="Depth model: a name that comes with fsinfer, or a manifest file.")]
 TrustModel = Annotated[
     bool, typer.Option("--trust-model", help="Use the model though its files are not those of its manifest.")
+]
+DepthScheduler = Annotated[
+    str,
+    typer.Option(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Dask scheduler, like tcp://10.0.0.5:8786: its workers compute the depth maps. Needs fsinfer\\[cluster].",
+        rich_help_panel=_WHERE,
+        show_default=False,
+    ),
+]
+DepthCopy = Annotated[
+    bool,
+    typer.Option(
+        "--copy",
+        help="Send the photos to the workers' own disks. Default: workers see them under the paths of this computer.",
+        rich_help_panel=_WHERE,
+    ),
 ]
 Views = Annotated[
     int, typer.Option("--views", min=2, max=11, help="Photos compared at a time: one and its best neighbours.")
@@ -201,6 +220,8 @@ def depth_settings(
     provider: str,
     precision: Precision,
     trust_model: bool,
+    scheduler: str,
+    copy: bool,
 ) -> DepthSettings:
     """Settings of the depth stage; ``views`` counts the reference photograph too."""
     return DepthSettings(
@@ -212,6 +233,8 @@ def depth_settings(
         provider=provider,
         precision=precision.value,
         trust_model=trust_model,
+        scheduler=scheduler,
+        copy_photos=copy,
     )
 
 

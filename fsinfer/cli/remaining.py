@@ -8,7 +8,7 @@ earlier run report nothing and count for nothing.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -81,12 +81,19 @@ class RemainingTime:
     ----------
     photos: how many, if known; else learnt from the first step that counts photos.
     clock: seconds, rising.
+    elsewhere: stages that other computers do: what they take tells of no other stage, and the reverse.
     """
 
-    def __init__(self, *, photos: int = 0, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, *, photos: int = 0, clock: Callable[[], float] = time.monotonic, elsewhere: Collection[str] = ()
+    ) -> None:
         self._photos = photos
         self._clock = clock
+        self._elsewhere = frozenset(i for i, step in enumerate(STEPS) if step.stage in elsewhere)
         self._started = clock()
+        self._seconds_elsewhere = 0.0
+        # Of the step at hand: when it had counted what was there before, and how far it was then.
+        self._began = (self._started, 0.0)
         self._ran: set[int] = set()
         self._at = -1
         self._part = 0.0
@@ -102,16 +109,20 @@ class RemainingTime:
             # The stage itself, or an earlier step of it, told how many photos there are.
             self._at = found[0]
             self._part = 0.0
+            self._began = (self._clock(), 0.0)
         self._ran.add(self._at)
         if what in ("reading photos", "finding features", "placing photos") or stage == "depth":
             self._photos = total
         before, self._part = self._part, max(self._part, min(1.0, done / total))
         now = self._clock()
+        if self._at in self._elsewhere:
+            self._seconds_elsewhere += now - self._reported
         photos = max(2, self._photos)
         cost = (self._part - before) * STEPS[self._at].cost(photos)
         if cost * photos > _SKIPPED * (now - self._reported):
             # A stage that goes on after a stop counts quickly through what it did before.
-            self._there_before += cost
+            self._there_before += cost if self._at not in self._elsewhere else 0.0
+            self._began = (now, self._part)
         self._reported = now
 
     def seconds(self) -> float | None:
@@ -119,12 +130,23 @@ class RemainingTime:
         if self._at < 0:
             return None
         photos = max(2, self._photos)
-        costs = [step.cost(photos) for step in STEPS]
+        # What other computers have done says nothing of this one.
+        costs = [0.0 if i in self._elsewhere and i <= self._at else s.cost(photos) for i, s in enumerate(STEPS)]
         done = sum(costs[i] for i in self._ran if i < self._at) + self._part * costs[self._at] - self._there_before
         left = (1 - self._part) * costs[self._at] + sum(costs[self._at + 1 :])
-        if done < _LEAST_SHARE * (done + left):
-            return None
-        return (self._clock() - self._started) * left / done
+        now = self._clock()
+        spent = now - self._started - self._seconds_elsewhere
+        there = 0.0
+        if self._at in self._elsewhere and self._part < 1:
+            since, part = self._began
+            if self._part - part < _LEAST_SHARE * (1 - part):
+                return None
+            there = (now - since) * (1 - self._part) / (self._part - part)
+            spent -= now - self._reported
+        if done >= _LEAST_SHARE * (done + left):
+            return there + spent * left / done
+        # With all before done in an earlier run, the costs themselves are the best guess.
+        return there + photos * left if there else None
 
 
 def as_words(seconds: float) -> str:

@@ -17,6 +17,8 @@ from fsinfer.cli.options import (
     ArucoLength,
     BreastHeight,
     BreastHeightRule,
+    DepthCopy,
+    DepthScheduler,
     Edits,
     Endpoints,
     EndpointsLength,
@@ -125,6 +127,8 @@ def depth(
     provider: Provider = DepthSettings.provider,
     precision: PrecisionHow = DEFAULT_PRECISION,
     trust_model: TrustModel = False,
+    scheduler: DepthScheduler = DepthSettings.scheduler,
+    copy: DepthCopy = DepthSettings.copy_photos,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
@@ -141,6 +145,8 @@ def depth(
         provider=provider,
         precision=precision,
         trust_model=trust_model,
+        scheduler=scheduler,
+        copy=copy,
     )
     from fsinfer.workflow.single_stages import depth_of
 

@@ -10,6 +10,7 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import CancelledError
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -19,6 +20,9 @@ from fsinfer.errors import ClusterError, InputError, WorkerLostError
 #: Time in which the scheduler has to answer; without any worker, or without an answer, one waits so long before giving
 #: up. Seconds. Source: judgement; a worker takes some seconds to start, a switch that restarts a minute or two.
 CONNECT_S, ALONE_S = 15.0, 300.0
+#: A result takes no longer to come from a worker that is there, else it is asked for again, seconds. Source: judgement;
+#: a few megabytes over a slow line.
+FETCH_S = 30.0
 #: Between two looks at who is there, seconds. Source: numerics.
 LOOK_S = 1.0
 
@@ -94,7 +98,7 @@ class Workers:
                 if worker not in self._threads:
                     raise WorkerLostError(lost)
             if future.status == "finished":
-                return future.result()
+                return self._fetch(future, worker, lost)
             if future.status != "error":
                 raise WorkerLostError(lost)
             error = future.exception()
@@ -106,6 +110,18 @@ class Workers:
         finally:
             with contextlib.suppress(Exception):  # nobody is there to be told
                 future.cancel()
+
+    def _fetch(self, future: Any, worker: str, lost: str) -> Any:
+        """The result, which lies on the worker until it is asked for: Dask would wait for it though that is gone."""
+        while True:
+            try:
+                return future.result(timeout=FETCH_S)
+            except TimeoutError:
+                self.check()
+                if worker not in self._threads:
+                    raise WorkerLostError(lost) from None
+            except CancelledError as error:
+                raise WorkerLostError(lost) from error
 
     def everywhere(self, function: Callable[..., Any], *arguments: object) -> None:
         """Call a quick function on all workers; those that cannot be reached end what they do by themselves."""

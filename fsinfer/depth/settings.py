@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from fsinfer.errors import InputError
+
 
 class Precision(StrEnum):
     """Numbers that depth is computed with."""
@@ -101,6 +103,14 @@ class DepthSettings:
     provider: of onnxruntime, see :mod:`fsinfer.depth.session`. Source: option.
     precision: of the regularizer, one of :class:`Precision`, see :mod:`fsinfer.depth.precision`. Source: option.
     trust_model: a model is used though its files are not those that its manifest names by their hash. Source: option.
+    scheduler: address of a Dask scheduler, whose workers compute the maps; empty for this computer. Each stays within
+        ``memory_gb``; ``threads`` = 0 is a worker's share of its computer's cores. Source: option.
+    copy_photos: the photographs are sent to the workers, which see no disk of ours. Source: option.
+
+    Raises
+    ------
+    InputError
+        Copying without a cluster.
     """
 
     model: str = "field"
@@ -115,3 +125,10 @@ class DepthSettings:
     provider: str = "cpu"
     precision: str = Precision.auto.value
     trust_model: bool = False
+    scheduler: str = ""
+    copy_photos: bool = False
+
+    def __post_init__(self) -> None:
+        if self.copy_photos and not self.scheduler:
+            msg = "--copy was given without --scheduler; on this computer the photos are where they are needed already"
+            raise InputError(msg)

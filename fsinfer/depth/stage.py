@@ -14,7 +14,7 @@ import cv2
 from fsinfer.depth.job import DepthJob, plan_job
 from fsinfer.depth.maps import read_depth_index
 from fsinfer.depth.settings import DepthSettings
-from fsinfer.depth.view_maps import MapsOfViews, ViewMaps
+from fsinfer.depth.view_maps import MapsOfViews, ViewMaps, sources_of
 from fsinfer.errors import SceneError
 from fsinfer.io.files import make_folder, write_text
 from fsinfer.io.pfm import read_pfm, write_pfm
@@ -23,7 +23,7 @@ from fsinfer.scene import Scene, View
 from fsinfer.threads import one_blas_thread
 
 #: Views and their maps as they get ready, in any order.
-Computed = Generator[tuple[View, ViewMaps]]
+Computed = Generator[tuple[View, ViewMaps], None, None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +59,9 @@ def estimate_depth(
     SceneError
         A view has no source view. ModelError, ImageError, OutputError as their names say.
     InputError
-        A depth map takes more than ``settings.memory_gb``.
+        A depth map takes more than ``settings.memory_gb``, or the cluster of ``settings.scheduler`` cannot be used.
+    ClusterError
+        The cluster is gone; the maps that are finished are kept.
     """
     settings = settings or DepthSettings()
     usable = [view for view in scene.views if view.sources]
@@ -82,7 +84,7 @@ def estimate_depth(
             finished += 1
         else:
             left.append(view)
-    with closing(_here(job, scene, left, tell)) as computed:
+    with closing(_computed(job, scene, left, tell)) as computed:
         for view, maps in computed:
             write_pfm(out / "depth" / f"{view.name}.pfm", maps.depth)
             write_pfm(out / "confidence" / f"{view.name}.pfm", maps.confidence)
@@ -100,6 +102,15 @@ def estimate_depth(
     )
 
 
+def _computed(job: DepthJob, scene: Scene, views: Sequence[View], tell: Callable[[View], None]) -> Computed:
+    """The maps of views, from this computer or from the workers of the settings' scheduler."""
+    if not job.settings.scheduler:
+        return _here(job, scene, views, tell)
+    from fsinfer.depth.on_workers import maps_on_workers  # loads Dask
+
+    return maps_on_workers(job, scene, views, tell)
+
+
 def _here(job: DepthJob, scene: Scene, views: Sequence[View], tell: Callable[[View], None]) -> Computed:
     """On this computer, one view after the other; ``tell`` is told of each that is begun."""
     maps = MapsOfViews(job, plan=job.plan, threads=job.settings.threads)
@@ -111,11 +122,6 @@ def _here(job: DepthJob, scene: Scene, views: Sequence[View], tell: Callable[[Vi
             yield view, maps.of(view, sources_of(scene, view, job.settings))
     finally:
         cv2.setNumThreads(threads_before)
-
-
-def sources_of(scene: Scene, view: View, settings: DepthSettings) -> list[View]:
-    """The views that one is compared with."""
-    return [scene.views[i] for i in view.sources[: settings.source_views]]
 
 
 def _begin(out: Path, settings: DepthSettings, model_sha256: str, *, resume: bool) -> dict[str, Any]:

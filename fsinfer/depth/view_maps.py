@@ -18,7 +18,7 @@ from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.subpixel import normalised, refine_depth
 from fsinfer.depth.tiles import TiledDepth
 from fsinfer.io.images import read_image
-from fsinfer.scene import View
+from fsinfer.scene import Scene, View
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,3 +168,8 @@ def search_range(near: float, far: float, settings: DepthSettings, *, inverse_de
         return near, far
     near = max(near, far / settings.max_far_over_near)
     return near, max(far, settings.min_far_over_near * near)
+
+
+def sources_of(scene: Scene, view: View, settings: DepthSettings) -> list[View]:
+    """The views that one is compared with."""
+    return [scene.views[i] for i in view.sources[: settings.source_views]]

@@ -75,6 +75,20 @@ def model_digest(settings: DepthSettings) -> str:
     return manifest.sha256_of(int8=precision == INT8)
 
 
+def require_workers(settings: DepthSettings, folder: Path | None = None) -> None:
+    """See that the cluster that is to compute depth can be used, and sees ``folder``, before any work begins.
+
+    Raises
+    ------
+    InputError, ClusterError
+        It cannot.
+    """
+    if settings.scheduler:
+        from fsinfer.depth.on_workers import check_workers  # loads Dask
+
+        check_workers(settings, folder)
+
+
 def compute_depth(
     ledger: Ledger, scene: Scene, *, settings: DepthSettings, progress: StageProgress = silent_stages
 ) -> StageRecord[DepthResult]:

@@ -34,6 +34,7 @@ from fsinfer.workflow.cloud_stages import (
     measure_scale,
     model_digest,
     place_plot,
+    require_workers,
     scene_of,
 )
 from fsinfer.workflow.folder_lock import alone_in
@@ -115,6 +116,7 @@ def run(
     require_poses(out)
     ledger = Ledger(make_folder(out))
     with alone_in(out):
+        require_workers(settings.depth, out)
         frames = choose_frames(ledger, source, files, settings=settings.frames, progress=progress)
         poses = register_photos(
             ledger, out / "frames" / "images", settings=settings.poses, origin=source, progress=progress

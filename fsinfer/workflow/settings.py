@@ -23,7 +23,7 @@ from fsinfer.trees.stem_curve import CurveSettings
 
 # How the work is spread over the machine does not change what comes out. The precision asked for and the trust in a
 # model may, but the hash of the graphs that they led to on this machine says so better.
-_SPEED_OPTIONS = frozenset({"threads", "memory_gb", "provider", "precision", "trust_model"})
+_SPEED_OPTIONS = frozenset({"threads", "memory_gb", "provider", "precision", "trust_model", "scheduler", "copy_photos"})
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,7 +25,7 @@ from fsinfer.poses.settings import PoseSettings
 from fsinfer.progress import StageProgress, silent_stages
 from fsinfer.scene import read_scene, scene_digest
 from fsinfer.threads import one_blas_thread
-from fsinfer.workflow.cloud_stages import compute_depth, model_digest
+from fsinfer.workflow.cloud_stages import compute_depth, model_digest, require_workers
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
 from fsinfer.workflow.photo_stages import choose_frames, register_photos, require_poses
 from fsinfer.workflow.scene_source import imported_scene, our_scene
@@ -104,6 +104,7 @@ def depth_of(
     photographs, where they do not lie beside it.
     """
     model_digest(settings)  # a wrong name must not show after the images are undistorted
+    require_workers(settings)
     scene = read_scene(our_scene(source, out, images=images, progress=progress))
     return compute_depth(Ledger(make_folder(out)), scene, settings=settings, progress=progress)
 

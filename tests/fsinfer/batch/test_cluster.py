@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -20,7 +16,7 @@ from fsinfer.batch.run import BatchResult, PlotNews, run_batch
 from fsinfer.batch.settings import BatchSettings
 from fsinfer.errors import ClusterError
 from tests.support.batch_plots import STAND_IN, behave, is_alive, kill, read_csv, started, wait_for, write_table
-from tests.support.places import ROOT
+from tests.support.dask_cluster import RunningCluster, running_cluster
 
 pytest.importorskip("distributed")
 pytestmark = [
@@ -32,46 +28,10 @@ pytestmark = [
 OF_THE_RUN = ("attempts", "seconds", "host")
 
 
-@dataclass
-class RunningCluster:
-    """A scheduler and its workers, processes of their own as on several computers."""
-
-    address: str
-    folder: Path
-    scheduler: subprocess.Popen[bytes]
-    workers: list[subprocess.Popen[bytes]]
-
-
-def start(folder: Path, *words: str) -> subprocess.Popen[bytes]:
-    paths = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
-    environment = os.environ | {"PYTHONPATH": paths, "DASK_DISTRIBUTED__ADMIN__TICK__LIMIT": "60s"}
-    with (folder / "dask.log").open("ab") as log:
-        return subprocess.Popen(
-            [sys.executable, "-m", "dask", *words], cwd=folder, env=environment, stdout=log, stderr=log
-        )
-
-
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[RunningCluster]:
-    folder = tmp_path / "dask"
-    folder.mkdir()
-    told = folder / "scheduler.json"
-    scheduler = start(
-        folder, "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(told)
-    )
-    workers: list[subprocess.Popen[bytes]] = []
-    try:
-        wait_for(lambda: told.is_file() and told.read_text().strip().endswith("}"), seconds=120)
-        address = json.loads(told.read_text(encoding="utf-8"))["address"]
-        for number in range(2):
-            # Without a nanny, which would start it again: this worker is gone for good.
-            words = ("--no-nanny", "--nthreads", "2", "--host", "127.0.0.1", "--no-dashboard", "--name", f"w{number}")
-            workers.append(start(folder, "worker", address, *words, "--local-directory", str(folder / f"w{number}")))
-        yield RunningCluster(address=address, folder=folder, scheduler=scheduler, workers=workers)
-    finally:
-        for process in (*workers, scheduler):
-            process.kill()
-            process.wait()
+    with running_cluster(tmp_path / "dask") as running:
+        yield running
 
 
 def summary(out: Path) -> list[dict[str, str]]:

@@ -75,6 +75,36 @@ def test_after_the_first_tenth_it_is_right_within_30_percent(photos: int, speed:
     assert remaining.seconds() == pytest.approx(0.0, abs=0.01 * (clock.now - begin))
 
 
+@pytest.mark.parametrize("quicker", [0.1, 8.0])
+@pytest.mark.parametrize("there_before", [0.0, 0.5])
+def test_depth_on_other_computers_has_a_pace_of_its_own(quicker: float, there_before: float) -> None:
+    clock = Clock()
+    remaining = RemainingTime(clock=clock, elsewhere=("depth",))
+    run, photos = RUNS[100], 100
+    for stage in ("frames", "poses"):
+        for what, share in POSES.items() if stage == "poses" else (("", 1.0),):
+            remaining.update(stage, 0, photos, what)
+            clock.now += share * run[stage]
+            remaining.update(stage, photos, photos, what)
+    first = int(photos * there_before)
+    for done in range(first):
+        remaining.update("depth", done, photos, "depth of a view that is there")
+        clock.now += 1e-4
+    each = run["depth"] / photos / quicker
+    after = sum(run[stage] for stage in ("fuse", "scale", "cloud", "trees", "report"))
+    for done in range(first, photos):
+        remaining.update("depth", done, photos, "depth of a view")
+        if done > first + 5:
+            assert remaining.seconds() == pytest.approx(after + (photos - done) * each, rel=0.3)
+        clock.now += each
+    remaining.update("depth", photos, photos, "depth")
+    assert remaining.seconds() == pytest.approx(after, rel=0.3)
+    remaining.update("fuse", 0, photos, "fuse")
+    clock.now += run["fuse"]
+    remaining.update("fuse", photos, photos, "fuse")
+    assert remaining.seconds() == pytest.approx(after - run["fuse"], rel=0.3)
+
+
 def test_steps_done_in_an_earlier_run_do_not_count() -> None:
     clock = Clock()
     remaining = RemainingTime(clock=clock)
