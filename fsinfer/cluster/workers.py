@@ -125,8 +125,15 @@ class Workers:
 
     def everywhere(self, function: Callable[..., Any], *arguments: object) -> None:
         """Call a quick function on all workers; those that cannot be reached end what they do by themselves."""
-        with contextlib.suppress(Exception):
-            self._client.run(function, *arguments, on_error="ignore")
+
+        def run() -> None:
+            with contextlib.suppress(Exception):
+                self._client.run(function, *arguments, on_error="ignore")
+
+        # Dask would wait for a worker that is asleep.
+        thread = threading.Thread(target=run, daemon=True)
+        thread.start()
+        thread.join(CONNECT_S)
 
     def give_up(self, why: str) -> None:
         """Let whoever waits for a worker, or for what it returns, stop waiting."""
