@@ -116,7 +116,7 @@ def run(
     require_poses(out)
     ledger = Ledger(make_folder(out))
     with alone_in(out):
-        require_workers(settings.depth, out)
+        require_workers(settings.depth, ledger.folder)
         frames = choose_frames(ledger, source, files, settings=settings.frames, progress=progress)
         poses = register_photos(
             ledger, out / "frames" / "images", settings=settings.poses, origin=source, progress=progress

@@ -153,7 +153,12 @@ def test_a_worker_that_does_not_see_the_folder_is_told_before_any_work(
 
 
 def test_what_a_killed_worker_had_is_done_by_the_other(
-    scene: Path, near: Path, cluster: RunningCluster, tasks: list[tuple[str, ViewTask]], tmp_path: Path
+    scene: Path,
+    near: Path,
+    cluster: RunningCluster,
+    tasks: list[tuple[str, ViewTask]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     victim = cluster.workers[0]
 
@@ -164,8 +169,10 @@ def test_what_a_killed_worker_had_is_done_by_the_other(
         elif done == 4:
             victim.kill()
 
-    out = tmp_path / "far"
-    depth_of(scene, out, settings=DepthSettings(scheduler=cluster.address), progress=watched(strike))
+    # A path that leads nowhere from where the workers stand.
+    monkeypatch.chdir(scene.parent)
+    out, settings = tmp_path / "far", DepthSettings(scheduler=cluster.address)
+    depth_of(Path(scene.name), out, settings=settings, progress=watched(strike))
     assert victim.wait(60) == -signal.SIGKILL
     assert content(out) == content(near)
     given = [task.view.name for _, task in tasks]

@@ -21,7 +21,7 @@ from fsinfer.depth.manifest import models_folder, read_manifest
 from fsinfer.depth.memory import DepthPlan
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.stage import estimate_depth
-from fsinfer.depth.view_maps import sources_of
+from fsinfer.depth.view_maps import MapsOfViews, sources_of
 from fsinfer.depth.worker import UnfitWorkerError, ViewTask, compute
 from fsinfer.errors import ClusterError, ImageError, InputError, WorkerLostError
 from fsinfer.scene import Scene, read_scene
@@ -219,11 +219,10 @@ def test_a_worker_stays_within_its_memory_or_says_so(scene: Scene, monkeypatch: 
 
 def test_what_a_worker_keeps_serves_the_next_view_and_goes(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     loaded: list[str] = []
-    read = worker.MapsOfViews
 
     def load(*arguments: Any, **options: Any) -> Any:
         loaded.append("model")
-        return read(*arguments, **options)
+        return MapsOfViews(*arguments, **options)
 
     monkeypatch.setattr(worker, "MapsOfViews", load)
     task = task_of(scene, plan_job(scene.views, SETTINGS))

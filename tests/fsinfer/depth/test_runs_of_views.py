@@ -25,7 +25,7 @@ def test_workers_of_one_speed_have_a_run_each() -> None:
 def test_whoever_is_quick_takes_half_of_what_the_slow_one_has_left() -> None:
     runs = RunsOfViews(20, workers=2)
     first = runs.take("slow")
-    taken = [view for view in iter(lambda: runs.take("quick"), None) if view is not None]
+    taken = list(iter(lambda: runs.take("quick"), None))
     assert first is not None
     assert sorted([first, *taken]) == list(range(20))
     # Ten of its own in one run, then ever shorter halves of the other's nine.
@@ -60,5 +60,5 @@ def test_every_view_is_computed_once_whoever_is_lost(count: int, workers: int, s
         else:
             done.append(view)
         assert runs.left == count - len(done)
-    done += [view for view in iter(lambda: runs.take("last"), None) if view is not None]
+    done += list(iter(lambda: runs.take("last"), None))
     assert sorted(done) == list(range(count))
