@@ -185,6 +185,7 @@ def test_every_option_that_is_named_exists() -> None:
         "--all-files",
         "--nproc-per-node",
         "--local-directory",
+        "--memory-limit",
     }  # mkdocs, pytest, pre-commit, torchrun, dask
     unknown = {}
     for document in DOCUMENTS:

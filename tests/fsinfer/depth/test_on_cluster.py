@@ -23,6 +23,7 @@ from fsinfer.workflow.single_stages import depth_of
 from tests.support.command_line import Call
 from tests.support.dask_cluster import RunningCluster, running_cluster
 from tests.support.plane_scene import write_plane_scene
+from tests.support.time_limit import within
 
 pytest.importorskip("distributed")
 pytestmark = [
@@ -58,6 +59,12 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningCluster
         finally:
             workers.close()
         yield running
+
+
+@pytest.fixture(autouse=True)
+def not_for_ever() -> Iterator[None]:
+    with within(300):
+        yield
 
 
 @pytest.fixture
@@ -186,7 +193,7 @@ def test_what_a_killed_worker_had_is_done_by_the_other(
 def test_a_scheduler_that_does_not_answer_is_told_before_any_work(
     scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: Call, command: str
 ) -> None:
-    monkeypatch.setattr("fsinfer.cluster.workers.CONNECT_S", 1.0)
+    monkeypatch.setattr("fsinfer.cluster.workers.CONNECT_S", 0.3)
     source = scene if command == "depth" else scene / "images"
     code, _, said = call(command, source, tmp_path / "out", "--scheduler", "tcp://127.0.0.1:9")
     assert code == 2

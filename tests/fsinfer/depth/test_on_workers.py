@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from fsinfer.errors import ClusterError, ImageError, InputError, WorkerLostError
 from fsinfer.scene import Scene, read_scene
 from tests.support.places import ROOT
 from tests.support.plane_scene import write_plane_scene
+from tests.support.time_limit import within
 
 pytestmark = pytest.mark.skipif(
     not (models_folder() / "field.json").is_file(), reason="the depth model is not in this source tree"
@@ -75,9 +76,11 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 
 
 @pytest.fixture(autouse=True)
-def worker_here(monkeypatch: pytest.MonkeyPatch) -> None:
+def worker_here(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(worker, "memory_limit_bytes", lambda: None)
     monkeypatch.setattr(on_workers, "LOOK_S", 0.02)
+    with within(120):
+        yield
 
 
 @pytest.fixture
