@@ -44,12 +44,14 @@ ROUNDS, TOLERANCES_M, ROUND_FIRST = 12, (0.012, 0.008, 0.006, 0.005, 0.004), 10.
 #: renders only; on four development plots one stem of 106 is not reached from 0.06, another not from 0.10
 #: (docs/trials-accuracy.md).
 OVALS, OVAL_TURNS = (0.06, 0.10), 6
-#: An oval is believed where it is so much more likely than what began as a circle. The edges' log posterior counts as
-#: that of one band in so many, because the bands of a side err together; the cloud's radius, where there is one, as it
-#: is, up to so many standard deviations. Source: two more unknowns for some hundred pairs of photograph and side cost
-#: about 5 (Schwarz 1978); on three development plots stems that are oval gained 10 to 149 by their edges, one that is
-#: not 11, and the points parted these; renders only.
-OVAL_GAIN, OVAL_BANDS, OVAL_POINTS_STD = 5.0, 6.0, 3.0
+#: The edges' log likelihood counts as that of one band in so many, because the bands of a side err together. Source:
+#: the strip's length over a band's.
+BANDS_TOGETHER = 6.0
+#: An oval is believed where it is so much more likely than what began as a circle. The cloud's radius, where there is
+#: one, counts up to so many standard deviations. Source: two more unknowns for some hundred pairs of photograph and
+#: side cost about 5 (Schwarz 1978); on three development plots stems that are oval gained 10 to 149 by their edges, one
+#: that is not 11, and the points parted these; renders only.
+OVAL_GAIN, OVAL_POINTS_STD = 5.0, 3.0
 #: Standard deviation of the photographs' offsets in the first round, metres, before any is known. Source: numerics.
 OFFSET_FIRST_M = 0.005
 #: An edge is never surer, metres. Source: numerics.
@@ -257,8 +259,14 @@ class _Solution:
     scores: Floats
     information: Floats
     noise_m: float
-    log_posterior: float
+    log_likelihood: float
+    log_prior: float
     precision: Floats
+
+    @property
+    def log_posterior(self) -> float:
+        """The bands of a side err together, so that the edges count as those of one; priors count as they are."""
+        return self.log_likelihood / BANDS_TOGETHER + self.log_prior
 
 
 def _surer(circle: _Solution, oval: _Solution, points: tuple[float, float] | None) -> _Solution:
@@ -266,7 +274,7 @@ def _surer(circle: _Solution, oval: _Solution, points: tuple[float, float] | Non
 
     def score(found: _Solution) -> float:
         away = 0.0 if points is None else min(abs(float(found.x[0]) - points[0]) / points[1], OVAL_POINTS_STD)
-        return found.log_posterior / OVAL_BANDS - 0.5 * away**2
+        return found.log_posterior - 0.5 * away**2
 
     return oval if score(oval) > score(circle) + OVAL_GAIN else circle
 
@@ -380,7 +388,8 @@ class _Problem:
             scores=own * (precision * residual)[:, None],
             information=information,
             noise_m=noise,
-            log_posterior=log_likelihood - aside - 0.5 * float((self.prior[6:] * x[6:] ** 2).sum()),
+            log_likelihood=log_likelihood - aside,
+            log_prior=-0.5 * float((self.prior[6:] * x[6:] ** 2).sum()),
             precision=precision,
         )
 
