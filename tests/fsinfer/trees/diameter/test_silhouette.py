@@ -8,14 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fsinfer.trees.diameter.silhouette import (
-    Edges,
-    SilhouetteSettings,
-    _Solution,
-    _surer,
-    edge_contrast,
-    fit_silhouette,
-)
+from fsinfer.trees.diameter.edge_problem import Edges, SilhouetteSettings, Solution
+from fsinfer.trees.diameter.silhouette import _surer, edge_contrast, fit_silhouette
 from training.simulate.stem_edges import edges_from_rows
 
 TAPER = -0.008
@@ -123,9 +117,9 @@ def test_the_scatter_of_an_edge_is_found_by_few_of_them() -> None:
     assert 0.82 < np.sqrt(np.mean(found)) / 0.004 < 1.15
 
 
-def solution(radius_m: float, log_likelihood: float, log_prior: float = 0.0) -> _Solution:
+def solution(radius_m: float, log_likelihood: float, log_prior: float = 0.0) -> Solution:
     none = np.zeros(0)
-    return _Solution(
+    return Solution(
         x=np.array([radius_m]), own=none, weight=none, scores=none, information=none, noise_m=0.001, precision=none,
         log_likelihood=log_likelihood, log_prior=log_prior,
     )  # fmt: skip
