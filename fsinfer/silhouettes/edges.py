@@ -20,7 +20,7 @@ from fsinfer.geometry.similarity import scale_of, scaling
 from fsinfer.io.images import read_image
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Camera, Scene, project
-from fsinfer.trees.diameter.silhouette import Edges
+from fsinfer.trees.diameter.edge_problem import Edges
 
 Floats = NDArray[np.float64]
 

@@ -32,9 +32,10 @@ from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
 from fsinfer.trees.cylinder.axis import LEAST_RADIUS_M
 from fsinfer.trees.diameter.budget import effective_dof, factor95, total_std
 from fsinfer.trees.diameter.dbh import too_uncertain, wide_interval
+from fsinfer.trees.diameter.edge_problem import Edges, SilhouetteSettings
 from fsinfer.trees.diameter.outline import Outline
 from fsinfer.trees.diameter.second_pair import SecondPairSettings, second_pair
-from fsinfer.trees.diameter.silhouette import Edges, SilhouetteFit, SilhouetteSettings, edge_contrast, fit_silhouette
+from fsinfer.trees.diameter.silhouette import SilhouetteFit, edge_contrast, fit_silhouette
 from fsinfer.trees.measure import trees_found
 from fsinfer.trees.one_entry import one_entry_a_stem
 from fsinfer.trees.stem_measurement import with_diameter

@@ -12,7 +12,7 @@ import csv
 import json
 import shutil
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from fsinfer.poses.pairs import PairSettings
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scene import read_scene
+from fsinfer.trees import Tree
 from fsinfer.trees.outputs.table import read_trees
 from fsinfer.workflow.pipeline import run
 from fsinfer.workflow.settings import RunSettings
@@ -127,6 +128,43 @@ def torn(photos: Path, out: Path, stretches: Sequence[str]) -> Path:
     return folder
 
 
+@dataclass(frozen=True, kw_only=True)
+class PlacedTrees:
+    """What a run found, in the frame of the truth.
+
+    ``summary`` is the content of ``plot.json``; ``scale`` the factor that its metres still lack; ``residual_m`` (K,)
+    how far its cameras lie from ``true_cameras`` (K, 3).
+    """
+
+    summary: dict[str, Any]
+    trees: list[Tree]
+    scale: float
+    residual_m: NDArray[np.float64]
+    true_cameras: NDArray[np.float64]
+    evaluation: Evaluation
+
+
+def placed_trees(plot: Path, out: Path) -> PlacedTrees:
+    """The trees that a run on the photographs of ``plot`` left in ``out`` against the truth, aligned by the cameras."""
+    summary = json.loads((out / "plot.json").read_text(encoding="utf-8"))
+    truth = {view.name: view.camera.center for view in read_scene(plot).views}
+    found = {view.name: view.camera.center for view in read_scene(out / "scene").views}
+    names = sorted(found)
+    cloud_from_scene = np.array(summary["cloud_from_scene"])
+    centers = np.array([cloud_from_scene[:3, :3] @ found[n] + cloud_from_scene[:3, 3] for n in names])
+    expected = np.array([truth[n] for n in names])
+    scale, rotation, shift = similarity(centers, expected)
+    residual = np.linalg.norm(scale * centers @ rotation.T + shift - expected, axis=1)
+    trees = []
+    for tree in read_trees(out / "trees.csv"):
+        x, y, _ = scale * rotation @ np.array([tree.x_m, tree.y_m, tree.z_ground_m]) + shift
+        trees.append(replace(tree, x_m=float(x), y_m=float(y)))
+    result = evaluate(read_measured(plot / "truth.csv"), trees, align="never", area_margin_m=1.0)
+    return PlacedTrees(
+        summary=summary, trees=trees, scale=scale, residual_m=residual, true_cameras=expected, evaluation=result
+    )
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run and print the comparison."""
     parser = argparse.ArgumentParser(prog="python -m tests.bench.plot", description=__doc__)
@@ -157,20 +195,11 @@ def main(argv: list[str] | None = None) -> int:
     if not args.judge:
         photos = args.plot / "images"
         run(torn(photos, args.out, args.stretches) if args.stretches else photos, args.out, settings=settings)
-    summary = json.loads((args.out / "plot.json").read_text(encoding="utf-8"))
-    truth = {view.name: view.camera.center for view in read_scene(args.plot).views}
-    found = {view.name: view.camera.center for view in read_scene(args.out / "scene").views}
-    names = sorted(found)
-    cloud_from_scene = np.array(summary["cloud_from_scene"])
-    centers = np.array([cloud_from_scene[:3, :3] @ found[n] + cloud_from_scene[:3, 3] for n in names])
-    expected = np.array([truth[n] for n in names])
-    scale, rotation, shift = similarity(centers, expected)
-    residual = np.linalg.norm(scale * centers @ rotation.T + shift - expected, axis=1)
-    trees = []
-    for tree in read_trees(args.out / "trees.csv"):
-        x, y, _ = scale * rotation @ np.array([tree.x_m, tree.y_m, tree.z_ground_m]) + shift
-        trees.append(replace(tree, x_m=float(x), y_m=float(y)))
-    result = evaluate(read_measured(args.plot / "truth.csv"), trees, align="never", area_margin_m=1.0)
+    placed = placed_trees(args.plot, args.out)
+    summary, trees, scale, residual, expected = (
+        placed.summary, placed.trees, placed.scale, placed.residual_m, placed.true_cameras,
+    )  # fmt: skip
+    result = placed.evaluation
     by_id = {str(tree.tree_id): tree for tree in trees}
     inside = []
     stems = []
@@ -202,7 +231,7 @@ def main(argv: list[str] | None = None) -> int:
         if str(tree.tree_id) not in {pair.extracted_id for pair in result.pairs}:
             print(f"without partner: ({tree.x_m:.1f}, {tree.y_m:.1f}), DBH {tree.dbh_cm}, {tree.status} {tree.reason}")
     print(
-        f"photos registered: {len(names)} of {summary['photos']}, "
+        f"photos registered: {len(residual)} of {summary['photos']}, "
         f"cameras rms {1000 * np.sqrt((residual**2).mean()):.1f} mm"
     )
     print(f"scale error {100 * (1 / scale - 1):+.3f} %, depth to SfM points {summary['depth_vs_sfm_median_rel']:.5f}")

@@ -263,7 +263,7 @@ def plot_classes(results: Sequence[Result]) -> Lines:
 
 
 def effects(results: Sequence[Result]) -> Lines:
-    """Each effect of a phone alone and doubled: photographs at their true place, ours beside COLMAP's default."""
+    """Each effect of a phone alone and doubled: photographs at their place, diameters, and COLMAP's default beside."""
 
     def placed(f: Mapping[str, float], case: str, way: str) -> str:
         right, of, rms_mm = (f.get(f"{case}_{key}") for key in (f"{way}_right", "photos", f"{way}_rms_mm"))
@@ -271,13 +271,20 @@ def effects(results: Sequence[Result]) -> Lines:
             return "not measured"
         return f"{right:g} of {of:g}, {number(rms_mm, '.1f')} mm"
 
+    def diameters(f: Mapping[str, float], case: str) -> str:
+        rmse, bias, matched, of = (f.get(f"{case}_ours_{key}") for key in ("rmse_cm", "bias_cm", "matched", "trees"))
+        if rmse is None or bias is None or matched is None or of is None:
+            return "not measured"
+        return f"{matched:g} of {of:g}, {number(rmse, '.2f')}, {number(bias, '+.2f')} cm"
+
     rows = []
     for f in (result.figures for result in results):
         for case, words in EFFECT_WORDS.items():
             for name, said in ((case, words), (f"{case}2", f"{words}, doubled")):
                 if f"{name}_photos" in f:
-                    rows.append([said, *(placed(f, name, way) for way in ("cheap", "ours", "colmap"))])
-    head = ["effect", "without a second look", "as shipped", "COLMAP, default settings, photographs doubled"]
+                    places = [placed(f, name, way) for way in ("cheap", "ours", "colmap")]
+                    rows.append([said, *places[:2], diameters(f, name), places[2]])
+    head = ["effect", "without a second look", "as shipped", "DBH: stems, RMSE, bias", "COLMAP, default settings"]
     return table(head, rows)
 
 

@@ -135,9 +135,11 @@ def test_every_effect_that_is_measured_has_words_in_the_table() -> None:
 def test_effects_are_listed_with_who_placed_how_many(tmp_path: Path) -> None:
     row = {"photos": 26, "cheap_right": 26, "cheap_rms_mm": 3.6, "ours_right": 26, "ours_rms_mm": 3.6}
     figures = {f"wind2_{key}": value for key, value in (row | {"colmap_right": 16, "colmap_rms_mm": 21.6}).items()}
-    figures |= {f"none_{key}": value for key, value in row.items()}
+    dbh = {"ours_trees": 8, "ours_matched": 7, "ours_rmse_cm": 0.214, "ours_bias_cm": -0.046}
+    figures |= {f"none_{key}": value for key, value in (row | dbh).items()}
     write_result("try", figures, command="python -m tests.bench.effects OUT", kind="development", folder=tmp_path)
     assert TEMPLATES["effects"]([read_result("try", tmp_path)])[2:] == [
-        "| none | 26 of 26, 3.6 mm | 26 of 26, 3.6 mm | not measured |",
-        "| leaves and undergrowth move 1.5 cm, doubled | 26 of 26, 3.6 mm | 26 of 26, 3.6 mm | 16 of 26, 21.6 mm |",
+        "| none | 26 of 26, 3.6 mm | 26 of 26, 3.6 mm | 7 of 8, 0.21, \N{MINUS SIGN}0.05 cm | not measured |",
+        "| leaves and undergrowth move 1.5 cm, doubled | 26 of 26, 3.6 mm | 26 of 26, 3.6 mm | not measured | "
+        "16 of 26, 21.6 mm |",
     ]

@@ -72,7 +72,7 @@ TARGETS: dict[str, Target] = {
         tests=(f"{_DIAMETER}test_sides_and_spread.py", *_INTERVAL),
     ),
     "silhouette-fit": Target(
-        files=("fsinfer/trees/diameter/silhouette.py",),
+        files=("fsinfer/trees/diameter/silhouette.py", "fsinfer/trees/diameter/edge_problem.py"),
         tests=(f"{_DIAMETER}test_silhouette.py", f"{_SILHOUETTES}test_join.py"),
     ),
     "silhouette-edges": Target(

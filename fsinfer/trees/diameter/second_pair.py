@@ -17,7 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.trees.diameter.silhouette import Edges, SilhouetteFit, SilhouetteSettings, fit_silhouette
+from fsinfer.trees.diameter.edge_problem import Edges, SilhouetteSettings
+from fsinfer.trees.diameter.silhouette import SilhouetteFit, fit_silhouette
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

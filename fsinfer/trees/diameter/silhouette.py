@@ -11,128 +11,30 @@ Cameras are placed with errors of their own: a photograph that stands a centimet
 centimetre aside. That is an unknown of each photograph, which moves its two sides the same way and leaves the stem's
 width alone; most are millimetres, so that its prior is Cauchy's, which lets a few be large.
 
-Edges are found without knowing which of them belong to the stem. The true stem is where the edges of many photographs
-agree: a vote over radius and place starts the fit, expectation-maximisation with a background class refines it. Depth
-maps blur a stem seen from 10 m by centimetres; its edges in the photographs are as sharp there as a pixel, 1 cm.
+Depth maps blur a stem seen from 10 m by centimetres; its edges in the photographs are as sharp there as a pixel, 1 cm.
+Which of the edges belong to the stem is found with its size (:mod:`fsinfer.trees.diameter.edge_problem`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.trees.cylinder.axis import AxisSettings
 from fsinfer.trees.diameter.budget import LEAST_DOF, effective_dof, total_std
+from fsinfer.trees.diameter.edge_problem import EdgeProblem, Edges, SilhouetteSettings, Solution, design_matrix
 from fsinfer.trees.diameter.sides import NOISE_SECTORS
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-#: Steps of the vote over radius and place, metres. Source: numerics.
-RADIUS_STEP_M, PLACE_STEP_M = 0.004, 0.01
-#: Peaks of the vote that are followed up. Source: numerics.
-STARTS = 3
-#: Rounds of a fit; tolerance of the vote and of the first ones, metres, after which it is what was found, and how
-#: much tighter harmonics are held in them: they would bend a wrong circle through a few edges. Source: numerics.
-ROUNDS, TOLERANCES_M, ROUND_FIRST = 12, (0.012, 0.008, 0.006, 0.005, 0.004), 10.0
-#: Ovals that a fit is begun with beside the circle: second harmonics, shares of the radius, and directions. Source:
-#: renders only; on four development plots one stem of 106 is not reached from 0.06, another not from 0.10
-#: (docs/trials-accuracy.md).
-OVALS, OVAL_TURNS = (0.06, 0.10), 6
-#: An oval is believed where it is so much more likely than what began as a circle. The edges' log posterior counts as
-#: that of one band in so many, because the bands of a side err together; the cloud's radius, where there is one, as it
-#: is, up to so many standard deviations. Source: two more unknowns for some hundred pairs of photograph and side cost
-#: about 5 (Schwarz 1978); on three development plots stems that are oval gained 10 to 149 by their edges, one that is
-#: not 11, and the points parted these; renders only.
-OVAL_GAIN, OVAL_BANDS, OVAL_POINTS_STD = 5.0, 6.0, 3.0
-#: Standard deviation of the photographs' offsets in the first round, metres, before any is known. Source: numerics.
-OFFSET_FIRST_M = 0.005
-#: An edge is never surer, metres. Source: numerics.
-LEAST_NOISE_M = 0.001
-
-
-@dataclass(frozen=True, kw_only=True)
-class SilhouetteSettings:
-    """Constants of :func:`fit_silhouette`; lengths in metres. "Two renders" are the open and the sloped plot.
-
-    Attributes
-    ----------
-    radius_range: of the radius known before, which may come from a haze. Source: renders only, two renders.
-    beyond_m: the greatest radius looked at is that much greater at least: thin stems would have nothing to stand out
-        from. Source: renders only, a stem of 8 cm (seed 953002) had a contrast of 1.07 instead of 1.26 and was taken
-        for a shrub; no other stem on two plots changed.
-    place_range_m: to either side of where the cloud has the axis. Source: renders only, two renders.
-    place_std_m: prior of where the cloud has the axis. Source: renders only, two renders.
-    slope_std: prior of its slope. Source: renders only, two renders.
-    taper_std: prior of its taper, radius per metre of height. Source: renders only, two renders.
-    hull_of_rough_bark: harmonics of the hull over those of the surface, in the priors of the cloud's fit. Source:
-        renders only, so that the intervals of stems seen from one side hold the truth on all plots.
-    edge_std_px: of one edge in one band. Source: renders only, two renders.
-    background: likelihood of "none of these is the stem's edge", against an edge of strength 1. Source: renders only,
-        two renders.
-    min_contrast: votes of the best radius over those of the median one. Source: renders only, stems have 1.4 to 1.9; of
-        five on four development plots that had 1.2 to 1.3 four came out right, the fifth with what a fit of few sides
-        is off; shrubs have 1.02 to 1.12.
-    offset_m: scale of the prior of each photograph's offset. Source: cameras of plots stand 2 to 18 mm from the truth,
-        those next to each other the same way; on five development plots the RMSE of the edges of stems seen from 60 %
-        of their sides is 0.20 cm without offsets, 0.16 at 1 mm, 0.15 at 2 mm; renders only.
-    common_px: what all edges share (blur, light from one side, undistortion), typical pixels. Source: renders only, as
-        ``hull_of_rough_bark``.
-    common_std: what a few harmonics do not describe, share of the radius. Source: renders only, two renders.
-    one_sided_std: what else a stem may be off that is seen from one direction, share of the radius: two sides leave
-        its size to shadows, to what covers an edge, to a shape that nobody saw. Source: simulated edges
-        (training/simulate/stem_edges.py), seeds 43000 to 43179, and 43200 to 43419 on arcs below 110 degrees.
-    sides_enough: share of the sides from which that is nothing. Source: as ``one_sided_std``.
-    min_edges: rays. Source: twice the unknowns that no prior holds.
-    min_share: of the rays that must agree on the stem. Source: renders only, two renders.
-    """
-
-    radius_range: tuple[float, float] = (0.6, 1.5)
-    beyond_m: float = 0.09
-    place_range_m: float = 0.04
-    place_std_m: float = 0.05
-    slope_std: float = 0.03
-    taper_std: float = 0.006
-    hull_of_rough_bark: float = 1.5
-    edge_std_px: float = 0.5
-    background: float = 0.13
-    min_contrast: float = 1.2
-    offset_m: float = 0.002
-    common_px: float = 0.08
-    common_std: float = 0.003
-    one_sided_std: float = 0.05
-    sides_enough: float = 0.6
-    min_edges: int = 8
-    min_share: float = 0.5
-
-
-@dataclass(frozen=True, kw_only=True)
-class Edges:
-    """Candidate edges near one stem, N of them, about the axis that the cloud's fit gave.
-
-    Attributes
-    ----------
-    support_m: (N,) distance of the viewing ray from the axis, towards ``angle_rad``.
-    angle_rad: (N,) direction of the outward normal in the plane across the axis.
-    height_m: (N,) along the axis, about breast height.
-    strength: (N,) of the edge, in standard deviations of what the bark itself shows.
-    pixel_m: (N,) one pixel of the photograph at the stem.
-    ray: (N,) number of photograph, side and band: of those with the same number at most one is the stem's edge.
-    photo: (N,) index of the photograph in the scene.
-    """
-
-    support_m: Floats
-    angle_rad: Floats
-    height_m: Floats
-    strength: Floats
-    pixel_m: Floats
-    ray: Ints
-    photo: Ints
+#: An oval is believed where it is so much more likely than what began as a circle. The cloud's radius, where there is
+#: one, counts up to so many standard deviations. Source: two more unknowns for some hundred pairs of photograph and
+#: side cost about 5 (Schwarz 1978); on three development plots stems that are oval gained 10 to 149 by their edges, one
+#: that is not 11, and the points parted these; renders only.
+OVAL_GAIN, OVAL_POINTS_STD = 5.0, 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,7 +72,7 @@ class SilhouetteFit:
         """Return the support function at normal angles (N,) and heights about the axis of the cloud's fit."""
         p = np.r_[self.radius_m, self.taper, self.shift_m, self.slope, self.shape_m]
         return np.asarray(
-            _design(angle_rad, np.broadcast_to(height_m, np.shape(angle_rad)), len(self.shape_m) // 2) @ p
+            design_matrix(angle_rad, np.broadcast_to(height_m, np.shape(angle_rad)), len(self.shape_m) // 2) @ p
         )
 
 
@@ -190,7 +92,7 @@ def fit_silhouette(
     s = settings or SilhouetteSettings()
     if len(np.unique(edges.ray)) < s.min_edges:
         return None
-    problem = _Problem(edges, radius_m, taper, s)
+    problem = EdgeProblem(edges, radius_m, taper, s)
     starts, contrast = problem.vote()
     if contrast < s.min_contrast:
         return None
@@ -241,180 +143,17 @@ def edge_contrast(edges: Edges, radius_m: float, *, taper: float, settings: Silh
     """
     if len(edges.ray) == 0:
         return float("nan")
-    return _Problem(edges, radius_m, taper, settings or SilhouetteSettings()).vote()[1]
+    return EdgeProblem(edges, radius_m, taper, settings or SilhouetteSettings()).vote()[1]
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Solution:
-    """Unknowns ``x`` (K,); of each edge its probability ``weight``, ``precision`` (N,), gradient ``scores`` (N, K).
-
-    ``own`` (N, K) is the design without what the photographs' offsets take up.
-    """
-
-    x: Floats
-    own: Floats
-    weight: Floats
-    scores: Floats
-    information: Floats
-    noise_m: float
-    log_posterior: float
-    precision: Floats
-
-
-def _surer(circle: _Solution, oval: _Solution, points: tuple[float, float] | None) -> _Solution:
+def _surer(circle: Solution, oval: Solution, points: tuple[float, float] | None) -> Solution:
     """The oval where edges and points (radius and its standard deviation, metres) speak for it together."""
 
-    def score(found: _Solution) -> float:
+    def score(found: Solution) -> float:
         away = 0.0 if points is None else min(abs(float(found.x[0]) - points[0]) / points[1], OVAL_POINTS_STD)
-        return found.log_posterior / OVAL_BANDS - 0.5 * away**2
+        return found.log_posterior - 0.5 * away**2
 
     return oval if score(oval) > score(circle) + OVAL_GAIN else circle
-
-
-class _Problem:
-    """The edges of one stem with what both steps of the fit need of them."""
-
-    def __init__(self, edges: Edges, radius_m: float, taper: float, settings: SilhouetteSettings) -> None:
-        s = self.s = settings
-        self.edges, self.radius_m, self.taper = edges, radius_m, taper
-        self.ray = np.asarray(np.unique(edges.ray, return_inverse=True)[1], dtype=np.int64)
-        self.rays = int(self.ray.max()) + 1
-        self.log_strength = np.log(np.maximum(edges.strength, 1.0))
-        self.pixel = s.edge_std_px * edges.pixel_m
-        names, self.photo = np.unique(edges.photo, return_inverse=True)
-        self.photos = len(names)
-        first = edges.angle_rad[np.unique(self.photo, return_index=True)[1]]
-        # Which of the two sides of the stem in its photograph an edge lies on.
-        self.side = np.where(np.cos(edges.angle_rad - first[self.photo]) > 0.0, 1.0, -1.0)
-        shape_std = s.hull_of_rough_bark * np.array(AxisSettings().shape_std)
-        self.design = _design(edges.angle_rad, edges.height_m, len(shape_std))
-        # Sums over the edges of each photograph, which every round needs, are taken of its rows in one piece.
-        self.by_photo = np.argsort(self.photo, kind="stable")
-        self.first_of_photo = np.searchsorted(self.photo[self.by_photo], np.arange(self.photos))
-        self.design_by_photo = self.design[self.by_photo]
-        shape = np.repeat(shape_std * radius_m, 2)
-        self.prior = 1.0 / np.r_[np.inf, s.taper_std, [s.place_std_m] * 2, [s.slope_std] * 2, shape] ** 2
-        self.prior_mean = np.zeros(len(self.prior))
-        self.prior_mean[1] = taper
-
-    def vote(self) -> tuple[list[Floats], float]:
-        """Radius and place (3,) where the most rays have a strong edge: the best few radii, each at its best place.
-
-        Also the votes of the first over those of a typical radius.
-        """
-        s, edges = self.s, self.edges
-        level = edges.support_m - self.taper * edges.height_m
-        std = np.hypot(TOLERANCES_M[0], self.pixel)
-        shifts = np.arange(-s.place_range_m, s.place_range_m + 1e-9, PLACE_STEP_M)
-        order = np.argsort(self.ray, kind="stable")
-        first = np.searchsorted(self.ray[order], np.arange(self.rays))
-        cosine, sine = np.cos(edges.angle_rad), np.sin(edges.angle_rad)
-        low, high = s.radius_range
-        most = max(high * self.radius_m, self.radius_m + s.beyond_m)
-        radii = np.arange(low * self.radius_m, most + 5 * RADIUS_STEP_M, RADIUS_STEP_M)
-        tops, places = np.zeros(len(radii)), np.zeros((len(radii), 2))
-        for i, radius in enumerate(radii):
-            for a in shifts:
-                # (len(shifts), N): all places along the second axis at once
-                residual = level - radius - a * cosine - shifts[:, None] * sine
-                score = self.log_strength * np.exp(-0.5 * (residual / std) ** 2)
-                votes = np.maximum.reduceat(score[:, order], first, axis=1).sum(axis=1)
-                if votes.max() > tops[i]:
-                    tops[i], places[i] = votes.max(), (a, shifts[votes.argmax()])
-        peaks = [i for i in range(len(radii)) if tops[i] >= max(tops[max(i - 1, 0) : i + 2])]
-        peaks = sorted(peaks, key=lambda i: -tops[i])[:STARTS]
-        contrast = float(tops.max()) / max(float(np.median(tops)), 1e-9)
-        return [np.array([radii[i], *places[i]]) for i in peaks], contrast
-
-    def circles(self, starts: Sequence[Floats]) -> Iterator[tuple[Floats, Floats]]:
-        """Each start without a second harmonic."""
-        return ((start, np.zeros(2)) for start in starts)
-
-    def ovals(self, starts: Sequence[Floats]) -> Iterator[tuple[Floats, Floats]]:
-        """Each start with a second harmonic: an oval that lies in one of some directions.
-
-        From a circle the edges of an oval stem's longer side are out of reach, and what is found has one side right.
-        """
-        for start, oval in product(starts, OVALS):
-            for turn in np.arange(OVAL_TURNS) * 2 * np.pi / OVAL_TURNS:
-                yield start, oval * start[0] * np.array([np.cos(turn), np.sin(turn)])
-
-    def refine(self, start: Floats, oval: Floats) -> _Solution:
-        """Expectation-maximisation from ``start`` (radius and place) and a second harmonic, then with all harmonics."""
-        edges, design = self.edges, self.design
-        x = self.prior_mean.copy()
-        x[[0, 2, 3]], x[6:8] = start, oval
-        start_shape = np.r_[self.prior_mean[:6], x[6:]]
-        noise = LEAST_NOISE_M
-        offset, offset_prior = np.zeros(self.photos), np.full(self.photos, OFFSET_FIRST_M**-2)
-        for turn in range(ROUNDS):
-            early = turn < len(TOLERANCES_M)
-            std = np.hypot(self.pixel, TOLERANCES_M[turn] if early else noise)
-            weight, log_likelihood = self._responsibility(self._log_fit(x, offset, std))
-            precision = weight / std**2
-            prior, expected = self.prior.copy(), self.prior_mean
-            if early:
-                prior[6:] *= ROUND_FIRST**2
-                expected = start_shape
-            told = np.bincount(self.photo, precision, self.photos)
-            held = told + offset_prior
-            own = self._without_offsets(precision, held)
-            information = (own * precision[:, None]).T @ design + np.diag(prior)
-            x = np.linalg.solve(information, own.T @ (precision * edges.support_m) + prior * expected)
-            residual = edges.support_m - design @ x
-            offset = np.bincount(self.photo, precision * self.side * residual, self.photos) / held
-            residual -= self.side * offset[self.photo]
-            free = float((told / held).sum())
-            offset_prior = 2.0 / (self.s.offset_m**2 + offset**2)
-            total = max(float(weight.sum()), 1.0)
-            pixels = float((weight * self.pixel**2).sum()) * max(1.0 - free / total, 0.0)
-            excess = (float((weight * residual**2).sum()) - pixels) / max(total - 4.0 - free, 1.0)
-            noise = float(np.sqrt(max(excess, LEAST_NOISE_M**2)))
-        # Starts are compared at one tolerance: a larger noise must not look like a better fit. Nor an unlikely shape.
-        _, log_likelihood = self._responsibility(self._log_fit(x, offset, np.hypot(self.pixel, TOLERANCES_M[-1])))
-        aside = float(np.log1p((offset / self.s.offset_m) ** 2).sum())
-        return _Solution(
-            x=x,
-            own=own,
-            weight=weight,
-            scores=own * (precision * residual)[:, None],
-            information=information,
-            noise_m=noise,
-            log_posterior=log_likelihood - aside - 0.5 * float((self.prior[6:] * x[6:] ** 2).sum()),
-            precision=precision,
-        )
-
-    def _without_offsets(self, precision: Floats, held: Floats) -> Floats:
-        """The design (N, K) without what the photographs' offsets take up of it (Schur's complement).
-
-        ``held`` (P,) is the precision of each photograph's offset, by its edges and its prior.
-        """
-        sided = (precision * self.side)[self.by_photo, None] * self.design_by_photo
-        taken = np.add.reduceat(sided, self.first_of_photo, axis=0)
-        return np.asarray(self.design - self.side[:, None] * (taken / held[:, None])[self.photo])
-
-    def _log_fit(self, x: Floats, offset: Floats, std: Floats) -> Floats:
-        residual = self.edges.support_m - self.design @ x - self.side * offset[self.photo]
-        return np.asarray(self.log_strength - 0.5 * (residual / std) ** 2)
-
-    def _responsibility(self, log_fit: Floats) -> tuple[Floats, float]:
-        """Probability (N,) that a candidate is the stem's edge, at most one on each ray or none; and the likelihood."""
-        none = float(np.log(self.s.background))
-        top = np.full(self.rays, none)
-        np.maximum.at(top, self.ray, log_fit)
-        total = np.exp(none - top)
-        part = np.exp(log_fit - top[self.ray])
-        np.add.at(total, self.ray, part)
-        return np.asarray(part / total[self.ray]), float((top + np.log(total)).sum())
-
-
-def _design(angle: Floats, height: Floats, order: int) -> Floats:
-    """(N, 6 + 2 * order) coefficients of radius, taper, place, slope and harmonics 2, 3, ..."""
-    cosine, sine = np.cos(angle), np.sin(angle)
-    columns = [np.ones_like(angle), height, cosine, sine, height * cosine, height * sine]
-    for k in range(2, 2 + order):
-        columns += [np.cos(k * angle), np.sin(k * angle)]
-    return np.column_stack(columns)
 
 
 def _clustered_variance(information: Floats, scores: Floats, sector: Ints, prior: Floats) -> tuple[float, float]:

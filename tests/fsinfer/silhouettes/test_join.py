@@ -29,7 +29,8 @@ from fsinfer.silhouettes.join import (
 )
 from fsinfer.silhouettes.strips import GAP_PX, TILE_PX
 from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
-from fsinfer.trees.diameter.silhouette import Edges, SilhouetteFit, fit_silhouette
+from fsinfer.trees.diameter.edge_problem import Edges
+from fsinfer.trees.diameter.silhouette import SilhouetteFit, fit_silhouette
 from training.simulate.stem_edges import edges_from_rows
 
 WIDTH, HEIGHT, FOCAL = 360, 240, 520.0

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from fsinfer.poses.adjustment.precision import CameraPrecision
 from fsinfer.scene import Camera, Scene, View
 from fsinfer.silhouettes.pose_errors import radius_std, ray_errors
-from fsinfer.trees.diameter.silhouette import Edges, fit_silhouette
+from fsinfer.trees.diameter.edge_problem import Edges
+from fsinfer.trees.diameter.silhouette import fit_silhouette
 from training.simulate.stem_edges import edges_from_rows
 
 INTRINSIC = np.array([[1000.0, 0, 640], [0, 1000.0, 360], [0, 0, 1]])

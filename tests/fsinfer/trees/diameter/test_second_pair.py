@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fsinfer.trees.diameter.edge_problem import Edges
 from fsinfer.trees.diameter.second_pair import SecondPairSettings, second_pair
-from fsinfer.trees.diameter.silhouette import Edges, fit_silhouette
+from fsinfer.trees.diameter.silhouette import fit_silhouette
 from training.simulate.stem_edges import edges_from_rows
 
 TAPER = -0.008
