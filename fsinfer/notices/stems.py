@@ -27,6 +27,7 @@ class StemCode(StrEnum):
     wide_interval = "wide_interval"
     rougher_than_others = "rougher_than_others"
     edges_alone = "edges_alone"
+    points_alone = "points_alone"
     sources_disagree = "sources_disagree"
     parts_disagree = "parts_disagree"
     # What else is said of a tree.
@@ -108,6 +109,7 @@ SENTENCES: dict[StemCode, str] = {
         "residual {residual_cm:.1f} cm, far above the plot's other stems: perhaps a double wall"
     ),
     StemCode.edges_alone: "only from its edges in {photos} photos ({refused})",
+    StemCode.points_alone: "only from its points: no photo shows its edges clearly",
     StemCode.sources_disagree: "the points say {points_cm:.1f} cm, the edges in the photos {edges_cm:.1f} cm",
     StemCode.parts_disagree: "another part of the walk says {other_cm:.1f} cm",
     StemCode.added_by_hand: "added by hand",
@@ -181,6 +183,7 @@ ADVICE: dict[StemCode, str] = {
     StemCode.too_rough: "undergrowth or bad depth at breast height",
     StemCode.too_uncertain: "walk round the stem",
     StemCode.edges_unsupported: "walk round it",
+    StemCode.points_alone: "walk round it, nearer to it",
     StemCode.parts_disagree: "check with a tape",
     StemCode.sources_disagree: "look at its strips of photographs, or check with a tape",
     StemCode.none_at_stem_height: "check the scale, or photograph the stems as well as the ground",
@@ -201,5 +204,5 @@ REMARKS: frozenset[StemCode] = frozenset(
 )
 #: The sentence says already that the stem has to be walked round again.
 ADVISES_REVISIT: frozenset[StemCode] = frozenset(
-    {StemCode.too_little_seen, StemCode.too_uncertain, StemCode.edges_unsupported}
+    {StemCode.too_little_seen, StemCode.too_uncertain, StemCode.edges_unsupported, StemCode.points_alone}
 )

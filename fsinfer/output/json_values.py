@@ -59,6 +59,8 @@ def of_json(kind: type[T], value: Any, *, folder: Path | None = None) -> T:
 
 def _read(kind: Any, value: Any, folder: Path | None) -> Any:
     origin = typing.get_origin(kind)
+    # From NumPy 2.5 on NDArray is an alias (PEP 695), which only stands for the type.
+    origin = typing.get_origin(getattr(origin, "__value__", None)) or origin
     if origin in (typing.Union, types.UnionType):
         return _read_union(typing.get_args(kind), value, folder)
     if kind is Notice:

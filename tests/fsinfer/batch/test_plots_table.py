@@ -53,7 +53,7 @@ def test_every_column_is_an_option_of_run() -> None:
     left = options - {flag for flag, _ in OPTIONS.values()}
     assert {word for word in left if word.startswith("--")} == {
         "--model", "--jobs", "--threads", "--memory-gb", "--provider", "--precision", "--quiet", "--debug",
-        "--trust-model",
+        "--trust-model", "--scheduler", "--copy",
     }  # fmt: skip
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import types
 from dataclasses import dataclass
 from enum import Enum, StrEnum
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -69,6 +71,18 @@ def test_arrays_come_back(tmp_path: Path) -> None:
 @dataclass(frozen=True, kw_only=True)
 class Placed:
     matrix: NDArray[np.float64]
+
+
+class _Alias:
+    """As ``type NDArray[T] = ndarray[tuple[Any, ...], dtype[T]]`` of Python 3.12, with which NumPy 2.5 has it."""
+
+    __value__ = np.ndarray[tuple[Any, ...], np.dtype[Any]]
+
+
+def test_arrays_come_back_whatever_their_type_is_called() -> None:
+    """With NumPy 2.5 every run ended in a fault when the first array of a record was read."""
+    kind: Any = types.GenericAlias(_Alias, (np.float64,))
+    np.testing.assert_array_equal(of_json(kind, [[1.0, 2.0]]), np.array([[1.0, 2.0]]))
 
 
 @pytest.mark.parametrize(
