@@ -83,6 +83,7 @@ def extract_features(
     options.use_gpu = False
     options.num_threads = settings.thread_count
     options.max_image_size = settings.max_image_size
+    options.sift.max_num_features = settings.max_features
     total = sum(len(names) for names in cameras.values())
     done = 0
     for names in cameras.values():
@@ -102,7 +103,6 @@ def extract_features(
         camera_id = _camera_of(database, names)
         doubled = camera_id is not None and _longer_side_px(database, camera_id, settings) < settings.double_below_px
         options.sift.first_octave = -1 if doubled else 0
-        options.sift.max_num_features = settings.doubled_features if doubled else settings.max_features
         for start in range(0, len(names), _PHOTOS_PER_BATCH):
             batch = list(names[start : start + _PHOTOS_PER_BATCH])
             progress(done, total, step)

@@ -43,11 +43,8 @@ class PoseSettings:
     max_image_size: longer side at which features are found, pixels. Source: 23 phone photos of 2016x1512, all of which
         are registered at it.
     double_below_px: photos whose longer side is shorter are doubled before looking for features, as COLMAP does with
-        all. Source: renders only. Doubled, a video of 1280x720 gives four times the features, the smallest of them,
-        matching takes 15 times as long, and the walk tore in two places, which it did not without; 26 photos of
-        960x540 are all placed with it, 3 of them without.
-    doubled_features: per doubled photo, about; the smallest go first. Source: renders only, a walk of 26 photos of
-        960x540 with a phone's tone mapping and noise: 26 placed with 6,000, 11 with 3,000.
+        all. Source: the rendered video of 1280x720; doubled, its photos give four times the features, the smallest of
+        them, matching takes 15 times as long, and the walk tore in two places, which it did not without; renders only.
     max_features: per photo, about; the smallest features go first. Source: judgement; COLMAP's default is
         8192, and matching grows with its square.
     pairs: which photos are matched with which.
@@ -69,7 +66,6 @@ class PoseSettings:
 
     max_image_size: int = FEATURE_SIZE_PX
     double_below_px: int = 1000
-    doubled_features: int = 6000
     max_features: int = 6000
     pairs: PairSettings = field(default_factory=PairSettings)
     default_focal_factor: float = 0.9

@@ -26,7 +26,7 @@ from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene
 from fsinfer.silhouettes.combine import Combined, CombineSettings, combine
 from fsinfer.silhouettes.edges import EdgeSettings, StemAxis, Strip, find_edges
-from fsinfer.silhouettes.points_alone import by_points_alone
+from fsinfer.silhouettes.points_alone import NOT_OF_POINTS, by_points_alone
 from fsinfer.silhouettes.pose_errors import radius_std
 from fsinfer.silhouettes.strips import draw_strips, keep_strip
 from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
@@ -266,7 +266,7 @@ def _refusal(section: Section) -> Notice | None:
 
 def _points_std(section: Section, s: SilhouetteJoinSettings) -> float:
     """Standard deviation of the points' radius without what both sources share."""
-    own = {name: part for name, part in section.parts_m.items() if name not in ("level", "scale")}
+    own = {name: part for name, part in section.parts_m.items() if name not in NOT_OF_POINTS}
     return float(np.hypot(total_std(own), s.cloud_floor_m))
 
 

@@ -252,6 +252,7 @@ class EdgeProblem:
             scores=own * (precision * residual)[:, None],
             information=information,
             noise_m=noise,
+            # The offsets' prior goes with the edges; beside the shape's it lost (docs/trials-accuracy.md).
             log_likelihood=log_likelihood - aside,
             log_prior=-0.5 * float((self.prior[6:] * x[6:] ** 2).sum()),
             precision=precision,

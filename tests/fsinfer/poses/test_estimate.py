@@ -27,7 +27,7 @@ from tests.support.places import DATA
 from tests.support.rendered_room import photographs, poses
 
 MONSTREE = DATA / "monstree"
-SETTINGS = PoseSettings(doubled_features=1000, threads=1)
+SETTINGS = PoseSettings(max_features=1000, threads=1)
 
 
 @pytest.fixture(scope="module")
