@@ -321,6 +321,32 @@ def index(results: Sequence[Result]) -> Lines:
     return table(["file", "set", "code", "date", "command"], rows)
 
 
+#: Ways of tests.bench.same in words.
+WAYS_WORDS = {
+    "again": "once more",
+    "one_core": "on one core",
+    "hogs": "two busy programs beside it",
+    "avx2_libraries": "OpenBLAS, OpenCV and NumPy with their code for AVX2",
+    "float32": "depth network in float32, as without 8-bit dot products",
+}
+
+
+def ways(results: Sequence[Result]) -> Lines:
+    """The same photographs measured in other circumstances: what the worst stem differs by, and the time."""
+    rows = []
+    for f in (result.figures for result in results):
+        for way, words in WAYS_WORDS.items():
+            if f"{way}_stems" not in f:
+                continue
+            row = {key: f[f"{way}_{key}"] for key in ("dbh_cm", "half_width_cm", "place_mm", "unmatched", "changed")}
+            worst = [number(row["dbh_cm"], ".2f"), number(row["half_width_cm"], ".2f"), number(row["place_mm"], ".0f")]
+            others = f"{row['unmatched']:g}, {row['changed']:g}"
+            identical = "yes" if f[f"{way}_identical"] else "no"
+            rows.append([words, identical, *worst, others, f"{number(f[f'{way}_time_ratio'], '.2f')}x"])
+    head = ["against the first run", "`trees.csv` identical", "DBH, cm", "half interval, cm", "place, mm"]
+    return table([*head, "stems in one run only, of another status", "time"], rows)
+
+
 TEMPLATES: dict[str, Template] = {
     "headline": headline,
     "plots": plots,
@@ -328,5 +354,6 @@ TEMPLATES: dict[str, Template] = {
     "classes": classes,
     "plot-classes": plot_classes,
     "effects": effects,
+    "same": ways,
     "index": index,
 }

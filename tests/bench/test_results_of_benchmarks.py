@@ -6,13 +6,17 @@ import importlib
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fsinfer.evaluation.metrics import MeasuredTree, evaluate
+from fsinfer.io.pfm import write_pfm
+from fsinfer.scene import read_scene
 from fsinfer.trees.tree import Tree
-from tests.bench import demo, depth, plot, stems
+from tests.bench import demo, depth, plot, same, stems
 from tests.bench.check import OUTCOMES, figure_name
 from tests.bench.results import FIGURE
+from tests.support.plane_scene import write_plane_scene
 from training.simulate.stem_cloud import StemTruth
 
 #: What each benchmark cannot do without.
@@ -30,6 +34,7 @@ ARGUMENTS = {
     "plot": ["plot", "out"],
     "plot_speed": ["plot", "out"],
     "poses": ["plot"],
+    "same": ["work"],
     "speed": [],
     "stems": [],
     "stereo": [],
@@ -151,3 +156,36 @@ def test_other_code_has_another_digest(tmp_path: Path) -> None:
         (tmp_path / name / "data.json").write_text(json.dumps(name), encoding="utf-8")
     digests = [demo.digest_of(tmp_path / name) for name in "abc"]
     assert digests[0] == digests[1] != digests[2]
+
+
+def test_runs_are_compared_stem_by_stem() -> None:
+    first = [tree(1, 0.0, 30.0), tree(2, 2.0, 20.0), tree(3, 4.0, None), tree(4, 9.0, 12.0)]
+    other = [tree(7, 2.004, 20.3, half_cm=1.4), tree(8, 0.0, 29.9), tree(9, 4.0, 15.0), tree(10, 9.4, 12.0)]
+    found = same.differences(first, other)
+    assert found["stems"] == 4
+    assert found["unmatched"] == 2  # the one at 9 m and the one at 9.4 m
+    assert found["changed"] == 1  # with a DBH in one run only
+    assert found["dbh_cm"] == pytest.approx(0.3)
+    assert found["half_width_cm"] == pytest.approx(0.4)
+    assert found["place_mm"] == pytest.approx(4.0)
+
+
+def test_stems_of_two_runs_are_one_where_each_is_the_nearest_of_the_other() -> None:
+    assert same.partners([(0.0, 0.0), (0.1, 0.0)], [(0.08, 0.0)]) == [(1, 0)]
+    assert same.partners([(0.0, 0.0)], [(0.31, 0.0)]) == []
+    assert same.partners([], [(0.0, 0.0)]) == []
+
+
+def test_maps_are_compared_pixel_by_pixel(tmp_path: Path) -> None:
+    for name, values in (("a", [[2.0, 4.0]]), ("b", [[2.0, 4.4]])):
+        write_pfm(tmp_path / name / "view.pfm", np.array(values, np.float32))
+    assert same.compared(tmp_path / "a", tmp_path / "b", relative=True) == pytest.approx([0.0, 0.1])
+    assert same.compared(tmp_path / "a", tmp_path / "b", relative=False) == pytest.approx([0.0, 0.4])
+
+
+def test_few_views_are_a_scene_of_their_own(tmp_path: Path) -> None:
+    whole = write_plane_scene(tmp_path / "whole", views=5, height=12, width=12)
+    same.few_views(whole, tmp_path / "few", 3)
+    scene = read_scene(tmp_path / "few")
+    assert [view.sources for view in scene.views] == [(1, 2), (0, 2), (1, 0)]
+    assert (tmp_path / "few" / "images" / "2.png").is_file()

@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from fsinfer.cli.app import app
 from fsinfer.cli.tables import plot_rows
 from fsinfer.plot_border.border import Border
 from fsinfer.plot_border.plot import plot_of
 from fsinfer.plot_border.sight import SeenShare
 from fsinfer.trees import Tree
+from tests.support.command_line import Call
 
 TREE = Tree(
     tree_id=1, x_m=0.0, y_m=0.0, z_ground_m=0.0, dbh_cm=30.0, dbh_lo95_cm=29.6, dbh_hi95_cm=30.4,
@@ -34,14 +33,15 @@ TREE = Tree(
 )
 @pytest.mark.parametrize("command", ["run", "trees"])
 def test_wrong_borders_are_told_at_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, options: list[str], words: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: Call, command: str, options: list[str], words: str
 ) -> None:
+    monkeypatch.setenv("COLUMNS", "300")
     monkeypatch.chdir(tmp_path)
     Path("plot.csv").write_text("x_m,y_m\n0,0\n5,0\n5,5\n", encoding="utf-8")
     # The source is not even looked for.
-    result = CliRunner().invoke(app, [command, "not-there", "out", *options], env={"COLUMNS": "300"})
-    assert result.exit_code == 2
-    assert words in " ".join(result.stderr.replace("│", " ").split())
+    code, _, error = call(command, "not-there", "out", *options)
+    assert code == 2
+    assert words in " ".join(error.replace("│", " ").split())
     assert not Path("out").exists()
 
 

@@ -13,12 +13,11 @@ from urllib.error import HTTPError
 from urllib.request import Request, urlopen
 
 import pytest
-from typer.testing import CliRunner
 
-from fsinfer.cli.app import app
 from fsinfer.scale.clicks.file import read_clicks
 from fsinfer.scene import read_scene
 from tests.fsinfer.scale.test_click_server import true_clicks
+from tests.support.command_line import Call
 from tests.support.places import ROOT
 from tests.support.synthetic_plot import M_PER_UNIT, write_scene_folder
 
@@ -109,18 +108,18 @@ def test_ctrl_c_loses_nothing(out: Path) -> None:
         (["--length-m", "1"], "--click is missing"),
     ],
 )
-def test_bad_options_are_one_message(out: Path, options: list[str], words: str) -> None:
-    result = CliRunner().invoke(app, ["scale", str(out), *options])
-    assert (result.exit_code, result.stdout) == (2, "")
-    (line,) = result.stderr.strip().splitlines()
+def test_bad_options_are_one_message(out: Path, call: Call, options: list[str], words: str) -> None:
+    code, told, error = call("scale", out, *options)
+    assert (code, told) == (2, "")
+    (line,) = error.strip().splitlines()
     assert words in line
     assert sorted(path.name for path in out.iterdir()) == ["scene"]
 
 
-def test_a_folder_without_a_scene_is_one_message(tmp_path: Path) -> None:
+def test_a_folder_without_a_scene_is_one_message(tmp_path: Path, call: Call) -> None:
     for folder in (tmp_path / "none", tmp_path):
-        result = CliRunner().invoke(app, ["scale", str(folder), "--click", "--length-m", "1"])
-        assert result.exit_code == 2
-        (line,) = result.stderr.strip().splitlines()
+        code, _, error = call("scale", folder, "--click", "--length-m", "1")
+        assert code == 2
+        (line,) = error.strip().splitlines()
         assert line.startswith("Error: ")
         assert "is not a folder" in line
