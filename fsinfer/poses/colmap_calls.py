@@ -19,7 +19,7 @@ from fsinfer.errors import PosesError
 #: What to do where pycolmap is missing.
 MISSING = (
     "finding poses needs pycolmap, which cannot be loaded here ({error}); pip has it for Linux on x86-64, Windows on "
-    "x64 and Macs with Apple silicon, elsewhere use conda: conda install -c conda-forge 'pycolmap>=4.1.1'. Or register "
+    "x64 and Macs with Apple silicon, elsewhere use conda: conda install -c conda-forge 'pycolmap>=4.2.1'. Or register "
     "the photos in another program: fsinfer depth reads scenes of COLMAP, Metashape and others"
 )
 

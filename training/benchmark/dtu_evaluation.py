@@ -216,7 +216,7 @@ def _variables(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[np.gener
     try:
         content = loadmat(path, variable_names=names)
         return {name: np.asarray(content[name]) for name in names}
-    except (OSError, ValueError, TypeError, KeyError, NotImplementedError, MatReadError) as error:
+    except (OSError, ValueError, TypeError, LookupError, NotImplementedError, MatReadError) as error:
         msg = f"cannot read {', '.join(names)} from {path} ({error}); give the benchmark's folder 'MVS Data'"
         raise InputError(msg) from error
 
