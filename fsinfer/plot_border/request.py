@@ -149,7 +149,12 @@ def _meet(a: Place, b: Place, c: Place, d: Place) -> bool:
     def turn(p: Place, q: Place, r: Place) -> float:
         return (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
 
-    return turn(a, b, c) * turn(a, b, d) <= 0 and turn(c, d, a) * turn(c, d, b) <= 0
+    # Sides in one line lie on both sides of each other by every turn, however far apart they are.
+    beside = any(
+        max(a[axis], b[axis]) < min(c[axis], d[axis]) or max(c[axis], d[axis]) < min(a[axis], b[axis])
+        for axis in (0, 1)
+    )
+    return not beside and turn(a, b, c) * turn(a, b, d) <= 0 and turn(c, d, a) * turn(c, d, b) <= 0
 
 
 def _read_csv(path: Path) -> tuple[Place, ...]:

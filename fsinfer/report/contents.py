@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from fsinfer.errors import FsinferError
 from fsinfer.io.csv_text import read_rows
 from fsinfer.io.json_text import read_json
+from fsinfer.notices.stems import StemCode
 from fsinfer.scale.scale import CAMERA_HEIGHT_M
+from fsinfer.trees.tree import OUTSIDE
 
 T = TypeVar("T")
 
@@ -46,6 +48,7 @@ class Contents:
     trees: rows of ``trees.csv``, None when there is no table.
     revisit_advised: numbers of the trees whose reason in ``trees.csv`` says already to walk round the stem again, after
         ``trees.json``; none where that is missing.
+    outside: numbers of the trees that stand outside of the walk: they are listed, and count in no figure of the stand.
     frames: rows of ``frames.csv``, None when there is none.
     notes: what could not be read, in plain words.
     """
@@ -54,8 +57,14 @@ class Contents:
     plot: dict[str, Any]
     trees: list[dict[str, str]] | None
     revisit_advised: frozenset[int]
+    outside: frozenset[int]
     frames: list[dict[str, str]] | None
     notes: tuple[str, ...]
+
+    @property
+    def counted(self) -> list[dict[str, str]]:
+        """The rows of ``trees.csv`` that count in the figures of the stand."""
+        return [tree for tree in self.trees or () if tree_number(tree) not in self.outside]
 
     @property
     def metric(self) -> bool:
@@ -111,14 +120,17 @@ def read_contents(out: Path) -> Contents:
     notes: list[str] = []
     plot = _lenient(lambda: _read_plot(out / "plot.json"), "plot.json", notes)
     trees = _lenient(lambda: read_rows(out / "trees.csv"), "trees.csv", notes)
-    advised = _lenient(lambda: _read_revisit_advised(out / "trees.json"), "trees.json", notes)
+    reasons = _lenient(lambda: _read_reasons(out / "trees.json"), "trees.json", notes) or {}
+    # By the reason, not by the status: with --far-stems those are measured as any other.
+    outside = _with(reasons, lambda reason: reason.get("code") == StemCode.outside_walk)
     frames_path = next((p for p in (out / "frames" / "frames.csv", out / "frames.csv") if p.is_file()), None)
     frames = None if frames_path is None else _lenient(lambda: read_rows(frames_path), "frames.csv", notes)
     return Contents(
         out=out,
         plot=plot or {},
         trees=trees,
-        revisit_advised=advised or frozenset(),
+        revisit_advised=_with(reasons, lambda reason: reason.get("advises_revisit") is True),
+        outside=outside | {n for t in trees or () if t.get("status") == OUTSIDE and (n := tree_number(t)) is not None},
         frames=frames,
         notes=tuple(notes),
     )
@@ -157,17 +169,21 @@ def _read_plot(path: Path) -> dict[str, Any]:
     return plot
 
 
-def _read_revisit_advised(path: Path) -> frozenset[int]:
-    """Numbers of the trees with a reason that carries ``advises_revisit``; entries of another shape are passed over."""
+def _read_reasons(path: Path) -> dict[int, list[dict[str, Any]]]:
+    """The reasons of the trees in ``trees.json`` by number; entries of another shape are passed over."""
     trees = read_json(path)
     if not isinstance(trees, list):
         msg = "it is no JSON list"
         raise ValueError(msg)
-    advised = set()
+    found = {}
     for tree in trees:
         reasons = tree.get("reasons") if isinstance(tree, dict) else None
         if not isinstance(reasons, list) or (tree_id := tree_number(tree)) is None:
             continue
-        if any(isinstance(reason, dict) and reason.get("advises_revisit") is True for reason in reasons):
-            advised.add(tree_id)
-    return frozenset(advised)
+        found[tree_id] = [reason for reason in reasons if isinstance(reason, dict)]
+    return found
+
+
+def _with(reasons: Mapping[int, list[dict[str, Any]]], holds: Callable[[dict[str, Any]], bool]) -> frozenset[int]:
+    """Numbers of the trees of which a reason is such a one."""
+    return frozenset(number for number, given in reasons.items() if any(map(holds, given)))

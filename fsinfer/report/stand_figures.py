@@ -17,7 +17,7 @@ CLASS_CM = 5
 
 def stand_of(contents: Contents) -> StandTable:
     """The stand's figures; a table that was changed since the run counts for itself."""
-    dbh_cm = [number(tree.get("dbh_cm")) for tree in contents.trees or ()]
+    dbh_cm = [number(tree.get("dbh_cm")) for tree in contents.counted]
     own = stand_of_diameters(dbh_cm, max(number(contents.plot.get("plot_area_m2")) or 0.0, 0.0))
     given = contents.plot.get("stand")
     if not isinstance(given, dict) or (given.get("stems"), given.get("measured")) != (own.stems, own.measured):
@@ -35,8 +35,8 @@ def stand_of(contents: Contents) -> StandTable:
 
 
 def diameters_cm(contents: Contents) -> list[float]:
-    """DBH of the measured stems."""
-    return [d for tree in contents.trees or () if (d := number(tree.get("dbh_cm"))) is not None]
+    """DBH of the measured stems, without those outside of the walk."""
+    return [d for tree in contents.counted if (d := number(tree.get("dbh_cm"))) is not None]
 
 
 def basal_area_m2(dbh_cm: Sequence[float]) -> float:
@@ -47,7 +47,7 @@ def basal_area_m2(dbh_cm: Sequence[float]) -> float:
 def class_table(contents: Contents, stand: StandTable) -> NumberTable | None:
     """Stems and basal area by classes of diameter, within the plot's border where it has one; None without a DBH."""
     plot = border_of(contents)
-    rows_in = [tree for tree in contents.trees or () if plot is None or is_in(tree)]
+    rows_in = contents.counted if plot is None else [tree for tree in contents.trees or () if is_in(tree)]
     dbh_cm = [d for tree in rows_in if (d := number(tree.get("dbh_cm"))) is not None]
     if not dbh_cm:
         return None

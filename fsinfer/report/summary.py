@@ -68,6 +68,8 @@ def _stand_facts(contents: Contents) -> list[tuple[str, str]]:
         return [*rows, ("Trees", "trees.csv is not in this folder")]
     stand = stand_of(contents)
     rows += [("Stems found", str(stand.stems)), ("Stems with a DBH", str(stand.measured))]
+    if outside := len(contents.trees) - len(contents.counted):
+        rows.append(("Outside of the walk", f"{outside} more, listed and not counted"))
     if stand.mean_dbh_cm is None or stand.quadratic_mean_dbh_cm is None:
         return rows
     rows += [

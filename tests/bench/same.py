@@ -1,11 +1,12 @@
 """Same photographs, same trees? ``python -m tests.bench.same WORK [--photos 36] [--emulator 'qemu-x86_64 -cpu max']``.
 
 The installed command measures the first photographs of the demo plot again and again: undisturbed, once more, on one
-core, beside two busy programs, with OpenCV's, NumPy's and OpenBLAS's code for AVX2, and with the depth network in
-float32, as it runs where a processor has no 8-bit dot products. Each ``trees.csv`` is held against the first, stems
-matched by their place. onnxruntime cannot be told to leave AVX-512 alone; with ``--emulator`` (Linux on x86-64; Debian
-has ``qemu-user``) the depth maps of a few of these photographs, small ones, are computed by this machine and by an
-emulated processor with AVX2 only, both in float32. What is done is kept in WORK and not repeated.
+core, beside two busy programs (these two are timed, and nothing else may run), with OpenCV's, NumPy's and OpenBLAS's
+code for AVX2, and with the depth network in float32, as it runs where a processor has no 8-bit dot products. Each
+``trees.csv`` is held against the first, stems matched by their place. onnxruntime cannot be told to leave AVX-512
+alone; with ``--emulator`` (Linux on x86-64; Debian has ``qemu-user``) the depth maps of a few of these photographs,
+small ones, are computed by this machine and by an emulated processor with AVX2 only, both in float32. What is done is
+kept in WORK and not repeated.
 """
 
 from __future__ import annotations
@@ -91,7 +92,8 @@ def main(argv: list[str] | None = None) -> int:
         out = args.work / name
         same = (out / "trees.csv").read_bytes() == (args.work / "first" / "trees.csv").read_bytes()
         row = {"identical": float(same), **differences(first, read_trees(out / "trees.csv"))}
-        row["time_ratio"] = seconds[name] / seconds["first"]
+        if WAYS[name].hogs or WAYS[name].cores:
+            row["time_ratio"] = seconds[name] / seconds["first"]
         figures |= {f"{name}_{key}": value for key, value in row.items()}
     if args.emulator:
         figures |= emulated(args.work, args.emulator)

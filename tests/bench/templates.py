@@ -332,7 +332,7 @@ WAYS_WORDS = {
 
 
 def ways(results: Sequence[Result]) -> Lines:
-    """The same photographs measured in other circumstances: what the worst stem differs by, and the time."""
+    """The same photographs measured in other circumstances: what the worst stem differs by."""
     rows = []
     for f in (result.figures for result in results):
         for way, words in WAYS_WORDS.items():
@@ -342,9 +342,9 @@ def ways(results: Sequence[Result]) -> Lines:
             worst = [number(row["dbh_cm"], ".2f"), number(row["half_width_cm"], ".2f"), number(row["place_mm"], ".0f")]
             others = f"{row['unmatched']:g}, {row['changed']:g}"
             identical = "yes" if f[f"{way}_identical"] else "no"
-            rows.append([words, identical, *worst, others, f"{number(f[f'{way}_time_ratio'], '.2f')}x"])
+            rows.append([words, identical, *worst, others])
     head = ["against the first run", "`trees.csv` identical", "DBH, cm", "half interval, cm", "place, mm"]
-    return table([*head, "stems in one run only, of another status", "time"], rows)
+    return table([*head, "stems in one run only, of another status"], rows)
 
 
 TEMPLATES: dict[str, Template] = {

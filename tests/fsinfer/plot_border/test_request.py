@@ -90,6 +90,31 @@ def test_what_is_no_plot(tmp_path: Path, content: object, words: str) -> None:
         read_polygon(geojson(tmp_path, content))
 
 
+@pytest.mark.parametrize(
+    "corners",
+    [
+        [(0, 0), (10, 0), (20, 0), (30, 0), (30, 30), (0, 30)],  # surveyed every ten metres along one side
+        [(0, 0), (7, 3.5), (14, 7), (28, 14), (0, 30)],  # the same on a slant
+        [(0, 0), (30, 0), (30, 20), (20, 20), (20, 10), (10, 10), (10, 20), (0, 20)],  # a U
+    ],
+)
+def test_sides_in_one_line_do_not_cross(tmp_path: Path, corners: list[tuple[float, float]]) -> None:
+    ring = [*corners, corners[0]]
+    assert read_polygon(geojson(tmp_path, {"type": "Polygon", "coordinates": [ring]})) == tuple(corners)
+
+
+@pytest.mark.parametrize(
+    "corners",
+    [
+        [(0, 0), (10, 0), (10, 10), (5, 0), (0, 10)],  # a corner on another side
+        [(0, 0), (20, 0), (20, 10), (15, 0), (5, 0), (0, 10)],  # a side on another side
+    ],
+)
+def test_sides_that_touch_are_no_border(tmp_path: Path, corners: list[tuple[float, float]]) -> None:
+    with pytest.raises(InputError, match="cross or touch"):
+        read_polygon(geojson(tmp_path, {"type": "Polygon", "coordinates": [[*corners, corners[0]]]}))
+
+
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     for name in ("none.geojson", "none.csv"):
         with pytest.raises(InputError, match="no such file"):

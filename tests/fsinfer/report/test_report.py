@@ -17,7 +17,7 @@ from fsinfer.plot_border.plot import plot_of
 from fsinfer.plot_border.sight import SeenShare
 from fsinfer.report import make_report
 from fsinfer.report.contents import number, read_contents
-from fsinfer.report.stand_figures import stand_of
+from fsinfer.report.stand_figures import diameters_cm, stand_of
 from fsinfer.trees.outputs.table import read_trees
 
 TREE = {
@@ -171,6 +171,25 @@ def test_stand_table(tmp_path: Path) -> None:
     assert "<td>35 to under 40</td><td>0</td>" in page
     assert "<td>All with a DBH</td><td>2</td><td>0.196</td><td>40</td><td>3.9</td>" in page
     assert "3.9 m²/ha" in page
+
+
+@pytest.mark.parametrize("far_stems", [False, True])
+def test_stems_outside_of_the_walk_count_in_no_figure(tmp_path: Path, *, far_stems: bool) -> None:
+    stems = [TREE, TREE | {"tree_id": 2, "dbh_cm": 40.0}, TREE | {"tree_id": 3, "dbh_cm": "", "status": "outside"}]
+    if far_stems:  # then they are measured as any other, and their reason alone tells
+        stems[2] = TREE | {"tree_id": 3, "dbh_cm": 50.0}
+        reason = {"code": "outside_walk", "values": {"nearest_m": 17.0}}
+        (tmp_path / "trees.json").write_text(json.dumps([{"tree_id": 3, "reasons": [reason]}]))
+    given = {"stems": 2, "measured": 2, "plot_area_m2": 500.0, "area_method": "given", "stems_per_ha": 41.0}
+    full_folder(tmp_path, plot=PLOT | {"stand": given}, trees=stems)
+    contents = read_contents(tmp_path)
+    stand = stand_of(contents)
+    assert (stand.stems, stand.measured, stand.stems_per_ha) == (2, 2, 41.0)
+    assert diameters_cm(contents) == [30.0, 40.0]
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    assert '<th scope="row">Stems found</th><td>2</td>' in page
+    assert '<th scope="row">Outside of the walk</th><td>1 more, listed and not counted</td>' in page
+    assert "<td>All with a DBH</td><td>2</td>" in page
 
 
 def test_figures_of_the_stand_are_those_of_the_run(tmp_path: Path) -> None:
