@@ -15,7 +15,9 @@ from fsinfer.errors import CloudError, FsinferError
 from fsinfer.io.crs import horizontal_epsg
 from fsinfer.io.files import atomic_path, is_disk_full
 from fsinfer.io.las_header import why_damaged
+from fsinfer.io.linear_units import LinearUnits, units_of_geo_keys, units_of_wkt
 
+LAS_SUFFIXES = (".las", ".laz")
 # Names under which CloudCompare stores and finds normals in LAS extra dimensions.
 NORMAL_NAMES = ("NormalX", "NormalY", "NormalZ")
 # Standard dimensions worth keeping when they say anything (are not all zero).
@@ -142,20 +144,33 @@ def read_epsg(path: Path) -> int | None:
 
     Looks at the WKT records, and after them at the GeoTIFF keys (projected, then geographic).
     """
-    with open_las(path) as reader:
-        records = [*reader.header.vlrs, *(reader.header.evlrs or [])]
-    keys: dict[int, int] = {}
-    for record in records:
-        for key in getattr(record, "geo_keys", ()):
-            keys[int(key.id)] = int(key.value_offset)
-        text = getattr(record, "string", "")
-        code = horizontal_epsg(text.rstrip("\x00")) if isinstance(text, str) and "[" in text else None
-        if code is not None:
-            return code
+    texts, keys = _frame_records(path)
+    code = next((code for text in texts if (code := horizontal_epsg(text)) is not None), None)
+    if code is not None:
+        return code
     for key_id in (_PROJECTED_KEY, _GEOGRAPHIC_KEY):
         if keys.get(key_id, 0) not in (0, _USER_DEFINED):
             return keys[key_id]
     return None
+
+
+def read_units_m(path: Path) -> LinearUnits:
+    """Metres in the units of a LAS or LAZ file's coordinates, as far as its header tells them."""
+    texts, keys = _frame_records(path)
+    by_text = next((units for text in texts if (units := units_of_wkt(text)) != LinearUnits()), LinearUnits())
+    by_keys = units_of_geo_keys(keys)
+    return LinearUnits(
+        horizontal_m=by_text.horizontal_m or by_keys.horizontal_m, vertical_m=by_text.vertical_m or by_keys.vertical_m
+    )
+
+
+def _frame_records(path: Path) -> tuple[list[str], dict[int, int]]:
+    """The WKT texts of a header and its GeoTIFF keys with their short values."""
+    with open_las(path) as reader:
+        records = [*reader.header.vlrs, *(reader.header.evlrs or [])]
+    texts = [getattr(record, "string", "") for record in records]
+    keys = {int(key.id): int(key.value_offset) for record in records for key in getattr(record, "geo_keys", ())}
+    return [text.rstrip("\x00") for text in texts if isinstance(text, str) and "[" in text], keys
 
 
 def write_las(path: Path, xyz: NDArray[np.float64], rgb: NDArray[np.uint8] | None, extra: dict[str, Any]) -> None:

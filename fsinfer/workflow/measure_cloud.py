@@ -18,7 +18,7 @@ from fsinfer.io.chunks import ChunkedCloud, open_chunks
 from fsinfer.io.cloud import PointCloud, read_cloud
 from fsinfer.io.digest import file_digest
 from fsinfer.io.files import make_folder
-from fsinfer.io.las import read_epsg
+from fsinfer.io.las import LAS_SUFFIXES, read_epsg, read_units_m
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.output.json_values import of_json
@@ -52,6 +52,10 @@ from fsinfer.workflow.summary import (
     warning_values,
 )
 from fsinfer.workflow.tree_stage import PlotCloudInput, TreesResult, TreeStageSettings, measure_plot
+
+#: Lengths of two units that differ by less, metres, are the same: feet of the US survey are 0.6 micrometres longer than
+#: others. Source: numerics.
+_SAME_UNIT_M = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,7 +132,7 @@ def measure_cloud_file(
     Raises
     ------
     CloudError
-        The file is no cloud.
+        The file is no cloud, or its header says that it is not in metres and no scale is given.
     ScaleError
         ArUco markers were asked for, and ``out`` has no scene that the cloud came from.
     InputError
@@ -140,6 +144,8 @@ def measure_cloud_file(
     chunks = _large(cloud_path, settings.thinning)
     origin = _read_origin(cloud_path.parent)
     found = _cloud_scale(request, cloud_path, out, origin)
+    if found.scale.m_per_unit is None:
+        _refuse_other_units(cloud_path)
     photos = _own_photos(cloud_path, origin, found.scale.m_per_unit or 1.0)
     _refuse_center_unknown(settings.stage.border, cloud_path, photos)
     make_folder(out)
@@ -202,6 +208,22 @@ def _refuse_fused(cloud_path: Path) -> None:
         finished = cloud_path.parent.parent / "cloud.ply"
         msg = f"{cloud_path} is what a run made before it knew what is up and how long a metre is; give {finished}"
         raise CloudError(msg)
+
+
+def _refuse_other_units(cloud_path: Path) -> None:
+    """Refuse a cloud whose header says that it is not in metres; many headers say nothing."""
+    if cloud_path.suffix.lower() not in LAS_SUFFIXES:
+        return
+    units = read_units_m(cloud_path)
+    lengths = [unit for unit in (units.horizontal_m, units.vertical_m) if unit is not None]
+    if all(abs(unit - 1.0) < _SAME_UNIT_M for unit in lengths):
+        return
+    if max(lengths) - min(lengths) < _SAME_UNIT_M:
+        way_out = f"give --scale {lengths[0]:.10g}, its metres per unit"
+    else:
+        way_out = f"its units on the map and of the heights differ ({lengths[0]:g} and {lengths[1]:g} m): convert it"
+    msg = f"{cloud_path} is not in metres, by its header; {way_out}"
+    raise CloudError(msg)
 
 
 def _large(cloud_path: Path, thinning: ThinningSettings) -> ChunkedCloud | None:
@@ -288,7 +310,7 @@ def _markers(details: Any) -> Scale:
 
 def _epsg(cloud_path: Path, scale: Scale) -> int | None:
     """Code of the frame that the header names; a cloud that had to be scaled is not in it."""
-    in_frame = cloud_path.suffix.lower() in (".las", ".laz") and (scale.m_per_unit or 1.0) == 1.0
+    in_frame = cloud_path.suffix.lower() in LAS_SUFFIXES and (scale.m_per_unit or 1.0) == 1.0
     return read_epsg(cloud_path) if in_frame else None
 
 

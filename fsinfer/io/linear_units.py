@@ -1,0 +1,54 @@
+"""How long a unit of coordinates is, as a frame in WKT or the GeoTIFF keys of a LAS header tell it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+#: International foot and the foot of the US survey, metres. Source: format; EPSG registry, units 9002 and 9003.
+FOOT_M, US_FOOT_M = 0.3048, 1200.0 / 3937.0
+#: Codes of linear units. Source: format; EPSG registry.
+_UNITS_M = {9001: 1.0, 9002: FOOT_M, 9003: US_FOOT_M}
+#: Keys ProjLinearUnitsGeoKey and VerticalUnitsGeoKey. Source: format; GeoTIFF 1.1.
+_PROJECTED_UNIT_KEY, _VERTICAL_UNIT_KEY = 3076, 4099
+
+# WKT 1 (OGC 01-009) writes UNIT for angles and lengths, WKT 2 (OGC 18-010r7) LENGTHUNIT, and may still write UNIT. The
+# unit of the axes stands after those of ellipsoid and parameters.
+_UNIT = re.compile(r'(?:LENGTH)?UNIT\s*\[\s*"[^"]*"\s*,\s*([0-9.eE+-]+)', flags=re.IGNORECASE)
+_VERTICAL = re.compile(r"VERT(?:_CS|CRS|ICALCRS)\s*\[", flags=re.IGNORECASE)
+_PROJECTED = re.compile(r"PROJ(?:CS|CRS|ECTEDCRS)\s*\[", flags=re.IGNORECASE)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearUnits:
+    """Metres in a unit of the coordinates on the map and of the heights; None where that is not told."""
+
+    horizontal_m: float | None = None
+    vertical_m: float | None = None
+
+
+def units_of_wkt(wkt: str) -> LinearUnits:
+    """The units of a frame given as WKT; degrees are no length."""
+    horizontal, *vertical = _VERTICAL.split(wkt, maxsplit=1)
+    return LinearUnits(
+        horizontal_m=_last_unit(horizontal) if _PROJECTED.search(horizontal) else None,
+        vertical_m=_last_unit(vertical[0]) if vertical else None,
+    )
+
+
+def units_of_geo_keys(keys: Mapping[int, int]) -> LinearUnits:
+    """The units that GeoTIFF keys name."""
+    return LinearUnits(
+        horizontal_m=_UNITS_M.get(keys.get(_PROJECTED_UNIT_KEY, 0)),
+        vertical_m=_UNITS_M.get(keys.get(_VERTICAL_UNIT_KEY, 0)),
+    )
+
+
+def _last_unit(wkt: str) -> float | None:
+    found = _UNIT.findall(wkt)
+    try:
+        length_m = float(found[-1]) if found else 0.0
+    except ValueError:
+        return None
+    return length_m if length_m > 0 else None

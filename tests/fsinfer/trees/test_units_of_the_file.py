@@ -1,0 +1,50 @@
+"""A cloud whose header says that it is not in metres is not measured as if it were."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+
+from fsinfer.errors import CloudError
+from fsinfer.io.linear_units import US_FOOT_M
+from fsinfer.scale.request import ScaleRequest
+from fsinfer.trees.outputs.table import read_trees
+from fsinfer.workflow.measure_cloud import measure_cloud_file
+from tests.support.stem_clouds import StemPlot, stem_plot
+
+FEET = f'PROJCS["ftUS",GEOGCS["g",UNIT["degree",0.0174532925199433]],UNIT["US survey foot",{US_FOOT_M!r}]]'
+HEIGHTS_IN_METRES = 'VERT_CS["h",VERT_DATUM["d",2005],UNIT["metre",1]]'
+
+
+def write_in_feet(path: Path, plot: StemPlot, wkt: str) -> Path:
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(wkt))
+    header.global_encoding.wkt = True
+    header.scales = np.full(3, 1e-4)
+    cloud = laspy.LasData(header)
+    cloud.x, cloud.y, cloud.z = plot.points.T / US_FOOT_M
+    cloud.write(path)
+    return path
+
+
+def test_feet_are_refused_with_the_scale_that_helps(tmp_path: Path) -> None:
+    plot = stem_plot(seed=1, trees=4, spacing_m=0.02, top_m=3.5)
+    path, out = write_in_feet(tmp_path / "cloud.las", plot, FEET), tmp_path / "out"
+    with pytest.raises(
+        CloudError, match=r"cloud.las is not in metres, by its header; give --scale 0\.304800609"
+    ) as told:
+        measure_cloud_file(path, out, request=ScaleRequest())
+    assert not out.exists()
+    scale = float(str(told.value).split("--scale ")[1].split(",")[0])
+    measure_cloud_file(path, out, request=ScaleRequest(factor=scale))
+    assert sorted(t.dbh_cm or 0.0 for t in read_trees(out / "trees.csv")) == pytest.approx(sorted(plot.dbh_cm), abs=0.5)
+
+
+def test_two_units_are_no_matter_of_scale(tmp_path: Path) -> None:
+    plot = stem_plot(seed=1, trees=1, spacing_m=0.05, top_m=3.0)
+    path = write_in_feet(tmp_path / "cloud.laz", plot, f'COMPD_CS["both",{FEET},{HEIGHTS_IN_METRES}]')
+    with pytest.raises(CloudError, match=r"differ \(0\.304801 and 1 m\): convert it"):
+        measure_cloud_file(path, tmp_path / "out", request=ScaleRequest())
