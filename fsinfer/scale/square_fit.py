@@ -153,22 +153,25 @@ def _best_group(
     if len(pairs) > _MOST_PAIRS:
         chosen = np.random.default_rng(0).choice(len(pairs), _MOST_PAIRS, replace=False)
         pairs = [pairs[index] for index in chosen]
-    best: list[Sighting] = []
-    best_error = np.inf
+    matrices = np.array([projections[sighting.view] for sighting in sightings])
+    pixels = np.array([sighting.corners_px for sighting in sightings])
+    views = np.array([sighting.view for sighting in sightings])
+    sides = np.array([sighting.side_px for sighting in sightings])
+    gates = np.maximum(settings.gate_px, settings.gate_side_share * sides)
+    best, best_error = np.zeros(0, np.intp), np.inf
     for pair in pairs:
         corners = _corners_in_space(pair, projections)
         if corners is None:
             continue
-        per_view: dict[int, tuple[float, Sighting]] = {}
-        for sighting in sightings:
-            error = _corner_error_px(corners, sighting, projections)
-            gate = max(settings.gate_px, settings.gate_side_share * sighting.side_px)
-            if error < gate and (sighting.view not in per_view or error < per_view[sighting.view][0]):
-                per_view[sighting.view] = (error, sighting)
-        total = float(sum(error for error, _ in per_view.values()))
-        if len(per_view) > len(best) or (len(per_view) == len(best) and total < best_error):
-            best, best_error = [sighting for _, sighting in per_view.values()], total
-    return best
+        errors = _corner_errors_px(corners, matrices, pixels)
+        near = np.flatnonzero(errors < gates)
+        near = near[np.lexsort((errors[near], views[near]))]
+        # Of each view the detection that fits best.
+        own = near[np.unique(views[near], return_index=True)[1]]
+        total = float(errors[own].sum())
+        if len(own) > len(best) or (len(own) == len(best) and total < best_error):
+            best, best_error = own, total
+    return [sightings[index] for index in np.sort(best)]
 
 
 def _corners_in_space(
@@ -185,14 +188,17 @@ def _corners_in_space(
     return np.array(corners)
 
 
-def _corner_error_px(
-    corners: NDArray[np.float64], sighting: Sighting, projections: Sequence[NDArray[np.float64]]
-) -> float:
-    """Largest distance of a corner from where the square in space is seen; infinite behind the camera."""
-    projected = corners @ projections[sighting.view][:, :3].T + projections[sighting.view][:, 3]
-    if (projected[:, 2] <= 0).any():
-        return float("inf")
-    return float(np.linalg.norm(projected[:, :2] / projected[:, 2:] - sighting.corners_px, axis=1).max())
+def _corner_errors_px(
+    corners: NDArray[np.float64], projections: NDArray[np.float64], pixels: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Of detections (N, 4, 2) in views (N, 3, 4) the largest distance of a corner from where the square in space (4, 3)
+    is seen, (N,); infinite behind the camera.
+    """
+    projected = corners @ projections[:, :, :3].transpose(0, 2, 1) + projections[:, None, :, 3]
+    behind = (projected[..., 2] <= 0).any(axis=1)
+    depth = np.where(behind[:, None], 1.0, projected[..., 2])
+    apart = np.linalg.norm(projected[..., :2] / depth[..., None] - pixels, axis=2).max(axis=1)
+    return np.asarray(np.where(behind, np.inf, apart), np.float64)
 
 
 def _fit_square(

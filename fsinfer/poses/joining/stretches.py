@@ -41,15 +41,18 @@ def cut_and_join(
     stretch = stretches_of_walk(telling_votes(cast), len(image_ids), settings.pairs.overlap)
     if not len(stretch) or stretch[-1] == 0:
         return None
+    numbers, sizes = np.unique(stretch, return_counts=True)
     parts = []
-    for number in np.unique(stretch):
+    for number in numbers[np.argsort(-sizes, kind="stable")]:
         if (stretch == number).sum() >= settings.min_registered:
             part = deepcopy(model)
             drop(part, [i for i, own in zip(image_ids, stretch, strict=True) if own != number])
+            if parts:
+                # The features of the other photos are most of a model, and a long walk may have dozens of stretches.
+                part.tear_down()
             parts.append(part)
     if not parts:
         return None
-    parts.sort(key=lambda part: -part.num_reg_images())
     base = parts[0]
     joined, left = join_parts(base, parts[1:], sightings, database=database, walk=walk)
     _log.info("cut into %d stretches; %d photos joined, %d stretches left", stretch[-1] + 1, len(joined), len(left))
