@@ -58,14 +58,15 @@ def measure_stems(
     measured = []
     for first in range(0, len(search.stems), TOGETHER):
         numbers = range(first, min(first + TOGETHER, len(search.stems)))
-        own, stems = [], []
+        own, stems, levels = [], [], []
         for number in numbers:
             stem = search.stems[number]
-            near, stem = _on_own_ground(
+            near, stem, level = _on_own_ground(
                 index.near(centers[number], stem.axis.radius_m + BESIDE_M), stem, ground, settings
             )
             own.append(_without_neighbours(near, stem, search.stems, settings.bh_m))
             stems.append(stem)
+            levels.append(level)
         sections = measure_together(
             own,
             stems,
@@ -75,14 +76,14 @@ def measure_stems(
             settings=settings.dbh,
             seed=settings.seed,
         )
-        for number, stem, section in zip(numbers, stems, sections, strict=True):
+        for number, stem, level, section in zip(numbers, stems, levels, sections, strict=True):
             if section.dbh_m is None or 100.0 * section.dbh_m >= settings.min_dbh_cm:
-                measured.append((number, stem, section))
+                measured.append((number, stem, level, section))
     highest = float(stand[:, 2].max(initial=0.0))
-    tall = [(stem, s) for _, stem, s in measured if top_may_be_seen(stem, s.dbh_m, highest, settings=settings.top)]
+    tall = [(stem, s) for _, stem, _, s in measured if top_may_be_seen(stem, s.dbh_m, highest, settings=settings.top)]
     crowns = PlanIndex(_crowns(stand, [stem for stem, _ in tall], highest, settings), TOP_CELL_M)
     pairs = []
-    for number, stem, section in measured:
+    for number, stem, level, section in measured:
         height = tree_height(
             crowns,
             stem,
@@ -93,8 +94,7 @@ def measure_stems(
             bh_m=settings.bh_m,
             settings=settings.top,
         )
-        z_ground = float(ground.height_at(section.center[None])[0])
-        pairs.append((tree_of(section, z_ground, height, origin), section))
+        pairs.append((tree_of(section, level, height, origin), section))
     return pairs
 
 
@@ -125,8 +125,11 @@ def doubt_the_rough(pairs: list[tuple[Tree, Section]]) -> list[tuple[Tree, Secti
     return marked
 
 
-def _on_own_ground(near: Floats, stem: Stem, ground: Ground, settings: TreeSettings) -> tuple[Floats, Stem]:
-    """Heights above the one ground level that counts for this stem, so that its axis stays straight on a slope."""
+def _on_own_ground(near: Floats, stem: Stem, ground: Ground, settings: TreeSettings) -> tuple[Floats, Stem, float]:
+    """Heights above the one ground level that counts for this stem, so that its axis stays straight on a slope.
+
+    Returns points and stem above that level, and the level, z of the cloud: every height of the tree counts from it.
+    """
     foot = stem.axis.center_at(0.0)
     level = float(ground.height_at(foot[None])[0])
     reference = level
@@ -138,7 +141,7 @@ def _on_own_ground(near: Floats, stem: Stem, ground: Ground, settings: TreeSetti
     shift = reference - level
     axis = replace(stem.axis, height_m=stem.axis.height_m - shift)
     moved = replace(stem, axis=axis, bottom_m=stem.bottom_m - shift, top_m=stem.top_m - shift)
-    return np.column_stack([near[:, :2], z]), moved
+    return np.column_stack([near[:, :2], z]), moved, reference
 
 
 def _without_neighbours(near: Floats, stem: Stem, stems: tuple[Stem, ...], bh_m: float) -> Floats:
@@ -159,7 +162,10 @@ def _surface_distance(points: Floats, stem: Stem) -> Floats:
 
 
 def tree_of(section: Section, z_ground: float, height: float | None, origin: Floats) -> Tree:
-    """The row of ``trees.csv`` of a section about ``origin`` (3,), in metres; its number is still 0."""
+    """The row of ``trees.csv`` of a section about ``origin`` (3,), in metres; its number is still 0.
+
+    ``z_ground`` is the level that the section's and the tree's height are counted from, z of the cloud.
+    """
     blank = Tree(
         tree_id=0,
         x_m=float(section.center[0] + origin[0]),
