@@ -24,7 +24,7 @@ from fsinfer.trees.settings import TreeSettings
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
-#: Stems whose points are held at once, and directions in which the ground at a stem's foot is looked up.
+#: Stems whose points are held at once, and directions in which the ground round a stem is looked up.
 #: Source: numerics.
 TOGETHER, FOOT_DIRECTIONS = 16, 16
 #: Above and below the heights of the search, metres, points are used too: a stem is measured on its own ground.
@@ -80,17 +80,26 @@ def measure_stems(
             if section.dbh_m is None or 100.0 * section.dbh_m >= settings.min_dbh_cm:
                 measured.append((number, stem, level, section))
     highest = float(stand[:, 2].max(initial=0.0))
-    tall = [(stem, s) for _, stem, _, s in measured if top_may_be_seen(stem, s.dbh_m, highest, settings=settings.top)]
-    crowns = PlanIndex(_crowns(stand, [stem for stem, _ in tall], highest, settings), TOP_CELL_M)
+    highest_of = {n: highest + _rise_within_reach(stem, level, ground, settings) for n, stem, level, _ in measured}
+    tall = [
+        (stem, highest_of[number])
+        for number, stem, _, section in measured
+        if top_may_be_seen(stem, section.dbh_m, highest_of[number], settings=settings.top)
+    ]
+    crowns = _crowns(stand, tall, settings)
+    # A crown that hangs over a slope has its top above other ground than the stem's foot: heights of the cloud again.
+    crowns[:, 2] += ground.height_at(crowns[:, :2])
+    index = PlanIndex(crowns, TOP_CELL_M)
     pairs = []
     for number, stem, level, section in measured:
         height = tree_height(
-            crowns,
+            index,
             stem,
             centers,
             number,
             section.dbh_m,
-            highest_m=highest,
+            level_m=level,
+            highest_m=highest_of[number],
             bh_m=settings.bh_m,
             settings=settings.top,
         )
@@ -98,11 +107,22 @@ def measure_stems(
     return pairs
 
 
-def _crowns(stand: Floats, stems: Sequence[Stem], highest: float, settings: TreeSettings) -> Floats:
-    """Points above 1 m that may belong to one of the stems."""
+def _rise_within_reach(stem: Stem, level: float, ground: Ground, settings: TreeSettings) -> float:
+    """By how much at most the ground below the stem's crown is higher than ``level``, where its heights count from."""
+    reach = settings.top.reach_m + settings.top.crown_radius_m
+    return max(_highest_round(stem.axis.center_at(settings.bh_m), reach, ground) - level, 0.0)
+
+
+def _highest_round(middle: Floats, radius: float, ground: Ground) -> float:
+    angle = np.linspace(0.0, 2.0 * np.pi, FOOT_DIRECTIONS, endpoint=False)
+    return float(ground.height_at(middle + radius * np.column_stack([np.cos(angle), np.sin(angle)])).max())
+
+
+def _crowns(stand: Floats, stems: Sequence[tuple[Stem, float]], settings: TreeSettings) -> Floats:
+    """A copy of the points above 1 m that may belong to one of the stems, each with the highest that it may reach."""
     if not stems:
-        return stand[:0]
-    paths = [axis_path(stem, highest, bh_m=settings.bh_m, settings=settings.top) for stem in stems]
+        return stand[:0].copy()
+    paths = [axis_path(stem, highest, bh_m=settings.bh_m, settings=settings.top) for stem, highest in stems]
     starts = np.array([low for low, _ in paths]).reshape(-1, 2)
     ends = np.array([high for _, high in paths]).reshape(-1, 2)
     above = rows(stand, stand[:, 2] > FOOT_M)
@@ -134,9 +154,7 @@ def _on_own_ground(near: Floats, stem: Stem, ground: Ground, settings: TreeSetti
     level = float(ground.height_at(foot[None])[0])
     reference = level
     if settings.bh_rule == BhRule.uphill:
-        angle = np.linspace(0.0, 2.0 * np.pi, FOOT_DIRECTIONS, endpoint=False)
-        ring = foot + stem.axis.radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
-        reference = float(ground.height_at(ring).max())
+        reference = _highest_round(foot, stem.axis.radius_m, ground)
     z = near[:, 2] + ground.height_at(near[:, :2]) - reference
     shift = reference - level
     axis = replace(stem.axis, height_m=stem.axis.height_m - shift)

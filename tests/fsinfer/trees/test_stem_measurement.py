@@ -192,3 +192,25 @@ def test_section_place_and_curve_of_a_stem_on_a_slope_count_from_one_level(rule:
     )  # fmt: skip
     two = next(point for point in stem_curves(points, plot)[1] if point.height_m == 2.0)
     assert two.diameter_cm == pytest.approx(200 * (0.25 + taper * (tree.z_ground_m + 2.0 - 1.3)), abs=0.4)
+
+
+@pytest.mark.parametrize("rule", ["midpoint", "uphill"])
+@pytest.mark.parametrize("lean", [-0.1, 0.0, 0.1])
+def test_a_tree_that_leans_over_a_slope_is_as_high_as_it_stands_above_its_foot(lean: float, rule: str) -> None:
+    per_m, rng = float(np.tan(np.radians(30.0))), np.random.default_rng(4)
+    share, angle = np.sqrt(rng.uniform(0, 1, 6000)), rng.uniform(0, 2 * np.pi, 6000)
+    reach = 1.2 * share * np.sqrt(rng.uniform(0, 1, 6000))
+    crown = np.column_stack([reach * np.cos(angle), reach * np.sin(angle), 19.8 - 10.0 * share])
+    tip = np.column_stack([np.zeros((6, 2)), 19.8 - 0.01 * np.arange(6)])
+    trunk = wall(rng, radius=0.15, spacing_m=0.03, taper=-0.005, top_m=11.0)
+    points = np.concatenate([trunk, crown, tip])
+    points[:, 0] += np.where(points[:, 2] < 3.0, lean * points[:, 2], 3.0 * lean + 0.5 * lean * (points[:, 2] - 3.0))
+    ground = slope(per_m)
+    stand = points - np.column_stack([np.zeros((len(points), 2)), ground.height_at(points[:, :2])])
+    seen = lean / (1 - lean * per_m)
+    stem = stem_at(0.0, 0.15)
+    axis = replace(stem.axis, parameters=np.array([1.3 * seen, 0.0, seen, 0.0, 0.15, -0.005]))
+    search = StemSearch(stems=(replace(stem, axis=axis),), candidates=1, rejected={}, spacing_m=0.03)
+    settings = replace(TreeSettings(), bh_rule=rule)
+    ((tree, _),) = measure_stems(stand, search, ground, settings, 0.0, np.zeros(3))
+    assert tree.height_m == pytest.approx(19.8 - tree.z_ground_m, abs=0.06)
