@@ -73,6 +73,15 @@ def _parts_joined(values: Mapping[str, Any]) -> str:
     )
 
 
+def _one_board(values: Mapping[str, Any]) -> str:
+    # Older records, of boards by their number alone, do not say where the length is from.
+    told = "as given" if values.get("given", False) else "by its number"
+    return (
+        f"the scale rests on one board (number {values['number']}, {values['length_m']:g} m {told}), and no other "
+        "shows whether that is right: measure its black square with a ruler, and put up three or more next time"
+    )
+
+
 def _two_places(values: Mapping[str, Any]) -> str:
     apart_m = values["apart_m"]
     apart = f"{apart_m:.1f} m" if apart_m >= 0.1 else f"{100 * apart_m:.0f} cm"
@@ -148,10 +157,7 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
         "side of the black square and run again with --aruco-length-m, in metres; until then the cloud is in model "
         "units and no DBH is measured"
     ),
-    CaptureCode.one_board: (
-        "the scale rests on one board (number {number}, {length_m:g} m by its number); measure it with a ruler, and "
-        "put up three or more next time"
-    ),
+    CaptureCode.one_board: _one_board,
     CaptureCode.board_at_two_places: _two_places,
     CaptureCode.endpoints_of_metric_cloud: (
         "the end points count in the model units of the cloud without a scale, and cloud.ply was in metres before this "

@@ -18,6 +18,8 @@ from fsinfer.scale.printed_boards import DICTIONARY
 from fsinfer.scale.scale import MarkerDetails, MarkerScale, RejectedMarker, Scale, check_length
 from fsinfer.scale.square_fit import FittedMarker, MarkerSettings, Sighting, find_markers
 from fsinfer.scene import Scene
+from fsinfer.trees.diameter.budget import factor95
+from fsinfer.trees.points.sums import Z95
 
 _log = logging.getLogger(__name__)
 
@@ -144,7 +146,7 @@ def _combine(
     scales = lengths_m / np.array([marker.side_units for marker in markers])
     rel_stds = np.array([marker.side_rel_std for marker in markers])
     # Markers differ by the warp of the model too, which no residual shows: none counts for much more than another.
-    weights = 1 / (rel_stds**2 + settings.length_rel_std**2)
+    weights = 1 / (rel_stds**2 + settings.warp_rel_std**2)
     combined = weighted_median(scales, weights)
     each = []
     for index, marker in enumerate(markers):
@@ -184,14 +186,20 @@ def _normal(corners: NDArray[np.float64]) -> tuple[float, float, float]:
 def _combined_rel_std(
     ratios: NDArray[np.float64], rel_stds: NDArray[np.float64], weights: NDArray[np.float64], settings: MarkerSettings
 ) -> float:
-    """From the spread between markers where there are several, never less than their own errors allow."""
-    shares = weights / weights.sum()
+    """Of all markers together, with the length that they share: 1.96 of it hold 95 %.
+
+    How much a marker is off is told by the spread between them and by what is known of other plots: a scaled inverse
+    chi-squared prior of the variance (Gelman et al., Bayesian Data Analysis, 3rd ed., section 2.6), which with normal
+    errors gives Student's interval. One marker, or two that agree by chance, have little but the prior.
+    """
+    shares, count = weights / weights.sum(), len(ratios)
+    own_var = float((shares * rel_stds**2).sum())
     expected = float(np.sqrt((shares**2 * rel_stds**2).sum()))
-    spread = 0.0
-    if len(ratios) > 1:
-        variance = float((shares * (ratios - 1) ** 2).sum()) * len(ratios) / (len(ratios) - 1)
-        # A median scatters by sqrt(pi / 2) more than a mean.
-        spread = float(np.sqrt(variance / len(ratios) * np.pi / 2))
+    dof = settings.warp_dof + count - 1
+    prior = settings.warp_dof * (settings.warp_rel_std**2 + own_var)
+    variance = (prior + count * float((shares * (ratios - 1) ** 2).sum())) / dof
+    # A median scatters by sqrt(pi / 2) more than a mean.
+    spread = float(np.sqrt(variance / count * (np.pi / 2 if count > 1 else 1.0))) * factor95(dof) / Z95
     return float(np.hypot(max(expected, spread), settings.length_rel_std))
 
 

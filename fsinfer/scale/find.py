@@ -13,7 +13,14 @@ from fsinfer.scale.aruco import scale_from_aruco
 from fsinfer.scale.doubts import boards_at_two_places
 from fsinfer.scale.printed_boards import DICTIONARY, board_lengths
 from fsinfer.scale.request import ClickedLength, ScaleRequest
-from fsinfer.scale.scale import UNKNOWN, Scale, scale_from_clicks, scale_from_endpoints, scale_from_factor
+from fsinfer.scale.scale import (
+    UNKNOWN,
+    MarkerDetails,
+    Scale,
+    scale_from_clicks,
+    scale_from_endpoints,
+    scale_from_factor,
+)
 from fsinfer.scale.square_fit import MarkerSettings
 from fsinfer.scene import Scene
 
@@ -70,7 +77,7 @@ def find_scale(
         )
     except ScaleError as error:
         return FoundScale(scale=UNKNOWN, warnings=(notice(CaptureCode.no_scale_from_markers, error=str(error)),))
-    return FoundScale(scale=scale, warnings=_twice(scale))
+    return FoundScale(scale=scale, warnings=(*_few_boards(scale), *_twice(scale)))
 
 
 def _by_clicks(
@@ -118,4 +125,5 @@ def _few_boards(scale: Scale) -> tuple[Notice, ...]:
     if len(scale.markers) > 1:
         return ()
     only = scale.markers[0]
-    return (notice(CaptureCode.one_board, number=only.id, length_m=only.length_m),)
+    given = isinstance(scale.details, MarkerDetails) and scale.details.length_m is not None
+    return (notice(CaptureCode.one_board, number=only.id, length_m=only.length_m, given=given),)

@@ -82,14 +82,16 @@ def tree_height(
     number: int,
     dbh_m: float | None,
     *,
+    level_m: float = 0.0,
     highest_m: float,
     bh_m: float = BREAST_HEIGHT_M,
     settings: TopSettings | None = None,
 ) -> float | None:
-    """Height above ground of the stem's top from an index of x, y, height; None where it was not seen.
+    """Height of the stem's top above the ground at its foot, from an index of x, y, z; None where it was not seen.
 
-    ``highest_m`` is the height of the highest point. Points nearer to another stem's position in ``centers`` (T, 2)
-    are left to that one.
+    ``level_m`` is the z of that ground, above which ``stem`` is given too; no point of its crown is more than
+    ``highest_m`` above it. The index holds what stands above the ground, without the ground itself. Points nearer to
+    another stem's position in ``centers`` (T, 2) are left to that one.
     """
     s = settings or TopSettings()
     if not top_may_be_seen(stem, dbh_m, highest_m, settings=s):
@@ -99,6 +101,7 @@ def tree_height(
     # All that lies within the crown's radius of the continued axis and within reach, found by one disc about both.
     low, high = axis_path(stem, highest_m, bh_m=bh_m, settings=s)
     disc = stand.near(0.5 * (low + high), s.crown_radius_m + 0.5 * float(np.hypot(*(high - low))))
+    disc = disc - np.array([0.0, 0.0, level_m])
     x, y, rise = disc[:, 0] - start[0], disc[:, 1] - start[1], disc[:, 2] - bh_m
     inside = (x * x + y * y <= s.reach_m**2) & (disc[:, 2] > FOOT_M)
     x -= slope[0] * rise

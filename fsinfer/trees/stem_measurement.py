@@ -24,7 +24,7 @@ from fsinfer.trees.settings import TreeSettings
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
-#: Stems whose points are held at once, and directions in which the ground at a stem's foot is looked up.
+#: Stems whose points are held at once, and directions in which the ground round a stem is looked up.
 #: Source: numerics.
 TOGETHER, FOOT_DIRECTIONS = 16, 16
 #: Above and below the heights of the search, metres, points are used too: a stem is measured on its own ground.
@@ -58,14 +58,15 @@ def measure_stems(
     measured = []
     for first in range(0, len(search.stems), TOGETHER):
         numbers = range(first, min(first + TOGETHER, len(search.stems)))
-        own, stems = [], []
+        own, stems, levels = [], [], []
         for number in numbers:
             stem = search.stems[number]
-            near, stem = _on_own_ground(
+            near, stem, level = _on_own_ground(
                 index.near(centers[number], stem.axis.radius_m + BESIDE_M), stem, ground, settings
             )
             own.append(_without_neighbours(near, stem, search.stems, settings.bh_m))
             stems.append(stem)
+            levels.append(level)
         sections = measure_together(
             own,
             stems,
@@ -75,34 +76,53 @@ def measure_stems(
             settings=settings.dbh,
             seed=settings.seed,
         )
-        for number, stem, section in zip(numbers, stems, sections, strict=True):
+        for number, stem, level, section in zip(numbers, stems, levels, sections, strict=True):
             if section.dbh_m is None or 100.0 * section.dbh_m >= settings.min_dbh_cm:
-                measured.append((number, stem, section))
+                measured.append((number, stem, level, section))
     highest = float(stand[:, 2].max(initial=0.0))
-    tall = [(stem, s) for _, stem, s in measured if top_may_be_seen(stem, s.dbh_m, highest, settings=settings.top)]
-    crowns = PlanIndex(_crowns(stand, [stem for stem, _ in tall], highest, settings), TOP_CELL_M)
+    highest_of = {n: highest + _rise_within_reach(stem, level, ground, settings) for n, stem, level, _ in measured}
+    tall = [
+        (stem, highest_of[number])
+        for number, stem, _, section in measured
+        if top_may_be_seen(stem, section.dbh_m, highest_of[number], settings=settings.top)
+    ]
+    crowns = _crowns(stand, tall, settings)
+    # A crown that hangs over a slope has its top above other ground than the stem's foot: heights of the cloud again.
+    crowns[:, 2] += ground.height_at(crowns[:, :2])
+    index = PlanIndex(crowns, TOP_CELL_M)
     pairs = []
-    for number, stem, section in measured:
+    for number, stem, level, section in measured:
         height = tree_height(
-            crowns,
+            index,
             stem,
             centers,
             number,
             section.dbh_m,
-            highest_m=highest,
+            level_m=level,
+            highest_m=highest_of[number],
             bh_m=settings.bh_m,
             settings=settings.top,
         )
-        z_ground = float(ground.height_at(section.center[None])[0])
-        pairs.append((tree_of(section, z_ground, height, origin), section))
+        pairs.append((tree_of(section, level, height, origin), section))
     return pairs
 
 
-def _crowns(stand: Floats, stems: Sequence[Stem], highest: float, settings: TreeSettings) -> Floats:
-    """Points above 1 m that may belong to one of the stems."""
+def _rise_within_reach(stem: Stem, level: float, ground: Ground, settings: TreeSettings) -> float:
+    """By how much at most the ground below the stem's crown is higher than ``level``, where its heights count from."""
+    reach = settings.top.reach_m + settings.top.crown_radius_m
+    return max(_highest_round(stem.axis.center_at(settings.bh_m), reach, ground) - level, 0.0)
+
+
+def _highest_round(middle: Floats, radius: float, ground: Ground) -> float:
+    angle = np.linspace(0.0, 2.0 * np.pi, FOOT_DIRECTIONS, endpoint=False)
+    return float(ground.height_at(middle + radius * np.column_stack([np.cos(angle), np.sin(angle)])).max())
+
+
+def _crowns(stand: Floats, stems: Sequence[tuple[Stem, float]], settings: TreeSettings) -> Floats:
+    """A copy of the points above 1 m that may belong to one of the stems, each with the highest that it may reach."""
     if not stems:
-        return stand[:0]
-    paths = [axis_path(stem, highest, bh_m=settings.bh_m, settings=settings.top) for stem in stems]
+        return stand[:0].copy()
+    paths = [axis_path(stem, highest, bh_m=settings.bh_m, settings=settings.top) for stem, highest in stems]
     starts = np.array([low for low, _ in paths]).reshape(-1, 2)
     ends = np.array([high for _, high in paths]).reshape(-1, 2)
     above = rows(stand, stand[:, 2] > FOOT_M)
@@ -125,20 +145,21 @@ def doubt_the_rough(pairs: list[tuple[Tree, Section]]) -> list[tuple[Tree, Secti
     return marked
 
 
-def _on_own_ground(near: Floats, stem: Stem, ground: Ground, settings: TreeSettings) -> tuple[Floats, Stem]:
-    """Heights above the one ground level that counts for this stem, so that its axis stays straight on a slope."""
+def _on_own_ground(near: Floats, stem: Stem, ground: Ground, settings: TreeSettings) -> tuple[Floats, Stem, float]:
+    """Heights above the one ground level that counts for this stem, so that its axis stays straight on a slope.
+
+    Returns points and stem above that level, and the level, z of the cloud: every height of the tree counts from it.
+    """
     foot = stem.axis.center_at(0.0)
     level = float(ground.height_at(foot[None])[0])
     reference = level
     if settings.bh_rule == BhRule.uphill:
-        angle = np.linspace(0.0, 2.0 * np.pi, FOOT_DIRECTIONS, endpoint=False)
-        ring = foot + stem.axis.radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
-        reference = float(ground.height_at(ring).max())
+        reference = _highest_round(foot, stem.axis.radius_m, ground)
     z = near[:, 2] + ground.height_at(near[:, :2]) - reference
     shift = reference - level
     axis = replace(stem.axis, height_m=stem.axis.height_m - shift)
     moved = replace(stem, axis=axis, bottom_m=stem.bottom_m - shift, top_m=stem.top_m - shift)
-    return np.column_stack([near[:, :2], z]), moved
+    return np.column_stack([near[:, :2], z]), moved, reference
 
 
 def _without_neighbours(near: Floats, stem: Stem, stems: tuple[Stem, ...], bh_m: float) -> Floats:
@@ -159,7 +180,10 @@ def _surface_distance(points: Floats, stem: Stem) -> Floats:
 
 
 def tree_of(section: Section, z_ground: float, height: float | None, origin: Floats) -> Tree:
-    """The row of ``trees.csv`` of a section about ``origin`` (3,), in metres; its number is still 0."""
+    """The row of ``trees.csv`` of a section about ``origin`` (3,), in metres; its number is still 0.
+
+    ``z_ground`` is the level that the section's and the tree's height are counted from, z of the cloud.
+    """
     blank = Tree(
         tree_id=0,
         x_m=float(section.center[0] + origin[0]),

@@ -16,12 +16,14 @@ OUTSIDE = "outside"
 class Tree:
     """One row of ``trees.csv``.
 
-    ``x_m, y_m`` is the stem's centre at ``bh_m`` above the ground, in the frame of the cloud; ``z_ground_m`` the
-    ground there. ``dbh_cm`` and its 95 % interval come from the circle; ``dbh_perimeter_cm`` is what a diameter tape
-    reads (girth / pi) and ``dbh_min_cm``, ``dbh_max_cm`` what callipers read, where the stem was seen nearly all round.
-    ``arc_coverage`` in [0, 1]; ``points`` are those the circle used; ``residual_cm`` is the noise of the bark about
-    the model. None means "not measured", and ``reasons`` say why. ``status`` is ok, doubtful, unmeasured, or
-    outside: too far from where the photographs were taken, listed apart and not measured.
+    ``x_m, y_m`` is the stem's centre at ``bh_m`` above ``z_ground_m``, in the frame of the cloud. ``z_ground_m`` is the
+    one level that all heights of the tree are counted from: the ground at the middle of its foot, or the highest
+    ground round that (:class:`~fsinfer.conventions.breast_height.BhRule`), which on a slope is not the ground below a
+    leaning stem's centre. ``dbh_cm`` and its 95 % interval come from the circle; ``dbh_perimeter_cm`` is what a
+    diameter tape reads (girth / pi) and ``dbh_min_cm``, ``dbh_max_cm`` what callipers read, where the stem was seen
+    nearly all round. ``arc_coverage`` in [0, 1]; ``points`` are those the circle used; ``residual_cm`` is the noise of
+    the bark about the model. None means "not measured", and ``reasons`` say why. ``status`` is ok, doubtful,
+    unmeasured, or outside: too far from where the photographs were taken, listed apart and not measured.
 
     Where the plot has a border (:mod:`fsinfer.plot_border`), ``in_plot`` says whether the centre is within it,
     ``border_m`` how far from it, negative outside, and ``at_border`` whether that is less than the stem's radius or

@@ -42,6 +42,7 @@ def scale_of_boards(
     *,
     m_per_unit: float | None = 1.0,
     rel_std: float = 0.01,
+    length_m: float | None = None,
     rejected: tuple[RejectedMarker, ...] = (),
 ) -> Scale:
     """The scale that these markers give."""
@@ -49,7 +50,7 @@ def scale_of_boards(
         photos_searched=40,
         photos_with_markers=20,
         dictionary="4X4_50",
-        length_m=None,
+        length_m=length_m,
         rejected=rejected,
         mean_side_px=60.0,
         edge_rel_std=0.002,

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from fsinfer.notices.capture import CaptureCode
+from fsinfer.notices.notice import notice
 from fsinfer.notices.sentences import sentence
 from fsinfer.scale.doubts import boards_at_two_places
 from fsinfer.scale.find import find_scale
@@ -29,6 +31,19 @@ def test_a_run_warns_of_a_board_at_two_places(monkeypatch: pytest.MonkeyPatch, t
         if twice:
             assert sentence(found.warnings[0]).startswith("Board 1 was found at two places 3.0 m apart.")
             assert "p to q" in sentence(found.warnings[0])
+
+
+@pytest.mark.parametrize("length_m", [0.25, None])
+def test_one_board_alone_is_told_whoever_says_its_length(
+    monkeypatch: pytest.MonkeyPatch, length_m: float | None
+) -> None:
+    scale = scale_of_boards([board(21, (0.0, 0.0, 0.0), "abc")], length_m=length_m)
+    monkeypatch.setattr("fsinfer.scale.find.scale_from_aruco", lambda *_args, **_kwargs: scale)
+    found = find_scale(ScaleRequest(aruco_length_m=length_m), scene=Scene(folder=Path("scene"), views=()))
+    (said,) = (sentence(warning) for warning in found.warnings)
+    told = "as given" if length_m else "by its number"
+    assert f"rests on one board (number 21, 0.25 m {told})" in said
+    assert sentence(notice(CaptureCode.one_board, number=21, length_m=0.25)).count("by its number") == 1
 
 
 def test_the_two_faces_of_one_board_are_no_alarm_and_drift_is() -> None:

@@ -1,4 +1,4 @@
-"""What a scale by boards may be off by: blooming edges and misprinted boards, drawn many times (seeds 44020, 44021)."""
+"""What a scale by boards may be off by: blooming edges, misprinted boards, a warped model (seeds 44020 to 44023)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from fsinfer.scale import aruco
-from fsinfer.scale.scale import MarkerDetails
+from fsinfer.scale.scale import MarkerDetails, Scale
+from fsinfer.scale.square_fit import FittedMarker, Sighting
 from fsinfer.scene import Camera, Scene, View
 from tests.support.rendered_room import intrinsic, poses
 
@@ -81,3 +82,49 @@ def test_scales_are_off_by_what_they_say(
         assert least_px < scale.details.mean_side_px < most_px
         errors.append((scale.m_per_unit - 1) / scale.rel_std)
     assert 0.7 < np.sqrt(np.mean(np.square(errors))) < 1.35
+
+
+def scale_of_warped(
+    monkeypatch: pytest.MonkeyPatch, folder: Path, boards: int, warp: float, rng: np.random.Generator
+) -> Scale:
+    """The scale by large sharp boards of a side of 1, each where the model is too large by its own share."""
+    pose, side = poses(1)[0], np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
+    camera = Camera(intrinsic=intrinsic(), cam_from_world=pose, depth_min=1.0, depth_max=9.0)
+    scene = Scene(folder=folder, views=(View(name="v", image_path=folder / "v", camera=camera, sources=()),))
+    seen = dict.fromkeys(range(boards), 1000.0 * side[:, :2])
+    sizes = {number: 1.0 + rng.normal(0.0, warp) for number in seen}
+
+    def fitted(own: list[Sighting], *_: object) -> tuple[list[FittedMarker], list[str]]:
+        size = sizes[own[0].marker_id]
+        one = FittedMarker(
+            sightings=tuple(own), corners=size * side, side_units=size, side_rel_std=2e-4, error_px=0.1, angle_deg=40.0
+        )
+        return [one], []
+
+    monkeypatch.setattr(aruco, "read_image", lambda path: path)
+    monkeypatch.setattr(aruco, "luminance", lambda path: path)
+    monkeypatch.setattr(aruco, "bloom_of", lambda *_: None)
+    monkeypatch.setattr(aruco, "detect_markers", lambda *_, **__: list(seen.items()))
+    monkeypatch.setattr(aruco, "find_markers", fitted)
+    return aruco.scale_from_aruco(scene, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("boards", "warp", "least"),
+    [(1, 0.003, 0.95), (2, 0.003, 0.95), (3, 0.003, 0.95), (1, 0.01, 0.6), (2, 0.01, 0.8), (3, 0.01, 0.88)],
+)
+def test_few_boards_in_a_warped_model_hold_what_they_say(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, boards: int, warp: float, least: float
+) -> None:
+    rng = np.random.default_rng(44022)
+    scales = [scale_of_warped(monkeypatch, tmp_path, boards, warp, rng) for _ in range(300)]
+    inside = [abs((one.m_per_unit or 0.0) - 1.0) <= 1.96 * (one.rel_std or 0.0) for one in scales]
+    assert np.mean(inside) >= least
+
+
+def test_many_boards_tell_their_spread_themselves(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Where boards differ by 0.2 %, which was known before, their own spread and the common length are all there is."""
+    rng = np.random.default_rng(44023)
+    stds = {n: scale_of_warped(monkeypatch, tmp_path, n, 0.002, rng).rel_std or 0.0 for n in (1, 12)}
+    assert stds[12] == pytest.approx(np.hypot(0.002, 0.002 * np.sqrt(np.pi / 2 / 12)), rel=0.1)
+    assert stds[1] > 2.0 * stds[12]

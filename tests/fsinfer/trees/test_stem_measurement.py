@@ -17,9 +17,11 @@ from fsinfer.trees.diameter.budget import factor95
 from fsinfer.trees.diameter.outline import Outline
 from fsinfer.trees.diameter.section import Section, unmeasured_section
 from fsinfer.trees.ground.ground import Ground
+from fsinfer.trees.measure import PlotResult
 from fsinfer.trees.search.find import StemSearch
 from fsinfer.trees.search.stem import Stem
 from fsinfer.trees.settings import TreeSettings
+from fsinfer.trees.stem_curve import stem_curves
 from fsinfer.trees.stem_measurement import doubt_the_rough, measure_stems, tree_of
 from fsinfer.trees.tree import Tree
 from tests.support.stem_clouds import wall
@@ -159,3 +161,56 @@ def test_on_a_slope_breast_height_counts_from_the_middle_or_from_uphill() -> Non
     ((uphill, _),) = measured({0.0: 0.15}, points, ground=slope(0.4), bh_rule="uphill")
     assert middle.dbh_cm == pytest.approx(30.0, abs=0.4)
     assert uphill.dbh_cm == pytest.approx(30.0 - 2 * 10.0 * 0.4 * 0.15, abs=0.4)
+
+
+@pytest.mark.parametrize("rule", ["midpoint", "uphill"])
+@pytest.mark.parametrize("lean", [0.0, 0.15])
+def test_section_place_and_curve_of_a_stem_on_a_slope_count_from_one_level(rule: str, lean: float) -> None:
+    """30 degrees, a stem of 50 cm: the highest ground at its foot is 14 cm up, that below a leaning centre 11 cm."""
+    per_m, taper = float(np.tan(np.radians(30.0))), -0.02
+    points = stem_points(0.0, 0.25, taper=taper)
+    points[:, 0] += lean * points[:, 2]
+    ground = slope(per_m)
+    stand = points - np.column_stack([np.zeros((len(points), 2)), ground.height_at(points[:, :2])])
+    # What the search sees stands on ground made level, which leans more.
+    stem = stem_at(0.0, 0.25)
+    seen = lean / (1 - lean * per_m)
+    axis = replace(stem.axis, parameters=np.array([1.3 * seen, 0.0, seen, 0.0, 0.25, taper]))
+    search = StemSearch(stems=(replace(stem, axis=axis),), candidates=1, rejected={}, spacing_m=0.01)
+    settings = replace(TreeSettings(), bh_rule=rule)
+    ((tree, section),) = measure_stems(stand, search, ground, settings, 0.0, np.zeros(3))
+    level = per_m * 0.25 if rule == "uphill" else 0.0
+    assert tree.z_ground_m == pytest.approx(level, abs=1e-9)
+    # The row's own height is where the stem has the row's place and diameter.
+    z = tree.z_ground_m + tree.bh_m
+    assert tree.x_m == pytest.approx(lean * z, abs=0.004)
+    assert tree.dbh_cm == pytest.approx(200 * (0.25 + taper * (z - 1.3)), abs=0.4)
+    tree = replace(tree, tree_id=1)
+    plot = PlotResult(
+        trees=(tree,), sections=(section,), ground=ground, diagnosis=WALL, warnings=(), extent_m=(-1, -1, 1, 1),
+        spacing_m=0.01,
+    )  # fmt: skip
+    two = next(point for point in stem_curves(points, plot)[1] if point.height_m == 2.0)
+    assert two.diameter_cm == pytest.approx(200 * (0.25 + taper * (tree.z_ground_m + 2.0 - 1.3)), abs=0.4)
+
+
+@pytest.mark.parametrize("rule", ["midpoint", "uphill"])
+@pytest.mark.parametrize("lean", [-0.1, 0.0, 0.1])
+def test_a_tree_that_leans_over_a_slope_is_as_high_as_it_stands_above_its_foot(lean: float, rule: str) -> None:
+    per_m, rng = float(np.tan(np.radians(30.0))), np.random.default_rng(4)
+    share, angle = np.sqrt(rng.uniform(0, 1, 6000)), rng.uniform(0, 2 * np.pi, 6000)
+    reach = 1.2 * share * np.sqrt(rng.uniform(0, 1, 6000))
+    crown = np.column_stack([reach * np.cos(angle), reach * np.sin(angle), 19.8 - 10.0 * share])
+    tip = np.column_stack([np.zeros((6, 2)), 19.8 - 0.01 * np.arange(6)])
+    trunk = wall(rng, radius=0.15, spacing_m=0.03, taper=-0.005, top_m=11.0)
+    points = np.concatenate([trunk, crown, tip])
+    points[:, 0] += np.where(points[:, 2] < 3.0, lean * points[:, 2], 3.0 * lean + 0.5 * lean * (points[:, 2] - 3.0))
+    ground = slope(per_m)
+    stand = points - np.column_stack([np.zeros((len(points), 2)), ground.height_at(points[:, :2])])
+    seen = lean / (1 - lean * per_m)
+    stem = stem_at(0.0, 0.15)
+    axis = replace(stem.axis, parameters=np.array([1.3 * seen, 0.0, seen, 0.0, 0.15, -0.005]))
+    search = StemSearch(stems=(replace(stem, axis=axis),), candidates=1, rejected={}, spacing_m=0.03)
+    settings = replace(TreeSettings(), bh_rule=rule)
+    ((tree, _),) = measure_stems(stand, search, ground, settings, 0.0, np.zeros(3))
+    assert tree.height_m == pytest.approx(19.8 - tree.z_ground_m, abs=0.06)
