@@ -96,6 +96,10 @@ class _Running:
             for process in self._guards.get(batch, set()):
                 _hang_up(process)
 
+    def is_stopped(self, batch: str) -> bool:
+        with self._lock:
+            return batch in self._stopped
+
 
 def _hang_up(process: subprocess.Popen[bytes]) -> None:
     if process.stdin is not None and not process.stdin.closed:
@@ -108,6 +112,11 @@ _running = _Running()
 def stop_batch(batch: str) -> None:
     """End all plots of a batch that this process has under way; they can be gone on with."""
     _running.stop(batch)
+
+
+def is_stopped(batch: str) -> bool:
+    """Whether this process was told to end the plots of a batch."""
+    return _running.is_stopped(batch)
 
 
 def attempt(task: PlotTask) -> Attempt:

@@ -8,10 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fsinfer.batch.attempt import PlotTask, stop_batch
+from fsinfer.batch.attempt import Attempt, PlotTask, stop_batch
 from fsinfer.batch.copying import attempt_there
 from fsinfer.batch.outcome import Outcome
 from fsinfer.batch.plot_run import measured, run_plot
+from fsinfer.cluster.pieces import remove_scratch
 from fsinfer.cluster.workers import LOOK_S, Workers, scratch_of_worker
 
 #: Plots that are in the hands of threads here, most of which wait for a worker. Source: numerics.
@@ -25,6 +26,7 @@ class Cluster:
         self._copy = copy
         self._workers = Workers(address, name="fsinfer-batch", kept="finished plots are kept")
         self._lent: Counter[str] = Counter()
+        self._left: list[str] = []
 
     @property
     def at_once(self) -> int:
@@ -47,7 +49,11 @@ class Cluster:
 
             if not self._copy:
                 return call(run_plot, task, tuple(files))  # type: ignore[no-any-return]
-            return measured(task, files, lambda: attempt_there(call, task, files, call(scratch_of_worker)))
+
+            def try_it() -> Attempt:
+                return attempt_there(call, task, files, call(scratch_of_worker), self._left.append)
+
+            return measured(task, files, try_it)
         finally:
             with self._workers.changed:
                 self._lent[worker] -= 1
@@ -59,7 +65,10 @@ class Cluster:
         self._workers.everywhere(stop_batch, batch)
 
     def close(self) -> None:
-        """Leave the cluster as it is."""
+        """Leave the cluster as it is, without what plots that were stopped have left on workers."""
+        if self._left:
+            # Not through the threads of workers, which may still be busy with plots that are ending.
+            self._workers.everywhere(remove_scratch, *self._left)
         self._workers.close()
 
     def _lend(self) -> str:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fsinfer.batch.attempt import Attempt, PlotTask, attempt
+from fsinfer.batch.attempt import Attempt, PlotTask, attempt, is_stopped
 from fsinfer.batch.outcome import CORRECTIONS, photo_files
 from fsinfer.batch.run_log import LOG_FILE
 from fsinfer.cluster.pieces import (
@@ -21,6 +21,7 @@ from fsinfer.cluster.pieces import (
     remove_scratch,
     write_pieces,
 )
+from fsinfer.errors import ClusterError
 from fsinfer.io.files import make_folder
 from fsinfer.output.layout import LOG_FILE as FAULT_LOG_FILE
 from fsinfer.output.layout import METRIC_TREE_FILES
@@ -32,10 +33,17 @@ _ARRIVING = ".arriving"
 _PHOTOS, _OUT, _FILES = "photos", "out", "files"
 
 
-def attempt_there(call: Call, task: PlotTask, files: Sequence[tuple[str, Path]], scratch_in: str | None) -> Attempt:
+def attempt_there(
+    call: Call,
+    task: PlotTask,
+    files: Sequence[tuple[str, Path]],
+    scratch_in: str | None,
+    left: Callable[[str], None] = lambda _: None,
+) -> Attempt:
     """Measure a plot on the worker that ``call`` reaches; its results lie in ``task.out`` afterwards.
 
     Of an attempt that failed only what it said comes back: the next one may be on another worker, and begins anew.
+    ``left`` is told of a folder on the worker that could not be deleted, because the cluster was given up.
     """
     photos = photo_files(task.photos)
     if not photos:
@@ -57,7 +65,11 @@ def attempt_there(call: Call, task: PlotTask, files: Sequence[tuple[str, Path]],
         tried: Attempt = call(attempt_in, folder, there, [(flag, name) for flag, name, _ in named])
         _bring(call, f"{folder}/{out}", task.out, only=() if tried.done else (LOG_FILE, FAULT_LOG_FILE))
     finally:
-        call(remove_scratch, folder)
+        try:
+            call(remove_scratch, folder)
+        except ClusterError:
+            left(folder)
+            raise
     return tried
 
 
@@ -66,7 +78,12 @@ def attempt_in(folder: str, task: PlotTask, files: Sequence[tuple[str, str]]) ->
     root = Path(folder)
     options = (*task.options, *(f"{flag}={root / name}" for flag, name in files))
     here = {"photos": root / task.photos, "out": root / task.out, "options": options}
-    return attempt(PlotTask(**(vars(task) | here)))
+    try:
+        return attempt(PlotTask(**(vars(task) | here)))
+    finally:
+        if is_stopped(task.batch):
+            # Whoever gave the plot does not wait for this thread any more.
+            remove_scratch(folder)
 
 
 def _bring(call: Call, folder: str, out: Path, *, only: Sequence[str]) -> None:

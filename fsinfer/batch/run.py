@@ -24,8 +24,8 @@ from fsinfer.batch.tree_memory import check_can_look
 from fsinfer.errors import ClusterError, FsinferError, WorkerLostError
 from fsinfer.io.files import make_folder
 
-#: The workbook and the report of thousands of plots take a while to write: after a plot they wait until so many times
-#: the last writing has passed. Source: judgement; at most a twentieth of the time is spent on it.
+#: Tables, workbook and report of thousands of plots take a while to write: after a plot they wait until so many times
+#: their last writing has passed. Source: judgement; at most a twentieth of the time is spent on each of both.
 _PAUSE_FACTOR = 20.0
 
 
@@ -132,12 +132,13 @@ class _Batch:
             plot.name: plot_row(plot, self._folder(plot), _if_done(read_outcome(self._folder(plot)))) for plot in plots
         }
         self._stopping = threading.Event()
-        self._write_until = 0.0
+        self._tables = _Writing(lambda: write_plots(out, self._rows_in_order()))
+        self._pages = _Writing(self._write_pages)
         self._ran = 0
 
     def run(self) -> BatchResult:
         """Give out all plots, take in what becomes of them."""
-        self._write(whole=True)
+        self._write_all()
         threads = ThreadPoolExecutor(min(len(self._plots), self._place.most_at_once))
         futures = {threads.submit(self._measure, plot): plot for plot in self._plots}
         try:
@@ -147,22 +148,25 @@ class _Batch:
             threads.shutdown(wait=False, cancel_futures=True)
             self._place.stop(self._token)
             threads.shutdown(wait=True)
-            self._write(whole=True)
+            self._write_all()
             raise
         threads.shutdown()
-        report = self._write(whole=True)
-        rows = tuple(self._rows[plot.name][0] for plot in self._plots)
+        self._write_all()
+        rows = tuple(self._rows_in_order())
+        report = self._out / REPORT_FILE
         return BatchResult(out=self._out, rows=rows, counts=count(rows), ran=self._ran, report=report)
 
     def _take_in(self, futures: Mapping[Future[Outcome], Plot]) -> None:
         for finished, future in enumerate(as_completed(futures), start=1):
             plot, outcome = futures[future], future.result()
             row, trees = plot_row(plot, self._folder(plot), outcome)
+            changed = self._rows[plot.name] != (row, trees)
             self._rows[plot.name] = row, trees
             if outcome.ran:
                 self._ran += 1
                 self._remaining.add(outcome.seconds)
-            self._write()
+            self._tables.after_plot(changed=changed)
+            self._pages.after_plot(changed=changed)
             left = len(futures) - finished
             self._news(
                 PlotNews(
@@ -207,16 +211,41 @@ class _Batch:
     def _folder(self, plot: Plot) -> Path:
         return self._out / PLOTS_FOLDER / plot.name
 
-    def _write(self, *, whole: bool = False) -> Path:
-        rows = [self._rows[plot.name][0] for plot in self._plots]
-        write_plots(self._out, rows)
-        report = self._out / REPORT_FILE
-        if whole or time.monotonic() >= self._write_until:
-            start = time.monotonic()
-            write_trees_and_workbook(self._out, rows, [self._rows[plot.name][1] for plot in self._plots])
-            report = write_report(self._out, rows, title=self._title)
-            self._write_until = time.monotonic() + _PAUSE_FACTOR * (time.monotonic() - start)
-        return report
+    def _rows_in_order(self) -> list[PlotRow]:
+        """Of all plots, as the table has them."""
+        return [self._rows[plot.name][0] for plot in self._plots]
+
+    def _write_all(self) -> None:
+        self._tables.write()
+        self._pages.write()
+
+    def _write_pages(self) -> None:
+        """Workbook, trees and report, which take longer than the tables of plots."""
+        rows = self._rows_in_order()
+        write_trees_and_workbook(self._out, rows, [self._rows[plot.name][1] for plot in self._plots])
+        write_report(self._out, rows, title=self._title)
+
+
+class _Writing:
+    """Something that is written after a plot, where that has changed it and the last writing is long enough ago."""
+
+    def __init__(self, write: Callable[[], object]) -> None:
+        self._write = write
+        self._old = False
+        self._until = 0.0
+
+    def after_plot(self, *, changed: bool) -> None:
+        """Write it, if it is due."""
+        self._old |= changed
+        if self._old and time.monotonic() >= self._until:
+            self.write()
+
+    def write(self) -> None:
+        """Write it at once."""
+        start = time.monotonic()
+        self._write()
+        self._old = False
+        self._until = time.monotonic() + _PAUSE_FACTOR * (time.monotonic() - start)
 
 
 def _if_done(outcome: Outcome | None) -> Outcome | None:

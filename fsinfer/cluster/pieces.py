@@ -40,9 +40,10 @@ def make_scratch(inside: str | None) -> str:
     return tempfile.mkdtemp(prefix="fsinfer-", dir=inside)
 
 
-def remove_scratch(folder: str) -> None:
-    """Delete it with all that it holds."""
-    shutil.rmtree(folder, ignore_errors=True)
+def remove_scratch(*folders: str) -> None:
+    """Delete such folders with all that they hold."""
+    for folder in folders:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def write_pieces(folder: str, pieces: Sequence[Piece]) -> None:

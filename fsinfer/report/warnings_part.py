@@ -42,7 +42,7 @@ class TreesWarning:
 
 @dataclass(frozen=True, kw_only=True)
 class PartApart:
-    """A part of the walk with a report of its own at ``link``, relative to this one, and what is said of it."""
+    """A part of the walk and what is said of it; its report is at ``link``, relative to this one, empty for none."""
 
     link: str
     text: str
@@ -112,7 +112,9 @@ def _parts_apart(contents: Contents) -> Iterator[PartApart]:
                     f"were measured on their own scale: {trees} trees, {measured} with a DBH, in a frame of their own. "
                     "Trees that both see are in both reports."
                 )
-            yield PartApart(link=f"{folder}/report.html", text=_sentence(text))
+            # What lies in the folder of one that failed is of an earlier run, and may be of other photos.
+            link = "" if part.get("error") else f"{folder}/report.html"
+            yield PartApart(link=link, text=_sentence(text))
 
 
 def _parts(plot: Mapping[str, object]) -> list[Mapping[str, object]]:

@@ -19,6 +19,8 @@ from fsinfer.scale.clicks.server import Clicked, ClickServer
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scale.scale import check_length
 from fsinfer.scene import read_scene
+from fsinfer.trees.edits import find_edits
+from fsinfer.workflow.given_edits import last_edits
 from fsinfer.workflow.ledger import Ledger
 from fsinfer.workflow.photo_stages import FRAMES, POSES
 from fsinfer.workflow.pipeline import RunResult, run_from_scene
@@ -47,7 +49,7 @@ def click_scale(
     Raises
     ------
     SceneError, InputError, ScaleError
-        There is no scene, or no length; nothing was written then.
+        There is no scene, or no length, or corrections of the last run are gone; nothing was written then.
     """
     check_length(length_m, "--length-m")
     if not out.is_dir():
@@ -57,14 +59,16 @@ def click_scale(
     if len(scene.views) < 2:
         msg = f"{out / 'scene'} has {len(scene.views)} photograph; two from different places are needed"
         raise InputError(msg)
+    edits = last_edits(out)
+    find_edits(out, edits)  # what cannot be read must not show after the clicks
     with ClickServer(scene, length_m, read_clicks(out), lambda saved: write_clicks(out, saved)) as server:
         show(server.url)
         clicked = server.wait()
-    return ClickedScale(clicked=clicked, run=_run_again(out, clicked, progress))
+    return ClickedScale(clicked=clicked, run=_run_again(out, clicked, edits, progress))
 
 
-def _run_again(out: Path, clicked: Clicked, progress: StageProgress) -> RunResult | None:
-    """The stages from the scene on, with the settings of the last run; None where that was not finished."""
+def _run_again(out: Path, clicked: Clicked, edits: Path | None, progress: StageProgress) -> RunResult | None:
+    """The stages from the scene on, with the settings and corrections of the last run; None where it has no end."""
     ledger = Ledger(out)
     frames, poses = ledger.recall(FRAMES), ledger.recall(POSES)
     plot = read_plot(out)
@@ -75,6 +79,5 @@ def _run_again(out: Path, clicked: Clicked, progress: StageProgress) -> RunResul
     except (TypeError, ValueError, KeyError, OverflowError):
         return None  # of another version of fsinfer: what its settings mean now is for its user to say
     settings = replace(settings, scale=ScaleRequest(clicks=clicked.clicks))
-    return run_from_scene(
-        ledger, frames, poses, settings=settings, source=str(plot.get("source") or out.name), progress=progress
-    )
+    source = str(plot.get("source") or out.name)
+    return run_from_scene(ledger, frames, poses, settings=settings, source=source, edits=edits, progress=progress)

@@ -39,6 +39,7 @@ from fsinfer.trees.edits import find_edits
 from fsinfer.trees.outputs.labels import write_labelled
 from fsinfer.trees.sanity import TurnedCloudError
 from fsinfer.trees.thinning import ThinningSettings, thin_while_reading
+from fsinfer.workflow.given_edits import note_edits
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
 from fsinfer.workflow.run_photos import photos_of_run
 from fsinfer.workflow.settings import speedless
@@ -188,6 +189,7 @@ def measure_cloud_file(
         "photos": None if photos is None else [scene_digest(photos.scene), *_depth_index(photos.depth_folder)],
     }
     record = Ledger(out).run(MEASURE, work, inputs=inputs)
+    note_edits(out, edits)
     _tell(record, cloud_path, out)
     return record
 

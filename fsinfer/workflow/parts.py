@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fsinfer.errors import FsinferError
-from fsinfer.io.files import copy_file, make_folder
+from fsinfer.frames.settings import Equalize
 from fsinfer.io.images import list_images, read_image
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice
@@ -22,6 +22,7 @@ from fsinfer.plot_border.request import BorderRequest
 from fsinfer.poses.estimate import PosesResult
 from fsinfer.scale.detection import detect_markers, make_detector
 from fsinfer.scale.request import ScaleRequest
+from fsinfer.workflow.part_photos import fill_part
 from fsinfer.workflow.settings import RunSettings
 
 _log = logging.getLogger(__name__)
@@ -55,7 +56,7 @@ def measure_parts(
 
     Parameters
     ----------
-    images: folder of the photos that the poses were found of.
+    images: folder of the photos that the poses were found of, frames of the plot.
     run_part: does the whole job. What fails in it is told in the result; the plot itself is not lost by it.
     """
     files = {path.stem: path for path in list_images(images)}
@@ -67,11 +68,8 @@ def measure_parts(
             _log.info("a part of %d photos has no scale of its own, or is too small", len(paths))
             continue
         folder = out / name
-        photos = make_folder(folder / "photos")
-        for path in paths:
-            if not (photos / path.name).is_file():
-                copy_file(path, photos / path.name)
         try:
+            photos = fill_part(folder, paths, list(files.values()))
             registered, trees, measured = run_part(photos, folder, _of_part(settings))
         except FsinferError as error:
             found.append(PartResult(folder=folder.name, photos=len(paths), error=str(error)))
@@ -90,10 +88,14 @@ def folders_of_parts(poses: PosesResult) -> dict[Notice, str]:
 
 
 def _of_part(settings: RunSettings) -> RunSettings:
-    """Without what is said in the frame of the rest: the border, and a scale in its units."""
+    """Without what is said in the frame of the rest, the border and a scale in its units, and what is done already.
+
+    The photographs of a part are frames of the plot, whose brightness is evened out where that was asked for.
+    """
     scale = settings.scale
     boards = ScaleRequest(aruco_length_m=scale.aruco_length_m, aruco_dictionary=scale.aruco_dictionary)
-    return replace(settings, border=BorderRequest(), scale=boards)
+    frames = replace(settings.frames, equalize=Equalize.none.value)
+    return replace(settings, frames=frames, border=BorderRequest(), scale=boards)
 
 
 def _sees_boards(paths: Sequence[Path], scale: ScaleRequest) -> bool:

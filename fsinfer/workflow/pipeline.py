@@ -38,6 +38,7 @@ from fsinfer.workflow.cloud_stages import (
     scene_of,
 )
 from fsinfer.workflow.folder_lock import alone_in
+from fsinfer.workflow.given_edits import note_edits
 from fsinfer.workflow.joined_parts import digests_of
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
 from fsinfer.workflow.parts import PartResult, measure_parts
@@ -164,6 +165,7 @@ def run_from_scene(
     trees = _measure_trees(
         ledger, depth, scale, cloud, settings=settings, edits=corrections, parts=folders, progress=progress
     )
+    note_edits(out, edits)
     records = PlotRecords(
         frames=frames, poses=poses, depth=depth, check=check, fuse=fused, scale=scale, cloud=cloud, trees=trees
     )

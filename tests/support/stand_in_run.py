@@ -2,13 +2,15 @@
 
 ``python stand_in_run.py PHOTOS OUT [options]``. ``PHOTOS/behave.json`` may hold: ``seconds`` to sleep,
 ``exit`` with ``say``, ``signal`` to die by, ``gb`` to hold, ``child`` (starts another process), ``once`` (only the
-first attempt behaves so), ``cloud`` (how large the cloud is).
+first attempt behaves so), ``cloud`` (how large the cloud is), ``end`` (seconds that it takes to end when it is told to;
+then it writes once more).
 """
 
 from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -50,6 +52,15 @@ def misbehave(behave: dict[str, Any], out: Path) -> None:
     if behave.get("child"):
         child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
         (out / "child.txt").write_text(str(child.pid), encoding="utf-8")
+    if "end" in behave:
+
+        def end_slowly(*_: object) -> None:
+            time.sleep(behave["end"])
+            out.mkdir(parents=True, exist_ok=True)
+            (out / "ended.txt").write_text("", encoding="utf-8")
+            sys.exit(130)
+
+        signal.signal(signal.SIGTERM, end_slowly)
     (out / "pid.txt").write_text(str(os.getpid()), encoding="utf-8")
     held = bytearray(int(1e9 * behave.get("gb", 0)))
     held[::4096] = b"1" * len(held[::4096])

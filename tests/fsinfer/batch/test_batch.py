@@ -210,7 +210,9 @@ def test_without_places_the_page_says_so(tmp_path: Path) -> None:
     assert "<circle" not in text
 
 
-def test_the_summary_stands_after_each_plot(tmp_path: Path) -> None:
+def test_the_summary_stands_after_each_plot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # However long this computer's disk takes to write it.
+    monkeypatch.setattr("fsinfer.batch.run._PAUSE_FACTOR", 0.0)
     table, out = write_table(tmp_path, [{"name": name} for name in "abc"]), tmp_path / "out"
     seen = []
 
@@ -220,6 +222,38 @@ def test_the_summary_stands_after_each_plot(tmp_path: Path) -> None:
 
     run_batch(table, out, settings=BatchSettings(command=STAND_IN), news=news)
     assert seen == [(1, 1, 2), (2, 2, 1), (3, 3, 0)]
+
+
+def test_a_summary_that_takes_long_to_write_waits_for_more_plots_and_stands_at_the_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fsinfer.batch.run._PAUSE_FACTOR", 1e6)
+    table, out = write_table(tmp_path, [{"name": name} for name in "abc"]), tmp_path / "out"
+    seen = set()
+
+    def news(_: PlotNews) -> None:
+        seen.add(tuple(row["state"] for row in read_csv(out / "summary.csv")))
+
+    run_batch(table, out, settings=BatchSettings(command=STAND_IN), news=news)
+    assert seen == {("waiting",) * 3}
+    assert [row["state"] for row in read_csv(out / "summary.csv")] == ["done"] * 3
+    assert json.loads((out / "summary.json").read_text(encoding="utf-8"))["done"] == 3
+
+
+def test_plots_that_were_done_before_have_no_summary_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fsinfer.batch.run._PAUSE_FACTOR", 0.0)
+    table, out = write_table(tmp_path, [{"name": name} for name in "abc"]), tmp_path / "out"
+    run(table, out)
+    names = ("summary.csv", "summary.json", "summary.xlsx", "trees.csv", "report.html")
+    written = []
+
+    def news(item: PlotNews) -> None:
+        assert not item.ran
+        written.append([(out / name).stat().st_mtime_ns for name in names])
+
+    run_batch(table, out, settings=BatchSettings(command=STAND_IN), news=news)
+    assert len(written) == 3
+    assert written[0] == written[1] == written[2]
 
 
 def test_a_damaged_result_is_one_failed_plot(tmp_path: Path) -> None:

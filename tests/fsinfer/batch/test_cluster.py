@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,6 +17,8 @@ from fsinfer.batch.attempt import PlotTask
 from fsinfer.batch.cluster import Cluster
 from fsinfer.batch.run import BatchResult, PlotNews, run_batch
 from fsinfer.batch.settings import BatchSettings
+from fsinfer.cluster.pieces import write_pieces
+from fsinfer.cluster.workers import scratch_of_worker
 from fsinfer.errors import ClusterError
 from tests.support.batch_plots import STAND_IN, behave, is_alive, kill, read_csv, started, wait_for, write_table
 from tests.support.dask_cluster import RunningCluster, running_cluster
@@ -104,6 +109,34 @@ def test_photos_are_sent_to_workers_that_share_no_disk(tmp_path: Path, cluster: 
     assert summary(out) == summary(near)
 
 
+def test_a_batch_that_is_stopped_leaves_no_photos_on_workers(tmp_path: Path, cluster: RunningCluster) -> None:
+    """Each thread of the workers is busy with a plot that takes seconds to end, and writes again at its end."""
+    table, out = write_table(tmp_path, [{"name": name} for name in "abcd"]), tmp_path / "far"
+    for name in "abcd":
+        behave(tmp_path, name, seconds=600, end=4.0)
+    pids: list[int] = []
+
+    def texts() -> list[str]:
+        return [path.read_text() for path in cluster.folder.rglob("fsinfer-*/out/*/pid.txt")]
+
+    def stop() -> None:
+        try:
+            wait_for(lambda: sum(text != "" for text in texts()) == 4, seconds=120)
+            pids.extend(map(int, texts()))
+        finally:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    stopper = threading.Thread(target=stop)
+    stopper.start()
+    with pytest.raises(KeyboardInterrupt):
+        run(table, out, scheduler=cluster.address, copy=True)
+    stopper.join()
+    assert len(pids) == 4
+    wait_for(lambda: not any(map(is_alive, pids)))
+    # Path.rglob would stumble over folders that go away under it.
+    wait_for(lambda: not any("fsinfer-" in folder for folder, _, _ in os.walk(cluster.folder)), seconds=10)
+
+
 def test_when_the_scheduler_stays_away_the_batch_ends_and_keeps_what_is_finished(
     tmp_path: Path, cluster: RunningCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -130,15 +163,15 @@ def run(table: Path, out: Path, **settings: object) -> BatchResult:
 class ClosedClient:
     """A client of Dask that has given its scheduler up, while its workers are still on the list."""
 
-    status = "closed"
+    status: str = "closed"
 
     def nthreads(self) -> dict[str, int]:
         return {"tcp://127.0.0.1:9": 1}
 
-    def run(self, *_: object, **__: object) -> dict[str, str]:
+    def run(self, *_: Any, **__: Any) -> dict[str, Any]:
         return {"tcp://127.0.0.1:9": __version__}
 
-    def submit(self, *_: object, **__: object) -> None:
+    def submit(self, *_: Any, **__: Any) -> DoneFuture:
         raise RuntimeError("closed")
 
     def close(self) -> None:
@@ -153,3 +186,59 @@ def test_a_client_that_gave_up_is_no_fault_of_a_plot(tmp_path: Path, monkeypatch
             cluster.run(PlotTask(batch="b", photos=tmp_path, out=tmp_path / "out"), ())
     finally:
         cluster.close()
+
+
+class DoneFuture:
+    status = "finished"
+
+    def __init__(self, value: object) -> None:
+        self._value = value
+
+    def add_done_callback(self, tell: Callable[[object], None]) -> None:
+        tell(self)
+
+    def result(self, timeout: float) -> object:
+        return self._value
+
+    def cancel(self) -> None:
+        pass
+
+
+class GivenUpClient(ClosedClient):
+    """Its worker is this process; it is given up while photographs are sent, and still reaches workers beside that."""
+
+    def __init__(self, scratch: Path) -> None:
+        self.status = "running"
+        self._scratch = scratch
+
+    def run(self, *call: Any, **_: Any) -> dict[str, Any]:
+        function, *arguments = call
+        return {"tcp://127.0.0.1:9": function(*arguments)}
+
+    def submit(self, *call: Any, **_: Any) -> DoneFuture:
+        function, *arguments = call
+        if self.status == "closed":
+            raise RuntimeError("closed")
+        if function is scratch_of_worker:
+            return DoneFuture(str(self._scratch))
+        value = function(*arguments)
+        if function is write_pieces:
+            self.status = "closed"
+        return DoneFuture(value)
+
+
+def test_photos_that_were_on_their_way_when_the_batch_was_stopped_are_deleted_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    write_table(tmp_path, [{"name": "a"}])
+    monkeypatch.setattr("fsinfer.cluster.workers._connect", lambda *_: GivenUpClient(scratch))
+    cluster = Cluster("tcp://127.0.0.1:8", copy=True)
+    try:
+        with pytest.raises(ClusterError):
+            cluster.run(PlotTask(batch="b", photos=tmp_path / "photos" / "a", out=tmp_path / "out"), ())
+        assert list(scratch.rglob("one.jpg"))
+    finally:
+        cluster.close()
+    assert list(scratch.iterdir()) == []

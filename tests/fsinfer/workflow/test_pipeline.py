@@ -546,6 +546,49 @@ def test_clicks_before_the_first_run_has_ended_are_kept_for_it(fakes: Fakes, pho
     assert run(photos, out).plot["scale_m_per_unit"] == pytest.approx(M_PER_UNIT, rel=1e-6)
 
 
+def test_a_clicked_scale_keeps_the_corrections_that_the_run_was_given(
+    fakes: Fakes, photos: Path, tmp_path: Path
+) -> None:
+    out, mine = tmp_path / "out", tmp_path / "mine.csv"
+    mine.write_text("action,tree_id\ndelete,2\n", encoding="utf-8")
+    assert run(photos, out, edits=mine).plot["trees"] == len(STEMS) - 1
+    clicked = click_scale(out, 1.0, show=clicking(out, 0, 3)).run
+    assert clicked is not None
+    assert (clicked.plot["units"], clicked.plot["trees"]) == ("m", len(STEMS) - 1)
+    # A second time, as the last measurement was by the click.
+    again = click_scale(out, 2.0, show=clicking(out, 0, 3)).run
+    assert again is not None
+    assert again.plot["trees"] == len(STEMS) - 1
+    before = (out / "plot.json").read_bytes()
+    mine.rename(tmp_path / "away.csv")
+    with pytest.raises(InputError, match=r"mine\.csv, are gone; put the file back or copy it to .*edits\.csv"):
+        click_scale(out, 1.0, show=lambda _: pytest.fail("the page is not to be shown"))
+    assert (out / "plot.json").read_bytes() == before
+    (tmp_path / "away.csv").rename(out / "edits.csv")
+    found = click_scale(out, 1.0, show=clicking(out, 0, 3)).run
+    assert found is not None
+    assert found.plot["trees"] == len(STEMS) - 1
+    # A run without corrections: there are none to keep.
+    (out / "edits.csv").unlink()
+    assert run(photos, out).plot["trees"] == len(STEMS)
+    without = click_scale(out, 2.0, show=clicking(out, 0, 3)).run
+    assert without is not None
+    assert without.plot["trees"] == len(STEMS)
+
+
+def test_a_clicked_scale_keeps_the_corrections_of_trees_measured_alone_in_a_folder_that_was_moved(
+    fakes: Fakes, photos: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    run(photos, out, settings=METRIC)
+    (out / "mine.csv").write_text("action,tree_id\ndelete,2\n", encoding="utf-8")
+    measure_cloud_file(out / "cloud.ply", out, request=ScaleRequest(), edits=out / "mine.csv")
+    moved = out.rename(tmp_path / "moved")
+    clicked = click_scale(moved, 1.0, show=clicking(moved, 0, 3)).run
+    assert clicked is not None
+    assert clicked.plot["trees"] == len(STEMS) - 1
+
+
 def test_a_border_goes_through_a_run(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     run(photos, out, settings=METRIC)
