@@ -40,6 +40,7 @@ from fsinfer.trees.outputs.labels import write_labelled
 from fsinfer.trees.sanity import TurnedCloudError
 from fsinfer.trees.thinning import ThinningSettings, thin_while_reading
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
+from fsinfer.workflow.own_files import refuse_files_of_others, refuse_to_write_over
 from fsinfer.workflow.run_photos import photos_of_run
 from fsinfer.workflow.settings import speedless
 from fsinfer.workflow.summary import (
@@ -128,14 +129,17 @@ def measure_cloud_file(
     Raises
     ------
     CloudError
-        The file is no cloud.
+        The file is no cloud, or one that would be written over.
     ScaleError
         ArUco markers were asked for, and ``out`` has no scene that the cloud came from.
     InputError
-        The plot's border lies round a marker or the middle of the walk, and the cloud has no photographs beside it.
+        The plot's border lies round a marker or the middle of the walk, and the cloud has no photographs beside it;
+        or ``out`` holds tables or figures of trees that fsinfer did not make.
     """
     settings = settings or MeasureSettings()
     _refuse_fused(cloud_path)
+    refuse_to_write_over(cloud_path, out)
+    refuse_files_of_others(out)
     corrections = find_edits(out, edits)
     chunks = _large(cloud_path, settings.thinning)
     origin = _read_origin(cloud_path.parent)
