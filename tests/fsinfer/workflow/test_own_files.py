@@ -46,7 +46,7 @@ def test_a_run_looks_before_it_begins(tmp_path: Path) -> None:
     photos = tmp_path / "photos"
     put(photos / "a.jpg")
     mine = put(tmp_path / "out" / "trees.xlsx")
-    with pytest.raises(InputError, match="trees.xlsx would be replaced"):
+    with pytest.raises(InputError, match=r"trees\.xlsx would be replaced"):
         run(photos, tmp_path / "out")
     assert mine.read_text(encoding="utf-8") == "precious"
 
@@ -69,7 +69,7 @@ def test_the_cloud_is_never_one_of_the_outputs(scan: Path, tmp_path: Path) -> No
     link = tmp_path / "link.laz"
     link.symlink_to(cloud)
     for path in (cloud, link, out / ".." / "out" / "trees.laz"):
-        with pytest.raises(CloudError, match="would be replaced by the trees.laz"):
+        with pytest.raises(CloudError, match=r"would be replaced by the trees\.laz"):
             measure_cloud_file(path, out, request=ScaleRequest())
     assert cloud.read_bytes() == before
     assert measure_cloud_file(cloud, tmp_path / "other", request=ScaleRequest()).ran

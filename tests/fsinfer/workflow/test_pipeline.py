@@ -517,9 +517,10 @@ def test_a_cloud_whose_unit_nobody_knows_is_refused(
         write_cloud(path, cloud)
         raise KeyboardInterrupt
 
-    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+    with monkeypatch.context() as patched:
         patched.setattr(cloud_stages, "write_cloud", stopped)
-        run(photos, out, settings=METRIC)
+        with pytest.raises(KeyboardInterrupt):
+            run(photos, out, settings=METRIC)
     # cloud.ply is in metres, cloud.laz and plot.json are in model units.
     for name in ("cloud.ply", "cloud.laz"):
         with pytest.raises(InputError, match="run the same command again"):
