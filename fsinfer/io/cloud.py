@@ -133,7 +133,7 @@ def write_cloud(path: Path | str, cloud: PointCloud) -> None:
     if not np.isfinite(cloud.xyz).all():
         msg = f"some points for {path} have no finite coordinates; drop them before writing"
         raise CloudError(msg)
-    extra = {name: storable(name, values) for name, values in cloud.extra.items()}
+    extra = {name: storable(name, values, wide=suffix != ".ply") for name, values in cloud.extra.items()}
     if suffix == ".ply":
         columns: dict[str, NDArray[Any]] = dict(zip("xyz", _ply_coordinates(cloud.xyz).T, strict=True))
         if cloud.normals is not None:
@@ -155,13 +155,15 @@ def _ply_coordinates(xyz: NDArray[np.float64]) -> NDArray[Any]:
     return xyz if step > _FLOAT_STEP_PER_EXTENT * extent else xyz.astype(np.float32)
 
 
-def storable(name: str, values: NDArray[Any]) -> NDArray[Any]:
-    """Convert to a type that PLY and LAS have; 64-bit integers and booleans have none."""
+def storable(name: str, values: NDArray[Any], *, wide: bool = False) -> NDArray[Any]:
+    """Convert to a type that PLY and LAS have: not booleans, and 64-bit integers only in LAS (``wide``)."""
     if values.dtype == np.bool_:
         return values.astype(np.uint8)
     if values.dtype.kind in "iu" and values.dtype.itemsize == 8:
         limits = np.iinfo(np.int32)
         if values.size and (values.min() < limits.min or values.max() > limits.max):
+            if wide:
+                return values
             msg = f"the values of {name} do not fit into 32-bit integers; store smaller numbers or floats"
             raise CloudError(msg)
         return values.astype(np.int32)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -20,8 +21,8 @@ from fsinfer.io.linear_units import LinearUnits, units_of_geo_keys, units_of_wkt
 LAS_SUFFIXES = (".las", ".laz")
 # Names under which CloudCompare stores and finds normals in LAS extra dimensions.
 NORMAL_NAMES = ("NormalX", "NormalY", "NormalZ")
-# Standard dimensions worth keeping when they say anything (are not all zero).
-_KEPT_DIMENSIONS = ("intensity", "classification")
+#: Standard dimensions worth keeping when they say anything (are not all zero), and their types. Source: format; LAS.
+_KEPT_DIMENSIONS: dict[str, np.dtype[Any]] = {"intensity": np.dtype(np.uint16), "classification": np.dtype(np.uint8)}
 _COLOURS = ("red", "green", "blue")
 #: Steps of the stored integers in the extent of a cloud, at least: 0.1 mm on a plot of 30 m. Source: numerics.
 _STEPS_PER_EXTENT = 1e5
@@ -29,12 +30,16 @@ _STEPS_PER_EXTENT = 1e5
 _STEP_RANGE_M = (1e-7, 1e-3)
 #: Steps that a stored integer can count. Source: format; LAS stores 32 bits with a sign.
 _MOST_STEPS = 2e9
+#: Longest name of an extra dimension, bytes. Source: format; LAS 1.4.
+_NAME_BYTES = 32
 #: Factor from 8-bit colours to those of 16 bits. Source: format; LAS 1.4, 65535 over 255.
 _COLOUR_FACTOR = 257
 #: Points that are unpacked at once. Source: numerics; a header that lies costs no more memory than so many.
 _PIECE_POINTS, _PIECE_BYTES = 1_000_000, 1 << 28
 #: Keys ProjectedCSTypeGeoKey and GeographicTypeGeoKey, and the value for "user defined". Source: format; GeoTIFF 1.1.
 _PROJECTED_KEY, _GEOGRAPHIC_KEY, _USER_DEFINED = 3072, 2048, 32767
+
+_log = logging.getLogger(__name__)
 
 
 def read_las(path: Path) -> dict[str, NDArray[Any]]:
@@ -183,9 +188,11 @@ def write_las(path: Path, xyz: NDArray[np.float64], rgb: NDArray[np.uint8] | Non
     ----------
     xyz: (N, 3) float64.
     rgb: (N, 3) uint8 or None; stored as 16 bit (x257).
-    extra: name -> (N,) values in a LAS scalar type; names up to 32 bytes. ``intensity`` and ``classification`` go to
-        the standard dimensions.
+    extra: name -> (N,) values in a LAS scalar type. ``intensity`` and ``classification`` go to the standard dimensions
+        where they are whole numbers that fit. Others that are named like a standard dimension get a ``_`` at their end,
+        and names of more than 32 bytes are cut.
     """
+    extra = {name: _as_kept(name, values) for name, values in extra.items()}
     low, high = xyz.min(axis=0), xyz.max(axis=0)
     kinds = {name: values.dtype for name, values in extra.items()}
     with las_writer(path, low, high, colour=rgb is not None, kinds=kinds) as append:
@@ -198,7 +205,8 @@ def las_writer(
 ) -> Iterator[Callable[[NDArray[np.float64], NDArray[np.uint8] | None, Mapping[str, Any]], None]]:
     """Write as :func:`write_las` does, in pieces: gives a function that appends xyz, rgb and extra.
 
-    ``low`` and ``high`` (3,) are the corners of the cloud, ``kinds`` the types of ``extra``.
+    ``low`` and ``high`` (3,) are the corners of the cloud, ``kinds`` the types of ``extra``. Points so far outside of
+    the corners that no stored integer reaches them are left out, with a warning in the log.
     """
     import laspy
 
@@ -210,12 +218,20 @@ def las_writer(
     header = laspy.LasHeader(point_format=7 if colour else 6, version="1.4")
     header.scales = np.full(3, step)
     header.offsets = np.floor(low)
-    own = {name: name[:32] for name in kinds if name not in _KEPT_DIMENSIONS}
+    own = _own_names(kinds, laspy.ScaleAwarePointRecord.zeros(1, header=header))
     header.add_extra_dims([laspy.ExtraBytesParams(name=short, type=kinds[name]) for name, short in own.items()])
+    reach = step * (np.iinfo(np.int32).max - 1)
+    lowest, highest, left_out = header.offsets - reach, header.offsets + reach, 0
 
     with atomic_path(path) as temporary, laspy.open(str(temporary), mode="w", header=header) as writer:
 
         def append(xyz: NDArray[np.float64], rgb: NDArray[np.uint8] | None, extra: Mapping[str, Any]) -> None:
+            nonlocal left_out
+            held = ((xyz >= lowest) & (xyz <= highest)).all(axis=1)
+            if not held.all():
+                left_out += len(xyz) - int(held.sum())
+                xyz, rgb = xyz[held], None if rgb is None else rgb[held]
+                extra = {name: values[held] for name, values in extra.items()}
             record = laspy.ScaleAwarePointRecord.zeros(len(xyz), header=header)
             record.x, record.y, record.z = xyz.T
             if rgb is not None:
@@ -225,6 +241,49 @@ def las_writer(
             writer.write_points(record)
 
         yield append
+    if left_out:
+        _log.warning("%s: %d points lie too far from the others to be stored and were left out", path, left_out)
+
+
+def _as_kept(name: str, values: NDArray[Any]) -> NDArray[Any]:
+    """Values (N,) in the type of the standard dimension ``name``, where there is one and it holds them."""
+    kind = _KEPT_DIMENSIONS.get(name)
+    if kind is None or np.can_cast(values.dtype, kind):
+        return values
+    fits = np.all((values >= 0) & (values <= np.iinfo(kind).max) & (values == np.floor(values)))
+    return values.astype(kind) if fits else values
+
+
+def _own_names(kinds: Mapping[str, np.dtype[Any]], record: Any) -> dict[str, str]:
+    """Names of the extra dimensions for columns of these types; those that go to standard dimensions are not in it.
+
+    ``record`` is one of laspy without any: what it finds by a name, it would write over.
+    """
+    own: dict[str, str] = {}
+    taken = {name for name, kind in _KEPT_DIMENSIONS.items() if name in kinds and np.can_cast(kinds[name], kind)}
+    for name in kinds:
+        if name in taken:
+            continue
+        short, tail = _cut(name, _NAME_BYTES), ""
+        while short in own.values() or _has(record, short):
+            tail += "_"
+            short = _cut(name, _NAME_BYTES - len(tail)) + tail
+        own[name] = short
+        if tail:
+            _log.info("column %s is stored as %s: LAS has a dimension of its name", name, short)
+    return own
+
+
+def _cut(name: str, size: int) -> str:
+    return name.encode()[:size].decode(errors="ignore")
+
+
+def _has(record: Any, name: str) -> bool:
+    try:
+        record[name]
+    except (ValueError, KeyError, IndexError):
+        return False
+    return True
 
 
 def copy_las(

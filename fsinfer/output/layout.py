@@ -6,6 +6,7 @@ where they are told, and files of their own by their own names (a test holds tho
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,6 +46,8 @@ METRIC_TREE_FILES = (TREES_GPKG, TREES_GEOJSON, TREES_LAZ, TREES_XLSX, STEM_CURV
 #: The stem map and for each tree its section and the edges of its stem in the photographs.
 FIGURES_FOLDER = "figures"
 STEM_MAP_FILE = "stem_map.png"
+#: Names of those figures; others in their folder are the user's.
+TREE_FIGURE = re.compile(r"stem_map\.png|tree_\d{3,}(_edges)?\.png")
 #: Corrections of the stem map by hand, written by the user.
 EDITS_FILE = "edits.csv"
 #: The ends of a known length, clicked in photographs.

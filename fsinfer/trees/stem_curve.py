@@ -8,7 +8,7 @@ calibrated on nothing.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,7 +24,7 @@ from fsinfer.trees.diameter.circle import covered_bins
 from fsinfer.trees.diameter.section import Section
 from fsinfer.trees.diameter.spread import fit_spread
 from fsinfer.trees.measure import PlotResult
-from fsinfer.trees.points.cells import PlanIndex
+from fsinfer.trees.points.cells import PlanIndex, rows
 from fsinfer.trees.points.surface import SECTORS, WALL_SIGMAS, reach_about_wall
 from fsinfer.trees.tree import Tree
 
@@ -35,6 +35,10 @@ Floats = NDArray[np.float64]
 MOST_POINTS = 2000
 #: No curve goes on above, metres. Source: numerics.
 HIGHEST_M = 30.0
+#: Points farther from the box round all stems than this, metres, are far from any curve: a point at (0, 0, 0) of a
+#: cloud in national coordinates would ask for a table of all the land between. Source: numerics; beyond every
+#: ``CurveSettings.reach_m``, so that curves do not hang on it.
+_FAR_M = 100.0
 #: A fit starts with no smaller radius, metres. Source: numerics.
 LEAST_START_M = 0.015
 
@@ -97,6 +101,7 @@ def stem_curves(
     s = settings or CurveSettings()
     if not any(tree.dbh_cm is not None for tree in result.trees):
         return {}
+    points = _near_stems(points, result.trees, max(_FAR_M, s.reach_m))
     origin = np.array([np.floor(points[:, 0].min()), np.floor(points[:, 1].min()), 0.0])
     index = PlanIndex(points - origin, 0.5 * s.reach_m)
     curves = {}
@@ -125,6 +130,16 @@ def curve_row(point: CurvePoint) -> tuple[int | float | str, ...]:
         point.points,
         point.reason,
     )
+
+
+def _near_stems(points: Floats, trees: Sequence[Tree], reach_m: float) -> Floats:
+    """Those of points (N, 3) no farther than ``reach_m`` from the box round the trees in plan."""
+    places = np.array([[tree.x_m, tree.y_m] for tree in trees])
+    low, high = places.min(axis=0) - reach_m, places.max(axis=0) + reach_m
+    near = np.ones(len(points), dtype=bool)
+    for axis in range(2):
+        near &= (points[:, axis] >= low[axis]) & (points[:, axis] <= high[axis])
+    return points if near.all() else rows(points, near)
 
 
 def _curve(near: Floats, tree: Tree, section: Section, origin: Floats, s: CurveSettings) -> tuple[CurvePoint, ...]:

@@ -39,8 +39,10 @@ from fsinfer.trees.edits import find_edits
 from fsinfer.trees.outputs.labels import write_labelled
 from fsinfer.trees.sanity import TurnedCloudError
 from fsinfer.trees.thinning import ThinningSettings, thin_while_reading
+from fsinfer.workflow.cloud_units import CLOUD_KEYS, plot_of_cloud
 from fsinfer.workflow.given_edits import note_edits
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
+from fsinfer.workflow.own_files import refuse_files_of_others, refuse_to_write_over
 from fsinfer.workflow.run_photos import photos_of_run
 from fsinfer.workflow.settings import speedless
 from fsinfer.workflow.summary import (
@@ -89,7 +91,7 @@ class MeasureSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class _Origin:
-    """What ``plot.json`` beside a cloud says of it; everything None where there is none."""
+    """What is known of a cloud by what lies beside it; everything None where there is none."""
 
     units: str | None = None
     scale_rel_std: float | None = None
@@ -133,14 +135,19 @@ def measure_cloud_file(
     Raises
     ------
     CloudError
-        The file is no cloud, or its header says that it is not in metres and no scale is given.
+        The file is no cloud, one that would be written over, or its header says that it is not in metres and no scale
+        is given.
     ScaleError
         ArUco markers were asked for, and ``out`` has no scene that the cloud came from.
     InputError
-        The plot's border lies round a marker or the middle of the walk, and the cloud has no photographs beside it.
+        The plot's border lies round a marker or the middle of the walk, and the cloud has no photographs beside it;
+        or ``out`` holds tables or figures of trees that fsinfer did not make; or a run that made the cloud was stopped
+        where its unit cannot be told.
     """
     settings = settings or MeasureSettings()
     _refuse_fused(cloud_path)
+    refuse_to_write_over(cloud_path, out)
+    refuse_files_of_others(out)
     corrections = find_edits(out, edits)
     chunks = _large(cloud_path, settings.thinning)
     origin = _read_origin(cloud_path.parent)
@@ -275,8 +282,10 @@ def _tell(record: StageRecord[MeasuredCloud], cloud_path: Path, out: Path) -> No
     scale = found.scale
     values = tree_values(found.trees) | border_values(found.trees)
     values["trees_scale"] = {"m_per_unit": scale.m_per_unit, "source": scale.source, "rel_std": scale.rel_std}
-    before = read_plot(out)
     own_cloud = cloud_path.resolve().parent == out.resolve()
+    before = plot_of_cloud(out) if own_cloud else read_plot(out)
+    if own_cloud:
+        values = {key: before[key] for key in CLOUD_KEYS if key in before} | values
     # A cloud of unknown unit that was measured as it is was taken to be in metres.
     taken = before.get("units") == SCENE_UNITS and (scale.m_per_unit or 1.0) == 1.0
     if not own_cloud or "units" not in before or taken:
@@ -291,7 +300,7 @@ def _tell(record: StageRecord[MeasuredCloud], cloud_path: Path, out: Path) -> No
 
 
 def _read_origin(folder: Path) -> _Origin:
-    plot = read_plot(folder)
+    plot = plot_of_cloud(folder)
     similarity = plot.get("cloud_from_scene")
     return _Origin(
         units=plot.get("units"),

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.errors import OutputError
 from fsinfer.io.cloud import PointCloud, write_cloud
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.plots import PlotCode
-from fsinfer.output.layout import METRIC_TREE_FILES
 from fsinfer.plot_border.place import place_border
 from fsinfer.plot_border.plot import PlotFigures, plot_of, stem_circles
 from fsinfer.plot_border.request import BorderRequest
@@ -36,6 +34,7 @@ from fsinfer.trees.pattern.match import PatternSettings
 from fsinfer.trees.posts import without_posts
 from fsinfer.trees.stem_curve import CurvePoint, CurveSettings, stem_curves, write_curves
 from fsinfer.workflow.joined_parts import JoinedParts, cameras_of, copy_figures, join_measured
+from fsinfer.workflow.own_files import clear_outputs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,12 +164,6 @@ def no_trees(out: Path, *, reason: Notice) -> TreesResult:
     write_reasons(out / "trees.json", [])
     clear_outputs(out)
     return TreesResult(diagnosis=reason, warnings=(reason,))
-
-
-def clear_outputs(out: Path) -> None:
-    """Remove maps and figures of an earlier measurement; :class:`OutputError` where a program holds them."""
-    _remove((out / "figures").glob("*.png"))
-    _remove(path for name in METRIC_TREE_FILES if (path := out / name).is_file())
 
 
 def _find(given: PlotCloudInput, settings: TreeStageSettings, progress: Progress) -> PlotResult:
@@ -333,12 +326,3 @@ def _summary(result: PlotResult, plot: PlotFigures | None) -> TreesResult:
         warnings=(*result.warnings, *(() if result.all_trees else (result.diagnosis,))),
         trees_outside=len(result.all_trees) - len(counted),
     )
-
-
-def _remove(paths: Iterable[Path]) -> None:
-    for path in paths:
-        try:
-            path.unlink()
-        except OSError as error:
-            msg = f"cannot remove the old {path}: {error.strerror or error}; close the program that shows it"
-            raise OutputError(msg) from error

@@ -6,6 +6,7 @@ import pytest
 
 from fsinfer.errors import CloudError
 from fsinfer.io.cloud import PointCloud, read_cloud, write_cloud
+from fsinfer.io.las import las_writer
 from tests.support.places import DATA
 
 CLOUDS = DATA / "clouds"
@@ -206,3 +207,61 @@ def test_real_laser_scan() -> None:
     cloud = read_cloud(path)
     assert len(cloud) > 10_000
     assert np.ptp(cloud.xyz[:, :2], axis=0).max() < 30
+
+
+def test_columns_named_like_dimensions_of_las_keep_their_values(tmp_path: Path) -> None:
+    names = (
+        "gps_time", "user_data", "scan_angle", "point_source_id", "return_number", "number_of_returns", "synthetic",
+        "bit_fields", "flag_byte", "X", "ä" * 20, "long" * 9 + "a", "long" * 9 + "b",
+    )  # fmt: skip
+    values = np.array([-1.5, 0.0, 1e9])
+    cloud = PointCloud(xyz=np.eye(3), extra={name: values + index for index, name in enumerate(names)})
+    write_cloud(tmp_path / "c.laz", cloud)
+    back = read_cloud(tmp_path / "c.laz")
+    np.testing.assert_allclose(back.xyz, cloud.xyz, atol=1e-6)
+    assert {"gps_time_", "user_data_", "scan_angle_", "X_"} <= set(back.extra)
+    for index, stored in enumerate(back.extra.values()):
+        np.testing.assert_array_equal(stored, values + index)
+    assert len(back.extra) == len(names)
+
+
+@pytest.mark.parametrize(
+    ("values", "name"),
+    [
+        ([3.0, 0.0, 65535.0], "intensity"),
+        ([3, 0, 255], "intensity"),
+        ([-3.0, 0.0, 7.0], "intensity_"),
+        ([0.25, 0.5, 1.0], "intensity_"),
+        ([0, 1, 70_000], "intensity_"),
+        ([0.0, np.nan, 1.0], "intensity_"),
+    ],
+)
+def test_intensity_is_stored_whole_or_beside_the_dimension_of_las(
+    tmp_path: Path, values: list[float], name: str
+) -> None:
+    write_cloud(tmp_path / "c.las", PointCloud(xyz=np.eye(3), extra={"intensity": np.array(values)}))
+    back = read_cloud(tmp_path / "c.las")
+    assert set(back.extra) == {name}
+    np.testing.assert_array_equal(back.extra[name], values)
+
+
+def test_long_integers_stay_in_las_and_are_told_in_ply(tmp_path: Path) -> None:
+    times = np.array([1_700_000_000_000, -5, 2**62])
+    cloud = PointCloud(xyz=np.eye(3), extra={"timestamp": times})
+    write_cloud(tmp_path / "c.laz", cloud)
+    np.testing.assert_array_equal(read_cloud(tmp_path / "c.laz").extra["timestamp"], times)
+    with pytest.raises(CloudError, match="timestamp"):
+        write_cloud(tmp_path / "c.ply", cloud)
+
+
+def test_a_point_beyond_the_corners_of_a_las_file_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    low = np.array([452_000.0, 5_412_000.0, 400.0])
+    xyz = low + np.array([[0.0, 0.0, 0.0], [30.0, 30.0, 20.0], [500.0, -40.0, 1.0]])
+    stray = np.insert(xyz, 1, 0.0, axis=0)
+    with las_writer(tmp_path / "c.laz", low, low + 30.0, colour=True, kinds={"TreeID": np.dtype(np.int32)}) as append:
+        append(stray, np.full((4, 3), 9, np.uint8), {"TreeID": np.arange(4, dtype=np.int32)})
+        append(np.zeros((1, 3)), np.zeros((1, 3), np.uint8), {"TreeID": np.zeros(1, np.int32)})
+    back = read_cloud(tmp_path / "c.laz")
+    np.testing.assert_allclose(back.xyz, xyz, atol=1e-4)
+    assert back.extra["TreeID"].tolist() == [0, 2, 3]
+    assert "2 points lie too far" in caplog.text

@@ -13,15 +13,18 @@ import pytest
 from fsinfer.errors import CloudError
 from fsinfer.io.chunks import ChunkSettings, open_chunks
 from fsinfer.io.cloud import PointCloud, read_cloud, write_cloud
+from fsinfer.io.ply import write_ply
 from fsinfer.notices.notice import notice
 from fsinfer.notices.sentences import sentences
 from fsinfer.notices.stems import StemCode
 from fsinfer.output.plot_json import read_plot
+from fsinfer.plot_border.request import BorderRequest
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.trees import analyse_plot
 from fsinfer.trees.outputs.table import read_trees
 from fsinfer.trees.thinning import ThinningSettings, thin_while_reading
 from fsinfer.workflow.measure_cloud import MeasureSettings, measure_cloud_file
+from fsinfer.workflow.tree_stage import TreeStageSettings
 from tests.support.stem_clouds import StemPlot, stem_plot
 
 SMALL = ChunkSettings(chunk_points=7_001, sample_slices=16, slice_points=500)
@@ -137,6 +140,24 @@ def test_points_far_away_and_without_a_place_are_left_out(plot: StemPlot, tmp_pa
     thinned = thin_while_reading(chunked, settings=THIN)
     assert thinned.warnings[1:] == (notice(StemCode.not_finite, points=1), notice(StemCode.far_outside, points=1))
     assert np.abs(thinned.xyz).max() < 100.0
+
+
+@pytest.mark.parametrize("max_points", [THIN.max_points, 10_000_000])
+def test_a_point_at_zero_of_a_cloud_in_national_coordinates_stops_nothing(
+    plot: StemPlot, tmp_path: Path, max_points: int
+) -> None:
+    place = np.array([452_000.0, 5_412_000.0, 400.0])
+    xyz = np.insert(plot.points + place, 200_000, 0.0, axis=0)
+    write_ply(tmp_path / "a.ply", dict(zip("xyz", xyz.T, strict=True)))
+    border = BorderRequest(radius_m=3.0, center=(place[0], place[1]))
+    settings = MeasureSettings(thinning=replace(THIN, max_points=max_points), stage=TreeStageSettings(border=border))
+    trees = measure_cloud_file(tmp_path / "a.ply", tmp_path / "out", request=ScaleRequest(), settings=settings)
+    assert StemCode.far_outside in [told.code for told in trees.result.trees.warnings]
+    assert trees.result.trees.trees_with_dbh == 4
+    assert (tmp_path / "out" / "stem_curve.csv").stat().st_size > 300
+    labelled = read_cloud(tmp_path / "out" / "trees.laz")
+    assert len(xyz) - 1 <= len(labelled) <= len(xyz)
+    assert len(set(labelled.extra["TreeID"].tolist())) == 5
 
 
 @pytest.mark.parametrize("suffix", [".las", ".laz", ".ply"])

@@ -67,6 +67,15 @@ def test_curves_far_from_the_origin_are_the_same(plot: StemPlot, result: PlotRes
         assert [p.diameter_cm for p in moved[number]] == pytest.approx([p.diameter_cm for p in curve], abs=0.1)
 
 
+@pytest.mark.parametrize("stray", [(0.0, 0.0, 0.0), (452_000.0, 5_352_000.0, 300.0), (452_150.0, 5_412_000.0, 300.0)])
+def test_a_point_far_away_changes_no_curve(plot: StemPlot, stray: tuple[float, float, float]) -> None:
+    points = plot.points + np.array([452_000.0, 5_412_000.0, 300.0])
+    result = analyse_plot(points)
+    expected = stem_curves(points, result)
+    assert expected
+    assert stem_curves(np.vstack([points[:100], [stray], points[100:]]), result) == expected
+
+
 def test_csv_has_a_row_a_height(plot: StemPlot, result: PlotResult, tmp_path: Path) -> None:
     curves = stem_curves(plot.points, result)
     write_curves(tmp_path / "stem_curve.csv", curves.values())

@@ -32,12 +32,12 @@ from fsinfer.frames.select import FramesResult
 from fsinfer.frames.table import FrameRow
 from fsinfer.fusion.fuse import FusionSettings
 from fsinfer.fusion.fuse import fuse as real_fuse
-from fsinfer.io.cloud import read_cloud, write_cloud
+from fsinfer.io.cloud import PointCloud, read_cloud, write_cloud
 from fsinfer.io.files import make_folder, write_text
 from fsinfer.io.images import list_images, write_image
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import notice
-from fsinfer.output.plot_json import write_plot
+from fsinfer.output.plot_json import read_plot, write_plot
 from fsinfer.plot_border.request import BorderRequest
 from fsinfer.poses.estimate import PosesResult
 from fsinfer.scale.request import ScaleRequest
@@ -475,6 +475,62 @@ def test_trees_of_the_runs_own_cloud_with_and_without_its_photographs(
         assert dbh_cm(out) == expected
     # The photographs were looked at the first time; without them the points have to do.
     assert looked_at == [len(STEMS)]
+
+
+def test_the_cloud_of_a_run_that_was_stopped_is_measured_in_its_own_unit(
+    fakes: Fakes, photos: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    fakes.fail_in = "trees"
+    with pytest.raises(KeyboardInterrupt):
+        run(photos, out)
+    assert not (out / "plot.json").exists()
+    for _ in range(2):
+        found = measure_cloud_file(out / "cloud.ply", out, request=ScaleRequest()).result
+        assert (found.metric, found.trees.trees_with_dbh) == (False, 0)
+        assert CaptureCode.no_scale_given in [told.code for told in found.trees.warnings]
+        assert read_plot(out)["units"] == "model units"
+    # A factor is metres per unit of the cloud, and makes no metric cloud of it.
+    scaled = measure_cloud_file(out / "cloud.ply", out, request=ScaleRequest(factor=M_PER_UNIT))
+    assert (scaled.result.metric, scaled.result.trees.trees_with_dbh) == (True, len(STEMS))
+    assert read_plot(out)["units"] == "model units"
+    # The same folder with a scale, stopped again: the cloud is in metres now, and what the last command told is old.
+    with pytest.raises(KeyboardInterrupt):
+        run(photos, out, settings=METRIC)
+    found = measure_cloud_file(out / "cloud.ply", out, request=ScaleRequest()).result
+    assert (found.metric, found.scale.m_per_unit, found.trees.trees_with_dbh) == (True, None, len(STEMS))
+    measured = dbh_cm(out)
+    plot = read_plot(out)
+    assert (plot["units"], plot["scale_m_per_unit"], plot["points"]) == ("m", M_PER_UNIT, found.points)
+    fakes.fail_in = ""
+    run(photos, out, settings=METRIC)
+    assert measured == dbh_cm(out)
+
+
+def test_a_cloud_whose_unit_nobody_knows_is_refused(
+    fakes: Fakes, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    run(photos, out)
+
+    def stopped(path: Path, cloud: PointCloud) -> None:
+        write_cloud(path, cloud)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(cloud_stages, "write_cloud", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            run(photos, out, settings=METRIC)
+    # cloud.ply is in metres, cloud.laz and plot.json are in model units.
+    for name in ("cloud.ply", "cloud.laz"):
+        with pytest.raises(InputError, match="run the same command again"):
+            measure_cloud_file(out / name, out, request=ScaleRequest())
+    run(photos, out, settings=METRIC)
+    assert measure_cloud_file(out / "cloud.ply", out, request=ScaleRequest()).result.metric
+    # A cloud that was cut by hand keeps the unit of the run.
+    cloud = read_cloud(out / "cloud.ply")
+    write_cloud(out / "cloud.ply", cloud.select(np.arange(len(cloud)) % 10 > 0))
+    assert measure_cloud_file(out / "cloud.ply", out, request=ScaleRequest()).result.metric
 
 
 def test_depth_by_itself_finds_the_runs_maps_done_and_the_run_those_of_depth(
