@@ -103,7 +103,7 @@ class _Opened:
     warnings: tuple[Notice, ...] = ()
 
 
-MEASURE = Stage(name="measure", version=8, result=MeasuredCloud, outputs=("trees.csv",))
+MEASURE = Stage(name="measure", version=9, result=MeasuredCloud, outputs=("trees.csv",))
 
 
 @one_blas_thread()
