@@ -60,9 +60,10 @@ def plot_rows(plot: PlotFigures | None) -> list[str]:
     if plot is None:
         return []
     shape = f"radius {plot.radius_m:g} m" if plot.radius_m is not None else "a polygon"
+    unseen = f", {plot.on_unseen} where it was not seen" if plot.on_unseen else ""
     rows = [
-        f"Plot: {shape} ({plot.origin}), {plot.area_m2:.0f} m², {100 * plot.seen_share:.0f} % of it seen; "
-        f"{plot.stems} stems in ({plot.doubtful} doubtful, {plot.unmeasured} without a DBH), {plot.outside} out"
+        f"Plot: {shape} ({plot.origin}), {plot.area_m2:.0f} m², {100 * plot.seen_share:.0f} % of it seen; {plot.stems} "
+        f"stems in ({plot.doubtful} doubtful, {plot.unmeasured} without a DBH{unseen}), {plot.outside} out"
     ]
     if plot.stems_per_ha is not None:
         rows.append(f"  stems/ha {_interval(plot.stems_per_ha, '.0f')}")

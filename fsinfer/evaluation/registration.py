@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
+from scipy.spatial import cKDTree
 
 Floats = NDArray[np.float64]
 #: Distance that stands for none in the assignment, metres. Source: numerics.
@@ -42,25 +43,11 @@ def register(truth: Floats, found: Floats, limit: float) -> Floats | None:
     """Rigid motion (angle, x, y) that puts ``found`` onto ``truth``: from pairs at equal distances, refined."""
     if len(truth) < 2 or len(found) < 2:
         return None
-    tolerance = min(_PAIR_TOLERANCE_M, limit)
-    a = np.array([(i, j) for i in range(len(truth)) for j in range(len(truth)) if i != j])
-    b = np.array([(i, j) for i in range(len(found)) for j in range(i + 1, len(found))])
-    length_a = np.linalg.norm(truth[a[:, 1]] - truth[a[:, 0]], axis=1)
-    length_b = np.linalg.norm(found[b[:, 1]] - found[b[:, 0]], axis=1)
-    order = np.argsort(length_a)
-    low = np.searchsorted(length_a[order], length_b - tolerance)
-    high = np.searchsorted(length_a[order], length_b + tolerance)
-    rng = np.random.default_rng(0)
-    # Long pairs fix the angle best and go first; short ones are skipped.
-    pair = np.repeat(np.arange(len(b)), high - low)
-    match = order[np.concatenate([np.arange(x, y) for x, y in zip(low, high, strict=True)] or [np.zeros(0, int)])]
-    usable = length_b[pair] >= _SHORTEST_PAIR_M
-    pair, match = pair[usable], match[usable]
-    if len(pair) == 0:
+    candidates = _like_pairs(truth, found, min(_PAIR_TOLERANCE_M, limit))
+    if len(candidates) == 0:
         return None
     best, best_score = None, -1.0
-    for k in np.argsort(_TIE * rng.random(len(pair)) - length_b[pair])[:_MOST_TRIALS]:
-        (i0, i1), (j0, j1) = a[match[k]], b[pair[k]]
+    for i0, i1, j0, j1 in candidates:
         v, w = truth[i1] - truth[i0], found[j1] - found[j0]
         angle = np.arctan2(v[1], v[0]) - np.arctan2(w[1], w[0])
         motion = np.array([angle, 0.0, 0.0])
@@ -76,9 +63,41 @@ def register(truth: Floats, found: Floats, limit: float) -> Floats | None:
     return best
 
 
+def _like_pairs(truth: Floats, found: Floats, tolerance: float) -> NDArray[np.int64]:
+    """Pairs of trees (M, 4) of about the same length: their numbers in the truth, twice, and in what was found, twice.
+
+    Long pairs fix the angle best and go first; short ones are left out, and of the rest all but the first
+    ``_MOST_TRIALS``. All like pairs would be as many as the fourth power of the trees: only those that can come among
+    the first are listed.
+    """
+    a = np.argwhere(~np.eye(len(truth), dtype=bool))
+    b = np.column_stack(np.triu_indices(len(found), 1))
+    length_a = np.linalg.norm(truth[a[:, 1]] - truth[a[:, 0]], axis=1)
+    length_b = np.linalg.norm(found[b[:, 1]] - found[b[:, 0]], axis=1)
+    usable = length_b >= _SHORTEST_PAIR_M
+    b, length_b = b[usable], length_b[usable]
+    order = np.argsort(length_a)
+    low = np.searchsorted(length_a[order], length_b - tolerance)
+    count = np.searchsorted(length_a[order], length_b + tolerance) - low
+    longest = np.argsort(-length_b)
+    enough = int(np.searchsorted(np.cumsum(count[longest]), _MOST_TRIALS))
+    # Noise can put a pair before others that are longer by less than it.
+    shortest = length_b[longest[enough]] - _TIE if enough < len(longest) else 0.0
+    matches, keys, pairs = [np.zeros(0, np.int64)], [np.zeros(0)], [np.zeros(0, np.int64)]
+    before = np.cumsum(count) - count
+    for k in np.flatnonzero((length_b >= shortest) & (count > 0)):
+        # The noise of all pairs is one stream, of which these have their own piece.
+        noise = np.random.Generator(np.random.PCG64(0).advance(int(before[k]))).random(int(count[k]))
+        matches.append(order[low[k] : low[k] + count[k]])
+        keys.append(_TIE * noise - length_b[k])
+        pairs.append(np.full(count[k], k))
+    first = np.argsort(np.concatenate(keys))[:_MOST_TRIALS]
+    return np.column_stack([a[np.concatenate(matches)[first]], b[np.concatenate(pairs)[first]]])
+
+
 def _score(truth: Floats, moved: Floats, limit: float) -> float:
     """Trees that find a partner, each worth a little more the nearer it is."""
-    nearest = np.linalg.norm(truth[:, None] - moved[None], axis=2).min(axis=1)
+    nearest, _ = cKDTree(moved).query(truth)
     return float(((nearest <= limit) * (1.0 + _WORTH_OF_NEARNESS * (1.0 - (nearest / limit) ** 2))).sum())
 
 

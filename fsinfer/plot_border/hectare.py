@@ -4,6 +4,9 @@ Two questions have two intervals. *What stands on this plot?* is uncertain by wh
 by diameters and by the scale. *What stands in the stand around it, of which this plot is one sample?* is uncertain by
 counting as well, which is more than all of these on a plot of a few dozen stems.
 
+What was seen stands for the whole plot; stems that were found on the rest are no part of that sum. They stand there all
+the same: the plot holds no less than what was found on it.
+
 Intervals of independent causes are joined about the figure by the squares of their distances to either side (Zou and
 Donner, Statistics in Medicine 27 (2008) 1693-1702: the MOVER).
 """
@@ -39,7 +42,8 @@ class HectareFigure:
 
     Attributes
     ----------
-    value: what was found on the plot, the unseen part taken to be like the seen one.
+    value: what was found on the seen part of the plot, the rest taken to be like it, or all that was found if that is
+        more.
     lo95, hi95: 95 % interval of what stands on this plot.
     parts: half the width that each cause would give alone, the larger side, by its name.
     stand_lo95, stand_hi95: 95 % interval of the stand, of which the plot is one sample.
@@ -62,27 +66,37 @@ class PlotStems:
     inside: (T,) whether each is in, by its centre at breast height.
     chance: (T,) probability that it is, given the error of its place.
     dbh_m: (T,) NaN where it was not measured; std_m: (T,) its standard deviation, without that of the scale.
+    seen: (T,) whether the ground that each stands on counts as seen; None where nobody knows: then all of it does.
     """
 
     inside: NDArray[np.bool_]
     chance: Floats
     dbh_m: Floats
     std_m: Floats
+    seen: NDArray[np.bool_] | None = None
+
+    @property
+    def on_seen(self) -> NDArray[np.bool_]:
+        """(T,) :attr:`seen`, whether known or not."""
+        return np.ones(len(self.inside), dtype=bool) if self.seen is None else self.seen
 
 
 def stems_per_ha(stems: PlotStems, *, area_m2: float, share: float, scale_rel_std: float) -> HectareFigure:
     """Stems a hectare on ``area_m2`` of which ``share`` was seen."""
-    count = int(stems.inside.sum())
-    total = count / share
-    low, high = count_interval(count, share)
+    found = int(stems.inside.sum())
+    count = int((stems.inside & stems.on_seen).sum())
+    total = max(count / share, float(found))
+    low, high = count_interval(count, share, least=found)
+    weight = _weights(stems, share)
     known = {
-        AT_BORDER: _both(Z95 * float(np.sqrt((stems.chance * (1.0 - stems.chance)).sum())) / share),
+        AT_BORDER: _both(Z95 * float(np.sqrt((stems.chance * (1.0 - stems.chance) * weight**2).sum()))),
         # A metre that is 1 % short makes the plot 2 % small.
         SCALE: _both(Z95 * 2.0 * scale_rel_std * total),
     }
     unseen = {UNSEEN: (total - low, high - total), **known}
-    poisson_low, poisson_high = poisson_interval(count)
-    sampled = {COUNTING: (total - poisson_low / share, poisson_high / share - total), **known}
+    (fewest, by_seen), by_all = poisson_interval(count), poisson_interval(found)[1]
+    most = max(by_seen / share, by_all)
+    sampled = {COUNTING: (total - fewest / share, most - total), **known}
     return _figure(total, unseen, sampled, hectares=area_m2 / M2_PER_HA)
 
 
@@ -95,56 +109,79 @@ def basal_area_per_ha(stems: PlotStems, *, area_m2: float, share: float) -> Hect
     """
     measured = stems.inside & np.isfinite(stems.dbh_m)
     sections = np.pi / 4.0 * stems.dbh_m[measured] ** 2
-    count = int(stems.inside.sum())
-    without = count - len(sections)
-    if len(sections) == 0 or (without and len(sections) < 2):
+    found = int(stems.inside.sum())
+    without = stems.inside & ~measured
+    if len(sections) == 0 or (without.any() and len(sections) < 2):
         return None
     mean = float(sections.mean())
     spread = float(sections.std(ddof=1)) if len(sections) > 1 else mean
-    total = (float(sections.sum()) + without * mean) / share
-    low, high = count_interval(count, share)
-    number = count / share
-    hidden = number - count
-    variety = Z95 * spread * float(np.sqrt(hidden))
-    own = np.pi / 2.0 * stems.dbh_m[measured] * stems.std_m[measured]
     all_sections = np.where(np.isfinite(stems.dbh_m), np.pi / 4.0 * stems.dbh_m**2, mean)
-    border = (stems.chance * (1.0 - stems.chance) * all_sections**2).sum()
-    missing = without * spread**2 + (without * spread) ** 2 / max(len(sections), 1)
+    seen = stems.inside & stems.on_seen
+    count = int(seen.sum())
+    stands = float(all_sections[stems.inside].sum())
+    by_seen = float(all_sections[seen].sum()) / share
+    total = max(by_seen, stands)
+    number = count / share
+    low, high = count_interval(count, share)[0], count_interval(count, share, least=found)[1]
+    variety = Z95 * spread * float(np.sqrt(number - count))
+    # What was found stands there: nothing unseen makes it less.
+    lowest = max(by_seen - float(np.hypot((number - low) * mean, variety)), stands)
+    highest = max(by_seen + float(np.hypot((high - number) * mean, variety)), stands + (high - found) * mean)
+    weight = _weights(stems, share)
+    own = np.pi / 2.0 * stems.dbh_m[measured] * stems.std_m[measured] * weight[measured]
+    border = (stems.chance * (1.0 - stems.chance) * (all_sections * weight) ** 2).sum()
+    missing = spread**2 * ((weight[without] ** 2).sum() + weight[without].sum() ** 2 / len(sections))
     known = {
-        AT_BORDER: _both(Z95 * float(np.sqrt(border)) / share),
-        DIAMETERS: _both(Z95 * float(np.sqrt((own**2).sum())) / share),
-        NOT_MEASURED: _both(Z95 * float(np.sqrt(missing)) / share),
+        AT_BORDER: _both(Z95 * float(np.sqrt(border))),
+        DIAMETERS: _both(Z95 * float(np.sqrt((own**2).sum()))),
+        NOT_MEASURED: _both(Z95 * float(np.sqrt(missing))),
     }
-    # What was seen stands there: nothing unseen makes it less.
-    fewer = min(float(np.hypot((number - low) * mean, variety)), hidden * mean)
-    unseen = {UNSEEN: (fewer, float(np.hypot((high - number) * mean, variety))), **known}
-    poisson_low, poisson_high = poisson_interval(count)
+    unseen = {UNSEEN: (total - lowest, highest - total), **known}
     # A sum over a random number of stems varies as its number and its sections do together.
-    both = float(np.sqrt(mean**2 + spread**2)) / share
-    sampled = {COUNTING: ((count - poisson_low) * both, (poisson_high - count) * both), **known}
+    both = float(np.sqrt(mean**2 + spread**2))
+    fewest = by_seen - (count - poisson_interval(count)[0]) * both / share
+    most = max(
+        by_seen + (poisson_interval(count)[1] - count) * both / share,
+        stands + (poisson_interval(found)[1] - found) * both,
+    )
+    sampled = {COUNTING: (total - fewest, most - total), **known}
     return _figure(total, unseen, sampled, hectares=area_m2 / M2_PER_HA)
 
 
-def count_interval(count: int, share: float) -> tuple[float, float]:
+def part_per_ha(amounts: Floats, on_seen: NDArray[np.bool_], *, area_m2: float, share: float) -> float:
+    """A sum over some stems of the plot (T,) a hectare, counted as the whole plot is: never more than its figure."""
+    return float(max(amounts[on_seen].sum() / share, amounts.sum())) * M2_PER_HA / area_m2
+
+
+def count_interval(count: int, share: float, *, least: int = 0) -> tuple[float, float]:
     """95 % interval of how many there are, of which each was seen with probability ``share`` and ``count`` were.
 
-    Exact, of the binomial distribution by its tails (Clopper and Pearson's way, for the number of trials).
+    ``least`` are known to be there. Exact, of the binomial distribution by its tails (Clopper and Pearson's way, for
+    the number of trials); the upper tail among the numbers that are no less than ``least``.
     """
+    least = max(least, count)
     if share >= 1.0:
-        return float(count), float(count)
+        return float(least), float(least)
     # Beyond ten standard deviations nothing is left of a tail.
-    most = int(count / share + (10.0 * np.sqrt(count * (1.0 - share)) + 20.0) / share) + 1
+    most = int(max(count / share, least) + (10.0 * np.sqrt(least * (1.0 - share)) + 20.0) / share) + 1
     totals = np.arange(count, most + 1, dtype=np.float64)
     # The tails of the binomial distribution as incomplete beta functions: P(X >= count), P(X <= count).
     so_many = betainc(count, totals - count + 1.0, share) if count else np.ones(len(totals))
     so_few = np.r_[1.0, betainc(totals[1:] - count, count + 1.0, 1.0 - share)]
-    return float(totals[so_many > TAIL][0]), float(totals[so_few > TAIL][-1])
+    low, within = totals[so_many > TAIL][0], totals[so_few > TAIL * so_few[least - count]]
+    # A tail that is smaller than any number leaves nothing.
+    return max(float(low), float(least)), float(within.max(initial=least))
 
 
 def poisson_interval(count: int) -> tuple[float, float]:
     """95 % interval of the expected number of which ``count`` came (Garwood 1936, exact)."""
     low = float(gammaincinv(count, TAIL)) if count else 0.0
     return low, float(gammaincinv(count + 1.0, 1.0 - TAIL))
+
+
+def _weights(stems: PlotStems, share: float) -> Floats:
+    """How much the plot's total would lose at most with each stem (T,): one on seen ground stands for unseen ones."""
+    return np.where(stems.on_seen, 1.0 / share, 1.0)
 
 
 def _both(half_width: float) -> tuple[float, float]:

@@ -12,7 +12,14 @@ from scipy.special import ndtr
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.plots import PlotCode
 from fsinfer.plot_border.border import Border
-from fsinfer.plot_border.hectare import LEAST_SHARE, HectareFigure, PlotStems, basal_area_per_ha, stems_per_ha
+from fsinfer.plot_border.hectare import (
+    LEAST_SHARE,
+    HectareFigure,
+    PlotStems,
+    basal_area_per_ha,
+    part_per_ha,
+    stems_per_ha,
+)
 from fsinfer.plot_border.request import Place
 from fsinfer.plot_border.sight import SeenShare
 from fsinfer.trees.points.sums import Z95
@@ -44,6 +51,7 @@ class PlotFigures:
     slope_deg: of the ground under the cloud.
     stems, measured, doubtful, unmeasured: numbers of stems that are in; the last two are among the first.
     outside: number of stems that are out.
+    on_unseen: number of stems that are in and stand on the part that does not count as seen.
     border_cases: numbers of the trees at the border, in or out.
     quadratic_mean_dbh_cm, mean_dbh_cm: of the measured stems that are in.
     stems_per_ha, basal_area_m2_per_ha: None where too little of the plot was seen.
@@ -70,6 +78,7 @@ class PlotFigures:
     basal_area_m2_per_ha: HectareFigure | None
     doubtful_stems_per_ha: float | None
     doubtful_basal_area_m2_per_ha: float | None
+    on_unseen: int = 0
 
     @property
     def border(self) -> Border:
@@ -113,9 +122,14 @@ def plot_of(
     own = [tree for tree in sorted_trees if tree.in_plot]
     doubtful = [tree for tree in own if tree.status == "doubtful"]
     enough = seen.share >= LEAST_SHARE
-    stems = _stems(sorted_trees, scale_rel_std)
+    stems = _stems(sorted_trees, seen, scale_rel_std)
     of_plot = stand_of_diameters([tree.dbh_cm for tree in own], 0.0)
-    of_doubtful = stand_of_diameters([tree.dbh_cm for tree in doubtful], border.area_m2 * seen.share)
+    rests = stems.inside & np.array([tree.status == "doubtful" for tree in sorted_trees], dtype=bool)
+    sections_m2 = np.where(np.isfinite(stems.dbh_m), np.pi / 4.0 * stems.dbh_m**2, 0.0)
+
+    def of_doubtful(amounts: Floats) -> float | None:
+        return part_per_ha(amounts * rests, stems.on_seen, area_m2=border.area_m2, share=seen.share) if enough else None
+
     cases = tuple(tree.tree_id for tree in sorted_trees if tree.at_border)
     figures = PlotFigures(
         origin=border.origin,
@@ -138,8 +152,9 @@ def plot_of(
         if enough
         else None,
         basal_area_m2_per_ha=basal_area_per_ha(stems, area_m2=border.area_m2, share=seen.share) if enough else None,
-        doubtful_stems_per_ha=of_doubtful.stems_per_ha if enough else None,
-        doubtful_basal_area_m2_per_ha=(of_doubtful.basal_area_m2_per_ha or 0.0) if enough else None,
+        doubtful_stems_per_ha=of_doubtful(np.ones(len(rests))),
+        doubtful_basal_area_m2_per_ha=of_doubtful(sections_m2),
+        on_unseen=int((stems.inside & ~stems.on_seen).sum()),
     )
     return Bordered(trees=sorted_trees, figures=figures, warnings=_warnings(sorted_trees, seen))
 
@@ -166,15 +181,16 @@ def _warnings(trees: Sequence[Tree], seen: SeenShare) -> tuple[Notice, ...]:
     return tuple(told)
 
 
-def _stems(trees: Sequence[Tree], scale_rel_std: float) -> PlotStems:
+def _stems(trees: Sequence[Tree], seen: SeenShare, scale_rel_std: float) -> PlotStems:
     inside_m = np.array([tree.border_m or 0.0 for tree in trees])
-    dbh_m = np.array([np.nan if tree.dbh_cm is None else tree.dbh_cm / 100.0 for tree in trees])
+    dbh_m = np.array([np.nan if tree.dbh_cm is None else tree.dbh_cm / 100.0 for tree in trees], dtype=np.float64)
     return PlotStems(
         inside=np.array([bool(tree.in_plot) for tree in trees], dtype=bool),
         # Without the scale, which is a part of its own.
         chance=np.asarray(ndtr(inside_m / _place_std(trees, scale_rel_std))) if len(trees) else np.zeros(0),
         dbh_m=dbh_m,
         std_m=np.sqrt(np.maximum(_dbh_std_m(trees) ** 2 - (scale_rel_std * dbh_m) ** 2, 0.0)),
+        seen=seen.stems,
     )
 
 

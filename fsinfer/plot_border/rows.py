@@ -22,6 +22,7 @@ def figure_rows(figures: PlotFigures) -> list[Row]:
         ("stems_measured", figures.measured),
         ("stems_doubtful", figures.doubtful),
         ("stems_without_dbh", figures.unmeasured),
+        ("stems_on_unseen_ground", figures.on_unseen),
         ("stems_outside", figures.outside),
         ("stems_at_border", len(figures.border_cases)),
         ("quadratic_mean_dbh_cm", figures.quadratic_mean_dbh_cm),

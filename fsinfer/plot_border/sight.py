@@ -48,16 +48,24 @@ class Cameras:
 
 @dataclass(frozen=True, kw_only=True)
 class SeenShare:
-    """The part of a plot's area that was seen, 0 to 1, and how that was judged."""
+    """The part of a plot's area that was seen.
+
+    Attributes
+    ----------
+    share: of the area, 0 to 1. method: how that was judged.
+    stems: (T,) which stems stand where a stem would have been seen; None where only the share is known: all are then
+        taken to stand there.
+    """
 
     share: float
     method: str
+    stems: Bools | None = None
 
 
 def seen_share(
     border: Border, points: Floats, ground: Ground, stems: Floats, *, cameras: Sequence[Cameras] = ()
 ) -> SeenShare:
-    """Share of the area within ``border`` where a stem would have been seen.
+    """Share of the area within ``border`` where a stem would have been seen, and which stems stand there.
 
     Parameters
     ----------
@@ -67,15 +75,17 @@ def seen_share(
     """
     cells = plot_cells(border)
     if len(cells) == 0:
-        return SeenShare(share=0.0, method=BY_GROUND)
+        return SeenShare(share=0.0, method=BY_GROUND, stems=np.zeros(len(stems), dtype=bool))
+    # Stems are asked about as the cells are: of both a hectare's figure is made.
+    places = np.concatenate([cells, stems[:, :2]])
     near = np.abs(points[:, :2] - cells.mean(axis=0)).max(axis=1) <= np.ptp(cells, axis=0).max()
     around = rows(points, near)
-    seen = seen_cells(near_ground(around, ground.height_at(around[:, :2]))).at(cells)
-    if not cameras:
-        return SeenShare(share=float(seen.mean()), method=BY_GROUND)
-    height_m = ground.height_at(cells)
-    seen &= np.sum([views_of(cells, height_m, stems, part) for part in cameras], axis=0) >= LEAST_VIEWS
-    return SeenShare(share=float(seen.mean()), method=BY_SIGHT)
+    seen = seen_cells(near_ground(around, ground.height_at(around[:, :2]))).at(places)
+    if cameras:
+        height_m = ground.height_at(places)
+        seen &= np.sum([views_of(places, height_m, stems, part) for part in cameras], axis=0) >= LEAST_VIEWS
+    method = BY_SIGHT if cameras else BY_GROUND
+    return SeenShare(share=float(seen[: len(cells)].mean()), method=method, stems=seen[len(cells) :])
 
 
 def plot_cells(border: Border) -> Floats:

@@ -17,7 +17,8 @@ SEEN_GROUND_ONLY = "of the ground that was seen only: the plot has no border (--
 def border_of(contents: Contents) -> PlotFigures | None:
     """The plot's figures; None without a border, or where ``trees.csv`` was changed since they were made."""
     try:
-        figures = of_json(PlotFigures, contents.plot.get("plot_border"))
+        # Runs did not always tell where the stems stand.
+        figures = of_json(PlotFigures, {"on_unseen": 0} | contents.plot["plot_border"])
     except (TypeError, ValueError, KeyError):
         return None
     inside = sum(is_in(tree) is True for tree in contents.trees or ())
@@ -52,6 +53,14 @@ def border_facts(figures: PlotFigures) -> list[tuple[str, str]]:
             f"{figures.unmeasured} without a DBH; {figures.outside} more stand outside",
         ),
     ]
+    if figures.on_unseen:
+        rows.append(
+            (
+                "On the part that was not seen",
+                f"{figures.on_unseen} of these stems: they do not stand for others; the figures a hectare take the "
+                "part not seen to be like the seen one, but no less than all the stems that were found",
+            )
+        )
     if figures.border_cases:
         trees = ", ".join(map(str, figures.border_cases))
         rows.append(("At the border", f"tree {trees}: measure in the forest whether they are in"))

@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 
+from fsinfer.plot_border.plot import PlotFigures
 from fsinfer.report.contents import Contents, number
 from fsinfer.report.number_table import NumberTable
 from fsinfer.report.plot_border import border_of, is_in
@@ -51,9 +52,10 @@ def class_table(contents: Contents, stand: StandTable) -> NumberTable | None:
     dbh_cm = [d for tree in rows_in if (d := number(tree.get("dbh_cm"))) is not None]
     if not dbh_cm:
         return None
-    area_m2 = stand.plot_area_m2 if plot is None else plot.area_m2 * plot.seen_share
-    known = area_m2 > 0 and (plot is None or plot.stems_per_ha is not None)
-    per_hectare = 10_000 / area_m2 if known else None
+    if plot is not None:
+        per_hectare = _as_the_plot(plot, dbh_cm)
+    else:
+        per_hectare = (10_000 / stand.plot_area_m2,) * 2 if stand.plot_area_m2 > 0 else None
     head = ["DBH class (cm)", "Stems", "Basal area (m²)"]
     if per_hectare is not None:
         head += ["Stems per ha", "Basal area (m²/ha)"]
@@ -67,9 +69,20 @@ def class_table(contents: Contents, stand: StandTable) -> NumberTable | None:
     return NumberTable(title=title, head=tuple(head), rows=tuple(rows), total=True)
 
 
-def _class_row(name: str, dbh_cm: Sequence[float], per_hectare: float | None) -> tuple[str, ...]:
+def _as_the_plot(plot: PlotFigures, dbh_cm: Sequence[float]) -> tuple[float, float] | None:
+    """What a stem, and a square metre of section, counts a hectare, so that classes add up to the plot's figures."""
+    if plot.stems_per_ha is None:
+        return None
+    stem = plot.stems_per_ha.value / plot.stems
+    basal = plot.basal_area_m2_per_ha
+    # Stems without a DBH count in it with the mean of the others.
+    return stem, stem if basal is None else basal.value / (basal_area_m2(dbh_cm) * plot.stems / len(dbh_cm))
+
+
+def _class_row(name: str, dbh_cm: Sequence[float], per_hectare: tuple[float, float] | None) -> tuple[str, ...]:
     basal_m2 = basal_area_m2(dbh_cm)
     row = (name, str(len(dbh_cm)), f"{basal_m2:.3f}")
     if per_hectare is None:
         return row
-    return (*row, f"{len(dbh_cm) * per_hectare:.0f}", f"{basal_m2 * per_hectare:.1f}")
+    stem, section = per_hectare
+    return (*row, f"{len(dbh_cm) * stem:.0f}", f"{basal_m2 * section:.1f}")

@@ -3,7 +3,7 @@
 A stem 13 m away has a handful of pixels, seen from one side: it was found three times, and once with a sixth of its
 size. Stems that the cameras surround, or that some cameras came near to, belong to the walk; the others are listed
 apart, at the end of the table with the status ``outside``, do not count in the stand, and are not measured unless that
-is asked for.
+is asked for. Ground is sorted by the same rule, so that none is left in the stand's area whose stems do not count.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import Delaunay, QhullError
+from scipy.spatial import Delaunay, QhullError, cKDTree
 
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
@@ -55,8 +55,9 @@ def outside_walk(places: Floats, cameras: Floats, settings: WalkSettings | None 
     s = settings or WalkSettings()
     if len(cameras) == 0 or len(places) == 0:
         return np.zeros(len(places), dtype=bool), np.full(len(places), np.inf)
-    distance = np.sort(np.linalg.norm(places[:, None] - cameras[None], axis=2), axis=1)
-    far = distance[:, min(s.near_photos, len(cameras)) - 1] > s.near_m
+    # The cells of a large plot times its photographs would be too many distances to hold.
+    distance, _ = cKDTree(cameras).query(places, k=[1, min(s.near_photos, len(cameras))])
+    far = distance[:, 1] > s.near_m
     # Fewer than three cameras, or all on a line, surround nothing.
     with suppress(QhullError, ValueError):
         far &= Delaunay(cameras).find_simplex(places) < 0
@@ -74,12 +75,18 @@ def apart_from_walk(
 ) -> PlotResult:
     """Put the stems outside of the walk with ``cameras`` (K, 2) to the end, without a DBH unless that is asked for.
 
-    Numbers stay. Trees in ``kept`` were put there by hand: a person wants them.
+    Numbers stay, and the ground outside leaves the plot's area. Trees in ``kept`` were put there by hand: a person
+    wants them.
     """
     s = settings or WalkSettings()
     places = np.array([[tree.x_m, tree.y_m] for tree in result.trees]).reshape(-1, 2)
     far, nearest = outside_walk(places, cameras, s)
     far &= ~np.isin([tree.tree_id for tree in result.trees], list(kept))
+    if result.seen_ground is not None:
+        ground = result.seen_ground.only(~outside_walk(result.seen_ground.middles, cameras, s)[0])
+        # A stem at the walk's edge may stand in a cell whose middle is outside: it stands on seen ground all the same.
+        known = result.seen_ground.area(places[~far]) > 0
+        result = replace(result, seen_ground=ground, plot_area_m2=ground.area(np.zeros((0, 2))) if known else 0.0)
     if not far.any():
         return result
     pairs = list(zip(result.trees, result.sections, strict=True))

@@ -129,7 +129,7 @@ def apply_edits(
             place = np.array([_number(edit.x_m), _number(edit.y_m)])
             found = _measured_at(result, points, place[None], settings, scale_rel_std) if metric else None
             said = notice(StemCode.added_by_hand)
-            trees[number] = _numbered(found, number, place, settings, said, metric=metric)
+            trees[number] = _numbered(found, number, place, result, settings, said, metric=metric)
             done.append(notice(StemCode.tree_added, tree_id=number))
         elif edit.action == "delete":
             number = _known(edit.tree_id, trees, edit.row)
@@ -141,7 +141,7 @@ def apply_edits(
             found = _measured_at(result, points, places, settings, scale_rel_std) if metric else None
             said = notice(StemCode.merged_by_hand, tree_id=number, other_id=other)
             del trees[other]
-            trees[number] = _numbered(found, number, places.mean(axis=0), settings, said, metric=metric)
+            trees[number] = _numbered(found, number, places.mean(axis=0), result, settings, said, metric=metric)
             done.append(notice(StemCode.tree_merged, other_id=other, tree_id=number))
     ordered = [trees[number] for number in sorted(trees)]
     measured = sum(tree.dbh_cm is not None for tree, _ in ordered)
@@ -196,6 +196,7 @@ def _numbered(
     found: tuple[Tree, Section] | None,
     number: int,
     place: Floats,
+    result: PlotResult,
     settings: TreeSettings,
     said: Notice,
     *,
@@ -207,7 +208,10 @@ def _numbered(
         return replace(tree, tree_id=number, reasons=reasons), replace(section, reasons=reasons)
     reasons = (said, notice(StemCode.no_stem_here if metric else StemCode.no_scale))
     section = unmeasured_section(place, settings.bh_m, reasons, radius_m=LABEL_RADIUS_M)
-    tree = tree_of(section, 0.0, None, np.zeros(3))
+    # The ground is in the metres that were guessed, the place in units.
+    units = result.units_per_m or 1.0
+    z_ground = 0.0 if result.ground is None else units * float(result.ground.height_at(place[None] / units)[0])
+    tree = tree_of(section, z_ground, None, np.zeros(3))
     return replace(tree, tree_id=number), section
 
 

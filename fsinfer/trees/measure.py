@@ -31,7 +31,7 @@ from fsinfer.trees.sanity import (
 )
 from fsinfer.trees.search.find import LEAST_POINTS, StemSearch, find_stems
 from fsinfer.trees.settings import TreeSettings
-from fsinfer.trees.stand import StandTable, near_ground, seen_area, stand_table
+from fsinfer.trees.stand import SeenCells, StandTable, near_ground, seen_cells, stand_table
 from fsinfer.trees.stem_measurement import doubt_the_rough, measure_stems
 from fsinfer.trees.tree import Tree
 
@@ -49,7 +49,8 @@ class PlotResult:
     ``diagnosis`` says what was found, or why nothing was. ``extent_m`` is x_min, y_min, x_max, y_max.
     With ``units_per_m`` the scale is unknown: positions and ``extent_m`` are in model units, of which so many are
     guessed to make a metre, and the sections are in metres by that guess. ``joined`` are stems of other parts of the
-    walk, which were measured there: they have no section here.
+    walk, which were measured there: they have no section here. ``seen_ground`` are the cells of which ``plot_area_m2``
+    is the area; None where it is not known.
     """
 
     trees: tuple[Tree, ...]
@@ -62,6 +63,7 @@ class PlotResult:
     plot_area_m2: float = 0.0
     units_per_m: float | None = None
     joined: tuple[Tree, ...] = ()
+    seen_ground: SeenCells | None = None
 
     @property
     def all_trees(self) -> tuple[Tree, ...]:
@@ -153,7 +155,7 @@ def analyse_plot(
         warnings.append(notice(StemCode.ground_in_part, percent=100.0 * ground.share))
     stand = np.stack([*columns[:2], columns[2] - ground.height_at(local[:, :2])]).T
     low = near_ground(stand, 0.0)
-    if seen_area(low, np.zeros((0, 2)), close=False) < settings.sanity.little_ground * plan_m2:
+    if seen_cells(low, close=False).area(np.zeros((0, 2))) < settings.sanity.little_ground * plan_m2:
         warnings.append(notice(StemCode.little_ground))
     progress(1, 3, "looking for stems")
     search = find_stems(stand, bh_m=settings.bh_m, settings=settings.stems, progress=progress, seed=settings.seed)
@@ -163,7 +165,9 @@ def analyse_plot(
     pairs = doubt_the_rough(pairs)
     if not turned and not any(tree.dbh_cm is not None for tree, _ in pairs):
         _check_turned(local, settings)
-    centers = np.array([[tree.x_m, tree.y_m] for tree, _ in pairs]).reshape(-1, 2) - origin[:2]
+    centers = np.array([[tree.x_m, tree.y_m] for tree, _ in pairs]).reshape(-1, 2)
+    seen = seen_cells(low)
+    seen = replace(seen, corner=seen.corner + origin[:2])
     return PlotResult(
         trees=tuple(replace(tree, tree_id=number) for number, (tree, _) in enumerate(pairs, start=1)),
         sections=tuple(section for _, section in pairs),
@@ -176,7 +180,8 @@ def analyse_plot(
         warnings=tuple(warnings),
         extent_m=(float(extent[0, 0]), float(extent[0, 1]), float(extent[1, 0]), float(extent[1, 1])),
         spacing_m=search.spacing_m,
-        plot_area_m2=seen_area(low, centers),
+        plot_area_m2=seen.area(centers),
+        seen_ground=seen,
     )
 
 
@@ -260,5 +265,6 @@ def _without_scale(
         warnings=(*result.warnings, notice(StemCode.model_units)),
         extent_m=(x_min, y_min, x_max, y_max),
         plot_area_m2=0.0,
+        seen_ground=None,
         units_per_m=units,
     )

@@ -85,6 +85,34 @@ class SeenCells:
         result[within] = self.seen[cell[within, 0], cell[within, 1]]
         return result
 
+    @property
+    def middles(self) -> Floats:
+        """(C, 2) of the cells that were seen."""
+        return np.asarray(self.corner + CELL_M * (np.argwhere(self.seen) + 0.5))
+
+    def only(self, chosen: NDArray[np.bool_]) -> SeenCells:
+        """Those of the cells that were seen, in the order of :attr:`middles`, which ``chosen`` (C,) names."""
+        seen = self.seen.copy()
+        seen[seen] = chosen
+        return SeenCells(seen=seen, corner=self.corner)
+
+    def with_places(self, xy: Floats) -> SeenCells:
+        """With the cells of places (N, 2) where ground was seen, too; gaps between them are closed."""
+        cell = np.floor((xy - self.corner) / CELL_M).astype(np.int64)
+        reach = round(CLOSE_M / CELL_M) + 1
+        low = np.minimum(cell.min(axis=0, initial=0), 0) - reach
+        high = np.maximum(cell.max(axis=0, initial=0) + 1, self.seen.shape) + reach
+        seen = np.zeros(tuple(high - low), dtype=bool)
+        seen[-low[0] : self.seen.shape[0] - low[0], -low[1] : self.seen.shape[1] - low[1]] = self.seen
+        seen[tuple((cell - low).T)] = True
+        return SeenCells(seen=_closed(seen), corner=self.corner + low * CELL_M)
+
+    def area(self, stems_xy: Floats) -> float:
+        """Horizontal, square metres; 0 where too many stems (T, 2) stand off it: then it says nothing of the plot."""
+        if not self.seen.any() or np.count_nonzero(self.at(stems_xy)) < LEAST_ON_GROUND * len(stems_xy):
+            return 0.0
+        return float(self.seen.sum() * CELL_M**2)
+
 
 def near_ground(points: Floats, ground_m: Floats | float) -> Floats:
     """Places (M, 2) of those of points (N, 3) that show ground, or what is as low as herbs.
@@ -107,17 +135,10 @@ def seen_cells(low: Floats, *, close: bool = True) -> SeenCells:
     seen = np.zeros((int(column.max()) + reach + 2, int(row.max()) + reach + 2), dtype=bool)
     seen[column, row] = True
     if close:
-        seen = binary_closing(seen, np.ones((2 * reach + 1, 2 * reach + 1)))
+        seen = _closed(seen)
     return SeenCells(seen=seen, corner=origin - (reach + 1) * CELL_M)
 
 
-def seen_area(low: Floats, stems_xy: Floats, *, close: bool = True) -> float:
-    """Horizontal area in square metres where the ground is seen; 0 where stems (T, 2) stand off it.
-
-    ``low`` (N, 2) are the places of points within ``NEAR_GROUND_M`` of the ground. ``close`` counts gaps of up to two
-    metres as seen.
-    """
-    cells = seen_cells(low, close=close)
-    if len(low) == 0 or np.count_nonzero(cells.at(stems_xy)) < LEAST_ON_GROUND * len(stems_xy):
-        return 0.0
-    return float(cells.seen.sum() * CELL_M**2)
+def _closed(seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    width = 2 * round(CLOSE_M / CELL_M) + 1
+    return np.asarray(binary_closing(seen, np.ones((width, width))))

@@ -21,14 +21,14 @@ from fsinfer.output.layout import OutputFolder
 from fsinfer.output.plot_json import read_plot
 from fsinfer.plot_border.sight import Cameras
 from fsinfer.scene import read_scene
-from fsinfer.silhouettes.walk import stems_outside_walk
+from fsinfer.silhouettes.walk import WalkSettings, outside_walk, stems_outside_walk
 from fsinfer.trees.ground.ground import GroundSettings, find_ground
 from fsinfer.trees.measure import PlotResult, trees_found
 from fsinfer.trees.outputs.reasons import read_reasons
 from fsinfer.trees.outputs.table import read_trees
 from fsinfer.trees.pattern.join import JoinedPart, PartStems, join_parts
 from fsinfer.trees.pattern.match import PatternSettings
-from fsinfer.trees.stand import CELL_M, near_ground, seen_area, seen_cells
+from fsinfer.trees.stand import CELL_M, near_ground, seen_cells
 from fsinfer.trees.tree import OUTSIDE, Tree
 
 _log = logging.getLogger(__name__)
@@ -44,7 +44,7 @@ class JoinedParts:
     Attributes
     ----------
     parts: those that are joined. numbers: of their stems in their parts, by those in the plot.
-    ground_xy: (N, 2), where they saw ground, in the plot's frame.
+    ground_xy: (N, 2), where they saw ground, in the plot's frame, outside of their walks too.
     """
 
     parts: tuple[JoinedPart, ...] = ()
@@ -58,14 +58,19 @@ def digests_of(folders: Sequence[Path]) -> list[str]:
 
 
 def join_measured(
-    result: PlotResult, points: Floats, folders: Sequence[Path], *, settings: PatternSettings, ground: GroundSettings
+    result: PlotResult,
+    folders: Sequence[Path],
+    *,
+    settings: PatternSettings,
+    ground: GroundSettings,
+    walk: WalkSettings,
 ) -> tuple[PlotResult, JoinedParts]:
     """The plot with the stems of the parts in ``folders``, each stem once.
 
     Parameters
     ----------
-    points: (N, 3), the plot's cloud. folders: of parts that were measured; one without metres, or that cannot be read,
-        stays apart.
+    folders: of parts that were measured; one without metres, or that cannot be read, stays apart.
+    walk: says which of the ground that a part saw belongs to it, where it has photographs.
 
     Returns
     -------
@@ -80,11 +85,9 @@ def join_measured(
     stay = {tree.tree_id for tree in joined.stay}
     pairs = [pair for pair in zip(result.trees, result.sections, strict=True) if pair[0].tree_id in stay]
     by_name = {folder.name: folder for folder in folders}
-    added = JoinedParts(
-        parts=joined.parts,
-        numbers=joined.numbers,
-        ground_xy=np.concatenate([np.zeros((0, 2)), *(_ground_of(by_name[p.name], p, ground) for p in joined.parts)]),
-    )
+    grounds = [_ground_of(by_name[part.name], part, ground) for part in joined.parts]
+    added = JoinedParts(parts=joined.parts, numbers=joined.numbers, ground_xy=np.concatenate(grounds))
+    walked = [_walked(xy, by_name[part.name], part, walk) for xy, part in zip(grounds, joined.parts, strict=True)]
     trees = (*joined.stay, *joined.joined)
     plot = replace(
         result,
@@ -94,18 +97,12 @@ def join_measured(
         joined=joined.joined,
         warnings=(*_outside_now(result.warnings, trees), *joined.warnings),
     )
-    return replace(plot, plot_area_m2=_area(plot, points, added.ground_xy)), added
+    return _with_ground(plot, np.concatenate(walked)), added
 
 
 def cameras_of(out: Path, parts: Sequence[JoinedPart]) -> tuple[Cameras, ...]:
     """The cameras of joined parts, in the plot's frame."""
-    found = []
-    for part in parts:
-        folder = out / part.name
-        own = np.asarray(read_plot(folder)["cloud_from_scene"], np.float64)
-        place = compose(part.plot_from_part, own)
-        found.append(Cameras(scene=read_scene(OutputFolder(folder).scene), cloud_from_scene=place))
-    return tuple(found)
+    return tuple(_cameras(out / part.name, part) for part in parts)
 
 
 def copy_figures(out: Path, plot: PlotResult, numbers: dict[int, int]) -> None:
@@ -143,6 +140,23 @@ def _stems_of(folder: Path) -> PartStems | None:
     return PartStems(name=folder.name, trees=trees)
 
 
+def _cameras(folder: Path, part: JoinedPart) -> Cameras:
+    own = np.asarray(read_plot(folder)["cloud_from_scene"], np.float64)
+    place = compose(part.plot_from_part, own)
+    return Cameras(scene=read_scene(OutputFolder(folder).scene), cloud_from_scene=place)
+
+
+def _walked(ground_xy: Floats, folder: Path, part: JoinedPart, walk: WalkSettings) -> Floats:
+    """Those of the places (N, 2) where the part saw ground that belong to its walk; all where it has no photographs."""
+    try:
+        cameras = _cameras(folder, part)
+    except (FsinferError, OSError, KeyError) as error:
+        _log.info("where %s was photographed cannot be read: %s", folder.name, error)
+        return ground_xy
+    far, _ = outside_walk(ground_xy, cameras.places[:, :2], walk)
+    return np.asarray(ground_xy[~far])
+
+
 def _ground_of(folder: Path, part: JoinedPart, settings: GroundSettings) -> Floats:
     """Middles (N, 2) of the quarters of the cells where the part saw ground, in the plot's frame."""
     points = read_cloud(OutputFolder(folder).cloud_ply).xyz
@@ -154,10 +168,10 @@ def _ground_of(folder: Path, part: JoinedPart, settings: GroundSettings) -> Floa
     return np.asarray(apply(part.plot_from_part, flat)[:, :2])
 
 
-def _area(plot: PlotResult, points: Floats, more_xy: Floats) -> float:
-    """Where the ground was seen, square metres, with that of the parts."""
-    if not len(more_xy) or plot.ground is None:
-        return plot.plot_area_m2
+def _with_ground(plot: PlotResult, more_xy: Floats) -> PlotResult:
+    """The plot, whose area has the ground of the parts too."""
+    if not len(more_xy) or plot.seen_ground is None:
+        return plot
     places = np.array([[tree.x_m, tree.y_m] for tree in plot.all_trees if not tree.outside]).reshape(-1, 2)
-    low = near_ground(points, plot.ground.height_at(points[:, :2]))
-    return seen_area(np.concatenate([low, more_xy]), places)
+    ground = plot.seen_ground.with_places(more_xy)
+    return replace(plot, seen_ground=ground, plot_area_m2=ground.area(places))

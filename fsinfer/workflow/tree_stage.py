@@ -147,10 +147,10 @@ def measure_plot(
     curves = stem_curves(given.cloud.xyz, measured, settings=settings.stem_curve) if given.metric else {}
     whole, added = join_measured(
         measured,
-        given.cloud.xyz,
         given.parts if given.metric else (),
         settings=settings.pattern,
         ground=settings.trees.ground,
+        walk=settings.walk,
     )
     bordered, plot = _draw_border(whole, given, settings, added, out)
     _write(bordered, given, out, curves, plot)

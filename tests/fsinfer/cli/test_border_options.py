@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fsinfer.cli.tables import plot_rows
@@ -55,5 +56,10 @@ def test_the_plot_in_two_lines() -> None:
     assert stems.startswith("  stems/ha 22 [20 - ")
     assert basal.startswith("  basal area m²/ha 1.6 [1.4 - ")
     assert plot_rows(None) == []
+    apart = SeenShare(share=0.9, method="by eye", stems=np.array([False]))
+    assert (
+        "0 without a DBH, 1 where it was not seen), 0 out"
+        in plot_rows(plot_of([TREE], border, apart, slope_deg=0.0).figures)[0]
+    )
     unseen = plot_of([TREE], border, SeenShare(share=0.1, method="by eye"), slope_deg=0.0)
     assert len(plot_rows(unseen.figures)) == 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from itertools import permutations
 
 import numpy as np
@@ -75,6 +76,22 @@ def test_a_large_plot_is_laid_by_its_positions_alone() -> None:
     assert motion is not None
     laid = apply(motion, apply(np.array([2.1, 30.0, -4.0]), seen))
     assert np.linalg.norm(laid[:54] - truth[6:], axis=1).max() < 0.25
+
+
+def test_hundreds_of_trees_need_little_memory() -> None:
+    # 300 trees have some 10^8 pairs of like lengths.
+    rng = np.random.default_rng(5)
+    truth = rng.uniform(0, 45, (300, 2))
+    found = apply(np.array([2.1, 30.0, -4.0]), truth + rng.normal(0, 0.05, truth.shape))
+    tracemalloc.start()
+    try:
+        motion = register(truth, found, 0.5)
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert motion is not None
+    assert np.linalg.norm(apply(motion, found) - truth, axis=1).max() < 0.25
+    assert most < 100e6
 
 
 @given(seed=st.integers(0, 500), limit=st.floats(0.1, 1.5))

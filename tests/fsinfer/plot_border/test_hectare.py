@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -151,3 +153,48 @@ def test_where_nothing_can_be_said_of_basal_area() -> None:
     empty = stems_per_ha(stems_of(nothing[:0]), area_m2=AREA_M2, share=0.8, scale_rel_std=0.0)
     assert (empty.value, empty.lo95) == (0, 0)
     assert empty.hi95 == pytest.approx(20 * count_interval(0, 0.8)[1])
+
+
+def test_stems_on_unseen_ground_count_once() -> None:
+    # 30 stems of 0.3 m stand on the plot and all were found; 12 of them on the 40 % that count as seen.
+    seen = np.arange(30) < 12
+    stems = replace(stems_of(np.full(30, 0.3)), seen=seen)
+    count = stems_per_ha(stems, area_m2=AREA_M2, share=0.4, scale_rel_std=0.0)
+    assert (count.value, count.lo95) == pytest.approx((600, 600))
+    assert 700 < count.hi95 < 1000
+    basal = basal_area_per_ha(stems, area_m2=AREA_M2, share=0.4)
+    assert basal is not None
+    assert (basal.value, basal.lo95) == pytest.approx((600 * np.pi / 4 * 0.09,) * 2)
+    assert basal.hi95 / basal.value == pytest.approx(count.hi95 / count.value, rel=0.01)
+    # Ten more on the seen part stand for fifteen on the rest, of which it has some already.
+    more = replace(stems_of(np.full(30, 0.3)), seen=np.arange(30) < 22)
+    assert stems_per_ha(more, area_m2=AREA_M2, share=0.4, scale_rel_std=0.0).value == pytest.approx(22 / 0.4 / 0.05)
+    # Thick stems on unseen ground are the plot's own, and no others are like them.
+    thick = replace(stems_of(np.where(seen, 0.2, 0.6)), seen=seen)
+    basal = basal_area_per_ha(thick, area_m2=AREA_M2, share=0.4)
+    assert basal is not None
+    assert basal.value == pytest.approx(np.pi / 4 * (12 * 0.04 + 18 * 0.36) / 0.05)
+    assert basal.lo95 == pytest.approx(basal.value)
+    assert basal.hi95 > basal.value
+    # Where most of what was found stands on unseen ground, more of it may.
+    dense = replace(stems_of(np.full(30, 0.3)), seen=np.arange(30) < 2)
+    assert stems_per_ha(dense, area_m2=AREA_M2, share=0.5, scale_rel_std=0.0).hi95 > 600
+
+
+def test_intervals_hold_where_stems_on_unseen_ground_are_found() -> None:
+    rng = np.random.default_rng(43003)
+    rounds = 1000
+    inside = {"stems": 0, "basal": 0, "stand": 0}
+    for _ in range(rounds):
+        true = rng.uniform(0.1, 0.5, rng.poisson(30))
+        seen = rng.random(len(true)) < 0.6
+        found = seen | (rng.random(len(true)) < 0.5)
+        stems = replace(stems_of(true[found]), seen=seen[found])
+        count = stems_per_ha(stems, area_m2=AREA_M2, share=0.6, scale_rel_std=0.0)
+        basal = basal_area_per_ha(stems, area_m2=AREA_M2, share=0.6)
+        assert basal is not None
+        inside["stems"] += count.lo95 <= len(true) / 0.05 <= count.hi95
+        inside["basal"] += basal.lo95 <= np.pi / 4 * (true**2).sum() / 0.05 <= basal.hi95
+        inside["stand"] += count.stand_lo95 <= 600 <= count.stand_hi95
+    # All that were found stand there for certain: the lower end misses less often than its 2.5 %.
+    assert {name: number / rounds >= 0.94 for name, number in inside.items()} == dict.fromkeys(inside, True), inside

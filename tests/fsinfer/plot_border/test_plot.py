@@ -136,6 +136,35 @@ def test_ground_in_the_cloud_is_what_was_seen_without_photos() -> None:
     assert seen_share(CIRCLE, slope, tilted, none).share == 1.0
 
 
+def test_stems_on_ground_that_was_not_seen_stand_for_no_others() -> None:
+    # 30 stems, all found, on a plot of 500 m² whose ground is seen within 8 m of its middle only.
+    border = replace(CIRCLE, radius_m=12.62)
+    radius, angle = 12.5 * np.sqrt((np.arange(30) + 0.5) / 30), 2.4 * np.arange(30)
+    trees = [
+        replace(TREE, tree_id=k + 1, x_m=float(r * np.cos(a)), y_m=float(r * np.sin(a)))
+        for k, (r, a) in enumerate(zip(radius, angle, strict=True))
+    ]
+    trees[29] = replace(trees[29], status="doubtful")
+    ground = ground_points(-12, 12)
+    seen = seen_share(border, ground[np.hypot(*ground[:, :2].T) < 8.0], FLAT, stem_circles(trees))
+    assert seen.share == pytest.approx(0.41, abs=0.03)
+    assert seen.stems is not None
+    assert seen.stems[radius < 7.7].all()
+    assert not seen.stems[radius > 8.5].any()
+    figures = plot_of(trees, border, seen, slope_deg=0.0).figures
+    assert (figures.stems, figures.on_unseen) == (30, int((~seen.stems).sum()))
+    assert figures.stems_per_ha is not None
+    assert figures.basal_area_m2_per_ha is not None
+    assert figures.stems_per_ha.value == pytest.approx(600, rel=0.06)
+    assert figures.stems_per_ha.lo95 >= 30 / border.area_m2 * 1e4 - 1
+    assert figures.stems_per_ha.hi95 < 1000
+    assert figures.basal_area_m2_per_ha.value == pytest.approx(600 * np.pi / 4 * 0.09, rel=0.06)
+    # The doubtful one stands at the edge of the plot: for itself.
+    assert figures.doubtful_stems_per_ha == pytest.approx(1e4 / border.area_m2)
+    assert figures.doubtful_basal_area_m2_per_ha == pytest.approx(np.pi / 4 * 0.09 * 1e4 / border.area_m2)
+    assert dict(figure_rows(figures))["stems_on_unseen_ground"] == figures.on_unseen
+
+
 @pytest.fixture(scope="module")
 def walked(tmp_path_factory: pytest.TempPathFactory) -> Cameras:
     scene, _ = make_plot(tmp_path_factory.mktemp("walked"), {})
@@ -176,6 +205,12 @@ def test_two_photos_must_look_at_a_place(walked: Cameras) -> None:
     whole = seen_share(border, points, FLAT, stems, cameras=[walked])
     assert whole.share == 1.0
     assert "fewer than 2 photos" in whole.method
+    # A stem does not hide itself; one that stands where one photo looks only is not on seen ground.
+    assert whole.stems is not None
+    assert whole.stems.tolist() == [True] * 5 + [False]  # the last one stands outside of the walk and the plot
+    alone = seen_share(border, points, FLAT, stems, cameras=[one_view(walked)]).stems
+    assert alone is not None
+    assert not alone.any()
     # A walk along one side, and a thick stem in the middle.
     side = replace(walked, scene=Scene(folder=Path(), views=walked.scene.views[:3]))
     shadow = seen_share(border, points, FLAT, np.array([[1.0, 0.4, 0.8]]), cameras=[side]).share

@@ -251,6 +251,23 @@ def test_a_plot_with_a_border_is_told_and_drawn(tmp_path: Path) -> None:
     assert "seen only: the plot has no border" in page
 
 
+def test_classes_add_up_to_the_figures_of_the_plot(tmp_path: Path) -> None:
+    border = Border(center=(1.0, -2.0), radius_m=12.62, origin="marker 7", moves_along=True)
+    trees = [TREE, TREE | {"tree_id": 2, "x_m": 5.0}, TREE | {"tree_id": 3, "x_m": 8.0, "dbh_cm": 40.0}]
+    write_csv(tmp_path / "rows.csv", trees)
+    seen = SeenShare(share=0.5, method="by eye", stems=np.array([True, False, False]))
+    plot = plot_of(read_trees(tmp_path / "rows.csv"), border, seen, slope_deg=0.0)
+    rows = [row | {"in_plot": 1, "border_m": tree.border_m} for row, tree in zip(trees, plot.trees, strict=True)]
+    told = as_json(plot.figures)
+    given = PLOT | {"plot_border": told}
+    page = make_report(full_folder(tmp_path, plot=given, trees=rows)).read_text(encoding="utf-8")
+    assert "<td>All with a DBH</td><td>3</td><td>0.267</td><td>60</td><td>5.3</td>" in page
+    assert "2 of these stems: they do not stand for others" in page
+    # Earlier runs did not tell on which ground the stems stand.
+    del told["on_unseen"]
+    assert 'class="border"' in make_report(full_folder(tmp_path, plot=given, trees=rows)).read_text(encoding="utf-8")
+
+
 def test_markers_and_photos_left_out_are_shown(tmp_path: Path) -> None:
     board = {"id": 21, "views": ["a", "b", "c"], "residual_rel": 0.0012, "leave_one_out_rel": -0.0004, "error_px": 0.3}
     full_folder(tmp_path, plot=PLOT | {"scale_details": {"markers": [board, {"id": 22}]}})

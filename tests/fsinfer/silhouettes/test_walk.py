@@ -12,6 +12,7 @@ from fsinfer.notices.stems import StemCode
 from fsinfer.silhouettes.walk import WalkSettings, apart_from_walk, outside_walk
 from fsinfer.trees import PlotResult, Section, Tree
 from fsinfer.trees.diameter.section import unmeasured_section
+from fsinfer.trees.stand import seen_cells
 from fsinfer.trees.stem_measurement import tree_of
 
 ANGLE = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
@@ -96,3 +97,30 @@ def test_what_a_person_put_there_is_wanted_and_a_near_plot_stays_as_it_is() -> N
     assert [tree.tree_id for tree in result.trees] == [1, 2, 4, 3]
     near = plot(entry(1, 0.0))
     assert apart_from_walk(near, RING) is near
+
+
+def test_ground_goes_with_the_stems_that_stand_on_it() -> None:
+    # A stem every 6 m on a flat square of 72 m; the walk goes round 12 m about its middle.
+    x = np.arange(-36.0, 36.0, 0.2) + 0.1
+    ground = np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
+    places = np.stack(np.meshgrid(np.arange(-33.0, 36.0, 6.0), np.arange(-33.0, 36.0, 6.0)), axis=-1).reshape(-1, 2)
+    pairs = []
+    for number, (x_m, y_m) in enumerate(places, start=1):
+        tree, section = entry(number, x_m)
+        pairs.append((replace(tree, y_m=float(y_m)), section))
+    seen = seen_cells(ground)
+    whole = replace(plot(*pairs), seen_ground=seen, plot_area_m2=seen.area(places))
+    assert whole.plot_area_m2 == pytest.approx(72.0**2, rel=0.01)
+    assert whole.stand.stems_per_ha == pytest.approx(1e4 / 36, rel=0.01)
+    walked = apart_from_walk(whole, RING)
+    assert walked.stand.stems < 70
+    # The ring, and round it what is nearer than 8 m to three cameras.
+    assert walked.plot_area_m2 == pytest.approx(np.pi * 18.3**2, rel=0.02)
+    assert walked.stand.stems_per_ha == pytest.approx(1e4 / 36, rel=0.1)
+    # Ground outside without a stem on it was not walked either.
+    bare = replace(whole, trees=whole.trees[65:67], sections=whole.sections[65:67])
+    assert apart_from_walk(bare, RING).plot_area_m2 == walked.plot_area_m2
+    # Where nobody knows how much of the ground was seen, the walk does not tell.
+    few = seen.only(np.asarray((seen.middles > 10.0).all(axis=1)))
+    assert apart_from_walk(replace(whole, seen_ground=few, plot_area_m2=0.0), RING).plot_area_m2 == 0.0
+    assert apart_from_walk(whole, np.zeros((0, 2))).plot_area_m2 == whole.plot_area_m2

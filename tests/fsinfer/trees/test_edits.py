@@ -91,6 +91,31 @@ def test_a_tree_set_where_nothing_is_seen_has_a_place_and_no_diameter(plot: Stem
     assert sentence(edited.warnings[-1]) == "stem map corrected by hand: tree 10 added, 9 added"
 
 
+def test_a_tree_where_nothing_is_seen_stands_on_the_ground(result: PlotResult) -> None:
+    # A slope at 700 m above the sea, in a national grid.
+    assert result.ground is not None
+    flat = replace(result.ground, raster_m=None, plane=np.array([0.1, -0.2, 700.0]))
+    high = replace(
+        result,
+        ground=replace(flat, plane=flat.plane - np.array([0.0, 0.0, flat.plane[:2] @ MOVED[:2]])),
+        trees=tuple(replace(tree, x_m=tree.x_m + MOVED[0], y_m=tree.y_m + MOVED[1]) for tree in result.trees),
+    )
+    x_m, y_m = float(MOVED[0] + 50.0), float(MOVED[1] + 20.0)
+    edits = [
+        TreeEdit(action="merge", row=2, tree_id=1, other_id=2),
+        TreeEdit(action="add", row=3, x_m=x_m, y_m=y_m, tree_id=9),
+    ]
+    merged, *_, added = apply_edits(high, np.zeros((0, 3)), edits, settings=SETTINGS).trees
+    assert added.z_ground_m == pytest.approx(700.0 + 5.0 - 4.0, abs=1e-6)
+    between = np.mean([[tree.x_m, tree.y_m] for tree in result.trees[:2]], axis=0)
+    assert merged.z_ground_m == pytest.approx(700.0 + between @ [0.1, -0.2], abs=1e-6)
+    # The ground is in metres by a guess where the scale is not known; the places are in units.
+    edited = apply_edits(replace(high, units_per_m=4.0), np.zeros((0, 3)), edits, settings=SETTINGS, metric=False)
+    assert edited.trees[-1].z_ground_m == pytest.approx(
+        4.0 * high.ground.height_at(np.array([[x_m, y_m]]) / 4.0)[0] if high.ground else None
+    )
+
+
 def test_two_halves_of_one_stem_are_merged(plot: StemPlot, result: PlotResult) -> None:
     whole = result.trees[0]
     twin = replace(whole, tree_id=7, x_m=whole.x_m + 0.15)

@@ -17,10 +17,13 @@ from fsinfer.notices.stems import StemCode
 from fsinfer.output.json_values import as_json, of_json
 from fsinfer.output.plot_json import write_plot
 from fsinfer.plot_border.request import BorderRequest
+from fsinfer.scene import write_camera, write_pairs
+from fsinfer.silhouettes.walk import WalkSettings
 from fsinfer.trees.outputs.table import read_trees
 from fsinfer.workflow.joined_parts import digests_of
 from fsinfer.workflow.tree_stage import PlotCloudInput, TreesResult, TreeStageSettings, measure_plot
 from tests.support.stem_clouds import StemPlot, stem_plot
+from tests.support.walked_plot import UNIT, make_plot
 from tests.support.workbook import read_sheets
 
 #: The rest holds x up to the one, the part from the other on; between them stand stems that both have.
@@ -102,6 +105,36 @@ def test_stand_plot_and_words_count_them(plot: StemPlot, torn: tuple[Path, Trees
     assert result.plot.stems == int(inside.sum())
     # The ledger reads results back from JSON.
     assert as_json(of_json(TreesResult, json.loads(json.dumps(as_json(result))))) == as_json(result)
+
+
+def test_ground_outside_of_the_walk_of_a_part_is_not_counted(
+    plot: StemPlot, torn: tuple[Path, TreesResult], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fsinfer.trees.outputs.figures.write_figures", lambda *_, **__: None)
+    folder = tmp_path / "part-2"
+    folder.mkdir()
+    for name in ("trees.csv", "trees.json", "cloud.ply"):
+        (folder / name).write_bytes((torn[0] / "part-2" / name).read_bytes())
+    scene, _ = make_plot(folder / "scene", {})
+    for view in scene.views:
+        write_camera(folder / "scene" / "cams" / f"{view.name}_cam.txt", view.camera)
+    write_pairs(folder / "scene" / "pair.txt", {number: [] for number in range(len(scene.views))})
+    # The photographs of the part were taken within half a metre of one place, and reach 3 m.
+    middle = turned(np.array([[11.0, 6.0, 0.0]]))[0]
+    place = np.diag([0.1 * UNIT, 0.1 * UNIT, 0.1 * UNIT, 1.0])
+    place[:3, 3] = middle
+    write_plot(folder, {"units": "m", "cloud_from_scene": place.tolist()})
+    stage = replace(settings(), walk=WalkSettings(near_m=3.0))
+    result = measure_plot(given(plot, folder), tmp_path, settings=stage)
+    assert result.trees == torn[1].trees
+    # The rest saw 10.5 m of 13.5 by whole cells; of the part's ground beyond it some 2 m are left along 6 m.
+    assert result.plot_area_m2 is not None
+    assert torn[1].plot_area_m2 is not None
+    assert 10.5 * 13.5 + 6.0 < result.plot_area_m2 < 10.5 * 13.5 + 18.0 < torn[1].plot_area_m2 - 20.0
+    # What is seen of a plot with a border is for the lines of sight to tell.
+    assert result.plot is not None
+    assert torn[1].plot is not None
+    assert result.plot.seen_share == torn[1].plot.seen_share
 
 
 def test_tables_maps_and_figures_hold_them(torn: tuple[Path, TreesResult]) -> None:
