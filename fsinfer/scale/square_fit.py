@@ -202,7 +202,7 @@ def _corner_errors_px(
     is seen, (N,); infinite behind the camera.
     """
     projected = corners @ projections[:, :, :3].transpose(0, 2, 1) + projections[:, None, :, 3]
-    behind = (projected[..., 2] <= 0).any(axis=1)
+    behind = np.asarray((projected[..., 2] <= 0).any(axis=1), np.bool_)
     depth = np.where(behind[:, None], 1.0, projected[..., 2])
     apart = np.linalg.norm(projected[..., :2] / depth[..., None] - pixels, axis=2).max(axis=1)
     return np.asarray(np.where(behind, np.inf, apart), np.float64)

@@ -11,18 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.errors import CloudError, InputError, ScaleError
+from fsinfer.errors import InputError, ScaleError
 from fsinfer.geometry.similarity import scale_of
 from fsinfer.importers.write import read_origin
 from fsinfer.io.chunks import ChunkedCloud, open_chunks
 from fsinfer.io.cloud import PointCloud, read_cloud
 from fsinfer.io.digest import file_digest
 from fsinfer.io.files import make_folder
-from fsinfer.io.las import LAS_SUFFIXES, read_epsg, read_units_m
+from fsinfer.io.las import LAS_SUFFIXES, read_epsg
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.output.json_values import of_json
-from fsinfer.output.layout import RECORDS_FOLDER
 from fsinfer.output.plot_json import package_versions, read_plot
 from fsinfer.placement.place import density_per_m2, transform_cloud
 from fsinfer.plot_border.request import BorderRequest
@@ -42,6 +41,7 @@ from fsinfer.trees.thinning import ThinningSettings, thin_while_reading
 from fsinfer.workflow.cloud_units import CLOUD_KEYS, plot_of_cloud
 from fsinfer.workflow.given_edits import note_edits
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
+from fsinfer.workflow.measurable import refuse_fused, refuse_other_units
 from fsinfer.workflow.own_files import refuse_files_of_others, refuse_to_write_over
 from fsinfer.workflow.run_photos import photos_of_run
 from fsinfer.workflow.settings import speedless
@@ -55,10 +55,6 @@ from fsinfer.workflow.summary import (
     warning_values,
 )
 from fsinfer.workflow.tree_stage import PlotCloudInput, TreesResult, TreeStageSettings, measure_plot
-
-#: Lengths of two units that differ by less, metres, are the same: feet of the US survey are 0.6 micrometres longer than
-#: others. Source: numerics.
-_SAME_UNIT_M = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,7 +141,7 @@ def measure_cloud_file(
         where its unit cannot be told.
     """
     settings = settings or MeasureSettings()
-    _refuse_fused(cloud_path)
+    refuse_fused(cloud_path)
     refuse_to_write_over(cloud_path, out)
     refuse_files_of_others(out)
     corrections = find_edits(out, edits)
@@ -153,7 +149,7 @@ def measure_cloud_file(
     origin = _read_origin(cloud_path.parent)
     found = _cloud_scale(request, cloud_path, out, origin)
     if found.scale.m_per_unit is None:
-        _refuse_other_units(cloud_path)
+        refuse_other_units(cloud_path)
     photos = _own_photos(cloud_path, origin, found.scale.m_per_unit or 1.0)
     _refuse_center_unknown(settings.stage.border, cloud_path, photos)
     make_folder(out)
@@ -210,29 +206,6 @@ def _refuse_center_unknown(border: BorderRequest, cloud_path: Path, photos: Stem
         "folder of fsinfer run; give --plot-center as x,y in metres of the cloud"
     )
     raise InputError(msg)
-
-
-def _refuse_fused(cloud_path: Path) -> None:
-    if cloud_path.parent.name == "fused" and (cloud_path.parent.parent / RECORDS_FOLDER).is_dir():
-        finished = cloud_path.parent.parent / "cloud.ply"
-        msg = f"{cloud_path} is what a run made before it knew what is up and how long a metre is; give {finished}"
-        raise CloudError(msg)
-
-
-def _refuse_other_units(cloud_path: Path) -> None:
-    """Refuse a cloud whose header says that it is not in metres; many headers say nothing."""
-    if cloud_path.suffix.lower() not in LAS_SUFFIXES:
-        return
-    units = read_units_m(cloud_path)
-    lengths = [unit for unit in (units.horizontal_m, units.vertical_m) if unit is not None]
-    if all(abs(unit - 1.0) < _SAME_UNIT_M for unit in lengths):
-        return
-    if max(lengths) - min(lengths) < _SAME_UNIT_M:
-        way_out = f"give --scale {lengths[0]:.10g}, its metres per unit"
-    else:
-        way_out = f"its units on the map and of the heights differ ({lengths[0]:g} and {lengths[1]:g} m): convert it"
-    msg = f"{cloud_path} is not in metres, by its header; {way_out}"
-    raise CloudError(msg)
 
 
 def _large(cloud_path: Path, thinning: ThinningSettings) -> ChunkedCloud | None:

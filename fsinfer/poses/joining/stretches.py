@@ -42,7 +42,7 @@ def cut_and_join(
     if not len(stretch) or stretch[-1] == 0:
         return None
     numbers, sizes = np.unique(stretch, return_counts=True)
-    parts = []
+    parts: list[Any] = []
     for number in numbers[np.argsort(-sizes, kind="stable")]:
         if (stretch == number).sum() >= settings.min_registered:
             part = deepcopy(model)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fsinfer.scale.aruco import MarkerSettings
-from fsinfer.scale.square_fit import Sighting, _corner_errors_px, find_markers
+from fsinfer.scale.square_fit import MarkerSettings, Sighting, _corner_errors_px, find_markers
 
 Floats = NDArray[np.float64]
 SQUARE = 0.25 * np.array([[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [-0.5, 0.5, 0.0]])

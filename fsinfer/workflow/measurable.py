@@ -1,0 +1,37 @@
+"""Cloud files that would be measured wrongly, told before anything is computed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fsinfer.errors import CloudError
+from fsinfer.io.las import LAS_SUFFIXES, read_units_m
+from fsinfer.output.layout import RECORDS_FOLDER
+
+#: Lengths of two units that differ by less, metres, are the same: feet of the US survey are 0.6 micrometres longer than
+#: others. Source: numerics.
+_SAME_UNIT_M = 1e-6
+
+
+def refuse_fused(cloud_path: Path) -> None:
+    """Refuse the cloud of the stage ``fuse``: it is in the scene's frame and units."""
+    if cloud_path.parent.name == "fused" and (cloud_path.parent.parent / RECORDS_FOLDER).is_dir():
+        finished = cloud_path.parent.parent / "cloud.ply"
+        msg = f"{cloud_path} is what a run made before it knew what is up and how long a metre is; give {finished}"
+        raise CloudError(msg)
+
+
+def refuse_other_units(cloud_path: Path) -> None:
+    """Refuse a cloud whose header says that it is not in metres; many headers say nothing."""
+    if cloud_path.suffix.lower() not in LAS_SUFFIXES:
+        return
+    units = read_units_m(cloud_path)
+    lengths = [unit for unit in (units.horizontal_m, units.vertical_m) if unit is not None]
+    if all(abs(unit - 1.0) < _SAME_UNIT_M for unit in lengths):
+        return
+    if max(lengths) - min(lengths) < _SAME_UNIT_M:
+        way_out = f"give --scale {lengths[0]:.10g}, its metres per unit"
+    else:
+        way_out = f"its units on the map and of the heights differ ({lengths[0]:g} and {lengths[1]:g} m): convert it"
+    msg = f"{cloud_path} is not in metres, by its header; {way_out}"
+    raise CloudError(msg)
