@@ -47,7 +47,11 @@ class KnownBoards:
         known = [s for s in sightings if s.file in by_name and s.number in faces]
         self.number = np.array([s.number for s in known], np.intp)
         self.photo = np.array([by_name[s.file] for s in known], np.intp)
-        self._faces = [np.array([face.corners for face in faces[s.number]]) for s in known]  # each (faces, 4, 3)
+        self._count = np.array([len(faces[s.number]) for s in known], np.intp)
+        # (N, most faces, 4, 3); a board of fewer has its last one again, which changes no smallest error.
+        most = int(self._count.max(initial=1))
+        padded = [[*faces[s.number], *[faces[s.number][-1]] * (most - len(faces[s.number]))] for s in known]
+        self._faces = np.array([[face.corners for face in own] for own in padded], np.float64).reshape(-1, most, 4, 3)
         rays, poses = [], []
         for sighting, photo in zip(known, self.photo, strict=True):
             image = part.images[photo]
@@ -67,15 +71,13 @@ class KnownBoards:
         Of a number with several boards it is the one that fits best. Infinite behind the photo.
         """
         there = place if self._back else np.asarray(np.linalg.inv(place), np.float64)
-        return np.array([self._residual(k, there) for k in range(len(self))], np.float64).reshape(-1, 4, 2)
-
-    def _residual(self, k: int, part_from_model: Floats) -> Floats:
-        corners = apply(part_from_model, self._faces[k])
-        at = corners @ self._poses[k, :, :3].T + self._poses[k, :, 3]
-        ahead = np.asarray(at[..., 2:] > 0)
+        turned = self._poses[:, None, :, :3].swapaxes(2, 3)
+        at = apply(there, self._faces) @ turned + self._poses[:, None, None, :, 3]
+        ahead = np.asarray(at[..., 2:] > 0, np.bool_)
         seen = at[..., :2] / np.where(ahead, at[..., 2:], 1.0)
-        away = np.where(ahead.all(axis=1, keepdims=True), seen - self._rays[k], np.inf)
-        return np.asarray(away[np.argmin(np.abs(away).max(axis=(1, 2)))])
+        away = np.where(ahead.all(axis=2, keepdims=True), seen - self._rays[:, None], np.inf)
+        best = np.abs(away).max(axis=(2, 3)).argmin(axis=1)
+        return np.asarray(away[np.arange(len(self)), best], np.float64)
 
     def agrees(self, place: Floats, times: float = 1.0) -> NDArray[np.bool_]:
         """Whether each sighting fits within so many times the usual reach, (N,)."""
@@ -98,7 +100,7 @@ class KnownBoards:
 
     def _photo_poses(self, k: int) -> Iterator[Floats]:
         """Poses (3, 4), camera from model, that the four corners of a sighting allow."""
-        for corners in self._faces[k]:
+        for corners in self._faces[k, : self._count[k]]:
             found, turns, shifts, _ = cv2.solvePnPGeneric(
                 corners, self._rays[k], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
             )
