@@ -29,8 +29,8 @@ def plain_residual(faces: list[Floats], pose: Floats, rays: Floats) -> Floats:
 def test_residuals_are_those_of_each_sighting_and_its_best_face(*, back: bool) -> None:
     part = walked()
     rng = np.random.default_rng(3)
-    # One number in three places, one of them behind every camera, another number in one.
-    places = {4: [SQUARE, np.add(SQUARE, [0.3, 0.2, 0.1]), np.add(SQUARE, [40.0, 0, 0])], 9: [0.5 * SQUARE]}
+    # One number in three places, one of them behind every camera, another in one, with corners behind some.
+    places = {4: [SQUARE, np.add(SQUARE, [0.3, 0.2, 0.1]), np.add(SQUARE, [40.0, 0, 0])], 9: [12 * SQUARE]}
     boards = [Board(number=number, corners=c, sightings=()) for number, all_of in places.items() for c in all_of]
     sightings = [
         BoardSighting(file=f"{k % 12:02d}.jpg", number=(4, 9, 77)[k % 3], corners_px=rng.uniform(300, 800, (4, 2)))
