@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fsinfer.output.layout import METRIC_TREE_FILES, TREES_CSV, TREES_JSON
 from tests.faults.strikes import arm
 
 #: The stages in their order, and how many files more are written after each has begun when a fault strikes: in the
@@ -157,8 +158,10 @@ def chain(fault: str, stages: Sequence[str], photos: Path, folder: Path, whole: 
             injections[-1] = Injection(fault=fault, stage=stage, code=ended.code, problems=tuple(problems))
             for record in list(STAGES)[list(STAGES).index(stage) :]:
                 (out / ".fsinfer" / f"{record}.json").unlink(missing_ok=True)
+                # Tables of trees without a record would be somebody else's.
                 for name in {"frames": ["frames"], "poses": ["scene"], "depth": ["depth", "confidence"],
-                             "fuse": ["fused"], "trees": ["figures"]}.get(record, []):  # fmt: skip
+                             "fuse": ["fused"], "trees": ["figures", TREES_CSV, TREES_JSON, *METRIC_TREE_FILES],
+                            }.get(record, []):  # fmt: skip
                     subprocess.run(["rm", "-rf", str(out / name)], check=True)
     last = run(photos, out)
     problems = _compare(out, whole)
