@@ -7,6 +7,7 @@ from pathlib import Path
 
 from fsinfer.errors import CloudError, InputError, OutputError
 from fsinfer.output.layout import FIGURES_FOLDER, METRIC_TREE_FILES, TREE_FIGURE, TREES_CSV, TREES_JSON
+from fsinfer.output.plot_json import read_plot
 from fsinfer.workflow.ledger import Ledger
 
 #: Stages that write the tables and figures of trees, by their names in the ledger.
@@ -25,9 +26,12 @@ def clear_outputs(out: Path) -> None:
 
 
 def refuse_files_of_others(out: Path) -> None:
-    """Raise :class:`InputError` where a file that would be written over was made by no measurement of ours."""
+    """Raise :class:`InputError` where a file that would be written over was made by no measurement of ours.
+
+    A folder is ours by its records, or, where it was copied without them, by a ``plot.json`` of fsinfer.
+    """
     ledger = Ledger(out)
-    if any(ledger.has(stage) for stage in _WRITERS):
+    if any(ledger.has(stage) for stage in _WRITERS) or _has_plot_of_ours(out):
         return
     for found in (*_there(out, _TABLES), *_figures(out)):
         msg = f"{found} would be replaced, and no measurement of fsinfer made it; choose another output folder"
@@ -44,6 +48,14 @@ def refuse_to_write_over(cloud_path: Path, out: Path) -> None:
                 "or give the cloud that it was made from"
             )
             raise CloudError(msg)
+
+
+def _has_plot_of_ours(out: Path) -> bool:
+    try:
+        versions = read_plot(out).get("versions")
+    except InputError:  # damaged: it tells nothing
+        return False
+    return isinstance(versions, dict) and "fsinfer" in versions
 
 
 def _there(out: Path, names: tuple[str, ...]) -> Iterator[Path]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -49,6 +50,17 @@ def test_a_run_looks_before_it_begins(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"trees\.xlsx would be replaced"):
         run(photos, tmp_path / "out")
     assert mine.read_text(encoding="utf-8") == "precious"
+
+
+def test_a_folder_that_was_copied_without_its_records_is_ours_by_its_plot(scan: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    measure_cloud_file(scan, out, request=ScaleRequest())
+    shutil.rmtree(out / ".fsinfer")
+    assert measure_cloud_file(scan, out, request=ScaleRequest()).result.points > 0
+    shutil.rmtree(out / ".fsinfer")
+    (out / "plot.json").write_text("{", encoding="utf-8")
+    with pytest.raises(InputError, match="choose another output folder"):
+        measure_cloud_file(scan, out, request=ScaleRequest())
 
 
 def test_old_figures_of_ours_go_and_other_pictures_stay(scan: Path, tmp_path: Path) -> None:
