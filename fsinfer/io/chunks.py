@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import CloudError
-from fsinfer.io.las import count_las, iterate_las, sample_las
+from fsinfer.io.las import LAS_SUFFIXES, count_las, iterate_las, sample_las
 from fsinfer.io.ply import PlyTable, find_table, read_rows
 
 Floats = NDArray[np.float64]
@@ -102,7 +102,7 @@ def open_chunks(path: Path | str, *, factor: float = 1.0, settings: ChunkSetting
     path = Path(path)
     suffix = path.suffix.lower()
     settings = settings or ChunkSettings()
-    if suffix not in (".ply", ".las", ".laz"):
+    if suffix not in (".ply", *LAS_SUFFIXES):
         return None
     if not path.is_file():
         msg = f"there is no file {path}; check the path"

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import CloudError
-from fsinfer.io.las import NORMAL_NAMES, read_las, write_las
+from fsinfer.io.las import LAS_SUFFIXES, NORMAL_NAMES, read_las, write_las
 from fsinfer.io.ply import read_ply, write_ply
 
 TEXT_SUFFIXES = (".xyz", ".txt", ".asc", ".csv", ".pts")
-SUFFIXES = (".ply", ".las", ".laz", *TEXT_SUFFIXES)
+SUFFIXES = (".ply", *LAS_SUFFIXES, *TEXT_SUFFIXES)
 #: PLY coordinates become double when the step of float32 at the largest coordinate exceeds this part of the extent:
 #: georeferenced clouds need it, local ones stay small and open everywhere. Source: numerics; 0.03 mm on a plot of 30 m.
 _FLOAT_STEP_PER_EXTENT = 1e-6
@@ -93,7 +93,7 @@ def read_cloud(path: Path | str) -> PointCloud:
         raise CloudError(msg)
     if suffix == ".ply":
         columns = read_ply(path)
-    elif suffix in (".las", ".laz"):
+    elif suffix in LAS_SUFFIXES:
         columns = read_las(path)
     else:
         columns = _read_text(path)
@@ -124,7 +124,7 @@ def write_cloud(path: Path | str, cloud: PointCloud) -> None:
     """
     path = Path(path)
     suffix = path.suffix.lower()
-    if suffix not in (".ply", ".las", ".laz"):
+    if suffix not in (".ply", *LAS_SUFFIXES):
         msg = f"{path}: cannot write clouds of kind '{path.suffix}'; name the file .ply, .las or .laz"
         raise CloudError(msg)
     if not len(cloud):

@@ -29,7 +29,7 @@ _WORTH_TELLING_M = 2.0
 
 # WKT 1 (OGC 01-009) and WKT 2 (OGC 18-010r7): where the vertical part of a compound frame begins, and a code that is
 # followed by no more than the bracket of the frame itself.
-_VERTICAL_PART = re.compile(r"VERT(?:_CS|CRS|ICALCRS)\s*\[", flags=re.IGNORECASE)
+VERTICAL_PART = re.compile(r"VERT(?:_CS|CRS|ICALCRS)\s*\[", flags=re.IGNORECASE)
 _LAST_CODE = re.compile(r'(?:AUTHORITY|ID)\s*\[\s*"EPSG"\s*,\s*"?(\d+)"?\s*\]\s*\]?[\s,\x00]*$', flags=re.IGNORECASE)
 
 _log = logging.getLogger(__name__)
@@ -159,6 +159,6 @@ def _horizontal(frame: CRS) -> CRS:
 
 def _epsg_in_text(wkt: str) -> int | None:
     """The code at the very end of the horizontal part, which is its own: those of its units stand farther inside."""
-    horizontal = _VERTICAL_PART.split(wkt)[0]
+    horizontal = VERTICAL_PART.split(wkt)[0]
     found = _LAST_CODE.search(horizontal)
     return None if found is None else int(found.group(1))

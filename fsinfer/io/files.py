@@ -91,6 +91,15 @@ def copy_file(source: Path, target: Path) -> None:
         shutil.copyfileobj(stream, copy, _COPY_BYTES)
 
 
+def remove_old(path: Path, *, way_out: str) -> None:
+    """Remove a file; :class:`OutputError`, which ends with ``way_out``, where the system refuses."""
+    try:
+        path.unlink()
+    except OSError as error:
+        msg = f"cannot remove the old {path}: {error.strerror or error}; {way_out}"
+        raise OutputError(msg) from error
+
+
 def is_disk_full(folder: Path) -> bool:
     """Whether nothing more fits onto the disk of ``folder``."""
     try:

@@ -6,6 +6,8 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from fsinfer.io.crs import VERTICAL_PART
+
 #: International foot and the foot of the US survey, metres. Source: format; EPSG registry, units 9002 and 9003.
 FOOT_M, US_FOOT_M = 0.3048, 1200.0 / 3937.0
 #: Codes of linear units. Source: format; EPSG registry.
@@ -16,7 +18,6 @@ _PROJECTED_UNIT_KEY, _VERTICAL_UNIT_KEY = 3076, 4099
 # WKT 1 (OGC 01-009) writes UNIT for angles and lengths, WKT 2 (OGC 18-010r7) LENGTHUNIT, and may still write UNIT. The
 # unit of the axes stands after those of ellipsoid and parameters.
 _UNIT = re.compile(r'(?:LENGTH)?UNIT\s*\[\s*"[^"]*"\s*,\s*([0-9.eE+-]+)', flags=re.IGNORECASE)
-_VERTICAL = re.compile(r"VERT(?:_CS|CRS|ICALCRS)\s*\[", flags=re.IGNORECASE)
 _PROJECTED = re.compile(r"PROJ(?:CS|CRS|ECTEDCRS)\s*\[", flags=re.IGNORECASE)
 
 
@@ -30,7 +31,7 @@ class LinearUnits:
 
 def units_of_wkt(wkt: str) -> LinearUnits:
     """The units of a frame given as WKT; degrees are no length."""
-    horizontal, *vertical = _VERTICAL.split(wkt, maxsplit=1)
+    horizontal, *vertical = VERTICAL_PART.split(wkt, maxsplit=1)
     return LinearUnits(
         horizontal_m=_last_unit(horizontal) if _PROJECTED.search(horizontal) else None,
         vertical_m=_last_unit(vertical[0]) if vertical else None,

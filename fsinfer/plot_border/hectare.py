@@ -76,6 +76,11 @@ class PlotStems:
     seen: NDArray[np.bool_] | None = None
 
     @property
+    def sections_m2(self) -> Floats:
+        """(T,) of the stems at breast height, NaN where it was not measured."""
+        return np.asarray(np.pi / 4.0 * self.dbh_m**2)
+
+    @property
     def on_seen(self) -> NDArray[np.bool_]:
         """(T,) :attr:`seen`, whether known or not."""
         return np.ones(len(self.inside), dtype=bool) if self.seen is None else self.seen
@@ -108,14 +113,14 @@ def basal_area_per_ha(stems: PlotStems, *, area_m2: float, share: float) -> Hect
     An error of the scale changes diameters and the plot alike, and drops out.
     """
     measured = stems.inside & np.isfinite(stems.dbh_m)
-    sections = np.pi / 4.0 * stems.dbh_m[measured] ** 2
+    sections = stems.sections_m2[measured]
     found = int(stems.inside.sum())
     without = stems.inside & ~measured
     if len(sections) == 0 or (without.any() and len(sections) < 2):
         return None
     mean = float(sections.mean())
     spread = float(sections.std(ddof=1)) if len(sections) > 1 else mean
-    all_sections = np.where(np.isfinite(stems.dbh_m), np.pi / 4.0 * stems.dbh_m**2, mean)
+    all_sections = np.where(np.isfinite(stems.dbh_m), stems.sections_m2, mean)
     seen = stems.inside & stems.on_seen
     count = int(seen.sum())
     stands = float(all_sections[stems.inside].sum())
@@ -139,11 +144,9 @@ def basal_area_per_ha(stems: PlotStems, *, area_m2: float, share: float) -> Hect
     unseen = {UNSEEN: (total - lowest, highest - total), **known}
     # A sum over a random number of stems varies as its number and its sections do together.
     both = float(np.sqrt(mean**2 + spread**2))
-    fewest = by_seen - (count - poisson_interval(count)[0]) * both / share
-    most = max(
-        by_seen + (poisson_interval(count)[1] - count) * both / share,
-        stands + (poisson_interval(found)[1] - found) * both,
-    )
+    (poisson_low, poisson_high), high_of_all = poisson_interval(count), poisson_interval(found)[1]
+    fewest = by_seen - (count - poisson_low) * both / share
+    most = max(by_seen + (poisson_high - count) * both / share, stands + (high_of_all - found) * both)
     sampled = {COUNTING: (total - fewest, most - total), **known}
     return _figure(total, unseen, sampled, hectares=area_m2 / M2_PER_HA)
 

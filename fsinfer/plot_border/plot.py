@@ -125,7 +125,6 @@ def plot_of(
     stems = _stems(sorted_trees, seen, scale_rel_std)
     of_plot = stand_of_diameters([tree.dbh_cm for tree in own], 0.0)
     rests = stems.inside & np.array([tree.status == "doubtful" for tree in sorted_trees], dtype=bool)
-    sections_m2 = np.where(np.isfinite(stems.dbh_m), np.pi / 4.0 * stems.dbh_m**2, 0.0)
 
     def of_doubtful(amounts: Floats) -> float | None:
         return part_per_ha(amounts * rests, stems.on_seen, area_m2=border.area_m2, share=seen.share) if enough else None
@@ -153,7 +152,7 @@ def plot_of(
         else None,
         basal_area_m2_per_ha=basal_area_per_ha(stems, area_m2=border.area_m2, share=seen.share) if enough else None,
         doubtful_stems_per_ha=of_doubtful(np.ones(len(rests))),
-        doubtful_basal_area_m2_per_ha=of_doubtful(sections_m2),
+        doubtful_basal_area_m2_per_ha=of_doubtful(np.nan_to_num(stems.sections_m2)),
         on_unseen=int((stems.inside & ~stems.on_seen).sum()),
     )
     return Bordered(trees=sorted_trees, figures=figures, warnings=_warnings(sorted_trees, seen))

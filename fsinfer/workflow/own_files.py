@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from fsinfer.errors import CloudError, InputError, OutputError
+from fsinfer.errors import CloudError, InputError
+from fsinfer.io.files import remove_old
 from fsinfer.output.layout import FIGURES_FOLDER, METRIC_TREE_FILES, TREE_FIGURE, TREES_CSV, TREES_JSON
 from fsinfer.output.plot_json import read_plot
 from fsinfer.workflow.ledger import Ledger
@@ -18,11 +19,7 @@ _TABLES = (TREES_CSV, TREES_JSON, *METRIC_TREE_FILES)
 def clear_outputs(out: Path) -> None:
     """Remove maps and figures of an earlier measurement; :class:`OutputError` where a program holds them."""
     for path in (*_figures(out), *_there(out, METRIC_TREE_FILES)):
-        try:
-            path.unlink()
-        except OSError as error:
-            msg = f"cannot remove the old {path}: {error.strerror or error}; close the program that shows it"
-            raise OutputError(msg) from error
+        remove_old(path, way_out="close the program that shows it")
 
 
 def refuse_files_of_others(out: Path) -> None:

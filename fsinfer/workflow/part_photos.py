@@ -10,10 +10,10 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from fsinfer.errors import InputError, OutputError
+from fsinfer.errors import InputError
 from fsinfer.frames.video import VIDEO_SUFFIXES
 from fsinfer.io.digest import file_digest
-from fsinfer.io.files import copy_file, make_folder, write_text
+from fsinfer.io.files import copy_file, make_folder, remove_old, write_text
 from fsinfer.io.images import PHOTO_SUFFIXES
 from fsinfer.io.json_text import read_json
 from fsinfer.output.layout import RECORDS_FOLDER
@@ -55,7 +55,7 @@ def fill_part(part: Path, paths: Sequence[Path], frames: Sequence[Path]) -> Path
         write_text(notes, json.dumps({"put": sorted(put | set(wanted.values()))}, indent=1) + "\n")
     for path in there:
         if path.name not in wanted:
-            _remove(path)
+            remove_old(path, way_out="delete it by hand")
     for path in paths:
         if there.get(photos / path.name) != wanted[path.name]:
             copy_file(path, photos / path.name)
@@ -75,11 +75,3 @@ def _read(notes: Path) -> set[str]:
         return set()  # none, or damaged: then the frames tell what may be taken away
     put = told.get("put") if isinstance(told, dict) else None
     return {digest for digest in put if isinstance(digest, str)} if isinstance(put, list) else set()
-
-
-def _remove(path: Path) -> None:
-    try:
-        path.unlink()
-    except OSError as error:
-        msg = f"cannot remove the old {path}: {error.strerror or error}; delete it by hand"
-        raise OutputError(msg) from error

@@ -15,6 +15,7 @@ import shutil
 import subprocess
 import sys
 import time
+from importlib import resources
 from pathlib import Path
 
 from fsinfer.evaluation.metrics import evaluate, read_measured
@@ -29,6 +30,15 @@ NOT_A_USERS = ("OMP_", "OPENBLAS_", "MKL_", "NUMEXPR_", "PYTHON", "MPLBACKEND")
 def user_environment() -> dict[str, str]:
     """The environment without what only developers set."""
     return {name: value for name, value in os.environ.items() if not name.startswith(NOT_A_USERS)}
+
+
+def demo_photos(folder: Path, count: int) -> Path:
+    """Put the first ``count`` photographs of the demo plot into a folder; the folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    given = sorted((resources.files("fsinfer") / "demo_data" / "photos").iterdir(), key=lambda path: path.name)
+    for photo in given[:count]:
+        (folder / photo.name).write_bytes(photo.read_bytes())
+    return folder
 
 
 def digest_of(package: Path) -> str:

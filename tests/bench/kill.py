@@ -15,10 +15,10 @@ import shutil
 import subprocess
 import sys
 import time
-from importlib import resources
 from pathlib import Path
 
 from fsinfer.output.layout import RECORDS_FOLDER
+from tests.bench.demo import demo_photos
 from tests.bench.results import add_result_options, check_result_options, save_result
 
 STAGES = ("frames", "poses", "depth", "check", "fuse", "scale", "cloud", "trees", "report")
@@ -35,11 +35,7 @@ def main(argv: list[str] | None = None) -> int:
     add_result_options(parser)
     options = parser.parse_args(argv)
     check_result_options(parser, options)
-    photos = options.work / "photos"
-    photos.mkdir(parents=True, exist_ok=True)
-    given = sorted((resources.files("fsinfer") / "demo_data" / "photos").iterdir(), key=lambda path: path.name)
-    for photo in given[: options.photos]:
-        (photos / photo.name).write_bytes(photo.read_bytes())
+    photos = demo_photos(options.work / "photos", options.photos)
     command = [
         sys.executable,
         "-m",

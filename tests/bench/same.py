@@ -22,17 +22,17 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.evaluation.registration import assign
 from fsinfer.io.pfm import read_pfm
 from fsinfer.scene import read_scene, write_camera, write_pairs
 from fsinfer.trees import Tree
 from fsinfer.trees.outputs.table import read_trees
-from tests.bench.demo import user_environment
+from tests.bench.demo import demo_photos, user_environment
 from tests.bench.results import add_result_options, check_result_options, save_result
 
 #: Stems of two runs nearer than this are one. The demo's stand metres apart.
@@ -79,12 +79,7 @@ def main(argv: list[str] | None = None) -> int:
     add_result_options(parser)
     args = parser.parse_args(argv)
     check_result_options(parser, args)
-    photos = args.work / "photos"
-    if not photos.is_dir():
-        photos.mkdir(parents=True)
-        given = sorted((resources.files("fsinfer") / "demo_data" / "photos").iterdir(), key=lambda path: path.name)
-        for photo in given[: args.photos]:
-            (photos / photo.name).write_bytes(photo.read_bytes())
+    photos = demo_photos(args.work / "photos", args.photos)
     seconds = {name: measured(photos, args.work / name, WAYS[name]) for name in dict.fromkeys(["first", *args.only])}
     first = read_trees(args.work / "first" / "trees.csv")
     figures: dict[str, float | None] = {"photos": len(list(photos.iterdir())), "cores": os.cpu_count()}
@@ -141,11 +136,12 @@ def busy_programs(count: int) -> Iterator[None]:
 def differences(first: Sequence[Tree], other: Sequence[Tree]) -> dict[str, float]:
     """What the worst stem of two runs differs by.
 
-    Stems are matched by their place alone, each with the nearest of the other run within ``SAME_STEM_M`` and back.
+    Stems are matched by their place alone, within ``SAME_STEM_M``.
     ``unmatched`` counts those of both runs without a partner, ``changed`` those whose status differs or that have a
     DBH in one run only; lengths are centimetres, of the place millimetres.
     """
-    pairs = partners([(t.x_m, t.y_m) for t in first], [(t.x_m, t.y_m) for t in other])
+    places, others = (np.array([[t.x_m, t.y_m] for t in trees]).reshape(-1, 2) for trees in (first, other))
+    pairs = assign(places, others, SAME_STEM_M)
     both = [(first[i], other[j]) for i, j in pairs]
     worst = {"dbh_cm": 0.0, "half_width_cm": 0.0, "place_mm": 0.0}
     changed = 0
@@ -159,17 +155,6 @@ def differences(first: Sequence[Tree], other: Sequence[Tree]) -> dict[str, float
             worst["half_width_cm"] = max(worst["half_width_cm"], abs(a.half95_cm - b.half95_cm))
     unmatched = len(first) + len(other) - 2 * len(both)
     return {"stems": len(first), "unmatched": unmatched, "changed": changed} | worst
-
-
-def partners(
-    first: Sequence[tuple[float, float]], other: Sequence[tuple[float, float]], within_m: float = SAME_STEM_M
-) -> list[tuple[int, int]]:
-    """Pairs of places that are each other's nearest, at most ``within_m`` apart."""
-    if not first or not other:
-        return []
-    apart = np.linalg.norm(np.asarray(first)[:, None] - np.asarray(other)[None], axis=-1)
-    there, back = apart.argmin(axis=1), apart.argmin(axis=0)
-    return [(i, int(j)) for i, j in enumerate(there) if back[j] == i and apart[i, j] <= within_m]
 
 
 def emulated(work: Path, emulator: Sequence[str]) -> dict[str, float | None]:
@@ -194,12 +179,12 @@ def emulated(work: Path, emulator: Sequence[str]) -> dict[str, float | None]:
 
 def few_views(scene: Path, few: Path, count: int) -> None:
     """A scene of the first ``count`` views of another, each with the next of them as its sources."""
-    names = [view.name for view in read_scene(scene).views[:count]]
-    for view in read_scene(scene).views[:count]:
+    views = read_scene(scene).views[:count]
+    for view in views:
         (few / "images").mkdir(parents=True, exist_ok=True)
         shutil.copy(view.image_path, few / "images")
         write_camera(few / "cams" / f"{view.name}_cam.txt", view.camera)
-    near = {i: sorted((j for j in range(len(names)) if j != i), key=lambda j: abs(i - j)) for i in range(len(names))}
+    near = {i: sorted((j for j in range(len(views)) if j != i), key=lambda j: abs(i - j)) for i in range(len(views))}
     write_pairs(few / "pair.txt", {i: [(j, 1.0 / abs(i - j)) for j in others] for i, others in near.items()})
 
 

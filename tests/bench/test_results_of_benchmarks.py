@@ -170,10 +170,16 @@ def test_runs_are_compared_stem_by_stem() -> None:
     assert found["place_mm"] == pytest.approx(4.0)
 
 
-def test_stems_of_two_runs_are_one_where_each_is_the_nearest_of_the_other() -> None:
-    assert same.partners([(0.0, 0.0), (0.1, 0.0)], [(0.08, 0.0)]) == [(1, 0)]
-    assert same.partners([(0.0, 0.0)], [(0.31, 0.0)]) == []
-    assert same.partners([], [(0.0, 0.0)]) == []
+def test_stems_of_two_runs_are_one_where_they_stand_in_one_place() -> None:
+    def apart(first: list[float], other: list[float]) -> tuple[float, float]:
+        found = same.differences(
+            [tree(k, x, 20.0) for k, x in enumerate(first)], [tree(k, x, 20.0) for k, x in enumerate(other)]
+        )
+        return found["unmatched"], found["place_mm"]
+
+    assert apart([0.0, 0.1], [0.08]) == pytest.approx((1, 20.0))  # the nearer one
+    assert apart([0.0], [0.31]) == (2, 0.0)
+    assert apart([], [0.0]) == (1, 0.0)
 
 
 def test_maps_are_compared_pixel_by_pixel(tmp_path: Path) -> None:

@@ -43,14 +43,15 @@ def cut_and_join(
         return None
     numbers, sizes = np.unique(stretch, return_counts=True)
     parts: list[Any] = []
-    for number in numbers[np.argsort(-sizes, kind="stable")]:
-        if (stretch == number).sum() >= settings.min_registered:
-            part = deepcopy(model)
-            drop(part, [i for i, own in zip(image_ids, stretch, strict=True) if own != number])
-            if parts:
-                # The features of the other photos are most of a model, and a long walk may have dozens of stretches.
-                part.tear_down()
-            parts.append(part)
+    for k in np.argsort(-sizes, kind="stable"):
+        if sizes[k] < settings.min_registered:
+            break
+        part = deepcopy(model)
+        drop(part, [i for i, own in zip(image_ids, stretch, strict=True) if own != numbers[k]])
+        if parts:
+            # The features of the other photos are most of a model, and a long walk may have dozens of stretches.
+            part.tear_down()
+        parts.append(part)
     if not parts:
         return None
     base = parts[0]

@@ -107,14 +107,20 @@ def test_stand_plot_and_words_count_them(plot: StemPlot, torn: tuple[Path, Trees
     assert as_json(of_json(TreesResult, json.loads(json.dumps(as_json(result))))) == as_json(result)
 
 
+def copied_part(out: Path, target: Path) -> Path:
+    """What the part of a torn plot tells of its stems and cloud, in another folder."""
+    folder = target / "part-2"
+    folder.mkdir()
+    for name in ("trees.csv", "trees.json", "cloud.ply"):
+        (folder / name).write_bytes((out / "part-2" / name).read_bytes())
+    return folder
+
+
 def test_ground_outside_of_the_walk_of_a_part_is_not_counted(
     plot: StemPlot, torn: tuple[Path, TreesResult], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("fsinfer.trees.outputs.figures.write_figures", lambda *_, **__: None)
-    folder = tmp_path / "part-2"
-    folder.mkdir()
-    for name in ("trees.csv", "trees.json", "cloud.ply"):
-        (folder / name).write_bytes((torn[0] / "part-2" / name).read_bytes())
+    folder = copied_part(torn[0], tmp_path)
     scene, _ = make_plot(folder / "scene", {})
     for view in scene.views:
         write_camera(folder / "scene" / "cams" / f"{view.name}_cam.txt", view.camera)
@@ -159,10 +165,7 @@ def test_a_part_that_does_not_tell_its_place_stays_apart(
     plot: StemPlot, torn: tuple[Path, TreesResult], tmp_path: Path, damage: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("fsinfer.trees.outputs.figures.write_figures", lambda *_, **__: None)
-    folder = tmp_path / "part-2"
-    folder.mkdir()
-    for name in ("trees.csv", "trees.json", "cloud.ply"):
-        (folder / name).write_bytes((torn[0] / "part-2" / name).read_bytes())
+    folder = copied_part(torn[0], tmp_path)
     units: dict[str, Any] = {"units": "model units" if damage == "no metres" else "m"}
     write_plot(folder, units)
     if damage == "no table":
