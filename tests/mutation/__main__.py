@@ -5,8 +5,9 @@ python -m tests.mutation dbh spread --per-module 0  # every breakage of two of t
 python -m tests.mutation --named                    # those that a review found unnoticed, by hand
 python -m tests.mutation --report docs/mutation.md  # what is known so far; runs nothing
 
-No file is touched: the broken module is imported from memory. What was found is kept in .mutation/, so that the same
-command goes on where it was stopped; a breakage that survived is tried again when the tests of its module change.
+No file is touched: the broken module is imported from memory. What was found is kept in tests/mutation/results.jsonl,
+which is part of the repository, so that the same command goes on where it was stopped, on another machine too; a breakage
+that survived is tried again when the tests of its module change. Delete the file to try all of them again.
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ from tests.support.places import ROOT
 TIMES, SECONDS_MORE = 4.0, 20.0
 #: Breakages of a module that are tried where nobody says how many.
 PER_MODULE = 25
+#: What became of each breakage, by hours of work.
+RESULTS = Path(__file__).with_name("results.jsonl")
 
 
 def sample(target: Target, name: str, count: int, seed: int, root: Path = ROOT) -> list[Mutant]:
@@ -85,7 +88,7 @@ def main(argv: list[str] | None = None) -> int:
     args = parser.parse_args(argv)
     chosen = {name: sample(TARGETS[name], name, args.per_module, args.seed) for name in (args.modules or list(TARGETS))}
     named = {name: ways_of(name) for name in NAMED}
-    record = Record(ROOT / ".mutation" / "results.jsonl")
+    record = Record(RESULTS)
     if args.report is None:
         todo = [(name, mutants, NAMED[name].tests) for name, mutants in named.items()]
         if not args.named:
