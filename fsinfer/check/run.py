@@ -22,6 +22,7 @@ from fsinfer.check.result import CheckResult
 from fsinfer.check.settings import CoverageSettings
 from fsinfer.check.survey import Survey, SurveySettings, survey_scene
 from fsinfer.errors import ScaleError
+from fsinfer.frames.select import frame_stems, list_captures
 from fsinfer.frames.settings import FrameSettings
 from fsinfer.geometry.hull import in_hull
 from fsinfer.geometry.similarity import scale_of
@@ -119,7 +120,7 @@ def check_capture(
         images = OutputFolder(out).frame_images
         register_photos(ledger, images, settings=settings.poses, origin=source, progress=progress)
     seconds["poses"] = time.monotonic() - start - sum(seconds.values())
-    photos = {path.stem: path for path in (list_images(source) if source.is_dir() else [])}
+    photos = {stem: path for path, stem in frame_stems(list_captures(source)).items()}
     # Frames that were coded again lost their place; the photos themselves have it.
     originals = [photos.get(path.stem, path) for path in list_images(OutputFolder(out).frame_images)]
     scene, sparse = read_scene(OutputFolder(out).scene), read_sparse(OutputFolder(out).sparse)

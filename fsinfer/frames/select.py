@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,10 +13,11 @@ from fsinfer.frames.contact_sheet import Tile, thumbnail, write_contact_sheet
 from fsinfer.frames.quality import EQUALIZERS, FrameScore, equalize, reasons_to_drop, score_frame
 from fsinfer.frames.settings import FrameSettings, VideoSettings
 from fsinfer.frames.table import FrameRow, frames_csv
-from fsinfer.frames.video import VIDEO_SUFFIXES, sharpest_frames
+from fsinfer.frames.video import VIDEO_SUFFIXES, is_live_photo, sharpest_frames
 from fsinfer.io.exif import camera_exif, named_camera_exif
 from fsinfer.io.files import copy_file, write_text
 from fsinfer.io.images import PHOTO_SUFFIXES, is_upright_jpeg_or_png, list_images, read_image, write_image
+from fsinfer.io.names import by_number, sortable
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.sentences import sentence, sentences
@@ -44,7 +45,9 @@ class FramesResult:
 
 
 def list_captures(source: Path) -> list[Path]:
-    """The photos and videos that ``source`` (a folder or one video) holds, sorted by name.
+    """The photos and videos that ``source`` (a folder or one video) holds, sorted by name, 2 before 10.
+
+    The short clips of Live Photos are not taken.
 
     Raises
     ------
@@ -59,17 +62,32 @@ def list_captures(source: Path) -> list[Path]:
         if path.suffix.lower() in VIDEO_SUFFIXES and not path.name.startswith(".") and path.is_file()
     ]
     photos = [] if videos and not _has_photos(source) else list_images(source)
-    return sorted([*photos, *videos])
+    return sorted([*photos, *_without_live_photos(videos, photos)], key=lambda path: by_number(path.name))
 
 
 def _has_photos(folder: Path) -> bool:
-    return any(path.suffix.lower() in PHOTO_SUFFIXES for path in folder.iterdir())
+    return any(path.suffix.lower() in PHOTO_SUFFIXES and not path.name.startswith(".") for path in folder.iterdir())
+
+
+def _without_live_photos(videos: Sequence[Path], photos: Sequence[Path]) -> list[Path]:
+    """The videos without the clips of seconds that a phone records by itself round each photo, and names like it."""
+    names = {path.stem.casefold() for path in photos}
+    return [path for path in videos if path.stem.casefold() not in names or not is_live_photo(path)]
+
+
+def frame_stems(paths: Sequence[Path]) -> dict[Path, str]:
+    """What the frame of each photo, or those of each video, are called: its own name, in the order of its numbers."""
+    stems = sortable(sorted({path.stem for path in paths}))
+    return {path: stems[path.stem] for path in paths}
 
 
 def select_frames(
     source: Path | str, out: Path | str, *, settings: FrameSettings | None = None, progress: Progress = silent
 ) -> FramesResult:
     """Choose frames and write ``out/images/NAME.jpg``, ``out/frames.csv`` and ``out/frames_contact.jpg``.
+
+    Frames keep the names of their photos, except where the numbers in these have several lengths; see
+    :func:`frame_stems`.
 
     A folder may hold photos and videos of several cameras: each video is judged by itself, and gets a calibration of
     its own later. The contact sheet shows what was dropped and why; there is none when nothing was.
@@ -105,20 +123,21 @@ def select_frames(
     write_text(out / "frames.csv", frames_csv(()))
     tiles: list[Tile] = []
     rows: list[FrameRow] = []
+    stems = frame_stems(paths)
     clips = [path for path in paths if path.suffix.lower() in VIDEO_SUFFIXES or not source.is_dir()]
     photos = [path for path in paths if path not in clips]
     if photos:
-        rows += _from_photos(photos, out / "images", settings, tiles, progress)
+        rows += _from_photos(photos, stems, out / "images", settings, tiles, progress)
     names = [row.name for row in rows]
     for clip in clips:
         # Clips of several phones may have one size: the name of the clip in the metadata keeps their lenses apart.
         exif = named_camera_exif(f"clip {clip.name}") if len(paths) > 1 else None
         try:
-            rows += _from_video(clip, out / "images", settings, exif, names, tiles, progress)
+            rows += _from_video(clip, stems[clip], out / "images", settings, exif, names, tiles, progress)
         except ImageError as error:
             if len(paths) == 1:
                 raise
-            rows.append(_row(clip.stem, clip.name, None, None, notice(CaptureCode.unreadable, error=str(error))))
+            rows.append(_row(stems[clip], clip.name, None, None, notice(CaptureCode.unreadable, error=str(error))))
     rows.sort(key=lambda row: row.name)
     write_contact_sheet(out / CONTACT_SHEET, tiles, total=len(rows))
     write_text(out / "frames.csv", frames_csv(rows))
@@ -133,7 +152,12 @@ def select_frames(
 
 
 def _from_photos(
-    paths: Sequence[Path], folder: Path, settings: FrameSettings, tiles: list[Tile], progress: Progress
+    paths: Sequence[Path],
+    stems: Mapping[Path, str],
+    folder: Path,
+    settings: FrameSettings,
+    tiles: list[Tile],
+    progress: Progress,
 ) -> list[FrameRow]:
     scores: dict[Path, FrameScore] = {}
     reasons: dict[Path, Notice | None] = {}
@@ -162,12 +186,12 @@ def _from_photos(
         progress(len(paths) + done, 2 * len(paths), "writing frames")
         reason = reasons[path]
         if reason is None:
-            _write_photo(path, folder / f"{path.stem}.jpg", settings)
+            _write_photo(path, folder / f"{stems[path]}.jpg", settings)
         else:
             small = None if reason.code == CaptureCode.unreadable else thumbnail(read_image(path))
             tiles.append(Tile(image=small, name=path.name, reason=sentence(reason)))
     progress(2 * len(paths), 2 * len(paths), "writing frames")
-    return [_row(path.stem, path.name, None, scores.get(path), reasons[path]) for path in paths]
+    return [_row(stems[path], path.name, None, scores.get(path), reasons[path]) for path in paths]
 
 
 def _write_photo(path: Path, target: Path, settings: FrameSettings) -> None:
@@ -181,6 +205,7 @@ def _write_photo(path: Path, target: Path, settings: FrameSettings) -> None:
 
 def _from_video(
     path: Path,
+    stem: str,
     folder: Path,
     settings: FrameSettings,
     exif: bytes | None,
@@ -189,7 +214,7 @@ def _from_video(
     progress: Progress,
 ) -> list[FrameRow]:
     found: list[tuple[str, float, FrameScore]] = []
-    stem = path.stem.replace(" ", "_")
+    stem = stem.replace(" ", "_")
     # IMG_1.mov beside IMG_1.mp4, or beside a photo IMG_1_000030.jpg.
     while any(name.startswith(f"{stem}_") for name in taken):
         stem += "_clip"

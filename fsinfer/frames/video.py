@@ -28,6 +28,8 @@ _SHARP_ENOUGH, _REMEMBERED = 0.7, 20
 _USUAL_RATE = 30.0
 #: Time stamps nearer than this are the same, seconds. Source: numerics.
 _SAME_S = 1e-6
+#: A clip that a phone records round a photo lasts no longer, seconds. Source: format; Apple's Live Photos have 3 s.
+_LIVE_S = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,6 +68,17 @@ def sharpest_frames(path: Path, *, settings: VideoSettings, progress: Progress) 
         if not found:
             msg = f"{path} holds no frame that can be decoded; save it as MP4 (H.264) or give a folder of photos"
             raise ImageError(msg)
+    finally:
+        capture.release()
+
+
+def is_live_photo(path: Path) -> bool:
+    """Whether a clip is as short as those that phones record by themselves round each photo."""
+    capture = cv2.VideoCapture(str(path))
+    try:
+        rate, count = capture.get(cv2.CAP_PROP_FPS), capture.get(cv2.CAP_PROP_FRAME_COUNT)
+        rate = rate if np.isfinite(rate) and rate > 0 else _USUAL_RATE
+        return bool(0 < count <= _LIVE_S * rate)
     finally:
         capture.release()
 

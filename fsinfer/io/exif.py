@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 #: Tags of the camera and its lens. Source: format; Exif 2.32.
 _MAKE, _MODEL, _FOCAL_LENGTH, _FOCAL_LENGTH_35MM = 0x010F, 0x0110, 0x920A, 0xA405
+#: Some phones note a zoom that enlarges the middle of the picture here only.
+_DIGITAL_ZOOM = 0xA404
 #: Tags of the place, and the part of the file that they stand in. Source: format; Exif 2.32.
 _GNSS_IFD, _LATITUDE_REF, _LATITUDE, _LONGITUDE_REF, _LONGITUDE = 0x8825, 1, 2, 3, 4
 
@@ -38,7 +40,7 @@ def camera_exif(path: Path | str) -> bytes | None:
     for tag in (_MAKE, _MODEL):
         if tag in tags:
             kept[tag] = tags[tag]
-    kept_lens = {tag: lens[tag] for tag in (_FOCAL_LENGTH, _FOCAL_LENGTH_35MM) if tag in lens}
+    kept_lens = {tag: lens[tag] for tag in (_FOCAL_LENGTH, _FOCAL_LENGTH_35MM, _DIGITAL_ZOOM) if tag in lens}
     gravity = noted_gravity(path)
     if gravity is not None:
         kept_lens[USER_COMMENT] = gravity_comment(gravity)
@@ -76,7 +78,8 @@ def camera_key(path: Path | str) -> tuple[str, ...]:
 
     Returns
     -------
-    Upright width and height, maker, model and focal lengths as text; size alone for photos without metadata.
+    Upright width and height, maker, model, focal lengths and digital zoom as text; size alone for photos without
+    metadata.
 
     Raises
     ------
@@ -88,7 +91,16 @@ def camera_key(path: Path | str) -> tuple[str, ...]:
     width, height = image_size(path)
     names = [str(tags.get(tag, "")).strip("\x00 ") for tag in (_MAKE, _MODEL)]
     lengths = [str(lens.get(tag, "")) for tag in (_FOCAL_LENGTH, _FOCAL_LENGTH_35MM)]
-    return (str(width), str(height), *names, *lengths)
+    return (str(width), str(height), *names, *lengths, _zoom(lens.get(_DIGITAL_ZOOM)))
+
+
+def _zoom(value: object) -> str:
+    """The digital zoom as text; 0, 1 and no word of it are none."""
+    text = "" if value is None else str(value)
+    try:
+        return "" if float(text) in (0.0, 1.0) else text
+    except ValueError:
+        return text
 
 
 def gnss_degrees(path: Path | str) -> tuple[float, float] | None:

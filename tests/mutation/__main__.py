@@ -6,8 +6,8 @@ python -m tests.mutation --named                    # those that a review found 
 python -m tests.mutation --report docs/mutation.md  # what is known so far; runs nothing
 
 No file is touched: the broken module is imported from memory. What was found is kept in tests/mutation/results.jsonl,
-which is part of the repository, so that the same command goes on where it was stopped, on another machine too; a breakage
-that survived is tried again when the tests of its module change. Delete the file to try all of them again.
+which is part of the repository, so that the same command goes on where it was stopped, on another machine too; a
+breakage that survived is tried again when the tests of its module change. Delete the file to try all of them again.
 """
 
 from __future__ import annotations

@@ -24,11 +24,10 @@ arguments changed over ...), and runs the tests that belong to the module. A bre
 that they do not notice *survives*. `tests/mutation/mutants.py` says what is broken, `tests/mutation/targets.py` which
 tests belong to what.
 
-The run takes hours, is not part of `.ci/run`, and goes on where it was stopped: `tests/mutation/results.jsonl` holds what
-became of each breakage, and by which test. mutmut and cosmic-ray were looked at
-first: mutmut 3 breaks functions only, and here most of what decides stands in the fields of settings; cosmic-ray writes
-into the working tree, knows one command of tests for all modules, and breaks numbers by one, so that 0.0005 becomes
-1.0005.
+The run takes hours, is not part of `.ci/run`, and goes on where it was stopped: `tests/mutation/results.jsonl` holds
+what became of each breakage, and by which test. mutmut and cosmic-ray were looked at first: mutmut 3 breaks functions
+only, and here most of what decides stands in the fields of settings; cosmic-ray writes into the working tree, knows
+one command of tests for all modules, and breaks numbers by one, so that 0.0005 becomes 1.0005.
 
 This page is written by `{command}`.
 

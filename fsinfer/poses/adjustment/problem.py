@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.poses.adjustment.projection import DRIFT, FOCAL, LENS, OWN, PRINCIPAL, TURN, Floats, project, read_at
+from fsinfer.poses.order import in_order_of_walking
 
 Ints = NDArray[np.int64]
 
@@ -110,7 +111,7 @@ class Numbers:
 
 def from_model(model: Any) -> tuple[Observations, Unknowns, Numbers]:
     """Take the arrays out of a ``pycolmap.Reconstruction``; points seen by two or more photos."""
-    images = sorted(model.reg_image_ids())
+    images = in_order_of_walking(model)
     cameras = sorted({model.images[i].camera_id for i in images})
     points = sorted(i for i, point in model.points3D.items() if point.track.length() > 1)
     rank = {number: index for index, number in enumerate(points)}

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from fsinfer.poses.colmap_calls import open_database
+from fsinfer.poses.order import in_order_of_walking
 from fsinfer.poses.pairs import MIN_INLIERS
 from fsinfer.poses.verification.spanning_tree import cut, strongest_ties, tie_graph
 
@@ -217,11 +218,11 @@ def _is_false(vote: PairVote, wrong: NDArray[np.bool_]) -> bool:
 
 
 def pair_votes(model: Any, database: Path) -> tuple[list[int], list[PairVote]]:
-    """The placed photos' image ids, and the votes of all pairs between them; photos are numbered in that order.
+    """The placed photos' image ids in the order of walking, and the votes of all pairs; photos are numbered in it.
 
     ``model`` is the ``pycolmap.Reconstruction`` that was made from ``database``.
     """
-    image_ids = sorted(model.reg_image_ids())
+    image_ids = in_order_of_walking(model)
     return image_ids, list(_votes(model, database, image_ids))
 
 

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import ImageError
 from fsinfer.frames.quality import reasons_to_drop, score_frame
-from fsinfer.frames.select import CONTACT_SHEET, list_captures, select_frames
+from fsinfer.frames.select import CONTACT_SHEET, frame_stems, list_captures, select_frames
 from fsinfer.frames.settings import FrameSettings, QualityLimits, VideoSettings
 from fsinfer.frames.video import _choose
 from fsinfer.frames.view_shift import ViewChange
 from fsinfer.io.exif import camera_key, gnss_degrees
 from fsinfer.io.images import read_image, write_image
+from fsinfer.io.names import sortable
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import notice
 from tests.support.rendered_room import texture
@@ -220,3 +221,57 @@ def test_a_repetition_is_one_whatever_its_exposure() -> None:
     darker = (image * 0.7).astype(np.uint8)
     scores = [score_frame(one) for one in (image, darker, photo(1))]
     assert reasons_to_drop(scores, QualityLimits()) == [None, notice(CaptureCode.repeated), None]
+
+
+def test_the_clips_of_live_photos_are_no_videos(tmp_path: Path) -> None:
+    folder = tmp_path / "day"
+    wide = texture(1, 400)
+    frames = [wide[:150, i : i + 200] for i in range(180)]
+    for number in range(3):
+        write_image(folder / f"IMG_{number}.JPG", photo(number))
+        write_video(folder / f"img_{number}.mov", frames[:30])
+    # As long as a walk: somebody's own.
+    write_video(folder / "IMG_2.mp4", frames)
+    write_video(folder / "other.mov", frames[:30])
+    captures = ["IMG_0.JPG", "IMG_1.JPG", "IMG_2.JPG", "IMG_2.mp4", "other.mov"]
+    assert [path.name for path in list_captures(folder)] == captures
+    result = select_frames(folder, tmp_path / "out")
+    assert {row.source for row in result.rows} == set(captures)
+
+
+def test_photos_are_taken_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    # As Windows names many files at once, and shows them.
+    folder = tmp_path / "plot"
+    taken = [f"plot ({number}).jpg" for number in range(1, 13)]
+    for number, name in enumerate(taken):
+        write_image(folder / name, photo(number))
+    assert [path.name for path in list_captures(folder)] == taken
+    result = select_frames(folder, tmp_path / "out")
+    assert [row.source for row in result.rows] == taken
+    # Later stages sort by letters.
+    assert [row.name for row in result.rows] == [f"plot ({number:02d})" for number in range(1, 13)]
+    assert [path.name for path in sorted(result.images)] == [f"plot ({number:02d}).jpg" for number in range(1, 13)]
+    assert result.images[11].read_bytes() == (folder / taken[11]).read_bytes()
+    assert list(frame_stems(list_captures(folder)).values()) == [path.stem for path in result.images]
+
+
+@pytest.mark.parametrize(
+    ("stems", "expected"),
+    [
+        (["IMG_0009", "IMG_0010"], ["IMG_0009", "IMG_0010"]),
+        (["20231123_081500", "20231123_081500_1"], ["20231123_081500", "20231123_081500_1"]),
+        (["a9", "a10", "b3"], ["a09", "a10", "b03"]),
+        # They would become one.
+        (["a1", "a01", "a10"], ["a1", "a01", "a10"]),
+        (["a", "b"], ["a", "b"]),
+    ],
+)
+def test_names_are_filled_up_only_where_letters_have_another_order(stems: list[str], expected: list[str]) -> None:
+    assert list(sortable(stems).values()) == expected
+
+
+def test_hidden_files_beside_clips_are_no_photos(tmp_path: Path) -> None:
+    (tmp_path / "clips").mkdir()
+    write_video(tmp_path / "clips" / "walk.mp4", [texture(1, 400)[:150, 2 * i : 2 * i + 200] for i in range(25)])
+    (tmp_path / "clips" / "._walk.jpg").write_bytes(b"of another system")
+    assert [path.name for path in list_captures(tmp_path / "clips")] == ["walk.mp4"]

@@ -73,6 +73,22 @@ def test_camera_metadata_goes_into_upright_copies_without_place_and_orientation(
     assert camera_key(copy) == camera_key(original)
 
 
+def test_digital_zoom_is_another_lens(tmp_path: Path) -> None:
+    # Both say the same focal lengths; the second enlarged the middle of the picture.
+    keys = []
+    for name, zoom in (("plain", None), ("none", 0), ("one", 1.0), ("twice", 2.0)):
+        exif = Image.Exif()
+        exif.get_ifd(0x8769)[0xA405] = 26
+        if zoom is not None:
+            exif.get_ifd(0x8769)[0xA404] = zoom
+        Image.fromarray(picture()).save(tmp_path / f"{name}.jpg", exif=exif.tobytes())
+        copy = tmp_path / f"{name}_upright.jpg"
+        write_image(copy, picture(), exif=camera_exif(tmp_path / f"{name}.jpg"))
+        assert camera_key(copy) == camera_key(tmp_path / f"{name}.jpg")
+        keys.append(camera_key(copy))
+    assert keys[0] == keys[1] == keys[2] != keys[3]
+
+
 def test_photos_without_metadata_share_a_camera_by_size(tmp_path: Path) -> None:
     for name, size in (("a.png", (60, 40)), ("b.png", (60, 40)), ("c.png", (40, 60))):
         write_image(tmp_path / name, picture(*size))

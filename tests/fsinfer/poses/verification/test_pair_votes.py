@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from fsinfer.poses.adjustment.adjust import usual_step
+from fsinfer.poses.adjustment.problem import from_model
 from fsinfer.poses.verification.misplaced import drop_contradicted
 from fsinfer.poses.verification.pair_votes import (
     Ballot,
@@ -198,3 +200,27 @@ def test_a_moved_photo_leaves_the_model(tmp_path: Path) -> None:
     _, votes = pair_votes(model, tmp_path / "database.db")
     assert false_pairs(votes, contradicted(votes, 7)) == []
     assert drop_contradicted(model, tmp_path / "database.db") == [image.name]
+
+
+def test_photos_of_two_cameras_in_turn_are_numbered_as_they_were_taken(tmp_path: Path) -> None:
+    # Held upright and across in turn: COLMAP's ids go camera by camera, and neighbours would stand far apart by them.
+    pycolmap = pytest.importorskip("pycolmap")
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig = 2, 1, 6
+    options.num_points3D = 300
+    with pycolmap.Database.open(tmp_path / "database.db") as database:
+        model = pycolmap.synthesize_dataset(options, database)
+    ids = sorted(model.reg_image_ids())
+    taken = [f"{2 * (rank % 6) + rank // 6:05d}.jpg" for rank in range(12)]
+    for image_id, name in zip(ids, taken, strict=True):
+        model.images[image_id].name = name
+    image_ids, votes = pair_votes(model, tmp_path / "database.db")
+    assert [model.images[i].name for i in image_ids] == sorted(taken)
+    assert image_ids != ids
+    assert all(vote.agrees for vote in votes)
+    # The adjustment's usual step is that from photo to photo, too.
+    seen, start, numbers = from_model(model)
+    assert list(numbers.images) == image_ids
+    centers = [model.images[i].projection_center() for i in image_ids]
+    assert usual_step(start) == pytest.approx(np.median(np.linalg.norm(np.diff(centers, axis=0), axis=1)))
+    assert (np.diff(seen.photo) >= 0).all()
