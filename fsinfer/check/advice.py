@@ -13,6 +13,7 @@ from fsinfer.check.coverage import StemCoverage
 from fsinfer.check.open_sides import OpenSide
 from fsinfer.check.settings import CoverageSettings
 from fsinfer.scale.aruco import GOOD_SIGHTINGS
+from fsinfer.scale.doubts import number_of_boards
 from fsinfer.scale.scale import Scale
 
 #: Photos in directions so near to the middle of the unseen side are named as places to stand. Source: judgement.
@@ -146,8 +147,8 @@ def marker_lines(scale: Scale, *, given: bool) -> list[str]:
             "No board can be used: no diameter is measured, unless something else of known length is in the photos, "
             "whose two ends you give to fsinfer run later (--endpoints)."
         )
-    elif len(found) < 3:
-        lines.append(f"{len(found)} board{'s' if len(found) > 1 else ''}: three or more, spread out, show a wrong one.")
+    elif (boards := number_of_boards(found)) < 3:
+        lines.append(f"{boards} board{'s' if boards > 1 else ''}: three or more, spread out, show a wrong one.")
     if found and not given:
         lines.append("The boards do not tell their length: give --aruco-length-m to fsinfer run.")
     return lines

@@ -28,13 +28,14 @@ from fsinfer.geometry.hull import in_hull
 from fsinfer.geometry.similarity import scale_of
 from fsinfer.io.files import make_folder, write_text
 from fsinfer.io.images import list_images
+from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.sentences import sentences
 from fsinfer.output.layout import CHECK_WORK, OutputFolder
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.sparse import read_sparse
 from fsinfer.progress import Progress, StageProgress, silent_stages
 from fsinfer.scale.aruco import scale_from_aruco
-from fsinfer.scale.doubts import boards_at_two_places
+from fsinfer.scale.doubts import boards_at_two_places, doubt_boards
 from fsinfer.scale.find import find_scale, scale_from_printed_boards
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scale.scale import CAMERA_HEIGHT_M, UNKNOWN, Scale, marker_centers
@@ -204,7 +205,9 @@ def judge_survey(
     by_name = {path.stem: path for path in given}
     compass = find_compass(cameras, gnss_places([by_name.get(name, Path(name)) for name in names]))
     twice = boards_at_two_places(boards, scale_of(survey.plot_from_scene))
-    lines = [f"{text}." for text in sentences(twice)]
+    # Of a length that nobody gave there is nothing to contradict; that boards are few is said with the boards.
+    doubts = [doubt for doubt in doubt_boards(scale) if doubt.code != CaptureCode.one_board]
+    lines = [f"{text[0].upper()}{text[1:]}." for text in sentences((*twice, *doubts))]
     lines += advice(
         names=names,
         left_out=left_out,

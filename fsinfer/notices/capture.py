@@ -40,6 +40,9 @@ class CaptureCode(StrEnum):
     no_scale_from_markers = "no_scale_from_markers"
     markers_of_unknown_length = "markers_of_unknown_length"
     one_board = "one_board"
+    board_outvoted = "board_outvoted"
+    boards_contradict = "boards_contradict"
+    printed_length_differs = "printed_length_differs"
     board_at_two_places = "board_at_two_places"
     endpoints_of_metric_cloud = "endpoints_of_metric_cloud"
     clicks_do_not_fit = "clicks_do_not_fit"
@@ -79,6 +82,34 @@ def _one_board(values: Mapping[str, Any]) -> str:
     return (
         f"the scale rests on one board (number {values['number']}, {values['length_m']:g} m {told}), and no other "
         "shows whether that is right: measure its black square with a ruler, and put up three or more next time"
+    )
+
+
+def _outvoted(values: Mapping[str, Any]) -> str:
+    percent = 100 * values["residual_rel"]
+    return (
+        f"board {values['number']} comes out {abs(percent):.1f} % {'larger' if percent > 0 else 'smaller'} than the "
+        "other boards make it, and does not count: measure its black square with a ruler; it was printed at another "
+        "size, or something else was taken for it"
+    )
+
+
+def _contradict(values: Mapping[str, Any]) -> str:
+    percent = 100 * values["apart_rel"]
+    return (
+        f"boards {values['first']} and {values['second']} contradict each other by {percent:.1f} %, and no majority "
+        f"tells which is right, so that every DBH may be off by {percent / 2:.1f} %: measure their black squares with "
+        "a ruler, and put up three or more next time"
+    )
+
+
+def _printed(values: Mapping[str, Any]) -> str:
+    numbers, given_m, printed_m = values["numbers"], values["given_m"], values["printed_m"]
+    percent = 100 * abs(given_m / printed_m - 1)
+    return (
+        f"board{'s' if len(numbers) > 1 else ''} {', '.join(numbers)}: fsinfer marker prints this number with a side "
+        f"of {printed_m:g} m, and --aruco-length-m says {given_m:g} m. If the boards are those, every DBH is "
+        f"{percent:.0f} % too {'large' if given_m > printed_m else 'small'}: run again without --aruco-length-m"
     )
 
 
@@ -158,6 +189,9 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
         "units and no DBH is measured"
     ),
     CaptureCode.one_board: _one_board,
+    CaptureCode.board_outvoted: _outvoted,
+    CaptureCode.boards_contradict: _contradict,
+    CaptureCode.printed_length_differs: _printed,
     CaptureCode.board_at_two_places: _two_places,
     CaptureCode.endpoints_of_metric_cloud: (
         "the end points count in the model units of the cloud without a scale, and cloud.ply was in metres before this "

@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 from fsinfer.errors import ScaleError
 from fsinfer.io.images import luminance, read_image
 from fsinfer.progress import Progress, silent
+from fsinfer.scale.agreement import agreement, faces_of_boards
 from fsinfer.scale.blooming import bloom_of, common_blooming, without_blooming
 from fsinfer.scale.detection import detect_markers, make_detector, predefined_dictionary
 from fsinfer.scale.printed_boards import DICTIONARY
-from fsinfer.scale.scale import MarkerDetails, MarkerScale, RejectedMarker, Scale, check_length
+from fsinfer.scale.scale import BoardVerdict, MarkerDetails, MarkerScale, RejectedMarker, Scale, check_length
 from fsinfer.scale.square_fit import FittedMarker, MarkerSettings, Sighting, find_markers
 from fsinfer.scene import Scene
-from fsinfer.trees.diameter.budget import factor95
-from fsinfer.trees.points.sums import Z95
 
 _log = logging.getLogger(__name__)
 
@@ -41,8 +40,8 @@ def scale_from_aruco(
     """Find markers in the images of ``scene`` and the scale that gives their sides the length ``length_m``.
 
     Each marker is fitted as one square to all its detections. Markers that are no squares in space, or are seen in
-    fewer than three views, are rejected. The scale is the weighted median over markers, so that one wrong print or
-    one false detection does not move it.
+    fewer than three views, are rejected. The scale is the weighted mean over the boards that agree, so that one wrong
+    print or one false detection among three boards does not move it; see :func:`fsinfer.scale.agreement.agreement`.
 
     Parameters
     ----------
@@ -145,16 +144,26 @@ def _combine(
     """Metres per unit by all markers, its relative standard deviation without blooming, and each marker's say."""
     scales = lengths_m / np.array([marker.side_units for marker in markers])
     rel_stds = np.array([marker.side_rel_std for marker in markers])
-    # Markers differ by the warp of the model too, which no residual shows: none counts for much more than another.
-    weights = 1 / (rel_stds**2 + settings.warp_rel_std**2)
-    combined = weighted_median(scales, weights)
-    each = []
-    for index, marker in enumerate(markers):
-        others = np.arange(len(markers)) != index
-        without = weighted_median(scales[others], weights[others]) if others.any() else None
-        x, y, z = marker.corners.mean(axis=0)
-        each.append(
-            MarkerScale(
+    centers = np.array([marker.corners.mean(axis=0) for marker in markers])
+    normals = np.array([_normal(marker.corners) for marker in markers])
+    faces = faces_of_boards(centers, normals, np.array([marker.side_units for marker in markers]))
+    # Both faces of a board stand in the same place and come from the same printer: they are one opinion.
+    shares = [(1 / rel_stds[own] ** 2) / (1 / rel_stds[own] ** 2).sum() for own in faces]
+    board_scales = np.array([share @ scales[own] for share, own in zip(shares, faces, strict=True)])
+    board_stds = np.array([np.sqrt(share**2 @ rel_stds[own] ** 2) for share, own in zip(shares, faces, strict=True)])
+    together = agreement(board_scales, board_stds, settings)
+    combined = together.value
+    contradicts = not together.decided
+    each: list[MarkerScale | None] = [None] * len(markers)
+    for board, own in enumerate(faces):
+        others = np.arange(len(faces)) != board
+        without = agreement(board_scales[others], board_stds[others], settings).value if others.any() else None
+        verdict = BoardVerdict.contradicted if contradicts else BoardVerdict.agrees
+        verdict = verdict if together.agrees[board] else BoardVerdict.outvoted
+        for index in own:
+            marker = markers[index]
+            x, y, z = centers[index]
+            each[index] = MarkerScale(
                 id=marker.sightings[0].marker_id,
                 views=tuple(scene.views[sighting.view].name for sighting in marker.sightings),
                 center=(float(x), float(y), float(z)),
@@ -165,15 +174,14 @@ def _combine(
                 residual_rel=float(marker.side_units * combined / lengths_m[index] - 1),
                 residual_mm=float(1000 * (marker.side_units * combined - lengths_m[index])),
                 error_px=marker.error_px,
-                near_side_px=float(np.sort([sighting.side_px for sighting in marker.sightings])[-GOOD_SIGHTINGS:][0]),
+                near_side_px=float(np.sort([one.side_px for one in marker.sightings])[-GOOD_SIGHTINGS:][0]),
                 angle_deg=marker.angle_deg,
                 leave_one_out_m_per_unit=without,
                 leave_one_out_rel=None if without is None else without / combined - 1,
                 normal=_normal(marker.corners),
+                verdict=verdict,
             )
-        )
-    rel_std = _combined_rel_std(scales / combined, rel_stds, weights, settings)
-    return combined, rel_std, tuple(each)
+    return combined, together.rel_std, tuple(one for one in each if one is not None)
 
 
 def _normal(corners: NDArray[np.float64]) -> tuple[float, float, float]:
@@ -181,33 +189,3 @@ def _normal(corners: NDArray[np.float64]) -> tuple[float, float, float]:
     across = np.cross(corners[2] - corners[0], corners[3] - corners[1])
     x, y, z = -across / np.linalg.norm(across)
     return float(x), float(y), float(z)
-
-
-def _combined_rel_std(
-    ratios: NDArray[np.float64], rel_stds: NDArray[np.float64], weights: NDArray[np.float64], settings: MarkerSettings
-) -> float:
-    """Of all markers together, with the length that they share: 1.96 of it hold 95 %.
-
-    How much a marker is off is told by the spread between them and by what is known of other plots: a scaled inverse
-    chi-squared prior of the variance (Gelman et al., Bayesian Data Analysis, 3rd ed., section 2.6), which with normal
-    errors gives Student's interval. One marker, or two that agree by chance, have little but the prior.
-    """
-    shares, count = weights / weights.sum(), len(ratios)
-    own_var = float((shares * rel_stds**2).sum())
-    expected = float(np.sqrt((shares**2 * rel_stds**2).sum()))
-    dof = settings.warp_dof + count - 1
-    prior = settings.warp_dof * (settings.warp_rel_std**2 + own_var)
-    variance = (prior + count * float((shares * (ratios - 1) ** 2).sum())) / dof
-    # A median scatters by sqrt(pi / 2) more than a mean.
-    spread = float(np.sqrt(variance / count * (np.pi / 2 if count > 1 else 1.0))) * factor95(dof) / Z95
-    return float(np.hypot(max(expected, spread), settings.length_rel_std))
-
-
-def weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
-    """The value at half the weight, interpolated between neighbours; the mean of two for two of equal weight."""
-    order = np.argsort(values)
-    values, weights = values[order], weights[order]
-    if len(values) == 1:
-        return float(values[0])
-    middle = (np.cumsum(weights) - 0.5 * weights) / weights.sum()
-    return float(np.interp(0.5, middle, values))

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
+from fsinfer.scale.agreement import back_to_back, faces_of_boards
+from fsinfer.scale.printed_boards import DICTIONARY, board_lengths
 from fsinfer.scale.request import Point, ScaleRequest
-from fsinfer.scale.scale import CAMERA_HEIGHT_M, MarkerScale, Scale
+from fsinfer.scale.scale import CAMERA_HEIGHT_M, BoardVerdict, MarkerDetails, MarkerScale, Scale
 
 #: Nobody holds a phone lower or higher than this all through a plot: kneeling, or on a stick. Source: human bodies.
 LIKELY_HEIGHTS_M = (0.4, 3.5)
-#: Cosine between the directions that the two faces of one board look in, at most. Source: judgement; boards are flat.
-_FACING_AWAY = -0.8
+#: A given length that differs by more from the printed one is not that of a print which came out a little smaller, and
+#: was measured. Source: judgement; the three sizes differ by a quarter and more.
+_OTHER_LENGTH = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,12 +79,48 @@ def unknown_error(scale: Scale) -> tuple[Notice, ...]:
     return (notice(CaptureCode.scale_error_unknown),)
 
 
-def _back_to_back(one: MarkerScale, other: MarkerScale) -> bool:
-    """Whether two places of one number are the two faces of one board: nearer than its side, facing away."""
+def _faces(one: MarkerScale, other: MarkerScale) -> bool:
     if one.normal is None or other.normal is None:
         return False
-    apart = float(np.linalg.norm(np.subtract(one.center, other.center)))
-    return apart < max(one.side_units, other.side_units) and float(np.dot(one.normal, other.normal)) < _FACING_AWAY
+    centers, normals = (np.array(one.center), np.array(other.center)), (np.array(one.normal), np.array(other.normal))
+    return back_to_back(centers, normals, max(one.side_units, other.side_units))
+
+
+def number_of_boards(markers: Sequence[MarkerScale]) -> int:
+    """Boards that these markers are on: one with a marker on each side is one, which nothing checks."""
+    unknown = (np.nan, np.nan, np.nan)
+    centers = np.array([marker.center for marker in markers]).reshape(-1, 3)
+    normals = np.array([marker.normal or unknown for marker in markers]).reshape(-1, 3)
+    return len(faces_of_boards(centers, normals, np.array([marker.side_units for marker in markers])))
+
+
+def doubt_boards(scale: Scale) -> tuple[Notice, ...]:
+    """Warn where the scale rests on one board, or boards contradict each other or the length that was given."""
+    details = scale.details
+    if not isinstance(details, MarkerDetails):
+        return ()
+    found: list[Notice] = []
+    if number_of_boards(scale.markers) == 1:
+        only = scale.markers[0]
+        given = details.length_m is not None
+        found.append(notice(CaptureCode.one_board, number=only.id, length_m=only.length_m, given=given))
+    out = tuple(marker for marker in scale.markers if marker.verdict == BoardVerdict.outvoted)
+    for marker in out:
+        found.append(notice(CaptureCode.board_outvoted, number=marker.id, residual_rel=marker.residual_rel))
+    torn = [marker for marker in scale.markers if marker.verdict == BoardVerdict.contradicted]
+    if torn:
+        low, high = (choose(torn, key=lambda marker: marker.m_per_unit) for choose in (min, max))
+        apart_rel = high.m_per_unit / low.m_per_unit - 1
+        found.append(notice(CaptureCode.boards_contradict, first=low.id, second=high.id, apart_rel=apart_rel))
+    printed = board_lengths() if details.dictionary == DICTIONARY and details.length_m is not None else {}
+    other = [m for m in scale.markers if m.id in printed and abs(printed[m.id] / m.length_m - 1) > _OTHER_LENGTH]
+    if other:
+        numbers = tuple(str(number) for number in sorted({marker.id for marker in other}))
+        lengths = (other[0].length_m, printed[other[0].id])
+        found.append(
+            notice(CaptureCode.printed_length_differs, numbers=numbers, given_m=lengths[0], printed_m=lengths[1])
+        )
+    return tuple(found)
 
 
 def boards_at_two_places(boards: Scale, m_per_unit: float) -> tuple[Notice, ...]:
@@ -92,7 +132,7 @@ def boards_at_two_places(boards: Scale, m_per_unit: float) -> tuple[Notice, ...]
     for number in sorted({marker.id for marker in boards.markers}):
         places = sorted((m for m in boards.markers if m.id == number), key=lambda marker: -len(marker.views))
         for other in places[1:]:
-            if any(_back_to_back(place, other) for place in places if place is not other):
+            if any(_faces(place, other) for place in places if place is not other):
                 continue
             apart_m = m_per_unit * float(np.linalg.norm(np.subtract(other.center, places[0].center)))
             views = sorted(other.views)

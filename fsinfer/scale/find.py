@@ -10,12 +10,11 @@ from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.progress import Progress, silent
 from fsinfer.scale.aruco import scale_from_aruco
-from fsinfer.scale.doubts import boards_at_two_places
+from fsinfer.scale.doubts import boards_at_two_places, doubt_boards
 from fsinfer.scale.printed_boards import DICTIONARY, board_lengths
 from fsinfer.scale.request import ClickedLength, ScaleRequest
 from fsinfer.scale.scale import (
     UNKNOWN,
-    MarkerDetails,
     Scale,
     scale_from_clicks,
     scale_from_endpoints,
@@ -63,7 +62,7 @@ def find_scale(
             return FoundScale(scale=UNKNOWN, warnings=(notice(CaptureCode.no_scale_given),))
         boards = scale_from_printed_boards(scene, progress, settings=settings)
         if boards is not None:
-            return FoundScale(scale=boards, warnings=(*_few_boards(boards), *_twice(boards)))
+            return FoundScale(scale=boards, warnings=(*doubt_boards(boards), *_twice(boards)))
         return FoundScale(scale=UNKNOWN, warnings=(_of_unknown_length(request, scene, settings, progress),))
     if scene is None:
         msg = (
@@ -77,7 +76,7 @@ def find_scale(
         )
     except ScaleError as error:
         return FoundScale(scale=UNKNOWN, warnings=(notice(CaptureCode.no_scale_from_markers, error=str(error)),))
-    return FoundScale(scale=scale, warnings=(*_few_boards(scale), *_twice(scale)))
+    return FoundScale(scale=scale, warnings=(*doubt_boards(scale), *_twice(scale)))
 
 
 def _by_clicks(
@@ -119,11 +118,3 @@ def _of_unknown_length(
 
 def _twice(scale: Scale) -> tuple[Notice, ...]:
     return boards_at_two_places(scale, scale.m_per_unit or 1.0)
-
-
-def _few_boards(scale: Scale) -> tuple[Notice, ...]:
-    if len(scale.markers) > 1:
-        return ()
-    only = scale.markers[0]
-    given = isinstance(scale.details, MarkerDetails) and scale.details.length_m is not None
-    return (notice(CaptureCode.one_board, number=only.id, length_m=only.length_m, given=given),)

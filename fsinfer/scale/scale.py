@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,6 +39,14 @@ _SAME_POINT = 1e-12
 CAMERA_HEIGHT_M = 1.5
 
 
+class BoardVerdict(StrEnum):
+    """What the other boards say of one: ``outvoted`` by a majority, or ``contradicted`` where there is none."""
+
+    agrees = "agrees"
+    outvoted = "outvoted"
+    contradicted = "contradicted"
+
+
 @dataclass(frozen=True, kw_only=True)
 class MarkerScale:
     """What one marker says of the scale.
@@ -53,6 +62,7 @@ class MarkerScale:
     near_side_px: of the five largest images of its side the smallest: what the photographs from near by can measure.
     angle_deg: largest angle between the rays of its views.
     leave_one_out_m_per_unit, leave_one_out_rel: the scale without this marker; None where it is the only one.
+    verdict: of the other boards on it.
     """
 
     id: int
@@ -70,6 +80,7 @@ class MarkerScale:
     leave_one_out_m_per_unit: float | None
     leave_one_out_rel: float | None
     normal: Point | None = None
+    verdict: BoardVerdict = BoardVerdict.agrees
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -35,6 +35,10 @@ class MarkerSettings:
         right to 0.05 %.
     warp_dof: ``warp_rel_std`` counts as much as the spread of so many boards more. Source: judgement; it leaves one
         plot in twenty with a warp of more than 0.9 %.
+    contradiction_stds, contradiction_rel: boards contradict each other whose scales differ by more than so many
+        standard deviations and by more than this share. Source: judgement; a print that was fitted to the page is 3 to
+        6 % smaller, boards of one plot differ by 0.1 to 0.3 %, and of simulated models with a warp of 1 % at each of
+        three boards one in eleven loses a board by this.
     edge_std_px: how far blooming and the camera's tone curve may shift the edge between black and white; common to
         all edges, and the reason to go near the markers. Where the markers tell the shift it is undone. Source:
         judgement.
@@ -55,6 +59,8 @@ class MarkerSettings:
     length_rel_std: float = 0.002
     warp_rel_std: float = 0.002
     warp_dof: float = 2.0
+    contradiction_stds: float = 4.0
+    contradiction_rel: float = 0.03
     edge_std_px: float = 0.07
     min_blooming: int = 5
     least_bloom_std_px: float = 0.03

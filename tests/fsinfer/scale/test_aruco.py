@@ -13,9 +13,9 @@ from fsinfer.errors import ScaleError
 from fsinfer.io.images import write_image
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.sentences import sentences
-from fsinfer.scale.aruco import scale_from_aruco, weighted_median
+from fsinfer.scale.aruco import scale_from_aruco
 from fsinfer.scale.detection import detect_markers, make_detector
-from fsinfer.scale.scale import UNKNOWN
+from fsinfer.scale.scale import UNKNOWN, BoardVerdict
 from fsinfer.scale.square_fit import MarkerSettings, Sighting, find_markers
 from fsinfer.scene import Camera, Scene, View
 from tests.support.rendered_room import SIZE, WALL, draw, intrinsic, poses, texture
@@ -115,6 +115,20 @@ def test_one_number_in_three_places_is_three_markers(tmp_path: Path) -> None:
     scale = scale_from_aruco(make_scene(tmp_path, {0: 5, 1: 5, 2: 5}), 0.25)
     assert len(scale.markers) == 3
     assert scale.m_per_unit == pytest.approx(0.25 / SIDE, rel=0.005)
+
+
+def test_a_board_of_another_length_is_outvoted(scene: Scene) -> None:
+    lengths = dict.fromkeys(NUMBERS, 0.25) | {NUMBERS[1]: 0.20}
+    scale = scale_from_aruco(scene, lengths)
+    assert scale.m_per_unit == pytest.approx(0.25 / SIDE, rel=0.0025)
+    assert scale.rel_std is not None
+    assert scale.rel_std < 0.01
+    verdicts = {marker.id: marker.verdict for marker in scale.markers}
+    assert verdicts == dict.fromkeys(NUMBERS, BoardVerdict.agrees) | {NUMBERS[1]: BoardVerdict.outvoted}
+    wrong = next(marker for marker in scale.markers if marker.id == NUMBERS[1])
+    assert wrong.residual_rel == pytest.approx(0.25, abs=0.01)
+    # Without one of the others two are left, which cannot tell.
+    assert wrong.leave_one_out_rel == pytest.approx(0.0, abs=1e-3)
 
 
 def test_two_views_are_not_enough(tmp_path: Path) -> None:
@@ -228,13 +242,6 @@ def test_views_from_one_place_are_rejected() -> None:
     assert reasons
 
 
-def test_weighted_median() -> None:
-    assert weighted_median(np.array([3.0]), np.array([1.0])) == 3.0
-    assert weighted_median(np.array([1.0, 3.0]), np.array([1.0, 1.0])) == 2.0
-    # One wrong marker among five of equal weight does not move it.
-    assert weighted_median(np.array([1.0, 1.01, 0.99, 1.0, 7.0]), np.ones(5)) == pytest.approx(1.0)
-
-
 def test_printed_boards_need_no_option(tmp_path: Path) -> None:
     """Numbers 23 and 41 tell 0.15 and 0.25 m; 7 tells nothing and is left alone."""
     from fsinfer.scale.find import find_scale
@@ -269,4 +276,10 @@ def test_boards_of_different_lengths_give_one_scale(tmp_path: Path) -> None:
     assert wrong[41] == pytest.approx(150, abs=3)
     assert told.rel_std is not None
     assert agreed.rel_std is not None
-    assert told.rel_std > 5 * agreed.rel_std
+    # Two of three decide, and know it less well than three.
+    assert agreed.rel_std < told.rel_std < 2 * agreed.rel_std
+    # Where each says something else nobody decides.
+    torn = scale_from_aruco(scene, {7: 0.3, 23: 0.2, 41: 0.15})
+    assert {entry.verdict for entry in torn.markers} == {BoardVerdict.contradicted}
+    assert torn.rel_std is not None
+    assert torn.rel_std > 0.1

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from fsinfer.check.advice import marker_lines
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import notice
 from fsinfer.notices.sentences import sentence
-from fsinfer.scale.doubts import boards_at_two_places
+from fsinfer.scale.doubts import boards_at_two_places, doubt_boards, number_of_boards
 from fsinfer.scale.find import find_scale
 from fsinfer.scale.request import ScaleRequest
+from fsinfer.scale.scale import BoardVerdict
 from fsinfer.scene import Scene
 from tests.support.boards import board, scale_of_boards
 
@@ -37,12 +40,12 @@ def test_a_run_warns_of_a_board_at_two_places(monkeypatch: pytest.MonkeyPatch, t
 def test_one_board_alone_is_told_whoever_says_its_length(
     monkeypatch: pytest.MonkeyPatch, length_m: float | None
 ) -> None:
-    scale = scale_of_boards([board(21, (0.0, 0.0, 0.0), "abc")], length_m=length_m)
+    scale = scale_of_boards([board(41, (0.0, 0.0, 0.0), "abc")], length_m=length_m)
     monkeypatch.setattr("fsinfer.scale.find.scale_from_aruco", lambda *_args, **_kwargs: scale)
     found = find_scale(ScaleRequest(aruco_length_m=length_m), scene=Scene(folder=Path("scene"), views=()))
     (said,) = (sentence(warning) for warning in found.warnings)
     told = "as given" if length_m else "by its number"
-    assert f"rests on one board (number 21, 0.25 m {told})" in said
+    assert f"rests on one board (number 41, 0.25 m {told})" in said
     assert sentence(notice(CaptureCode.one_board, number=21, length_m=0.25)).count("by its number") == 1
 
 
@@ -56,3 +59,40 @@ def test_the_two_faces_of_one_board_are_no_alarm_and_drift_is() -> None:
     assert "at two places 3.0 m apart" in sentence(
         boards_at_two_places(scale_of_boards([front, across_the_plot]), 1.0)[0]
     )
+
+
+def test_a_board_with_two_faces_is_one_board() -> None:
+    faces = [board(21, (0.0, 0.0, z), ["a", "b", "c"], normal=(0.0, 0.0, 1.0 if z == 0 else -1.0)) for z in (0.0, 0.01)]
+    assert [doubt.code for doubt in doubt_boards(scale_of_boards(faces))] == [CaptureCode.one_board]
+    assert number_of_boards(faces) == 1
+    lines = marker_lines(scale_of_boards(faces), given=True)
+    assert lines[-1].startswith("1 board: three or more")
+    other = board(22, (5.0, 0.0, 0.0), ["a", "b", "c"], normal=(0.0, 0.0, 1.0))
+    assert not doubt_boards(scale_of_boards([*faces, other]))
+
+
+def test_boards_that_contradict_are_named() -> None:
+    boards = [board(number, (float(number), 0.0, 0.0), ["a", "b", "c"]) for number in (1, 2, 3)]
+    assert not doubt_boards(scale_of_boards(boards))
+    wrong = replace(boards[1], verdict=BoardVerdict.outvoted, residual_rel=-0.06)
+    (told,) = doubt_boards(scale_of_boards([boards[0], wrong, boards[2]]))
+    assert "board 2 comes out 6.0 % smaller than the other boards make it" in sentence(told)
+    torn = [replace(boards[0], verdict=BoardVerdict.contradicted)]
+    torn.append(replace(boards[1], verdict=BoardVerdict.contradicted, m_per_unit=0.94))
+    (told,) = doubt_boards(scale_of_boards(torn))
+    assert "boards 2 and 1 contradict each other by 6.4 %" in sentence(told)
+
+
+@pytest.mark.parametrize(
+    ("number", "given_m", "told"),
+    [(21, 0.25, True), (41, 0.25, False), (21, 0.142, False), (7, 0.25, False), (31, 0.15, True)],
+)
+def test_another_length_than_the_board_says_is_told(number: int, given_m: float, told: bool) -> None:
+    boards = [board(number, (float(place), 0.0, 0.0), ["a", "b", "c"], length_m=given_m) for place in range(3)]
+    found = doubt_boards(scale_of_boards(boards, length_m=given_m))
+    assert [doubt.code for doubt in found] == [CaptureCode.printed_length_differs] * told
+    if told:
+        assert f"says {given_m:g} m" in sentence(found[0])
+        assert f"too {'large' if number == 21 else 'small'}" in sentence(found[0])
+    # Where the numbers told the length there is nothing to compare.
+    assert not doubt_boards(scale_of_boards(boards, length_m=None))

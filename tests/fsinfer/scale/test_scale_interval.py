@@ -111,11 +111,12 @@ def scale_of_warped(
 
 @pytest.mark.parametrize(
     ("boards", "warp", "least"),
-    [(1, 0.003, 0.95), (2, 0.003, 0.95), (3, 0.003, 0.95), (1, 0.01, 0.6), (2, 0.01, 0.8), (3, 0.01, 0.88)],
+    [(1, 0.003, 0.95), (2, 0.003, 0.95), (3, 0.003, 0.95), (1, 0.01, 0.6), (2, 0.01, 0.8), (3, 0.01, 0.84)],
 )
 def test_few_boards_in_a_warped_model_hold_what_they_say(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, boards: int, warp: float, least: float
 ) -> None:
+    # With a warp of 1 % one of three boards is sometimes taken for a wrong print, which costs some of the interval.
     rng = np.random.default_rng(44022)
     scales = [scale_of_warped(monkeypatch, tmp_path, boards, warp, rng) for _ in range(300)]
     inside = [abs((one.m_per_unit or 0.0) - 1.0) <= 1.96 * (one.rel_std or 0.0) for one in scales]
@@ -126,5 +127,5 @@ def test_many_boards_tell_their_spread_themselves(monkeypatch: pytest.MonkeyPatc
     """Where boards differ by 0.2 %, which was known before, their own spread and the common length are all there is."""
     rng = np.random.default_rng(44023)
     stds = {n: scale_of_warped(monkeypatch, tmp_path, n, 0.002, rng).rel_std or 0.0 for n in (1, 12)}
-    assert stds[12] == pytest.approx(np.hypot(0.002, 0.002 * np.sqrt(np.pi / 2 / 12)), rel=0.1)
+    assert stds[12] == pytest.approx(np.hypot(0.002, 0.002 / np.sqrt(12)), rel=0.1)
     assert stds[1] > 2.0 * stds[12]
