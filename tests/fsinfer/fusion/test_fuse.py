@@ -172,6 +172,26 @@ def test_unsure_pixels_are_left_out_by_themselves(tmp_path: Path) -> None:
     assert np.mean(np.abs(with_default) > 0.05) < 0.5 * np.mean(np.abs(without) > 0.05)
 
 
+def test_surer_maps_count_more(tmp_path: Path) -> None:
+    """Every other map is 0.4 % too deep and says that it is unsure."""
+
+    def shift(name: str, unsure: float) -> float:
+        out = tmp_path / name
+        scene = make_scene(tmp_path / f"scene_{name}", out)
+        for number in range(1, 12, 2):
+            depth = read_pfm(out / "depth" / f"{number:03d}.pfm")
+            write_pfm(out / "depth" / f"{number:03d}.pfm", (1.004 * depth).astype(np.float32))
+            write_pfm(out / "confidence" / f"{number:03d}.pfm", np.full(depth.shape, unsure, np.float32))
+        cloud = fuse(scene, out)
+        distance, is_stem = surface_distance(cloud.xyz)
+        return float(np.median(distance[~is_stem]))
+
+    alike, unsure = shift("alike", 1.0), shift("unsure", 0.4)
+    # Deeper is below the ground: by half of 0.4 % where all count alike.
+    assert alike < -0.002
+    assert 0.3 * alike > unsure > 0.75 * alike
+
+
 def test_scene_far_from_its_origin_loses_no_precision(tmp_path: Path) -> None:
     offset = np.array([512_000.0, 5_400_000.0, 300.0])
     near = fuse(make_scene(tmp_path / "a" / "scene", tmp_path / "a", cameras=4), tmp_path / "a")
