@@ -27,6 +27,7 @@ from fsinfer.errors import FsinferError, PosesError
 from fsinfer.poses.colmap import colmap_errors
 from fsinfer.poses.estimate import estimate_poses
 from fsinfer.poses.settings import PoseSettings
+from fsinfer.progress import Progress
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scene import read_scene
 from fsinfer.workflow.pipeline import run
@@ -37,6 +38,8 @@ from training.synthesize.__main__ import main as synthesize
 from training.synthesize.cameras.phone import PHONE
 
 RIGHT_M = 0.05
+#: What the poses stage calls its second look.
+SECOND_LOOK = "looking again where the walk tore"
 #: Side of the rendered boards' squares.
 BOARD_M = 0.25
 #: Fields of ``PhoneEffects`` that belong together.
@@ -112,14 +115,22 @@ def centers_of(scene: Path) -> dict[str, NDArray[np.float64]]:
 
 
 def by_run(photos: Path, plot: Path, out: Path) -> tuple[dict[str, NDArray[np.float64]], dict[str, Any]]:
-    """Centres that ``fsinfer run`` finds, and its trees against the truth; nothing where it gives up."""
+    """Centres that ``fsinfer run`` finds, its trees against the truth, and whether it looked at photographs again.
+
+    Nothing of these where it gives up.
+    """
+    steps: set[str] = set()
+
+    def watch(_stage: str) -> Progress:
+        return lambda _done, _total, step: steps.add(step)
+
     try:
-        run(photos, out, settings=RunSettings(scale=ScaleRequest(aruco_length_m=BOARD_M)))
+        run(photos, out, settings=RunSettings(scale=ScaleRequest(aruco_length_m=BOARD_M)), progress=watch)
     except FsinferError as error:
         print(f"  {error}")
-        return {}, {}
+        return {}, {"again": True}
     found = placed_trees(plot, out).evaluation
-    figures = {"trees": found.n, "matched": found.matched, "false": found.false}
+    figures = {"trees": found.n, "matched": found.matched, "false": found.false, "again": SECOND_LOOK in steps}
     diameters = {"rmse_cm": found.rmse_cm, "bias_cm": found.bias_cm}
     return centers_of(out / "scene"), figures | {k: round(v, 3) for k, v in diameters.items() if v is not None}
 
@@ -180,8 +191,11 @@ def measured(name: str, plot: Path, out: Path, args: argparse.Namespace) -> dict
     thorough = PoseSettings()
     cheap = replace(thorough, thorough=replace(thorough.thorough, min_share=0.0))
     row: dict[str, Any] = {"case": name, "photos": len(chosen)}
-    for way in ("cheap", "ours", "colmap") if args.colmap else ("cheap", "ours"):
+    for way in ("ours", "cheap", "colmap") if args.colmap else ("ours", "cheap"):
         kept = out / name / f"{way}.json"
+        if way == "cheap" and not kept.is_file() and not row.get("ours_again", True):
+            # What was not looked at again is what the first look found.
+            kept.write_text(json.dumps({k: row[f"ours_{k}"] for k in ("placed", "right", "rms_mm")}) + "\n", "utf-8")
         if not kept.is_file():
             started = time.monotonic()
             found: dict[str, Any] = {}
