@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 #: Tags of the camera and its lens. Source: format; Exif 2.32.
 _MAKE, _MODEL, _FOCAL_LENGTH, _FOCAL_LENGTH_35MM = 0x010F, 0x0110, 0x920A, 0xA405
-#: Some phones note a zoom that enlarges the middle of the picture here only.
+#: Some phones note a zoom that enlarges the middle of the picture here only. Source: format; Exif 2.32.
 _DIGITAL_ZOOM = 0xA404
 #: Tags of the place, and the part of the file that they stand in. Source: format; Exif 2.32.
 _GNSS_IFD, _LATITUDE_REF, _LATITUDE, _LONGITUDE_REF, _LONGITUDE = 0x8825, 1, 2, 3, 4
