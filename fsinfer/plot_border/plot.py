@@ -115,14 +115,24 @@ def sort_trees(trees: Sequence[Tree], border: Border, *, scale_rel_std: float = 
 
 
 def plot_of(
-    trees: Sequence[Tree], border: Border, seen: SeenShare, *, slope_deg: float, scale_rel_std: float = 0.0
+    trees: Sequence[Tree],
+    border: Border,
+    seen: SeenShare,
+    *,
+    slope_deg: float,
+    scale_rel_std: float = 0.0,
+    shared_m: Floats | None = None,
 ) -> Bordered:
-    """Sort the trees by the border, and put the plot to the hectare."""
+    """Sort the trees by the border, and put the plot to the hectare.
+
+    ``shared_m`` (T,) is the part of each diameter's standard deviation with one cause in all stems, metres: NaN where
+    it is not known (taken to be what it usually is in the others), None where there is none.
+    """
     sorted_trees = sort_trees(trees, border, scale_rel_std=scale_rel_std)
     own = [tree for tree in sorted_trees if tree.in_plot]
     doubtful = [tree for tree in own if tree.status == "doubtful"]
     enough = seen.share >= LEAST_SHARE
-    stems = _stems(sorted_trees, seen, scale_rel_std)
+    stems = _stems(sorted_trees, seen, scale_rel_std, shared_m)
     of_plot = stand_of_diameters([tree.dbh_cm for tree in own], 0.0)
     rests = stems.inside & np.array([tree.status == "doubtful" for tree in sorted_trees], dtype=bool)
 
@@ -180,17 +190,26 @@ def _warnings(trees: Sequence[Tree], seen: SeenShare) -> tuple[Notice, ...]:
     return tuple(told)
 
 
-def _stems(trees: Sequence[Tree], seen: SeenShare, scale_rel_std: float) -> PlotStems:
+def _stems(trees: Sequence[Tree], seen: SeenShare, scale_rel_std: float, shared_m: Floats | None) -> PlotStems:
     inside_m = np.array([tree.border_m or 0.0 for tree in trees])
     dbh_m = np.array([np.nan if tree.dbh_cm is None else tree.dbh_cm / 100.0 for tree in trees], dtype=np.float64)
+    std_m = np.sqrt(np.maximum(_dbh_std_m(trees) ** 2 - (scale_rel_std * dbh_m) ** 2, 0.0))
     return PlotStems(
         inside=np.array([bool(tree.in_plot) for tree in trees], dtype=bool),
         # Without the scale, which is a part of its own.
         chance=np.asarray(ndtr(inside_m / _place_std(trees, scale_rel_std))) if len(trees) else np.zeros(0),
         dbh_m=dbh_m,
-        std_m=np.sqrt(np.maximum(_dbh_std_m(trees) ** 2 - (scale_rel_std * dbh_m) ** 2, 0.0)),
+        std_m=std_m,
         seen=seen.stems,
+        shared_m=None if shared_m is None else _known_or_usual(shared_m, std_m),
     )
+
+
+def _known_or_usual(shared_m: Floats, std_m: Floats) -> Floats:
+    """The shared parts (T,) of standard deviations (T,), with the median share where one is not known."""
+    known = np.isfinite(shared_m) & (std_m > 0)
+    usual = float(np.median(shared_m[known] / std_m[known])) if known.any() else 1.0
+    return np.where(np.isfinite(shared_m), shared_m, usual * std_m)
 
 
 def _places(trees: Sequence[Tree]) -> Floats:

@@ -263,7 +263,15 @@ def _draw_border(
     ground_of_parts = np.column_stack([added.ground_xy, result.ground.height_at(added.ground_xy)])
     points = np.concatenate([given.cloud.xyz, ground_of_parts]) if len(added.ground_xy) else given.cloud.xyz
     seen = seen_share(border, points, result.ground, stem_circles(trees), cameras=cameras)
-    plot = plot_of(trees, border, seen, slope_deg=result.ground.slope_deg, scale_rel_std=given.scale_rel_std)
+    plot = plot_of(
+        trees,
+        border,
+        seen,
+        slope_deg=result.ground.slope_deg,
+        scale_rel_std=given.scale_rel_std,
+        # What another part measured has its budget there.
+        shared_m=np.array([*(section.shared_sd_m for section in result.sections), *([np.nan] * len(result.joined))]),
+    )
     told = (*result.warnings, *plot.warnings)
     count = len(result.trees)
     return replace(result, trees=plot.trees[:count], joined=plot.trees[count:], warnings=told), plot.figures

@@ -142,6 +142,28 @@ def test_parts_are_named_and_of_the_right_size() -> None:
     assert basal.parts[AT_BORDER] == pytest.approx(count.parts[AT_BORDER] * np.pi / 4 * 0.16)
 
 
+def test_what_all_stems_share_does_not_average_out() -> None:
+    rng = np.random.default_rng(43004)
+    inside = {"shared": 0, "own": 0}
+    rounds = 1500
+    for _ in range(rounds):
+        true = rng.uniform(0.1, 0.5, 40)
+        total = float((np.pi / 4 * true**2).sum()) / 0.05
+        # Bark that a curve does not follow is a quarter of each variance, and the same in all stems.
+        measured = true + 0.01 * rng.normal() + 0.01 * np.sqrt(3) * rng.normal(size=40)
+        given = stems_of(measured, std_m=0.02)
+        for name, stems in (("shared", replace(given, shared_m=np.full(40, 0.01))), ("own", given)):
+            figure = basal_area_per_ha(stems, area_m2=AREA_M2, share=1.0)
+            assert figure is not None
+            inside[name] += figure.lo95 <= total <= figure.hi95
+    assert 0.93 <= inside["shared"] / rounds <= 0.97
+    assert inside["own"] / rounds < 0.75
+    # More than all of it cannot be shared.
+    most = basal_area_per_ha(replace(given, shared_m=np.full(40, 0.5)), area_m2=AREA_M2, share=1.0)
+    assert most is not None
+    assert most.parts[DIAMETERS] == pytest.approx(1.96 * 20 * (np.pi / 2 * measured * 0.02).sum(), rel=1e-3)
+
+
 def test_where_nothing_can_be_said_of_basal_area() -> None:
     nothing = np.full(3, np.nan)
     assert basal_area_per_ha(stems_of(nothing), area_m2=AREA_M2, share=1.0) is None

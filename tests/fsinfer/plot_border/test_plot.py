@@ -86,6 +86,20 @@ def test_figures_count_who_is_in() -> None:
     assert (rows["border_round"], rows["stems_doubtful"]) == ("walk", 1)
 
 
+def test_the_shared_part_of_diameters_is_in_the_interval_of_basal_area() -> None:
+    trees = [at(0.5 * k, k + 1) for k in range(16)]
+    own, shared, half = (
+        plot_of(trees, CIRCLE, ALL, slope_deg=0.0, shared_m=given).figures.basal_area_m2_per_ha
+        for given in (None, np.full(16, 0.4 / 196.0), np.where(np.arange(16) < 8, 0.4 / 196.0, np.nan))
+    )
+    assert own is not None
+    assert shared is not None
+    assert half is not None
+    assert shared.parts["diameters"] == pytest.approx(np.sqrt(16) * own.parts["diameters"], rel=1e-3)
+    # Of stems that another part of the walk measured nobody knows: they are like the others.
+    assert half.parts["diameters"] == pytest.approx(shared.parts["diameters"], rel=1e-3)
+
+
 @pytest.mark.parametrize(
     ("share", "codes", "given"),
     [(0.95, [], True), (0.6, [PlotCode.plot_partly_seen], True), (0.2, [PlotCode.plot_hardly_seen], False)],
