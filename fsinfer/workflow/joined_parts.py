@@ -28,13 +28,11 @@ from fsinfer.trees.outputs.reasons import read_reasons
 from fsinfer.trees.outputs.table import read_trees
 from fsinfer.trees.pattern.join import JoinedPart, PartStems, join_parts
 from fsinfer.trees.pattern.match import PatternSettings
-from fsinfer.trees.stand import CELL_M, near_ground, seen_cells
+from fsinfer.trees.stand import near_ground, seen_cells
 from fsinfer.trees.tree import OUTSIDE, Tree
 
 _log = logging.getLogger(__name__)
 Floats = NDArray[np.float64]
-#: Places in a cell that stand for it: a turned raster must leave no holes. Source: geometry.
-_QUARTERS = ((0.25, 0.25), (0.25, 0.75), (0.75, 0.25), (0.75, 0.75))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,13 +156,11 @@ def _walked(ground_xy: Floats, folder: Path, part: JoinedPart, walk: WalkSetting
 
 
 def _ground_of(folder: Path, part: JoinedPart, settings: GroundSettings) -> Floats:
-    """Middles (N, 2) of the quarters of the cells where the part saw ground, in the plot's frame."""
+    """Middles (N, 2) of the cells where the part saw ground, in the plot's frame."""
     points = read_cloud(OutputFolder(folder).cloud_ply).xyz
     ground = find_ground(points, settings=settings)
     cells = seen_cells(near_ground(points, ground.height_at(points[:, :2])))
-    corners = cells.corner + CELL_M * np.argwhere(cells.seen)
-    quarters = (corners[:, None] + CELL_M * np.array(_QUARTERS)).reshape(-1, 2)
-    flat = np.column_stack([quarters, np.zeros(len(quarters))])
+    flat = np.column_stack([cells.middles, np.zeros(np.count_nonzero(cells.seen))])
     return np.asarray(apply(part.plot_from_part, flat)[:, :2])
 
 
