@@ -31,8 +31,8 @@ TAIL = 0.025
 #: twice over.
 LEAST_SHARE = 1.0 / 3.0
 # Names of the parts of an interval.
-UNSEEN, AT_BORDER, SCALE, DIAMETERS, NOT_MEASURED, COUNTING = (
-    "unseen ground", "stems at the border", "scale", "diameters", "stems without a DBH", "counting",
+UNSEEN, AT_BORDER, SCALE, UPRIGHT, DIAMETERS, NOT_MEASURED, COUNTING = (
+    "unseen ground", "stems at the border", "scale", "which way is up", "diameters", "stems without a DBH", "counting",
 )  # fmt: skip
 
 
@@ -89,8 +89,13 @@ class PlotStems:
         return np.ones(len(self.inside), dtype=bool) if self.seen is None else self.seen
 
 
-def stems_per_ha(stems: PlotStems, *, area_m2: float, share: float, scale_rel_std: float) -> HectareFigure:
-    """Stems a hectare on ``area_m2`` of which ``share`` was seen."""
+def stems_per_ha(
+    stems: PlotStems, *, area_m2: float, share: float, scale_rel_std: float, level_rel_std: float = 0.0
+) -> HectareFigure:
+    """Stems a hectare on ``area_m2`` of which ``share`` was seen.
+
+    ``level_rel_std`` is the relative error that not knowing exactly which way is up makes in the area.
+    """
     found = int(stems.inside.sum())
     count = int((stems.inside & stems.on_seen).sum())
     total = max(count / share, float(found))
@@ -100,6 +105,7 @@ def stems_per_ha(stems: PlotStems, *, area_m2: float, share: float, scale_rel_st
         AT_BORDER: _both(Z95 * float(np.sqrt((stems.chance * (1.0 - stems.chance) * weight**2).sum()))),
         # A metre that is 1 % short makes the plot 2 % small.
         SCALE: _both(Z95 * 2.0 * scale_rel_std * total),
+        UPRIGHT: _both(Z95 * level_rel_std * total),
     }
     unseen = {UNSEEN: (total - low, high - total), **known}
     (fewest, by_seen), by_all = poisson_interval(count), poisson_interval(found)[1]
@@ -108,12 +114,15 @@ def stems_per_ha(stems: PlotStems, *, area_m2: float, share: float, scale_rel_st
     return _figure(total, unseen, sampled, hectares=area_m2 / M2_PER_HA)
 
 
-def basal_area_per_ha(stems: PlotStems, *, area_m2: float, share: float) -> HectareFigure | None:
+def basal_area_per_ha(
+    stems: PlotStems, *, area_m2: float, share: float, level_rel_std: float = 0.0
+) -> HectareFigure | None:
     """Square metres of stem section at breast height a hectare; None where that cannot be said.
 
     Stems without a DBH count with the mean of the others; there is none without a stem that was measured, or with one
     such and some without.
-    An error of the scale changes diameters and the plot alike, and drops out.
+    An error of the scale changes diameters and the plot alike, and drops out. ``level_rel_std`` is as in
+    :func:`stems_per_ha`.
     """
     measured = stems.inside & np.isfinite(stems.dbh_m)
     sections = stems.sections_m2[measured]
@@ -140,6 +149,7 @@ def basal_area_per_ha(stems: PlotStems, *, area_m2: float, share: float) -> Hect
     missing = spread**2 * ((weight[without] ** 2).sum() + weight[without].sum() ** 2 / len(sections))
     known = {
         AT_BORDER: _both(Z95 * float(np.sqrt(border))),
+        UPRIGHT: _both(Z95 * level_rel_std * total),
         DIAMETERS: _both(Z95 * _diameters_std(stems, measured, weight)),
         NOT_MEASURED: _both(Z95 * float(np.sqrt(missing))),
     }

@@ -15,6 +15,7 @@ from fsinfer.plot_border.hectare import (
     NOT_MEASURED,
     SCALE,
     UNSEEN,
+    UPRIGHT,
     PlotStems,
     basal_area_per_ha,
     count_interval,
@@ -137,7 +138,7 @@ def test_parts_are_named_and_of_the_right_size() -> None:
     basal = basal_area_per_ha(stems, area_m2=AREA_M2, share=1.0)
     assert basal is not None
     # Square metres a square metre do not know how long a metre is.
-    assert set(basal.parts) == {UNSEEN, AT_BORDER, DIAMETERS, NOT_MEASURED, COUNTING}
+    assert set(basal.parts) == {UNSEEN, AT_BORDER, UPRIGHT, DIAMETERS, NOT_MEASURED, COUNTING}
     assert basal.parts[DIAMETERS] == pytest.approx(20 * 1.96 * np.pi / 2 * 0.4 * 0.01 * np.sqrt(20))
     assert basal.parts[AT_BORDER] == pytest.approx(count.parts[AT_BORDER] * np.pi / 4 * 0.16)
 

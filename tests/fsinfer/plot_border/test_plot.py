@@ -11,7 +11,7 @@ import pytest
 from fsinfer.notices.plots import PlotCode
 from fsinfer.notices.sentences import sentence
 from fsinfer.plot_border.border import Border
-from fsinfer.plot_border.plot import plot_of, sort_trees, stem_circles
+from fsinfer.plot_border.plot import Upright, plot_of, sort_trees, stem_circles
 from fsinfer.plot_border.rows import figure_rows
 from fsinfer.plot_border.sight import Cameras, SeenShare, plot_cells, seen_share, views_of
 from fsinfer.scene import Scene
@@ -57,6 +57,32 @@ def test_an_unsure_place_is_a_border_case_farther_off() -> None:
     fixed = replace(near, moves_along=False)
     assert sort_trees([at(9.7)], fixed, scale_rel_std=0.02)[0].at_border
     assert not sort_trees([at(9.7)], fixed)[0].at_border
+
+
+def test_a_cloud_that_may_not_stand_upright_is_unsure_of_stems_high_on_a_slope() -> None:
+    up = Upright(std_rad=float(np.radians(0.7)), z_m=100.0)
+    # 8 m above the middle a stem may stand 1.96 * 0.0122 * 8 = 19 cm aside, as high as the middle it may not.
+    high, level = at(9.83, z_ground_m=108.0), at(9.83, 2, z_ground_m=100.0)
+    assert [tree.at_border for tree in sort_trees([high, level], CIRCLE, upright=up)] == [True, False]
+    assert not sort_trees([high], CIRCLE)[0].at_border
+    trees = [at(9.9, z_ground_m=108.0), *(at(0.5 * k, k + 2, z_ground_m=100.0) for k in range(16))]
+    steep, flat, own = (
+        plot_of(trees, CIRCLE, ALL, slope_deg=slope, upright=given).figures
+        for slope, given in ((30.0, up), (0.0, up), (30.0, None))
+    )
+    for sure, unsure, known in (
+        (flat.stems_per_ha, steep.stems_per_ha, own.stems_per_ha),
+        (flat.basal_area_m2_per_ha, steep.basal_area_m2_per_ha, own.basal_area_m2_per_ha),
+    ):
+        assert sure is not None
+        assert unsure is not None
+        assert known is not None
+        expected = 1.96 * np.tan(np.radians(30.0)) * np.radians(0.7) * unsure.value
+        assert unsure.parts["which way is up"] == pytest.approx(expected, rel=1e-3)
+        assert sure.parts["which way is up"] == known.parts["which way is up"] == 0.0
+        # The chance of the stem near the border to be out is that of its place.
+        assert unsure.parts["stems at the border"] > 0.0
+        assert known.parts["stems at the border"] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_figures_count_who_is_in() -> None:
