@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.errors import FsinferError
+from fsinfer.errors import FsinferError, ImageError
 from fsinfer.geometry.similarity import apply, compose
 from fsinfer.io.cloud import read_cloud
 from fsinfer.io.digest import file_digest
@@ -104,17 +104,25 @@ def cameras_of(out: Path, parts: Sequence[JoinedPart]) -> tuple[Cameras, ...]:
 
 
 def copy_figures(out: Path, plot: PlotResult, numbers: dict[int, int]) -> None:
-    """The figures of joined stems, by their numbers in the plot; ``numbers`` are those in their parts."""
+    """The figures of joined stems, by their numbers in the plot; ``numbers`` are those in their parts.
+
+    The title of a section has the number in the part: that in the plot stands above it.
+    """
+    from fsinfer.trees.outputs.figures import relabel_section  # loads matplotlib
+
     there = OutputFolder(out)
     for tree in plot.joined:
         part = OutputFolder(out / str(tree.part))
         number = numbers[tree.tree_id]
-        for source, target in (
-            (part.section_figure(number), there.section_figure(tree.tree_id)),
-            (part.edges_figure(number), there.edges_figure(tree.tree_id)),
-        ):
-            if source.is_file():
-                copy_file(source, target)
+        section, edges = part.section_figure(number), part.edges_figure(number)
+        if section.is_file():
+            told = f"{number} in {tree.part}"
+            try:
+                relabel_section(section, there.section_figure(tree.tree_id), number=tree.tree_id, told=told)
+            except ImageError as error:
+                _log.info("the figure of tree %s cannot be read: %s", told, error)
+        if edges.is_file():
+            copy_file(edges, there.edges_figure(tree.tree_id))
 
 
 def _outside_now(warnings: Sequence[Notice], trees: Sequence[Tree]) -> tuple[Notice, ...]:
