@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import SceneError
 from fsinfer.io.digest import file_digest
-from fsinfer.io.files import write_text
+from fsinfer.io.files import is_by_system, write_text
 
 #: Planes of a camera file that tells no number. Source: format; MVSNet (Yao et al. 2018).
 DEPTH_PLANES = 192
@@ -164,7 +164,8 @@ def read_scene(folder: Path | str) -> Scene:
     if not folder.is_dir():
         msg = f"{folder} is not a folder; give a scene with images/, cams/ and pair.txt (see: fsinfer poses)"
         raise SceneError(msg)
-    names = sorted(p.name.removesuffix("_cam.txt") for p in (folder / "cams").glob("*_cam.txt"))
+    files = (p.name for p in (folder / "cams").glob("*_cam.txt") if not is_by_system(p.name))
+    names = sorted(name.removesuffix("_cam.txt") for name in files)
     if not names:
         msg = (
             f"{folder / 'cams'} holds no NAME_cam.txt; make a scene of your photos with: fsinfer poses, or give the "

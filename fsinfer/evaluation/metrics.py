@@ -6,7 +6,8 @@ Accuracy without completeness misleads, so both are always given. With ``n_measu
 - *matched*: detected trees whose extracted stem has a DBH. A stem found but not measured counts as detected only;
 - ``r`` = matched / n_measured (the paper's completeness), *omitted* = n_measured - detected, *false* = extracted
   stems that no measured tree explains (with or without a DBH). Photographs also see trees beyond the plot, where nobody
-  measured: with an area margin those are *outside* and not judged;
+  measured: those that the table itself calls ``outside`` of the walk, and with an area margin those beyond it, are
+  *outside* and not judged;
 - over the matched: bias = mean(extracted - measured), MAE, RMSE = sqrt(mean(difference^2)),
   rRMSE = RMSE / mean measured DBH of the matched, AE = 1 - rRMSE (FS-MVSNet, Forests 2025, 16, 927). Omitted trees have
   no error: these are figures of the matched, not of all trees, and are shown as such.
@@ -37,6 +38,8 @@ ALIGNMENTS = tuple(align.value for align in Align)
 
 #: A measured diameter is below this, cm. Source: format; no tree is thicker, millimetres are.
 _MOST_DBH_CM = 1000.0
+#: Status of a stem outside of the walk. Source: format; ``trees.csv``.
+_OUTSIDE = "outside"
 #: Frames are registered where fewer than this share of the trees match as given. Source: judgement.
 _FEW_MATCHES = 0.5
 #: Registration counts where it finds so many times the matches, so many more, and so many at least. Source: judgement.
@@ -44,7 +47,10 @@ _MORE_TIMES, _MORE_MATCHES, _LEAST_MATCHES = 1.5, 2, 3
 
 
 class HasDbh(Protocol):
-    """What :func:`evaluate` needs of a tree; :class:`MeasuredTree` and :class:`fsinfer.trees.Tree` have it."""
+    """What :func:`evaluate` needs of a tree; :class:`MeasuredTree` and :class:`fsinfer.trees.Tree` have it.
+
+    They have a ``status`` besides, which says what stands outside of the walk.
+    """
 
     @property
     def tree_id(self) -> Any: ...  # noqa: D102
@@ -58,12 +64,16 @@ class HasDbh(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class MeasuredTree:
-    """A tree from a CSV: identifier as written, position in metres (NaN when not given), DBH in cm or None."""
+    """A tree from a CSV: identifier as written, position in metres (NaN when not given), DBH in cm or None.
+
+    ``status`` is that of a ``trees.csv``, empty where the table has none.
+    """
 
     tree_id: str
     x_m: float
     y_m: float
     dbh_cm: float | None
+    status: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,8 +91,9 @@ class Pair:
 class Evaluation:
     """The metrics of :mod:`fsinfer.evaluation.metrics`; those of accuracy are None when nothing matched.
 
-    ``false`` counts extracted trees without a partner; with an area margin only those inside the measured area, and
-    ``outside`` those beyond it, where nobody measured and nothing can be said.
+    ``false`` counts extracted trees without a partner, but not those that have the status ``outside``; with an area
+    margin only those inside the measured area. ``outside`` counts those others: nobody measured there, and nothing can
+    be said.
 
     ``measured_from_extracted`` holds rotation in degrees and shift in metres when the frames were aligned, else None.
     """
@@ -145,6 +156,7 @@ def read_measured(path: Path, *, need_dbh: bool = True, need_position: bool = Tr
                 x_m=float("nan") if x is None else x,
                 y_m=float("nan") if y is None else y,
                 dbh_cm=dbh,
+                status=row.text("status"),
             )
         )
     if need_dbh and not trees:
@@ -213,12 +225,12 @@ def evaluate(
         )
         for (i, j), distance in zip(links, distances, strict=True)
     )
-    outside = 0
+    partners = {j for _, j in links}
+    lonely = [j for j in range(len(extracted)) if j not in partners]
+    outside = np.array([getattr(extracted[j], "status", "") == _OUTSIDE for j in lonely], dtype=bool)
     if area_margin_m is not None and not by_id:
-        partners = {j for _, j in links}
-        lonely = moved[[j for j in range(len(moved)) if j not in partners]]
-        outside = int((~in_hull(truth, lonely, area_margin_m)).sum())
-    return _metrics(len(measured), len(extracted), outside, pairs, motion)
+        outside |= ~in_hull(truth, moved[lonely], area_margin_m)
+    return _metrics(len(measured), len(extracted), int(outside.sum()), pairs, motion)
 
 
 def _metrics(

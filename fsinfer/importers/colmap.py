@@ -110,6 +110,7 @@ def read_colmap(folder: Path, photos: Sequence[Path]) -> ForeignScene:
         photos=gathered.photos,
         sparse=sparse,
         left_out=gathered.missing,
+        remarks=gathered.remarks,
     )
 
 

@@ -170,6 +170,11 @@ def find_photo(name: str, folders: Iterable[Path]) -> Path | None:
 
     Of its path the end counts that is there: the photographs may have been moved, and nothing outside of the folders
     is looked at. Without a suffix each one of a photograph is tried.
+
+    Raises
+    ------
+    SceneError
+        It has no suffix, and several files of one folder fit it.
     """
     parts = _parts(name)
     if not parts:
@@ -179,14 +184,30 @@ def find_photo(name: str, folders: Iterable[Path]) -> Path | None:
     files = [last] if named else [f"{last}{suffix}" for suffix in _suffixes()]
     for folder in folders:
         for start in range(len(parts)):
-            for file in files:
-                path = folder.joinpath(*parts[start:-1], file)
-                try:
-                    if path.is_file():
-                        return path
-                except (OSError, ValueError):
-                    continue  # no name on this file system
+            found = _files(folder.joinpath(*parts[start:-1]), files)
+            if len(found) > 1:
+                msg = (
+                    f"the photograph {name} may be {' or '.join(path.name for path in found)} in {found[0].parent}; "
+                    "leave the one there that its cameras were computed from"
+                )
+                raise SceneError(msg)
+            if found:
+                return found[0]
     return None
+
+
+def _files(folder: Path, names: Iterable[str]) -> list[Path]:
+    """Those of the files that are in the folder, one path for each."""
+    found: list[Path] = []
+    for name in names:
+        path = folder / name
+        try:
+            # Many file systems do not tell .jpg from .JPG.
+            if path.is_file() and not any(path.samefile(other) for other in found):
+                found.append(path)
+        except (OSError, ValueError):
+            continue  # no name on this file system
+    return found
 
 
 def _suffixes() -> list[str]:

@@ -102,7 +102,7 @@ def read_metashape(path: Path, photos: Sequence[Path]) -> ForeignScene:
         photos=gathered.photos,
         metric=similarity is not None,
         left_out=(*left_out, *gathered.missing),
-        remarks=tuple(remarks),
+        remarks=(*remarks, *gathered.remarks),
     )
     return _on_the_ground(scene)
 

@@ -111,6 +111,7 @@ def read_openmvs(path: Path, photos: Sequence[Path]) -> ForeignScene:
         photos=gathered.photos,
         sparse=sparse,
         left_out=(*left_out, *gathered.missing),
+        remarks=gathered.remarks,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,11 +30,27 @@ class Registered:
 
 @dataclass(frozen=True, kw_only=True)
 class Gathered:
-    """Photographs that were found; ``numbers`` by the names of their views, and names of those that were not found."""
+    """Photographs that were found; ``numbers`` by the names of their views.
+
+    ``missing`` are the names of those that were not found, or of which nobody can tell which they are; ``alike`` the
+    names among these that several photographs have.
+    """
 
     photos: tuple[ForeignPhoto, ...]
     numbers: Mapping[str, int]
     missing: tuple[str, ...]
+    alike: tuple[str, ...] = ()
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a user has to know of it."""
+        if not self.alike:
+            return ()
+        told = ", ".join(self.alike[:_NAMES_TOLD]) + (", ..." if len(self.alike) > _NAMES_TOLD else "")
+        return (
+            f"photographs that share a file are left out ({told}), because nobody can tell which of them it is; give "
+            "them different names and export the cameras again",
+        )
 
 
 def gather(registered: Sequence[Registered], folders: Sequence[Path], *, source: Path) -> Gathered:
@@ -50,10 +67,16 @@ def gather(registered: Sequence[Registered], folders: Sequence[Path], *, source:
         )
         raise SceneError(msg)
     photos, numbers, missing = [], {}, []
-    for name, item in zip(view_names([item.name for item in registered]), registered, strict=True):
-        path = find_photo(item.name, folders)
+    paths = [find_photo(item.name, folders) for item in registered]
+    times = Counter(path.resolve() for path in paths if path is not None)
+    alike = []
+    for name, item, path in zip(view_names([item.name for item in registered]), registered, paths, strict=True):
         if path is None:
             missing.append(item.name)
+            continue
+        if times[path.resolve()] > 1:
+            missing.append(item.name)
+            alike.append(item.name)
             continue
         photos.append(ForeignPhoto(name=name, path=path, lens=item.lens, cam_from_world=item.cam_from_world))
         numbers[name] = item.number
@@ -64,5 +87,11 @@ def gather(registered: Sequence[Registered], folders: Sequence[Path], *, source:
             f"of the {len(registered)} photographs in {source} {len(missing)} are not in {looked} ({told}, ...); "
             "give their folder with --images"
         )
+        if alike:
+            told = ", ".join(alike[:_NAMES_TOLD])
+            msg = (
+                f"of the {len(registered)} photographs in {source} {len(alike)} share a file with another ({told}), "
+                "and nobody can tell which of them it is; give them different names and export the cameras again"
+            )
         raise SceneError(msg)
-    return Gathered(photos=tuple(photos), numbers=numbers, missing=tuple(missing))
+    return Gathered(photos=tuple(photos), numbers=numbers, missing=tuple(missing), alike=tuple(dict.fromkeys(alike)))

@@ -52,7 +52,7 @@ def read_transforms(path: Path, photos: Sequence[Path]) -> ForeignScene:
         files=(path,),
         photos=gathered.photos,
         left_out=gathered.missing,
-        remarks=("transforms.json does not say how long its unit is",),
+        remarks=("transforms.json does not say how long its unit is", *gathered.remarks),
     )
     return near_origin(scene)
 

@@ -18,8 +18,19 @@ _COPY_BYTES = 1 << 20
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 # What lazrs and sqlite3 raise where the system does not let them write; named, since this module loads neither.
 _ERRORS_OF_WRITERS = ("LazrsError", "OperationalError")
+# Names by which Windows keeps how a folder looks, lower case.
+_BY_EXPLORER = frozenset({"thumbs.db", "desktop.ini"})
 # Systems that cannot flush a file: it is written all the same.
 _NO_FLUSH = frozenset({errno.EINVAL, errno.EOPNOTSUPP, errno.ENOSYS})
+
+
+def is_by_system(name: str) -> bool:
+    """Whether a file of that name was put there by the system, not by a person or a program that was asked to.
+
+    Finder leaves ``.DS_Store`` in each folder that it shows, and ``._NAME`` beside each file on a disk of another
+    system; Explorer ``Thumbs.db`` and ``desktop.ini``.
+    """
+    return name.startswith(".") or name.lower() in _BY_EXPLORER
 
 
 def make_folder(folder: Path) -> Path:

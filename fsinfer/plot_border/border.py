@@ -46,6 +46,14 @@ class Border:
         """Place (x, y) that an error of the scale leaves where it is, seen from the border."""
         return self.center if self.moves_along and self.center is not None else (0.0, 0.0)
 
+    @property
+    def middle(self) -> Place:
+        """Place (x, y) that it lies round."""
+        if self.center is not None:
+            return self.center
+        x, y = np.mean(self.corners, axis=0).tolist()
+        return x, y
+
     def inside_m(self, xy: Floats) -> Floats:
         """Distance (N,) of places (N, 2) from the border, negative outside of it."""
         if self.center is not None and self.radius_m is not None:

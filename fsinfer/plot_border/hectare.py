@@ -31,8 +31,8 @@ TAIL = 0.025
 #: twice over.
 LEAST_SHARE = 1.0 / 3.0
 # Names of the parts of an interval.
-UNSEEN, AT_BORDER, SCALE, DIAMETERS, NOT_MEASURED, COUNTING = (
-    "unseen ground", "stems at the border", "scale", "diameters", "stems without a DBH", "counting",
+UNSEEN, AT_BORDER, SCALE, UPRIGHT, DIAMETERS, NOT_MEASURED, COUNTING = (
+    "unseen ground", "stems at the border", "scale", "which way is up", "diameters", "stems without a DBH", "counting",
 )  # fmt: skip
 
 
@@ -66,6 +66,8 @@ class PlotStems:
     inside: (T,) whether each is in, by its centre at breast height.
     chance: (T,) probability that it is, given the error of its place.
     dbh_m: (T,) NaN where it was not measured; std_m: (T,) its standard deviation, without that of the scale.
+    shared_m: (T,) the part of ``std_m`` that has one cause in all stems (their bark, the camera, the depth maps): it
+        errs the same way in each and does not average out. None where there is none.
     seen: (T,) whether the ground that each stands on counts as seen; None where nobody knows: then all of it does.
     """
 
@@ -74,6 +76,7 @@ class PlotStems:
     dbh_m: Floats
     std_m: Floats
     seen: NDArray[np.bool_] | None = None
+    shared_m: Floats | None = None
 
     @property
     def sections_m2(self) -> Floats:
@@ -86,8 +89,13 @@ class PlotStems:
         return np.ones(len(self.inside), dtype=bool) if self.seen is None else self.seen
 
 
-def stems_per_ha(stems: PlotStems, *, area_m2: float, share: float, scale_rel_std: float) -> HectareFigure:
-    """Stems a hectare on ``area_m2`` of which ``share`` was seen."""
+def stems_per_ha(
+    stems: PlotStems, *, area_m2: float, share: float, scale_rel_std: float, level_rel_std: float = 0.0
+) -> HectareFigure:
+    """Stems a hectare on ``area_m2`` of which ``share`` was seen.
+
+    ``level_rel_std`` is the relative error that not knowing exactly which way is up makes in the area.
+    """
     found = int(stems.inside.sum())
     count = int((stems.inside & stems.on_seen).sum())
     total = max(count / share, float(found))
@@ -97,6 +105,7 @@ def stems_per_ha(stems: PlotStems, *, area_m2: float, share: float, scale_rel_st
         AT_BORDER: _both(Z95 * float(np.sqrt((stems.chance * (1.0 - stems.chance) * weight**2).sum()))),
         # A metre that is 1 % short makes the plot 2 % small.
         SCALE: _both(Z95 * 2.0 * scale_rel_std * total),
+        UPRIGHT: _both(Z95 * level_rel_std * total),
     }
     unseen = {UNSEEN: (total - low, high - total), **known}
     (fewest, by_seen), by_all = poisson_interval(count), poisson_interval(found)[1]
@@ -105,12 +114,15 @@ def stems_per_ha(stems: PlotStems, *, area_m2: float, share: float, scale_rel_st
     return _figure(total, unseen, sampled, hectares=area_m2 / M2_PER_HA)
 
 
-def basal_area_per_ha(stems: PlotStems, *, area_m2: float, share: float) -> HectareFigure | None:
+def basal_area_per_ha(
+    stems: PlotStems, *, area_m2: float, share: float, level_rel_std: float = 0.0
+) -> HectareFigure | None:
     """Square metres of stem section at breast height a hectare; None where that cannot be said.
 
     Stems without a DBH count with the mean of the others; there is none without a stem that was measured, or with one
     such and some without.
-    An error of the scale changes diameters and the plot alike, and drops out.
+    An error of the scale changes diameters and the plot alike, and drops out. ``level_rel_std`` is as in
+    :func:`stems_per_ha`.
     """
     measured = stems.inside & np.isfinite(stems.dbh_m)
     sections = stems.sections_m2[measured]
@@ -133,12 +145,12 @@ def basal_area_per_ha(stems: PlotStems, *, area_m2: float, share: float) -> Hect
     lowest = max(by_seen - float(np.hypot((number - low) * mean, variety)), stands)
     highest = max(by_seen + float(np.hypot((high - number) * mean, variety)), stands + (high - found) * mean)
     weight = _weights(stems, share)
-    own = np.pi / 2.0 * stems.dbh_m[measured] * stems.std_m[measured] * weight[measured]
     border = (stems.chance * (1.0 - stems.chance) * (all_sections * weight) ** 2).sum()
     missing = spread**2 * ((weight[without] ** 2).sum() + weight[without].sum() ** 2 / len(sections))
     known = {
         AT_BORDER: _both(Z95 * float(np.sqrt(border))),
-        DIAMETERS: _both(Z95 * float(np.sqrt((own**2).sum()))),
+        UPRIGHT: _both(Z95 * level_rel_std * total),
+        DIAMETERS: _both(Z95 * _diameters_std(stems, measured, weight)),
         NOT_MEASURED: _both(Z95 * float(np.sqrt(missing))),
     }
     unseen = {UNSEEN: (total - lowest, highest - total), **known}
@@ -180,6 +192,14 @@ def poisson_interval(count: int) -> tuple[float, float]:
     """95 % interval of the expected number of which ``count`` came (Garwood 1936, exact)."""
     low = float(gammaincinv(count, TAIL)) if count else 0.0
     return low, float(gammaincinv(count + 1.0, 1.0 - TAIL))
+
+
+def _diameters_std(stems: PlotStems, measured: NDArray[np.bool_], weight: Floats) -> float:
+    """Standard deviation, square metres, of the sum of the sections of stems ``measured`` (T,) by ``weight`` (T,)."""
+    per_m = (np.pi / 2.0 * stems.dbh_m * weight)[measured]
+    std_m = stems.std_m[measured]
+    shared_m = np.zeros(len(std_m)) if stems.shared_m is None else np.minimum(stems.shared_m[measured], std_m)
+    return float(np.hypot(np.sqrt((per_m**2 * (std_m**2 - shared_m**2)).sum()), (per_m * shared_m).sum()))
 
 
 def _weights(stems: PlotStems, share: float) -> Floats:

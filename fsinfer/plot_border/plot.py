@@ -89,6 +89,20 @@ class PlotFigures:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Upright:
+    """How well it is known which way is up.
+
+    Attributes
+    ----------
+    std_rad: standard deviation of up about a level axis; 0 for a cloud whose z was surveyed, or is the user's own.
+    z_m: height of the ground in the middle of the border, metres: what lies above or below it is moved aside.
+    """
+
+    std_rad: float = 0.0
+    z_m: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
 class Bordered:
     """Trees with their columns of the border, the plot's figures, and what is to be told."""
 
@@ -97,7 +111,9 @@ class Bordered:
     warnings: tuple[Notice, ...]
 
 
-def sort_trees(trees: Sequence[Tree], border: Border, *, scale_rel_std: float = 0.0) -> tuple[Tree, ...]:
+def sort_trees(
+    trees: Sequence[Tree], border: Border, *, scale_rel_std: float = 0.0, upright: Upright | None = None
+) -> tuple[Tree, ...]:
     """The trees with ``in_plot``, ``border_m`` and ``at_border``: in by the centre at breast height.
 
     At the border is who stands nearer to it than the stem's radius, or than the 95 % error of its place.
@@ -105,7 +121,7 @@ def sort_trees(trees: Sequence[Tree], border: Border, *, scale_rel_std: float = 
     if not trees:
         return ()
     inside_m = border.inside_m(_places(trees))
-    radius, std = _radii(trees), _place_std(trees, scale_rel_std)
+    radius, std = _radii(trees), _place_std(trees, scale_rel_std, upright or Upright())
     scale = scale_rel_std * np.linalg.norm(_places(trees) - np.array(border.anchor), axis=1)
     near = np.abs(inside_m) < np.maximum(radius, Z95 * np.hypot(std, scale))
     return tuple(
@@ -115,14 +131,26 @@ def sort_trees(trees: Sequence[Tree], border: Border, *, scale_rel_std: float = 
 
 
 def plot_of(
-    trees: Sequence[Tree], border: Border, seen: SeenShare, *, slope_deg: float, scale_rel_std: float = 0.0
+    trees: Sequence[Tree],
+    border: Border,
+    seen: SeenShare,
+    *,
+    slope_deg: float,
+    scale_rel_std: float = 0.0,
+    shared_m: Floats | None = None,
+    upright: Upright | None = None,
 ) -> Bordered:
-    """Sort the trees by the border, and put the plot to the hectare."""
-    sorted_trees = sort_trees(trees, border, scale_rel_std=scale_rel_std)
+    """Sort the trees by the border, and put the plot to the hectare.
+
+    ``shared_m`` (T,) is the part of each diameter's standard deviation with one cause in all stems, metres: NaN where
+    it is not known (taken to be what it usually is in the others), None where there is none.
+    """
+    upright = upright or Upright()
+    sorted_trees = sort_trees(trees, border, scale_rel_std=scale_rel_std, upright=upright)
     own = [tree for tree in sorted_trees if tree.in_plot]
     doubtful = [tree for tree in own if tree.status == "doubtful"]
     enough = seen.share >= LEAST_SHARE
-    stems = _stems(sorted_trees, seen, scale_rel_std)
+    stems = _stems(sorted_trees, seen, scale_rel_std, shared_m, upright)
     of_plot = stand_of_diameters([tree.dbh_cm for tree in own], 0.0)
     rests = stems.inside & np.array([tree.status == "doubtful" for tree in sorted_trees], dtype=bool)
 
@@ -130,6 +158,8 @@ def plot_of(
         return part_per_ha(amounts * rests, stems.on_seen, area_m2=border.area_m2, share=seen.share) if enough else None
 
     cases = tuple(tree.tree_id for tree in sorted_trees if tree.at_border)
+    # Seen a little too steeply a slope is shorter in plan, along its fall only.
+    level_rel_std = float(np.tan(np.radians(slope_deg))) * upright.std_rad
     figures = PlotFigures(
         origin=border.origin,
         center=border.center,
@@ -147,10 +177,20 @@ def plot_of(
         border_cases=cases,
         quadratic_mean_dbh_cm=of_plot.quadratic_mean_dbh_cm,
         mean_dbh_cm=of_plot.mean_dbh_cm,
-        stems_per_ha=stems_per_ha(stems, area_m2=border.area_m2, share=seen.share, scale_rel_std=scale_rel_std)
+        stems_per_ha=stems_per_ha(
+            stems,
+            area_m2=border.area_m2,
+            share=seen.share,
+            scale_rel_std=scale_rel_std,
+            level_rel_std=level_rel_std,
+        )
         if enough
         else None,
-        basal_area_m2_per_ha=basal_area_per_ha(stems, area_m2=border.area_m2, share=seen.share) if enough else None,
+        basal_area_m2_per_ha=basal_area_per_ha(
+            stems, area_m2=border.area_m2, share=seen.share, level_rel_std=level_rel_std
+        )
+        if enough
+        else None,
         doubtful_stems_per_ha=of_doubtful(np.ones(len(rests))),
         doubtful_basal_area_m2_per_ha=of_doubtful(np.nan_to_num(stems.sections_m2)),
         on_unseen=int((stems.inside & ~stems.on_seen).sum()),
@@ -180,17 +220,28 @@ def _warnings(trees: Sequence[Tree], seen: SeenShare) -> tuple[Notice, ...]:
     return tuple(told)
 
 
-def _stems(trees: Sequence[Tree], seen: SeenShare, scale_rel_std: float) -> PlotStems:
+def _stems(
+    trees: Sequence[Tree], seen: SeenShare, scale_rel_std: float, shared_m: Floats | None, upright: Upright
+) -> PlotStems:
     inside_m = np.array([tree.border_m or 0.0 for tree in trees])
     dbh_m = np.array([np.nan if tree.dbh_cm is None else tree.dbh_cm / 100.0 for tree in trees], dtype=np.float64)
+    std_m = np.sqrt(np.maximum(_dbh_std_m(trees) ** 2 - (scale_rel_std * dbh_m) ** 2, 0.0))
     return PlotStems(
         inside=np.array([bool(tree.in_plot) for tree in trees], dtype=bool),
         # Without the scale, which is a part of its own.
-        chance=np.asarray(ndtr(inside_m / _place_std(trees, scale_rel_std))) if len(trees) else np.zeros(0),
+        chance=np.asarray(ndtr(inside_m / _place_std(trees, scale_rel_std, upright))) if len(trees) else np.zeros(0),
         dbh_m=dbh_m,
-        std_m=np.sqrt(np.maximum(_dbh_std_m(trees) ** 2 - (scale_rel_std * dbh_m) ** 2, 0.0)),
+        std_m=std_m,
         seen=seen.stems,
+        shared_m=None if shared_m is None else _known_or_usual(shared_m, std_m),
     )
+
+
+def _known_or_usual(shared_m: Floats, std_m: Floats) -> Floats:
+    """The shared parts (T,) of standard deviations (T,), with the median share where one is not known."""
+    known = np.isfinite(shared_m) & (std_m > 0)
+    usual = float(np.median(shared_m[known] / std_m[known])) if known.any() else 1.0
+    return np.where(np.isfinite(shared_m), shared_m, usual * std_m)
 
 
 def _places(trees: Sequence[Tree]) -> Floats:
@@ -207,11 +258,14 @@ def _dbh_std_m(trees: Sequence[Tree]) -> Floats:
     return np.where(np.isfinite(std), std, np.nan)
 
 
-def _place_std(trees: Sequence[Tree], scale_rel_std: float) -> Floats:
+def _place_std(trees: Sequence[Tree], scale_rel_std: float, upright: Upright) -> Floats:
     """Standard deviation (T,) of the centres in metres, without that of the scale.
 
     What moves the far side of a stem that is seen from one side by the error of the diameter moves its centre by half.
+    A cloud that does not stand upright has what lies high or low on a slope aside of where it is.
     """
     radius = _radii(trees)
     own = np.sqrt(np.maximum(_dbh_std_m(trees) ** 2 - (2.0 * radius * scale_rel_std) ** 2, 0.0)) / 2.0
-    return np.where(np.isfinite(own), np.maximum(own, LEAST_STD_M), UNMEASURED_STD_M)
+    measured = np.where(np.isfinite(own), np.maximum(own, LEAST_STD_M), UNMEASURED_STD_M)
+    above = np.array([tree.z_ground_m for tree in trees]) - upright.z_m
+    return np.asarray(np.hypot(measured, above * upright.std_rad))

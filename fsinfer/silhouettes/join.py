@@ -31,7 +31,7 @@ from fsinfer.silhouettes.pose_errors import radius_std
 from fsinfer.silhouettes.strips import draw_strips, keep_strip
 from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
 from fsinfer.trees.cylinder.axis import LEAST_RADIUS_M
-from fsinfer.trees.diameter.budget import effective_dof, factor95, total_std
+from fsinfer.trees.diameter.budget import effective_dof, factor95, shared_std, total_std
 from fsinfer.trees.diameter.dbh import too_uncertain, wide_interval
 from fsinfer.trees.diameter.edge_problem import Edges, SilhouetteSettings
 from fsinfer.trees.diameter.outline import Outline
@@ -225,6 +225,11 @@ def join(
         "level": level,
         "scale": radius * scale_rel_std,
     }
+    shared = {
+        "silhouette": (1.0 - found.weight) * fit.common_m,
+        "cloud": found.points_std_m * _shared_by_points(section, s),
+        "level": level,
+    }
     sd = 2.0 * total_std(parts)
     dof = effective_dof(parts, {"silhouette": fit.dof, "cloud": section.dof})
     status, reasons = _status(section, fit, 2.0 * radius, factor95(dof) * sd, dbh, s, found, supported=supported)
@@ -241,6 +246,7 @@ def join(
         outline=_outline(fit, radius) if measured and fit.sectors >= dbh.outline_coverage else None,
         silhouette=fit,
         cloud_dbh_m=section.dbh_m,
+        shared_sd_m=2.0 * total_std(shared),
     )
 
 
@@ -266,8 +272,17 @@ def _refusal(section: Section) -> Notice | None:
 
 def _points_std(section: Section, s: SilhouetteJoinSettings) -> float:
     """Standard deviation of the points' radius without what both sources share."""
-    own = {name: part for name, part in section.parts_m.items() if name not in NOT_OF_POINTS}
-    return float(np.hypot(total_std(own), s.cloud_floor_m))
+    return float(np.hypot(total_std(_of_points(section)), s.cloud_floor_m))
+
+
+def _shared_by_points(section: Section, s: SilhouetteJoinSettings) -> float:
+    """Share of :func:`_points_std` that has one cause in all stems of a plot; so do edges that depth maps fatten."""
+    std = _points_std(section, s)
+    return float(np.hypot(shared_std(_of_points(section)), s.cloud_floor_m)) / std if std > 0 else 0.0
+
+
+def _of_points(section: Section) -> dict[str, float]:
+    return {name: part for name, part in section.parts_m.items() if name not in NOT_OF_POINTS}
 
 
 def write_sources(path: Path, result: PlotResult) -> None:

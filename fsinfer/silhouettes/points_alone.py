@@ -12,7 +12,7 @@ from dataclasses import replace
 from fsinfer.notices.notice import notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees import DbhSettings, Section, Tree
-from fsinfer.trees.diameter.budget import total_std
+from fsinfer.trees.diameter.budget import shared_std, total_std
 from fsinfer.trees.diameter.dbh import too_uncertain, wide_interval
 from fsinfer.trees.stem_measurement import with_diameter
 
@@ -29,7 +29,7 @@ def by_points_alone(tree: Tree, section: Section, factor: float, *, dbh: DbhSett
         return tree, section
     parts = {name: part * (1.0 if name in NOT_OF_POINTS else factor) for name, part in section.parts_m.items()}
     sd = 2.0 * total_std(parts)
-    wider = replace(section, sd_m=sd, parts_m=parts)
+    wider = replace(section, sd_m=sd, parts_m=parts, shared_sd_m=2.0 * shared_std(parts))
     uncertain = too_uncertain(section.dbh_m, wider.half95_m, dbh)
     if uncertain:
         refused = replace(wider, dbh_m=None, status="unmeasured", reasons=uncertain, outline=None)

@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_closing
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from fsinfer.trees.points.cells import column_min, rows
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
 
-#: Cells by which the area is counted, metres. Source: not recorded.
+#: Cells by which it is asked how much of a plot was seen, metres. Source: not recorded.
 CELL_M = 0.5
+#: The area is counted by finer ones, so many times as wide as one point stands from the next: a cell that a rim cuts
+#: counts as whole, which makes the area half a cell larger along it, and between points the rim frays by as much.
+#: Source: simulated points, evenly spread over circles and squares of 50 to 1,000 m², 4 to 400 a square metre.
+SPACINGS = 1.35
+#: ... but no finer, metres. Source: numerics; along the rim of a circle of 100 m² it makes 0.9 %.
+LEAST_CELL_M = 0.05
+#: ... nor more in a raster. Source: numerics; 50 m square by the finest.
+MOST_CELLS = 1e6
 #: Herbs and noise: what lies so low, metres, stands for ground that was seen. Source: not recorded.
 NEAR_GROUND_M = 0.3
 #: Half the width of gaps that are closed, metres: the shadow of a stem or a shrub on the ground belongs to the plot.
@@ -72,14 +80,15 @@ def stand_of_diameters(
 
 @dataclass(frozen=True, kw_only=True)
 class SeenCells:
-    """Cells of ``CELL_M`` where ground was seen: ``seen`` (X, Y), the first one beginning at ``corner`` (2,)."""
+    """Square cells of ``cell_m`` where ground was seen: ``seen`` (X, Y), the first one beginning at ``corner`` (2,)."""
 
     seen: NDArray[np.bool_]
     corner: Floats
+    cell_m: float = CELL_M
 
     def at(self, xy: Floats) -> NDArray[np.bool_]:
         """Whether the ground was seen at each of places (N, 2)."""
-        cell = np.floor((xy - self.corner) / CELL_M).astype(np.int64)
+        cell = np.floor((xy - self.corner) / self.cell_m).astype(np.int64)
         within = ((cell >= 0) & (cell < self.seen.shape)).all(axis=1)
         result = np.zeros(len(xy), dtype=bool)
         result[within] = self.seen[cell[within, 0], cell[within, 1]]
@@ -88,30 +97,30 @@ class SeenCells:
     @property
     def middles(self) -> Floats:
         """(C, 2) of the cells that were seen."""
-        return np.asarray(self.corner + CELL_M * (np.argwhere(self.seen) + 0.5))
+        return np.asarray(self.corner + self.cell_m * (np.argwhere(self.seen) + 0.5))
 
     def only(self, chosen: NDArray[np.bool_]) -> SeenCells:
         """Those of the cells that were seen, in the order of :attr:`middles`, which ``chosen`` (C,) names."""
         seen = self.seen.copy()
         seen[seen] = chosen
-        return SeenCells(seen=seen, corner=self.corner)
+        return replace(self, seen=seen)
 
     def with_places(self, xy: Floats) -> SeenCells:
         """With the cells of places (N, 2) where ground was seen, too; gaps between them are closed."""
-        cell = np.floor((xy - self.corner) / CELL_M).astype(np.int64)
-        reach = round(CLOSE_M / CELL_M) + 1
+        cell = np.floor((xy - self.corner) / self.cell_m).astype(np.int64)
+        reach = round(CLOSE_M / self.cell_m) + 1
         low = np.minimum(cell.min(axis=0, initial=0), 0) - reach
         high = np.maximum(cell.max(axis=0, initial=0) + 1, self.seen.shape) + reach
         seen = np.zeros(tuple(high - low), dtype=bool)
         seen[-low[0] : self.seen.shape[0] - low[0], -low[1] : self.seen.shape[1] - low[1]] = self.seen
         seen[tuple((cell - low).T)] = True
-        return SeenCells(seen=_closed(seen), corner=self.corner + low * CELL_M)
+        return replace(self, seen=_closed(seen, self.cell_m), corner=self.corner + low * self.cell_m)
 
     def area(self, stems_xy: Floats) -> float:
         """Horizontal, square metres; 0 where too many stems (T, 2) stand off it: then it says nothing of the plot."""
         if not self.seen.any() or np.count_nonzero(self.at(stems_xy)) < LEAST_ON_GROUND * len(stems_xy):
             return 0.0
-        return float(self.seen.sum() * CELL_M**2)
+        return float(self.seen.sum() * self.cell_m**2)
 
 
 def near_ground(points: Floats, ground_m: Floats | float) -> Floats:
@@ -125,20 +134,35 @@ def near_ground(points: Floats, ground_m: Floats | float) -> Floats:
 def seen_cells(low: Floats, *, close: bool = True) -> SeenCells:
     """Where the ground is seen: cells with points of ``low`` (N, 2), those within ``NEAR_GROUND_M`` of the ground.
 
-    ``close`` counts gaps of up to two metres as seen.
+    ``close`` counts gaps of up to two metres as seen, by cells as fine as the points allow.
     """
     if len(low) == 0:
         return SeenCells(seen=np.zeros((0, 0), dtype=bool), corner=np.zeros(2))
-    reach = round(CLOSE_M / CELL_M)
     origin = column_min(low)
-    column, row = (((low[:, axis] - origin[axis]) / CELL_M).astype(np.int64) + reach + 1 for axis in range(2))
+    cell_m = _cell_m(low, origin) if close else CELL_M
+    reach = round(CLOSE_M / cell_m)
+    column, row = (((low[:, axis] - origin[axis]) / cell_m).astype(np.int64) + reach + 1 for axis in range(2))
     seen = np.zeros((int(column.max()) + reach + 2, int(row.max()) + reach + 2), dtype=bool)
     seen[column, row] = True
     if close:
-        seen = _closed(seen)
-    return SeenCells(seen=seen, corner=origin - (reach + 1) * CELL_M)
+        seen = _closed(seen, cell_m)
+    return SeenCells(seen=seen, corner=origin - (reach + 1) * cell_m, cell_m=cell_m)
 
 
-def _closed(seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    width = 2 * round(CLOSE_M / CELL_M) + 1
-    return np.asarray(binary_closing(seen, np.ones((width, width))))
+def _cell_m(low: Floats, origin: Floats) -> float:
+    """Side of the cells by which points (N, 2), which begin at ``origin`` (2,), measure an area, metres."""
+    column, row = (((low[:, axis] - origin[axis]) / CELL_M).astype(np.int64) for axis in range(2))
+    width = int(row.max()) + 1
+    least_m = max(LEAST_CELL_M, CELL_M * float(np.sqrt((column.max() + 1.0) * width / MOST_CELLS)))
+    if least_m >= CELL_M:
+        return CELL_M
+    counts = np.bincount(column * width + row)
+    per_m2 = float(np.median(counts[counts > 0])) / CELL_M**2
+    return float(np.clip(SPACINGS / np.sqrt(per_m2), least_m, CELL_M))
+
+
+def _closed(seen: NDArray[np.bool_], cell_m: float) -> NDArray[np.bool_]:
+    """With the gaps that a square of twice ``CLOSE_M`` does not fit into."""
+    width = 2 * round(CLOSE_M / cell_m) + 1
+    grown = maximum_filter(seen.astype(np.uint8), size=width, mode="constant")
+    return np.asarray(minimum_filter(grown, size=width, mode="constant") > 0)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.errors import FsinferError
+from fsinfer.errors import FsinferError, ImageError
 from fsinfer.geometry.similarity import apply, compose
 from fsinfer.io.cloud import read_cloud
 from fsinfer.io.digest import file_digest
@@ -28,13 +28,11 @@ from fsinfer.trees.outputs.reasons import read_reasons
 from fsinfer.trees.outputs.table import read_trees
 from fsinfer.trees.pattern.join import JoinedPart, PartStems, join_parts
 from fsinfer.trees.pattern.match import PatternSettings
-from fsinfer.trees.stand import CELL_M, near_ground, seen_cells
+from fsinfer.trees.stand import near_ground, seen_cells
 from fsinfer.trees.tree import OUTSIDE, Tree
 
 _log = logging.getLogger(__name__)
 Floats = NDArray[np.float64]
-#: Places in a cell that stand for it: a turned raster must leave no holes. Source: geometry.
-_QUARTERS = ((0.25, 0.25), (0.25, 0.75), (0.75, 0.25), (0.75, 0.75))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,17 +104,25 @@ def cameras_of(out: Path, parts: Sequence[JoinedPart]) -> tuple[Cameras, ...]:
 
 
 def copy_figures(out: Path, plot: PlotResult, numbers: dict[int, int]) -> None:
-    """The figures of joined stems, by their numbers in the plot; ``numbers`` are those in their parts."""
+    """The figures of joined stems, by their numbers in the plot; ``numbers`` are those in their parts.
+
+    The title of a section has the number in the part: that in the plot stands above it.
+    """
+    from fsinfer.trees.outputs.figures import relabel_section  # loads matplotlib
+
     there = OutputFolder(out)
     for tree in plot.joined:
         part = OutputFolder(out / str(tree.part))
         number = numbers[tree.tree_id]
-        for source, target in (
-            (part.section_figure(number), there.section_figure(tree.tree_id)),
-            (part.edges_figure(number), there.edges_figure(tree.tree_id)),
-        ):
-            if source.is_file():
-                copy_file(source, target)
+        section, edges = part.section_figure(number), part.edges_figure(number)
+        if section.is_file():
+            told = f"{number} in {tree.part}"
+            try:
+                relabel_section(section, there.section_figure(tree.tree_id), number=tree.tree_id, told=told)
+            except ImageError as error:
+                _log.info("the figure of tree %s cannot be read: %s", told, error)
+        if edges.is_file():
+            copy_file(edges, there.edges_figure(tree.tree_id))
 
 
 def _outside_now(warnings: Sequence[Notice], trees: Sequence[Tree]) -> tuple[Notice, ...]:
@@ -158,13 +164,11 @@ def _walked(ground_xy: Floats, folder: Path, part: JoinedPart, walk: WalkSetting
 
 
 def _ground_of(folder: Path, part: JoinedPart, settings: GroundSettings) -> Floats:
-    """Middles (N, 2) of the quarters of the cells where the part saw ground, in the plot's frame."""
+    """Middles (N, 2) of the cells where the part saw ground, in the plot's frame."""
     points = read_cloud(OutputFolder(folder).cloud_ply).xyz
     ground = find_ground(points, settings=settings)
     cells = seen_cells(near_ground(points, ground.height_at(points[:, :2])))
-    corners = cells.corner + CELL_M * np.argwhere(cells.seen)
-    quarters = (corners[:, None] + CELL_M * np.array(_QUARTERS)).reshape(-1, 2)
-    flat = np.column_stack([quarters, np.zeros(len(quarters))])
+    flat = np.column_stack([cells.middles, np.zeros(np.count_nonzero(cells.seen))])
     return np.asarray(apply(part.plot_from_part, flat)[:, :2])
 
 

@@ -26,7 +26,7 @@ from typing import Any, Generic, TypeVar
 from fsinfer._version import __version__
 from fsinfer.errors import InputError, OutputError
 from fsinfer.io.digest import file_digest
-from fsinfer.io.files import disk_full, is_disk_full, make_folder, write_text
+from fsinfer.io.files import disk_full, is_by_system, is_disk_full, make_folder, write_text
 from fsinfer.io.json_text import read_json
 from fsinfer.output.json_values import as_json, of_json
 from fsinfer.output.layout import RECORDS_FOLDER
@@ -233,7 +233,7 @@ class Ledger:
     def _empty(self, stage: Stage[T], *, known: bool) -> None:
         for output in stage.outputs:
             folder = self.out / output
-            if not folder.is_dir() or not any(folder.iterdir()):
+            if not folder.is_dir() or all(is_by_system(item.name) for item in folder.iterdir()):
                 continue
             if not known:
                 msg = f"{folder} holds files that this run did not make; choose another output folder or move them away"
@@ -258,6 +258,8 @@ def _digest(value: Any) -> str:
 
 def _describe_path(path: Path) -> Any:
     if path.is_dir():
-        sizes = [item.stat().st_size for item in path.rglob("*") if item.is_file()]
+        # Looking into the folder leaves files there, and makes nothing of what the stage wrote another.
+        found = (item for item in path.rglob("*") if not any(map(is_by_system, item.relative_to(path).parts)))
+        sizes = [item.stat().st_size for item in found if item.is_file()]
         return [len(sizes), sum(sizes)]
     return file_digest(path) if path.is_file() else None

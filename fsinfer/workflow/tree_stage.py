@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from fsinfer.io.cloud import PointCloud, write_cloud
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.plots import PlotCode
+from fsinfer.placement.settings import LevelSettings
 from fsinfer.plot_border.place import place_border
-from fsinfer.plot_border.plot import PlotFigures, plot_of, stem_circles
+from fsinfer.plot_border.plot import PlotFigures, Upright, plot_of, stem_circles
 from fsinfer.plot_border.request import BorderRequest
 from fsinfer.plot_border.rows import figure_rows
 from fsinfer.plot_border.sight import Cameras, seen_share
@@ -263,7 +264,19 @@ def _draw_border(
     ground_of_parts = np.column_stack([added.ground_xy, result.ground.height_at(added.ground_xy)])
     points = np.concatenate([given.cloud.xyz, ground_of_parts]) if len(added.ground_xy) else given.cloud.xyz
     seen = seen_share(border, points, result.ground, stem_circles(trees), cameras=cameras)
-    plot = plot_of(trees, border, seen, slope_deg=result.ground.slope_deg, scale_rel_std=given.scale_rel_std)
+    # The z of a cloud without photographs is what its owner says.
+    up_rad = 0.0 if photos is None else float(np.radians(LevelSettings().camera_floor_deg))
+    upright = Upright(std_rad=up_rad, z_m=float(result.ground.height_at(np.array([border.middle]))[0]))
+    plot = plot_of(
+        trees,
+        border,
+        seen,
+        slope_deg=result.ground.slope_deg,
+        scale_rel_std=given.scale_rel_std,
+        # What another part measured has its budget there.
+        shared_m=np.array([*(section.shared_sd_m for section in result.sections), *([np.nan] * len(result.joined))]),
+        upright=upright,
+    )
     told = (*result.warnings, *plot.warnings)
     count = len(result.trees)
     return replace(result, trees=plot.trees[:count], joined=plot.trees[count:], warnings=told), plot.figures

@@ -12,14 +12,16 @@ from __future__ import annotations
 import argparse
 import csv
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from fsinfer.plot_border.hectare import M2_PER_HA, HectareFigure, PlotStems, basal_area_per_ha
 from fsinfer.trees import Tree, analyse_plot
+from fsinfer.trees.points.sums import Z95
 from tests.bench.results import add_result_options, check_result_options, save_result
 from training.simulate.stem_cloud import KINDS, CloudSpec, StemCloud, StemTruth, simulate
 from training.simulate.walked_cloud import KINDS as WALKED
@@ -30,22 +32,30 @@ MAX_DISTANCE_M = 0.3
 
 @dataclass(frozen=True, kw_only=True)
 class Match:
-    """A true stem with the tree found for it (None: omitted), or a false tree (``truth`` None)."""
+    """A true stem with the tree found for it (None: omitted), or a false tree (``truth`` None).
+
+    ``shared_sd_m`` is the part of the diameter's standard deviation that all stems of the plot share.
+    """
 
     seed: int
     truth: StemTruth | None
     tree: Tree | None
+    shared_sd_m: float = 0.0
 
 
-def match(seed: int, cloud: StemCloud, trees: tuple[Tree, ...]) -> list[Match]:
-    """One to one, by least total distance, nearer than ``MAX_DISTANCE_M``."""
+def match(seed: int, cloud: StemCloud, trees: tuple[Tree, ...], shared_sd_m: Sequence[float] = ()) -> list[Match]:
+    """One to one, by least total distance, nearer than ``MAX_DISTANCE_M``; ``shared_sd_m`` (T,) of the trees."""
     truth = np.array([[s.x_m, s.y_m] for s in cloud.stems])
     found = np.array([[t.x_m, t.y_m] for t in trees]).reshape(-1, 2)
     distance = np.linalg.norm(truth[:, None] - found[None], axis=2)
     rows, columns = linear_sum_assignment(np.where(distance < MAX_DISTANCE_M, distance, 1e3))
     links = {int(i): int(j) for i, j in zip(rows, columns, strict=True) if distance[i, j] < MAX_DISTANCE_M}
+    shared = shared_sd_m or [0.0] * len(trees)
     result = [
-        Match(seed=seed, truth=s, tree=trees[links[i]] if i in links else None) for i, s in enumerate(cloud.stems)
+        Match(seed=seed, truth=s, tree=trees[links[i]], shared_sd_m=shared[links[i]])
+        if i in links
+        else Match(seed=seed, truth=s, tree=None)
+        for i, s in enumerate(cloud.stems)
     ]
     return result + [Match(seed=seed, truth=None, tree=t) for j, t in enumerate(trees) if j not in links.values()]
 
@@ -58,7 +68,7 @@ def run(kind: str, first_seed: int, plots: int, *, echo: bool = True) -> list[Ma
         start = time.perf_counter()
         result = analyse_plot(cloud.points)
         seconds = time.perf_counter() - start
-        new = match(seed, cloud, result.trees)
+        new = match(seed, cloud, result.trees, [section.shared_sd_m for section in result.sections])
         matches += new
         if echo:
             omitted = [(m.truth.tree_id, round(m.truth.dbh_cm, 1), m.truth.tags) for m in new if m.truth and not m.tree]
@@ -108,6 +118,7 @@ def figures_of(matches: list[Match], groups: Groups = GROUPS) -> dict[str, float
         "false": false,
         "false_percent": 100 * false / max(len(found) + false, 1),
     }
+    figures |= basal_area_figures(matches)
     for prefix, chosen in groups.values():
         group = [(stem, tree) for stem, tree in found if chosen(stem)]
         figures |= {
@@ -136,12 +147,53 @@ def figures_of(matches: list[Match], groups: Groups = GROUPS) -> dict[str, float
     return figures
 
 
+def basal_area_figures(matches: list[Match]) -> dict[str, float]:
+    """Plots whose basal area lies in its interval: of the stems that were measured, so that only diameters err."""
+    plots: dict[int, list[tuple[float, float, float, float]]] = {}
+    for m in matches:
+        if m.truth is not None and m.tree is not None and m.tree.dbh_cm is not None:
+            std_m = m.tree.half95_cm / (100.0 * Z95)
+            row = (m.truth.dbh_cm / 100.0, m.tree.dbh_cm / 100.0, std_m, m.shared_sd_m)
+            plots.setdefault(m.seed, []).append(row)
+    inside, half_widths = 0, []
+    for rows in plots.values():
+        true_m, dbh_m, std_m, shared_m = np.array(rows).T
+        figure = _basal_area(PlotStems(
+            inside=np.ones(len(rows), dtype=bool), chance=np.ones(len(rows)), dbh_m=dbh_m, std_m=std_m,
+            shared_m=shared_m,
+        ))  # fmt: skip
+        inside += figure.lo95 <= float((np.pi / 4.0 * true_m**2).sum()) <= figure.hi95
+        half_widths.append(100.0 * (figure.hi95 - figure.lo95) / (2.0 * figure.value))
+    if not plots:
+        return {}
+    return {
+        "basal_area_plots": len(plots),
+        "basal_area_inside_interval": inside,
+        "basal_area_inside_interval_percent": 100 * inside / len(plots),
+        "basal_area_half_width_median_percent": float(np.median(half_widths)),
+    }
+
+
+def _basal_area(stems: PlotStems) -> HectareFigure:
+    figure = basal_area_per_ha(stems, area_m2=M2_PER_HA, share=1.0)
+    if figure is None:
+        msg = "a plot of measured stems has a basal area"
+        raise AssertionError(msg)
+    return figure
+
+
 def summary(figures: dict[str, float], groups: Groups = GROUPS) -> str:
     """The figures, one line a group."""
     lines = [
         f"stems {figures['stems']}, detected {figures['found_percent']:.2f} %, "
         f"false {figures['false']} ({figures['false_percent']:.2f} %)"
     ]
+    if "basal_area_plots" in figures:
+        lines.append(
+            f"basal area of measured stems: in the interval on {figures['basal_area_inside_interval']} of "
+            f"{figures['basal_area_plots']} plots, half width {figures['basal_area_half_width_median_percent']:.1f} % "
+            "(median)"
+        )
     for name, (prefix, _) in groups.items():
         own = {key.removeprefix(prefix): value for key, value in figures.items() if key.startswith(prefix)}
         if not own["measured"]:

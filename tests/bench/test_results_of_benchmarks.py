@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -102,6 +103,14 @@ def test_stems_count_what_was_found_measured_and_held_by_its_interval() -> None:
     assert figures["bias_cm"] == pytest.approx(-1.25)
     assert figures["hidden_worst_cm"] == pytest.approx(3.0)
     assert (figures["double_wall_refused"], figures["double_wall_stems"]) == (1, 1)
+    # Sections of 30 and 15 cm for which 30.5 and 12 cm were found, 6 % less: within 1 cm of each together only.
+    shared = [replace(m, shared_sd_m=0.01 / 1.96) for m in matches]
+    assert [figures["basal_area_plots"], figures["basal_area_inside_interval"]] == [1, 1]
+    tight = [replace(m, tree=m.tree and tree(1, 0.0, m.tree.dbh_cm, half_cm=0.5)) for m in matches]
+    assert stems.figures_of(tight)["basal_area_inside_interval_percent"] == 0
+    wider = stems.figures_of(shared)["basal_area_half_width_median_percent"]
+    assert wider == pytest.approx(100 * 2 * 42.5 / (30.5**2 + 12.0**2), rel=1e-3)
+    assert figures["basal_area_half_width_median_percent"] == pytest.approx(wider * np.hypot(30.5, 12) / 42.5, rel=1e-3)
     assert all(FIGURE.fullmatch(name) for name in figures)
     assert "double wall: n 1, none measured" in stems.summary(figures)
 

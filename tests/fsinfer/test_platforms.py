@@ -36,6 +36,15 @@ def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     )
 
 
+def test_a_scene_on_a_disk_of_another_system_is_read(tmp_path: Path) -> None:
+    """macOS puts a file of its own beside each one on exFAT."""
+    scene = write_plane_scene(tmp_path / "scene", height=75, width=90)
+    names = [view.name for view in read_scene(scene).views]
+    for path in [*(scene / "cams").iterdir(), *(scene / "images").iterdir()]:
+        path.with_name(f"._{path.name}").write_bytes(bytes([0, 5, 22, 7]))
+    assert [view.name for view in read_scene(scene).views] == names
+
+
 @pytest.mark.parametrize(
     ("system", "machine", "wanted"),
     [

@@ -26,7 +26,7 @@ from fsinfer.conventions.breast_height import BREAST_HEIGHT_M
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees.cylinder.axis import LEAST_CORE, LEAST_RADIUS_M, AxisFit, axis_coordinates
-from fsinfer.trees.diameter.budget import effective_dof, factor95, total_std
+from fsinfer.trees.diameter.budget import effective_dof, factor95, shared_std, total_std
 from fsinfer.trees.diameter.circle import LEAST_POINTS, covered_bins
 from fsinfer.trees.diameter.double_wall import blurred_gap, wall_gap
 from fsinfer.trees.diameter.outline import fit_outline
@@ -234,6 +234,7 @@ def _section(
         half_slice_m=section.half_m,
         outline=outline if status != "unmeasured" else None,
         dof=dof,
+        shared_sd_m=2.0 * shared_std(parts),
     )
 
 

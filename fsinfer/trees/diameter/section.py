@@ -26,7 +26,8 @@ class Section:
     cloud, ``slope`` (2,) its dx/dh and dy/dh, ``taper`` the radius's dr/dh, ``top_m`` the height to which the stem was
     seen (below the search's upper end). ``parts_m`` are the standard
     deviations of the radius that make up the interval, by name, ``dof`` their degrees of freedom together
-    (:mod:`fsinfer.trees.diameter.budget`), ``tau_m`` the error that neighbouring points share.
+    (:mod:`fsinfer.trees.diameter.budget`), ``tau_m`` the error that neighbouring points share. Of ``sd_m``, that of the
+    diameter, ``shared_sd_m`` is the part with one cause in all stems of a plot, without that of the scale.
     ``dbh_m`` is None when ``reasons`` say why there is none. Where photographs were looked at too
     (:mod:`fsinfer.silhouettes.join`), ``silhouette`` is what their edges say and ``cloud_dbh_m`` what the points alone
     gave.
@@ -55,6 +56,7 @@ class Section:
     silhouette: SilhouetteFit | None = None
     cloud_dbh_m: float | None = None
     dof: float = float("inf")
+    shared_sd_m: float = 0.0
 
     @property
     def half95_m(self) -> float:

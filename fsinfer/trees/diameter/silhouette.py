@@ -42,7 +42,8 @@ class SilhouetteFit:
     """What the edges say of one stem, at the height about which ``Edges.height_m`` counts; metres.
 
     ``radius_m`` is the girth over 2 pi with its standard deviation ``std_m`` and the degrees of freedom ``dof`` of that
-    (:mod:`fsinfer.trees.diameter.budget`); ``one_sided_m`` is the part of it that comes from sides unseen;
+    (:mod:`fsinfer.trees.diameter.budget`); ``one_sided_m`` is the part of it that comes from sides unseen, ``common_m``
+    the part that has one cause in all stems of a plot;
     ``shift_m`` (2,) and ``slope`` (2,) what the axis is moved and turned by; ``shape_m`` cosine and sine of the
     harmonics of the support function; ``rays`` how many rays carry the stem's edge and ``share`` their part of all;
     ``photos`` how many photographs they come from; ``sectors`` the part of the directions round the stem that they
@@ -65,6 +66,7 @@ class SilhouetteFit:
     contrast: float
     weight: Floats
     one_sided_m: float = 0.0
+    common_m: float = 0.0
     dof: float = float("inf")
     gain: Floats = field(default_factory=lambda: np.zeros(0))
 
@@ -131,6 +133,7 @@ def fit_silhouette(
         contrast=contrast,
         weight=weight,
         one_sided_m=parts["one sided"],
+        common_m=float(np.hypot(parts["common"], parts["shape"])),
         dof=effective_dof(parts, {"edges": dof}),
         gain=np.asarray(np.linalg.solve(best.information, (best.own * best.precision[:, None]).T)[0]),
     )

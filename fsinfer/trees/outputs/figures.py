@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.io.files import atomic_path
+from fsinfer.io.images import read_image
 from fsinfer.progress import Progress, silent
 from fsinfer.trees.measure import PlotResult
 from fsinfer.trees.points.sums import Z95
@@ -23,6 +24,8 @@ STATUS_COLOURS = {"ok": "#1b7837", "doubtful": "#d98300", "unmeasured": "#9a9a9a
 #: Stems outside of the plot's border. Source: layout.
 _OUTSIDE_ALPHA = 0.35
 _BORDER = "#6a3d9a"
+#: Dots an inch, and the height of a line that is added above a figure, pixels. Source: layout.
+_DPI, _LINE_PX = 130, 44
 _KEPT, _DROPPED, _CIRCLE, _CURVE = "#2b5c8a", "#d1495b", "#1b1b1b", "#e08e0b"
 
 
@@ -199,6 +202,24 @@ def plot_section(
     _save(figure, path)
 
 
+def relabel_section(source: Path, target: Path, *, number: int, told: str) -> None:
+    """The figure of a section with a line above it that says whose it is: tree ``number``, ``told`` as its other name.
+
+    Raises
+    ------
+    ImageError
+        ``source`` is no picture.
+    """
+    picture = read_image(source)
+    height, width = picture.shape[:2]
+    figure = _figure(width / _DPI, (height + _LINE_PX) / _DPI)
+    figure.set_layout_engine("none")
+    figure.figimage(picture, 0, 0)
+    place = 1.0 - 0.5 * _LINE_PX / (height + _LINE_PX)
+    figure.text(0.5, place, f"Tree {number} ({told})", fontsize=12, fontweight="bold", ha="center", va="center")
+    _save(figure, target)
+
+
 def _sources(section: Section) -> str:
     """Say what the photographs' edges and the points alone gave."""
     fit = section.silhouette
@@ -238,7 +259,7 @@ def _figure(width: float, height: float) -> Any:
 
 def _save(figure: Any, path: Path) -> None:
     with atomic_path(Path(path)) as temporary:
-        figure.savefig(temporary, dpi=130)
+        figure.savefig(temporary, dpi=_DPI)
 
 
 def _closed(curve: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -52,6 +52,18 @@ def _moved(
     return [Found(100 + k, x, y, dbh[k] + rng.normal(0.0, 0.8)) for k, (x, y) in enumerate(moved)]
 
 
+def test_stems_outside_of_the_walk_are_not_judged(tmp_path: Path) -> None:
+    rows = ["tree_id,x_m,y_m,dbh_cm,status", "1,0.1,0,21,ok", "2,3,0.2,,outside", "3,1,30,,outside", "4,9,9,15,ok"]
+    (tmp_path / "trees.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    found = read_measured(tmp_path / "trees.csv", need_dbh=False)
+    # One of the two outside is a tree that was measured; of the others the one that counts in the stand is false.
+    for margin, outside, false in ((None, 1, 1), (1.0, 2, 0), (100.0, 1, 1)):
+        e = evaluate(MEASURED, found, align="never", area_margin_m=margin)
+        assert (e.detected, e.matched, e.outside, e.false) == (2, 1, outside, false)
+    by_id = evaluate([replace(MEASURED[0], tree_id="1")], found, by_id=True)
+    assert (by_id.detected, by_id.outside, by_id.false) == (1, 2, 1)
+
+
 def test_metrics_by_hand() -> None:
     e = evaluate(MEASURED, FOUND)
     assert (e.n, e.extracted, e.detected, e.matched, e.omitted, e.false) == (4, 4, 3, 2, 1, 1)

@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fsinfer.errors import SceneError
 from fsinfer.importers.foreign import ForeignScene, centers_of
 from fsinfer.importers.formats import reader_of
+from fsinfer.io.images import write_image
 from tests.support import foreign_scenes as made
 from tests.support.foreign_scenes import BROWN, COLMAP_LENSES, PINHOLE, SIZE, Truth
 
@@ -141,6 +143,33 @@ def test_a_chunk_without_a_scale_is_in_its_own_unit(tmp_path: Path) -> None:
     true = [np.linalg.norm(made.world_from_cam(b)[:3, 3] - made.world_from_cam(a)[:3, 3])
             for a, b in zip(scene.photos[:-1], scene.photos[1:], strict=True)]  # fmt: skip
     np.testing.assert_allclose(steps * made.CHUNK_SCALE, true, rtol=1e-9)
+
+
+def test_photographs_of_one_name_are_left_out_and_named(tmp_path: Path) -> None:
+    """Two cards begin their numbers anew: which of the two the one file is nobody can tell."""
+    scene = made.truth(PINHOLE)
+    made.write_photos(scene, tmp_path)
+    names = [photo.name for photo in scene.photos]
+    alike = [replace(photo, name=names[0]) if photo.name == names[-1] else photo for photo in scene.photos]
+    made.write_metashape(replace(scene, photos=tuple(alike)), tmp_path / "cameras.xml")
+    found = read(tmp_path / "cameras.xml")
+    assert [photo.name for photo in found.photos] == names[1:-1]
+    assert found.left_out.count(names[0]) == 2
+    assert any(f"left out ({names[0]})" in remark for remark in found.remarks)
+    both = replace(scene, photos=(alike[0], alike[-1]))
+    made.write_metashape(both, tmp_path / "cameras.xml")
+    with pytest.raises(SceneError, match=rf"2 share a file with another \({names[0]}, {names[0]}\).*different names"):
+        read(tmp_path / "cameras.xml")
+
+
+def test_a_label_that_several_files_fit_is_refused_with_their_names(tmp_path: Path) -> None:
+    scene = made.truth(PINHOLE)
+    made.write_photos(scene, tmp_path)
+    made.write_metashape(scene, tmp_path / "cameras.xml")
+    first = scene.photos[0].name
+    write_image(tmp_path / f"{first}.jpg", made.render(scene.photos[-1], scene.lens))
+    with pytest.raises(SceneError, match=rf"{first} may be {first}.jpg or {first}.png in .*; leave the one there"):
+        read(tmp_path / "cameras.xml")
 
 
 def test_a_chunk_on_the_earth_gets_z_up_and_small_coordinates(tmp_path: Path) -> None:

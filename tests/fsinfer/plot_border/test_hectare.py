@@ -15,6 +15,7 @@ from fsinfer.plot_border.hectare import (
     NOT_MEASURED,
     SCALE,
     UNSEEN,
+    UPRIGHT,
     PlotStems,
     basal_area_per_ha,
     count_interval,
@@ -137,9 +138,31 @@ def test_parts_are_named_and_of_the_right_size() -> None:
     basal = basal_area_per_ha(stems, area_m2=AREA_M2, share=1.0)
     assert basal is not None
     # Square metres a square metre do not know how long a metre is.
-    assert set(basal.parts) == {UNSEEN, AT_BORDER, DIAMETERS, NOT_MEASURED, COUNTING}
+    assert set(basal.parts) == {UNSEEN, AT_BORDER, UPRIGHT, DIAMETERS, NOT_MEASURED, COUNTING}
     assert basal.parts[DIAMETERS] == pytest.approx(20 * 1.96 * np.pi / 2 * 0.4 * 0.01 * np.sqrt(20))
     assert basal.parts[AT_BORDER] == pytest.approx(count.parts[AT_BORDER] * np.pi / 4 * 0.16)
+
+
+def test_what_all_stems_share_does_not_average_out() -> None:
+    rng = np.random.default_rng(43004)
+    inside = {"shared": 0, "own": 0}
+    rounds = 1500
+    for _ in range(rounds):
+        true = rng.uniform(0.1, 0.5, 40)
+        total = float((np.pi / 4 * true**2).sum()) / 0.05
+        # Bark that a curve does not follow is a quarter of each variance, and the same in all stems.
+        measured = true + 0.01 * rng.normal() + 0.01 * np.sqrt(3) * rng.normal(size=40)
+        given = stems_of(measured, std_m=0.02)
+        for name, stems in (("shared", replace(given, shared_m=np.full(40, 0.01))), ("own", given)):
+            figure = basal_area_per_ha(stems, area_m2=AREA_M2, share=1.0)
+            assert figure is not None
+            inside[name] += figure.lo95 <= total <= figure.hi95
+    assert 0.93 <= inside["shared"] / rounds <= 0.97
+    assert inside["own"] / rounds < 0.75
+    # More than all of it cannot be shared.
+    most = basal_area_per_ha(replace(given, shared_m=np.full(40, 0.5)), area_m2=AREA_M2, share=1.0)
+    assert most is not None
+    assert most.parts[DIAMETERS] == pytest.approx(1.96 * 20 * (np.pi / 2 * measured * 0.02).sum(), rel=1e-3)
 
 
 def test_where_nothing_can_be_said_of_basal_area() -> None:

@@ -11,7 +11,7 @@ import pytest
 from fsinfer.notices.plots import PlotCode
 from fsinfer.notices.sentences import sentence
 from fsinfer.plot_border.border import Border
-from fsinfer.plot_border.plot import plot_of, sort_trees, stem_circles
+from fsinfer.plot_border.plot import Upright, plot_of, sort_trees, stem_circles
 from fsinfer.plot_border.rows import figure_rows
 from fsinfer.plot_border.sight import Cameras, SeenShare, plot_cells, seen_share, views_of
 from fsinfer.scene import Scene
@@ -59,6 +59,32 @@ def test_an_unsure_place_is_a_border_case_farther_off() -> None:
     assert not sort_trees([at(9.7)], fixed)[0].at_border
 
 
+def test_a_cloud_that_may_not_stand_upright_is_unsure_of_stems_high_on_a_slope() -> None:
+    up = Upright(std_rad=float(np.radians(0.7)), z_m=100.0)
+    # 8 m above the middle a stem may stand 1.96 * 0.0122 * 8 = 19 cm aside, as high as the middle it may not.
+    high, level = at(9.83, z_ground_m=108.0), at(9.83, 2, z_ground_m=100.0)
+    assert [tree.at_border for tree in sort_trees([high, level], CIRCLE, upright=up)] == [True, False]
+    assert not sort_trees([high], CIRCLE)[0].at_border
+    trees = [at(9.9, z_ground_m=108.0), *(at(0.5 * k, k + 2, z_ground_m=100.0) for k in range(16))]
+    steep, flat, own = (
+        plot_of(trees, CIRCLE, ALL, slope_deg=slope, upright=given).figures
+        for slope, given in ((30.0, up), (0.0, up), (30.0, None))
+    )
+    for sure, unsure, known in (
+        (flat.stems_per_ha, steep.stems_per_ha, own.stems_per_ha),
+        (flat.basal_area_m2_per_ha, steep.basal_area_m2_per_ha, own.basal_area_m2_per_ha),
+    ):
+        assert sure is not None
+        assert unsure is not None
+        assert known is not None
+        expected = 1.96 * np.tan(np.radians(30.0)) * np.radians(0.7) * unsure.value
+        assert unsure.parts["which way is up"] == pytest.approx(expected, rel=1e-3)
+        assert sure.parts["which way is up"] == known.parts["which way is up"] == 0.0
+        # The chance of the stem near the border to be out is that of its place.
+        assert unsure.parts["stems at the border"] > 0.0
+        assert known.parts["stems at the border"] == pytest.approx(0.0, abs=1e-6)
+
+
 def test_figures_count_who_is_in() -> None:
     doubtful = at(2.0, 3, status="doubtful", dbh_cm=40.0, dbh_lo95_cm=39.0, dbh_hi95_cm=41.0)
     trees = [at(0.0, 1), at(9.95, 2), doubtful, unmeasured(3.0, 4), at(15.0, 5), at(10.05, 6)]
@@ -84,6 +110,20 @@ def test_figures_count_who_is_in() -> None:
     assert rows["stems_per_ha"] == figures.stems_per_ha.value
     assert rows["basal_area_m2_lo95_per_ha"] == figures.basal_area_m2_per_ha.lo95
     assert (rows["border_round"], rows["stems_doubtful"]) == ("walk", 1)
+
+
+def test_the_shared_part_of_diameters_is_in_the_interval_of_basal_area() -> None:
+    trees = [at(0.5 * k, k + 1) for k in range(16)]
+    own, shared, half = (
+        plot_of(trees, CIRCLE, ALL, slope_deg=0.0, shared_m=given).figures.basal_area_m2_per_ha
+        for given in (None, np.full(16, 0.4 / 196.0), np.where(np.arange(16) < 8, 0.4 / 196.0, np.nan))
+    )
+    assert own is not None
+    assert shared is not None
+    assert half is not None
+    assert shared.parts["diameters"] == pytest.approx(np.sqrt(16) * own.parts["diameters"], rel=1e-3)
+    # Of stems that another part of the walk measured nobody knows: they are like the others.
+    assert half.parts["diameters"] == pytest.approx(shared.parts["diameters"], rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -328,6 +328,18 @@ def test_the_points_count_as_if_their_error_were_twice_as_large() -> None:
     assert not combine(0.150, 0.002, 0.1588, 0.004).contradict
 
 
+def test_of_a_joined_diameter_only_what_all_stems_share_is_shared() -> None:
+    section = replace(section_of(0.30, 0.004), parts_m={"fit": 0.003, "bark": 0.0015, "scale": 0.002})
+    fit = replace(fit_of(0.149, 0.003), common_m=0.001)
+    section = joined(section, fit)
+    edges, points, level = (section.parts_m[name] for name in ("silhouette", "cloud", "level"))
+    # A third of the edges' standard deviation; of the points' bark and edges that depth maps fatten, 1.5 mm each.
+    of_points = points * np.hypot(0.0015, 0.0015) / np.sqrt(0.003**2 + 2 * 0.0015**2)
+    expected = 2 * np.sqrt((edges / 3) ** 2 + of_points**2 + level**2)
+    assert points > 0
+    assert section.shared_sd_m == pytest.approx(expected)
+
+
 def test_sources_that_contradict_each_other_widen_the_interval_and_say_so() -> None:
     """33.0 +- 0.4 from points and 30.3 +- 0.4 from edges is not 30.3 +- 0.8 beyond doubt."""
     std = 0.002 / 1.96  # of the radius: 0.4 cm are half of the interval of the diameter

@@ -59,10 +59,18 @@ def test_a_measured_stem_stays_before_one_that_is_not_whatever_their_order() -> 
 
 
 @pytest.mark.parametrize(
-    ("status", "edges", "left"), [("doubtful", False, [1]), ("ok", False, [1, 2]), ("doubtful", True, [1, 2])]
+    ("status", "edges", "sides", "noise_m", "left"),
+    [
+        ("doubtful", False, 0.3, 0.015, [1]),
+        ("ok", False, 0.3, 0.015, [1, 2]),
+        ("doubtful", True, 0.3, 0.015, [1, 2]),
+        # A neighbour that shows no edges: its bark is no haze, or it is seen from more than one side.
+        ("doubtful", False, 0.3, 0.005, [1, 2]),
+        ("doubtful", False, 0.6, 0.015, [1, 2]),
+    ],
 )
-def test_a_doubtful_wall_beside_a_stem_whose_edges_are_seen_is_its_haze(
-    status: str, edges: bool, left: list[int]
+def test_a_doubtful_hazy_wall_beside_a_stem_whose_edges_are_seen_is_its_haze(
+    status: str, edges: bool, sides: float, noise_m: float, left: list[int]
 ) -> None:
     """Three centimetres of air between them, as in a walk that was torn and joined."""
     fit = SilhouetteFit(
@@ -72,7 +80,7 @@ def test_a_doubtful_wall_beside_a_stem_whose_edges_are_seen_is_its_haze(
     stem, wall = entry(1, 0.0, 0.125), entry(2, 0.187, 0.188, sd_m=0.02, status=status)
     pairs = [
         (stem[0], replace(stem[1], silhouette=fit)),
-        (wall[0], replace(wall[1], silhouette=fit if edges else None)),
+        (wall[0], replace(wall[1], silhouette=fit if edges else None, coverage=sides, residual_m=noise_m)),
     ]
     assert numbers(one_entry_a_stem(pairs)[0]) == left
     # Without photographs nobody looked for edges.

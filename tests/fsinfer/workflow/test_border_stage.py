@@ -17,6 +17,7 @@ from fsinfer.io.cloud import write_cloud
 from fsinfer.notices.plots import PlotCode
 from fsinfer.output.json_values import as_json, of_json
 from fsinfer.output.plot_json import read_plot
+from fsinfer.plot_border.hectare import UPRIGHT
 from fsinfer.plot_border.request import BorderRequest
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scene import read_scene
@@ -70,6 +71,11 @@ def test_tables_figures_and_maps_know_the_border(
     assert [inside_m[key] for key in sorted(inside_m)] == [("0", "1"), ("1", "1"), ("1", "0")]
     assert result.plot is not None
     assert (result.plot.stems, result.plot.outside, result.plot.seen_share) == (2, 1, 1.0)
+    assert result.plot.stems_per_ha is not None
+    slope = np.tan(np.radians(result.plot.slope_deg))  # of noise
+    up = 1.96 * np.radians(0.7) * slope * result.plot.stems_per_ha.value
+    assert result.plot.stems_per_ha.parts[UPRIGHT] == pytest.approx(up, rel=1e-3)
+    assert up > 0.0
     assert [told.code for told in result.warnings] == [PlotCode.border_cases]
     assert result.stand is not None
     assert result.stand.stems == 3  # of the seen ground, as without a border
@@ -120,6 +126,8 @@ def test_a_cloud_of_another_origin(given: PlotCloudInput, tmp_path: Path, drawn:
     assert plot["per_hectare_of"] == "the plot within its border"
     assert (plot["plot_border"]["stems"], plot["plot_border"]["area_m2"]) == (1, 8.0)
     assert "photos" not in plot["plot_border"]["seen_method"]
+    # Its z is what its owner says.
+    assert plot["plot_border"]["stems_per_ha"]["parts"][UPRIGHT] == 0.0
     # The same again is done already; without the border it is another measurement.
     assert not measure_cloud_file(path, out, request=ScaleRequest(), settings=polygon).ran
     assert measure_cloud_file(path, out, request=ScaleRequest()).ran

@@ -70,6 +70,21 @@ def test_skipped_stage_gives_the_saved_result_and_time(tmp_path: Path) -> None:
     assert (second.run_id, second.seconds) == (first.run_id, first.seconds)
 
 
+def test_looking_into_the_folder_makes_no_stage_run_again(tmp_path: Path) -> None:
+    work = Counter(tmp_path / "maps" / "inner" / "a.txt")
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "maps" / ".DS_Store").write_bytes(b"finder")
+    assert run_stage(tmp_path, work, outputs=("maps",)).ran  # not refused as another's folder
+    for name in (".DS_Store", "inner/._a.txt", "inner/Thumbs.db", "Desktop.ini", ".Trashes/x"):
+        (tmp_path / "maps" / name).parent.mkdir(exist_ok=True)
+        (tmp_path / "maps" / name).write_bytes(b"by the system")
+    stage = Stage(name="s", version=1, result=Counted, outputs=("maps",))
+    assert Ledger(tmp_path).recall(stage) is not None
+    assert not run_stage(tmp_path, work, outputs=("maps",)).ran
+    (tmp_path / "maps" / "b.txt").write_text("a person's", encoding="utf-8")
+    assert Ledger(tmp_path).recall(stage) is None
+
+
 @pytest.mark.parametrize("harm", ["delete", "shorten", "overwrite"])
 def test_harmed_output_makes_the_stage_run_again(tmp_path: Path, harm: str) -> None:
     output = tmp_path / "cloud.ply"

@@ -1,0 +1,41 @@
+"""The area that figures a hectare refer to: that of the ground that was seen, whatever its size and density."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fsinfer.trees.stand import seen_cells
+
+NO_STEMS = np.zeros((0, 2))
+
+
+def disc(radius_m: float, per_m2: float, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    count = int(np.pi * radius_m**2 * per_m2)
+    radius, turn = radius_m * np.sqrt(rng.random(count)), 2 * np.pi * rng.random(count)
+    return np.column_stack([radius * np.cos(turn), radius * np.sin(turn)]) + rng.random(2)
+
+
+@pytest.mark.parametrize("radius_m", [5.64, 12.62, 40.0])
+@pytest.mark.parametrize("per_m2", [25.0, 150.0, 600.0])
+def test_a_clipped_circle_has_its_own_area(radius_m: float, per_m2: float) -> None:
+    area = np.mean([seen_cells(disc(radius_m, per_m2, seed)).area(NO_STEMS) for seed in range(3)])
+    assert area == pytest.approx(np.pi * radius_m**2, rel=0.02)
+
+
+def test_gaps_of_two_metres_are_closed_and_wider_ones_are_not() -> None:
+    ground = disc(10.0, 200.0)
+    middle = ground.mean(axis=0)
+    apart = np.abs(ground - middle).max(axis=1)
+    whole = seen_cells(ground).area(NO_STEMS)
+    assert seen_cells(ground[apart > 0.85]).area(NO_STEMS) == pytest.approx(whole, rel=0.001)
+    assert seen_cells(ground[apart > 1.6]).area(NO_STEMS) == pytest.approx(whole - 3.2**2, abs=0.8)
+    assert not seen_cells(ground[apart > 1.6]).at(middle[None])[0]
+
+
+def test_a_stray_a_kilometre_away_costs_neither_memory_nor_area() -> None:
+    far = np.vstack([disc(10.0, 50.0), [[3000.0, 3000.0]]])
+    seen = seen_cells(far)
+    assert seen.seen.size < 4e7
+    assert seen.area(NO_STEMS) == pytest.approx(np.pi * 100, rel=0.1)
