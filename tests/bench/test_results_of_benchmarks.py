@@ -34,6 +34,7 @@ ARGUMENTS = {
     "plot": ["plot", "out"],
     "plot_speed": ["plot", "out"],
     "poses": ["plot"],
+    "relief": [],
     "same": ["work"],
     "speed": [],
     "stems": [],
