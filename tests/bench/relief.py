@@ -54,9 +54,10 @@ def main(argv: list[str] | None = None) -> int:
             f"{name}_level_rms_cm": 100 * float(np.sqrt((off**2).mean())),
             f"{name}_level_worst_cm": 100 * float(off.max()),
         }
+        rms, worst = (figures[f"{name}_level_{which}_cm"] for which in ("rms", "worst"))
         print(
-            f"{name:>18}: {len(found)} of {len(FEET)} stems, level off by "
-            f"{figures[f'{name}_level_rms_cm']:.1f} cm (RMS), at worst {figures[f'{name}_level_worst_cm']:.1f} cm; by more than 10 cm and ok: {unsaid}",
+            f"{name:>18}: {len(found)} of {len(FEET)} stems, level off by {rms:.1f} cm (RMS), at worst {worst:.1f} cm; "
+            f"by more than 10 cm and ok: {unsaid}",
             flush=True,
         )
     settings = {"patches": args.patches, "seed": args.seed}
