@@ -156,7 +156,14 @@ def analyse_plot(
         warnings.append(notice(StemCode.ground_in_part, percent=100.0 * ground.share))
     stand = np.stack([*columns[:2], columns[2] - ground.height_at(local[:, :2])]).T
     progress(1, 3, "looking for stems")
-    search = find_stems(stand, bh_m=settings.bh_m, settings=settings.stems, progress=progress, seed=settings.seed)
+    search = find_stems(
+        stand,
+        bh_m=settings.bh_m,
+        settings=settings.stems,
+        progress=progress,
+        seed=settings.seed,
+        gradient_at=ground.gradient_at,
+    )
     low = near_ground(stand, 0.0)
     # Stems that are seen from above their feet would be their own ground.
     feet = np.array([stem.axis.center_at(0.0) for stem in search.stems]).reshape(-1, 2)

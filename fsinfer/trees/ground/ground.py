@@ -35,6 +35,8 @@ PLANE_ROUNDS = 5
 AGAINST = 0.5
 #: Without any plane the ground lies at this percentile of the lowest cells. Source: not recorded.
 LOW_PERCENTILE = 10
+#: Metres over which the slope is taken. Source: geometry; a stem and its foot.
+GRADIENT_M = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,6 +69,13 @@ class Ground:
         if self.raster_m is None:
             return np.asarray(z)
         return np.asarray(z + height_on(self.raster_m, self.origin, self.cell_m, xy[:, 0], xy[:, 1]))
+
+    def gradient_at(self, xy: Floats) -> Floats:
+        """Slope (N, 2) of the terrain at positions (N, 2), dz/dx and dz/dy over a metre either way."""
+        steps = GRADIENT_M * np.eye(2)
+        return np.column_stack(
+            [(self.height_at(xy + step) - self.height_at(xy - step)) / (2.0 * GRADIENT_M) for step in steps]
+        )
 
     @property
     def slope_deg(self) -> float:
