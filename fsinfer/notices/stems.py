@@ -23,6 +23,7 @@ class StemCode(StrEnum):
     # Why a diameter is doubtful.
     above_breast_height = "above_breast_height"
     below_breast_height = "below_breast_height"
+    ground_unsure = "ground_unsure"
     little_seen = "little_seen"
     wide_interval = "wide_interval"
     rougher_than_others = "rougher_than_others"
@@ -101,8 +102,9 @@ SENTENCES: dict[StemCode, str] = {
         "and no second pair of sides agrees on the size ({refused})"
     ),
     StemCode.outside_walk: "outside of the walk: the nearest photo was taken {nearest_m:.0f} m away",
-    StemCode.above_breast_height: "measured {off_cm:.0f} cm above breast height",
-    StemCode.below_breast_height: "measured {off_cm:.0f} cm below breast height",
+    StemCode.above_breast_height: "measured {off_cm:.0f} cm above breast height, corrected by its taper",
+    StemCode.below_breast_height: "measured {off_cm:.0f} cm below breast height, corrected by its taper",
+    StemCode.ground_unsure: "the ground at its foot is known to +- {std_cm:.0f} cm only",
     StemCode.little_seen: "only {seen_deg:.0f} degrees of the stem are seen",
     StemCode.wide_interval: "wide interval (+- {half_width_cm:.1f} cm)",
     StemCode.rougher_than_others: (

@@ -214,7 +214,9 @@ def join(
     """
     s = settings
     points_m = None if section.dbh_m is None else section.dbh_m / 2.0
-    found = combine(points_m, _points_std(section, s), fit.radius_m, fit.std_m, settings=s.combine)
+    # The edges are seen where the points were measured, which is not always at breast height.
+    edges_m = fit.radius_m + section.by_taper_m
+    found = combine(points_m, _points_std(section, s), edges_m, fit.std_m, settings=s.combine)
     radius = found.radius_m
     level = section.parts_m.get("level", (abs(fit.taper) + dbh.taper_std) * dbh.ground_std_m)
     parts = {
@@ -242,7 +244,7 @@ def join(
         parts_m=parts,
         status=status,
         reasons=reasons,
-        circle_m=np.array([*fit.shift_m, radius]),
+        circle_m=np.array([*fit.shift_m, radius - section.by_taper_m]),
         outline=_outline(fit, radius) if measured and fit.sectors >= dbh.outline_coverage else None,
         silhouette=fit,
         cloud_dbh_m=section.dbh_m,

@@ -3,7 +3,8 @@
 from fsinfer.trees.diameter.circle import CircleFit, CircleSettings, fit_circle
 from fsinfer.trees.diameter.dbh import DbhSettings
 from fsinfer.trees.diameter.section import Section
-from fsinfer.trees.ground.ground import Ground, GroundSettings, find_ground
+from fsinfer.trees.ground.ground import Ground, find_ground
+from fsinfer.trees.ground.settings import GroundSettings
 from fsinfer.trees.measure import PlotResult, analyse_plot, measure_trees
 from fsinfer.trees.search.find import find_stems
 from fsinfer.trees.search.stem import StemSettings

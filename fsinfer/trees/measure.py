@@ -15,9 +15,10 @@ from fsinfer.notices.stems import StemCode
 from fsinfer.progress import Progress, silent
 from fsinfer.threads import one_blas_thread
 from fsinfer.trees.diameter.section import Section
+from fsinfer.trees.ground.at_stems import shows_ground
 from fsinfer.trees.ground.ground import Ground, find_ground
 from fsinfer.trees.one_entry import one_entry_a_stem
-from fsinfer.trees.points.cells import BOX_MARGIN_M, BOX_PERCENTILES
+from fsinfer.trees.points.cells import BOX_MARGIN_M, BOX_PERCENTILES, rows
 from fsinfer.trees.points.sums import median
 from fsinfer.trees.sanity import (
     BOX_POINTS,
@@ -154,11 +155,21 @@ def analyse_plot(
     if ground.share < settings.sanity.min_ground:
         warnings.append(notice(StemCode.ground_in_part, percent=100.0 * ground.share))
     stand = np.stack([*columns[:2], columns[2] - ground.height_at(local[:, :2])]).T
+    progress(1, 3, "looking for stems")
+    search = find_stems(
+        stand,
+        bh_m=settings.bh_m,
+        settings=settings.stems,
+        progress=progress,
+        seed=settings.seed,
+        gradient_at=ground.gradient_at,
+    )
     low = near_ground(stand, 0.0)
+    # Stems that are seen from above their feet would be their own ground.
+    feet = np.array([stem.axis.center_at(0.0) for stem in search.stems]).reshape(-1, 2)
+    low = rows(low, shows_ground(low, feet, np.array([stem.axis.radius_m for stem in search.stems])))
     if seen_cells(low, close=False).area(np.zeros((0, 2))) < settings.sanity.little_ground * plan_m2:
         warnings.append(notice(StemCode.little_ground))
-    progress(1, 3, "looking for stems")
-    search = find_stems(stand, bh_m=settings.bh_m, settings=settings.stems, progress=progress, seed=settings.seed)
     progress(2, 3, "measuring stems")
     pairs, same = one_entry_a_stem(measure_stems(stand, search, ground, settings, scale_rel_std, origin))
     warnings += same
@@ -175,6 +186,7 @@ def analyse_plot(
             ground,
             origin=ground.origin + origin[:2],
             plane=ground.plane - np.array([0.0, 0.0, float(ground.plane[:2] @ origin[:2])]),
+            cells=None if ground.cells is None else ground.cells + np.array([*origin[:2], 0.0]),
         ),
         diagnosis=_diagnosis([tree for tree, _ in pairs], search, stand, settings),
         warnings=tuple(warnings),

@@ -12,7 +12,8 @@ from fsinfer.errors import CloudError
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.sentences import sentence
 from fsinfer.notices.stems import StemCode
-from fsinfer.trees.ground.ground import Ground, GroundSettings, find_ground, reach_of
+from fsinfer.trees.ground.ground import Ground, find_ground, reach_of
+from fsinfer.trees.ground.settings import GroundSettings
 
 Floats = NDArray[np.float64]
 _log = logging.getLogger(__name__)

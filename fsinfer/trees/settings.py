@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from fsinfer.conventions.breast_height import BREAST_HEIGHT_M, BhRule
 from fsinfer.trees.diameter.dbh import DbhSettings
-from fsinfer.trees.ground.ground import GroundSettings
+from fsinfer.trees.ground.settings import GroundSettings
 from fsinfer.trees.height import TopSettings
 from fsinfer.trees.sanity import SanitySettings
 from fsinfer.trees.search.stem import StemSettings

@@ -13,6 +13,7 @@ from fsinfer.notices.notice import notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees.diameter.dbh import measure_together
 from fsinfer.trees.diameter.section import Section
+from fsinfer.trees.ground.at_stems import level_std
 from fsinfer.trees.ground.ground import Ground
 from fsinfer.trees.height import FOOT_M, axis_path, top_may_be_seen, tree_height
 from fsinfer.trees.height import INDEX_CELL_M as TOP_CELL_M
@@ -56,6 +57,8 @@ def measure_stems(
     index = PlanIndex(slab, INDEX_CELL_M)
     centers = np.array([stem.axis.center_at(settings.bh_m) for stem in search.stems]).reshape(-1, 2)
     measured = []
+    feet = np.array([stem.axis.center_at(0.0) for stem in search.stems]).reshape(-1, 2)
+    unsure = level_std(ground, feet, np.array([stem.axis.radius_m for stem in search.stems]))
     for first in range(0, len(search.stems), TOGETHER):
         numbers = range(first, min(first + TOGETHER, len(search.stems)))
         own, stems, levels = [], [], []
@@ -71,7 +74,7 @@ def measure_stems(
             own,
             stems,
             bh_m=settings.bh_m,
-            ground_noise_m=ground.noise_m / GROUND_POINTS_STD,
+            ground_noise_m=[float(np.hypot(ground.noise_m / GROUND_POINTS_STD, unsure[number])) for number in numbers],
             scale_rel_std=scale_rel_std,
             settings=settings.dbh,
             seed=settings.seed,

@@ -22,7 +22,8 @@ from fsinfer.output.plot_json import read_plot
 from fsinfer.plot_border.sight import Cameras
 from fsinfer.scene import read_scene
 from fsinfer.silhouettes.walk import WalkSettings, outside_walk, stems_outside_walk
-from fsinfer.trees.ground.ground import GroundSettings, find_ground
+from fsinfer.trees.ground.ground import find_ground
+from fsinfer.trees.ground.settings import GroundSettings
 from fsinfer.trees.measure import PlotResult, trees_found
 from fsinfer.trees.outputs.reasons import read_reasons
 from fsinfer.trees.outputs.table import read_trees

@@ -35,6 +35,7 @@ ARGUMENTS = {
     "plot": ["plot", "out"],
     "plot_speed": ["plot", "out"],
     "poses": ["plot"],
+    "relief": [],
     "same": ["work"],
     "speed": [],
     "stems": [],

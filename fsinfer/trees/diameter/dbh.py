@@ -9,7 +9,8 @@ allows (one step of a Kalman filter). The diameter is the girth over pi: what a 
 The 95 % interval adds up, as independent standard deviations of the radius: the fit (with what neighbouring points
 share, :mod:`fsinfer.trees.diameter.spread`, and what the prior leaves open on the hidden side), the local correction,
 what bark differs from a smooth surface, what unseen sides may be like, the height of the slice (ground noise times
-taper) and the scale. Where few blocks of bark tell the error it is Student's interval
+taper; the taper's own error where the stem was measured
+above or below breast height) and the scale. Where few blocks of bark tell the error it is Student's interval
 (:mod:`fsinfer.trees.diameter.budget`). Its coverage by class, on stems that do not follow this model, is published in
 docs/trees.md and printed by ``python -m tests.bench.stems --kind walked-photo``.
 """
@@ -55,6 +56,8 @@ class DbhSettings:
     max_interval: width of a 95 % interval, share of the DBH, beyond which there is no diameter. Source: one stem of the
         rendered test plot and one simulated stem (docs/trees.md).
     doubtful_interval: the same, beyond which it is doubtful. Source: not recorded.
+    doubtful_level_m: standard deviation of the ground's height at the foot beyond which it is doubtful. Source: twice
+        that on relief which the ground follows (``python -m tests.bench.relief``).
     max_off_m: distance from breast height beyond which it is doubtful. Source: not recorded.
     outline_coverage: share of the circumference seen, from which girth, least and greatest diameter are given.
         Source: not recorded.
@@ -86,6 +89,7 @@ class DbhSettings:
     max_sigma_of_radius: float = 0.35
     max_interval: float = 0.6
     doubtful_interval: float = 0.22
+    doubtful_level_m: float = 0.1
     max_off_m: float = 0.05
     outline_coverage: float = 0.8
     local_std: float = 0.0035
@@ -108,7 +112,7 @@ def measure_together(
     stems: Sequence[Stem],
     *,
     bh_m: float = BREAST_HEIGHT_M,
-    ground_noise_m: float = 0.0,
+    ground_noise_m: float | Sequence[float] = 0.0,
     scale_rel_std: float = 0.0,
     settings: DbhSettings | None = None,
     seed: int = 0,
@@ -116,6 +120,7 @@ def measure_together(
     """Measure each stem among its points (N, 3) of x, y, height above its own ground, in metres.
 
     Stems do not know of each other; they are taken together because their fits are faster at once.
+    ``ground_noise_m`` is the standard deviation of the level their heights count from, of all or of each.
     """
     s = settings or DbhSettings()
     starts = np.zeros((len(stems), 6))
@@ -128,10 +133,11 @@ def measure_together(
         start[4] = max(stem.axis.radius_m + start[5] * (height - stem.axis.height_m), LEAST_RADIUS_M)
         starts[k], heights[k] = start, height
     sigmas = np.array([stem.axis.sigma_m for stem in stems])
+    noises = np.broadcast_to(np.asarray(ground_noise_m, dtype=np.float64), len(stems)).tolist()
     fits = joint_fits(points, starts, heights, sigmas, half_windows_m=s.half_windows_m, seed=seed)
     return [
-        _section(own, stem, fit, used, bh_m, ground_noise_m, scale_rel_std, s, seed)
-        for own, stem, (fit, used) in zip(points, stems, fits, strict=True)
+        _section(own, stem, fit, used, bh_m, noise, scale_rel_std, s, seed)
+        for own, stem, (fit, used), noise in zip(points, stems, fits, noises, strict=True)
     ]
 
 
@@ -181,7 +187,12 @@ def _section(
     precision = float((fit.core / fit.noise_m**2).sum() / max(float(fit.core.sum()), 1e-9))
     radius -= 1.0 / (2.0 * precision * max(radius, LEAST_RADIUS_M))
     radius *= _girth_factor(fit, spread)
+    # At breast height, which what was measured is not where undergrowth hides the stem there.
+    off = height - bh_m
+    at_measured, radius = radius, max(radius - taper * off, LEAST_RADIUS_M)
     level = (abs(taper) + s.taper_std) * float(np.hypot(s.ground_std_m, ground_noise_m))
+    taper_var = s.taper_std**2 + s.spread_factor**2 * float(spread.covariance[5, 5])
+    level = float(np.hypot(level, np.sqrt(taper_var) * off))
     parts = {
         "fit": float(np.sqrt(joint_var)),
         "local": float(np.sqrt(local_var)),
@@ -195,10 +206,11 @@ def _section(
     sd = 2.0 * total_std(parts)
     dof = effective_dof(parts, {"fit": spread.radius_dof, "common": spread.tau_dof})
     half = factor95(dof) * sd
-    circle = np.array([section.circle_m[0], section.circle_m[1], radius])
+    circle = np.array([section.circle_m[0], section.circle_m[1], at_measured])
     outline = None
     if coverage >= s.outline_coverage:
         scaled = offset * (1.0 - taper * foot / np.maximum(lengths(offset), 1e-6))[:, None]
+        scaled *= radius / at_measured
         outline = fit_outline(scaled, fit.core, radius, fit.sigma_m)
     gap = wall_gap(offset, lengths(offset) - (fit.radius_m + taper * foot), fit.sigma_m)
     if gap == 0.0:
@@ -210,7 +222,7 @@ def _section(
         reasons = (notice(StemCode.not_round),)
     status = "unmeasured" if reasons else "ok"
     if not reasons:
-        reasons = _doubts(coverage, 2.0 * radius, half, height - bh_m, s)
+        reasons = _doubts(coverage, 2.0 * radius, half, off, ground_noise_m, s)
         status = "doubtful" if reasons else "ok"
     return Section(
         center=fit.center_at(height),
@@ -235,6 +247,7 @@ def _section(
         outline=outline if status != "unmeasured" else None,
         dof=dof,
         shared_sd_m=2.0 * shared_std(parts),
+        by_taper_m=radius - at_measured,
     )
 
 
@@ -277,8 +290,12 @@ def wide_interval(dbh_m: float, half_m: float, s: DbhSettings) -> tuple[Notice, 
     return ()
 
 
-def _doubts(coverage: float, dbh_m: float, half_m: float, shift: float, s: DbhSettings) -> tuple[Notice, ...]:
+def _doubts(
+    coverage: float, dbh_m: float, half_m: float, shift: float, level_std_m: float, s: DbhSettings
+) -> tuple[Notice, ...]:
     doubts = []
+    if level_std_m > s.doubtful_level_m:
+        doubts.append(notice(StemCode.ground_unsure, std_cm=100.0 * level_std_m))
     if shift > s.max_off_m:
         doubts.append(notice(StemCode.above_breast_height, off_cm=100.0 * shift))
     elif shift < -s.max_off_m:

@@ -20,14 +20,14 @@ Ints = NDArray[np.int64]
 _SYMMETRIC: Mapping[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 #: Points at once; what is computed on the way stays in the processor's cache. Source: numerics.
 BLOCK = 16_384
-#: Stiffness of the surface, step by step: a stiff first one cannot climb onto shrubs, later ones follow the terrain;
-#: and of the second, finer surface. Source: numerics.
-_STIFFNESS, _FINE_STIFFNESS = (100.0, 30.0, 10.0, 3.0, 1.0, 1.0), (1.0, 1.0, 1.0)
+#: Stiffness of the surface, step by step: from the opened heights, below undergrowth, to the relief; and of the second,
+#: finer surface. Source: shapes of relief and undergrowth (``python -m tests.bench.relief``).
+_STIFFNESS, _FINE_STIFFNESS = (3.0, 3.0, 1.0, 1.0, 0.3, 0.3), (1.0, 1.0, 1.0)
 #: Holds the surface where no cell has a height. Source: numerics.
 _RIDGE = 1e-4
 #: What stands so far above the surface hardly pulls: metres at first, what becomes of them in a step, and at last.
-#: Source: not recorded.
-ABOVE_M = (0.6, 0.6, 0.06)
+#: Source: as the stiffness.
+ABOVE_M = (0.2, 0.8, 0.06)
 #: The same for what lies below it. Source: not recorded.
 BELOW_M = (1.2, 0.7, 0.15)
 #: And what is so far from the finer surface, either way. Source: not recorded.
@@ -74,14 +74,21 @@ def _cells(values: Floats, origin: float, cell_m: float, size: int) -> tuple[Int
 
 
 def smooth_surface(
-    cell: Ints, height: Floats, shape: tuple[int, int], smoothness: float, *, symmetric: bool = False
+    cell: Ints,
+    height: Floats,
+    shape: tuple[int, int],
+    smoothness: float,
+    *,
+    symmetric: bool = False,
+    start: Floats | None = None,
 ) -> Floats:
     """Penalised least squares surface (H, W) through the heights (C,) of cells; asymmetric unless ``symmetric``.
 
     ``cell`` (C,) are numbers of cells by row, ``smoothness`` the weight of squared second differences against a cell.
+    ``start`` (H, W) is a first guess, 0 without one; an asymmetric surface leaves a wrong one only slowly.
     """
     equations = _Equations(shape, smoothness)
-    surface = np.zeros(shape[0] * shape[1])
+    surface = np.zeros(shape[0] * shape[1]) if start is None else start.ravel()
     for step, stiff in enumerate(_FINE_STIFFNESS if symmetric else _STIFFNESS):
         residual = height - surface[cell]
         if symmetric:

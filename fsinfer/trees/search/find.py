@@ -10,7 +10,7 @@ bands. All counts are of cells, whose size follows the measured spacing, never o
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -31,6 +31,7 @@ from fsinfer.trees.search.verify import Candidate, verify
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+Gradient = Callable[[Floats], Floats]
 #: Least points between the heights of the search. Source: not recorded.
 LEAST_POINTS = 20
 #: Candidates looked at at once: bounds the memory, and fills the batches of the fits. Source: numerics.
@@ -69,8 +70,13 @@ def find_stems(
     settings: StemSettings | None = None,
     progress: Progress = silent,
     seed: int = 0,
+    gradient_at: Gradient | None = None,
 ) -> StemSearch:
-    """Find stems among points (N, 3) of x, y, height above ground, in metres; neighbours meet at ``bh_m``."""
+    """Find stems among points (N, 3) of x, y, height above ground, in metres; neighbours meet at ``bh_m``.
+
+    ``gradient_at`` gives the slope (N, 2) of that ground at places (N, 2); level without it.
+    """
+    gradient_at = gradient_at or np.zeros_like
     s = settings or StemSettings()
     slab = rows(points, (points[:, 2] >= s.heights_m[0]) & (points[:, 2] <= s.heights_m[1]))
     if len(slab) < LEAST_POINTS:
@@ -80,8 +86,8 @@ def find_stems(
     seeds = hough_seeds(slab, cell_m, s)
     thinned = thin(slab, max(0.5 * cell_m, LEAST_THINNING_M))
     index = PlanIndex(thinned, INDEX_CELL_M)
-    accepted, rejected = _search(seeds, index, cell_m, s, progress)
-    stems = _resolve_overlaps(accepted, index, cell_m, bh_m, s)
+    accepted, rejected = _search(seeds, index, cell_m, s, progress, gradient_at)
+    stems = _resolve_overlaps(accepted, index, cell_m, bh_m, s, gradient_at)
     stems = _in_order([*stems, *find_giants(slab, stems, spacing, s)], bh_m)
     return StemSearch(stems=tuple(stems), candidates=len(seeds), rejected=rejected, spacing_m=spacing)
 
@@ -103,7 +109,7 @@ def _rounds(xy: Floats, apart_m: float) -> Iterator[Ints]:
 
 
 def _search(
-    seeds: Floats, index: PlanIndex, cell_m: float, s: StemSettings, progress: Progress
+    seeds: Floats, index: PlanIndex, cell_m: float, s: StemSettings, progress: Progress, gradient_at: Gradient
 ) -> tuple[list[Stem], dict[StemCode, int]]:
     """The stems at seeds (K, 3) of x, y, height, strongest first, and how many were turned down for which reason.
 
@@ -117,6 +123,7 @@ def _search(
     first_turn = int(np.count_nonzero(turn == 0))
     bounds = [*range(0, first_turn, TOGETHER), *range(first_turn, len(order), TOGETHER), len(order)]
     places = seeds[order]
+    slopes = gradient_at(places[:, :2])
     covered = np.full(len(order), len(rounds))  # the first turn after which a stem stands there
     rejected: dict[StemCode, int] = {}
     accepted: list[Stem] = []
@@ -124,8 +131,13 @@ def _search(
         progress(first, len(seeds), "looking for stems")
         ahead = [row for row in range(first, last) if covered[row] >= turn[row]]
         candidates = [
-            Candidate(near=index.near(seed[:2], s.radius_m[1] + BESIDE_M), xy=seed[:2], height_m=float(seed[2]))
-            for seed in places[ahead]
+            Candidate(
+                near=index.near(seed[:2], s.radius_m[1] + BESIDE_M),
+                xy=seed[:2],
+                height_m=float(seed[2]),
+                gradient=(float(slope[0]), float(slope[1])),
+            )
+            for seed, slope in zip(places[ahead], slopes[ahead], strict=True)
         ]
         for row, found in zip(ahead, verify(candidates, cell_m, s), strict=True):
             if covered[row] < turn[row]:
@@ -151,7 +163,14 @@ def _in_order(stems: list[Stem], bh_m: float) -> list[Stem]:
     return sorted(stems, key=lambda item: (round(float(item.axis.center_at(bh_m)[0]), 3), item.axis.parameters[1]))
 
 
-def _resolve_overlaps(stems: list[Stem], index: PlanIndex, cell_m: float, bh_m: float, s: StemSettings) -> list[Stem]:
+def _resolve_overlaps(
+    stems: list[Stem],
+    index: PlanIndex,
+    cell_m: float,
+    bh_m: float,
+    s: StemSettings,
+    gradient_at: Gradient = np.zeros_like,
+) -> list[Stem]:
     """Let the better stem own its wall: a weaker one that touches it must stand without those points."""
     kept: list[Stem] = []
     for stem in sorted(stems, key=lambda item: -item.quality):
@@ -164,7 +183,8 @@ def _resolve_overlaps(stems: list[Stem], index: PlanIndex, cell_m: float, bh_m: 
                 offset, _ = axis_coordinates(near, other.axis.parameters, other.axis.height_m)
                 own = other.axis.radius_m + max(OWN_SIGMAS * other.axis.sigma_m, OWN_CELLS * cell_m)
                 near = near[np.hypot(offset[:, 0], offset[:, 1]) > own]
-            (again,) = verify([Candidate(near=near, xy=center, height_m=bh_m)], cell_m, s)
+            along_x, along_y = gradient_at(center[None])[0].tolist()
+            (again,) = verify([Candidate(near=near, xy=center, height_m=bh_m, gradient=(along_x, along_y))], cell_m, s)
             if isinstance(again, StemCode) or again.quality < KEPT_QUALITY * stem.quality:
                 continue
             shift = float(np.linalg.norm(again.axis.center_at(bh_m) - center))

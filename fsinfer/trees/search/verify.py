@@ -59,11 +59,15 @@ FLAT_COVERAGE = 0.35
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """A place ``xy`` (2,) where a stem may stand at ``height_m``, with the points ``near`` (N, 3) it; metres."""
+    """A place ``xy`` (2,) where a stem may stand at ``height_m``, with the points ``near`` (N, 3) it; metres.
+
+    ``gradient`` is dz/dx and dz/dy of the ground that heights count from: they shear a stem that leans.
+    """
 
     near: Floats
     xy: Floats
     height_m: float
+    gradient: tuple[float, float] = (0.0, 0.0)
 
 
 def verify(candidates: Sequence[Candidate], cell_m: float, s: StemSettings) -> list[Stem | StemCode]:
@@ -137,13 +141,19 @@ def _fit_rings(
     for row, axis in zip(alive, last, strict=True):
         if not s.radius_m[0] * low <= axis.radius_m <= s.radius_m[1] * high:
             result[row] = StemCode.candidate_radius
-        elif axis.lean_deg > s.max_lean_deg:
+        elif _true_lean_deg(axis, candidates[row].gradient) > s.max_lean_deg:
             result[row] = StemCode.candidate_leans
         elif axis.sigma_m > min(s.max_noise * axis.radius_m, s.max_sigma_m):
             result[row] = StemCode.candidate_not_round
         else:
             result[row] = axis
     return result
+
+
+def _true_lean_deg(axis: Axis, gradient: tuple[float, float]) -> float:
+    """Lean from the vertical of an axis whose heights count from ground that slopes by ``gradient``."""
+    lean = axis.parameters[2:4]
+    return float(np.degrees(np.arctan2(np.hypot(*lean), 1.0 + float(lean @ np.asarray(gradient)))))
 
 
 def _judge(near: Floats, fit: Axis, cell_m: float, s: StemSettings) -> Stem | StemCode:

@@ -76,9 +76,29 @@ def test_a_stem_that_is_not_seen_at_breast_height_is_measured_where_it_is(
     section = measure(points_of(taper=-0.02), bottom_m=bottom_m, top_m=top_m)
     assert section.bh_m == pytest.approx(bh_m)
     assert codes(section) == ({says} if says else set())
-    assert section.dbh_m == pytest.approx(2 * (0.16 - 0.02 * (bh_m - BH)), abs=0.001)
+    # At breast height all the same, by the taper; the section is that of where it was measured.
+    assert section.dbh_m == pytest.approx(2 * 0.16, abs=0.001)
+    assert section.circle_m[2] == pytest.approx(0.16 - 0.02 * (bh_m - BH), abs=0.001)
     for why in section.reasons:
         assert why.values["off_cm"] == pytest.approx(100 * abs(bh_m - BH))
+
+
+def test_the_interval_has_the_taper_in_it_where_a_stem_is_measured_higher_up() -> None:
+    points = points_of(taper=-0.02)
+    here, above = measure(points), measure(points, bottom_m=1.7)
+    assert above.bh_m == pytest.approx(1.8)
+    assert above.dbh_m == pytest.approx(2 * 0.16, abs=0.002)
+    # Half a metre of a taper that is known to 2 mm a metre.
+    assert above.parts_m["level"] > 0.5 * 0.002 > 2 * here.parts_m["level"]
+
+
+def test_ground_that_is_not_sure_makes_a_stem_doubtful_and_its_interval_wide() -> None:
+    axis = Axis(parameters=np.array([0.0, 0.0, 0.0, 0.0, 0.16, -0.02]), height_m=1.3, sigma_m=0.004)
+    stem = Stem(axis=axis, bottom_m=0.5, top_m=2.5, length_m=2.0, arc_coverage=1.0, quality=1.0)
+    sure, unsure = measure_together([points_of(taper=-0.02)] * 2, [stem] * 2, ground_noise_m=[0.0, 0.3])
+    assert (sure.status, unsure.status) == ("ok", "doubtful")
+    assert codes(unsure) == {StemCode.ground_unsure}
+    assert unsure.parts_m["level"] == pytest.approx(0.3 * 0.022, rel=0.1)
 
 
 def test_a_leaning_stem_is_looked_for_where_it_is_at_that_height() -> None:

@@ -1,0 +1,151 @@
+"""The lowest dense layers of a plot by cell: what of it can be ground."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, grey_dilation, grey_erosion
+
+from fsinfer.trees.ground.settings import GroundSettings
+from fsinfer.trees.points.cells import MAX_TABLE
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+#: Cells of the raster, at most, so that its equations stay solvable in seconds; a hectare keeps its 0.4 m.
+#: Source: numerics.
+MOST_CELLS = 60_000.0
+#: Points of a cell whose median is a height. Source: not recorded.
+LEAST_OF_A_CELL = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class LowestCells:
+    """What of a plot can be ground: its lowest dense layers by cell.
+
+    ``columns`` are x, y, z (N,) of the points, ``index`` (N,) their cells, ``cell`` (C,) the cells that have a ``low``
+    (C,), of which ``reachable`` (C,) can be ground. ``settings`` have the size of the cells that was used.
+    """
+
+    settings: GroundSettings
+    columns: tuple[Floats, Floats, Floats]
+    origin: Floats
+    shape: tuple[int, int]
+    index: Ints
+    cell: Ints
+    low: Floats
+    reachable: NDArray[np.bool_]
+
+
+def lowest_cells(points: Floats, settings: GroundSettings) -> LowestCells:
+    """The lowest dense layers below points (N, 3), metres, z up, and which of them can be ground."""
+    x, y, z = (np.ascontiguousarray(points[:, axis]) for axis in range(3))
+    origin = np.array([x.min(), y.min()])
+    area = max(float(x.max() - origin[0]), settings.cell_m) * max(float(y.max() - origin[1]), settings.cell_m)
+    settings = replace(settings, cell_m=max(settings.cell_m, float(np.sqrt(area / MOST_CELLS))))
+    index, column = (_steps(v, low, settings.cell_m) for v, low in ((y, origin[1]), (x, origin[0])))
+    shape = (int(index.max()) + 1, int(column.max()) + 1)
+    index *= shape[1]
+    index += column
+    cell, low = _lowest_layers(index, z, settings)
+    reachable = _slope_filter(cell, low, shape, settings)
+    return LowestCells(
+        settings=settings,
+        columns=(x, y, z),
+        origin=origin,
+        shape=shape,
+        index=index,
+        cell=cell,
+        low=low,
+        reachable=reachable,
+    )
+
+
+def _steps(values: Floats, low: float, size: float) -> Ints:
+    """In which step of ``size`` above ``low`` each of the values (N,) lies."""
+    position = values - low
+    position /= size
+    return position.astype(np.int64)
+
+
+def _slope_filter(cell: Ints, low: Floats, shape: tuple[int, int], settings: GroundSettings) -> NDArray[np.bool_]:
+    """Which cells can be ground: none nearby lies lower than the steepest slope allows (Vosselman's slope filter)."""
+    surface = np.full(shape, np.inf)
+    surface.ravel()[cell] = low
+    reach = int(np.ceil(settings.filter_radius_m / settings.cell_m))
+    steps = np.arange(-reach, reach + 1) * settings.cell_m
+    cone = np.tan(np.radians(settings.max_slope_deg)) * np.hypot(*np.meshgrid(steps, steps)) + settings.filter_slack_m
+    lowest = grey_erosion(surface, structure=-cone, mode="constant", cval=np.inf)
+    return np.asarray(low <= lowest.ravel()[cell])
+
+
+def opened(cell: Ints, low: Floats, shape: tuple[int, int], settings: GroundSettings) -> Floats:
+    """The heights (H, W) of cells with what is narrower than undergrowth cut off, by a morphological opening.
+
+    It leaves slopes, valleys and banks as they are, and cuts crests and mounds, which a surface can climb again.
+    """
+    reach = int(np.ceil(settings.open_m / settings.cell_m))
+    steps = np.arange(-reach, reach + 1)
+    disc = np.hypot(*np.meshgrid(steps, steps)) <= reach + 0.3
+    known = np.zeros(shape, dtype=bool)
+    known.ravel()[cell] = True
+    surface = np.zeros(shape)
+    surface.ravel()[cell] = low
+    nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    surface = surface[tuple(nearest)]
+    eroded = grey_erosion(surface, footprint=disc, mode="nearest")
+    return np.asarray(grey_dilation(eroded, footprint=disc, mode="nearest"))
+
+
+def _count(key: Ints) -> tuple[Ints, Ints]:
+    """The values (K,) among ``key`` (N,), ascending, and how often each occurs."""
+    if int(key.max()) > min(MAX_TABLE, 20 * len(key)):
+        values, count = np.unique(key, return_counts=True)
+        return values, count
+    table = np.bincount(key)
+    values = np.flatnonzero(table)
+    return values, table[values]
+
+
+def _lowest_layers(index: Ints, z: Floats, settings: GroundSettings) -> tuple[Ints, Floats]:
+    """Cells (C,) and height of their lowest dense layer (C,): strays below the ground are not dense."""
+    bottom = float(z.min())
+    key = _steps(z, bottom, settings.layer_m)
+    layers = int(key.max()) + 1
+    key += index * layers
+    key, count = _count(key)
+    cell, level = key // layers, key % layers
+    starts = np.flatnonzero(np.r_[True, cell[1:] != cell[:-1]])
+    lowest = np.repeat(level[starts], np.diff(np.r_[starts, len(cell)]))
+    near = level - lowest <= settings.search_m / settings.layer_m
+    # Two adjacent bins together, because a thin ground layer may straddle a boundary.
+    joined = count.astype(np.float64)
+    adjacent = np.r_[(cell[1:] == cell[:-1]) & (level[1:] == level[:-1] + 1), False]
+    joined[adjacent] += np.r_[count[1:], 0][adjacent]
+    most = np.maximum.reduceat(np.where(near, joined, 0.0), starts)
+    most_each = np.repeat(most, np.diff(np.r_[starts, len(cell)]))
+    dense = near & (joined >= np.maximum(settings.dense_share * most_each, 2.0))
+    first = np.full(len(starts), -1)
+    group = np.repeat(np.arange(len(starts)), np.diff(np.r_[starts, len(cell)]))
+    rows = np.flatnonzero(dense)
+    first[group[rows[::-1]]] = rows[::-1]
+    found = first[first >= 0]
+    next_count = np.where(adjacent[found], np.r_[count[1:], 0][found], 0)
+    center = (level[found] + 0.5 + next_count / np.maximum(joined[found], 1)) * settings.layer_m + bottom
+    return cell[found], center
+
+
+def cell_medians(index: Ints, z: Floats) -> tuple[Ints, Floats]:
+    """Those of the cells ``index`` (N,) with enough points, and the median of their heights ``z`` (N,); (K,) each."""
+    if len(index) == 0:
+        return index, z
+    # By cell, then by height, in one sort: a cell's heights stay within the span that separates it from the next.
+    bottom, span = float(z.min()) - 0.5, float(np.ptp(z)) + 1.0
+    both = np.sort(index * span + (z - bottom))
+    index = (both / span).astype(np.int64)
+    z = both - index * span + bottom
+    starts = np.flatnonzero(np.r_[True, index[1:] != index[:-1]])
+    count = np.diff(np.r_[starts, len(index)])
+    enough = count >= LEAST_OF_A_CELL
+    return index[starts][enough], z[(starts + count // 2)][enough]

@@ -1,0 +1,57 @@
+"""The ground at the foot of each stem: seen and agreeing with the surface, or not."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fsinfer.notices.stems import StemCode
+from fsinfer.trees import analyse_plot, find_ground
+from fsinfer.trees.ground.at_stems import level_std, shows_ground
+from tests.support.relief import DBH_M, FEET, gentle, mound, relief_plot
+from tests.support.stem_clouds import wall
+
+RADII = np.full(len(FEET), DBH_M / 2)
+
+
+def test_stems_without_ground_are_doubtful_and_have_no_area() -> None:
+    rng = np.random.default_rng(4)
+    stems = []
+    for x in (-6.0, 0.0, 6.0):
+        bark = wall(rng, radius=0.15, spacing_m=0.015, taper=-0.01, top_m=6.0)
+        stems.append(bark[bark[:, 2] > 1.0] + [x, x / 2, 0.0])
+    points = np.concatenate(stems)
+    result = analyse_plot(points + rng.normal(0.0, 0.003, points.shape))
+    assert len(result.trees) == 3
+    assert {tree.status for tree in result.trees} == {"doubtful"}
+    assert all(StemCode.ground_unsure in {why.code for why in tree.reasons} for tree in result.trees)
+    assert result.stand.stems_per_ha is None
+    assert StemCode.little_ground in {warning.code for warning in result.warnings}
+
+
+def test_ground_that_is_seen_and_followed_is_sure() -> None:
+    plot = relief_plot(gentle, patches=20)
+    assert level_std(find_ground(plot.points), FEET, RADII).max() < 0.1
+
+
+def test_a_mound_that_is_not_followed_leaves_its_own_stem_unsure() -> None:
+    plot = relief_plot(mound(1.0))
+    ground = find_ground(plot.points)
+    on_it = np.hypot(*FEET.T) < 0.1
+    off, std = np.abs(ground.height_at(FEET) - plot.ground_m), level_std(ground, FEET, RADII)
+    assert off[on_it].max() > 0.3
+    assert std[on_it].min() > 0.1
+    assert std[~on_it].max() < 0.05
+
+
+def test_the_farther_the_ground_the_less_sure_the_level() -> None:
+    plot = relief_plot(gentle)
+    ground = find_ground(plot.points)
+    near, far, farther = level_std(ground, np.array([[0.0, 3.0], [14.0, 0.0], [18.0, 0.0]]), np.full(3, 0.15))
+    assert near < 0.05 < far < farther
+
+
+def test_low_places_of_a_thick_stem_beside_a_thin_one_are_its_own() -> None:
+    feet, radii = np.array([[0.0, 0.0], [0.7, 0.0]]), np.array([0.5, 0.05])
+    places = np.array([[0.45, 0.0], [0.45, 0.8], [0.75, 0.0], [1.2, 0.0]])
+    assert shows_ground(places, feet, radii).tolist() == [False, True, False, True]
+    assert shows_ground(places, np.zeros((0, 2)), np.zeros(0)).all()
