@@ -174,7 +174,10 @@ def analyse_plot(
     pairs, same = one_entry_a_stem(measure_stems(stand, search, ground, settings, scale_rel_std, origin))
     warnings += same
     pairs = doubt_the_rough(pairs)
-    if not turned and not any(tree.dbh_cm is not None for tree, _ in pairs):
+    # On the side of a cloud that lies, a surface may be followed and something on it be measured, but nothing soundly.
+    in_part = ground.share < settings.sanity.min_ground
+    sound = any(tree.status == "ok" if in_part else tree.dbh_cm is not None for tree, _ in pairs)
+    if not turned and not sound:
         _check_turned(local, settings)
     centers = np.array([[tree.x_m, tree.y_m] for tree, _ in pairs]).reshape(-1, 2)
     seen = seen_cells(low)
