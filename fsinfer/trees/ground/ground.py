@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import CloudError
-from fsinfer.trees.ground.lowest import cell_medians, lowest_cells, opened
+from fsinfer.trees.ground.lowest import cell_medians, lowest_cells, opened, support
 from fsinfer.trees.ground.raster import height_on, smooth_surface
 from fsinfer.trees.ground.settings import GroundSettings
 from fsinfer.trees.points.sums import MAD_TO_SIGMA, median
@@ -97,7 +97,9 @@ def find_ground(points: Floats, *, settings: GroundSettings | None = None, seed:
     seen = lowest_cells(points, settings or GroundSettings())
     settings, origin, shape, index, reachable = seen.settings, seen.origin, seen.shape, seen.index, seen.reachable
     x, y, z = seen.columns
-    cell, low = seen.cell[reachable], seen.low[reachable]
+    cell, low, known = seen.cell[reachable], seen.low[reachable], support(seen.count[reachable], settings)
+    known_by_cell = np.zeros(shape[0] * shape[1])
+    known_by_cell[cell] = known
     center = origin + settings.cell_m * (np.column_stack([cell % shape[1], cell // shape[1]]) + 0.5)
     plane = _ransac_plane(center, low, settings, np.random.default_rng(seed))
     relative = low - (center @ plane[:2] + plane[2])
@@ -105,7 +107,7 @@ def find_ground(points: Floats, *, settings: GroundSettings | None = None, seed:
     tolerance = float(np.clip(2.0 * noise, *settings.tolerance_m))
     plane_share = float(np.mean(np.abs(relative) <= settings.plane_tolerance_m))
     low_enough = opened(cell, relative, shape, settings)
-    surface = smooth_surface(cell, relative, shape, settings.smoothness[0], start=low_enough)
+    surface = smooth_surface(cell, relative, shape, settings.smoothness[0], start=low_enough, support=known)
     # A mound or a terrace that few cells show is relief all the same, and a stem may stand on it.
     on_plane = np.abs(surface.ravel()[cell]).max() <= settings.plane_tolerance_m
     use_raster = not (plane_share >= settings.plane_share and on_plane)
@@ -128,7 +130,8 @@ def find_ground(points: Floats, *, settings: GroundSettings | None = None, seed:
     used, heights = cell_medians(index.take(band), above.take(band))
     if use_raster:
         for _ in range(settings.rounds):
-            surface = smooth_surface(used, heights, shape, settings.smoothness[1], symmetric=True)
+            known = known_by_cell[used]
+            surface = smooth_surface(used, heights, shape, settings.smoothness[1], symmetric=True, support=known)
             band = np.flatnonzero(np.abs(above - surface.ravel().take(index)) <= reach)
             used, heights = cell_medians(index.take(band), above.take(band))
     elif len(used) >= 3:
@@ -152,9 +155,9 @@ def find_ground(points: Floats, *, settings: GroundSettings | None = None, seed:
     final = z.take(band) - result.height_at(np.stack([x.take(band), y.take(band)]).T)
     noise = MAD_TO_SIGMA * median(np.abs(final)) if len(final) else noise
     tolerance = float(np.clip(2.0 * noise, *settings.tolerance_m))
-    count = int(np.count_nonzero(np.abs(final) <= tolerance))
+    near = int(np.count_nonzero(np.abs(final) <= tolerance))
     cells = np.column_stack([center, off])
-    return replace(result, noise_m=noise, tolerance_m=tolerance, points=count, cells=cells)
+    return replace(result, noise_m=noise, tolerance_m=tolerance, points=near, cells=cells)
 
 
 def _share_foretold(cell: Ints, low: Floats, shape: tuple[int, int], settings: GroundSettings) -> float:

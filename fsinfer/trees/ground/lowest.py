@@ -25,7 +25,7 @@ class LowestCells:
     """What of a plot can be ground: its lowest dense layers by cell.
 
     ``columns`` are x, y, z (N,) of the points, ``index`` (N,) their cells, ``cell`` (C,) the cells that have a ``low``
-    (C,), of which ``reachable`` (C,) can be ground. ``settings`` have the size of the cells that was used.
+    (C,) of so many points, ``count`` (C,), of which ``reachable`` (C,) can be ground. ``settings`` have the size of the cells that was used.
     """
 
     settings: GroundSettings
@@ -35,6 +35,7 @@ class LowestCells:
     index: Ints
     cell: Ints
     low: Floats
+    count: Floats
     reachable: NDArray[np.bool_]
 
 
@@ -48,7 +49,7 @@ def lowest_cells(points: Floats, settings: GroundSettings) -> LowestCells:
     shape = (int(index.max()) + 1, int(column.max()) + 1)
     index *= shape[1]
     index += column
-    cell, low = _lowest_layers(index, z, settings)
+    cell, low, count = _lowest_layers(index, z, settings)
     reachable = _slope_filter(cell, low, shape, settings)
     return LowestCells(
         settings=settings,
@@ -58,6 +59,7 @@ def lowest_cells(points: Floats, settings: GroundSettings) -> LowestCells:
         index=index,
         cell=cell,
         low=low,
+        count=count,
         reachable=reachable,
     )
 
@@ -108,8 +110,8 @@ def _count(key: Ints) -> tuple[Ints, Ints]:
     return values, table[values]
 
 
-def _lowest_layers(index: Ints, z: Floats, settings: GroundSettings) -> tuple[Ints, Floats]:
-    """Cells (C,) and height of their lowest dense layer (C,): strays below the ground are not dense."""
+def _lowest_layers(index: Ints, z: Floats, settings: GroundSettings) -> tuple[Ints, Floats, Floats]:
+    """Cells, height and points of their lowest dense layer (C,): strays below the ground are not dense."""
     bottom = float(z.min())
     key = _steps(z, bottom, settings.layer_m)
     layers = int(key.max()) + 1
@@ -133,7 +135,17 @@ def _lowest_layers(index: Ints, z: Floats, settings: GroundSettings) -> tuple[In
     found = first[first >= 0]
     next_count = np.where(adjacent[found], np.r_[count[1:], 0][found], 0)
     center = (level[found] + 0.5 + next_count / np.maximum(joined[found], 1)) * settings.layer_m + bottom
-    return cell[found], center
+    return cell[found], center, joined[found]
+
+
+def support(count: Floats, settings: GroundSettings) -> Floats:
+    """What cells with so many points (C,) count beside a well seen one, 0 to 1.
+
+    At the border of a plot a handful of points of leaves and haze is all there is, beside thousands elsewhere.
+    """
+    if len(count) == 0:
+        return count
+    return np.asarray(np.minimum(1.0, count / max(settings.well_seen * float(np.median(count)), 1.0)))
 
 
 def cell_medians(index: Ints, z: Floats) -> tuple[Ints, Floats]:

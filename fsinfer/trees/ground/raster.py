@@ -81,11 +81,13 @@ def smooth_surface(
     *,
     symmetric: bool = False,
     start: Floats | None = None,
+    support: Floats | None = None,
 ) -> Floats:
     """Penalised least squares surface (H, W) through the heights (C,) of cells; asymmetric unless ``symmetric``.
 
     ``cell`` (C,) are numbers of cells by row, ``smoothness`` the weight of squared second differences against a cell.
-    ``start`` (H, W) is a first guess, 0 without one; an asymmetric surface leaves a wrong one only slowly.
+    ``start`` (H, W) is a first guess, 0 without one; an asymmetric surface leaves a wrong one only slowly. ``support``
+    (C,), 0 to 1, is how much each cell counts.
     """
     equations = _Equations(shape, smoothness)
     surface = np.zeros(shape[0] * shape[1]) if start is None else start.ravel()
@@ -97,6 +99,7 @@ def smooth_surface(
             limit_above, limit_below = (max(start * factor**step, last) for start, factor, last in (ABOVE_M, BELOW_M))
             weight = np.where(residual > 0, np.exp(-((residual / limit_above) ** 2)), 1.0)
             weight = np.where(residual < -limit_below, (limit_below / np.maximum(-residual, 1e-9)) ** 2, weight)
+        weight = weight if support is None else weight * support
         surface = equations.solve(stiff, cell, weight, weight * height)
     return surface.reshape(shape)
 
