@@ -25,7 +25,8 @@ class LowestCells:
     """What of a plot can be ground: its lowest dense layers by cell.
 
     ``columns`` are x, y, z (N,) of the points, ``index`` (N,) their cells, ``cell`` (C,) the cells that have a ``low``
-    (C,) of so many points, ``count`` (C,), of which ``reachable`` (C,) can be ground. ``settings`` have the size of the cells that was used.
+    (C,) of so many points, ``count`` (C,), of which ``reachable`` (C,) can be ground. ``settings`` have the size of
+    the cells that was used.
     """
 
     settings: GroundSettings
