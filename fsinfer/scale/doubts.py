@@ -104,8 +104,9 @@ def doubt_boards(scale: Scale) -> tuple[Notice, ...]:
         only = scale.markers[0]
         given = details.length_m is not None
         found.append(notice(CaptureCode.one_board, number=only.id, length_m=only.length_m, given=given))
-    out = tuple(marker for marker in scale.markers if marker.verdict == BoardVerdict.outvoted)
-    for marker in out:
+    for marker in (marker for marker in scale.markers if marker.verdict == BoardVerdict.outvoted):
+        if any(other.id == marker.id and other is not marker and not _faces(marker, other) for other in scale.markers):
+            continue  # seen at two places: not its print is wrong but the place of photos, which is told apart
         found.append(notice(CaptureCode.board_outvoted, number=marker.id, residual_rel=marker.residual_rel))
     torn = [marker for marker in scale.markers if marker.verdict == BoardVerdict.contradicted]
     if torn:

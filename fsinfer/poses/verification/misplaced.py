@@ -13,7 +13,7 @@ from fsinfer.notices.capture import CaptureCode
 from fsinfer.poses.colmap_calls import copy_database, open_database
 from fsinfer.poses.verification.loose_parts import loose_parts
 from fsinfer.poses.verification.pair_votes import MIN_SHARE, Ballot, contradicted, pair_votes, weight_of
-from fsinfer.poses.verification.scale_jumps import strays, stretches
+from fsinfer.poses.verification.scale_jumps import shrunk, strays, stretches
 
 #: A pose that hangs on fewer points than this is an accident. Source: judgement.
 _MIN_POINTS = 10
@@ -44,6 +44,21 @@ def drop_strays(model: Any, walk: Sequence[str], database: Path | None = None) -
     if database is not None and found.any():
         found &= ~_vouched_for(found, stretches(centers, order), [i for _, i in placed], model, database)
     return drop(model, [image_id for is_stray, (_, image_id) in zip(found, placed, strict=True) if is_stray])
+
+
+def shrunk_photos(model: Any, walk: Sequence[str], database: Path) -> list[int]:
+    """Image ids of the photos that stand in a stretch placed far too small; see :func:`scale_jumps.shrunk`."""
+    number = {file: index for index, file in enumerate(walk)}
+    image_ids, votes = pair_votes(model, database)
+    if len(image_ids) < 2:
+        return []
+    order = np.array([number[model.images[i].name] for i in image_ids])
+    centers = np.array([model.images[i].projection_center() for i in image_ids])
+    parallax_px = np.full(len(image_ids) - 1, np.nan)
+    for vote in votes:
+        if abs(vote.first - vote.second) == 1:
+            parallax_px[min(vote.first, vote.second)] = vote.parallax_px
+    return [image_id for image_id, small in zip(image_ids, shrunk(centers, order, parallax_px), strict=True) if small]
 
 
 def _vouched_for(

@@ -48,6 +48,7 @@ class PairVote:
     ----------
     matches, agrees: of all matches. telling, telling_agrees: without those of what is far away, which fit wherever the
         two photos stood; see :func:`telling`.
+    parallax_px: by how much the matches moved beside what the turn explains, median.
     """
 
     first: int
@@ -56,6 +57,7 @@ class PairVote:
     agrees: bool
     telling: int = 0
     telling_agrees: bool = False
+    parallax_px: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -250,6 +252,7 @@ def _votes(model: Any, database: Path, image_ids: list[int]) -> Iterator[PairVot
             focal = 0.5 * sum(focal_px[model.images[i].camera_id] for i in (first, second))
             motion = poses[second] @ np.linalg.inv(poses[first])
             fits, tells = telling(one, other, motion, MAX_ERROR_PX / focal, _LEAST_PARALLAX_PX / focal)
+            moved = parallax(one, other, motion[:3, :3])
             yield PairVote(
                 first=number[first],
                 second=number[second],
@@ -257,6 +260,7 @@ def _votes(model: Any, database: Path, image_ids: list[int]) -> Iterator[PairVot
                 agrees=bool(fits.mean() > AGREEING_SHARE),
                 telling=int(tells.sum()),
                 telling_agrees=bool((fits & tells).sum() > AGREEING_SHARE * tells.sum()),
+                parallax_px=float(focal * np.median(moved)),
             )
 
 

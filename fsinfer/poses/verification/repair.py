@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from pathlib import Path
@@ -17,10 +18,13 @@ from fsinfer.poses.verification.misplaced import (
     drop_contradicted,
     drop_loose_parts,
     drop_strays,
+    shrunk_photos,
     without_pairs,
 )
 from fsinfer.poses.verification.pair_votes import contradicted, false_pairs, pair_votes
 from fsinfer.progress import Progress
+
+_log = logging.getLogger(__name__)
 
 # How photos are judged before they are mapped again, see :func:`fsinfer.poses.verification.pair_votes.contradicted`:
 # none of these ways was the best on all plots.
@@ -74,6 +78,8 @@ def _candidates(
     Without the false matches that misled the mapper it finds their true place, or none. Which matches were false is
     judged in several ways. Each comes with the files of the photos that were taken out of it.
     """
+    if neighbours and settings.mapper == "incremental":
+        model = _grown(model, database, walk, work, settings, progress)
     image_ids, votes = pair_votes(model, database)
     if neighbours and settings.mapper == "incremental":
         straight = cut_and_join(model, (image_ids, votes), database, walk, sightings, work, settings, progress)
@@ -102,6 +108,22 @@ def _candidates(
     yield model, _drop_misplaced(model, database, walk, neighbours)
 
 
+def _grown(
+    model: Any, database: Path, walk: Sequence[str], work: Path, settings: PoseSettings, progress: Progress
+) -> Any:
+    """The model with the photos of stretches that were placed far too small placed anew, from both ends."""
+    small = shrunk_photos(model, walk, database)
+    if not small:
+        return model
+    start = deepcopy(model)
+    drop(start, small)
+    if start.num_reg_images() < settings.min_registered:
+        return model
+    _log.info("%d photos were placed far too near to each other, and are placed again", len(small))
+    mapped = reconstruct(database, work / "images", work / "grown", settings, progress, start=start)
+    return mapped[0] if mapped else start
+
+
 def _drop_misplaced(
     model: Any, database: Path, walk: Sequence[str], neighbours: int, *, joined: bool = False
 ) -> dict[str, list[str]]:
@@ -110,8 +132,9 @@ def _drop_misplaced(
     Parts that were ``joined`` by evidence of their own are not outvoted: a walk begun anew has no true neighbours, and
     false matches with these count much. Of two straight walks, right to 20 mm, less than two fifths of the votes were.
     """
+    small = drop(model, shrunk_photos(model, walk, database)) if neighbours else []
     return {
-        "astray": drop_strays(model, walk, database),
+        "astray": [*small, *drop_strays(model, walk, database)],
         # All matches vote, so that no photo comes back whose true matches were taken for false ones.
         "contradicted": drop_contradicted(model, database, neighbours, parts=not joined),
         "loose": drop_loose_parts(model),

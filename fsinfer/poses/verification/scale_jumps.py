@@ -21,6 +21,11 @@ FACTOR = 4.0
 #: part comes in several pieces, some of them at the right scale and in the wrong place. Source: judgement, on a
 #: rendered slope with a quick turn; renders only.
 TRUSTED_PART = 0.2
+#: Where somebody walked, what photos show moves by this share of what it usually moves by from one to the next, or
+#: more. Source: judgement; one who stands still turns, which moves nothing beside what the turn explains.
+_WALKED = 0.5
+#: So many short steps in a row are no accident. Source: judgement.
+_SHORT_STEPS = 2
 
 
 def _steps(centers: NDArray[np.float64], order: NDArray[np.intp]) -> NDArray[np.float64]:
@@ -73,3 +78,33 @@ def strays(centers: NDArray[np.float64], order: NDArray[np.intp]) -> NDArray[np.
         sizes, wrong = np.bincount(stretch), np.bincount(stretch, weights=found)
         found |= ((sizes < TRUSTED_PART * count) | (wrong > 0.5 * sizes))[stretch]
     return found if found.sum() < count / 2 else none
+
+
+def shrunk(
+    centers: NDArray[np.float64], order: NDArray[np.intp], parallax_px: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Whether each photo stands in a stretch that was placed far too small, (N,) bool.
+
+    Photos that the mapper knew by what is far away, or by each other, may shrink to a place on a straight walk. The
+    matches of two photos tell nothing of how far apart they stand, so that all agree with it. But what they show moves
+    from one to the next as it does elsewhere, and somebody who walks nowhere sees nothing move.
+
+    Parameters
+    ----------
+    centers, order: see :func:`strays`.
+    parallax_px: (N - 1,) by how much matches of each photo with the next move beside what its turn explains, median;
+        NaN where it is not known.
+    """
+    found = np.zeros(len(centers), dtype=bool)
+    if len(centers) < MIN_PHOTOS:
+        return found
+    steps, moved = _steps(centers, order), parallax_px / np.diff(order)
+    if np.isnan(steps).all() or np.isnan(moved).all():
+        return found
+    short = (steps < float(np.nanmedian(steps)) / FACTOR) & (moved > _WALKED * float(np.nanmedian(moved)))
+    first = np.flatnonzero(short & ~np.r_[False, short[:-1]])
+    last = np.flatnonzero(short & ~np.r_[short[1:], False])
+    for begin, end in zip(first, last, strict=True):
+        if end - begin + 1 >= _SHORT_STEPS:
+            found[begin : end + 2] = True
+    return found if found.sum() < len(centers) / 2 else np.zeros_like(found)

@@ -77,6 +77,9 @@ def test_boards_that_contradict_are_named() -> None:
     wrong = replace(boards[1], verdict=BoardVerdict.outvoted, residual_rel=-0.06)
     (told,) = doubt_boards(scale_of_boards([boards[0], wrong, boards[2]]))
     assert "board 2 comes out 6.0 % smaller than the other boards make it" in sentence(told)
+    # The same board elsewhere, too: photos are in the wrong place, and its print is right.
+    twice = board(2, (0.0, 9.0, 0.0), ["p", "q", "r"])
+    assert not doubt_boards(scale_of_boards([boards[0], wrong, boards[2], twice]))
     torn = [replace(boards[0], verdict=BoardVerdict.contradicted)]
     torn.append(replace(boards[1], verdict=BoardVerdict.contradicted, m_per_unit=0.94))
     (told,) = doubt_boards(scale_of_boards(torn))

@@ -108,6 +108,43 @@ def test_a_walk_begun_anew_elsewhere_stays_where_its_matches_vouch_for_it(
     assert set(drop_strays(model, walk)) == set(walk[80:])
 
 
+def test_photos_that_were_placed_far_too_near_to_each_other_are_placed_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig = 1, 1, 12
+    options.num_points3D = 200
+    database = tmp_path / "database.db"
+    with pycolmap.Database.open(database) as opened:
+        model = pycolmap.synthesize_dataset(options, opened)
+    (tmp_path / "images").mkdir()
+    image_ids = sorted(model.reg_image_ids())
+    walk = [model.images[i].name for i in image_ids]
+    true = np.array([model.images[i].projection_center() for i in image_ids])
+    shrunk = image_ids[4:8]
+    for image_id in shrunk:
+        image = model.images[image_id]
+        pose = image.cam_from_world()
+        beside = true[8] + 0.01 * (true[image_ids.index(image_id)] - true[8])
+        turned = pycolmap.Rigid3d(pose.rotation, -pose.rotation.matrix() @ beside)
+        model.frame(image.frame_id).set_cam_from_world(image.camera_id, turned)
+
+    def still_shrunk(model: Any, *_: Any) -> list[int]:
+        centers = {i: model.images[i].projection_center() for i in model.reg_image_ids()}
+        near = np.linalg.norm(true[5] - true[4]) / 20.0
+        return shrunk if np.linalg.norm(centers[shrunk[1]] - centers[shrunk[0]]) < near else []
+
+    monkeypatch.setattr("fsinfer.poses.verification.repair.is_walk", lambda *_: True)
+    monkeypatch.setattr("fsinfer.poses.verification.repair.shrunk_photos", still_shrunk)
+    repaired, misplaced = repair(model, database, walk, tmp_path, PoseSettings(threads=1), silent)
+    assert not any(misplaced.values())
+    assert repaired.num_reg_images() == 12
+    found = np.array([repaired.images[i].projection_center() for i in image_ids])
+    ratio = np.linalg.norm(found[1:] - found[0], axis=1) / np.linalg.norm(true[1:] - true[0], axis=1)
+    assert np.ptp(ratio) / ratio.mean() < 0.01
+
+
 @pytest.mark.parametrize(("missing", "mapped_again"), [(1, False), (2, True)])
 def test_a_straightened_walk_is_mapped_again_only_where_much_is_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, missing: int, mapped_again: bool

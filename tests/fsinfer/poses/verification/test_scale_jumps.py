@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from fsinfer.poses.verification.scale_jumps import HALF_WINDOW, MIN_PHOTOS, strays
+from fsinfer.poses.verification.scale_jumps import HALF_WINDOW, MIN_PHOTOS, shrunk, strays
 
 
 def ring(photos: int, step: float = 0.5) -> NDArray[np.float64]:
@@ -65,3 +65,38 @@ def test_pieces_of_a_falsely_joined_part_go_with_it() -> None:
 def test_a_second_walk_elsewhere_is_none() -> None:
     centers = np.concatenate([ring(100), np.array([30.0, 0.0, 0.0]) + ring(30)])
     assert not strays(centers, np.arange(130)).any()
+
+
+def collapsed(photos: int, begin: int, end: int) -> NDArray[np.float64]:
+    """A straight walk whose photos from ``begin`` to before ``end`` were placed in order within a hand's breadth."""
+    centers = np.stack([0.5 * np.arange(photos), np.zeros(photos), np.zeros(photos)], -1)
+    centers[begin:end] = centers[end - 1] + 0.02 * (np.arange(begin, end) - end + 1)[:, None] * [1.0, 0.0, 0.0]
+    return centers
+
+
+@pytest.mark.parametrize(("begin", "end"), [(20, 27), (30, 33), (0, 6), (54, 60)])
+@pytest.mark.parametrize("unit", [1.0, 17.0])
+def test_a_stretch_that_shrank_is_found_by_what_moves_in_its_photos(begin: int, end: int, unit: float) -> None:
+    centers = unit * collapsed(60, begin, end)
+    found = shrunk(centers, np.arange(60), np.full(59, 25.0))
+    assert np.flatnonzero(found).tolist() == list(range(begin, end))
+    # Who stands there and turns sees nothing move beside the turn; of photos without matches nothing is known.
+    for still in (1.0, np.nan):
+        parallax = np.full(59, 25.0)
+        parallax[begin : end - 1] = still
+        assert not shrunk(centers, np.arange(60), parallax).any()
+
+
+def test_two_near_photos_and_a_walk_of_few_are_no_shrunk_stretch() -> None:
+    assert not shrunk(collapsed(60, 20, 22), np.arange(60), np.full(59, 25.0)).any()
+    few = MIN_PHOTOS - 1
+    assert not shrunk(collapsed(few, 20, 27), np.arange(few), np.full(few - 1, 25.0)).any()
+    assert not shrunk(np.zeros((60, 3)), np.arange(60), np.full(59, np.nan)).any()
+
+
+def test_photos_that_are_missing_share_the_way_over_the_gap() -> None:
+    order = np.r_[np.arange(22), np.arange(23, 60)]
+    centers = collapsed(60, 20, 27)[order]
+    parallax = np.full(58, 25.0)
+    parallax[21] = 50.0
+    assert np.flatnonzero(shrunk(centers, order, parallax)).tolist() == list(range(20, 26))
