@@ -98,11 +98,14 @@ def seen_and_hidden(
 
     ``tolerance`` (N,) is how far map and point may differ in z depth. Points, tolerance and the camera's pose are in
     one unit; ``units_per_scene_unit`` of it make one of the depth map's. Points outside of the picture are neither.
+    What is nearer than the nearest plane, the camera's ``depth_min``, no map can show, whatever it has there: such a
+    point counts as shown, for only what is nearer still could hide it.
     """
-    depth, inverse, _ = look_up(points, camera, depth_map)
+    depth, inverse, shown = look_up(points, camera, depth_map)
     known = inverse > 0
     found = np.divide(units_per_scene_unit, inverse, out=np.zeros_like(inverse), where=known)
-    seen = known & (np.abs(found - depth) <= tolerance)
+    too_near = shown & (depth < camera.depth_min)
+    seen = too_near | (known & (np.abs(found - depth) <= tolerance))
     hidden = known & (found < depth - tolerance)
     return float(seen.mean()), float(hidden.mean())
 

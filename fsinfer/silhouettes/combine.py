@@ -26,13 +26,14 @@ class CombineSettings:
         alike. It sets their weight in the mean; whether the two contradict each other is asked without it, so that
         a doubt is told rather too soon. Source: renders only, three plots photographed by a phone (seeds 953001 to
         953003): 2.6, 2.2 and 1.5 times (docs/trials-accuracy.md).
-    points_over_edges: variance of the points' unknown error over that of the edges'. Source: renders only, RMSE of the
-        points alone 0.4 to 1.2 cm, of the edges 0.1 to 0.24 cm on the four development plots (docs/trees.md).
+    points_over_edges: variance of the points' unknown error over that of the edges'. Source: renders only, 41 stems of
+        five plots photographed by a phone (docs/trials-accuracy.md): the edges' errors are 0.28 of half their 95 %
+        intervals (rms; 0.22 at 16, and 0.51 were right), and 40 intervals hold the truth.
     """
 
     gate: float = 2.0
     points_factor: float = 2.0
-    points_over_edges: float = 16.0
+    points_over_edges: float = 36.0
 
 
 @dataclass(frozen=True, kw_only=True)

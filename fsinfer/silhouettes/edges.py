@@ -53,7 +53,8 @@ class EdgeSettings:
     margin: the strip reaches this many radii ... Source: renders only, two renders.
     margin_m: ... and this much to either side. Source: renders only, two renders.
     max_distance_m: beyond, a pixel of a phone is 1.5 cm. Source: geometry.
-    min_radius_px: of a stem in the photograph. Source: renders only, two renders.
+    min_radius_px: of a stem in the photograph. Source: renders only, five plots (docs/trials-accuracy.md): at 3 a stem
+        of 8 cm lacks its second pair of sides.
     blur_px: of the derivative. Source: renders only, two renders.
     clip: standard deviations of the bark, beyond which an edge is not surer. Source: renders only, two renders.
     inner: of the radius: surely bark. Source: renders only, two renders.
@@ -69,7 +70,7 @@ class EdgeSettings:
     margin: float = 1.6
     margin_m: float = 0.04
     max_distance_m: float = 16.0
-    min_radius_px: float = 4.0
+    min_radius_px: float = 2.5
     blur_px: float = 1.2
     clip: float = 20.0
     inner: float = 0.7

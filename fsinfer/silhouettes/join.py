@@ -3,7 +3,8 @@
 A cloud knows a stem's surface as well as depth maps do: to millimetres from two metres, to centimetres from ten. The
 edges between stem and background in the same photographs are sharp at any distance. So each stem of the cloud is looked
 up in all photographs that show it (:mod:`fsinfer.silhouettes.edges`), its silhouette is fitted
-(:mod:`fsinfer.trees.diameter.silhouette`), and the two diameters are averaged by their precision. Where they contradict
+(:mod:`fsinfer.trees.diameter.silhouette`), both again where it turns out to be another than the cloud thought
+(:mod:`fsinfer.silhouettes.looks`), and the two diameters are averaged by their precision. Where they contradict
 each other the silhouette's stands, doubtful, the contradiction in its interval (:mod:`fsinfer.silhouettes.combine`).
 Edges alone are no measurement: where the points refused, a second pair of sides has to have the same size
 (:mod:`fsinfer.trees.diameter.second_pair`), or what the points say of it in spite of all.
@@ -25,18 +26,19 @@ from fsinfer.notices.stems import StemCode
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene
 from fsinfer.silhouettes.combine import Combined, CombineSettings, combine
-from fsinfer.silhouettes.edges import EdgeSettings, StemAxis, Strip, find_edges
+from fsinfer.silhouettes.edges import EdgeSettings, StemAxis
+from fsinfer.silhouettes.looks import Looked, LookSettings, look_at_stems
 from fsinfer.silhouettes.points_alone import NOT_OF_POINTS, by_points_alone
 from fsinfer.silhouettes.pose_errors import radius_std
-from fsinfer.silhouettes.strips import draw_strips, keep_strip
+from fsinfer.silhouettes.strips import draw_strips
 from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
 from fsinfer.trees.cylinder.axis import LEAST_RADIUS_M
 from fsinfer.trees.diameter.budget import effective_dof, factor95, shared_std, total_std
 from fsinfer.trees.diameter.dbh import too_uncertain, wide_interval
-from fsinfer.trees.diameter.edge_problem import Edges, SilhouetteSettings
+from fsinfer.trees.diameter.edge_problem import SilhouetteSettings
 from fsinfer.trees.diameter.outline import Outline
 from fsinfer.trees.diameter.second_pair import SecondPairSettings, second_pair
-from fsinfer.trees.diameter.silhouette import SilhouetteFit, edge_contrast, fit_silhouette
+from fsinfer.trees.diameter.silhouette import SilhouetteFit, edge_contrast
 from fsinfer.trees.measure import trees_found
 from fsinfer.trees.one_entry import one_entry_a_stem
 from fsinfer.trees.stem_measurement import with_diameter
@@ -97,24 +99,23 @@ class SilhouetteJoinSettings:
     points_alone_factor: points whose stem's edges no photograph shows are off by so many times what they say. Source:
         renders only, 22 stems in and round seven plots photographed by a phone (seeds 954001, 955001 to 955006): 2.24
         times, 15 of them inside their intervals, RMSE 5.2 cm; those with edges there 1.0 times.
-    min_photos: in which the stem's edges agree. Source: renders only, three renders.
     sure_photos: fewer, and a stem that the cloud could not measure stays doubtful. Source: renders only, three renders.
     sure_sectors: the same for the directions that they cover. Source: renders only, three renders.
     shrub_photos: so many photographs show the place, and ... Source: renders only, undergrown plot, afterwards.
     shrub_contrast: ... their edges agree no better than this on a stem: a shrub. Source: renders only, undergrown plot,
         afterwards: 1.02 to 1.07, a half-hidden stem 1.18.
-    edges, fit, second, combine: of the steps.
+    edges, looks, fit, second, combine: of the steps.
     """
 
     cloud_floor_m: float = 0.0015
     supports_std: float = 0.2
     points_alone_factor: float = 2.25
-    min_photos: int = 4
     sure_photos: int = 8
     sure_sectors: float = 0.3
     shrub_photos: int = 15
     shrub_contrast: float = 1.12
     edges: EdgeSettings = field(default_factory=EdgeSettings)
+    looks: LookSettings = field(default_factory=LookSettings)
     fit: SilhouetteSettings = field(default_factory=SilhouetteSettings)
     second: SecondPairSettings = field(default_factory=SecondPairSettings)
     combine: CombineSettings = field(default_factory=CombineSettings)
@@ -146,37 +147,41 @@ def measure_silhouettes(
     if not stems:
         return result
     maps = DepthMaps(photos.scene, photos.depth_folder, cache_maps=CACHED_MAPS)
-    strips: list[list[Strip]] = [[] for _ in stems]
-
-    def on_strip(number: int, strip: Strip) -> None:
-        keep_strip(strips[number], strip)
-
-    found = find_edges(
+    points = [None if sec.dbh_m is None else (sec.dbh_m / 2.0, _points_std(sec, s)) for sec in result.sections]
+    found = look_at_stems(
         stems,
+        points,
         photos.scene,
         maps,
         photos.cloud_from_scene,
-        settings=s.edges,
-        on_strip=None if figures is None else on_strip,
+        edges=s.edges,
+        fit=s.fit,
+        settings=s.looks,
+        keep_strips=figures is not None,
         progress=progress,
     )
     pairs, shrubs = [], []
-    for tree, section, stem, edges, seen in zip(result.trees, result.sections, stems, found, strips, strict=True):
-        points = None if section.dbh_m is None else (section.dbh_m / 2.0, _points_std(section, s))
-        fit = fit_silhouette(edges, stem.radius_m, taper=stem.taper, settings=s.fit, points=points)
-        if fit is None or fit.photos < s.min_photos:
-            if fit is None and tree.tree_id not in kept and _is_shrub(tree, stem, edges, s):
+    for tree, section, stem, looked in zip(result.trees, result.sections, stems, found, strict=True):
+        fit = looked.fit
+        if fit is None or not looked.clear(s.looks):
+            if fit is None and tree.tree_id not in kept and _is_shrub(tree, looked, s):
                 shrubs.append(tree)
             else:
                 pairs.append(by_points_alone(tree, section, s.points_alone_factor, dbh=dbh))
             continue
         if figures is not None:
-            names = [photos.scene.views[strip.photo].name for strip in seen]
-            draw_strips(figures / f"tree_{tree.tree_id:03d}_edges.png", seen, names, stem, fit)
+            names = [photos.scene.views[strip.photo].name for strip in looked.strips]
+            draw_strips(figures / f"tree_{tree.tree_id:03d}_edges.png", looked.strips, names, looked.stem, fit)
         supported = True
         if section.dbh_m is None:
-            second = second_pair(edges, stem.radius_m, taper=stem.taper, silhouette=s.fit, settings=s.second)
+            second = second_pair(
+                looked.edges, looked.stem.radius_m, taper=stem.taper, silhouette=s.fit, settings=s.second
+            )
             supported = second.agree or points_support(section, fit, s)
+        pose_std_m = 0.0
+        if photos.ray_std_m is not None:
+            pose_std_m = radius_std(looked.fitted, fit, photos.ray_std_m(looked.stem.breast))
+        fit = replace(fit, shift_m=fit.shift_m + looked.moved_m)  # about the section's own axis
         joined = join(
             section,
             fit,
@@ -184,7 +189,7 @@ def measure_silhouettes(
             dbh=dbh,
             settings=s,
             supported=supported,
-            pose_std_m=0.0 if photos.ray_std_m is None else radius_std(edges, fit, photos.ray_std_m(stem.breast)),
+            pose_std_m=pose_std_m,
         )
         pairs.append((_tree(tree, joined, stem, fit), joined))
     pairs, same = one_entry_a_stem(pairs, kept)
@@ -364,7 +369,8 @@ def _tree(tree: Tree, section: Section, stem: StemAxis, fit: SilhouetteFit) -> T
     return with_diameter(replace(tree, x_m=float(moved[0]), y_m=float(moved[1])), section)
 
 
-def _is_shrub(tree: Tree, stem: StemAxis, edges: Edges, s: SilhouetteJoinSettings) -> bool:
+def _is_shrub(tree: Tree, looked: Looked, s: SilhouetteJoinSettings) -> bool:
+    stem, edges = looked.stem, looked.fitted
     if tree.status == "ok" or len(np.unique(edges.photo)) < s.shrub_photos:
         return False
     return edge_contrast(edges, stem.radius_m, taper=stem.taper, settings=s.fit) < s.shrub_contrast

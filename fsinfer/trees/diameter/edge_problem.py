@@ -120,6 +120,19 @@ class Edges:
     photo: Ints
 
 
+def chosen_edges(edges: Edges, chosen: NDArray[np.bool_]) -> Edges:
+    """The edges of which ``chosen`` (N,) is true."""
+    return Edges(
+        support_m=edges.support_m[chosen],
+        angle_rad=edges.angle_rad[chosen],
+        height_m=edges.height_m[chosen],
+        strength=edges.strength[chosen],
+        pixel_m=edges.pixel_m[chosen],
+        ray=edges.ray[chosen],
+        photo=edges.photo[chosen],
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class Solution:
     """Unknowns ``x`` (K,); of each edge its probability ``weight``, ``precision`` (N,), gradient ``scores`` (N, K).

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.trees.diameter.edge_problem import Edges, SilhouetteSettings
+from fsinfer.trees.diameter.edge_problem import Edges, SilhouetteSettings, chosen_edges
 from fsinfer.trees.diameter.silhouette import SilhouetteFit, fit_silhouette
 
 Floats = NDArray[np.float64]
@@ -87,7 +87,7 @@ def second_pair(
     s = settings or SecondPairSettings()
     of_fit = replace(silhouette or SilhouetteSettings(), min_contrast=s.min_contrast)
     first, apart = _parted(edges)
-    parts = [_of(edges, part) for part in (first, ~first)]
+    parts = [chosen_edges(edges, part) for part in (first, ~first)]
     fits = [fit_silhouette(part, radius_m, taper=taper, settings=of_fit) for part in parts]
     shares: list[float] = []
     for fit, other in zip(fits, parts[::-1], strict=True):
@@ -146,15 +146,3 @@ def _parted(edges: Edges) -> tuple[Bools, float]:
     first = np.zeros(len(photos), dtype=bool)
     first[half] = True
     return np.asarray(first[which]), float(np.degrees(between)) / 2.0
-
-
-def _of(edges: Edges, chosen: Bools) -> Edges:
-    return Edges(
-        support_m=edges.support_m[chosen],
-        angle_rad=edges.angle_rad[chosen],
-        height_m=edges.height_m[chosen],
-        strength=edges.strength[chosen],
-        pixel_m=edges.pixel_m[chosen],
-        ray=edges.ray[chosen],
-        photo=edges.photo[chosen],
-    )

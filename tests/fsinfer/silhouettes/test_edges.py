@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -91,6 +92,22 @@ def test_a_stem_behind_something_nearer_gives_no_edges(tmp_path: Path, screen: f
     scene = write_plot(tmp_path, screen=screen)
     (edges,) = find_edges([STEM], scene, DepthMaps(scene, tmp_path), np.eye(4))
     assert (len(edges.support_m) > 0) == seen
+
+
+@pytest.mark.parametrize(("nearest", "shown"), [(0.5, 0), (1.15, 1)])
+def test_a_stem_nearer_than_the_nearest_plane_of_the_depth_map_is_looked_at(
+    tmp_path: Path, nearest: float, shown: int
+) -> None:
+    """A stem of 51 cm a metre before the camera was the background for its depth map, and no photograph of it."""
+    scene = write_plot(tmp_path)
+    background = np.full((HEIGHT, WIDTH), 30.0, dtype=np.float32)
+    write_pfm(tmp_path / "depth" / "p0.pfm", background)
+    views = tuple(replace(view, camera=replace(view.camera, depth_min=nearest)) for view in scene.views)
+    ranged = replace(scene, views=views)
+    assert len(strips_of_photo([STEM], 0, ranged, DepthMaps(ranged, tmp_path), np.eye(4))) == shown
+    # Only what is nearer still could hide it.
+    write_pfm(tmp_path / "depth" / "p0.pfm", 0.0 * background + 0.6)
+    assert strips_of_photo([STEM], 0, ranged, DepthMaps(ranged, tmp_path), np.eye(4)) == []
 
 
 def test_a_stem_too_far_or_too_thin_in_the_photograph_is_left_out(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 import fsinfer
-import fsinfer.silhouettes.join as silhouettes
+import fsinfer.silhouettes.looks as silhouettes
 import fsinfer.workflow.cloud_stages as cloud_stages
 import fsinfer.workflow.photo_stages as photo_stages
 import fsinfer.workflow.pipeline as pipeline

@@ -1,0 +1,139 @@
+"""A second look at stems that turn out to be other than the cloud thought."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from fsinfer.silhouettes.edges import StemAxis, Strip
+from fsinfer.silhouettes.looks import Looked, LookSettings, again
+from fsinfer.trees.diameter.edge_problem import Edges, SilhouetteSettings
+from fsinfer.trees.diameter.silhouette import SilhouetteFit
+from training.simulate.stem_edges import edges_from_rows
+
+NOWHERE = np.zeros(2)
+UPRIGHT = StemAxis(breast=np.array([3.0, 5.0, 1.3]), along=np.array([0.0, 0.0, 1.0]), radius_m=0.10, taper=0.0)
+
+
+def edges_at(radius: float, *, photos: int, scatter: float = 0.0005, pixel: float = 0.002) -> Edges:
+    """Both sides of a round stem in photographs from all round, six bands each."""
+    rng = np.random.default_rng(4)
+    rows = []
+    for photo in range(photos):
+        for side in (0, 1):
+            for band in range(6):
+                angle = 2 * np.pi * photo / photos + np.pi * side
+                at = radius + rng.normal(0.0, scatter)
+                rows.append((at, angle, -0.2 + 0.08 * band, 8.0, pixel, (photo * 2 + side) * 6 + band, photo))
+    return edges_from_rows(rows)
+
+
+def fit_of(radius: float, std: float, *, photos: int = 9, shift: Sequence[float] = (0.0, 0.0)) -> SilhouetteFit:
+    return SilhouetteFit(
+        radius_m=radius,
+        std_m=std,
+        shift_m=np.array(shift),
+        slope=np.zeros(2),
+        taper=0.0,
+        shape_m=np.zeros(6),
+        rays=90.0,
+        share=0.9,
+        photos=photos,
+        sectors=0.8,
+        noise_m=0.001,
+        contrast=1.7,
+        weight=np.ones(3),
+    )
+
+
+def looked_at(fit: SilhouetteFit | None) -> Looked:
+    edges = edges_at(0.1 if fit is None else fit.radius_m, photos=9)
+    return Looked(stem=UPRIGHT, edges=edges, fitted=edges, fit=fit, moved_m=NOWHERE)
+
+
+class Photos:
+    """What a look finds: edges at ``radius``, in so many photographs, wherever one looks."""
+
+    def __init__(self, radius: float, *, photos: int = 9, scatter: float = 0.0005) -> None:
+        self.edges = edges_at(radius, photos=photos, scatter=scatter)
+        self.asked: list[list[StemAxis]] = []
+
+    def __call__(self, stems: Sequence[StemAxis]) -> tuple[list[Edges], list[list[Strip]]]:
+        self.asked.append(list(stems))
+        return [self.edges for _ in stems], [[] for _ in stems]
+
+
+def looked_again(first: Sequence[Looked], photos: Photos, settings: LookSettings | None = None) -> list[Looked]:
+    return again(
+        first, [None] * len(first), photos, fit=SilhouetteSettings(), settings=settings or LookSettings()
+    )  # fmt: skip
+
+
+def test_only_stems_of_another_radius_are_looked_at_again_and_where_they_were_found() -> None:
+    as_thought, other, none = looked_at(fit_of(0.104, 0.002)), looked_at(fit_of(0.08, 0.002, shift=(0.01, -0.02))), None
+    photos = Photos(0.08)
+    after = looked_again([as_thought, other, looked_at(none)], photos)
+    assert after[0] is as_thought
+    assert after[2].fit is None
+    ((stem,),) = photos.asked  # once: the radius stays
+    assert stem.radius_m == pytest.approx(0.08)
+    np.testing.assert_allclose(stem.breast, [3.01, 4.98, 1.3])
+    assert after[1].stem is stem
+    np.testing.assert_allclose(after[1].moved_m, [0.01, -0.02])
+
+
+def test_a_later_look_counts_where_it_is_surer_or_contradicts() -> None:
+    surer = looked_again([looked_at(fit_of(0.090, 0.02))], Photos(0.089))[0]
+    assert surer.fit is not None
+    assert surer.fit.radius_m == pytest.approx(0.089, abs=0.001)
+    # As sure as it may be of 12 cm: looked at again it is 8 cm, and the haze had the rest.
+    against = looked_again([looked_at(fit_of(0.060, 0.0001))], Photos(0.040, scatter=0.003))[0]
+    assert against.fit is not None
+    assert against.fit.radius_m == pytest.approx(0.040, abs=0.002)
+    first = looked_at(fit_of(0.0895, 0.00001))
+    assert looked_again([first], Photos(0.0899, scatter=0.003))[0] is first
+
+
+def test_a_look_that_too_few_photographs_carry_does_not_count() -> None:
+    first = looked_at(fit_of(0.06, 0.02))
+    assert looked_again([first], Photos(0.04, photos=3))[0] is first
+    unclear = looked_at(fit_of(0.06, 0.001, photos=3))
+    assert looked_again([unclear], Photos(0.0601))[0] is not unclear
+
+
+def test_looks_end_though_the_radius_does_not_stay() -> None:
+    class Shrinking(Photos):
+        def __call__(self, stems: Sequence[StemAxis]) -> tuple[list[Edges], list[list[Strip]]]:
+            self.edges = edges_at(0.8 * stems[0].radius_m, photos=9)
+            return super().__call__(stems)
+
+    photos = Shrinking(0.08)
+    after = looked_again([looked_at(fit_of(0.08, 0.01, shift=(0.01, 0.0)))], photos, LookSettings(looks=4))
+    assert len(photos.asked) == 3
+    assert after[0].fit is not None
+    assert after[0].fit.radius_m == pytest.approx(0.08 * 0.8**3, abs=0.001)
+
+
+def test_small_pictures_of_a_stem_are_fitted_only_where_large_ones_are_too_few() -> None:
+    def mixed(large: int) -> Edges:
+        near, far = edges_at(0.04, photos=large), edges_at(0.044, photos=9, pixel=0.015)
+        rows = [
+            [*values, photo + (100 if part is far else 0)]
+            for part in (near, far)
+            for *values, photo in zip(
+                part.support_m, part.angle_rad, part.height_m, part.strength, part.pixel_m,
+                part.ray + (1000 if part is far else 0), part.photo, strict=True,
+            )
+        ]  # fmt: skip
+        return edges_from_rows(rows)
+
+    for large, expected in ((8, 0.040), (2, 0.0435)):
+        photos = Photos(0.04)
+        photos.edges = mixed(large)
+        (found,) = looked_again([looked_at(fit_of(0.05, 0.02))], photos, LookSettings(looks=2))
+        assert found.fit is not None
+        assert found.fit.radius_m == pytest.approx(expected, abs=0.0006 if large == 8 else 0.003)
+        assert len(np.unique(found.fitted.photo)) == (8 if large == 8 else 11)
+        assert len(np.unique(found.edges.photo)) == large + 9
