@@ -129,11 +129,14 @@ def again(
         moving = [number for number in moving if _other_than_thought(best[number], s)]
         if not moving:
             break
+        counted = []
         axes = [_axis_found(best[number], fitted) for number in moving if (fitted := best[number].fit) is not None]
         for number, (stem, moved), edges, strips in zip(moving, axes, *look([stem for stem, _ in axes]), strict=True):
             new = _fitted(stem, moved, edges, strips, points[number], fit, s)
             if _counts(new, best[number], s):
                 best[number] = new
+                counted.append(number)
+        moving = counted
     return best
 
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fsinfer.depth.maps import DepthMaps
+from fsinfer.depth.maps import DepthMaps, seen_and_hidden
 from fsinfer.io.images import write_image
 from fsinfer.io.pfm import write_pfm
 from fsinfer.scene import Camera, Scene, read_scene, write_camera, write_pairs
@@ -129,6 +129,17 @@ def test_a_stem_that_is_not_there_or_beside_the_picture_is_left_out(tmp_path: Pa
         other = StemAxis(breast=np.array([*place, 1.3]), along=STEM.along, radius_m=0.16, taper=0.0)
         assert strips_of_photo([other], 0, scene, maps, np.eye(4)) == []
     assert [number for number, _ in strips_of_photo([other, STEM], 0, scene, maps, np.eye(4))] == [1]
+
+
+def test_what_is_beside_the_picture_is_not_seen_however_near(tmp_path: Path) -> None:
+    scene = write_plot(tmp_path)
+    camera = replace(scene.views[0].camera, depth_min=1.15)
+    rays = np.linalg.inv(camera.intrinsic) @ np.array([[150, -40.0, 150], [100, 100.0, 100], [1, 1, 1]]) * [1, 1, 1.18]
+    points = (rays.T - camera.cam_from_world[:3, 3]) @ camera.cam_from_world[:3, :3]
+    background = DepthMaps(scene, tmp_path).get(0)
+    background = replace(background, inverse_depth=np.full_like(background.inverse_depth, 1 / 30))
+    # Of three points a metre away one is in the picture and nearer than any plane, one beside it, one on a plane.
+    assert seen_and_hidden(points, np.full(3, 0.1), camera, background) == pytest.approx((1 / 3, 0.0))
 
 
 @given(lean_x=st.floats(-0.4, 0.4), lean_y=st.floats(-0.4, 0.4))

@@ -92,14 +92,15 @@ def test_a_later_look_counts_where_it_is_surer_or_contradicts() -> None:
     against = looked_again([looked_at(fit_of(0.060, 0.0001))], Photos(0.040, scatter=0.003))[0]
     assert against.fit is not None
     assert against.fit.radius_m == pytest.approx(0.040, abs=0.002)
-    first = looked_at(fit_of(0.0895, 0.00001))
-    assert looked_again([first], Photos(0.0899, scatter=0.003))[0] is first
+    first, photos = looked_at(fit_of(0.0895, 0.00001)), Photos(0.0899, scatter=0.003)
+    assert looked_again([first], photos)[0] is first
+    assert len(photos.asked) == 1  # another look would show the same
 
 
 def test_a_look_that_too_few_photographs_carry_does_not_count() -> None:
     first = looked_at(fit_of(0.06, 0.02))
     assert looked_again([first], Photos(0.04, photos=3))[0] is first
-    unclear = looked_at(fit_of(0.06, 0.001, photos=3))
+    unclear = looked_at(fit_of(0.06, 1e-6, photos=3))
     assert looked_again([unclear], Photos(0.0601))[0] is not unclear
 
 
@@ -114,6 +115,7 @@ def test_looks_end_though_the_radius_does_not_stay() -> None:
     assert len(photos.asked) == 3
     assert after[0].fit is not None
     assert after[0].fit.radius_m == pytest.approx(0.08 * 0.8**3, abs=0.001)
+    np.testing.assert_allclose(after[0].moved_m, [0.01, 0.0], atol=0.002)  # of the first look, and nothing since
 
 
 def test_small_pictures_of_a_stem_are_fitted_only_where_large_ones_are_too_few() -> None:
