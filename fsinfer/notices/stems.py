@@ -69,6 +69,7 @@ class StemCode(StrEnum):
     coarse_steps = "coarse_steps"
     ground_in_part = "ground_in_part"
     little_ground = "little_ground"
+    lean_alike = "lean_alike"
     turned = "turned"
     thinned = "thinned"
     post_of_marker = "post_of_marker"
@@ -148,6 +149,10 @@ SENTENCES: dict[StemCode, str] = {
     StemCode.coarse_steps: ("the coordinates come in steps of {step_mm:.0f} mm: diameters cannot be better than that"),
     StemCode.ground_in_part: "ground seen in only {percent:.0f} % of the lowest parts of the plot",
     StemCode.little_ground: "little ground is seen: breast height is counted from the lowest points of the stems",
+    StemCode.lean_alike: (
+        "the stems lean the same way, {lean_deg:.0f} degrees in the mean of {stems}: either the stand does, or the "
+        "cloud does not stand upright, and then heights, breast heights and slopes are wrong"
+    ),
     StemCode.turned: "the cloud did not stand upright: {how} in it",
     StemCode.thinned: (
         "the cloud has {total:,} points: {kept:,} of them, drawn at random, were measured (up to {fine:.0f} in each "
@@ -190,6 +195,7 @@ ADVICE: dict[StemCode, str] = {
     StemCode.sources_disagree: "look at its strips of photographs, or check with a tape",
     StemCode.none_at_stem_height: "check the scale, or photograph the stems as well as the ground",
     StemCode.none_round: "check the scale",
+    StemCode.lean_alike: "compare with a plumb line or with a stem that you know to be upright, and level the cloud",
     StemCode.turned: "it was turned, and so is the frame of all results",
 }
 #: Of use to those who look closely, nothing to act upon.

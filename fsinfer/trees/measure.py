@@ -14,6 +14,7 @@ from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.progress import Progress, silent
 from fsinfer.threads import one_blas_thread
+from fsinfer.trees.common_lean import common_lean
 from fsinfer.trees.diameter.section import Section
 from fsinfer.trees.ground.at_stems import shows_ground
 from fsinfer.trees.ground.ground import Ground, find_ground
@@ -174,6 +175,7 @@ def analyse_plot(
     pairs, same = one_entry_a_stem(measure_stems(stand, search, ground, settings, scale_rel_std, origin))
     warnings += same
     pairs = doubt_the_rough(pairs)
+    warnings += common_lean([tree for tree, _ in pairs], [section for _, section in pairs], settings=settings.lean)
     # On the side of a cloud that lies, a surface may be followed and something on it be measured, but nothing soundly.
     in_part = ground.share < settings.sanity.min_ground
     sound = any(tree.status == "ok" if in_part else tree.dbh_cm is not None for tree, _ in pairs)

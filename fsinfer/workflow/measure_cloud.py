@@ -106,7 +106,7 @@ class _Opened:
     warnings: tuple[Notice, ...] = ()
 
 
-MEASURE = Stage(name="measure", version=10, result=MeasuredCloud, outputs=("trees.csv",))
+MEASURE = Stage(name="measure", version=11, result=MeasuredCloud, outputs=("trees.csv",))
 
 
 @one_blas_thread()
