@@ -108,7 +108,7 @@ def look_at_stems(
     first = look(stems, progress)
     here = np.zeros(2)
     looked = [
-        _fitted(stem, here, found, strips, radius, fit, s)
+        fitted_look(stem, here, found, strips, radius, fit, s)
         for stem, found, strips, radius in zip(stems, *first, points, strict=True)
     ]
     return again(looked, points, look, fit=fit, settings=s)
@@ -132,7 +132,7 @@ def again(
         counted = []
         axes = [_axis_found(best[number], fitted) for number in moving if (fitted := best[number].fit) is not None]
         for number, (stem, moved), edges, strips in zip(moving, axes, *look([stem for stem, _ in axes]), strict=True):
-            new = _fitted(stem, moved, edges, strips, points[number], fit, s)
+            new = fitted_look(stem, moved, edges, strips, points[number], fit, s)
             if _counts(new, best[number], s):
                 best[number] = new
                 counted.append(number)
@@ -164,7 +164,7 @@ def _counts(new: Looked, old: Looked, s: LookSettings) -> bool:
     return new.fit.std_m <= old.fit.std_m or apart > s.contradict_std * both
 
 
-def _fitted(
+def fitted_look(
     stem: StemAxis,
     moved_m: Floats,
     edges: Edges,
@@ -173,12 +173,13 @@ def _fitted(
     fit: SilhouetteSettings,
     s: LookSettings,
 ) -> Looked:
-    """Fit the photographs that show the stem large, or all where those are too few."""
+    """One look: the fit to the photographs that show the stem large, or to all where those are too few or not clear."""
     large = edges.pixel_m * s.sure_radius_px <= stem.radius_m
     enough = len(np.unique(edges.photo[large])) >= s.min_photos
+    tries = []
     for some in (chosen_edges(edges, large), edges) if enough else (edges,):
         found = fit_silhouette(some, stem.radius_m, taper=stem.taper, settings=fit, points=points)
-        looked = Looked(stem=stem, edges=edges, fitted=some, fit=found, moved_m=moved_m, strips=strips)
-        if looked.clear(s):
-            break
-    return looked
+        tries.append(Looked(stem=stem, edges=edges, fitted=some, fit=found, moved_m=moved_m, strips=strips))
+        if tries[-1].clear(s):
+            return tries[-1]
+    return tries[0]  # what is no stem in the large pictures is asked of them, too, whether it is a shrub

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from fsinfer.silhouettes.edges import StemAxis, Strip
-from fsinfer.silhouettes.looks import Looked, LookSettings, again
+from fsinfer.silhouettes.looks import Looked, LookSettings, again, fitted_look
 from fsinfer.trees.diameter.edge_problem import Edges, SilhouetteSettings
 from fsinfer.trees.diameter.silhouette import SilhouetteFit
 from training.simulate.stem_edges import edges_from_rows
@@ -139,3 +140,20 @@ def test_small_pictures_of_a_stem_are_fitted_only_where_large_ones_are_too_few()
         assert found.fit.radius_m == pytest.approx(expected, abs=0.0006 if large == 8 else 0.003)
         assert len(np.unique(found.fitted.photo)) == (8 if large == 8 else 11)
         assert len(np.unique(found.edges.photo)) == large + 9
+
+
+def test_what_no_picture_shows_clearly_is_judged_by_the_large_ones() -> None:
+    """Whether it is a shrub: small pictures let its edges agree better than they do."""
+    rng = np.random.default_rng(2)
+    rows = [
+        (rng.uniform(0.01, 0.3), 0.4 * photo + np.pi * side, 0.0, 3.0, pixel, 2 * photo + side, photo)
+        for photo, pixel in enumerate([0.002] * 6 + [0.015] * 9)
+        for side in (0, 1)
+        for _ in range(8)
+    ]
+    edges = edges_from_rows(rows)
+    thin = replace(UPRIGHT, radius_m=0.05)
+    unclear = fitted_look(thin, NOWHERE, edges, [], None, SilhouetteSettings(), LookSettings())
+    assert unclear.fit is None
+    assert sorted(set(unclear.fitted.photo)) == list(range(6))
+    assert unclear.edges is edges
