@@ -34,8 +34,11 @@ class SecondPairSettings:
 
     Attributes
     ----------
-    min_apart_deg: between the mean directions of both parts, so that a stem is seen from 60 degrees of its sides at
-        least. Source: geometry, a false edge on the bark moves by half a radius then.
+    min_apart_deg: between the mean directions of both parts, for a thin stem, so that it is seen from 60 degrees of its
+        sides at least. Source: geometry, a false edge on the bark moves by half a radius then.
+    least_apart_deg: for a thick one. A stem with something on its bark is thicker than that, so that it moves by more
+        than its radius times the sine of the angle; where this is more than the place of a stem is looked for in,
+        the other part cannot take it for the same. Source: geometry; 15 degrees are a quarter of the sides.
     min_contrast: of each part, more than of the whole: a part of few rays has peaks of its own. Source: renders only,
         stems have 1.4 to 1.9.
     min_photos: in which the edges agree, in each part. Source: renders only, as for the stem itself but one less.
@@ -51,6 +54,7 @@ class SecondPairSettings:
     """
 
     min_apart_deg: float = 30.0
+    least_apart_deg: float = 15.0
     min_contrast: float = 1.3
     min_photos: int = 3
     reach_std: float = 1.5
@@ -96,9 +100,16 @@ def second_pair(
     # What both found by themselves has to be the same.
     found = [share for share, fit in zip(shares, fits, strict=True) if fit is not None]
     enough = s.both_share if _same_size(fits, s) else s.min_share
-    agree = apart >= s.min_apart_deg and bool(found) and min(found) >= enough
+    agree = apart >= _needed_deg(fits, of_fit.place_range_m, s) and bool(found) and min(found) >= enough
     first_m, second_m = (None if fit is None else fit.radius_m for fit in fits)
     return SecondPair(radii_m=(first_m, second_m), shares=(shares[0], shares[1]), apart_deg=apart, agree=agree)
+
+
+def _needed_deg(fits: Sequence[SilhouetteFit | None], place_m: float, s: SecondPairSettings) -> float:
+    """How far apart both parts have to look from: what is false must move by more than ``place_m``."""
+    thinnest = min((fit.radius_m for fit in fits if fit is not None), default=0.0)
+    moved_enough = np.degrees(np.arcsin(min(place_m / max(thinnest, place_m), 1.0)))
+    return float(np.clip(moved_enough, s.least_apart_deg, s.min_apart_deg))
 
 
 def _same_size(fits: Sequence[SilhouetteFit | None], s: SecondPairSettings) -> bool:

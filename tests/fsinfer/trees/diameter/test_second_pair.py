@@ -49,6 +49,35 @@ def test_one_direction_and_its_opposite_are_one_pair_of_sides() -> None:
     assert found.apart_deg < 15.0
 
 
+@pytest.mark.parametrize(("radius", "agree"), [(0.24, True), (0.06, False)])
+def test_a_thick_stem_needs_less_of_an_angle(radius: float, agree: bool) -> None:
+    """A stem of 47 cm, its parts 28 degrees apart, had no DBH: on its bark something false moves by 11 cm then."""
+    edges = edges_of(radius, [0, 3, 6, 9, 20, 23, 26, 29], rng=np.random.default_rng(7))
+    found = second_pair(edges, radius, taper=TAPER)
+    assert found.apart_deg == pytest.approx(20.0, abs=1.0)
+    assert found.agree == agree
+    narrow = second_pair(
+        edges_of(radius, [0, 3, 6, 9, 10, 12, 14, 18], rng=np.random.default_rng(7)), radius, taper=TAPER
+    )
+    assert narrow.apart_deg < 12.0
+    assert not narrow.agree
+
+
+def test_a_strip_of_bark_on_a_thick_stem_has_moved_at_that_angle() -> None:
+    """A strip of 20 cm on a stem of 50 cm, faced by the first photographs; the others see it 9 to 12 cm aside."""
+    rng = np.random.default_rng(8)
+    strip = edges_of(0.10, [0, 3, 6, 9, 20, 23, 26, 29], rng=rng)
+    towards = np.repeat(np.radians([0, 3, 6, 9, 20, 23, 26, 29]), 12)
+    side = np.where(np.cos(strip.angle_rad - towards - np.pi / 2) > 0, 1.0, -1.0)
+    moved = replace(strip, support_m=strip.support_m + side * 0.25 * np.sin(np.radians(4.5) - towards))
+    found = second_pair(moved, 0.10, taper=TAPER)
+    assert found.radii_m[0] == pytest.approx(0.10, abs=0.01)
+    assert found.apart_deg == pytest.approx(20.0, abs=1.0)
+    assert not found.agree
+    # It is the place that tells: the same strip on the axis itself would be a stem.
+    assert second_pair(strip, 0.10, taper=TAPER, settings=SecondPairSettings(min_apart_deg=15.0)).agree
+
+
 def test_two_sizes_are_none_although_one_fit_goes_through_most_edges() -> None:
     """A strip of bark of 6 cm from one direction, the stem's own sides from the other, farther than the vote looks."""
     rng = np.random.default_rng(2)
