@@ -6,8 +6,8 @@ up in all photographs that show it (:mod:`fsinfer.silhouettes.edges`), its silho
 (:mod:`fsinfer.trees.diameter.silhouette`), both again where it turns out to be another than the cloud thought
 (:mod:`fsinfer.silhouettes.looks`), and the two diameters are averaged by their precision. Where they contradict
 each other the silhouette's stands, doubtful, the contradiction in its interval (:mod:`fsinfer.silhouettes.combine`).
-Edges alone are no measurement: where the points refused, a second pair of sides has to have the same size
-(:mod:`fsinfer.trees.diameter.second_pair`), or what the points say of it in spite of all.
+Edges alone are no measurement: where the points refused, something else has to have the same size
+(:mod:`fsinfer.silhouettes.support`).
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from fsinfer.silhouettes.looks import Looked, LookSettings, look_at_stems
 from fsinfer.silhouettes.points_alone import NOT_OF_POINTS, by_points_alone
 from fsinfer.silhouettes.pose_errors import radius_std
 from fsinfer.silhouettes.strips import draw_strips
+from fsinfer.silhouettes.support import SupportSettings, is_supported, refusal
 from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
 from fsinfer.trees.cylinder.axis import LEAST_RADIUS_M
 from fsinfer.trees.diameter.budget import effective_dof, factor95, shared_std, total_std
 from fsinfer.trees.diameter.dbh import too_uncertain, wide_interval
 from fsinfer.trees.diameter.edge_problem import SilhouetteSettings
 from fsinfer.trees.diameter.outline import Outline
-from fsinfer.trees.diameter.second_pair import SecondPairSettings, second_pair
 from fsinfer.trees.diameter.silhouette import SilhouetteFit, edge_contrast
 from fsinfer.trees.measure import trees_found
 from fsinfer.trees.one_entry import one_entry_a_stem
@@ -52,18 +52,6 @@ SOURCE_COLUMNS = (
 
 #: Doubts of the cloud that photographs do not lift.
 OFF_BREAST_HEIGHT = frozenset({StemCode.above_breast_height, StemCode.below_breast_height})
-#: Said of a stem beside its reasons.
-BY_HAND = frozenset({StemCode.added_by_hand, StemCode.merged_by_hand})
-#: Where the cloud refused for one of these its radius means nothing.
-SIZELESS = frozenset(
-    {
-        StemCode.too_few_at_breast_height,
-        StemCode.too_few_on_bark,
-        StemCode.double_wall,
-        StemCode.not_round,
-        StemCode.no_stem_here,
-    }
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,9 +81,6 @@ class SilhouetteJoinSettings:
     ----------
     cloud_floor_m: added to the error of the cloud's radius: depth maps fatten edges. Source: renders only, three
         renders.
-    supports_std: the points of a stem that the cloud refused support its edges where their own standard deviation is
-        below this share of the radius and the two agree. Source: statistics and renders only: at 0.1 the edges of four
-        stems of four plots were refused, all four within 0.8 cm; at 0.2 the points still rule out half the size.
     points_alone_factor: points whose stem's edges no photograph shows are off by so many times what they say. Source:
         renders only, 22 stems in and round seven plots photographed by a phone (seeds 954001, 955001 to 955006): 2.24
         times, 15 of them inside their intervals, RMSE 5.2 cm; those with edges there 1.0 times.
@@ -104,11 +89,10 @@ class SilhouetteJoinSettings:
     shrub_photos: so many photographs show the place, and ... Source: renders only, undergrown plot, afterwards.
     shrub_contrast: ... their edges agree no better than this on a stem: a shrub. Source: renders only, undergrown plot,
         afterwards: 1.02 to 1.07, a half-hidden stem 1.18.
-    edges, looks, fit, second, combine: of the steps.
+    edges, looks, fit, support, combine: of the steps.
     """
 
     cloud_floor_m: float = 0.0015
-    supports_std: float = 0.2
     points_alone_factor: float = 2.25
     sure_photos: int = 8
     sure_sectors: float = 0.3
@@ -117,7 +101,7 @@ class SilhouetteJoinSettings:
     edges: EdgeSettings = field(default_factory=EdgeSettings)
     looks: LookSettings = field(default_factory=LookSettings)
     fit: SilhouetteSettings = field(default_factory=SilhouetteSettings)
-    second: SecondPairSettings = field(default_factory=SecondPairSettings)
+    support: SupportSettings = field(default_factory=SupportSettings)
     combine: CombineSettings = field(default_factory=CombineSettings)
 
 
@@ -172,12 +156,6 @@ def measure_silhouettes(
         if figures is not None:
             names = [photos.scene.views[strip.photo].name for strip in looked.strips]
             draw_strips(figures / f"tree_{tree.tree_id:03d}_edges.png", looked.strips, names, looked.stem, fit)
-        supported = True
-        if section.dbh_m is None:
-            second = second_pair(
-                looked.edges, looked.stem.radius_m, taper=stem.taper, silhouette=s.fit, settings=s.second
-            )
-            supported = second.agree or points_support(section, fit, s)
         pose_std_m = 0.0
         if photos.ray_std_m is not None:
             pose_std_m = radius_std(looked.fitted, fit, photos.ray_std_m(looked.stem.breast))
@@ -188,7 +166,7 @@ def measure_silhouettes(
             scale_rel_std=scale_rel_std,
             dbh=dbh,
             settings=s,
-            supported=supported,
+            supported=is_supported(section, _points_std(section, s), looked, fit, silhouette=s.fit, settings=s.support),
             pose_std_m=pose_std_m,
         )
         pairs.append((_tree(tree, joined, stem, fit), joined))
@@ -257,26 +235,6 @@ def join(
     )
 
 
-def points_support(section: Section, fit: SilhouetteFit, settings: SilhouetteJoinSettings) -> bool:
-    """Whether the points of a stem that the cloud refused have the size of its edges all the same.
-
-    Points that were too few, not round, or lie in two walls have none.
-    """
-    s, refused = settings, _refusal(section)
-    if not section.parts_m or refused is None or refused.code in SIZELESS:
-        return False
-    radius, std = float(section.circle_m[2]), _points_std(section, s)
-    near = abs(radius - fit.radius_m) <= s.combine.gate * float(np.hypot(std, fit.std_m))
-    return near and std <= s.supports_std * fit.radius_m
-
-
-def _refusal(section: Section) -> Notice | None:
-    """Why the cloud gave no diameter; None where it gave one."""
-    if section.dbh_m is not None:
-        return None
-    return next((why for why in section.reasons if why.code not in BY_HAND), None)
-
-
 def _points_std(section: Section, s: SilhouetteJoinSettings) -> float:
     """Standard deviation of the points' radius without what both sources share."""
     return float(np.hypot(total_std(_of_points(section)), s.cloud_floor_m))
@@ -329,7 +287,7 @@ def _status(
     supported: bool,
 ) -> tuple[str, tuple[Notice, ...]]:
     """Status and reasons anew: what the cloud doubted or refused, the silhouette may know."""
-    refused = _refusal(section)
+    refused = refusal(section)
     if refused is not None and not supported:
         why = notice(StemCode.edges_unsupported, photos=fit.photos, edges_cm=100.0 * dbh_m, refused=refused)
         return "unmeasured", (why,)

@@ -87,6 +87,10 @@ TARGETS: dict[str, Target] = {
         files=("fsinfer/silhouettes/looks.py", "fsinfer/trees/diameter/second_pair.py"),
         tests=(f"{_SILHOUETTES}test_looks.py", f"{_DIAMETER}test_second_pair.py", f"{_SILHOUETTES}test_join.py"),
     ),
+    "silhouette-support": Target(
+        files=("fsinfer/silhouettes/support.py",),
+        tests=(f"{_SILHOUETTES}test_support.py", f"{_SILHOUETTES}test_join.py"),
+    ),
     "pose-errors": Target(
         files=("fsinfer/silhouettes/pose_errors.py",),
         tests=(f"{_SILHOUETTES}test_pose_errors.py",),

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -215,12 +214,12 @@ class EdgeProblem:
         """Each start without a second harmonic."""
         return ((start, np.zeros(2)) for start in starts)
 
-    def ovals(self, starts: Sequence[Floats]) -> Iterator[tuple[Floats, Floats]]:
-        """Each start with a second harmonic: an oval that lies in one of some directions.
+    def ovals(self, start: Floats) -> Iterator[tuple[Floats, Floats]]:
+        """A start with a second harmonic: an oval that lies in one of some directions.
 
         From a circle the edges of an oval stem's longer side are out of reach, and what is found has one side right.
         """
-        for start, oval in product(starts, OVALS):
+        for oval in OVALS:
             for turn in np.arange(OVAL_TURNS) * 2 * np.pi / OVAL_TURNS:
                 yield start, oval * start[0] * np.array([np.cos(turn), np.sin(turn)])
 

@@ -39,6 +39,9 @@ class SecondPairSettings:
     least_apart_deg: for a thick one. A stem with something on its bark is thicker than that, so that it moves by more
         than its radius times the sine of the angle; where this is more than the place of a stem is looked for in,
         the other part cannot take it for the same. Source: geometry; 15 degrees are a quarter of the sides.
+    weak_apart_deg: where both parts find the stem by themselves with ``min_share`` of the rays, so much is enough for
+        half a support. Source: geometry, a strip on the bark of a stem twice as thick moves by a third of its own width
+        at least.
     min_contrast: of each part, more than of the whole: a part of few rays has peaks of its own. Source: renders only,
         stems have 1.4 to 1.9.
     min_photos: in which the edges agree, in each part. Source: renders only, as for the stem itself but one less.
@@ -55,6 +58,7 @@ class SecondPairSettings:
 
     min_apart_deg: float = 30.0
     least_apart_deg: float = 15.0
+    weak_apart_deg: float = 20.0
     min_contrast: float = 1.3
     min_photos: int = 3
     reach_std: float = 1.5
@@ -66,7 +70,10 @@ class SecondPairSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class SecondPair:
-    """What two parts of the photographs say of each other; ``agree`` says whether it counts.
+    """What two parts of the photographs say of each other; ``agree`` says whether it counts by itself.
+
+    ``weak`` says that only the angle between them is too small for that, and not by much: beside something else that
+    has the size it counts, too.
 
     ``radii_m`` are those that each found by itself, None for nothing, ``shares`` the parts of the other's rays that
     have their edge there. ``apart_deg`` is the angle between the directions from which both look, of 90 at most:
@@ -77,6 +84,7 @@ class SecondPair:
     shares: tuple[float, float]
     apart_deg: float
     agree: bool
+    weak: bool = False
 
 
 def second_pair(
@@ -99,10 +107,14 @@ def second_pair(
         shares.append(_share(fit, other, of_fit, s) if fit is not None and sure else 0.0)
     # What both found by themselves has to be the same.
     found = [share for share, fit in zip(shares, fits, strict=True) if fit is not None]
-    enough = s.both_share if _same_size(fits, s) else s.min_share
-    agree = apart >= _needed_deg(fits, of_fit.place_range_m, s) and bool(found) and min(found) >= enough
+    same, least = _same_size(fits, s), min(found, default=0.0)
+    enough = s.both_share if same else s.min_share
+    agree = apart >= _needed_deg(fits, of_fit.place_range_m, s) and bool(found) and least >= enough
+    weak = not agree and same and apart >= s.weak_apart_deg and least >= s.min_share
     first_m, second_m = (None if fit is None else fit.radius_m for fit in fits)
-    return SecondPair(radii_m=(first_m, second_m), shares=(shares[0], shares[1]), apart_deg=apart, agree=agree)
+    return SecondPair(
+        radii_m=(first_m, second_m), shares=(shares[0], shares[1]), apart_deg=apart, agree=agree, weak=weak
+    )
 
 
 def _needed_deg(fits: Sequence[SilhouetteFit | None], place_m: float, s: SecondPairSettings) -> float:
