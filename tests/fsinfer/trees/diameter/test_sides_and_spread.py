@@ -78,6 +78,18 @@ def test_blocks_that_go_with_their_neighbours_tell_less(rho: float, holes: float
     assert np.sqrt(fewer) < np.median(counts_for_one) < 1.3 * fewer
 
 
+def test_the_top_of_a_stem_is_no_neighbour_of_its_foot() -> None:
+    """Sides that swell towards the top, or shrink: eight layers that go together, the first against the last."""
+    rng = np.random.default_rng(6)
+    angle, height = rng.uniform(-np.pi, np.pi, 3000), rng.uniform(0.9, 1.7, 3000)
+    sign = rng.choice([-1.0, 1.0], 24)[np.floor((angle + np.pi) / (2 * np.pi) * 24).astype(int)]
+    swell = 0.004 * sign * np.sin((height - 1.3) / 0.4 * np.pi / 2)
+    radius = 0.15 - 0.006 * (height - 1.3) + swell + rng.normal(0.0, 0.002, 3000)
+    spread = fit_spread(*_fit(np.column_stack([radius * np.cos(angle), radius * np.sin(angle), height])))
+    # A ring of layers would have a correlation of 0.4 instead of 0.7 and count 70 blocks instead of 32.
+    assert spread.tau_dof < 45.0
+
+
 def test_of_a_few_blocks_a_third_of_the_noise_is_taken_for_shared() -> None:
     points = _stem(np.random.default_rng(7), arc_deg=200.0, spacing_m=0.006)
     fit, offset, foot = _fit(points[np.abs(points[:, 2] - 1.3) < 0.04])

@@ -64,6 +64,20 @@ def test_a_thin_slice_that_shows_less_of_the_stem_than_there_is_gets_thicker() -
     assert found.radius_m == pytest.approx(RADIUS, abs=0.001)
 
 
+def test_a_haze_before_rough_bark_is_no_bark() -> None:
+    """As many points 4 cm before one side as lie on it: the scatter of the longer piece tells how far bark may be."""
+    points = stem(sigma_m=0.009)
+    fit = axis_of(points)
+    side = points[(np.abs(points[:, 2] - 1.3) < 0.03) & (points[:, 0] > 4.0)]
+    out = side[:, :2] - [4.0, -3.0]
+    before = np.random.default_rng(1).uniform(0.035, 0.05, len(side)) / np.linalg.norm(out, axis=1)
+    haze = np.column_stack([side[:, :2] + out * before[:, None], side[:, 2]])
+    found = fit_slice(np.concatenate([points, haze]), fit, 1.3, 1.0)
+    assert found.radius_m == pytest.approx(RADIUS, abs=0.0015)
+    # What bark scatters by beyond the paper's 1.5 cm is bark still.
+    assert found.kept.sum() > 440
+
+
 def test_taper_is_taken_out_of_a_thick_slice() -> None:
     points = stem(taper=-0.08)
     fit = axis_of(points)
