@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
-from fsinfer.plot_border.plot import PlotFigures
 from fsinfer.report.contents import Contents, number
 from fsinfer.report.number_table import NumberTable
 from fsinfer.report.plot_border import border_of, is_in
@@ -21,17 +22,40 @@ def stand_of(contents: Contents) -> StandTable:
     dbh_cm = [number(tree.get("dbh_cm")) for tree in contents.counted]
     own = stand_of_diameters(dbh_cm, max(number(contents.plot.get("plot_area_m2")) or 0.0, 0.0))
     given = contents.plot.get("stand")
-    if not isinstance(given, dict) or (given.get("stems"), given.get("measured")) != (own.stems, own.measured):
+    if not isinstance(given, dict):
         return own
+    if (given.get("stems"), given.get("measured")) != (own.stems, own.measured):
+        return _with_share(own, _share_on_area(given))
+    on_area = number(given.get("stems_on_area"))
     return StandTable(
         stems=own.stems,
         measured=own.measured,
-        plot_area_m2=number(given.get("plot_area_m2")) or 0.0,
+        plot_area_m2=number(given.get("plot_area_m2")),
         area_method=str(given.get("area_method") or own.area_method),
         stems_per_ha=number(given.get("stems_per_ha")),
         basal_area_m2_per_ha=number(given.get("basal_area_m2_per_ha")),
         quadratic_mean_dbh_cm=number(given.get("quadratic_mean_dbh_cm")),
         mean_dbh_cm=number(given.get("mean_dbh_cm")),
+        stems_on_area=None if on_area is None else int(on_area),
+    )
+
+
+def _share_on_area(given: Mapping[str, Any]) -> float:
+    """Share of the stems of the run that stood on the ground whose area is known."""
+    on_area, stems = number(given.get("stems_on_area")), number(given.get("stems"))
+    return 1.0 if on_area is None or not stems else on_area / stems
+
+
+def _with_share(own: StandTable, share: float) -> StandTable:
+    """The stand where this share of the stems stands on the area: nobody knows which of a table that was changed."""
+    if own.stems_per_ha is None:
+        return own
+    basal = own.basal_area_m2_per_ha
+    return replace(
+        own,
+        stems_per_ha=own.stems_per_ha * share,
+        basal_area_m2_per_ha=None if basal is None else basal * share,
+        stems_on_area=round(own.stems * share),
     )
 
 
@@ -52,10 +76,12 @@ def class_table(contents: Contents, stand: StandTable) -> NumberTable | None:
     dbh_cm = [d for tree in rows_in if (d := number(tree.get("dbh_cm"))) is not None]
     if not dbh_cm:
         return None
-    if plot is not None:
-        per_hectare = _as_the_plot(plot, dbh_cm)
+    if plot is None:
+        per_hectare = _a_hectare(stand.stems_per_ha, stand.basal_area_m2_per_ha, stand.stems, dbh_cm)
     else:
-        per_hectare = (10_000 / stand.plot_area_m2,) * 2 if stand.plot_area_m2 > 0 else None
+        stems, basal = plot.stems_per_ha, plot.basal_area_m2_per_ha
+        of_stems, of_basal = (None if figure is None else figure.value for figure in (stems, basal))
+        per_hectare = _a_hectare(of_stems, of_basal, plot.stems, dbh_cm)
     head = ["DBH class (cm)", "Stems", "Basal area (m²)"]
     if per_hectare is not None:
         head += ["Stems per ha", "Basal area (m²/ha)"]
@@ -69,14 +95,15 @@ def class_table(contents: Contents, stand: StandTable) -> NumberTable | None:
     return NumberTable(title=title, head=tuple(head), rows=tuple(rows), total=True)
 
 
-def _as_the_plot(plot: PlotFigures, dbh_cm: Sequence[float]) -> tuple[float, float] | None:
+def _a_hectare(
+    stems_per_ha: float | None, basal_m2_per_ha: float | None, stems: int, dbh_cm: Sequence[float]
+) -> tuple[float, float] | None:
     """What a stem, and a square metre of section, counts a hectare, so that classes add up to the plot's figures."""
-    if plot.stems_per_ha is None:
+    if stems_per_ha is None:
         return None
-    stem = plot.stems_per_ha.value / plot.stems
-    basal = plot.basal_area_m2_per_ha
-    # Stems without a DBH count in it with the mean of the others.
-    return stem, stem if basal is None else basal.value / (basal_area_m2(dbh_cm) * plot.stems / len(dbh_cm))
+    stem = stems_per_ha / stems
+    # Stems without a DBH count in the basal area with the mean of the others.
+    return stem, stem if basal_m2_per_ha is None else basal_m2_per_ha / (basal_area_m2(dbh_cm) * stems / len(dbh_cm))
 
 
 def _class_row(name: str, dbh_cm: Sequence[float], per_hectare: tuple[float, float] | None) -> tuple[str, ...]:

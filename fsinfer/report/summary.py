@@ -80,15 +80,18 @@ def _stand_facts(contents: Contents) -> list[tuple[str, str]]:
     plot = border_of(contents)
     if plot is not None:
         return [*rows, *border_facts(plot)]
-    if stand.stems_per_ha is None or stand.basal_area_m2_per_ha is None:
+    if stand.plot_area_m2 is None or stand.stems_per_ha is None:
         return [*rows, ("Per hectare", "not given: the area of the plot is not known")]
-    return [
-        *rows,
-        ("Plot area", f"{stand.plot_area_m2:.0f} m²"),
-        ("Stems per hectare", f"{stand.stems_per_ha:.0f}"),
-        ("Basal area per hectare, stems with a DBH", f"{stand.basal_area_m2_per_ha:.1f} m²/ha"),
-        ("These figures per hectare", SEEN_GROUND_ONLY),
-    ]
+    rows.append(("Plot area", f"{stand.plot_area_m2:.0f} m²"))
+    if stand.stems_on_area is not None and stand.stems_on_area < stand.stems:
+        of = f"{stand.stems_on_area} of {stand.stems}; only they count to the hectare"
+        rows.append(("Stems on that ground", of))
+    rows.append(("Stems per hectare", f"{stand.stems_per_ha:.0f}"))
+    if stand.basal_area_m2_per_ha is not None:
+        unknown = stand.stems - stand.measured
+        by_mean = f" ({unknown} without a DBH counted with the mean of the others)" if unknown else ""
+        rows.append(("Basal area per hectare", f"{stand.basal_area_m2_per_ha:.1f} m²/ha{by_mean}"))
+    return [*rows, ("These figures per hectare", SEEN_GROUND_ONLY)]
 
 
 def _cloud_facts(contents: Contents) -> list[tuple[str, str]]:

@@ -39,6 +39,9 @@ REACH_M = 0.35
 AROUND_M = 1.5
 #: Radius in metres of the ring on the map where nothing is measured. Source: layout.
 LABEL_RADIUS_M = 0.1
+#: Two entries that are to be merged are one stem: they stand no farther apart than the sum of their radii and this,
+#: metres. Source: judgement; what a lean or a haze tears apart is less, the next stem of a dense stand farther.
+MERGE_REACH_M = 0.5
 #: Of two stems as near to a place the better one is taken; metres a unit of quality. Source: numerics.
 TIE = 1e-3
 #: A person says that a stem stands there: much less evidence is asked for than where nobody said so. Source: not
@@ -114,7 +117,8 @@ def apply_edits(
     Raises
     ------
     InputError
-        An edit names a tree that is not there (any more), or adds one with a number that is taken.
+        An edit names a tree that is not there (any more), adds one with a number that is taken or within another one,
+        or merges two that stand too far apart.
     """
     trees = {tree.tree_id: (tree, section) for tree, section in zip(result.trees, result.sections, strict=True)}
     first_free = max([0, *trees, *(edit.tree_id or 0 for edit in edits if edit.action == "add")]) + 1
@@ -127,7 +131,9 @@ def apply_edits(
                 raise InputError(msg)
             first_free += edit.tree_id is None
             place = np.array([_number(edit.x_m), _number(edit.y_m)])
-            found = _measured_at(result, points, place[None], settings, scale_rel_std) if metric else None
+            others = [tree for tree, _ in trees.values()] if metric else []
+            _refuse_within(place, others, edit.row)
+            found = _measured_at(result, points, place[None], settings, scale_rel_std, others) if metric else None
             said = notice(StemCode.added_by_hand)
             trees[number] = _numbered(found, number, place, result, settings, said, metric=metric)
             done.append(notice(StemCode.tree_added, tree_id=number))
@@ -138,6 +144,8 @@ def apply_edits(
         else:
             number, other = _known(edit.tree_id, trees, edit.row), _known(edit.other_id, trees, edit.row)
             places = np.array([[trees[i][0].x_m, trees[i][0].y_m] for i in (number, other)])
+            if metric:
+                _refuse_far(trees[number][0], trees[other][0], edit.row)
             found = _measured_at(result, points, places, settings, scale_rel_std) if metric else None
             said = notice(StemCode.merged_by_hand, tree_id=number, other_id=other)
             del trees[other]
@@ -155,10 +163,48 @@ def apply_edits(
     )
 
 
+def _refuse_within(place: Floats, others: Sequence[Tree], row: int) -> None:
+    for tree in others:
+        if within(place, tree):
+            msg = (
+                f"row {row} of the edits adds a tree at ({place[0]:.2f}, {place[1]:.2f}), which lies in tree "
+                f"{tree.tree_id}; delete that one first, or leave the row out"
+            )
+            raise InputError(msg)
+
+
+def _refuse_far(one: Tree, other: Tree, row: int) -> None:
+    apart = math.hypot(one.x_m - other.x_m, one.y_m - other.y_m)
+    most = _radius_m(one) + _radius_m(other) + MERGE_REACH_M
+    if apart > most:
+        msg = (
+            f"row {row} of the edits merges the trees {one.tree_id} and {other.tree_id}, which stand {apart:.2f} m "
+            f"apart (at most {most:.2f} m for one stem); check the numbers, or delete one and add another"
+        )
+        raise InputError(msg)
+
+
+def within(place: Floats, tree: Tree) -> bool:
+    """Whether a place (2,) lies in a stem."""
+    return math.hypot(place[0] - tree.x_m, place[1] - tree.y_m) < _radius_m(tree)
+
+
+def _radius_m(tree: Tree) -> float:
+    return 0.0 if tree.dbh_cm is None else tree.dbh_cm / 200.0
+
+
 def _measured_at(
-    result: PlotResult, points: Floats, places: Floats, settings: TreeSettings, scale_rel_std: float
+    result: PlotResult,
+    points: Floats,
+    places: Floats,
+    settings: TreeSettings,
+    scale_rel_std: float,
+    others: Sequence[Tree] = (),
 ) -> tuple[Tree, Section] | None:
-    """The best stem at one place (1, 2), or over two (2, 2) that are the same tree; None where nothing can be seen."""
+    """The best stem at one place (1, 2), or over two (2, 2) that are the same tree; None where nothing can be seen.
+
+    It is none of ``others``, which have entries of their own.
+    """
     if result.ground is None:
         return None
     middle = places.mean(axis=0)
@@ -179,7 +225,7 @@ def _measured_at(
         for stem in search.stems:
             center = stem.axis.center_at(settings.bh_m) + origin[:2]
             off = float(np.linalg.norm(center - middle))
-            if off > REACH_M + apart + stem.axis.radius_m:
+            if off > REACH_M + apart + stem.axis.radius_m or any(within(center, tree) for tree in others):
                 continue
             # One place: the nearest. Two: the one with the most to show for itself.
             worth = stem.quality if len(places) > 1 else -max(off - stem.axis.radius_m, 0.0) + TIE * stem.quality

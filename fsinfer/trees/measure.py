@@ -75,7 +75,10 @@ class PlotResult:
     @property
     def stand(self) -> StandTable:
         """Stems and basal area a hectare on ``plot_area_m2``, the area where ground was seen; none outside the walk."""
-        return stand_table([tree for tree in self.all_trees if not tree.outside], self.plot_area_m2)
+        counted = [tree for tree in self.all_trees if not tree.outside]
+        places = np.array([[tree.x_m, tree.y_m] for tree in counted]).reshape(-1, 2)
+        on_area = None if self.seen_ground is None else self.seen_ground.at(places)
+        return stand_table(counted, self.plot_area_m2, on_area=on_area)
 
 
 @one_blas_thread()

@@ -31,51 +31,82 @@ NEAR_GROUND_M = 0.3
 CLOSE_M = 1.0
 AREA_METHOD = "ground seen in the cloud, gaps of up to 2 m closed"
 NO_AREA = "unknown: the cloud shows too little ground around the stems"
-#: Share of the stems that must stand on ground that was seen, or its area says nothing of the plot.
-#: Source: not recorded.
-LEAST_ON_GROUND = 0.8
+#: Share of the stems that must stand on ground that was seen, or its area says nothing of the plot. Source: judgement;
+#: what stands on the rest is counted nowhere, and half of the stems are hardly the plot.
+LEAST_ON_GROUND = 0.5
+
+#: Measured stems whose mean section stands for those without a DBH. Source: as of a plot with a border.
+LEAST_MEASURED = 2
 
 
 @dataclass(frozen=True, kw_only=True)
 class StandTable:
-    """Per-hectare figures; those of diameters count the ``measured`` stems only and are None without any.
+    """The stems, and what of them stands on a hectare.
 
-    ``plot_area_m2`` is horizontal; ``area_method`` says how it was taken. Stems without a DBH count in
-    ``stems_per_ha`` but cannot in ``basal_area_m2_per_ha``, which is therefore a lower bound when there are some.
+    ``stems`` are all, ``measured`` those with a DBH. ``plot_area_m2`` is horizontal, None where it is not known;
+    ``area_method`` says how it was taken. Only the ``stems_on_area`` count to the hectare: those on other ground would
+    make the plot denser than it is. In the basal area those without a DBH count with the mean section of the others, as
+    on a plot with a border; it is None where too few were measured for that.
     """
 
     stems: int
     measured: int
-    plot_area_m2: float
+    plot_area_m2: float | None
     area_method: str
     stems_per_ha: float | None
     basal_area_m2_per_ha: float | None
     quadratic_mean_dbh_cm: float | None
     mean_dbh_cm: float | None
+    stems_on_area: int | None = None
 
 
-def stand_table(trees: Sequence[Tree], plot_area_m2: float, *, area_method: str = AREA_METHOD) -> StandTable:
-    """Summarise ``trees`` on ``plot_area_m2`` square metres (0 when unknown: nothing is given a hectare)."""
-    return stand_of_diameters([tree.dbh_cm for tree in trees], plot_area_m2, area_method=area_method)
+def stand_table(
+    trees: Sequence[Tree],
+    plot_area_m2: float,
+    *,
+    on_area: NDArray[np.bool_] | None = None,
+    area_method: str = AREA_METHOD,
+) -> StandTable:
+    """Summarise ``trees`` on ``plot_area_m2`` square metres (0 when unknown: nothing is given a hectare).
+
+    ``on_area`` (T,) says which of them stand on it, all where it is None.
+    """
+    return stand_of_diameters([tree.dbh_cm for tree in trees], plot_area_m2, on_area=on_area, area_method=area_method)
 
 
 def stand_of_diameters(
-    dbh_cm: Sequence[float | None], plot_area_m2: float, *, area_method: str = AREA_METHOD
+    dbh_cm: Sequence[float | None],
+    plot_area_m2: float,
+    *,
+    on_area: NDArray[np.bool_] | None = None,
+    area_method: str = AREA_METHOD,
 ) -> StandTable:
     """:func:`stand_table` of one DBH a stem, None where it was not measured."""
-    dbh = np.array([d for d in dbh_cm if d is not None], dtype=np.float64)
+    all_cm = np.array([np.nan if d is None else d for d in dbh_cm], dtype=np.float64)
+    on = np.ones(len(all_cm), dtype=bool) if on_area is None else on_area
+    dbh = all_cm[np.isfinite(all_cm)]
     hectares = plot_area_m2 / 10_000.0
-    basal_m2 = float(np.pi / 4.0 * ((dbh / 100.0) ** 2).sum())
+    basal_m2 = _basal_area_m2(all_cm, on) if hectares > 0 else None
     return StandTable(
-        stems=len(dbh_cm),
+        stems=len(all_cm),
         measured=len(dbh),
-        plot_area_m2=plot_area_m2,
+        plot_area_m2=plot_area_m2 if hectares > 0 else None,
         area_method=area_method if hectares > 0 else NO_AREA,
-        stems_per_ha=len(dbh_cm) / hectares if hectares > 0 else None,
-        basal_area_m2_per_ha=basal_m2 / hectares if hectares > 0 and len(dbh) else None,
+        stems_per_ha=float(on.sum()) / hectares if hectares > 0 else None,
+        basal_area_m2_per_ha=None if basal_m2 is None else basal_m2 / hectares,
         quadratic_mean_dbh_cm=float(np.sqrt((dbh**2).mean())) if len(dbh) else None,
         mean_dbh_cm=float(dbh.mean()) if len(dbh) else None,
+        stems_on_area=int(on.sum()) if hectares > 0 else None,
     )
+
+
+def _basal_area_m2(dbh_cm: Floats, on: NDArray[np.bool_]) -> float | None:
+    """Of the stems ``on`` (T,) the plot; those without a DBH (NaN) count with the mean section of all others (T,)."""
+    sections = np.pi / 4.0 * (dbh_cm / 100.0) ** 2
+    measured = np.isfinite(sections)
+    if not measured.any() or (measured.sum() < LEAST_MEASURED and (on & ~measured).any()):
+        return None
+    return float(np.where(measured, sections, sections[measured].mean())[on].sum())
 
 
 @dataclass(frozen=True, kw_only=True)

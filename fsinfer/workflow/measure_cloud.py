@@ -21,7 +21,7 @@ from fsinfer.io.files import make_folder
 from fsinfer.io.las import LAS_SUFFIXES, read_epsg
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
-from fsinfer.output.json_values import of_json
+from fsinfer.output.json_values import as_json, of_json
 from fsinfer.output.plot_json import package_versions, read_plot
 from fsinfer.placement.place import density_per_m2, transform_cloud
 from fsinfer.plot_border.request import BorderRequest
@@ -50,6 +50,7 @@ from fsinfer.workflow.summary import (
     SCENE_UNITS,
     border_values,
     no_scale_once,
+    of_other_stages,
     tree_values,
     update_plot,
     warning_values,
@@ -106,7 +107,7 @@ class _Opened:
     warnings: tuple[Notice, ...] = ()
 
 
-MEASURE = Stage(name="measure", version=11, result=MeasuredCloud, outputs=("trees.csv",))
+MEASURE = Stage(name="measure", version=12, result=MeasuredCloud, outputs=("trees.csv",))
 
 
 @one_blas_thread()
@@ -193,7 +194,7 @@ def measure_cloud_file(
     }
     record = Ledger(out).run(MEASURE, work, inputs=inputs)
     note_edits(out, edits)
-    _tell(record, cloud_path, out)
+    _tell(record, cloud_path, out, settings.stage)
     return record
 
 
@@ -249,8 +250,8 @@ def _measure(
         return measure_plot(turned, out, settings=settings, progress=progress), turned, (error.warning,)
 
 
-def _tell(record: StageRecord[MeasuredCloud], cloud_path: Path, out: Path) -> None:
-    """Put into ``plot.json`` what was found."""
+def _tell(record: StageRecord[MeasuredCloud], cloud_path: Path, out: Path, settings: TreeStageSettings) -> None:
+    """Put into ``plot.json`` what was found, instead of what an earlier measurement found."""
     found = record.result
     scale = found.scale
     values = tree_values(found.trees) | border_values(found.trees)
@@ -261,14 +262,17 @@ def _tell(record: StageRecord[MeasuredCloud], cloud_path: Path, out: Path) -> No
         values = {key: before[key] for key in CLOUD_KEYS if key in before} | values
     # A cloud of unknown unit that was measured as it is was taken to be in metres.
     taken = before.get("units") == SCENE_UNITS and (scale.m_per_unit or 1.0) == 1.0
-    if not own_cloud or "units" not in before or taken:
+    other = not own_cloud or "units" not in before or taken
+    if other:
         values |= {
             "units": "m" if found.metric else MODEL_UNITS,
             "points": found.points,
             "density_per_m2": found.density_per_m2,
             "versions": package_versions(),
         }
-        values |= warning_values(found.trees.warnings)
+    said = () if other else tuple(item for item in of_other_stages(before) if item not in found.trees.warnings)
+    values |= warning_values((*said, *no_scale_once(said, found.trees.warnings)))
+    values["settings"] = (before.get("settings") or {}) | as_json(settings)
     update_plot(out, source=cloud_path.name, stage="trees", seconds=record.seconds, values=values)
 
 

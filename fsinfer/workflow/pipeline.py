@@ -225,6 +225,7 @@ def _measure_trees(
         stem_curve=settings.stem_curve,
         border=settings.border,
         walk=settings.walk,
+        tops=settings.tops,
         pattern=settings.pattern,
     )
     inputs = {

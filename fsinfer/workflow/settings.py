@@ -16,6 +16,7 @@ from fsinfer.poses.settings import PoseSettings
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scale.square_fit import MarkerSettings
 from fsinfer.silhouettes.join import SilhouetteJoinSettings
+from fsinfer.silhouettes.tops import TopViewSettings
 from fsinfer.silhouettes.walk import WalkSettings
 from fsinfer.trees import TreeSettings
 from fsinfer.trees.pattern.match import PatternSettings
@@ -47,6 +48,7 @@ class RunSettings:
     stem_curve: CurveSettings = field(default_factory=CurveSettings)
     border: BorderRequest = field(default_factory=BorderRequest)
     walk: WalkSettings = field(default_factory=WalkSettings)
+    tops: TopViewSettings = field(default_factory=TopViewSettings)
     pattern: PatternSettings = field(default_factory=PatternSettings)
 
 

@@ -11,7 +11,8 @@ from fsinfer.depth.sfm_check import DepthCheck
 from fsinfer.depth.stage import DepthResult
 from fsinfer.frames.select import FramesResult
 from fsinfer.notices.capture import NO_SCALE
-from fsinfer.notices.notice import Notice, notice_json
+from fsinfer.notices.notice import Notice, notice_json, notice_of_json
+from fsinfer.notices.plots import PlotCode
 from fsinfer.notices.sentences import is_remark, sentence
 from fsinfer.notices.stems import StemCode
 from fsinfer.output.json_values import as_json
@@ -25,6 +26,8 @@ from fsinfer.workflow.tree_stage import TreesResult
 
 MODEL_UNITS = "model units"
 SCENE_UNITS = "scene units"
+#: Codes of what the tree stage warns of.
+OF_TREES = frozenset(code.value for kind in (StemCode, PlotCode) for code in kind)
 #: What figures a hectare are of, in ``plot.json``.
 SEEN_GROUND, WITHIN_BORDER = "seen ground only", "the plot within its border"
 #: Keys of ``plot.json``, in its order; those that are not known are null.
@@ -172,6 +175,14 @@ def all_warnings(records: PlotRecords, joined: Collection[str] = ()) -> tuple[No
         *records.cloud.result.warnings,
         *no_scale_once(found, records.trees.result.warnings),
     )
+
+
+def of_other_stages(plot: Mapping[str, Any]) -> tuple[Notice, ...]:
+    """What the stages before that of the trees warned of, by a ``plot.json``."""
+    told = plot.get("warning_codes")
+    entries = told if isinstance(told, list) else []
+    notices = [notice_of_json(entry) for entry in entries]
+    return tuple(item for item in notices if item.code not in OF_TREES)
 
 
 def no_scale_once(said: Iterable[Notice], more: Iterable[Notice]) -> tuple[Notice, ...]:

@@ -21,6 +21,7 @@ from fsinfer.plot_border.sight import Cameras, seen_share
 from fsinfer.progress import Progress, silent
 from fsinfer.scale.scale import CAMERA_HEIGHT_M
 from fsinfer.silhouettes.join import SilhouetteJoinSettings, StemPhotos, measure_silhouettes, write_sources
+from fsinfer.silhouettes.tops import TopViewSettings, heights_in_view
 from fsinfer.silhouettes.walk import WalkSettings, apart_from_walk, camera_places
 from fsinfer.trees import PlotResult, StandTable, TreeSettings, analyse_plot
 from fsinfer.trees.edits import TreeEdit, apply_edits
@@ -120,6 +121,7 @@ class TreeStageSettings:
     stem_curve: CurveSettings = field(default_factory=CurveSettings)
     border: BorderRequest = field(default_factory=BorderRequest)
     walk: WalkSettings = field(default_factory=WalkSettings)
+    tops: TopViewSettings = field(default_factory=TopViewSettings)
     pattern: PatternSettings = field(default_factory=PatternSettings)
 
 
@@ -237,7 +239,7 @@ def _look_at_photos(
         seen = look(near)
         joined = replace(seen, trees=(*seen.trees, *beyond.trees), sections=(*seen.sections, *beyond.sections))
     write_sources(out / "dbh_sources.csv", joined)
-    return joined
+    return heights_in_view(joined, photos.scene, photos.cloud_from_scene, settings=settings.tops)
 
 
 def _draw_border(

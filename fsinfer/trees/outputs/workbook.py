@@ -29,7 +29,6 @@ _OPTIONS = {"strings_to_formulas": False, "strings_to_urls": False, "strings_to_
 _SHOWN = (
     ("_cm", "0.0"),
     ("_deg", "0.0"),
-    ("_m2_per_ha", "0.0"),
     ("_per_ha", "0"),
     ("_m2", "0.0"),
     ("_m", "0.00"),
@@ -130,6 +129,8 @@ def _format_of_column(column: str, _: Sequence[Cell]) -> str:
 
 def _number_format(name: str) -> str:
     """Number format of what has this name: by the unit that it ends with, "General" for counts and shares."""
+    if name.endswith("_per_ha") and "_m2_" in name:
+        return "0.0"
     return next((shown for ending, shown in _SHOWN if name.endswith(ending)), "General")
 
 

@@ -164,13 +164,26 @@ def test_stand_table(tmp_path: Path) -> None:
     assert (stand.stems, stand.measured) == (3, 2)
     assert stand.mean_dbh_cm == pytest.approx(35)
     assert stand.quadratic_mean_dbh_cm == pytest.approx(35.3553, abs=1e-3)
-    assert stand.basal_area_m2_per_ha == pytest.approx(np.pi / 4 * (0.09 + 0.16) / 0.05)
+    # The third counts with the mean of the others.
+    assert stand.basal_area_m2_per_ha == pytest.approx(np.pi / 4 * (0.09 + 0.16) * 1.5 / 0.05)
     page = make_report(tmp_path).read_text(encoding="utf-8")
     assert '<th scope="row">Stems per hectare</th><td>60</td>' in page
     assert "<td>30 to under 35</td><td>1</td><td>0.071</td><td>20</td><td>1.4</td>" in page
     assert "<td>35 to under 40</td><td>0</td>" in page
     assert "<td>All with a DBH</td><td>2</td><td>0.196</td><td>40</td><td>3.9</td>" in page
-    assert "3.9 m²/ha" in page
+    assert "5.9 m²/ha (1 without a DBH counted with the mean of the others)" in page
+
+
+def test_stems_off_the_seen_ground_are_told_and_count_to_no_hectare(tmp_path: Path) -> None:
+    given = {"stems": 3, "measured": 2, "plot_area_m2": 500.0, "area_method": "given", "stems_per_ha": 40.0}
+    given |= {"basal_area_m2_per_ha": 3.9, "quadratic_mean_dbh_cm": 35.4, "mean_dbh_cm": 35.0, "stems_on_area": 2}
+    full_folder(tmp_path, plot=PLOT | {"stand": given, "plot_area_m2": 500.0})
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    assert '<th scope="row">Stems on that ground</th><td>2 of 3; only they count to the hectare</td>' in page
+    assert "<td>All with a DBH</td><td>2</td><td>0.196</td><td>27</td><td>2.6</td>" in page
+    # Of a table that was changed since, the same share.
+    full_folder(tmp_path, plot=PLOT | {"stand": given | {"stems": 6, "stems_on_area": 4}, "plot_area_m2": 500.0})
+    assert stand_of(read_contents(tmp_path)).stems_per_ha == pytest.approx(3 / 0.05 * 4 / 6)
 
 
 @pytest.mark.parametrize("far_stems", [False, True])
@@ -197,7 +210,13 @@ def test_figures_of_the_stand_are_those_of_the_run(tmp_path: Path) -> None:
     given |= {"basal_area_m2_per_ha": 7.7, "quadratic_mean_dbh_cm": 35.4, "mean_dbh_cm": 35.1}
     full_folder(tmp_path, plot=PLOT | {"stand": given})
     page = make_report(tmp_path).read_text(encoding="utf-8")
-    for text in ("<td>35.1 cm</td>", "<td>35.4 cm</td>", "<td>500 m²</td>", "<td>61</td>", "<td>7.7 m²/ha</td>"):
+    for text in (
+        "<td>35.1 cm</td>",
+        "<td>35.4 cm</td>",
+        "<td>500 m²</td>",
+        "<td>61</td>",
+        "<td>7.7 m²/ha (1 without a DBH counted",
+    ):
         assert text in page, text
     # Somebody took trees out of the table since.
     full_folder(tmp_path, plot=PLOT | {"stand": given | {"stems": 4}, "plot_area_m2": 500.0})

@@ -100,6 +100,8 @@ def test_a_tree_where_nothing_is_seen_stands_on_the_ground(result: PlotResult) -
         ground=replace(flat, plane=flat.plane - np.array([0.0, 0.0, flat.plane[:2] @ MOVED[:2]])),
         trees=tuple(replace(tree, x_m=tree.x_m + MOVED[0], y_m=tree.y_m + MOVED[1]) for tree in result.trees),
     )
+    first, second, *others = high.trees
+    high = replace(high, trees=(first, replace(second, x_m=first.x_m + 0.3, y_m=first.y_m - 0.4), *others))
     x_m, y_m = float(MOVED[0] + 50.0), float(MOVED[1] + 20.0)
     edits = [
         TreeEdit(action="merge", row=2, tree_id=1, other_id=2),
@@ -107,13 +109,36 @@ def test_a_tree_where_nothing_is_seen_stands_on_the_ground(result: PlotResult) -
     ]
     merged, *_, added = apply_edits(high, np.zeros((0, 3)), edits, settings=SETTINGS).trees
     assert added.z_ground_m == pytest.approx(700.0 + 5.0 - 4.0, abs=1e-6)
-    between = np.mean([[tree.x_m, tree.y_m] for tree in result.trees[:2]], axis=0)
+    between = np.array([result.trees[0].x_m + 0.15, result.trees[0].y_m - 0.2])
     assert merged.z_ground_m == pytest.approx(700.0 + between @ [0.1, -0.2], abs=1e-6)
     # The ground is in metres by a guess where the scale is not known; the places are in units.
     edited = apply_edits(replace(high, units_per_m=4.0), np.zeros((0, 3)), edits, settings=SETTINGS, metric=False)
     assert edited.trees[-1].z_ground_m == pytest.approx(
         4.0 * high.ground.height_at(np.array([[x_m, y_m]]) / 4.0)[0] if high.ground else None
     )
+
+
+def test_a_tree_beside_one_that_is_known_is_not_that_one_again(plot: StemPlot, result: PlotResult) -> None:
+    """A stem of 41 cm was found again 27 cm beside it, and counted twice in the basal area."""
+    known = result.trees[1]
+    assert known.dbh_cm is not None
+    beside = TreeEdit(action="add", row=2, x_m=known.x_m + 0.25, y_m=known.y_m + 0.1)
+    edited = apply_edits(result, plot.points, [beside], settings=SETTINGS)
+    assert edited.trees[:4] == result.trees
+    assert edited.trees[4].dbh_cm is None
+    assert edited.trees[4].reasons == (notice(StemCode.added_by_hand), notice(StemCode.no_stem_here))
+    inside = TreeEdit(action="add", row=3, x_m=known.x_m + 0.1, y_m=known.y_m)
+    with pytest.raises(InputError, match=rf"row 3 of the edits adds a tree at .*, which lies in tree {known.tree_id};"):
+        apply_edits(result, plot.points, [inside], settings=SETTINGS)
+    deleted = TreeEdit(action="delete", row=2, tree_id=known.tree_id)
+    again = apply_edits(result, plot.points, [deleted, inside], settings=SETTINGS)
+    assert again.trees[-1].dbh_cm == pytest.approx(known.dbh_cm, abs=0.5)
+
+
+def test_stems_metres_apart_are_not_merged(plot: StemPlot, result: PlotResult) -> None:
+    """One mistyped number took a stem of 42 cm off the map, and gave its number to another tree."""
+    with pytest.raises(InputError, match=r"row 2 of the edits merges the trees 1 and 3, which stand 2\.\d+ m apart"):
+        apply_edits(result, plot.points, [TreeEdit(action="merge", row=2, tree_id=1, other_id=3)], settings=SETTINGS)
 
 
 def test_two_halves_of_one_stem_are_merged(plot: StemPlot, result: PlotResult) -> None:

@@ -20,7 +20,7 @@ from fsinfer.output.layout import METRIC_TREE_FILES
 from fsinfer.trees import PlotResult, analyse_plot, stand_table
 from fsinfer.trees.outputs.labels import label_points
 from fsinfer.trees.outputs.maps import write_maps
-from fsinfer.trees.stand import AREA_METHOD, NO_AREA
+from fsinfer.trees.stand import AREA_METHOD, NO_AREA, SeenCells
 from fsinfer.workflow.tree_stage import PlotCloudInput, measure_plot, no_trees
 from tests.support.stem_clouds import StemPlot, stem_plot
 
@@ -127,11 +127,29 @@ def test_without_a_scale_there_are_no_maps(tmp_path: Path, plot: StemPlot) -> No
 def test_stand_table(result: PlotResult) -> None:
     stand = stand_table([replace(result.trees[0], dbh_cm=30.0), replace(result.trees[1], dbh_cm=None)], 500.0)
     assert stand.stems_per_ha == pytest.approx(40.0)
-    assert stand.basal_area_m2_per_ha == pytest.approx(np.pi / 4 * 0.09 * 20.0)
+    assert stand.basal_area_m2_per_ha is None  # one stem is no mean for the other
+    three = stand_table([replace(result.trees[0], dbh_cm=d) for d in (30.0, 40.0, None)], 500.0)
+    assert three.basal_area_m2_per_ha == pytest.approx(np.pi / 4 * (0.09 + 0.16) * 1.5 * 20.0)
     assert stand.quadratic_mean_dbh_cm == pytest.approx(30.0)
     assert (stand.stems, stand.measured, stand.area_method) == (2, 1, AREA_METHOD)
     nothing = stand_table(result.trees, 0.0)
     assert (nothing.stems_per_ha, nothing.basal_area_m2_per_ha, nothing.area_method) == (None, None, NO_AREA)
+    assert (nothing.plot_area_m2, nothing.stems_on_area) == (None, None)
+
+
+def test_stems_off_the_seen_ground_count_to_no_hectare(result: PlotResult) -> None:
+    """33 stems on the area of 29 made a plot of 549 stems a hectare, where 515 stood."""
+    trees = [replace(result.trees[0], x_m=0.5 + x, y_m=5.0, dbh_cm=30.0) for x in range(8)]
+    trees += [replace(result.trees[0], x_m=x, y_m=5.0, dbh_cm=60.0) for x in (12.0, 14.0)]
+    seen = SeenCells(seen=np.ones((20, 20), dtype=bool), corner=np.zeros(2), cell_m=0.5)
+    places = np.array([[tree.x_m, tree.y_m] for tree in trees])
+    stand = replace(result, trees=tuple(trees), seen_ground=seen, plot_area_m2=seen.area(places)).stand
+    assert (stand.stems, stand.stems_on_area, stand.plot_area_m2) == (10, 8, 100.0)
+    assert stand.stems_per_ha == pytest.approx(800.0)
+    assert stand.basal_area_m2_per_ha == pytest.approx(np.pi / 4 * 0.09 * 800.0)
+    # Where half of the stems stand elsewhere the area is not that of the plot.
+    assert seen.area(np.concatenate([places[:3], places[:4] + 50.0])) == 0.0
+    assert seen.area(np.concatenate([places[:3], places[:3] + 50.0])) == 100.0
 
 
 def test_plot_area_is_the_ground_that_was_seen(result: PlotResult) -> None:

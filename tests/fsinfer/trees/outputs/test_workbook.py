@@ -49,7 +49,7 @@ def plot(found: PlotResult, tmp_path: Path) -> Plot:
         (tmp_path / "rows.csv").unlink()
         # Noise of the bark that came out as no number must not get into a workbook.
         trees = [replace(tree, residual_cm=float("nan")) for tree in trees]
-        return replace(found, trees=tuple(trees), plot_area_m2=400.0)
+        return replace(found, trees=tuple(trees), plot_area_m2=400.0, seen_ground=None)
 
     return make
 
@@ -89,12 +89,13 @@ def test_a_plot_with_a_border_has_a_sheet(plot: Plot, tmp_path: Path) -> None:
     figures: tuple[tuple[str, str | float], ...] = (
         ("radius_m", 12.62),
         ("stems_per_ha", 480.4),
+        ("basal_area_m2_lo95_per_ha", 31.42),
         ("border_round", "marker 7"),
     )
     write_tables(tmp_path / "trees.xlsx", plot(""), CURVES, plot=figures)
     trees, _, sheet, _ = read_sheets(tmp_path / "trees.xlsx")
     assert (sheet.name, sheet.rows()[1:]) == ("plot", [list(row) for row in figures])
-    assert (sheet.formats["B2"], sheet.formats["B3"]) == ("0.00", "0")
+    assert (sheet.formats["B2"], sheet.formats["B3"], sheet.formats["B4"]) == ("0.00", "0", "0.0")
     assert trees.rows()[1][-4:-1] == [True, 1.25, False]
 
 

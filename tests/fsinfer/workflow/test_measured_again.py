@@ -1,0 +1,68 @@
+"""``fsinfer trees`` in the folder of a run: ``plot.json`` tells of the new measurement, and of the stages before it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fsinfer.conventions.breast_height import BhRule
+from fsinfer.io.cloud import PointCloud, write_cloud
+from fsinfer.notices.capture import CaptureCode
+from fsinfer.notices.notice import notice
+from fsinfer.notices.stems import StemCode
+from fsinfer.output.plot_json import read_plot
+from fsinfer.plot_border.request import BorderRequest
+from fsinfer.scale.request import ScaleRequest
+from fsinfer.trees import TreeSettings
+from fsinfer.workflow.measure_cloud import MeasureSettings, measure_cloud_file
+from fsinfer.workflow.summary import warning_values
+from fsinfer.workflow.tree_stage import TreeStageSettings
+from tests.support.stem_clouds import stem_plot
+
+OF_POSES = notice(CaptureCode.one_board, number=7, length_m=0.25, given=True)
+OF_TREES = notice(StemCode.corrected_by_hand, changes=(notice(StemCode.tree_deleted, tree_id=2),))
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A plot of four stems as a run left it: its poses and its trees had something to say."""
+    monkeypatch.setattr("fsinfer.trees.outputs.figures.write_figures", lambda *_, **__: None)
+    points = stem_plot(seed=4, trees=4, spacing_m=0.02).points
+    write_cloud(tmp_path / "cloud.ply", PointCloud(xyz=points))
+    plot: dict[str, Any] = {
+        "source": "images", "units": "m", "scale_m_per_unit": 2.0, "scale_rel_std": 0.003, "cloud_from_scene": None,
+        "points": len(points), "settings": {"poses": {"threads": 2}, "trees": {"bh_m": 1.3, "bh_rule": "midpoint"}},
+        "versions": {"fsinfer": "0.1.0"}, **warning_values((OF_POSES, OF_TREES)),
+    }  # fmt: skip
+    (tmp_path / "plot.json").write_text(json.dumps(plot), encoding="utf-8")
+    return tmp_path
+
+
+def measured_again(folder: Path, **stage: Any) -> dict[str, Any]:
+    settings = MeasureSettings(stage=TreeStageSettings(**stage))
+    measure_cloud_file(folder / "cloud.ply", folder, request=ScaleRequest(), settings=settings)
+    return read_plot(folder)
+
+
+def test_its_warnings_take_the_place_of_those_of_the_trees_before(folder: Path) -> None:
+    """A report said that stems are as they should be, of a plot of which 42 % were seen."""
+    border = BorderRequest(radius_m=5.64, center=(3.0, 3.0))
+    plot = measured_again(folder, border=border)
+    codes = [entry["code"] for entry in plot["warning_codes"]]
+    assert codes[0] == CaptureCode.one_board
+    assert "plot_partly_seen" in codes
+    assert StemCode.corrected_by_hand not in codes
+    assert len(plot["warnings"]) == len(codes)
+    # Once more, without the border: what was said of it is gone, and nothing is said twice.
+    plot = measured_again(folder)
+    assert [entry["code"] for entry in plot["warning_codes"]] == [CaptureCode.one_board]
+
+
+def test_its_settings_stand_beside_those_of_the_stages_before(folder: Path) -> None:
+    plot = measured_again(folder, trees=TreeSettings(bh_m=1.37, bh_rule=BhRule.uphill))
+    assert plot["settings"]["trees"]["bh_m"] == 1.37
+    assert plot["settings"]["trees"]["bh_rule"] == "uphill"
+    assert plot["settings"]["poses"] == {"threads": 2}
