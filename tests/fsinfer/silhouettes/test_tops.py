@@ -42,7 +42,8 @@ def stem(height_m: float | None, *, dbh_cm: float | None = 11.0) -> PlotResult:
     return plot((replace(tree, y_m=0.0, z_ground_m=0.0, height_m=height_m, dbh_cm=dbh_cm), section))
 
 
-# The upper edge of level photographs lies 1.5 + 0.48 times the distance above the ground: 3.4 m from 4 m, 7.3 m from 12.
+# The upper edge of level photographs lies 1.5 m + 0.48 times the distance above the ground: 3.4 m from 4 m away, 7.3 m
+# from 12 m.
 NEAR, FAR = (4.0,) * 10, (12.0,) * 10
 
 
