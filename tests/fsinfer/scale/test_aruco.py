@@ -177,6 +177,19 @@ def test_side_and_its_error_from_noisy_corners() -> None:
     assert 0.7 < np.std(ratios) / np.mean(claimed) < 1.4
 
 
+@pytest.mark.parametrize("units_per_m", [0.05, 20.0])
+def test_a_model_of_any_size_has_the_same_markers(units_per_m: float) -> None:
+    """In a model whose walk is a unit long boards are hundredths of it from the cameras."""
+    seen = sightings(2, 6, np.random.default_rng(3))
+    (usual,), _ = find_markers(seen, *projections(6), MarkerSettings())
+    sized = np.diag([1.0, 1.0, 1.0, units_per_m])
+    others = [projection @ sized for projection in projections(6)[0]]
+    (found,), reasons = find_markers(seen, others, projections(6)[1] * units_per_m, MarkerSettings())
+    assert not reasons
+    assert found.side_units == pytest.approx(usual.side_units * units_per_m, rel=1e-6)
+    assert found.side_rel_std == pytest.approx(usual.side_rel_std, rel=1e-3)
+
+
 def test_wrong_detections_do_not_move_a_marker() -> None:
     rng = np.random.default_rng(1)
     good = sightings(0, 6, rng)
