@@ -13,6 +13,7 @@ from fsinfer.frames.contact_sheet import Tile, thumbnail, write_contact_sheet
 from fsinfer.frames.quality import EQUALIZERS, FrameScore, equalize, reasons_to_drop, score_frame
 from fsinfer.frames.settings import FrameSettings, VideoSettings
 from fsinfer.frames.table import FrameRow, frames_csv
+from fsinfer.frames.times import names_against_times
 from fsinfer.frames.video import VIDEO_SUFFIXES, is_live_photo, sharpest_frames
 from fsinfer.io.exif import camera_exif, named_camera_exif
 from fsinfer.io.files import copy_file, write_text
@@ -141,7 +142,8 @@ def select_frames(
     rows.sort(key=lambda row: row.name)
     write_contact_sheet(out / CONTACT_SHEET, tiles, total=len(rows))
     write_text(out / "frames.csv", frames_csv(rows))
-    result = FramesResult(folder=out, rows=tuple(rows), warnings=_warnings(rows))
+    warnings = (*_warnings(rows), *names_against_times(photos))
+    result = FramesResult(folder=out, rows=tuple(rows), warnings=warnings)
     if not result.images:
         counts = "; ".join(sorted({row.reason for row in rows if row.reason}))
         msg = f"none of the {len(rows)} photos in {source} can be used ({counts}); see {out / 'frames.csv'}"

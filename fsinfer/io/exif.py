@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fsinfer.errors import ImageError
 from fsinfer.io.gravity import EXIF_IFD, USER_COMMENT, gravity_comment, noted_gravity
 from fsinfer.io.images import image_size, open_header, quiet
 
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 _MAKE, _MODEL, _FOCAL_LENGTH, _FOCAL_LENGTH_35MM = 0x010F, 0x0110, 0x920A, 0xA405
 #: Some phones note a zoom that enlarges the middle of the picture here only. Source: format; Exif 2.32.
 _DIGITAL_ZOOM = 0xA404
+#: Tags of the moment, local time without a zone, and the decimals of its seconds. Source: format; Exif 2.32.
+_TAKEN, _TAKEN_DECIMALS = 0x9003, 0x9291
 #: Tags of the place, and the part of the file that they stand in. Source: format; Exif 2.32.
 _GNSS_IFD, _LATITUDE_REF, _LATITUDE, _LONGITUDE_REF, _LONGITUDE = 0x8825, 1, 2, 3, 4
 
@@ -101,6 +104,23 @@ def _zoom(value: object) -> str:
         return "" if float(text) in (0.0, 1.0) else text
     except ValueError:
         return text
+
+
+def taken_at(path: Path | str) -> tuple[str, str] | None:
+    """Camera (maker and model) of a photo, and the moment that it noted, as a text that sorts by time; None without.
+
+    Moments of different cameras cannot be compared: a clock may be wrong.
+    """
+    try:
+        tags, lens = _read_exif(Path(path))
+    except ImageError:
+        return None
+    moment = str(lens.get(_TAKEN, "")).strip("\x00 ")
+    if not moment.strip(" :0"):
+        return None
+    decimals = str(lens.get(_TAKEN_DECIMALS, "")).strip("\x00 ")
+    camera = " ".join(str(tags.get(tag, "")).strip("\x00 ") for tag in (_MAKE, _MODEL))
+    return camera, f"{moment}.{decimals}"
 
 
 def gnss_degrees(path: Path | str) -> tuple[float, float] | None:

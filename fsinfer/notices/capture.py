@@ -23,6 +23,7 @@ class CaptureCode(StrEnum):
     unreadable = "unreadable"
     same_name = "same_name"
     frames_not_used = "frames_not_used"
+    names_not_by_time = "names_not_by_time"
     # Poses
     photo_of_same_name = "photo_of_same_name"
     photo_unreadable = "photo_unreadable"
@@ -142,6 +143,10 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
     CaptureCode.unreadable: "cannot be read: {error}",
     CaptureCode.same_name: "same name as {other}",
     CaptureCode.frames_not_used: _frames_not_used,
+    CaptureCode.names_not_by_time: (
+        "the names of the photos do not follow the walk: by name {backwards} of {photos} were taken before the one "
+        "before them; photos with neighbouring names are matched first, so rename them in the order of their times"
+    ),
     CaptureCode.photo_of_same_name: "{name} was left out: {other} has the same name",
     CaptureCode.photo_unreadable: "left out: {error}",
     CaptureCode.photos_unplaced: _left_out("they could not be placed with the others; more photos between would help"),
