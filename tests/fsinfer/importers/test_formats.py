@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -130,6 +131,27 @@ def test_what_is_known_of_the_unit_and_of_the_vertical(tmp_path: Path, name: str
     write, lens = FORMATS[name]
     found = read(write(made.truth(lens), tmp_path))
     assert (found.metric, found.z_up) == (metric, z_up)
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_of_several_models_the_one_with_the_most_photographs_is_used(tmp_path: Path, binary: bool) -> None:
+    """The mapper begins with what it can, and numbers what it could not join in that order."""
+    scene = made.truth(PINHOLE)
+    nine = (replace(scene.photos[index % 4], name=f"IMG_{index}") for index in range(9))
+    scene = replace(scene, photos=tuple(nine))
+    made.write_photos(scene, tmp_path / "images")
+    for number, (start, end) in {0: (0, 2), 2: (2, 4), 10: (4, 9)}.items():
+        part = replace(scene, photos=scene.photos[start:end])
+        made.write_colmap(part, tmp_path / "sparse" / str(number), kind="PINHOLE", binary=binary)
+    found = read(tmp_path)
+    assert [photo.name for photo in found.photos] == [photo.name for photo in scene.photos[4:]]
+    (remark,) = found.remarks
+    assert re.search(r"3 models.*sparse.10, with the most images \(5\).*sparse.0 \(2 images\), .*sparse.2 \(2", remark)
+    # A smaller one is used where it is asked for, and a damaged one is in nobody's way.
+    assert len(read(tmp_path / "sparse" / "0").photos) == 2
+    assert read(tmp_path / "sparse" / "0").remarks == ()
+    (tmp_path / "sparse" / "0" / f"images.{'bin' if binary else 'txt'}").write_bytes(b"1 2 3\n")
+    assert len(read(tmp_path).photos) == 5
 
 
 def test_a_chunk_without_a_scale_is_in_its_own_unit(tmp_path: Path) -> None:
