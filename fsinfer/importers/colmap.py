@@ -15,7 +15,7 @@ import numpy as np
 
 from fsinfer.errors import SceneError
 from fsinfer.importers.files import MOST, ByteReader, numbers, read_text, unfit
-from fsinfer.importers.foreign import Floats, ForeignScene, rotation_of_quaternion
+from fsinfer.importers.foreign import Floats, ForeignScene, near_origin, rotation_of_quaternion
 from fsinfer.importers.lens import Lens
 from fsinfer.importers.photos import Registered, gather
 from fsinfer.poses.sparse import SparseModel
@@ -153,7 +153,7 @@ def read_colmap(folder: Path, photos: Sequence[Path], *, others: Sequence[Path] 
     if files[2].is_file():
         points = _binary_points(files[2]) if suffix == ".bin" else _text_points(files[2])
         sparse = _sparse(points, {number: name for name, number in gathered.numbers.items()})
-    return ForeignScene(
+    scene = ForeignScene(
         program=PROGRAM,
         files=tuple(file for file in files if file.is_file()),
         photos=gathered.photos,
@@ -161,6 +161,8 @@ def read_colmap(folder: Path, photos: Sequence[Path], *, others: Sequence[Path] 
         left_out=gathered.missing,
         remarks=(*_others(folder, others), *gathered.remarks),
     )
+    # Aligned to markers or GNSS, its coordinates are those of a national grid, or count from the middle of the Earth.
+    return near_origin(scene)
 
 
 def _sparse(points: _Points, names: dict[int, str]) -> SparseModel | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,10 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fsinfer.errors import SceneError
 from fsinfer.importers.foreign import ForeignScene, centers_of
 from fsinfer.importers.formats import reader_of
+from fsinfer.importers.write import write_scene
 from fsinfer.io.images import write_image
 from tests.support import foreign_scenes as made
 from tests.support.foreign_scenes import BROWN, COLMAP_LENSES, PINHOLE, SIZE, Truth
@@ -192,6 +195,39 @@ def test_a_label_that_several_files_fit_is_refused_with_their_names(tmp_path: Pa
     write_image(tmp_path / f"{first}.jpg", made.render(scene.photos[-1], scene.lens))
     with pytest.raises(SceneError, match=rf"{first} may be {first}.jpg or {first}.png in .*; leave the one there"):
         read(tmp_path / "cameras.xml")
+
+
+@pytest.mark.parametrize(
+    "name", ["colmap-PINHOLE-text", "colmap-PINHOLE-binary", "openmvs-7", "transforms", "metashape-chunk"]
+)
+def test_coordinates_of_a_grid_are_taken_from_the_middle_of_the_cameras(tmp_path: Path, name: str) -> None:
+    grid = np.array([5_200_000.0, -520_000.0, 400.0])
+    scene = made.truth(PINHOLE)
+    near = read(FORMATS[name][0](scene, tmp_path / "near"))
+    far = replace(
+        scene,
+        photos=tuple(replace(p, cam_from_world=p.cam_from_world @ _shift(-grid)) for p in scene.photos),
+        points=scene.points + grid,
+    )
+    found = read(FORMATS[name][0](far, tmp_path / "far"))
+    assert near.origin == (0.0, 0.0, 0.0)
+    assert np.abs(np.array(found.origin) - grid).max() < 5
+    assert np.abs(centers_of(found.photos)).max() < 5
+    rest = grid - np.array(found.origin)
+    np.testing.assert_allclose(centers_of(found.photos), centers_of(near.photos) + rest, atol=1e-6)
+    if found.sparse is not None and near.sparse is not None:
+        # OpenMVS keeps tie points in single precision: half a metre is all that they know of a northing.
+        tolerance = 0.5 if name.startswith("openmvs") else 1e-6
+        np.testing.assert_allclose(found.sparse.points, near.sparse.points + rest, atol=tolerance)
+    write_scene(found, tmp_path / "scene")
+    told = json.loads((tmp_path / "scene" / "import.json").read_text(encoding="utf-8"))
+    np.testing.assert_array_equal(told["origin"], found.origin)
+
+
+def _shift(by: NDArray[np.float64]) -> NDArray[np.float64]:
+    matrix = np.eye(4)
+    matrix[:3, 3] = by
+    return matrix
 
 
 def test_a_chunk_on_the_earth_gets_z_up_and_small_coordinates(tmp_path: Path) -> None:
