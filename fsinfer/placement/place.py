@@ -12,6 +12,7 @@ from fsinfer.geometry.similarity import apply, compose, rotation_of, scaling
 from fsinfer.io.gravity import noted_gravity
 from fsinfer.io.turned import upright_from_picture
 from fsinfer.placement.level import level
+from fsinfer.placement.on_side import upright_axes
 from fsinfer.placement.settings import LevelSettings
 
 if TYPE_CHECKING:
@@ -91,6 +92,7 @@ def level_scene(
     down = upright[:, 1]
     # People tilt a phone up or down more than they roll it: its horizontal axis tells what is level.
     right = upright[:, 0]
+    down, right = upright_axes(points, centers, down, right, settings=settings)
     scale = 1.0 if m_per_unit is None else m_per_unit
     levelled = level(points, centers, down, camera_right=right, gravity=_gravity_of(scene), settings=settings)
     plot_from_scene = compose(scaling(scale), levelled)

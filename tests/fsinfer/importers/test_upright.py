@@ -24,7 +24,9 @@ BROWN = "OPENCV 64 48 50 50 32 24 -0.1 0.02 0 0"
 PINHOLE = "PINHOLE 64 48 50 50 32 24"
 
 
-def walk(folder: Path, orientations: list[int], *, lens: str, note: bool = False, seed: int = 0) -> NDArray[np.float64]:
+def walk(
+    folder: Path, orientations: list[int], *, lens: str, note: bool = False, tagged: bool = True, seed: int = 0
+) -> NDArray[np.float64]:
     """Write a COLMAP project of a walk round a plot, turned at random; returns the points and, last, what is up."""
     rng = np.random.default_rng(seed)
     parts = [np.column_stack([rng.uniform(-10, 10, (6000, 2)), rng.normal(0, 0.02, 6000)])]
@@ -46,7 +48,7 @@ def walk(folder: Path, orientations: list[int], *, lens: str, note: bool = False
         rotation = Rotation.from_euler("z", ROLL_DEG[orientation], degrees=True).as_matrix() @ upright @ turn.T
         # A phone held upright feels gravity in its own axes: right, top, out of the screen.
         felt = np.array([1.0, -1.0, -1.0]) * (upright @ [0.0, 0.0, -1.0])
-        exif = phone_exif(list(felt) if note else None, orientation)
+        exif = phone_exif(list(felt) if note else None, orientation if tagged else 1)
         Image.new("RGB", (64, 48), (90, 120, 60)).save(folder / "images" / f"p{number:02d}.jpg", exif=exif.tobytes())
         x, y, z, w = Rotation.from_matrix(rotation).as_quat()
         t = -rotation @ (turn @ center)
@@ -69,6 +71,16 @@ def test_the_cloud_stands_upright_however_the_phone_was_held(tmp_path: Path, hel
     plot_from_scene, height = level_scene(points[:-1], read_scene(tmp_path / "scene"))
     assert plot_from_scene[2, :3] @ points[-1] > np.cos(np.radians(2))
     assert height == pytest.approx(1.5, abs=0.1)
+
+
+@pytest.mark.parametrize("held", ["upright", "other way"])
+def test_photographs_that_lost_their_tag_are_righted_by_the_ground(tmp_path: Path, held: str) -> None:
+    points = walk(tmp_path / "project", WALKS[held], lens=PINHOLE, tagged=False, seed=3)
+    reader = reader_of(tmp_path / "project")
+    assert reader is not None
+    write_scene(reader(), tmp_path / "scene")
+    plot_from_scene, _ = level_scene(points[:-1], read_scene(tmp_path / "scene"))
+    assert plot_from_scene[2, :3] @ points[-1] > np.cos(np.radians(2))
 
 
 @pytest.mark.parametrize("lens", [PINHOLE, BROWN], ids=["copied", "undistorted"])
