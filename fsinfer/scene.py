@@ -1,5 +1,7 @@
 """The scene folder in MVSNet format: ``images/NAME.jpg``, ``cams/NAME_cam.txt``, ``pair.txt``.
 
+BlendedMVS has the same files as ``blended_images/NAME.jpg`` and ``cams/pair.txt``, which is read as well.
+
 Frames: world to camera is ``x_cam = R x_world + t`` with x right, y down, z forward; pixel centres lie at
 integer coordinates, so the centre of the top left pixel is (0, 0).
 """
@@ -172,21 +174,27 @@ def read_scene(folder: Path | str) -> Scene:
             "scene of a program that fsinfer depth knows (COLMAP, OpenMVS, Metashape, nerfstudio and others)"
         )
         raise SceneError(msg)
-    pairs = read_pairs(folder / "pair.txt")
+    pair_path = _either(folder / "pair.txt", folder / "cams" / "pair.txt")
+    images = _either(folder / "images", folder / "blended_images")
+    pairs = read_pairs(pair_path)
     views = []
     for index, name in enumerate(names):
-        candidates = [folder / "images" / f"{name}{suffix}" for suffix in IMAGE_SUFFIXES]
+        candidates = [images / f"{name}{suffix}" for suffix in IMAGE_SUFFIXES]
         image_path = next((p for p in candidates if p.is_file()), None)
         if image_path is None:
-            msg = f"{folder / 'images'} has no image for {name}_cam.txt; add it or delete the camera"
+            msg = f"{images} has no image for {name}_cam.txt; add it or delete the camera"
             raise SceneError(msg)
         sources = tuple(pairs.get(index, ()))
         if any(not 0 <= s < len(names) or s == index for s in sources):
-            msg = f"{folder / 'pair.txt'}: view {index} names sources {sources}, but there are {len(names)} views"
+            msg = f"{pair_path}: view {index} names sources {sources}, but there are {len(names)} views"
             raise SceneError(msg)
         camera = read_camera(folder / "cams" / f"{name}_cam.txt")
         views.append(View(name=name, image_path=image_path, camera=camera, sources=sources))
     return Scene(folder=folder, views=tuple(views))
+
+
+def _either(usual: Path, of_blendedmvs: Path) -> Path:
+    return of_blendedmvs if of_blendedmvs.exists() and not usual.exists() else usual
 
 
 def scene_digest(scene: Scene) -> str:

@@ -163,7 +163,9 @@ def fuse(
         bool | None,
         typer.Option(
             "--level/--no-level",
-            help="Turn the cloud so that z points up. Default: only for scenes made by fsinfer poses.",
+            help="Turn the cloud so that z points up. Default: for scenes made by fsinfer poses, and those of other "
+            "programs whose axes do not say what is up (COLMAP, OpenMVS, nerfstudio, Record3D, Metashape with local "
+            "coordinates); scene folders of others keep their axes.",
             show_default=False,
         ),
     ] = None,

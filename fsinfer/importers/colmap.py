@@ -15,14 +15,16 @@ import numpy as np
 
 from fsinfer.errors import SceneError
 from fsinfer.importers.files import MOST, ByteReader, numbers, read_text, unfit
-from fsinfer.importers.foreign import Floats, ForeignScene, rotation_of_quaternion
+from fsinfer.importers.foreign import Floats, ForeignScene, near_origin, rotation_of_quaternion
 from fsinfer.importers.lens import Lens
 from fsinfer.importers.photos import Registered, gather
 from fsinfer.poses.sparse import SparseModel
 
 PROGRAM = "COLMAP"
-#: Where a project keeps its models.
-MODEL_FOLDERS = (".", "sparse/0", "sparse", "0", "colmap/sparse/0", "dense/sparse", "dense/0/sparse")
+#: Where a project keeps its models; # stands for any number.
+MODEL_FOLDERS = (".", "sparse/#", "sparse", "#", "colmap/sparse/#", "dense/sparse", "dense/#/sparse")
+#: Models that a remark names. Source: layout.
+_MODELS_TOLD = 3
 #: Number, name, and count of parameters of each camera model. Source: format; COLMAP's camera models.
 _MODELS = {
     0: ("SIMPLE_PINHOLE", 3),
@@ -69,24 +71,71 @@ class _Points:
         self.errors_px.append(error_px)
 
 
-def find_model(path: Path) -> Path | None:
-    """The folder of a COLMAP model in a project or scene; None where there is none."""
+def find_models(path: Path) -> tuple[Path, ...]:
+    """The folders of the COLMAP models in a project or scene, the one with the most images first; none where none is.
+
+    The mapper numbers what it could not join in the order in which it was begun, not by size. Models of one place in a
+    project are looked at; those of the next one only where there is none.
+    """
     for part in MODEL_FOLDERS:
-        for suffix in (".bin", ".txt"):
-            if all((path / part / f"{name}{suffix}").is_file() for name in ("cameras", "images")):
-                return path / part
+        found = [folder for folder in _numbered(path, part) if _suffix(folder) is not None]
+        if found:
+            # Counting takes a look into the files, which is spared where there is nothing to choose.
+            return tuple(sorted(found, key=_images_in, reverse=True) if len(found) > 1 else found)
+    return ()
+
+
+def _numbered(path: Path, part: str) -> list[Path]:
+    """The folders that ``part`` stands for, by their numbers."""
+    before, number, after = part.partition("#")
+    if not number:
+        return [path / part]
+    parent = path / before
+    names = [item.name for item in parent.iterdir() if item.name.isdecimal()] if parent.is_dir() else []
+    return [parent / name / after.strip("/") for name in sorted(names, key=int)]
+
+
+def _suffix(folder: Path) -> str | None:
+    """Of the files of a model; None where there is none."""
+    for suffix in (".bin", ".txt"):
+        if all((folder / f"{name}{suffix}").is_file() for name in ("cameras", "images")):
+            return suffix
     return None
 
 
-def read_colmap(folder: Path, photos: Sequence[Path]) -> ForeignScene:
+def _images_in(folder: Path) -> int:
+    """How many images a model has; 0 where it is damaged, which is no reason to refuse the others."""
+    path = folder / f"images{_suffix(folder)}"
+    try:
+        return ByteReader(path).count("Q", 73) if path.suffix == ".bin" else sum(1 for _ in _text_images(path))
+    except SceneError:
+        return 0
+
+
+def _others(folder: Path, others: Sequence[Path]) -> tuple[str, ...]:
+    """What to tell of models that are not used."""
+    if not others:
+        return ()
+    told = [f"{other} ({_images_in(other)} images)" for other in others[:_MODELS_TOLD]]
+    told += ["..."] if len(others) > _MODELS_TOLD else []
+    return (
+        f"the project has {len(others) + 1} models that were not joined; {folder}, with the most images "
+        f"({_images_in(folder)}), is used and the others are left out: {', '.join(told)}; give the folder of one of "
+        "them to use that",
+    )
+
+
+def read_colmap(folder: Path, photos: Sequence[Path], *, others: Sequence[Path] = ()) -> ForeignScene:
     """Read the model in ``folder``; ``photos`` are the folders in which its photographs may lie.
+
+    ``others`` are models of the same project that are left out, which a remark tells.
 
     Raises
     ------
     SceneError
         A file is damaged, a camera is a fisheye, or no photograph is found.
     """
-    suffix = ".bin" if (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file() else ".txt"
+    suffix = _suffix(folder) or ".txt"
     files = [folder / f"{name}{suffix}" for name in ("cameras", "images", "points3D")]
     lenses = dict(_binary_cameras(files[0]) if suffix == ".bin" else _text_cameras(files[0]))
     images = list(_binary_images(files[1]) if suffix == ".bin" else _text_images(files[1]))
@@ -104,14 +153,16 @@ def read_colmap(folder: Path, photos: Sequence[Path]) -> ForeignScene:
     if files[2].is_file():
         points = _binary_points(files[2]) if suffix == ".bin" else _text_points(files[2])
         sparse = _sparse(points, {number: name for name, number in gathered.numbers.items()})
-    return ForeignScene(
+    scene = ForeignScene(
         program=PROGRAM,
         files=tuple(file for file in files if file.is_file()),
         photos=gathered.photos,
         sparse=sparse,
         left_out=gathered.missing,
-        remarks=gathered.remarks,
+        remarks=(*_others(folder, others), *gathered.remarks),
     )
+    # Aligned to markers or GNSS, its coordinates are those of a national grid, or count from the middle of the Earth.
+    return near_origin(scene)
 
 
 def _sparse(points: _Points, names: dict[int, str]) -> SparseModel | None:

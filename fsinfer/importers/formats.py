@@ -14,7 +14,7 @@ from fsinfer.importers.arkit import (
     read_record3d,
     read_scanner_app,
 )
-from fsinfer.importers.colmap import find_model, read_colmap
+from fsinfer.importers.colmap import find_models, read_colmap
 from fsinfer.importers.foreign import ForeignScene
 from fsinfer.importers.metashape import is_metashape, read_metashape
 from fsinfer.importers.openmvs import is_openmvs, read_openmvs
@@ -48,15 +48,15 @@ def _file(path: Path) -> tuple[Reader, list[Path]] | None:
         return partial(read_openmvs, path), beside
     if path.suffix.lower() == ".json" and _has_frames(path):
         return partial(read_transforms, path), beside
-    if path.name in ("cameras.bin", "cameras.txt", "images.bin", "images.txt") and find_model(path.parent) is not None:
+    if path.name in ("cameras.bin", "cameras.txt", "images.bin", "images.txt") and find_models(path.parent):
         return partial(read_colmap, path.parent), beside
     return None
 
 
 def _folder(folder: Path) -> tuple[Reader, list[Path]] | None:
-    model = find_model(folder)
-    if model is not None:
-        return partial(read_colmap, model), _beside(model)
+    models = find_models(folder)
+    if models:
+        return partial(read_colmap, models[0], others=models[1:]), _beside(models[0])
     if (folder / TRANSFORMS).is_file():
         return partial(read_transforms, folder / TRANSFORMS), _beside(folder)
     polycam = find_polycam(folder)

@@ -30,6 +30,7 @@ from fsinfer.importers.foreign import (
     pose_from_center,
 )
 from fsinfer.importers.lens import Lens
+from fsinfer.importers.metashape_scale import doubt_of_scale
 from fsinfer.importers.photos import Registered, gather
 
 PROGRAM = "Metashape"
@@ -96,6 +97,9 @@ def read_metashape(path: Path, photos: Sequence[Path]) -> ForeignScene:
         remarks.append("of the components of the chunk the one with the most photographs is used")
     if similarity is None:
         remarks.append("the chunk has no scale (no markers, scale bars or GNSS), so that lengths are in its own units")
+    else:
+        doubt = doubt_of_scale(chunk, centers_of(gathered.photos))
+        remarks += [] if doubt is None else [doubt]
     scene = ForeignScene(
         program=PROGRAM,
         files=(path,),

@@ -17,7 +17,7 @@ import numpy as np
 
 from fsinfer.errors import SceneError
 from fsinfer.importers.files import MOST, ByteReader, find_photo, numbers, unfit
-from fsinfer.importers.foreign import Floats, ForeignScene, exact_rotation
+from fsinfer.importers.foreign import Floats, ForeignScene, exact_rotation, near_origin
 from fsinfer.importers.lens import Lens
 from fsinfer.importers.photos import Registered, gather
 from fsinfer.io.images import open_header
@@ -105,7 +105,7 @@ def read_openmvs(path: Path, photos: Sequence[Path]) -> ForeignScene:
         raise SceneError(msg)
     gathered = gather(registered, photos, source=path)
     sparse = _vertices(reader, {number: name for name, number in gathered.numbers.items()})
-    return ForeignScene(
+    scene = ForeignScene(
         program=PROGRAM,
         files=(path,),
         photos=gathered.photos,
@@ -113,6 +113,8 @@ def read_openmvs(path: Path, photos: Sequence[Path]) -> ForeignScene:
         left_out=(*left_out, *gathered.missing),
         remarks=gathered.remarks,
     )
+    # Aligned to markers or GNSS, its coordinates are those of a national grid, or count from the middle of the Earth.
+    return near_origin(scene)
 
 
 def _string(reader: ByteReader) -> str:

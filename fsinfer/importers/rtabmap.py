@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fsinfer.errors import SceneError
 from fsinfer.importers.files import find_photo, numbers, read_text, unfit
 from fsinfer.importers.foreign import ForeignScene, pose_from_center, rotation_of_quaternion
 from fsinfer.importers.lens import Lens
@@ -22,6 +23,8 @@ from fsinfer.importers.thinning import keyframes
 
 PROGRAM = "RTAB-Map"
 _POSES = "*camera_poses.txt"
+#: What OpenCV's coefficients k1, k2, p1, p2, k3 to k6 belong to; fisheyes bear other ones. An empty name is the first.
+_MODELS = ("plumb_bob", "rational_polynomial", "")
 _METRES = "its metres are those of the phone's motion sensors, wrong by a per cent or two"
 
 
@@ -43,7 +46,7 @@ def read_rtabmap(poses: Path, photos: Sequence[Path]) -> ForeignScene:
     Raises
     ------
     SceneError
-        A file is damaged, a photograph has no calibration, or no photograph is found.
+        A file is damaged, a camera is a fisheye, a photograph has no calibration, or no photograph is found.
     """
     calibrations = folders_of(poses, "calib")
     registered, files = [], [poses]
@@ -78,8 +81,17 @@ def read_rtabmap(poses: Path, photos: Sequence[Path]) -> ForeignScene:
 
 
 def _lens(path: Path) -> Lens:
-    """The calibration in OpenCV's YAML, of which three matrices and the size are looked at."""
+    """The calibration in OpenCV's YAML, of which three matrices, the model and the size are looked at."""
     text = read_text(path)
+    named = re.search(r"^distortion_model:[ \t]*(.*)", text, flags=re.MULTILINE)
+    model = "" if named is None else named[1].partition("#")[0].strip().strip("\"'")
+    if model not in _MODELS:
+        msg = (
+            f"{path}: the camera has the distortion model {model[:40]}, which is not read (plumb_bob and "
+            "rational_polynomial are); undistort the photographs in the program that calibrated them, and export the "
+            "map again with the calibration of those"
+        )
+        raise SceneError(msg)
 
     def data(name: str) -> str | None:
         found = re.search(rf"^{name}:.*?data:\s*\[([^\]]*)\]", text, flags=re.DOTALL | re.MULTILINE)

@@ -14,8 +14,10 @@ from fsinfer.errors import SceneError
 from fsinfer.importers.foreign import Floats, ForeignPhoto, ForeignScene, centers_of
 from fsinfer.importers.lens import Lens, pinhole_of, undistortion_maps
 from fsinfer.importers.views import GeometricSettings, range_without_points, scores_without_points
+from fsinfer.io.exif import gravity_exif
 from fsinfer.io.files import copy_file, write_text
 from fsinfer.io.images import image_size, is_upright_jpeg_or_png, open_header, read_image, write_image
+from fsinfer.io.turned import sensor_exif
 from fsinfer.poses.sparse import SparseModel
 from fsinfer.poses.undistortion import undistort
 from fsinfer.poses.view_selection import SelectionSettings, choose_sources, depth_range, select_views
@@ -138,7 +140,8 @@ def write_scene(
         if maps is None or maps[0] != lens:
             maps = (lens, undistortion_maps(lens, pinholes[photo.name]))
         pixels = undistort(read_image(photo.path, upright=upright), maps[1])
-        write_image(out / "images" / f"{photo.name}.jpg", pixels, quality=settings.jpeg_quality)
+        exif = _exif(photo.path, upright=upright)
+        write_image(out / "images" / f"{photo.name}.jpg", pixels, quality=settings.jpeg_quality, exif=exif)
     names = sorted(cameras)
     for name in names:
         write_camera(out / "cams" / f"{name}_cam.txt", cameras[name])
@@ -191,7 +194,13 @@ def _copy(source: Path, target: Path, *, upright: bool, quality: int) -> None:
         copy_file(source, target.with_name(f"{target.name}{source.suffix.lower()}"))
     else:
         pixels = read_image(source, upright=upright)
-        write_image(target.with_name(f"{target.name}.jpg"), pixels, quality=quality)
+        exif = _exif(source, upright=upright)
+        write_image(target.with_name(f"{target.name}.jpg"), pixels, quality=quality, exif=exif)
+
+
+def _exif(photo: Path, *, upright: bool) -> bytes | None:
+    """What tells where down is in the picture: without it the cloud of photographs held upright lies on its side."""
+    return gravity_exif(photo) if upright else sensor_exif(photo)
 
 
 def _cameras(

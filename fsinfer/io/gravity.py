@@ -3,7 +3,7 @@
 Apple's phones write what their accelerometer felt into the maker's part of the metadata, in units of g and in the axes
 of the phone: x to the right of its screen, y to the top, z out of it (the frame of Core Motion). The axes were found on
 23 photographs of an iPhone 7 held two ways round: turned by their poses the notes lie 1.2 degrees (root mean square,
-2.3 at most) from their mean. Copies that we write upright keep it as a comment.
+2.3 at most) from their mean. Copies that we write keep it as a comment.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _STILL_G = (0.8, 1.2)
 _COMMENT = b"ASCII\0\0\0fsinfer gravity "
 #: From the axes of the sensor to those of the upright photograph, by the tag of the orientation. Source: format; Exif
 #: 2.32. Mirrored photographs are no photographs of a camera.
-_UPRIGHT = {
+UPRIGHT = {
     1: np.diag([1.0, 1.0, 1.0]),
     3: np.diag([-1.0, -1.0, 1.0]),
     6: np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
@@ -44,7 +44,8 @@ _SENSOR_FROM_PHONE = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1
 def noted_gravity(path: Path | str) -> NDArray[np.float64] | None:
     """(3,) unit vector to the ground in the axes of the upright photograph: x right, y down, z forward.
 
-    None where the phone noted nothing, was shaken, or its note cannot be read.
+    A picture of ours that keeps it as a comment keeps it in its own axes, whether it lies upright or not. None where
+    the phone noted nothing, was shaken, or its note cannot be read.
     """
     try:
         with open_header(Path(path)) as image, quiet():
@@ -61,7 +62,7 @@ def noted_gravity(path: Path | str) -> NDArray[np.float64] | None:
         except ValueError:
             return None
     note = notes.get(_MAKER_NOTE)
-    upright = _UPRIGHT.get(orientation) if isinstance(orientation, int) else None
+    upright = UPRIGHT.get(orientation) if isinstance(orientation, int) else None
     felt = _apple_acceleration(note) if isinstance(note, bytes) else None
     if felt is None or upright is None or not _STILL_G[0] <= float(np.linalg.norm(felt)) <= _STILL_G[1]:
         return None
@@ -69,7 +70,7 @@ def noted_gravity(path: Path | str) -> NDArray[np.float64] | None:
 
 
 def gravity_comment(gravity: NDArray[np.float64]) -> bytes:
-    """The comment that keeps it in an upright copy, for the tag ``USER_COMMENT``."""
+    """The comment that keeps it, in the axes of the copy that it is written to, for the tag ``USER_COMMENT``."""
     return _COMMENT + " ".join(f"{value:.5f}" for value in gravity).encode("ascii")
 
 

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from fsinfer.geometry.similarity import apply, compose, rotation_of, scaling
 from fsinfer.io.gravity import noted_gravity
+from fsinfer.io.turned import upright_from_picture
 from fsinfer.placement.level import level
+from fsinfer.placement.on_side import upright_axes
 from fsinfer.placement.settings import LevelSettings
 
 if TYPE_CHECKING:
@@ -84,10 +86,13 @@ def level_scene(
         There are too few points to find the ground in.
     """
     centers = np.array([view.camera.center for view in scene.views])
+    # How the photograph is looked at: imported pictures may lie as the sensor does, on its side or on its head.
+    upright = np.array([upright_from_picture(v.image_path) @ v.camera.cam_from_world[:3, :3] for v in scene.views])
     # The image's downward axis in world coordinates: the second row of the rotation.
-    down = np.array([view.camera.cam_from_world[1, :3] for view in scene.views])
+    down = upright[:, 1]
     # People tilt a phone up or down more than they roll it: its horizontal axis tells what is level.
-    right = np.array([view.camera.cam_from_world[0, :3] for view in scene.views])
+    right = upright[:, 0]
+    down, right = upright_axes(points, centers, down, right, settings=settings)
     scale = 1.0 if m_per_unit is None else m_per_unit
     levelled = level(points, centers, down, camera_right=right, gravity=_gravity_of(scene), settings=settings)
     plot_from_scene = compose(scaling(scale), levelled)

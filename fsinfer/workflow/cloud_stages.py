@@ -65,7 +65,7 @@ DEPTH = Stage(name="depth", version=2, result=DepthResult, outputs=("depth", "co
 CHECK = Stage(name="check", version=1, result=DepthCheck)
 FUSE = Stage(name="fuse", version=1, result=FusedCloud, outputs=("fused",))
 SCALE = Stage(name="scale", version=4, result=FoundScale)
-CLOUD = Stage(name="cloud", version=2, result=PlotCloud, outputs=("cloud.ply", "cloud.laz"))
+CLOUD = Stage(name="cloud", version=3, result=PlotCloud, outputs=("cloud.ply", "cloud.laz"))
 
 
 def model_digest(settings: DepthSettings) -> str:

@@ -23,7 +23,7 @@ from fsinfer.workflow.settings import speedless
 
 _log = logging.getLogger(__name__)
 
-IMPORT = Stage(name="import", version=1, result=ImportedScene, outputs=(SCENE_FOLDER,))
+IMPORT = Stage(name="import", version=2, result=ImportedScene, outputs=(SCENE_FOLDER,))
 
 
 def our_scene(

@@ -42,7 +42,7 @@ class SceneCloud:
     camera_height: float | None
 
 
-FUSE_SCENE = Stage(name="fuse_scene", version=1, result=SceneCloud, outputs=("cloud.ply", "cloud.laz"))
+FUSE_SCENE = Stage(name="fuse_scene", version=2, result=SceneCloud, outputs=("cloud.ply", "cloud.laz"))
 
 
 def frames_of(

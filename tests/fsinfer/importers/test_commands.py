@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -173,3 +174,10 @@ def test_a_wrong_model_is_told_before_photographs_are_undistorted(call: Call, tm
     options = ("--images", tmp_path / "my photos", "--model", "no-such-model")
     assert call("depth", tmp_path / "cameras.xml", tmp_path / "out", *options, "-q")[0] == 2
     assert not (tmp_path / "out" / "scene").exists()
+
+
+def test_the_help_of_fuse_says_which_scenes_are_turned(call: Call) -> None:
+    code, out, _ = call("fuse", "--help")
+    assert code == 0
+    for program in ("fsinfer poses", "COLMAP", "OpenMVS", "nerfstudio", "Record3D", "Metashape"):
+        assert program in " ".join(re.sub(r"[^\w\s(),.;-]", " ", out.partition("--no-level")[2]).split())

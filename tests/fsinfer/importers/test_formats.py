@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fsinfer.errors import SceneError
 from fsinfer.importers.foreign import ForeignScene, centers_of
 from fsinfer.importers.formats import reader_of
+from fsinfer.importers.write import write_scene
 from fsinfer.io.images import write_image
 from tests.support import foreign_scenes as made
 from tests.support.foreign_scenes import BROWN, COLMAP_LENSES, PINHOLE, SIZE, Truth
@@ -132,6 +136,27 @@ def test_what_is_known_of_the_unit_and_of_the_vertical(tmp_path: Path, name: str
     assert (found.metric, found.z_up) == (metric, z_up)
 
 
+@pytest.mark.parametrize("binary", [True, False])
+def test_of_several_models_the_one_with_the_most_photographs_is_used(tmp_path: Path, binary: bool) -> None:
+    """The mapper begins with what it can, and numbers what it could not join in that order."""
+    scene = made.truth(PINHOLE)
+    nine = (replace(scene.photos[index % 4], name=f"IMG_{index}") for index in range(9))
+    scene = replace(scene, photos=tuple(nine))
+    made.write_photos(scene, tmp_path / "images")
+    for number, (start, end) in {0: (0, 2), 2: (2, 4), 10: (4, 9)}.items():
+        part = replace(scene, photos=scene.photos[start:end])
+        made.write_colmap(part, tmp_path / "sparse" / str(number), kind="PINHOLE", binary=binary)
+    found = read(tmp_path)
+    assert [photo.name for photo in found.photos] == [photo.name for photo in scene.photos[4:]]
+    (remark,) = found.remarks
+    assert re.search(r"3 models.*sparse.10, with the most images \(5\).*sparse.0 \(2 images\), .*sparse.2 \(2", remark)
+    # A smaller one is used where it is asked for, and a damaged one is in nobody's way.
+    assert len(read(tmp_path / "sparse" / "0").photos) == 2
+    assert read(tmp_path / "sparse" / "0").remarks == ()
+    (tmp_path / "sparse" / "0" / f"images.{'bin' if binary else 'txt'}").write_bytes(b"1 2 3\n")
+    assert len(read(tmp_path).photos) == 5
+
+
 def test_a_chunk_without_a_scale_is_in_its_own_unit(tmp_path: Path) -> None:
     scene = made.truth(PINHOLE)
     made.write_metashape(scene, tmp_path / "cameras.xml", scaled=False)
@@ -170,6 +195,39 @@ def test_a_label_that_several_files_fit_is_refused_with_their_names(tmp_path: Pa
     write_image(tmp_path / f"{first}.jpg", made.render(scene.photos[-1], scene.lens))
     with pytest.raises(SceneError, match=rf"{first} may be {first}.jpg or {first}.png in .*; leave the one there"):
         read(tmp_path / "cameras.xml")
+
+
+@pytest.mark.parametrize(
+    "name", ["colmap-PINHOLE-text", "colmap-PINHOLE-binary", "openmvs-7", "transforms", "metashape-chunk"]
+)
+def test_coordinates_of_a_grid_are_taken_from_the_middle_of_the_cameras(tmp_path: Path, name: str) -> None:
+    grid = np.array([5_200_000.0, -520_000.0, 400.0])
+    scene = made.truth(PINHOLE)
+    near = read(FORMATS[name][0](scene, tmp_path / "near"))
+    far = replace(
+        scene,
+        photos=tuple(replace(p, cam_from_world=p.cam_from_world @ _shift(-grid)) for p in scene.photos),
+        points=scene.points + grid,
+    )
+    found = read(FORMATS[name][0](far, tmp_path / "far"))
+    assert near.origin == (0.0, 0.0, 0.0)
+    assert np.abs(np.array(found.origin) - grid).max() < 5
+    assert np.abs(centers_of(found.photos)).max() < 5
+    rest = grid - np.array(found.origin)
+    np.testing.assert_allclose(centers_of(found.photos), centers_of(near.photos) + rest, atol=1e-6)
+    if found.sparse is not None and near.sparse is not None:
+        # OpenMVS keeps tie points in single precision: half a metre is all that they know of a northing.
+        tolerance = 0.5 if name.startswith("openmvs") else 1e-6
+        np.testing.assert_allclose(found.sparse.points, near.sparse.points + rest, atol=tolerance)
+    write_scene(found, tmp_path / "scene")
+    told = json.loads((tmp_path / "scene" / "import.json").read_text(encoding="utf-8"))
+    np.testing.assert_array_equal(told["origin"], found.origin)
+
+
+def _shift(by: NDArray[np.float64]) -> NDArray[np.float64]:
+    matrix = np.eye(4)
+    matrix[:3, 3] = by
+    return matrix
 
 
 def test_a_chunk_on_the_earth_gets_z_up_and_small_coordinates(tmp_path: Path) -> None:

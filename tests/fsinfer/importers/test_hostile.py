@@ -196,6 +196,30 @@ def test_a_fisheye_of_colmap_is_told_with_the_way_out(tmp_path: Path) -> None:
     assert "colmap image_undistorter" in message(tmp_path)
 
 
+@pytest.mark.parametrize("model", ["equidistant", '"kannala_brandt4"'])
+def test_a_fisheye_of_rtabmap_is_told_with_the_way_out(tmp_path: Path, model: str) -> None:
+    made.write_rtabmap(made.truth(PINHOLE), tmp_path)
+    file = tmp_path / "map_calib" / "2.yaml"
+    text = file.read_text(encoding="utf-8")
+    file.write_text(text.replace("plumb_bob", model), encoding="utf-8")
+    told = message(tmp_path)
+    assert f"2.yaml: the camera has the distortion model {model.strip(chr(34))}" in told
+    assert "undistort the photographs" in told
+
+
+@pytest.mark.parametrize(
+    "line", ["distortion_model: rational_polynomial\n", 'distortion_model: "plumb_bob"\r\n', "distortion_model:\n", ""]
+)
+def test_models_of_rtabmap_that_are_no_fisheye_are_read(tmp_path: Path, line: str) -> None:
+    made.write_rtabmap(made.truth(PINHOLE), tmp_path)
+    for file in (tmp_path / "map_calib").iterdir():
+        text = file.read_text(encoding="utf-8")
+        file.write_text(text.replace("distortion_model: plumb_bob\n", line), encoding="utf-8", newline="")
+    reader = reader_of(tmp_path)
+    assert reader is not None
+    assert len(reader().photos) == 4
+
+
 @pytest.mark.parametrize(
     ("names", "expected"),
     [
