@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 #: What :func:`list_images` takes for a photograph, lower case.
 PHOTO_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".heic", ".heif"})
 _HEIF_SUFFIXES = frozenset({".heic", ".heif"})
+#: Brands of still pictures in the first box of a file. Source: format; ISO/IEC 23008-12, annex B.
+_HEIF_BRANDS = frozenset({b"heic", b"heix", b"heim", b"heis", b"mif1"})
 
 #: Tag that says how to turn a photo upright. Source: format; Exif 2.32 (CIPA DC-008).
 _ORIENTATION = 0x0112
@@ -131,12 +133,22 @@ def is_upright_jpeg_or_png(path: Path | str) -> bool:
 
 def open_header(path: Path) -> Image:
     """Open a photograph without decoding it; :class:`ImageError` where its header cannot be read."""
-    if path.suffix.lower() in _HEIF_SUFFIXES:
+    if path.suffix.lower() in _HEIF_SUFFIXES or _is_heif(path):
         _register_heif(path)
     from PIL import Image
 
     with _told(path):
         return Image.open(path)
+
+
+def _is_heif(path: Path) -> bool:
+    """Whether a file of any name holds HEIC: programs that send photographs rename them to .jpg."""
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(12)
+    except OSError:
+        return False  # told where it is opened
+    return head[4:8] == b"ftyp" and head[8:12] in _HEIF_BRANDS
 
 
 @contextmanager

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +14,7 @@ from PIL import Image
 
 from fsinfer.errors import ImageError
 from fsinfer.io.exif import camera_exif, camera_key
-from fsinfer.io.images import image_size, list_images, read_image, write_image
+from fsinfer.io.images import image_size, is_upright_jpeg_or_png, list_images, read_image, write_image
 
 
 def picture(width: int = 60, height: int = 40) -> NDArray[np.uint8]:
@@ -127,6 +129,18 @@ def test_heic_without_its_reader_names_the_way_out(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "pillow_heif" else find(name))
     with pytest.raises(ImageError, match="pip install pillow-heif"):
         read_image(tmp_path / "a.heic")
+
+
+@pytest.mark.parametrize("name", ["a.jpg", "a.JPEG", "a.png"])
+def test_heic_by_another_name_is_read_whatever_was_read_before(tmp_path: Path, name: str) -> None:
+    """Such photographs were called damaged, unless one named .heic had been read before them."""
+    heif = pytest.importorskip("pillow_heif", reason="the reader of HEIC is not installed")
+    heif.from_pillow(Image.fromarray(picture(64, 48))).save(tmp_path / "a.heic", quality=95)
+    (tmp_path / name).write_bytes((tmp_path / "a.heic").read_bytes())
+    code = "import sys; from fsinfer.io.images import image_size; print(image_size(sys.argv[1]))"
+    done = subprocess.run([sys.executable, "-c", code, tmp_path / name], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout.strip()) == (0, "(64, 48)"), done.stderr
+    assert not is_upright_jpeg_or_png(tmp_path / name)
 
 
 def test_heic_is_read(tmp_path: Path) -> None:
