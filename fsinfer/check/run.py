@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -122,8 +122,9 @@ def check_capture(
         register_photos(ledger, images, settings=settings.poses, origin=source, progress=progress)
     seconds["poses"] = time.monotonic() - start - sum(seconds.values())
     photos = {stem: path for path, stem in frame_stems(list_captures(source)).items()}
-    # Frames that were coded again lost their place; the photos themselves have it.
-    originals = [photos.get(path.stem, path) for path in list_images(OutputFolder(out).frame_images)]
+    # Frames that were coded again lost their place; the photos themselves have it, under names of their own.
+    originals = {path.stem: photos.get(path.stem, path) for path in list_images(OutputFolder(out).frame_images)}
+    given = list(originals)
     scene, sparse = read_scene(OutputFolder(out).scene), read_sparse(OutputFolder(out).sparse)
     report = progress("check")
     scale, visible = _scale(settings.scale, scene, report)
@@ -131,9 +132,9 @@ def check_capture(
     glance = _coarse_depth(ledger, scene, settings.glance, report)
     seconds["depth"] = time.monotonic() - start - sum(seconds.values())
     survey = survey_scene(scene, sparse, glance, m_per_unit=scale.m_per_unit, settings=settings.survey)
-    result = judge_survey(survey, originals, scale, visible, settings=settings)
+    result = judge_survey(survey, given, scale, visible, originals=originals, settings=settings)
     poses = ledger.recall(POSES)
-    notes = habits(scene, () if poses is None else poses.result.warnings, [path.stem for path in originals]) + notes
+    notes = habits(scene, () if poses is None else poses.result.warnings, given) + notes
     seconds["stems"] = time.monotonic() - start - sum(seconds.values())
     result = _write(replace(result, notes=(*result.notes, *notes)), OutputFolder(out), seconds)
     shutil.rmtree(OutputFolder(out).check_work, ignore_errors=True)
@@ -171,24 +172,26 @@ def _coarse_depth(ledger: Ledger, scene: Scene, settings: GlanceSettings, progre
 
 def judge_survey(
     survey: Survey,
-    given: Sequence[Path],
+    given: Sequence[str],
     scale: Scale,
     boards: Scale,
     *,
+    originals: Mapping[str, Path] | None = None,
     settings: CheckSettings | None = None,
 ) -> CheckResult:
     """The check without its files: from the stems and who saw them to the result.
 
     Parameters
     ----------
-    given: the photos that were to be placed, in the order of walking; a photo's stem is the name of its view.
+    given: names of the photos that were to be placed, as their views are called, in the order of walking.
     scale: metres per unit, or unknown.
     boards: how the boards were seen, whatever their length; its ``details`` are empty where none was.
+    originals: the file that each of them comes from, by the view's name: what tells its place on the earth.
     """
     settings = settings or CheckSettings()
     names, cameras = survey.names, survey.cameras
     notes = [f"{len(names)} of {len(given)} photos placed."]
-    left_out = sorted({path.stem for path in given} - set(names))
+    left_out = sorted(set(given) - set(names))
     at_boards = marker_centers(boards, survey.plot_from_scene)[:, :2]
     # The post of a board is upright and round, too.
     kept = [
@@ -202,8 +205,8 @@ def judge_survey(
     judged = judge_stems(stems, survey.seen[kept], cameras, inside, settings=settings.coverage)
     sides = open_sides(cameras)
     judged = [_beyond(entry, sides) for entry in judged]
-    by_name = {path.stem: path for path in given}
-    compass = find_compass(cameras, gnss_places([by_name.get(name, Path(name)) for name in names]))
+    files = originals or {}
+    compass = find_compass(cameras, gnss_places([files.get(name, Path(name)) for name in names]))
     twice = boards_at_two_places(boards, scale_of(survey.plot_from_scene))
     # Of a length that nobody gave there is nothing to contradict; that boards are few is said with the boards.
     doubts = [doubt for doubt in doubt_boards(scale) if doubt.code != CaptureCode.one_board]
@@ -211,7 +214,7 @@ def judge_survey(
     lines += advice(
         names=names,
         left_out=left_out,
-        given=[path.stem for path in given],
+        given=given,
         stems=judged,
         compass=compass,
         sides=sides,
