@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fsinfer.errors import ScaleError
 from fsinfer.geometry.triangulation import triangulate
@@ -57,9 +58,11 @@ def scene(tmp_path: Path) -> Scene:
 ENDS = np.array([[-0.4, 0.3, 0.2], [0.5, -0.2, 0.4]])
 
 
-def clicked(scene: Scene, view: int, shift_px: float = 0.0) -> list[tuple[float, float]]:
+def clicked(
+    scene: Scene, view: int, shift_px: float = 0.0, ends: NDArray[np.float64] = ENDS
+) -> list[tuple[float, float]]:
     camera = scene.views[view].camera
-    projected = (ENDS @ camera.cam_from_world[:3, :3].T + camera.cam_from_world[:3, 3]) @ camera.intrinsic.T
+    projected = (ends @ camera.cam_from_world[:3, :3].T + camera.cam_from_world[:3, 3]) @ camera.intrinsic.T
     pixels = projected[:, :2] / projected[:, 2:] + shift_px
     return [(float(u), float(v)) for u, v in pixels]
 
@@ -106,6 +109,54 @@ def test_clicks_that_do_not_fit(scene: Scene) -> None:
         scale_from_clicks(scene, {"v0": clicked(scene, 0), "gone": clicked(scene, 0)}, 1.0)
     with pytest.raises(ScaleError, match="same spot"):
         scale_from_clicks(scene, {"v0": clicked(scene, 0), "v3": clicked(scene, 3, shift_px=80.0)}, 1.0)
+
+
+def along_the_walk(folder: Path, *x_m: float) -> Scene:
+    """Photographs side by side, all looking ahead; a unit is a metre."""
+    matrix = np.array([[3000.0, 0.0, 2000.0], [0.0, 3000.0, 1500.0], [0.0, 0.0, 1.0]])
+    views = []
+    for index, x in enumerate(x_m):
+        pose = np.eye(4)
+        # The third stands a little higher and farther back: off the line through the others.
+        pose[:3, 3] = [-x, 0.5 * (index == 2), 0.5 * (index == 2)]
+        camera = Camera(intrinsic=matrix, cam_from_world=pose, depth_min=1.0, depth_max=9.0)
+        views.append(View(name=f"v{index}", image_path=folder / f"v{index}.jpg", camera=camera, sources=()))
+    return Scene(folder=folder, views=tuple(views))
+
+
+# A metre held level, along the line through the cameras, and one that stands upright.
+LEVEL = np.array([[-0.5, 0.0, 4.0], [0.5, 0.0, 4.0]])
+UPRIGHT = np.array([[0.1, -0.5, 4.0], [0.1, 0.5, 4.0]])
+
+
+@pytest.mark.parametrize("exchanged", [False, True])
+def test_ends_that_fit_in_either_order_need_a_third_photo(tmp_path: Path, exchanged: bool) -> None:
+    scene = along_the_walk(tmp_path, -1.5, 1.5, 0.0)
+    clicks = {f"v{view}": clicked(scene, view, ends=LEVEL) for view in range(3)}
+    if exchanged:
+        clicks["v1"].reverse()
+    two = {name: clicks[name] for name in ("v0", "v1")}
+    # Read the one way they are a metre side by side, read the other way three metres, one end behind the other.
+    with pytest.raises(ScaleError, match=r"photos v0 and v1 fit .* in a third photo too"):
+        scale_from_clicks(scene, two, 1.0)
+    if exchanged:
+        with pytest.raises(ScaleError, match="miss each other"):
+            scale_from_clicks(scene, clicks, 1.0)
+    else:
+        assert scale_from_clicks(scene, clicks, 1.0).m_per_unit == pytest.approx(1.0, rel=1e-6)
+
+
+def test_ends_that_fit_in_one_order_need_no_third_photo(tmp_path: Path) -> None:
+    scene = along_the_walk(tmp_path, -1.5, 1.5)
+    upright = {f"v{view}": clicked(scene, view, ends=UPRIGHT) for view in range(2)}
+    assert scale_from_clicks(scene, upright, 1.0).m_per_unit == pytest.approx(1.0, rel=1e-6)
+    # So far away that it is 24 pixels long: exchanged it misses by half of them.
+    far = {f"v{view}": clicked(scene, view, ends=UPRIGHT * [1.0, 1.0, 31.0]) for view in range(2)}
+    assert scale_from_clicks(scene, far, 1.0).m_per_unit == pytest.approx(1.0, rel=1e-6)
+    # Nearer to each other than the length: exchanged, its rays would meet behind the cameras.
+    near = along_the_walk(tmp_path, -0.4, 0.4)
+    level = {f"v{view}": clicked(near, view, ends=LEVEL) for view in range(2)}
+    assert scale_from_clicks(near, level, 1.0).m_per_unit == pytest.approx(1.0, rel=1e-6)
 
 
 def test_triangulation_of_parallel_rays_is_none() -> None:
