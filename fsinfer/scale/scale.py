@@ -14,7 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from fsinfer.errors import ScaleError
 from fsinfer.geometry.similarity import apply
 from fsinfer.geometry.triangulation import TriangulatedPoint, triangulate
+from fsinfer.scale.agreement import agreement
 from fsinfer.scale.request import Point
+from fsinfer.scale.square_fit import MarkerSettings
 
 if TYPE_CHECKING:
     from fsinfer.scene import Scene
@@ -175,17 +177,21 @@ def scale_from_factor(m_per_unit: float) -> Scale:
     return Scale(m_per_unit=float(m_per_unit), source="factor", rel_std=None)
 
 
-def scale_from_endpoints(first: Sequence[float], second: Sequence[float], length_m: float) -> Scale:
+def scale_from_endpoints(
+    first: Sequence[float], second: Sequence[float], length_m: float, *, settings: MarkerSettings | None = None
+) -> Scale:
     """``s = L_real / L_model`` (the paper's equation) from two points of the model.
 
     Parameters
     ----------
     first, second: (3,) points in scene units.
     length_m: their real distance, metres.
+    settings: how well a length is known, and the model's warp.
 
     Returns
     -------
-    Source ``endpoints``; ``rel_std`` is that of two points picked in a cloud, a centimetre each.
+    Source ``endpoints``; ``rel_std`` is that of two points picked in a cloud, a centimetre each, with the warp of the
+    model and the error of the length itself, as for one board (:func:`fsinfer.scale.agreement.agreement`).
 
     Raises
     ------
@@ -202,11 +208,16 @@ def scale_from_endpoints(first: Sequence[float], second: Sequence[float], length
         msg = f"the end points {first} and {second} are the same; give the two ends of the {length_m} m length"
         raise ScaleError(msg)
     details = _end_details(points, length_units, length_m)
-    rel_std = math.sqrt(2) * PICK_SIGMA_M / length_m
-    return Scale(m_per_unit=length_m / length_units, source="endpoints", rel_std=rel_std, details=details)
+    return _of_one_length(details, math.sqrt(2) * PICK_SIGMA_M / length_m, settings)
 
 
-def scale_from_clicks(scene: Scene, clicks: Mapping[str, Sequence[tuple[float, float]]], length_m: float) -> Scale:
+def scale_from_clicks(
+    scene: Scene,
+    clicks: Mapping[str, Sequence[tuple[float, float]]],
+    length_m: float,
+    *,
+    settings: MarkerSettings | None = None,
+) -> Scale:
     """Scale from the two ends of a known length clicked in two or more photographs of the scene.
 
     Parameters
@@ -215,11 +226,13 @@ def scale_from_clicks(scene: Scene, clicks: Mapping[str, Sequence[tuple[float, f
     clicks: ``{view name: [(u, v) of the first end, (u, v) of the second end]}``, pixels of the scene image, the
         centre of the top left pixel is (0, 0).
     length_m: real distance of the two ends, metres.
+    settings: how well a length is known, and the model's warp.
 
     Returns
     -------
     Source ``endpoints``; ``rel_std`` follows from the angles of the rays and the clicking error: two pixels, or what
-    the clicks miss the ends by where that is more.
+    the clicks miss the ends by where that is more. The warp of the model and the error of the length itself are in
+    it, as for one board (:func:`fsinfer.scale.agreement.agreement`).
 
     Raises
     ------
@@ -257,14 +270,25 @@ def scale_from_clicks(scene: Scene, clicks: Mapping[str, Sequence[tuple[float, f
             "length each; click both ends in a third photo too, taken from another direction"
         )
         raise ScaleError(msg)
-    scale = scale_from_endpoints(ends[0].tolist(), ends[1].tolist(), length_m)
+    # Ends that are one point are no length.
+    scale_from_endpoints(ends[0].tolist(), ends[1].tolist(), length_m)
     direction = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
     std_units = math.sqrt(float(direction @ (covariances[0] + covariances[1]) @ direction))
     length_units = float(np.linalg.norm(ends[1] - ends[0]))
     details = replace(
         _end_details(np.array(ends), length_units, length_m), views=tuple(clicks), errors_px=tuple(errors_px)
     )
-    return Scale(m_per_unit=scale.m_per_unit, source="endpoints", rel_std=std_units / length_units, details=details)
+    return _of_one_length(details, std_units / length_units, settings)
+
+
+def _of_one_length(details: EndpointDetails, ends_rel_std: float, settings: MarkerSettings | None) -> Scale:
+    """The scale by one length; ``ends_rel_std`` is what its ends are off by, as a share of it.
+
+    Where it stands the model may be larger or smaller than elsewhere, which one length shows no more than one board.
+    """
+    m_per_unit = details.length_m / details.length_units
+    alone = agreement(np.array([m_per_unit]), np.array([ends_rel_std]), settings or MarkerSettings())
+    return Scale(m_per_unit=m_per_unit, source="endpoints", rel_std=alone.rel_std, details=details)
 
 
 def _meets(point: TriangulatedPoint) -> bool:
