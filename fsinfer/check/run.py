@@ -21,7 +21,6 @@ from fsinfer.check.open_sides import OpenSide, open_sides
 from fsinfer.check.result import CheckResult
 from fsinfer.check.settings import CoverageSettings
 from fsinfer.check.survey import Survey, SurveySettings, survey_scene
-from fsinfer.errors import ScaleError
 from fsinfer.frames.select import frame_stems, list_captures
 from fsinfer.frames.settings import FrameSettings
 from fsinfer.geometry.hull import in_hull
@@ -38,7 +37,14 @@ from fsinfer.scale.aruco import scale_from_aruco
 from fsinfer.scale.doubts import boards_at_two_places, doubt_boards
 from fsinfer.scale.find import find_scale, scale_from_printed_boards
 from fsinfer.scale.request import ScaleRequest
-from fsinfer.scale.scale import CAMERA_HEIGHT_M, UNKNOWN, Scale, marker_centers
+from fsinfer.scale.scale import (
+    CAMERA_HEIGHT_M,
+    UNKNOWN,
+    NoUsableMarkersError,
+    RejectedMarker,
+    Scale,
+    marker_centers,
+)
 from fsinfer.scene import Scene, read_scene, scene_digest
 from fsinfer.threads import one_blas_thread
 from fsinfer.workflow.cloud_stages import DEPTH
@@ -127,12 +133,12 @@ def check_capture(
     given = list(originals)
     scene, sparse = read_scene(OutputFolder(out).scene), read_sparse(OutputFolder(out).sparse)
     report = progress("check")
-    scale, visible = _scale(settings.scale, scene, report)
+    scale, visible, rejected = _scale(settings.scale, scene, report)
     seconds["boards"] = time.monotonic() - start - sum(seconds.values())
     glance = _coarse_depth(ledger, scene, settings.glance, report)
     seconds["depth"] = time.monotonic() - start - sum(seconds.values())
     survey = survey_scene(scene, sparse, glance, m_per_unit=scale.m_per_unit, settings=settings.survey)
-    result = judge_survey(survey, given, scale, visible, originals=originals, settings=settings)
+    result = judge_survey(survey, given, scale, visible, rejected=rejected, originals=originals, settings=settings)
     poses = ledger.recall(POSES)
     notes = habits(scene, () if poses is None else poses.result.warnings, given) + notes
     seconds["stems"] = time.monotonic() - start - sum(seconds.values())
@@ -176,6 +182,7 @@ def judge_survey(
     scale: Scale,
     boards: Scale,
     *,
+    rejected: Sequence[RejectedMarker] = (),
     originals: Mapping[str, Path] | None = None,
     settings: CheckSettings | None = None,
 ) -> CheckResult:
@@ -186,6 +193,7 @@ def judge_survey(
     given: names of the photos that were to be placed, as their views are called, in the order of walking.
     scale: metres per unit, or unknown.
     boards: how the boards were seen, whatever their length; its ``details`` are empty where none was.
+    rejected: the boards that were seen where none can be used.
     originals: the file that each of them comes from, by the view's name: what tells its place on the earth.
     """
     settings = settings or CheckSettings()
@@ -222,7 +230,7 @@ def judge_survey(
     )
     if scale.m_per_unit is None:
         notes.append(f"No scale: lengths are guessed from a phone held {CAMERA_HEIGHT_M:g} m high.")
-    notes += marker_lines(boards, given=settings.scale.given or scale.m_per_unit is not None)
+    notes += marker_lines(boards, rejected, given=settings.scale.given or scale.m_per_unit is not None)
     within = [entry for entry in judged if entry.inside]
     good = sum(entry.verdict in ("good", "far") for entry in within)
     if judged:
@@ -255,19 +263,19 @@ def _beyond(entry: StemCoverage, sides: Sequence[OpenSide]) -> StemCoverage:
     return replace(entry, verdict="beyond") if there and not entry.inside and entry.one_sided else entry
 
 
-def _scale(request: ScaleRequest, scene: Scene, progress: Progress) -> tuple[Scale, Scale]:
-    """The metric scale, and how the boards are seen where their length is not known."""
+def _scale(request: ScaleRequest, scene: Scene, progress: Progress) -> tuple[Scale, Scale, tuple[RejectedMarker, ...]]:
+    """The metric scale, how the boards are seen where it is not theirs, and those seen where none can be used."""
     if request.given:
         scale = find_scale(request, scene=scene, progress=progress).scale
     else:
         scale = scale_from_printed_boards(scene, progress) or UNKNOWN
     if scale.source == "aruco":
-        return scale, scale
+        return scale, scale, ()
     try:
         # The length does not matter for how well a board is seen.
-        return scale, scale_from_aruco(scene, 1.0, dictionary=request.aruco_dictionary, progress=progress)
-    except ScaleError:
-        return scale, UNKNOWN
+        return scale, scale_from_aruco(scene, 1.0, dictionary=request.aruco_dictionary, progress=progress), ()
+    except NoUsableMarkersError as error:
+        return scale, UNKNOWN, error.rejected
 
 
 def _write(result: CheckResult, folder: OutputFolder, seconds: dict[str, float]) -> CheckResult:

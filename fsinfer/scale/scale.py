@@ -96,6 +96,14 @@ class RejectedMarker:
     reason: str
 
 
+class NoUsableMarkersError(ScaleError):
+    """No marker gives the scale; ``rejected`` are the numbers that were seen all the same, and why they do not."""
+
+    def __init__(self, message: str, rejected: Sequence[RejectedMarker]) -> None:
+        super().__init__(message)
+        self.rejected = tuple(rejected)
+
+
 @dataclass(frozen=True, kw_only=True)
 class MarkerDetails:
     """A scale by ArUco markers.

@@ -17,6 +17,7 @@ from fsinfer.check import CheckResult, CheckSettings, check_capture
 from fsinfer.check.coarse_depth import read_glance
 from fsinfer.check.compass import gnss_places
 from fsinfer.check.map import draw_map
+from fsinfer.check.run import _scale as boards_seen
 from fsinfer.check.run import judge_survey
 from fsinfer.check.settings import SightingSettings, SparseStemSettings
 from fsinfer.check.sparse_stems import find_sparse_stems
@@ -28,7 +29,9 @@ from fsinfer.poses.colmap import reconstruct
 from fsinfer.poses.estimate import PosesResult, estimate_poses
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.sparse import SparseModel
-from fsinfer.scale.scale import MarkerScale, Scale
+from fsinfer.progress import silent
+from fsinfer.scale.request import ScaleRequest
+from fsinfer.scale.scale import MarkerScale, NoUsableMarkersError, RejectedMarker, Scale
 from fsinfer.scene import Scene
 from fsinfer.trees import StemSettings
 from fsinfer.workflow import photo_stages, pipeline
@@ -196,6 +199,22 @@ def test_a_board_at_two_places_tells_of_photos_placed_wrongly(plot: Plot) -> Non
         if told:
             assert lines[0].startswith("Board 40 was found at two places 4.5 m apart.")
             assert "perhaps p30 to p32" in lines[0]
+
+
+def test_boards_of_which_none_can_be_used_are_told(plot: Plot, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = RejectedMarker(id=7, reason="2 views: fewer than 3 agree on one place")
+
+    def none(*_: object, **__: object) -> Scale:
+        raise NoUsableMarkersError("no ArUco marker can be used", [seen])
+
+    monkeypatch.setattr("fsinfer.scale.find.scale_from_aruco", none)
+    monkeypatch.setattr("fsinfer.check.run.scale_from_aruco", none)
+    for request in (ScaleRequest(), ScaleRequest(aruco_length_m=0.25)):
+        scale, boards, rejected = boards_seen(request, plot({})[0], silent)
+        found = survey(plot({}))
+        notes = judge_survey(found, found.names, scale, boards, rejected=rejected).notes
+        assert any(note.startswith("Board 7 cannot be used (2 views: fewer than 3 agree") for note in notes)
+        assert any(note.startswith("No board can be used") for note in notes)
 
 
 def test_the_post_of_a_board_is_no_stem(plot: Plot) -> None:
