@@ -144,7 +144,11 @@ def marker_lines(scale: Scale, rejected: Sequence[RejectedMarker] = (), *, given
         views, side_px = len(entry.views), entry.near_side_px
         good = views >= GOOD_SIGHTINGS and side_px >= _BOARD_SIDE_PX
         hint = "good" if good else "pass it again at 2 to 3 m, facing it, for five sharp photos"
-        lines.append(f"Board {entry.id}: in {views} photos, its side up to {side_px:.0f} pixels: {hint}.")
+        # One sharp photo from near by does not make five: what is told is what five of them have.
+        where = "the five nearest" if views > GOOD_SIGHTINGS else "all of them"
+        lines.append(
+            f"Board {entry.id}: in {views} photos, in {where} its side is at least {side_px:.0f} pixels: {hint}."
+        )
     reasons: dict[int, list[str]] = {}
     for marker in (*scale.rejected, *rejected):
         reasons.setdefault(marker.id, []).append(marker.reason)
