@@ -14,7 +14,7 @@ from fsinfer.check.open_sides import OpenSide
 from fsinfer.check.settings import CoverageSettings
 from fsinfer.scale.aruco import GOOD_SIGHTINGS
 from fsinfer.scale.doubts import number_of_boards
-from fsinfer.scale.scale import Scale
+from fsinfer.scale.scale import RejectedMarker, Scale
 
 #: Photos in directions so near to the middle of the unseen side are named as places to stand. Source: judgement.
 _PLACE_DEG = 20.0
@@ -130,18 +130,31 @@ def _gaps_of_the_walk(given: Sequence[str], left_out: set[str]) -> list[str]:
     return lines
 
 
-def marker_lines(scale: Scale, *, given: bool) -> list[str]:
-    """How well each board was seen, and what to do about it."""
+def marker_lines(scale: Scale, rejected: Sequence[RejectedMarker] = (), *, given: bool) -> list[str]:
+    """How well each board was seen, and what to do about it.
+
+    Parameters
+    ----------
+    scale: by the boards, whatever their length. rejected: those that were seen where there is no such scale.
+    given: whether their length is known.
+    """
     found = scale.markers
     lines = []
     for entry in found:
         views, side_px = len(entry.views), entry.near_side_px
         good = views >= GOOD_SIGHTINGS and side_px >= _BOARD_SIDE_PX
         hint = "good" if good else "pass it again at 2 to 3 m, facing it, for five sharp photos"
-        lines.append(f"Board {entry.id}: in {views} photos, its side up to {side_px:.0f} pixels: {hint}.")
-    usable = {entry.id for entry in found}
-    for marker in (marker for marker in scale.rejected if marker.id not in usable):
-        lines.append(f"Board {marker.id} cannot be used ({marker.reason}): pass it again at 2 to 3 m, facing it.")
+        # One sharp photo from near by does not make five: what is told is what five of them have.
+        where = "the five nearest" if views > GOOD_SIGHTINGS else "all of them"
+        lines.append(
+            f"Board {entry.id}: in {views} photos, in {where} its side is at least {side_px:.0f} pixels: {hint}."
+        )
+    reasons: dict[int, list[str]] = {}
+    for marker in (*scale.rejected, *rejected):
+        reasons.setdefault(marker.id, []).append(marker.reason)
+    for number in (number for number in reasons if number not in {entry.id for entry in found}):
+        why = "; ".join(reasons[number])
+        lines.append(f"Board {number} cannot be used ({why}): pass it again at 2 to 3 m, facing it.")
     if not found:
         lines.append(
             "No board can be used: no diameter is measured, unless something else of known length is in the photos, "

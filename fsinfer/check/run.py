@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,6 @@ from fsinfer.check.open_sides import OpenSide, open_sides
 from fsinfer.check.result import CheckResult
 from fsinfer.check.settings import CoverageSettings
 from fsinfer.check.survey import Survey, SurveySettings, survey_scene
-from fsinfer.errors import ScaleError
 from fsinfer.frames.select import frame_stems, list_captures
 from fsinfer.frames.settings import FrameSettings
 from fsinfer.geometry.hull import in_hull
@@ -38,7 +37,14 @@ from fsinfer.scale.aruco import scale_from_aruco
 from fsinfer.scale.doubts import boards_at_two_places, doubt_boards
 from fsinfer.scale.find import find_scale, scale_from_printed_boards
 from fsinfer.scale.request import ScaleRequest
-from fsinfer.scale.scale import CAMERA_HEIGHT_M, UNKNOWN, Scale, marker_centers
+from fsinfer.scale.scale import (
+    CAMERA_HEIGHT_M,
+    UNKNOWN,
+    NoUsableMarkersError,
+    RejectedMarker,
+    Scale,
+    marker_centers,
+)
 from fsinfer.scene import Scene, read_scene, scene_digest
 from fsinfer.threads import one_blas_thread
 from fsinfer.workflow.cloud_stages import DEPTH
@@ -122,18 +128,19 @@ def check_capture(
         register_photos(ledger, images, settings=settings.poses, origin=source, progress=progress)
     seconds["poses"] = time.monotonic() - start - sum(seconds.values())
     photos = {stem: path for path, stem in frame_stems(list_captures(source)).items()}
-    # Frames that were coded again lost their place; the photos themselves have it.
-    originals = [photos.get(path.stem, path) for path in list_images(OutputFolder(out).frame_images)]
+    # Frames that were coded again lost their place; the photos themselves have it, under names of their own.
+    originals = {path.stem: photos.get(path.stem, path) for path in list_images(OutputFolder(out).frame_images)}
+    given = list(originals)
     scene, sparse = read_scene(OutputFolder(out).scene), read_sparse(OutputFolder(out).sparse)
     report = progress("check")
-    scale, visible = _scale(settings.scale, scene, report)
+    scale, visible, rejected = _scale(settings.scale, scene, report)
     seconds["boards"] = time.monotonic() - start - sum(seconds.values())
     glance = _coarse_depth(ledger, scene, settings.glance, report)
     seconds["depth"] = time.monotonic() - start - sum(seconds.values())
     survey = survey_scene(scene, sparse, glance, m_per_unit=scale.m_per_unit, settings=settings.survey)
-    result = judge_survey(survey, originals, scale, visible, settings=settings)
+    result = judge_survey(survey, given, scale, visible, rejected=rejected, originals=originals, settings=settings)
     poses = ledger.recall(POSES)
-    notes = habits(scene, () if poses is None else poses.result.warnings, [path.stem for path in originals]) + notes
+    notes = habits(scene, () if poses is None else poses.result.warnings, given) + notes
     seconds["stems"] = time.monotonic() - start - sum(seconds.values())
     result = _write(replace(result, notes=(*result.notes, *notes)), OutputFolder(out), seconds)
     shutil.rmtree(OutputFolder(out).check_work, ignore_errors=True)
@@ -171,24 +178,28 @@ def _coarse_depth(ledger: Ledger, scene: Scene, settings: GlanceSettings, progre
 
 def judge_survey(
     survey: Survey,
-    given: Sequence[Path],
+    given: Sequence[str],
     scale: Scale,
     boards: Scale,
     *,
+    rejected: Sequence[RejectedMarker] = (),
+    originals: Mapping[str, Path] | None = None,
     settings: CheckSettings | None = None,
 ) -> CheckResult:
     """The check without its files: from the stems and who saw them to the result.
 
     Parameters
     ----------
-    given: the photos that were to be placed, in the order of walking; a photo's stem is the name of its view.
+    given: names of the photos that were to be placed, as their views are called, in the order of walking.
     scale: metres per unit, or unknown.
     boards: how the boards were seen, whatever their length; its ``details`` are empty where none was.
+    rejected: the boards that were seen where none can be used.
+    originals: the file that each of them comes from, by the view's name: what tells its place on the earth.
     """
     settings = settings or CheckSettings()
     names, cameras = survey.names, survey.cameras
     notes = [f"{len(names)} of {len(given)} photos placed."]
-    left_out = sorted({path.stem for path in given} - set(names))
+    left_out = sorted(set(given) - set(names))
     at_boards = marker_centers(boards, survey.plot_from_scene)[:, :2]
     # The post of a board is upright and round, too.
     kept = [
@@ -202,8 +213,8 @@ def judge_survey(
     judged = judge_stems(stems, survey.seen[kept], cameras, inside, settings=settings.coverage)
     sides = open_sides(cameras)
     judged = [_beyond(entry, sides) for entry in judged]
-    by_name = {path.stem: path for path in given}
-    compass = find_compass(cameras, gnss_places([by_name.get(name, Path(name)) for name in names]))
+    files = originals or {}
+    compass = find_compass(cameras, gnss_places([files.get(name, Path(name)) for name in names]))
     twice = boards_at_two_places(boards, scale_of(survey.plot_from_scene))
     # Of a length that nobody gave there is nothing to contradict; that boards are few is said with the boards.
     doubts = [doubt for doubt in doubt_boards(scale) if doubt.code != CaptureCode.one_board]
@@ -211,7 +222,7 @@ def judge_survey(
     lines += advice(
         names=names,
         left_out=left_out,
-        given=[path.stem for path in given],
+        given=given,
         stems=judged,
         compass=compass,
         sides=sides,
@@ -219,7 +230,7 @@ def judge_survey(
     )
     if scale.m_per_unit is None:
         notes.append(f"No scale: lengths are guessed from a phone held {CAMERA_HEIGHT_M:g} m high.")
-    notes += marker_lines(boards, given=settings.scale.given or scale.m_per_unit is not None)
+    notes += marker_lines(boards, rejected, given=settings.scale.given or scale.m_per_unit is not None)
     within = [entry for entry in judged if entry.inside]
     good = sum(entry.verdict in ("good", "far") for entry in within)
     if judged:
@@ -252,19 +263,19 @@ def _beyond(entry: StemCoverage, sides: Sequence[OpenSide]) -> StemCoverage:
     return replace(entry, verdict="beyond") if there and not entry.inside and entry.one_sided else entry
 
 
-def _scale(request: ScaleRequest, scene: Scene, progress: Progress) -> tuple[Scale, Scale]:
-    """The metric scale, and how the boards are seen where their length is not known."""
+def _scale(request: ScaleRequest, scene: Scene, progress: Progress) -> tuple[Scale, Scale, tuple[RejectedMarker, ...]]:
+    """The metric scale, how the boards are seen where it is not theirs, and those seen where none can be used."""
     if request.given:
         scale = find_scale(request, scene=scene, progress=progress).scale
     else:
         scale = scale_from_printed_boards(scene, progress) or UNKNOWN
     if scale.source == "aruco":
-        return scale, scale
+        return scale, scale, ()
     try:
         # The length does not matter for how well a board is seen.
-        return scale, scale_from_aruco(scene, 1.0, dictionary=request.aruco_dictionary, progress=progress)
-    except ScaleError:
-        return scale, UNKNOWN
+        return scale, scale_from_aruco(scene, 1.0, dictionary=request.aruco_dictionary, progress=progress), ()
+    except NoUsableMarkersError as error:
+        return scale, UNKNOWN, error.rejected
 
 
 def _write(result: CheckResult, folder: OutputFolder, seconds: dict[str, float]) -> CheckResult:

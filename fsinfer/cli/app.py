@@ -53,6 +53,7 @@ from fsinfer.cli.options import (
     depth_settings,
     frame_settings,
     plot_border,
+    pose_settings,
     scale_request,
     tree_settings,
 )
@@ -179,14 +180,13 @@ def run(
     border = plot_border(plot_radius_m, plot_center, plot_polygon)
     from fsinfer.cli.remaining import RemainingTime
     from fsinfer.fusion.fuse import FusionSettings
-    from fsinfer.poses.settings import PoseSettings
     from fsinfer.silhouettes.walk import WalkSettings
     from fsinfer.workflow.pipeline import run as run_pipeline
     from fsinfer.workflow.settings import RunSettings
 
     settings = RunSettings(
         frames=frame_settings(interval_s=interval_s, equalize=equalize),
-        poses=PoseSettings(threads=threads),
+        poses=pose_settings(request, threads=threads),
         depth=depth_settings(
             model=model,
             views=views,

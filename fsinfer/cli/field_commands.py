@@ -9,7 +9,7 @@ import typer
 
 from fsinfer.check.settings import CoverageSettings
 from fsinfer.cli.console import Debug, Quiet, reports_errors, stage_progress
-from fsinfer.cli.options import ArucoDictionary, ArucoLength, IntervalS, Out, decimal, scale_request
+from fsinfer.cli.options import ArucoDictionary, ArucoLength, IntervalS, Out, decimal, pose_settings, scale_request
 from fsinfer.frames.settings import FrameSettings
 from fsinfer.scale.printed_boards import BOARDS, DICTIONARY, Paper
 from fsinfer.scale.request import ScaleRequest
@@ -94,6 +94,7 @@ def check(
         scale=request,
         coverage=CoverageSettings(margin_m=margin_m),
         frames=FrameSettings(interval_s=interval_s),
+        poses=pose_settings(request),
     )
     with stage_progress(quiet=quiet) as progress:
         result = check_capture(source, out, settings=settings, progress=progress)

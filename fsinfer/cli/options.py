@@ -15,6 +15,7 @@ from fsinfer.plot_border.request import BorderRequest, border_request
 from fsinfer.scale.request import ScaleRequest, parse_point
 
 if TYPE_CHECKING:
+    from fsinfer.poses.settings import PoseSettings
     from fsinfer.trees import TreeSettings
 
 _SCALE = "Scale (one of)"
@@ -69,7 +70,12 @@ ArucoLength = Annotated[
     ),
 ]
 ArucoDictionary = Annotated[
-    str, typer.Option("--aruco-dictionary", help="Which ArUco markers they are.", rich_help_panel=_SCALE)
+    str,
+    typer.Option(
+        "--aruco-dictionary",
+        help="Which ArUco markers they are; run and check tie the photos by them, too.",
+        rich_help_panel=_SCALE,
+    ),
 ]
 Endpoints = Annotated[
     tuple[str, str] | None,
@@ -203,6 +209,16 @@ def scale_request(
         endpoints=points,
         length_m=length_m,
     )
+
+
+def pose_settings(scale: ScaleRequest, *, threads: int = 0) -> PoseSettings:
+    """Settings of the poses: markers tie the photos that tell the scale, so that both look for the same ones.
+
+    ``check`` and ``run`` make them alike, and a run goes on with the poses of a check.
+    """
+    from fsinfer.poses.settings import PoseSettings
+
+    return PoseSettings(threads=threads, dictionary=scale.aruco_dictionary)
 
 
 def frame_settings(*, interval_s: float, equalize: Equalize) -> FrameSettings:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -33,6 +33,9 @@ _EXPOSURE_CHANGE = 2.0
 _CLAHE_CLIP, _CLAHE_TILES = 2.0, 8
 #: Sharpness that stands for none where the logarithm is taken. Source: numerics.
 _LEAST_SHARPNESS = 1e-9
+#: Photographs of one camera that tell how sharp its others should be, at least. Source: judgement; the median of ten is
+#: known to four tenths of their spread.
+_FEWEST_OF_A_CAMERA = 10
 #: Standard deviation over median absolute deviation of a normal distribution. Source: numerics.
 _STD_OVER_MAD = 1.4826
 EQUALIZERS = tuple(method.value for method in Equalize)
@@ -76,18 +79,21 @@ def score_frame(image: NDArray[np.uint8]) -> FrameScore:
     )
 
 
-def reasons_to_drop(scores: Sequence[FrameScore], limits: QualityLimits) -> list[Notice | None]:
-    """For each photograph of a set, in order of capture, why it is dropped; None keeps it."""
+def reasons_to_drop(
+    scores: Sequence[FrameScore], limits: QualityLimits, cameras: Sequence[Hashable] = ()
+) -> list[Notice | None]:
+    """For each photograph of a set, in order of capture, why it is dropped; None keeps it.
+
+    Parameters
+    ----------
+    cameras: for each photograph what names its camera; empty where one camera took them all. Each camera's photographs
+        are judged as blurred by their own sharpness, and those of a camera that took few by that of all.
+    """
     reasons = [_exposure_reason(score, limits) for score in scores]
     usable = [index for index, reason in enumerate(reasons) if reason is None]
     if not usable:
         return reasons
-    logs = np.log([max(scores[index].sharpness, _LEAST_SHARPNESS) for index in usable])
-    median = float(np.median(logs))
-    spread = _STD_OVER_MAD * float(np.median(np.abs(logs - median)))
-    limit = min(median + float(np.log(limits.min_relative_sharpness)), median - limits.min_robust_z * spread)
-    blurred = [usable[rank] for rank in np.argsort(logs, kind="stable") if logs[rank] < limit]
-    for index in blurred[: int(limits.max_blurred_share * len(usable))]:
+    for index in _blurred(scores, usable, limits, cameras or [None] * len(scores)):
         reasons[index] = notice(CaptureCode.blurred)
     last: FrameScore | None = None
     for index, score in enumerate(scores):
@@ -98,6 +104,32 @@ def reasons_to_drop(scores: Sequence[FrameScore], limits: QualityLimits) -> list
         else:
             last = score
     return reasons
+
+
+def _blurred(
+    scores: Sequence[FrameScore], usable: Sequence[int], limits: QualityLimits, cameras: Sequence[Hashable]
+) -> set[int]:
+    """Which of the ``usable`` photographs are blurred, each camera judged by itself where it took enough of them."""
+    by_camera: dict[Hashable, list[int]] = {}
+    for index in usable:
+        by_camera.setdefault(cameras[index], []).append(index)
+    found: set[int] = set()
+    for own in by_camera.values():
+        # One lens and one processing is softer than another, the same for all its photographs: that is no blur. Of a
+        # few photographs the median says little, and they might all be blurred.
+        set_of_it = own if len(own) >= _FEWEST_OF_A_CAMERA else usable
+        found |= set(own) & set(_softest(scores, set_of_it, limits))
+    return found
+
+
+def _softest(scores: Sequence[FrameScore], members: Sequence[int], limits: QualityLimits) -> list[int]:
+    """Those of ``members`` that are far less sharp than most of them, at most a share of them."""
+    logs = np.log([max(scores[index].sharpness, _LEAST_SHARPNESS) for index in members])
+    median = float(np.median(logs))
+    spread = _STD_OVER_MAD * float(np.median(np.abs(logs - median)))
+    limit = min(median + float(np.log(limits.min_relative_sharpness)), median - limits.min_robust_z * spread)
+    blurred = [members[rank] for rank in np.argsort(logs, kind="stable") if logs[rank] < limit]
+    return blurred[: int(limits.max_blurred_share * len(members))]
 
 
 def difference(first: NDArray[np.float32], second: NDArray[np.float32]) -> float:

@@ -15,7 +15,7 @@ from fsinfer.frames.settings import FrameSettings, VideoSettings
 from fsinfer.frames.table import FrameRow, frames_csv
 from fsinfer.frames.times import names_against_times
 from fsinfer.frames.video import VIDEO_SUFFIXES, is_live_photo, sharpest_frames
-from fsinfer.io.exif import camera_exif, named_camera_exif
+from fsinfer.io.exif import camera_exif, camera_key, named_camera_exif
 from fsinfer.io.files import copy_file, write_text
 from fsinfer.io.images import PHOTO_SUFFIXES, is_upright_jpeg_or_png, list_images, read_image, write_image
 from fsinfer.io.names import by_number, sortable
@@ -182,7 +182,8 @@ def _from_photos(
     if not scores and first_error is not None:
         raise first_error
     usable = list(scores)
-    for path, reason in zip(usable, reasons_to_drop([scores[p] for p in usable], settings.limits), strict=True):
+    found = reasons_to_drop([scores[path] for path in usable], settings.limits, [_camera(path) for path in usable])
+    for path, reason in zip(usable, found, strict=True):
         reasons[path] = reason
     for done, path in enumerate(paths):
         progress(len(paths) + done, 2 * len(paths), "writing frames")
@@ -194,6 +195,11 @@ def _from_photos(
             tiles.append(Tile(image=small, name=path.name, reason=sentence(reason)))
     progress(2 * len(paths), 2 * len(paths), "writing frames")
     return [_row(stems[path], path.name, None, scores.get(path), reasons[path]) for path in paths]
+
+
+def _camera(path: Path) -> tuple[str, ...]:
+    """Maker, model and lens of a photo; one turned upright has the same, so that its size is left out."""
+    return camera_key(path)[2:]
 
 
 def _write_photo(path: Path, target: Path, settings: FrameSettings) -> None:

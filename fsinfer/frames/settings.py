@@ -20,10 +20,10 @@ class QualityLimits:
 
     Attributes
     ----------
-    min_relative_sharpness: share of the set's median sharpness. Source: judgement.
+    min_relative_sharpness: share of the median sharpness of the photos of the same camera. Source: judgement.
     min_robust_z: and this many robust standard deviations (1.4826 MAD of the logarithm) below the median: photos of
         smooth bark beside photos of leaves differ by nature. Source: judgement; three standard deviations.
-    max_blurred_share: at most this share of a set is dropped as blurred, the worst first. A person chose the photos,
+    max_blurred_share: at most this share of them is dropped as blurred, the worst first. A person chose the photos,
         and a gap in the walk costs more than a soft photo. Source: judgement.
     blank_mean_levels: the mean luminance of a photo may be so near to black or white, 0 and 255. Source: judgement.
     max_blank_share: share of pixels that are black, or that are white; a forest against the sky easily has 30 % of

@@ -9,14 +9,21 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.errors import ScaleError
 from fsinfer.io.images import luminance, read_image
 from fsinfer.progress import Progress, silent
 from fsinfer.scale.agreement import agreement, faces_of_boards
 from fsinfer.scale.blooming import bloom_of, common_blooming, without_blooming
 from fsinfer.scale.detection import detect_markers, make_detector, predefined_dictionary
 from fsinfer.scale.printed_boards import DICTIONARY
-from fsinfer.scale.scale import BoardVerdict, MarkerDetails, MarkerScale, RejectedMarker, Scale, check_length
+from fsinfer.scale.scale import (
+    BoardVerdict,
+    MarkerDetails,
+    MarkerScale,
+    NoUsableMarkersError,
+    RejectedMarker,
+    Scale,
+    check_length,
+)
 from fsinfer.scale.square_fit import FittedMarker, MarkerSettings, Sighting, find_markers
 from fsinfer.scene import Scene
 
@@ -55,8 +62,10 @@ def scale_from_aruco(
 
     Raises
     ------
+    NoUsableMarkersError
+        No marker can be used.
     ScaleError
-        No marker can be used, the length is not positive, or the dictionary is unknown.
+        The length is not positive, or the dictionary is unknown.
     ImageError
         A scene image cannot be read.
     """
@@ -93,7 +102,7 @@ def scale_from_aruco(
         markers += found
         rejected += [RejectedMarker(id=number, reason=reason) for reason in reasons]
     if not markers:
-        raise ScaleError(_nothing_found(scene, sightings, rejected, dictionary, settings))
+        raise NoUsableMarkersError(_nothing_found(scene, sightings, rejected, dictionary, settings), rejected)
     numbers = [marker.sightings[0].marker_id for marker in markers]
     lengths = [length_m[number] if isinstance(length_m, Mapping) else length_m for number in numbers]
     combined, rel_std, each = _combine(scene, markers, np.array(lengths), settings)

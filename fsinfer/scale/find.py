@@ -54,7 +54,7 @@ def find_scale(
     if request.factor is not None:
         return FoundScale(scale=scale_from_factor(request.factor))
     if request.endpoints is not None and request.length_m is not None:
-        return FoundScale(scale=scale_from_endpoints(*request.endpoints, request.length_m))
+        return FoundScale(scale=scale_from_endpoints(*request.endpoints, request.length_m, settings=settings))
     if request.clicks is not None and scene is not None:
         return _by_clicks(request, request.clicks, scene, settings, progress)
     if request.aruco_length_m is None:
@@ -84,7 +84,7 @@ def _by_clicks(
 ) -> FoundScale:
     """By the clicks; where they do not fit the scene, which may have been registered anew, as if there were none."""
     try:
-        return FoundScale(scale=scale_from_clicks(scene, clicked.by_view, clicked.length_m))
+        return FoundScale(scale=scale_from_clicks(scene, clicked.by_view, clicked.length_m, settings=settings))
     except ScaleError as error:
         told = notice(CaptureCode.clicks_do_not_fit, error=str(error))
         other = find_scale(replace(request, clicks=None), scene=scene, settings=settings, progress=progress)

@@ -47,7 +47,8 @@ class ScaleRequest:
     ----------
     factor: metres per unit of the cloud or scene. Source: option.
     aruco_length_m: side of the black square of every ArUco marker in the photographs, metres. Source: option.
-    aruco_dictionary: name of the marker dictionary, as printed on the markers. Source: option.
+    aruco_dictionary: name of the marker dictionary, as printed on the markers; kept in capitals and without OpenCV's
+        ``DICT_``. Source: option.
     endpoints: two points, in the units of the cloud without a scale; only their distance matters. Source:
         option.
     length_m: the true distance of the two points, metres. Source: option.
@@ -60,7 +61,7 @@ class ScaleRequest:
     Raises
     ------
     InputError
-        More than one source, half a source, or a length that is not positive.
+        More than one source, half a source, a length that is not positive, or an unknown dictionary.
     """
 
     factor: float | None = None
@@ -97,15 +98,15 @@ class ScaleRequest:
             if length is not None and not (math.isfinite(length) and length > 0):
                 msg = f"{option} is {length}; it must be a number above 0"
                 raise InputError(msg)
-        if self.aruco_length_m is not None:
-            if self.aruco_length_m > LONGEST_BOARD_M:
-                centimetres = self.aruco_length_m / 100
-                msg = (
-                    f"--aruco-length-m {self.aruco_length_m:g}: no marker is so large; the side of the black square is "
-                    f"given in metres ({self.aruco_length_m:g} cm are {centimetres:g})"
-                )
-                raise InputError(msg)
-            _check_dictionary(self.aruco_dictionary)
+        if self.aruco_length_m is not None and self.aruco_length_m > LONGEST_BOARD_M:
+            centimetres = self.aruco_length_m / 100
+            msg = (
+                f"--aruco-length-m {self.aruco_length_m:g}: no marker is so large; the side of the black square is "
+                f"given in metres ({self.aruco_length_m:g} cm are {centimetres:g})"
+            )
+            raise InputError(msg)
+        # Stages whose settings differ run again, which another way to write the same name must not cause.
+        object.__setattr__(self, "aruco_dictionary", _known_dictionary(self.aruco_dictionary))
         if self.endpoints is not None:
             distance = math.dist(*self.endpoints)
             if not math.isfinite(distance) or distance == 0:
@@ -130,11 +131,16 @@ def parse_point(text: str) -> Point:
     return values[0], values[1], values[2]
 
 
-def _check_dictionary(name: str) -> None:
+def _known_dictionary(name: str) -> str:
+    """The name without OpenCV's prefix, in capitals, as ``DICTIONARY`` is written."""
+    plain = name.upper().removeprefix("DICT_")
+    if plain == DICTIONARY:
+        return plain
     # A misspelt name must not show after an hour of structure from motion.
     from fsinfer.scale.detection import dictionary_names
 
     known = dictionary_names()
-    if name.upper().removeprefix("DICT_") not in known:
+    if plain not in known:
         msg = f"--aruco-dictionary {name} is unknown; it is one of {', '.join(known)}"
         raise InputError(msg)
+    return plain

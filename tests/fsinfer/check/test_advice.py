@@ -152,5 +152,18 @@ def test_boards_seen_too_seldom_or_from_far() -> None:
         "Board 43 cannot be used (1 views)",
     ]
     assert [line.endswith("good.") for line in lines] == [True, False, False, False]
+    # One from an arm's length says nothing of the others.
+    assert lines[0].startswith("Board 40: in 12 photos, in the five nearest its side is at least 80 pixels: good")
+    assert lines[1].startswith("Board 41: in 4 photos, in all of them its side is at least 80 pixels: pass it again")
+    five = marker_lines(scale_of_boards([entry(40, 5, 60.0)]), given=True)[0]
+    assert five == "Board 40: in 5 photos, in all of them its side is at least 60 pixels: good."
     assert "--endpoints" in marker_lines(NO_SCALE, given=False)[0]
+    # Where none can be used they are told all the same, each once.
+    reasons = [(43, "3 views: the corners do not make a square"), (43, "2 views: too few"), (44, "1 views: too few")]
+    alone = [RejectedMarker(id=number, reason=reason) for number, reason in reasons]
+    lines = marker_lines(NO_SCALE, alone, given=False)
+    assert len(lines) == 3
+    assert lines[0].startswith("Board 43 cannot be used (3 views: the corners do not make a square; 2 views: too few):")
+    assert lines[1] == "Board 44 cannot be used (1 views: too few): pass it again at 2 to 3 m, facing it."
+    assert lines[2].startswith("No board can be used")
     assert "--aruco-length-m" in marker_lines(scale, given=False)[-1]

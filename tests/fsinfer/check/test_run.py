@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from fsinfer.check import CheckResult, CheckSettings, check_capture
 from fsinfer.check.coarse_depth import read_glance
+from fsinfer.check.compass import gnss_places
 from fsinfer.check.map import draw_map
+from fsinfer.check.run import _scale as boards_seen
 from fsinfer.check.run import judge_survey
 from fsinfer.check.settings import SightingSettings, SparseStemSettings
 from fsinfer.check.sparse_stems import find_sparse_stems
@@ -27,7 +29,9 @@ from fsinfer.poses.colmap import reconstruct
 from fsinfer.poses.estimate import PosesResult, estimate_poses
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.sparse import SparseModel
-from fsinfer.scale.scale import MarkerScale, Scale
+from fsinfer.progress import silent
+from fsinfer.scale.request import ScaleRequest
+from fsinfer.scale.scale import MarkerScale, NoUsableMarkersError, RejectedMarker, Scale
 from fsinfer.scene import Scene
 from fsinfer.trees import StemSettings
 from fsinfer.workflow import photo_stages, pipeline
@@ -62,7 +66,7 @@ def survey(plot: tuple[Scene, SparseModel], scale: Scale = NO_SCALE, settings: S
 
 
 def check(plot: tuple[Scene, SparseModel], scale: Scale = NO_SCALE) -> CheckResult:
-    return judge_survey(survey(plot, scale), [view.image_path for view in plot[0].views], scale, NO_SCALE)
+    return judge_survey(survey(plot, scale), [view.name for view in plot[0].views], scale, NO_SCALE)
 
 
 def true_place(result: CheckResult, center: NDArray[np.float64]) -> complex:
@@ -98,7 +102,7 @@ def test_a_plot_without_stems_says_that_it_cannot_judge(plot: Plot) -> None:
     found = survey((scene, sparse), settings=settings)
     no_depth = survey_scene(scene, sparse, None, m_per_unit=UNIT)
     for none in (found, no_depth):
-        result = judge_survey(none, [view.image_path for view in scene.views], NO_SCALE, NO_SCALE)
+        result = judge_survey(none, [view.name for view in scene.views], NO_SCALE, NO_SCALE)
         assert (result.stems, result.lines) == ((), ())
         assert any(note.startswith("No stem was found") for note in result.notes)
 
@@ -123,7 +127,7 @@ def test_the_stems_behind_curtains_are_named_and_no_others(hidden: Hidden, plot:
 
 def test_who_sees_a_stem_is_known_photo_by_photo(plot: Plot) -> None:
     found = survey(plot({3: 310.0}), METRIC)
-    result = judge_survey(found, [Path(f"{name}.png") for name in found.names], METRIC, NO_SCALE)
+    result = judge_survey(found, found.names, METRIC, NO_SCALE)
     entry = next(entry for entry in result.stems if number_of(result, entry.stem.center) == 3)
     cameras = 5 * np.column_stack([np.cos(walk_angles()), np.sin(walk_angles())])
     bearing = np.degrees(np.arctan2(*(cameras - STEMS[3][:2]).T[::-1]))
@@ -182,7 +186,7 @@ def test_the_map_shows_the_missing_side(tmp_path: Path, plot: Plot) -> None:
 
 def test_a_board_at_two_places_tells_of_photos_placed_wrongly(plot: Plot) -> None:
     found = survey(plot({}), METRIC)
-    given = [Path(f"{name}.png") for name in found.names]
+    given = found.names
 
     def entry(number: int, x_m: float, views: list[str]) -> MarkerScale:
         return board(number, (x_m / UNIT, 0.0, 1.0), views)
@@ -197,9 +201,25 @@ def test_a_board_at_two_places_tells_of_photos_placed_wrongly(plot: Plot) -> Non
             assert "perhaps p30 to p32" in lines[0]
 
 
+def test_boards_of_which_none_can_be_used_are_told(plot: Plot, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = RejectedMarker(id=7, reason="2 views: fewer than 3 agree on one place")
+
+    def none(*_: object, **__: object) -> Scale:
+        raise NoUsableMarkersError("no ArUco marker can be used", [seen])
+
+    monkeypatch.setattr("fsinfer.scale.find.scale_from_aruco", none)
+    monkeypatch.setattr("fsinfer.check.run.scale_from_aruco", none)
+    for request in (ScaleRequest(), ScaleRequest(aruco_length_m=0.25)):
+        scale, boards, rejected = boards_seen(request, plot({})[0], silent)
+        found = survey(plot({}))
+        notes = judge_survey(found, found.names, scale, boards, rejected=rejected).notes
+        assert any(note.startswith("Board 7 cannot be used (2 views: fewer than 3 agree") for note in notes)
+        assert any(note.startswith("No board can be used") for note in notes)
+
+
 def test_the_post_of_a_board_is_no_stem(plot: Plot) -> None:
     found = survey(plot({1: 40.0}), METRIC)
-    given = [Path(f"{name}.png") for name in found.names]
+    given = found.names
     x, y, _ = STEMS[1]
     boards = scale_of_boards([board(40, (x / UNIT, y / UNIT, 1.0), ["p01", "p02"])], m_per_unit=UNIT)
     assert judge_survey(found, given, boards, boards).lines == ()
@@ -260,6 +280,28 @@ def test_check_and_run_place_the_photos_once(tmp_path: Path, calls: Counter[str]
     more = check_capture(folder, out, settings=CheckSettings(poses=poses))
     assert (more.photos, more.registered, calls["poses"]) == (9, 9, 2)
     assert not any("other settings" in note for note in more.notes)
+
+
+def test_photos_whose_numbers_are_of_unequal_length_are_not_missing(
+    tmp_path: Path, calls: Counter[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Windows renames many files so; their frames are called "photo (05)" and so on.
+    folder = tmp_path / "photos"
+    for number, image in enumerate(photographs(), start=5):
+        write_image(folder / f"photo ({number}).jpg", image)
+    asked: list[Path] = []
+
+    def places(files: Sequence[Path]) -> dict[int, tuple[float, float]]:
+        asked.extend(files)
+        return gnss_places(files)
+
+    monkeypatch.setattr("fsinfer.check.run.gnss_places", places)
+    settings = CheckSettings(poses=PoseSettings(max_features=1500))
+    result = check_capture(folder, tmp_path / "out", settings=settings)
+    assert result.notes[0] == "8 of 8 photos placed."
+    assert not any("did not join" in line for line in result.lines)
+    # The place on the earth stands in the photos themselves.
+    assert asked == [folder / f"photo ({number}).jpg" for number in range(5, 13)]
 
 
 def test_a_check_that_was_stopped_goes_on(tmp_path: Path, calls: Counter[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,12 +16,15 @@ import numpy as np
 import pytest
 
 import fsinfer
+from fsinfer.check import CheckSettings
 from fsinfer.cli.console import explain, reports_errors, stage_progress, warn
 from fsinfer.depth.manifest import models_folder
-from fsinfer.errors import CloudError
+from fsinfer.errors import CloudError, FsinferError
 from fsinfer.io.cloud import read_cloud
 from fsinfer.output.plot_json import read_plot
+from fsinfer.poses.settings import PoseSettings
 from fsinfer.scene import read_scene
+from fsinfer.workflow.settings import RunSettings, speedless
 from tests.support.command_line import Call
 from tests.support.synthetic_plot import M_PER_UNIT, STEMS, write_depth_folder, write_scene_folder
 
@@ -61,6 +64,49 @@ def test_scale_options_are_there(call: Call, command: str, monkeypatch: pytest.M
     assert [
         o for o in ("--aruco-length-m", "--aruco-dictionary", "--endpoints", "--length-m", "--scale") if o not in out
     ] == []
+
+
+class _StoppedError(FsinferError):
+    """Ends a command before its work."""
+
+
+@pytest.mark.parametrize(
+    ("options", "dictionary"),
+    [
+        ((), "4X4_50"),
+        (("--aruco-dictionary", "5X5_100"), "5X5_100"),
+        (("--aruco-dictionary", "dict_5x5_100"), "5X5_100"),
+    ],
+)
+def test_run_and_check_tie_photos_by_the_same_markers(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...], dictionary: str
+) -> None:
+    given: dict[str, RunSettings | CheckSettings] = {}
+
+    def catch(command: str) -> Callable[..., None]:
+        def stop(*_: object, settings: RunSettings | CheckSettings, **__: object) -> None:
+            given[command] = settings
+            raise _StoppedError
+
+        return stop
+
+    monkeypatch.setattr("fsinfer.workflow.pipeline.run", catch("run"))
+    monkeypatch.setattr("fsinfer.check.check_capture", catch("check"))
+    for command in ("run", "check"):
+        call(command, tmp_path, tmp_path / "out", *options)
+    for settings in given.values():
+        assert settings.poses.dictionary == settings.scale.aruco_dictionary == dictionary
+    # What a run goes on from is told by all that decides about poses.
+    assert speedless(given["run"].poses) == speedless(given["check"].poses)
+    if not options:
+        assert given["run"].poses == PoseSettings()
+
+
+def test_a_misspelt_dictionary_is_told_before_any_work(call: Call, tmp_path: Path) -> None:
+    for command in ("run", "check"):
+        code, _, err = call(command, tmp_path, tmp_path / "out", "--aruco-dictionary", "9X9_99")
+        assert code == 2
+        assert "--aruco-dictionary 9X9_99 is unknown; it is one of 4X4_100," in err
 
 
 def test_marker_prints_boards_that_tell_their_length(call: Call, tmp_path: Path) -> None:

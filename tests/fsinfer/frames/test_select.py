@@ -83,6 +83,45 @@ def test_never_more_than_a_share_is_called_blurred() -> None:
     assert all(index >= 12 for index in dropped)
 
 
+def soft(seed: int, pixels: int = 5) -> NDArray[np.uint8]:
+    """As the lens and the processing of another phone make it."""
+    return np.asarray(cv2.GaussianBlur(photo(seed), (0, 0), pixels / 3), np.uint8)
+
+
+def test_a_softer_second_phone_is_not_blurred(tmp_path: Path) -> None:
+    def write(name: str, image: NDArray[np.uint8], model: str) -> None:
+        exif = Image.Exif()
+        exif[0x0110] = model
+        write_image(tmp_path / "photos" / f"{name}.jpg", image, exif=exif.tobytes())
+
+    for index in range(60):
+        write(f"a{index:02d}", photo(index), "Sharp")
+    for index in range(11):
+        write(f"b{index:02d}", soft(100 + index), "Soft")
+    write("b11", blurred(soft(111), 15), "Soft")
+    # Held upright; its lens is the same one, and it is as sharp.
+    write("b12", np.ascontiguousarray(np.rot90(soft(112))), "Soft")
+    # One photo tells nothing of its phone, and is judged as any.
+    write("c00", soft(120, 9), "Another")
+    result = select_frames(tmp_path / "photos", tmp_path / "out")
+    assert reasons(tmp_path / "out") == {"b11": "blurred", "c00": "blurred"}
+    assert len(result.images) == 72
+
+
+def test_one_camera_is_judged_as_if_none_were_named() -> None:
+    scores = [score_frame(photo(i)) for i in range(15)] + [score_frame(soft(20 + i)) for i in range(9)]
+    limits = QualityLimits()
+    unnamed = reasons_to_drop(scores, limits)
+    # A share of all is dropped, and this many it takes with.
+    assert sum(reason is not None for reason in unnamed) == 4
+    assert reasons_to_drop(scores, limits, ["one"] * 24) == unnamed
+    # So is a set of cameras that took few photographs each: theirs are compared with all.
+    assert reasons_to_drop(scores, limits, [index // 5 for index in range(24)]) == unnamed
+    # With enough of its own the second one is judged by these alone.
+    more = [*scores, score_frame(soft(30))]
+    assert reasons_to_drop(more, limits, ["one"] * 15 + ["other"] * 10) == [None] * 25
+
+
 def test_sharpness_falls_with_blur_and_not_with_contrast() -> None:
     image = photo(3)
     sharp = score_frame(image).sharpness

@@ -15,7 +15,7 @@ from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.sentences import sentences
 from fsinfer.scale.aruco import scale_from_aruco
 from fsinfer.scale.detection import detect_markers, make_detector
-from fsinfer.scale.scale import UNKNOWN, BoardVerdict
+from fsinfer.scale.scale import UNKNOWN, BoardVerdict, NoUsableMarkersError
 from fsinfer.scale.square_fit import MarkerSettings, Sighting, find_markers
 from fsinfer.scene import Camera, Scene, View
 from tests.support.rendered_room import SIZE, WALL, draw, intrinsic, poses, texture
@@ -133,8 +133,9 @@ def test_a_board_of_another_length_is_outvoted(scene: Scene) -> None:
 
 def test_two_views_are_not_enough(tmp_path: Path) -> None:
     scene = make_scene(tmp_path, {0: 7}, views=2)
-    with pytest.raises(ScaleError, match="3 photos from different places"):
+    with pytest.raises(NoUsableMarkersError, match="3 photos from different places") as raised:
         scale_from_aruco(scene, 0.25)
+    assert [(marker.id, marker.reason[:7]) for marker in raised.value.rejected] == [(7, "2 views")]
 
 
 def test_no_marker_says_where_it_looked_and_the_way_out(tmp_path: Path) -> None:
