@@ -10,8 +10,7 @@ from fsinfer.depth.manifest import ModelManifest, read_manifest
 from fsinfer.depth.memory import DepthPlan, plan_depth
 from fsinfer.depth.precision import FLOAT32, INT8, choose_precision
 from fsinfer.depth.settings import DepthSettings
-from fsinfer.io.images import read_image
-from fsinfer.scene import View
+from fsinfer.scene import View, view_image_size
 
 _log = logging.getLogger(__name__)
 
@@ -55,7 +54,7 @@ def plan_job(views: Sequence[View], settings: DepthSettings) -> DepthJob:
     """
     manifest = read_manifest(settings.model, trust=settings.trust_model)
     precision = choose_precision(settings.precision, manifest, provider=settings.provider)
-    height, width = read_image(views[0].image_path).shape[:2]
+    width, height = view_image_size(views[0])
     factor = min(1.0, settings.max_size_px / max(height, width))
     width, height = round(width * factor), round(height * factor)
     plan = plan_within(

@@ -17,8 +17,7 @@ from fsinfer.depth.model import DepthEstimate, DepthModel, ViewFeatures
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.subpixel import normalised, refine_depth
 from fsinfer.depth.tiles import TiledDepth
-from fsinfer.io.images import read_image
-from fsinfer.scene import Scene, View
+from fsinfer.scene import Scene, View, read_view_image
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,7 +119,7 @@ class MapsOfViews:
 
 def load_view(model: DepthModel, view: View, settings: DepthSettings) -> LoadedView:
     """Read a photograph, reduce it to ``max_size_px`` on its longer side, and compute its feature maps."""
-    image = read_image(view.image_path)
+    image = read_view_image(view)
     height, width = image.shape[:2]
     factor = min(1.0, settings.max_size_px / max(height, width))
     intrinsic = view.camera.intrinsic.copy()

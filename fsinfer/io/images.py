@@ -114,12 +114,24 @@ def write_image(path: Path | str, image: NDArray[np.uint8], quality: int = 95, *
         Image.fromarray(np.ascontiguousarray(image)).save(temporary, format=formats[suffix], **options)
 
 
-def image_size(path: Path | str) -> tuple[int, int]:
-    """(width, height) of the upright photo, from its header alone; :class:`ImageError` where it cannot be read."""
+def image_size(path: Path | str, *, upright: bool = True) -> tuple[int, int]:
+    """(width, height) of the upright photo, or as the sensor saw it, from its header alone.
+
+    Raises :class:`ImageError` where it cannot be read.
+    """
     with open_header(Path(path)) as image:
         width, height = image.size
-        turned = _orientation(image) in (5, 6, 7, 8)
+        turned = upright and _orientation(image) in (5, 6, 7, 8)
     return (height, width) if turned else (width, height)
+
+
+def is_turned(path: Path | str) -> bool:
+    """Whether the metadata say that the stored pixels are not upright; not so where they cannot be read."""
+    try:
+        with open_header(Path(path)) as image:
+            return _orientation(image) in range(2, 9)
+    except ImageError:
+        return False
 
 
 def is_upright_jpeg_or_png(path: Path | str) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import ScaleError
-from fsinfer.io.images import luminance, read_image
+from fsinfer.io.images import luminance
 from fsinfer.progress import Progress, silent
 from fsinfer.scale.agreement import agreement, faces_of_boards
 from fsinfer.scale.blooming import bloom_of, common_blooming, without_blooming
@@ -18,7 +18,7 @@ from fsinfer.scale.detection import detect_markers, make_detector, predefined_di
 from fsinfer.scale.printed_boards import DICTIONARY
 from fsinfer.scale.scale import BoardVerdict, MarkerDetails, MarkerScale, RejectedMarker, Scale, check_length
 from fsinfer.scale.square_fit import FittedMarker, MarkerSettings, Sighting, find_markers
-from fsinfer.scene import Scene
+from fsinfer.scene import Scene, read_view_image
 
 _log = logging.getLogger(__name__)
 
@@ -67,7 +67,7 @@ def scale_from_aruco(
     sightings: list[Sighting] = []
     for index, view in enumerate(scene.views):
         progress(index, len(scene.views), "looking for markers")
-        pixels = read_image(view.image_path)
+        pixels = read_view_image(view)
         grey = luminance(pixels)
         for number, corners_px in detect_markers(pixels, detector, min_side_px=settings.min_side_px):
             if not isinstance(length_m, Mapping) or number in length_m:
