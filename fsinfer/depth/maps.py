@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections import OrderedDict
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,7 @@ from fsinfer.errors import SceneError
 from fsinfer.io.digest import file_digest
 from fsinfer.io.files import is_by_system
 from fsinfer.io.json_text import read_json
-from fsinfer.io.pfm import read_pfm
+from fsinfer.io.pfm import read_pfm, read_pfm_size
 from fsinfer.scene import Camera, Scene, project
 
 _log = logging.getLogger(__name__)
@@ -145,6 +146,10 @@ class DepthMaps:
     def keep(self, cache_maps: int) -> None:
         """Keep so many maps from now on, at least two."""
         self._cache_maps = max(2, cache_maps)
+
+    def most_pixels(self) -> int:
+        """Pixels of the largest map; :class:`SceneError` where the size of one cannot be read."""
+        return max(math.prod(read_pfm_size(self._depth_path(index))) for index in self.available)
 
     def get(self, index: int) -> DepthMap:
         """Return the map of view ``index``; :class:`SceneError` where it cannot be read."""

@@ -178,7 +178,7 @@ def most_points(scene: Scene, depth_folder: Path, *, settings: FusionSettings | 
 def _plan(maps: DepthMaps, settings: FusionSettings) -> FusionPlan:
     return plan_fusion(
         settings.memory_gb,
-        map_pixels=maps.get(maps.available[0]).inverse_depth.size,
+        map_pixels=maps.most_pixels(),
         cache_maps=settings.cache_maps,
         max_points=settings.max_points,
         batch_points=settings.batch_points,
