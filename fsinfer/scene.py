@@ -4,6 +4,9 @@ BlendedMVS has the same files as ``blended_images/NAME.jpg`` and ``cams/pair.txt
 
 Frames: world to camera is ``x_cam = R x_world + t`` with x right, y down, z forward; pixel centres lie at
 integer coordinates, so the centre of the top left pixel is (0, 0).
+
+A camera belongs to the pixels as the file stores them. COLMAP's undistorter and others leave an EXIF orientation in
+images that they did not turn, so whoever looks into a scene's images reads them by :func:`read_view_image`.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ from numpy.typing import NDArray
 from fsinfer.errors import SceneError
 from fsinfer.io.digest import file_digest
 from fsinfer.io.files import is_by_system, write_text
+from fsinfer.io.images import image_size, is_turned, read_image
 
 #: Planes of a camera file that tells no number. Source: format; MVSNet (Yao et al. 2018).
 DEPTH_PLANES = 192
@@ -53,7 +57,7 @@ class Camera:
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """One photograph of a scene. ``sources`` are indices into ``Scene.views``, best first."""
+    """One photograph of a scene (:func:`read_view_image`). ``sources`` are indices into ``Scene.views``, best first."""
 
     name: str
     image_path: Path
@@ -67,6 +71,19 @@ class Scene:
 
     folder: Path
     views: tuple[View, ...]
+
+
+def read_view_image(view: View) -> NDArray[np.uint8]:
+    """(H, W, 3) uint8 RGB of a view, the pixels of its camera: whatever EXIF says of how to hold them.
+
+    Raises :class:`fsinfer.errors.ImageError` as :func:`fsinfer.io.images.read_image` does.
+    """
+    return read_image(view.image_path, upright=False)
+
+
+def view_image_size(view: View) -> tuple[int, int]:
+    """(width, height) of :func:`read_view_image`, from the header alone."""
+    return image_size(view.image_path, upright=False)
 
 
 def project(
@@ -205,4 +222,7 @@ def scene_digest(scene: Scene) -> str:
         digest.update(f"{view.name} {file_digest(view.image_path)} {view.sources} ".encode())
         digest.update(camera.intrinsic.tobytes() + camera.cam_from_world.tobytes())
         digest.update(np.array([camera.depth_min, camera.depth_max]).tobytes())
+        if is_turned(view.image_path):
+            # Such images were turned once: what was computed of them then is not to be found again.
+            digest.update(b" stored pixels")
     return digest.hexdigest()[:24]

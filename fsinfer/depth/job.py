@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,8 +11,7 @@ from fsinfer.depth.manifest import ModelManifest, read_manifest
 from fsinfer.depth.memory import DepthPlan, plan_depth
 from fsinfer.depth.precision import FLOAT32, INT8, choose_precision
 from fsinfer.depth.settings import DepthSettings
-from fsinfer.io.images import read_image
-from fsinfer.scene import View
+from fsinfer.scene import View, view_image_size
 
 _log = logging.getLogger(__name__)
 
@@ -29,8 +29,7 @@ class DepthJob:
     settings: of the stage.
     model, model_sha256: its name, and the hash of the graphs in use.
     precision: that is computed with, ``float32`` or ``int8``.
-    width, height: of the first photograph as it is given to the network, pixels; those of a mixed capture are reduced
-        to the same longer side.
+    width, height: of the largest photograph as it is given to the network, pixels; it takes the most memory.
     plan: memory and tiles for this size.
     """
 
@@ -44,7 +43,7 @@ class DepthJob:
 
 
 def plan_job(views: Sequence[View], settings: DepthSettings) -> DepthJob:
-    """The job of these views.
+    """The job of these views: all that depth is computed of, and those that they are compared with.
 
     Raises
     ------
@@ -55,9 +54,8 @@ def plan_job(views: Sequence[View], settings: DepthSettings) -> DepthJob:
     """
     manifest = read_manifest(settings.model, trust=settings.trust_model)
     precision = choose_precision(settings.precision, manifest, provider=settings.provider)
-    height, width = read_image(views[0].image_path).shape[:2]
-    factor = min(1.0, settings.max_size_px / max(height, width))
-    width, height = round(width * factor), round(height * factor)
+    # Of one capture some may be upright and some across, of one camera or of several.
+    width, height = max((reduced_size(*view_image_size(view), settings) for view in views), key=math.prod)
     plan = plan_within(
         settings.memory_gb, settings=settings, manifest=manifest, precision=precision, width=width, height=height
     )
@@ -81,6 +79,12 @@ def plan_job(views: Sequence[View], settings: DepthSettings) -> DepthJob:
         height=height,
         plan=plan,
     )
+
+
+def reduced_size(width: int, height: int, settings: DepthSettings) -> tuple[int, int]:
+    """(width, height) of a photograph of this size as it is given to the network."""
+    factor = min(1.0, settings.max_size_px / max(height, width))
+    return round(width * factor), round(height * factor)
 
 
 def plan_within(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections import OrderedDict
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import SceneError
+from fsinfer.io.digest import file_digest
+from fsinfer.io.files import is_by_system
 from fsinfer.io.json_text import read_json
-from fsinfer.io.pfm import read_pfm
+from fsinfer.io.pfm import read_pfm, read_pfm_size
 from fsinfer.scene import Camera, Scene, project
 
 _log = logging.getLogger(__name__)
@@ -144,6 +147,10 @@ class DepthMaps:
         """Keep so many maps from now on, at least two."""
         self._cache_maps = max(2, cache_maps)
 
+    def most_pixels(self) -> int:
+        """Pixels of the largest map; :class:`SceneError` where the size of one cannot be read."""
+        return max(math.prod(read_pfm_size(self._depth_path(index))) for index in self.available)
+
     def get(self, index: int) -> DepthMap:
         """Return the map of view ``index``; :class:`SceneError` where it cannot be read."""
         if index in self._cache:
@@ -202,6 +209,13 @@ def _read_grid(entry: dict[str, float]) -> PixelGrid:
         msg = f"pixel steps must be positive and no larger than a photograph, not {grid.step_x}, {grid.step_y}"
         raise ValueError(msg)
     return grid
+
+
+def maps_digest(depth_folder: Path) -> list[list[str]]:
+    """What tells the depth and confidence maps of a folder from others: [part, digest] of each file in it."""
+    files = [path for part in ("depth", "confidence") for path in sorted((depth_folder / part).glob("*"))]
+    # Looking into the folder leaves files there, and changes no map.
+    return [[path.parent.name, file_digest(path)] for path in files if path.is_file() and not is_by_system(path.name)]
 
 
 def read_depth_index(depth_folder: Path) -> dict[str, Any]:

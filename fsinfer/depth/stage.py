@@ -68,7 +68,9 @@ def estimate_depth(
     if not usable:
         msg = f"{scene.folder / 'pair.txt'} gives no view a source view; the photos do not overlap"
         raise SceneError(msg)
-    job = plan_job(usable, settings)
+    # A photograph without a depth map of its own may still be a source, and the largest of all.
+    read = {one.name: one for view in usable for one in (view, *sources_of(scene, view, settings))}
+    job = plan_job(list(read.values()), settings)
     make_folder(out / "depth")
     make_folder(out / "confidence")
     index = _begin(out, settings, job.model_sha256, resume=resume)

@@ -10,15 +10,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.depth.job import DepthJob
+from fsinfer.depth.job import DepthJob, reduced_size
 from fsinfer.depth.median_filter import settle_unsure
 from fsinfer.depth.memory import DepthPlan
 from fsinfer.depth.model import DepthEstimate, DepthModel, ViewFeatures
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.subpixel import normalised, refine_depth
 from fsinfer.depth.tiles import TiledDepth
-from fsinfer.io.images import read_image
-from fsinfer.scene import Scene, View
+from fsinfer.scene import Scene, View, read_view_image
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,13 +119,12 @@ class MapsOfViews:
 
 def load_view(model: DepthModel, view: View, settings: DepthSettings) -> LoadedView:
     """Read a photograph, reduce it to ``max_size_px`` on its longer side, and compute its feature maps."""
-    image = read_image(view.image_path)
+    image = read_view_image(view)
     height, width = image.shape[:2]
-    factor = min(1.0, settings.max_size_px / max(height, width))
+    size = reduced_size(width, height, settings)
     intrinsic = view.camera.intrinsic.copy()
     scale_x = scale_y = 1.0
-    if factor < 1:
-        size = (round(width * factor), round(height * factor))
+    if size != (width, height):
         image = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.uint8)
         scale_x, scale_y = size[0] / width, size[1] / height
         # cv2.resize maps the centre of pixel x to (x + 0.5) * scale - 0.5.

@@ -24,7 +24,7 @@ from fsinfer.fusion.surfaces import pixel_normals, smooth_pixels
 from fsinfer.fusion.voxels import MAX_EXTENT_VOXELS, Samples, VoxelMerger, much_worse_than_nearby, select, sum_within
 from fsinfer.io.cloud import PointCloud
 from fsinfer.progress import Progress, silent
-from fsinfer.scene import Scene
+from fsinfer.scene import Scene, read_view_image
 from fsinfer.threads import one_blas_thread
 
 _log = logging.getLogger(__name__)
@@ -178,7 +178,7 @@ def most_points(scene: Scene, depth_folder: Path, *, settings: FusionSettings | 
 def _plan(maps: DepthMaps, settings: FusionSettings) -> FusionPlan:
     return plan_fusion(
         settings.memory_gb,
-        map_pixels=maps.get(maps.available[0]).inverse_depth.size,
+        map_pixels=maps.most_pixels(),
         cache_maps=settings.cache_maps,
         max_points=settings.max_points,
         batch_points=settings.batch_points,
@@ -304,9 +304,7 @@ def _colours(
 ) -> NDArray[np.float32]:
     if not len(rows):
         return np.empty((0, 3), dtype=np.float32)
-    from fsinfer.io.images import read_image
-
-    image = read_image(scene.views[index].image_path)
+    image = read_view_image(scene.views[index])
     grid = reference.grid
     # Averaging over what a depth pixel covers keeps the colours from flickering; odd widths leave the centre in place.
     width, height = (max(1, 2 * int(step / 2) + 1) for step in (grid.step_x, grid.step_y))

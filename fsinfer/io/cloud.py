@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fsinfer.errors import CloudError
 from fsinfer.io.las import LAS_SUFFIXES, NORMAL_NAMES, read_las, write_las
 from fsinfer.io.ply import read_ply, write_ply
+from fsinfer.io.text_cloud import read_text_cloud
 
 TEXT_SUFFIXES = (".xyz", ".txt", ".asc", ".csv", ".pts")
 SUFFIXES = (".ply", *LAS_SUFFIXES, *TEXT_SUFFIXES)
@@ -96,7 +97,7 @@ def read_cloud(path: Path | str) -> PointCloud:
     elif suffix in LAS_SUFFIXES:
         columns = read_las(path)
     else:
-        columns = _read_text(path)
+        columns = read_text_cloud(path)
     cloud = cloud_of_columns(path, columns)
     finite = np.asarray(np.isfinite(cloud.xyz).all(axis=1))
     dropped = len(cloud) - int(finite.sum())
@@ -207,30 +208,3 @@ def _eight_bit(colour: NDArray[Any]) -> NDArray[np.uint8]:
     elif colour.dtype.itemsize > 1 and colour.size and colour.max() > 255:
         colour = colour >> 8
     return np.asarray(np.clip(colour, 0, 255), dtype=np.uint8)
-
-
-def _read_text(path: Path) -> dict[str, NDArray[Any]]:
-    """Read rows of x y z [red green blue], separated by spaces, commas or semicolons, with or without a header."""
-    try:
-        lines = path.read_text(encoding="utf-8", errors="replace").replace(",", " ").replace(";", " ").splitlines()
-        rows = [line for line in lines if line.strip() and not line.lstrip().startswith(("#", "//"))]
-        names: list[str] = []
-        # A header has letters in its first column; a .pts file begins with the bare count of points.
-        if rows and rows[0].split()[0].strip('"').isidentifier() and rows[0].split()[0].lower() not in ("nan", "inf"):
-            names = [word.strip('"').lower() for word in rows.pop(0).split()]
-        elif len(rows) > 1 and len(rows[0].split()) == 1:
-            rows.pop(0)
-        values = np.loadtxt(rows, dtype=np.float64, ndmin=2) if rows else np.empty((0, 3))
-    except (OSError, ValueError) as error:
-        msg = f"{path} is not a table of x y z ({error}); export the cloud as PLY, LAS or LAZ"
-        raise CloudError(msg) from error
-    if values.shape[1] < 3:
-        msg = f"{path} has {values.shape[1]} columns, but needs x y z; export the cloud as PLY, LAS or LAZ"
-        raise CloudError(msg)
-    if not names:
-        names = ["x", "y", "z", *(_COLOUR_NAMES[0] if values.shape[1] in (6, 9) else ())]
-        names += [f"column_{i + 1}" for i in range(len(names), values.shape[1])]
-    if len(names) != values.shape[1] or len(set(names)) != len(names):
-        msg = f"{path}: its header names {len(names)} columns, its rows have {values.shape[1]}; export it again"
-        raise CloudError(msg)
-    return {name: values[:, i] for i, name in enumerate(names)}

@@ -41,11 +41,12 @@ UPRIGHT = {
 _SENSOR_FROM_PHONE = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
-def noted_gravity(path: Path | str) -> NDArray[np.float64] | None:
-    """(3,) unit vector to the ground in the axes of the upright photograph: x right, y down, z forward.
+def noted_gravity(path: Path | str, *, upright: bool = True) -> NDArray[np.float64] | None:
+    """(3,) unit vector to the ground in the axes of the upright photograph, x right, y down, z forward.
 
-    A picture of ours that keeps it as a comment keeps it in its own axes, whether it lies upright or not. None where
-    the phone noted nothing, was shaken, or its note cannot be read.
+    Without ``upright`` in the axes of the pixels that a JPEG or PNG stores, to which the cameras of a scene belong. A
+    picture of ours that keeps it as a comment keeps it in its own axes, whether it lies upright or not. None where the
+    phone noted nothing, was shaken, or its note cannot be read.
     """
     try:
         with open_header(Path(path)) as image, quiet():
@@ -62,11 +63,11 @@ def noted_gravity(path: Path | str) -> NDArray[np.float64] | None:
         except ValueError:
             return None
     note = notes.get(_MAKER_NOTE)
-    upright = UPRIGHT.get(orientation) if isinstance(orientation, int) else None
+    turn = UPRIGHT.get(orientation) if isinstance(orientation, int) else None
     felt = _apple_acceleration(note) if isinstance(note, bytes) else None
-    if felt is None or upright is None or not _STILL_G[0] <= float(np.linalg.norm(felt)) <= _STILL_G[1]:
+    if felt is None or turn is None or not _STILL_G[0] <= float(np.linalg.norm(felt)) <= _STILL_G[1]:
         return None
-    return _unit(upright @ _SENSOR_FROM_PHONE @ felt)
+    return _unit((turn if upright else np.eye(3)) @ _SENSOR_FROM_PHONE @ felt)
 
 
 def gravity_comment(gravity: NDArray[np.float64]) -> bytes:

@@ -35,6 +35,8 @@ _HEIF_BRANDS = frozenset({b"heic", b"heix", b"heim", b"heis", b"mif1"})
 _ORIENTATION = 0x0112
 #: JPEG from this quality on keeps colours at full resolution. Source: judgement; those who ask for more want them.
 _FULL_COLOUR_QUALITY = 90
+#: Bits that sensors fill, of 8 in one file, 16 or 32 in others. Source: format; converters of cameras have 10 to 16.
+_SENSOR_BITS = (8, 10, 12, 14, 16, 32)
 
 
 def list_images(folder: Path | str) -> list[Path]:
@@ -80,7 +82,7 @@ def read_image(path: Path | str, *, upright: bool = True) -> NDArray[np.uint8]:
     with open_header(path) as image, _told(path):
         # Loading first: decoding errors must not hide in a lazy transposition.
         image.load()
-        return _as_rgb(ImageOps.exif_transpose(image) if upright else image)
+        return _as_rgb(path, ImageOps.exif_transpose(image) if upright else image)
 
 
 def write_image(path: Path | str, image: NDArray[np.uint8], quality: int = 95, *, exif: bytes | None = None) -> None:
@@ -116,12 +118,24 @@ def write_image(path: Path | str, image: NDArray[np.uint8], quality: int = 95, *
         Image.fromarray(np.ascontiguousarray(image)).save(temporary, format=formats[suffix], **options)
 
 
-def image_size(path: Path | str) -> tuple[int, int]:
-    """(width, height) of the upright photo, from its header alone; :class:`ImageError` where it cannot be read."""
+def image_size(path: Path | str, *, upright: bool = True) -> tuple[int, int]:
+    """(width, height) of the upright photo, or as the sensor saw it, from its header alone.
+
+    Raises :class:`ImageError` where it cannot be read.
+    """
     with open_header(Path(path)) as image:
         width, height = image.size
-        turned = _orientation(image) in (5, 6, 7, 8)
+        turned = upright and _orientation(image) in (5, 6, 7, 8)
     return (height, width) if turned else (width, height)
+
+
+def is_turned(path: Path | str) -> bool:
+    """Whether the metadata say that the stored pixels are not upright; not so where they cannot be read."""
+    try:
+        with open_header(Path(path)) as image:
+            return _orientation(image) in range(2, 9)
+    except ImageError:
+        return False
 
 
 def is_upright_jpeg_or_png(path: Path | str) -> bool:
@@ -167,6 +181,8 @@ def _told(path: Path) -> Iterator[None]:
     try:
         with quiet():
             yield
+    except ImageError:
+        raise
     except UnidentifiedImageError as error:
         msg = f"{path} is not a photo that can be read; copy it again from the camera or delete it"
         raise ImageError(msg) from error
@@ -206,13 +222,33 @@ def _register_heif(path: Path) -> None:
     pillow_heif.register_heif_opener()
 
 
-def _as_rgb(image: Image) -> NDArray[np.uint8]:
+def _as_rgb(path: Path, image: Image) -> NDArray[np.uint8]:
     if image.mode.startswith("I") or image.mode == "F":
-        # 16-bit grey: Pillow's own conversion clips at 255 instead of scaling.
+        # Pillow's own conversion clips these at 255 instead of scaling them.
         values = np.asarray(image, dtype=np.float64)
-        grey = np.clip(values / 257.0, 0, 255).round().astype(np.uint8)
-        return np.repeat(grey[:, :, None], 3, axis=2)
+        black, white = _range_of_floats(path, values) if image.mode == "F" else (0.0, _white(float(values.max())))
+        grey = np.clip(np.nan_to_num((values - black) / (white - black), posinf=1.0), 0, 1)
+        return np.repeat((255 * grey).round().astype(np.uint8)[:, :, None], 3, axis=2)
     return np.array(image.convert("RGB"), dtype=np.uint8)
+
+
+def _white(largest: float) -> float:
+    """The value of white by the largest one of a photograph in integers.
+
+    A file of 16 bits does not say how many of them the sensor filled: twelve, taken for sixteen, are nearly black. A
+    photograph has something bright in it, so its largest value tells; and as the depths are few, photographs of one
+    camera are scaled alike.
+    """
+    return 2.0 ** next((bits for bits in _SENSOR_BITS if largest < 2**bits), _SENSOR_BITS[-1]) - 1
+
+
+def _range_of_floats(path: Path, values: NDArray[np.float64]) -> tuple[float, float]:
+    """Black and white of a photograph in floats, which may be parts of one, counts or degrees: its own range."""
+    finite = values[np.isfinite(values)]
+    if finite.size and finite.max() > finite.min():
+        return float(finite.min()), float(finite.max())
+    msg = f"{path} holds floats that are all alike or not finite; save it as a photo in 8 or 16 bits, or delete it"
+    raise ImageError(msg)
 
 
 def luminance(image: NDArray[np.uint8]) -> NDArray[np.uint8]:

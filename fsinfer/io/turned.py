@@ -41,12 +41,14 @@ def sensor_exif(path: Path | str) -> bytes | None:
 def upright_from_picture(path: Path | str) -> NDArray[np.float64]:
     """(3, 3) rotation about z from the camera axes of a picture (x right, y down) to those of the upright photograph.
 
-    The identity unless :func:`sensor_exif` wrote otherwise: all other pictures are read upright.
+    By the words that :func:`sensor_exif` wrote, else by the tag of the orientation: pictures of a scene are read as
+    they are stored, and other programs leave the tag of the photograph in them.
     """
     try:
         with open_header(Path(path)) as image, quiet():
-            said = str(image.getexif().get(_DESCRIPTION, ""))
-        return UPRIGHT[int(said.removeprefix(_TURNED)) if said.startswith(_TURNED) else 1]
+            tags = image.getexif()
+            said = str(tags.get(_DESCRIPTION, ""))
+            return UPRIGHT[int(said.removeprefix(_TURNED) if said.startswith(_TURNED) else tags.get(_ORIENTATION, 1))]
     except Exception:  # of any kind that Pillow raises: broken metadata costs a direction and nothing else
         return UPRIGHT[1]
 

@@ -101,7 +101,7 @@ def level_scene(
 
 def _gravity_of(scene: Scene) -> NDArray[np.float64]:
     """(G, 3) unit vectors to the ground, in scene coordinates, of the views whose phone noted it."""
-    noted = ((view.camera, noted_gravity(view.image_path)) for view in scene.views)
+    noted = ((view.camera, noted_gravity(view.image_path, upright=False)) for view in scene.views)
     down = [camera.cam_from_world[:3, :3].T @ gravity for camera, gravity in noted if gravity is not None]
     return np.array(down).reshape(-1, 3)
 

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.geometry.similarity import apply
-from fsinfer.io.images import image_size
 from fsinfer.plot_border.border import Border
-from fsinfer.scene import Scene, View, project
+from fsinfer.scene import Scene, View, project, view_image_size
 from fsinfer.trees.ground.ground import Ground
 from fsinfer.trees.points.cells import rows
 from fsinfer.trees.stand import CELL_M, near_ground, seen_cells
@@ -118,7 +117,7 @@ def views_of(cells: Floats, ground_m: Floats, stems: Floats, cameras: Cameras) -
 def _in_picture(columns: Floats, view: View, sizes: dict[str, tuple[int, int]]) -> Bools:
     """Which of the columns (H, C, 3) of scene points are in the picture at one of their heights: (C,)."""
     pixels, depth = project(columns, view.camera)
-    width, height = sizes.setdefault(view.name, image_size(view.image_path))
+    width, height = sizes.setdefault(view.name, view_image_size(view))
     inside = (pixels >= -0.5).all(axis=-1) & (pixels[..., 0] < width - 0.5) & (pixels[..., 1] < height - 0.5)
     return np.asarray((inside & (depth > 0) & (depth <= view.camera.depth_max)).any(axis=0))
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.io.images import luminance, read_image
+from fsinfer.io.images import luminance
 from fsinfer.progress import Progress, silent
 from fsinfer.scale.agreement import agreement, faces_of_boards
 from fsinfer.scale.blooming import bloom_of, common_blooming, without_blooming
@@ -25,7 +25,7 @@ from fsinfer.scale.scale import (
     check_length,
 )
 from fsinfer.scale.square_fit import FittedMarker, MarkerSettings, Sighting, find_markers
-from fsinfer.scene import Scene
+from fsinfer.scene import Scene, read_view_image
 
 _log = logging.getLogger(__name__)
 
@@ -76,7 +76,7 @@ def scale_from_aruco(
     sightings: list[Sighting] = []
     for index, view in enumerate(scene.views):
         progress(index, len(scene.views), "looking for markers")
-        pixels = read_image(view.image_path)
+        pixels = read_view_image(view)
         grey = luminance(pixels)
         for number, corners_px in detect_markers(pixels, detector, min_side_px=settings.min_side_px):
             if not isinstance(length_m, Mapping) or number in length_m:

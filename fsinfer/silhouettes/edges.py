@@ -17,9 +17,8 @@ from scipy.ndimage import gaussian_filter1d
 
 from fsinfer.depth.maps import DepthMap, DepthMaps, seen_and_hidden
 from fsinfer.geometry.similarity import scale_of, scaling
-from fsinfer.io.images import read_image
 from fsinfer.progress import Progress, silent
-from fsinfer.scene import Camera, Scene, project
+from fsinfer.scene import Camera, Scene, project, read_view_image
 from fsinfer.trees.diameter.edge_problem import Edges
 
 Floats = NDArray[np.float64]
@@ -178,7 +177,7 @@ def strips_of_photo(
     ]
     if not seen:
         return []
-    image = read_image(view.image_path).astype(np.float32)
+    image = read_view_image(view).astype(np.float32)
     strips = [(n, _cut(stem, camera, image, index, s)) for n, stem in seen]
     return [(n, strip) for n, strip in strips if strip is not None]
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.depth.maps import maps_digest
 from fsinfer.errors import InputError, ScaleError
 from fsinfer.geometry.similarity import scale_of
 from fsinfer.importers.write import read_origin
@@ -190,7 +191,7 @@ def measure_cloud_file(
         "scale": found,
         "settings": speedless(settings),
         "edits": corrections,
-        "photos": None if photos is None else [scene_digest(photos.scene), *_depth_index(photos.depth_folder)],
+        "photos": None if photos is None else [scene_digest(photos.scene), *maps_digest(photos.depth_folder)],
     }
     record = Ledger(out).run(MEASURE, work, inputs=inputs)
     note_edits(out, edits)
@@ -312,10 +313,6 @@ def _own_photos(cloud_path: Path, origin: _Origin, factor: float) -> StemPhotos 
         return None
     scaled = np.diag([factor, factor, factor, 1.0]) @ origin.cloud_from_scene
     return photos_of_run(folder, read_scene(folder / "scene"), scaled)
-
-
-def _depth_index(folder: Path) -> list[str]:
-    return [file_digest(folder / "depth" / "depth.json")]
 
 
 def _cloud_scale(request: ScaleRequest, cloud_path: Path, out: Path, origin: _Origin) -> FoundScale:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.depth.maps import maps_digest
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.stage import DepthResult
 from fsinfer.errors import ImageError
@@ -16,7 +16,6 @@ from fsinfer.frames.select import FrameSettings, FramesResult, list_captures
 from fsinfer.fusion.fuse import FusionSettings, fuse, most_points
 from fsinfer.importers.write import read_origin
 from fsinfer.io.cloud import write_cloud
-from fsinfer.io.digest import file_digest
 from fsinfer.io.files import make_folder
 from fsinfer.output.plot_json import package_versions
 from fsinfer.placement.place import PlacedCloud, place_cloud
@@ -146,7 +145,7 @@ def fuse_scene(
 
     inputs = {
         "scene": scene_digest(scene),
-        "depth": depth_digest(out),
+        "depth": maps_digest(out),
         "settings": speedless(settings),
         "most_points": most_points(scene, out, settings=settings),
         "levelled": levelled,
@@ -165,12 +164,6 @@ def fuse_scene(
     }
     update_plot(out, source=scene_folder.name, stage="fuse", seconds=record.seconds, values=values)
     return record
-
-
-def depth_digest(folder: Path) -> list[Any]:
-    """What tells one set of depth maps from another: names, sizes and ends of the files in ``folder``."""
-    files = [path for part in ("depth", "confidence") for path in sorted((folder / part).glob("*")) if path.is_file()]
-    return [[path.parent.name, file_digest(path)] for path in files]
 
 
 def _refuse_overwriting(source: Path, out: Path, what: str) -> None:

@@ -6,9 +6,8 @@ from dataclasses import asdict, dataclass
 from importlib import resources
 from typing import TYPE_CHECKING
 
-from fsinfer.io.images import image_size
 from fsinfer.scale.clicks.file import Draft
-from fsinfer.scene import Scene
+from fsinfer.scene import Scene, view_image_size
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -52,7 +51,7 @@ def click_page(scene: Scene, length_m: float, draft: Draft) -> ClickPage:
     """The page of a scene; clicks in photographs that it does not have are left out."""
     photos = []
     for index, view in enumerate(scene.views):
-        width, height = image_size(view.image_path)
+        width, height = view_image_size(view)
         photos.append(Photo(name=view.name, width=width, height=height, address=f"photo/{index}"))
     number = {view.name: index for index, view in enumerate(scene.views)}
     known = {name: ends for name, ends in draft.items() if name in number}

@@ -15,14 +15,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from io import BytesIO
 from typing import Any
 
-from fsinfer.errors import FsinferError, InputError
+from fsinfer.errors import FsinferError, ImageError, InputError
+from fsinfer.io.images import is_turned
 from fsinfer.scale.clicks.file import SavedClicks, clicked_length, read_draft
 from fsinfer.scale.clicks.page import click_page, render_click_page
 from fsinfer.scale.request import ClickedLength
 from fsinfer.scale.scale import EndpointDetails, Scale, scale_from_clicks
-from fsinfer.scene import Scene
+from fsinfer.scene import Scene, View, read_view_image
 
 HOST = "127.0.0.1"
 #: Longest body of a request, bytes: clicks in hundreds of photographs. Source: judgement.
@@ -31,6 +33,8 @@ MOST_BYTES = 1_000_000
 TOKEN_BYTES = 24
 #: How often the waiting looks whether it was interrupted, s. Source: numerics; Windows does not wake it.
 _TICK_S = 0.2
+#: JPEG of a photograph that cannot be sent as it lies there. Source: judgement; ends are clicked in it.
+_QUALITY = 95
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,6 +151,19 @@ def _told(scale: Scale) -> dict[str, Any]:
     }
 
 
+def _photograph(view: View) -> tuple[str, bytes]:
+    """Its type and its bytes, which a browser shows as its camera has them."""
+    path = view.image_path
+    if not is_turned(path):
+        return mimetypes.guess_type(path.name)[0] or "application/octet-stream", path.read_bytes()
+    # Browsers obey the orientation in EXIF, and the camera's pixels are those that are stored.
+    from PIL import Image
+
+    written = BytesIO()
+    Image.fromarray(read_view_image(view)).save(written, format="JPEG", quality=_QUALITY, subsampling=0)
+    return "image/jpeg", written.getvalue()
+
+
 class _Server(ThreadingHTTPServer):
     daemon_threads = True
     clicks: ClickServer
@@ -170,13 +187,12 @@ class _Handler(BaseHTTPRequestHandler):
         if kind != "photo" or not number.isascii() or not number.isdigit() or int(number) >= len(clicks.scene.views):
             self._answer(HTTPStatus.NOT_FOUND, "text/plain; charset=utf-8", b"there is no such page\n")
             return
-        path = clicks.scene.views[int(number)].image_path
         try:
-            content = path.read_bytes()
-        except OSError:
+            kind_of, content = _photograph(clicks.scene.views[int(number)])
+        except (OSError, ImageError):
             self._answer(HTTPStatus.NOT_FOUND, "text/plain; charset=utf-8", b"the photograph cannot be read\n")
             return
-        self._answer(HTTPStatus.OK, mimetypes.guess_type(path.name)[0] or "application/octet-stream", content)
+        self._answer(HTTPStatus.OK, kind_of, content)
 
     def do_POST(self) -> None:
         """Clicks: kept, measured, or used."""

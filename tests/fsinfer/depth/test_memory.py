@@ -5,14 +5,27 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from PIL import Image
 
+from fsinfer.depth import stage
+from fsinfer.depth.job import plan_job
 from fsinfer.depth.manifest import read_manifest
+from fsinfer.depth.maps import DepthMaps
 from fsinfer.depth.memory import DepthPlan, plan_depth
-from fsinfer.errors import InputError
+from fsinfer.depth.settings import DepthSettings
+from fsinfer.errors import InputError, SceneError
+from fsinfer.fusion.fuse import FusionSettings, most_points
 from fsinfer.fusion.memory import FusionPlan, plan_fusion
+from fsinfer.io.pfm import write_pfm
+from fsinfer.scene import Camera, View, read_scene
+from tests.support.plane_scene import write_plane_scene
 
 #: What the shipped model says of itself.
 FIELD: dict[str, Any] = {"planes": 192, "groups": 4, "feature_channels": 16, "refine_channels": 8}
@@ -43,6 +56,54 @@ def test_the_feature_maps_are_as_large_as_the_model_says() -> None:
     known = plan_depth(3.0, width=640, height=480, views=5, most_cached=24, **FIELD)
     # float32 at a quarter and at half resolution.
     assert known.peak_bytes - wide.peak_bytes == 24 * 4 * 160 * 120 * (16 + 4 * 8 - 32)
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0)])
+def test_the_largest_photo_of_a_mixed_capture_is_planned_for(tmp_path: Path, order: tuple[int, ...]) -> None:
+    camera = Camera(intrinsic=np.eye(3), cam_from_world=np.eye(4), depth_min=1.0, depth_max=9.0)
+    views = []
+    for number, size in enumerate(((640, 480), (720, 1280), (1600, 600))):
+        path = tmp_path / f"{number}.png"
+        Image.new("L", size).save(path)
+        views.append(View(name=path.stem, image_path=path, camera=camera, sources=(0,)))
+    settings = DepthSettings(precision="float32", memory_gb=3.0, max_size_px=1280)
+    job = plan_job([views[number] for number in order], settings)
+    # The widest one is reduced, to fewer pixels than the one that is held upright.
+    assert (job.width, job.height) == (720, 1280)
+    assert job.plan == plan_job([views[1]], settings).plan
+    assert job.plan.peak_bytes > plan_job([views[0]], settings).plan.peak_bytes
+
+
+def test_photos_that_are_compared_only_are_planned_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = read_scene(write_plane_scene(tmp_path / "scene"))
+    Image.new("L", (280, 216)).save(scene.views[2].image_path)
+    alone = replace(scene.views[2], sources=())
+    scene = replace(scene, views=(replace(scene.views[0], sources=(2,)), replace(scene.views[1], sources=(0,)), alone))
+
+    class PlannedError(Exception):
+        pass
+
+    def planned(views: Sequence[View], _settings: DepthSettings) -> None:
+        raise PlannedError([view.name for view in views])
+
+    monkeypatch.setattr(stage, "plan_job", planned)
+    with pytest.raises(PlannedError, match=r"'0', '2', '1'"):
+        stage.estimate_depth(scene, tmp_path)
+
+
+def test_the_largest_depth_map_is_planned_for(tmp_path: Path) -> None:
+    scene = read_scene(write_plane_scene(tmp_path / "scene"))
+    for view, shape in zip(scene.views, ((10, 20), (300, 200), (200, 200)), strict=True):
+        write_pfm(tmp_path / "depth" / f"{view.name}.pfm", np.ones(shape, np.float32))
+    (tmp_path / "depth" / "depth.json").write_text('{"pixel_step": 1}')
+    maps = DepthMaps(scene, tmp_path)
+    assert maps.most_pixels() == 60_000
+    tight = FusionSettings(memory_gb=1.0)
+    known = plan_fusion(1.0, map_pixels=60_000, cache_maps=40, max_points=4_000_000, batch_points=1_500_000)
+    assert most_points(scene, tmp_path, settings=tight) == known.max_points < 4_000_000
+    (tmp_path / "depth" / "1.pfm").write_bytes(b"Pf\n300 200\n-1.0\n")
+    with pytest.raises(SceneError, match=r"1\.pfm is not a complete"):
+        maps.most_pixels()
 
 
 def test_int8_takes_less() -> None:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from fsinfer.importers.formats import reader_of
 from fsinfer.importers.write import write_scene
-from fsinfer.io.gravity import noted_gravity
+from fsinfer.io.gravity import UPRIGHT, noted_gravity
 from fsinfer.io.turned import sensor_exif, upright_from_picture
 from fsinfer.placement.place import level_scene
 from fsinfer.scene import read_scene
@@ -96,6 +96,15 @@ def test_gravity_that_the_phone_noted_is_kept_in_the_axes_of_the_picture(tmp_pat
         assert down @ -points[-1] > np.cos(np.radians(0.1))
 
 
+@pytest.mark.parametrize("orientation", [1, 3, 6, 8])
+def test_a_scene_of_another_program_keeps_the_tag(tmp_path: Path, orientation: int) -> None:
+    """Its cameras belong to the pixels that are stored, and the tag says how those lie."""
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    Image.new("RGB", (64, 48)).save(tmp_path / "a.jpg", exif=exif)
+    np.testing.assert_array_equal(upright_from_picture(tmp_path / "a.jpg"), UPRIGHT[orientation])
+
+
 def test_upright_photographs_and_mirrored_ones_say_nothing(tmp_path: Path) -> None:
     for orientation in (1, 2, 5):
         photo = phone_photo(tmp_path / f"{orientation}.jpg", None, orientation)
@@ -109,6 +118,4 @@ def test_descriptions_of_somebody_else_turn_nothing(tmp_path: Path, said: str) -
     exif[0x010E] = said
     Image.new("RGB", (8, 8)).save(tmp_path / "a.jpg", exif=exif.tobytes())
     np.testing.assert_array_equal(upright_from_picture(tmp_path / "a.jpg"), np.eye(3))
-    # The tag of a picture that is read upright is no description of ours.
-    np.testing.assert_array_equal(upright_from_picture(phone_photo(tmp_path / "b.jpg", None, 6)), np.eye(3))
     np.testing.assert_array_equal(upright_from_picture(tmp_path / "missing.jpg"), np.eye(3))

@@ -46,6 +46,14 @@ def test_a_phone_with_its_right_side_low_has_gravity_to_the_right(tmp_path: Path
     np.testing.assert_allclose(gravity, [np.sin(0.2), np.cos(0.2), 0], atol=1e-5)
 
 
+@pytest.mark.parametrize(("orientation", "stored"), [(6, [1, 0, 0]), (1, [0, 1, 0]), (3, [0, -1, 0]), (8, [-1, 0, 0])])
+def test_stored_pixels_have_axes_of_their_own(tmp_path: Path, orientation: int, stored: list[int]) -> None:
+    photo = phone_photo(tmp_path / "a.jpg", dict(WAYS)[orientation], orientation)
+    gravity = noted_gravity(photo, upright=False)
+    assert gravity is not None
+    np.testing.assert_allclose(gravity, stored, atol=1e-5)
+
+
 def test_copies_keep_it(tmp_path: Path) -> None:
     photo = phone_photo(tmp_path / "a.jpg", (0.1, -0.95, -0.2), 6)
     first = noted_gravity(photo)

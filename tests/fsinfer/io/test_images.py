@@ -159,6 +159,36 @@ def test_sixteen_bit_grey_is_scaled_not_clipped(tmp_path: Path) -> None:
     assert np.abs(read[0, :, 0].astype(int) - np.linspace(0, 255, 100)).max() <= 1
 
 
+@pytest.mark.parametrize("bits", [8, 10, 12, 14, 16])
+@pytest.mark.parametrize("part", [1.0, 0.6])
+@pytest.mark.parametrize("suffix", [".png", ".tif"])
+def test_sensors_of_fewer_bits_are_as_bright_as_those_of_sixteen(
+    tmp_path: Path, bits: int, part: float, suffix: str
+) -> None:
+    """Nor does it matter whether white is reached: photographs of one camera are scaled alike."""
+    values = (part * np.linspace(0, 2**bits - 1, 100).reshape(1, -1).repeat(10, axis=0)).astype(np.uint16)
+    Image.fromarray(values).save(tmp_path / f"a{suffix}")
+    read = read_image(tmp_path / f"a{suffix}")
+    assert np.abs(read[0, :, 0].astype(int) - part * np.linspace(0, 255, 100)).max() <= 1
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (0.0, 255.0), (0.0, 65535.0), (288.0, 301.5), (-3.0, 2.0)])
+def test_floats_have_their_own_range(tmp_path: Path, low: float, high: float) -> None:
+    values = np.linspace(low, high, 100, dtype=np.float32).reshape(1, -1).repeat(10, axis=0)
+    values[1, :3] = [np.nan, np.inf, -np.inf]
+    Image.fromarray(values).save(tmp_path / "a.tif")
+    read = read_image(tmp_path / "a.tif")
+    assert np.abs(read[0, :, 0].astype(int) - np.linspace(0, 255, 100)).max() <= 1
+    assert read[1, :3, 0].tolist() == [0, 255, 0]
+
+
+@pytest.mark.parametrize("value", [0.5, np.nan])
+def test_floats_without_a_range_are_told(tmp_path: Path, value: float) -> None:
+    Image.fromarray(np.full((10, 100), value, np.float32)).save(tmp_path / "a.tif")
+    with pytest.raises(ImageError, match=r"^\S*a\.tif holds floats that are all alike or not finite; save"):
+        read_image(tmp_path / "a.tif")
+
+
 def test_list_images(tmp_path: Path) -> None:
     for name in ("b.jpg", "a.PNG", "._c.jpg", "notes.txt"):
         (tmp_path / name).write_bytes(b"x")

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from fsinfer.io.pfm import read_pfm, write_pfm
+from fsinfer.output.json_values import as_json
 from fsinfer.output.plot_json import read_plot
 from fsinfer.scale.find import FoundScale
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scale.scale import Scale
+from fsinfer.scene import read_scene
 from fsinfer.workflow import measure_cloud
+from fsinfer.workflow.ledger import Ledger
+from fsinfer.workflow.single_stages import fuse_scene
 from fsinfer.workflow.summary import update_plot
-from tests.support.synthetic_plot import write_scene_folder
+from tests.support.plane_scene import write_plane_scene
+from tests.support.synthetic_plot import write_depth_folder, write_scene_folder
 
 
 @pytest.mark.parametrize(("cloud_per_scene", "factor"), [(1.0, 0.5), (0.5, 1.0), (0.25, 2.0)])
@@ -41,3 +50,52 @@ def test_plot_json_of_single_commands_keeps_what_others_wrote(tmp_path: Path) ->
     for key in ("photos", "registered", "scale_m_per_unit", "density_per_m2", "peak_rss_mb", "model_sha256"):
         assert plot[key] is None
     assert plot["warnings"] == []
+
+
+@pytest.mark.parametrize("part", ["depth", "confidence"])
+def test_maps_that_were_edited_are_fused_again(tmp_path: Path, part: str) -> None:
+    """A person or a fence is masked in the maps: their sizes and their first and last rows stay what they were."""
+    scene = read_scene(write_plane_scene(tmp_path / "scene", height=240, width=320))
+    for view in scene.views:
+        write_pfm(tmp_path / "depth" / f"{view.name}.pfm", np.full((240, 320), 3.0, np.float32))
+        write_pfm(tmp_path / "confidence" / f"{view.name}.pfm", np.full((240, 320), 0.9, np.float32))
+    (tmp_path / "depth" / "depth.json").write_text(json.dumps({"pixel_step": 1.0}))
+    first = fuse_scene(scene.folder, tmp_path)
+    assert not fuse_scene(scene.folder, tmp_path).ran
+    for view in scene.views:
+        path = tmp_path / part / f"{view.name}.pfm"
+        values = read_pfm(path)
+        values[90:140] = 0
+        write_pfm(path, values)
+    again = fuse_scene(scene.folder, tmp_path)
+    assert again.ran
+    assert again.result.points < 0.85 * first.result.points
+
+
+@pytest.mark.parametrize("part", ["depth", "confidence"])
+def test_maps_that_were_edited_are_measured_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part: str) -> None:
+    write_scene_folder(tmp_path / "scene")
+    scene = read_scene(tmp_path / "scene")
+    write_depth_folder(scene, tmp_path)
+    fuse_scene(scene.folder, tmp_path)
+
+    class AskedError(Exception):
+        pass
+
+    def asked(_self: Ledger, _stage: object, _work: object, *, inputs: Mapping[str, Any]) -> None:
+        raise AskedError(json.dumps(as_json(inputs)))
+
+    monkeypatch.setattr(Ledger, "run", asked)
+
+    def inputs() -> str:
+        with pytest.raises(AskedError) as told:
+            measure_cloud.measure_cloud_file(tmp_path / "cloud.ply", tmp_path, request=ScaleRequest())
+        return str(told.value)
+
+    before = inputs()
+    assert inputs() == before
+    path = tmp_path / part / f"{scene.views[1].name}.pfm"
+    values = read_pfm(path)
+    values[len(values) // 2] = 0
+    write_pfm(path, values)
+    assert inputs() != before
