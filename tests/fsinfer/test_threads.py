@@ -101,7 +101,7 @@ def test_every_way_into_fsinfer_sets_it(tmp_path: Path, monkeypatch: pytest.Monk
     out = tmp_path / "out"
     ways: dict[str, Callable[[], Any]] = {
         "fsinfer.workflow.pipeline.Ledger": lambda: run(folder / "images", out),
-        "fsinfer.depth.job.read_image": lambda: estimate_depth(scene, out, settings=DepthSettings(threads=1)),
+        "fsinfer.depth.job.view_image_size": lambda: estimate_depth(scene, out, settings=DepthSettings(threads=1)),
         "fsinfer.workflow.measure_cloud.find_edits": lambda: measure_cloud_file(
             tmp_path / "a.ply", out, request=ScaleRequest()
         ),

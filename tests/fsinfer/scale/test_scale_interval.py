@@ -71,7 +71,7 @@ def test_scales_are_off_by_what_they_say(
             for view in scene.views
         }
         noise = {path: [(n, c + rng.normal(0.0, 0.1, (4, 2))) for n, c in found] for path, found in seen.items()}
-        monkeypatch.setattr(aruco, "read_image", lambda path: path)
+        monkeypatch.setattr(aruco, "read_view_image", lambda view: view.image_path)
         monkeypatch.setattr(aruco, "luminance", lambda path: path)
         monkeypatch.setattr(aruco, "bloom_of", lambda *_, heard=heard: heard)
         monkeypatch.setattr(aruco, "detect_markers", lambda path, *_, noise=noise, **__: noise[path])
@@ -101,7 +101,7 @@ def scale_of_warped(
         )
         return [one], []
 
-    monkeypatch.setattr(aruco, "read_image", lambda path: path)
+    monkeypatch.setattr(aruco, "read_view_image", lambda view: view.image_path)
     monkeypatch.setattr(aruco, "luminance", lambda path: path)
     monkeypatch.setattr(aruco, "bloom_of", lambda *_: None)
     monkeypatch.setattr(aruco, "detect_markers", lambda *_, **__: list(seen.items()))
