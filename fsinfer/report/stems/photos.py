@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from fsinfer.depth.maps import DepthMaps
 from fsinfer.errors import FsinferError
-from fsinfer.io.images import image_size, read_image
 from fsinfer.report.contents import Contents, number
 from fsinfer.report.stems.views import (
     RatedView,
@@ -22,7 +21,7 @@ from fsinfer.report.stems.views import (
     choose_views,
     rate_view,
 )
-from fsinfer.scene import Scene, View, project, read_scene
+from fsinfer.scene import Scene, View, project, read_scene, read_view_image, view_image_size
 
 #: A crop is enlarged so many times at most. Source: layout; more only shows its pixels.
 MAX_ENLARGEMENT = 2.5
@@ -109,7 +108,7 @@ def _rate(
     rated: dict[int, list[RatedView]] = defaultdict(list)
     for index, view in enumerate(scene.views):
         try:
-            size = image_size(view.image_path)
+            size = view_image_size(view)
             depth_map = maps.get(index) if maps is not None and index in maps.available else None
         except FsinferError:
             continue  # a damaged photograph or depth map is told elsewhere; the tree has other views
@@ -136,7 +135,7 @@ def _crops(
     for index, views_of_photo in by_view.items():
         view = scene.views[index]
         try:
-            image = read_image(view.image_path)
+            image = read_view_image(view)
         except FsinferError:
             continue
         for rated in views_of_photo:

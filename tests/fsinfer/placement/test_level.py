@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from fsinfer.errors import CloudError
 from fsinfer.io.cloud import read_cloud
+from fsinfer.io.gravity import UPRIGHT
 from fsinfer.placement.ground_plane import ground_plane
 from fsinfer.placement.level import level
 from fsinfer.placement.place import level_scene
@@ -270,7 +271,9 @@ def test_a_scene_tells_gravity_by_the_notes_of_its_photographs(tmp_path: Path) -
     for number in range(6):
         rows = np.stack([right[number], down[number], np.cross(right[number], down[number])])
         pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = rows, -rows @ centers[number]
+        # The camera is that of the pixels that are stored: those of a phone held upright lie on their side.
+        stored = UPRIGHT[6].T @ rows
+        pose[:3, :3], pose[:3, 3] = stored, -stored @ centers[number]
         # The phone, held upright, feels gravity in its own axes: right, top, out of the screen.
         felt = np.array([1.0, -1.0, -1.0]) * (rows @ -turn[:, 2])
         image = phone_photo(tmp_path / f"{number}.jpg", list(felt), 6)
