@@ -13,14 +13,9 @@ from fsinfer.scale.aruco import scale_from_aruco
 from fsinfer.scale.doubts import boards_at_two_places, doubt_boards
 from fsinfer.scale.printed_boards import DICTIONARY, board_lengths
 from fsinfer.scale.request import ClickedLength, ScaleRequest
-from fsinfer.scale.scale import (
-    UNKNOWN,
-    Scale,
-    scale_from_clicks,
-    scale_from_endpoints,
-    scale_from_factor,
-)
+from fsinfer.scale.scale import UNKNOWN, Scale, scale_from_factor
 from fsinfer.scale.square_fit import MarkerSettings
+from fsinfer.scale.two_ends import scale_from_clicks, scale_from_endpoints
 from fsinfer.scene import Scene
 
 _log = logging.getLogger(__name__)

@@ -42,9 +42,11 @@ TARGETS: dict[str, Target] = {
             "fsinfer/scale/square_fit.py",
             "fsinfer/scale/corners.py",
             "fsinfer/scale/scale.py",
+            "fsinfer/scale/two_ends.py",
         ),
         tests=(
             f"{_SCALE}test_scale.py",
+            f"{_SCALE}test_two_ends.py",
             f"{_SCALE}test_corners.py",
             f"{_SCALE}test_scale_interval.py",
             f"{_SCALE}test_aruco.py",

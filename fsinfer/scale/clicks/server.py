@@ -23,7 +23,8 @@ from fsinfer.io.images import is_turned
 from fsinfer.scale.clicks.file import SavedClicks, clicked_length, read_draft
 from fsinfer.scale.clicks.page import click_page, render_click_page
 from fsinfer.scale.request import ClickedLength
-from fsinfer.scale.scale import EndpointDetails, Scale, scale_from_clicks
+from fsinfer.scale.scale import EndpointDetails, Scale
+from fsinfer.scale.two_ends import scale_from_clicks
 from fsinfer.scene import Scene, View, read_view_image
 
 HOST = "127.0.0.1"
