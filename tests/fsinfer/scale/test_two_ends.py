@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +20,9 @@ from fsinfer.scene import Camera, Scene, View
 from tests.support.rendered_room import intrinsic, poses
 
 
-def as_one_board(rel_std: float) -> float:
-    """What the scale by one board is off by whose side is known so well."""
-    return agreement(np.array([1.0]), np.array([rel_std]), MarkerSettings()).rel_std
+def with_the_model(rel_std: float) -> float:
+    """What a scale is off by whose ends are known so well: with what one board is off by besides its own side."""
+    return math.hypot(agreement(np.array([1.0]), np.zeros(1), MarkerSettings()).rel_std, rel_std)
 
 
 @pytest.mark.parametrize("value", [0.0, -2.0, float("nan"), float("inf")])
@@ -36,12 +37,12 @@ def test_endpoints_follow_the_papers_equation() -> None:
     assert scale.source == "endpoints"
     assert isinstance(scale.details, EndpointDetails)
     assert scale.details.length_units == pytest.approx(5)
-    # A centimetre at either end, and what one board known as badly would have besides.
-    assert scale.rel_std == pytest.approx(as_one_board(0.014142), abs=1e-5)
-    assert scale_from_endpoints((1, 2, 3), (1, 5, 7), 4.0).rel_std == pytest.approx(as_one_board(0.003536), abs=1e-6)
+    # A centimetre at either end, and what one board has besides its own side.
+    assert scale.rel_std == pytest.approx(with_the_model(0.014142), abs=1e-5)
+    assert scale_from_endpoints((1, 2, 3), (1, 5, 7), 4.0).rel_std == pytest.approx(with_the_model(0.003536), abs=1e-6)
     # However long it is, it has the warp of the model and its own error.
     longest = scale_from_endpoints((1, 2, 3), (1, 5, 7), 1000.0).rel_std
-    assert longest == pytest.approx(as_one_board(0.0), rel=1e-3)
+    assert longest == pytest.approx(with_the_model(0.0), rel=1e-3)
     assert longest == pytest.approx(0.0048, abs=1e-4)
 
 
@@ -89,7 +90,7 @@ def test_clicks_give_the_scale_and_its_error(scene: Scene) -> None:
         assert exact.m_per_unit is not None
         ratios.append(once.m_per_unit / exact.m_per_unit)
     # Of 200 the scatter is known to 5 %.
-    assert exact.rel_std == pytest.approx(as_one_board(float(np.std(ratios))), rel=0.18)
+    assert exact.rel_std == pytest.approx(with_the_model(float(np.std(ratios))), rel=0.18)
 
 
 def test_a_clicked_length_in_a_warped_model_holds_what_it_says(scene: Scene) -> None:
