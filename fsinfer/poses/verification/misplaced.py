@@ -12,8 +12,16 @@ from numpy.typing import NDArray
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.poses.colmap_calls import copy_database, open_database
 from fsinfer.poses.verification.loose_parts import loose_parts
-from fsinfer.poses.verification.pair_votes import MIN_SHARE, Ballot, contradicted, pair_votes, weight_of
+from fsinfer.poses.verification.pair_votes import (
+    MIN_SHARE,
+    Ballot,
+    contradicted,
+    pair_votes,
+    telling_votes,
+    weight_of,
+)
 from fsinfer.poses.verification.scale_jumps import shrunk, strays, stretches
+from fsinfer.poses.verification.stretches import torn_off
 
 #: A pose that hangs on fewer points than this is an accident. Source: judgement.
 _MIN_POINTS = 10
@@ -88,10 +96,15 @@ def drop_contradicted(
 ) -> list[str]:
     """Take photos whose own matches speak against their place out of the model; returns their files.
 
-    ``neighbours``, ``min_share``, ``parts``: see :func:`fsinfer.poses.verification.pair_votes.contradicted`.
+    Of an ordered walk (``neighbours`` > 0) short stretches, too, which their neighbours contradict; see
+    :func:`fsinfer.poses.verification.stretches.torn_off`. ``neighbours``, ``min_share``, ``parts``: see
+    :func:`fsinfer.poses.verification.pair_votes.contradicted`.
     """
     image_ids, votes = pair_votes(model, database)
-    wrong = contradicted(votes, len(image_ids), neighbours=neighbours, min_share=min_share, parts=parts)
+    count = len(image_ids)
+    torn = torn_off(telling_votes(votes), count, neighbours) if neighbours else np.zeros(count, np.bool_)
+    left = [vote for vote in votes if not (torn[vote.first] or torn[vote.second])]
+    wrong = torn | contradicted(left, count, neighbours=neighbours, min_share=min_share, parts=parts)
     return drop(model, [image_id for image_id, is_wrong in zip(image_ids, wrong, strict=True) if is_wrong])
 
 

@@ -16,6 +16,13 @@ from fsinfer.poses.verification.pair_votes import Ballot, PairVote
 #: Matches across a cut that must speak against it for each one that speaks for it, and how many at least. Source:
 #: judgement; on a rendered plot that was bent in five places it was all of 1,608 and 3,364 and eight times as many.
 _AGAINST, _FEWEST_AGAINST = 2.0, 100.0
+#: A stretch of so large a part of the walk at most is taken out by its neighbours' word. Source: as of photos at
+#: another scale than the walk, ``scale_jumps.py``.
+_SHORT_PART = 0.2
+#: Matches that contradict a stretch, for each pair that neighbours could make with it, against those of a usual pair
+#: of neighbours. Source: a rendered walk whose last seven photos stood 4.3 m off, where the ground looks the same: as
+#: many as usual (docs/trials-accuracy.md); renders only.
+_AS_NEIGHBOURS = 0.3
 
 
 def stretches_of_walk(votes: Sequence[PairVote], count: int, neighbours: int) -> NDArray[np.intp]:
@@ -44,6 +51,44 @@ def stretches_of_walk(votes: Sequence[PairVote], count: int, neighbours: int) ->
         cut[at] = True
         whole &= ~((first <= at) & (last > at))
     return np.concatenate([np.zeros(min(count, 1), np.intp), np.cumsum(cut, dtype=np.intp)])
+
+
+def torn_off(votes: Sequence[PairVote], count: int, neighbours: int) -> NDArray[np.bool_]:
+    """Whether each of ``count`` photos is in a short stretch that its neighbours in the walk contradict, (count,) bool.
+
+    Such a stretch was put where something looks alike, and its photos vouch for each other. A walk that was begun anew
+    elsewhere is a stretch, too, and false matches with what came before it contradict it; but who shares as much with
+    the photos before as neighbours do elsewhere looks at the same.
+
+    Parameters
+    ----------
+    votes, neighbours: see :func:`stretches_of_walk`.
+    """
+    stretch = stretches_of_walk(votes, count, neighbours)
+    torn = np.zeros(count, np.bool_)
+    if count == 0 or stretch[-1] == 0:
+        return torn
+    ballot = Ballot.of(votes)
+    near = np.abs(np.diff(ballot.ends, axis=1)[:, 0]) <= neighbours
+    ends, weight, against = ballot.ends[near], ballot.weight[near], ~ballot.agrees[near]
+    usual = float(np.median(weight[~against])) if (~against).any() else np.inf
+    for number, size in enumerate(np.bincount(stretch)):
+        if size > _SHORT_PART * count:
+            continue
+        mine = stretch == number
+        across = mine[ends].sum(axis=1) == 1
+        if not (across & against).any():
+            continue
+        # Pairs that share nothing count as none: neighbours would.
+        at = np.flatnonzero(mine)
+        possible = sum(
+            0 <= other < count and not mine[other]
+            for photo in at.tolist()
+            for other in range(photo - neighbours, photo + neighbours + 1)
+        )
+        if weight[across & against].sum() >= _AS_NEIGHBOURS * usual * possible:
+            torn |= mine
+    return torn
 
 
 def _across(

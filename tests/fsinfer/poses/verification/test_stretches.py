@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from fsinfer.poses.verification.pair_votes import PairVote
-from fsinfer.poses.verification.stretches import stretches_of_walk
+from fsinfer.poses.verification.stretches import stretches_of_walk, torn_off
 
 PHOTOS, NEIGHBOURS = 40, 8
 
@@ -52,3 +54,40 @@ def test_what_speaks_for_a_place_is_weighed_against_what_speaks_against_it() -> 
 def test_a_single_photo_and_none() -> None:
     assert stretches_of_walk([], 1, NEIGHBOURS).tolist() == [0]
     assert stretches_of_walk([], 0, NEIGHBOURS).tolist() == []
+
+
+def torn(given: list[PairVote]) -> list[int]:
+    return [int(photo) for photo in np.flatnonzero(torn_off(given, PHOTOS, NEIGHBOURS))]
+
+
+@pytest.mark.parametrize(
+    ("bends", "expected"),
+    [
+        (set(), []),
+        ({32}, list(range(33, 40))),  # the end of the walk, where something looks alike
+        ({9, 16}, list(range(10, 17))),
+        ({25}, []),  # more than a fifth: nobody knows which of the two is right
+        ({3, 25}, [0, 1, 2, 3]),
+    ],
+)
+def test_a_short_stretch_is_torn_off_by_its_neighbours(bends: set[int], expected: list[int]) -> None:
+    """Seven photos stood 4.3 m off and vouched for each other; each by itself had most matches for its place."""
+    assert torn(votes(bends)) == expected
+
+
+@pytest.mark.parametrize(("matches", "expected"), [(15, []), (24, list(range(33, 40)))])
+def test_a_walk_begun_anew_shares_little_with_what_came_before(matches: int, expected: list[int]) -> None:
+    """Its false matches with the photos before contradict it, too: a quarter of what neighbours share is not enough."""
+    given = [vote if vote.agrees else replace(vote, matches=matches) for vote in votes({32})]
+    assert sizes(given) == [33, 7]
+    assert torn(given) == expected
+
+
+def test_one_pair_that_looks_alike_speaks_for_no_neighbours() -> None:
+    given = [vote for vote in votes({32}) if vote.agrees]
+    assert torn([*given, PairVote(first=32, second=33, matches=400, agrees=False)]) == []
+
+
+def test_of_few_photos_none_is_torn_off() -> None:
+    assert not torn_off([], 1, NEIGHBOURS).any()
+    assert len(torn_off([], 0, NEIGHBOURS)) == 0
