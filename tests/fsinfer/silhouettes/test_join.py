@@ -114,6 +114,16 @@ def test_a_stem_seen_from_one_side_is_less_certain() -> None:
     assert abs(one_side.radius_m - 0.15) < 3 * one_side.std_m
 
 
+def test_the_gain_tells_how_far_the_radius_goes_with_the_edges() -> None:
+    edges = edges_of(0.15, 0.0, rays=24, reach_deg=360, junk=0.0, rng=np.random.default_rng(3))
+    fit = fit_silhouette(edges, 0.15, taper=TAPER)
+    assert fit is not None
+    assert fit.gain.sum() == pytest.approx(1.0, abs=0.02)
+    wider = fit_silhouette(replace(edges, support_m=edges.support_m + 0.002), 0.15, taper=TAPER)
+    assert wider is not None
+    assert wider.radius_m - fit.radius_m == pytest.approx(0.002 * fit.gain.sum(), abs=5e-5)
+
+
 def test_edges_at_random_are_no_stem() -> None:
     rng = np.random.default_rng(5)
     edges = edges_of(0.15, 0.0, rays=24, reach_deg=360, junk=6.0, rng=rng)

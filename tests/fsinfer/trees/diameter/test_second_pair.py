@@ -63,6 +63,26 @@ def test_a_thick_stem_needs_less_of_an_angle(radius: float, agree: bool) -> None
     assert not narrow.agree
 
 
+@pytest.mark.parametrize(
+    ("directions", "weak", "agree"),
+    [
+        ([0.0, 3.0, 6.0, 9.0, 24.0, 27.0, 30.0, 33.0], True, False),
+        ([0.0, 3.0, 6.0, 9.0, 14.0, 17.0, 20.0, 23.0], False, False),
+        ([0.0, 3.0, 6.0, 9.0, 70.0, 73.0, 76.0, 79.0], False, True),
+    ],
+)
+def test_an_angle_that_is_almost_enough_is_half_a_support(directions: list[float], weak: bool, agree: bool) -> None:
+    found = second_pair(edges_of(0.06, directions, rng=np.random.default_rng(0)), 0.06, taper=TAPER)
+    assert (found.weak, found.agree) == (weak, agree)
+
+
+def test_two_sizes_are_not_even_that() -> None:
+    rng = np.random.default_rng(4)
+    one = edges_of(0.05, [0.0, 3.0, 6.0, 9.0], rng=rng)
+    other = edges_of(0.08, [24.0, 27.0, 30.0, 33.0], rng=rng, photo=10)
+    assert not second_pair(together(one, other), 0.062, taper=TAPER).weak
+
+
 def test_a_strip_of_bark_on_a_thick_stem_has_moved_at_that_angle() -> None:
     """A strip of 20 cm on a stem of 50 cm, faced by the first photographs; the others see it 9 to 12 cm aside."""
     rng = np.random.default_rng(8)
