@@ -157,3 +157,16 @@ def test_what_no_picture_shows_clearly_is_judged_by_the_large_ones() -> None:
     assert unclear.fit is None
     assert sorted(set(unclear.fitted.photo)) == list(range(6))
     assert unclear.edges is edges
+
+
+@pytest.mark.parametrize(("pixels", "used"), [(5.0, 6), (3.0, 18)])
+def test_large_pictures_are_those_of_four_pixels_of_radius(pixels: float, used: int) -> None:
+    """As they are by default: a stem of 8 cm comes out too thick where those of three pixels are fitted with them."""
+    large, small = edges_at(0.10, photos=6, pixel=0.10 / pixels), edges_at(0.10, photos=12, pixel=0.10 / 2.6)
+    later = {"ray": small.ray + 1000, "photo": small.photo + 100}
+    both = Edges(
+        **{name: np.concatenate([getattr(large, name), later.get(name, getattr(small, name))]) for name in vars(large)}
+    )
+    looked = fitted_look(UPRIGHT, NOWHERE, both, [], None, SilhouetteSettings(), LookSettings())
+    assert looked.fit is not None
+    assert len(np.unique(looked.fitted.photo)) == used
