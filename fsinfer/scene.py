@@ -102,6 +102,15 @@ def project(
     )
 
 
+def in_picture(pixels: NDArray[np.float64], depth: NDArray[np.float64], size: tuple[float, float]) -> NDArray[np.bool_]:
+    """Which of what :func:`project` gave, (..., 2) and (...), is before the camera and in a picture of (width, height).
+
+    A picture ends half a pixel beyond the centres of its outer pixels.
+    """
+    within = (pixels >= -0.5).all(axis=-1) & (pixels < np.array(size) - 0.5).all(axis=-1)
+    return np.asarray(within & (depth > 0))
+
+
 def read_camera(path: Path | str) -> Camera:
     """Read ``NAME_cam.txt``: extrinsic 4x4, intrinsic 3x3, ``depth_min interval [planes [depth_max]]``.
 

@@ -125,7 +125,7 @@ def image_size(path: Path | str, *, upright: bool = True) -> tuple[int, int]:
     """
     with open_header(Path(path)) as image:
         width, height = image.size
-        turned = upright and _orientation(image) in (5, 6, 7, 8)
+        turned = upright and orientation_of(image) in (5, 6, 7, 8)
     return (height, width) if turned else (width, height)
 
 
@@ -133,7 +133,7 @@ def is_turned(path: Path | str) -> bool:
     """Whether the metadata say that the stored pixels are not upright; not so where they cannot be read."""
     try:
         with open_header(Path(path)) as image:
-            return _orientation(image) in range(2, 9)
+            return orientation_of(image) in range(2, 9)
     except ImageError:
         return False
 
@@ -142,7 +142,7 @@ def is_upright_jpeg_or_png(path: Path | str) -> bool:
     """Whether every reader sees the same pixels: JPEG or PNG in 8 bits, without an orientation to apply."""
     with open_header(Path(path)) as image:
         plain = image.format in ("JPEG", "PNG") and image.mode in ("RGB", "L")
-        return plain and _orientation(image) in (0, 1)
+        return plain and orientation_of(image) in (0, 1)
 
 
 def open_header(path: Path) -> Image:
@@ -204,7 +204,7 @@ def _told(path: Path) -> Iterator[None]:
         raise ImageError(msg) from error
 
 
-def _orientation(image: Image) -> int:
+def orientation_of(image: Image) -> int:
     """How the photo has to be turned, by Exif; 1 (not at all) where its metadata is damaged, as for the pixels."""
     try:
         with quiet():

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.io.gravity import EXIF_IFD, UPRIGHT, USER_COMMENT, gravity_comment, noted_gravity
-from fsinfer.io.images import open_header, quiet
+from fsinfer.io.images import open_header, orientation_of, quiet
 
-#: Tags of the orientation and of the description of a picture. Source: format; Exif 2.32.
-_ORIENTATION, _DESCRIPTION = 0x0112, 0x010E
+#: Tag of the description of a picture. Source: format; Exif 2.32.
+_DESCRIPTION = 0x010E
 #: How our own description begins; the number of the orientation follows. Source: format; words of ours.
 _TURNED = "fsinfer orientation "
 
@@ -27,7 +27,10 @@ def sensor_exif(path: Path | str) -> bytes | None:
     """
     from PIL import Image
 
-    orientation = _orientation(Path(path))
+    with open_header(Path(path)) as image:
+        orientation = orientation_of(image)
+    if orientation not in UPRIGHT:
+        orientation = 1  # it mirrors, which no camera does
     gravity = noted_gravity(path)
     kept = Image.Exif()
     if orientation != 1:
@@ -46,19 +49,7 @@ def upright_from_picture(path: Path | str) -> NDArray[np.float64]:
     """
     try:
         with open_header(Path(path)) as image, quiet():
-            tags = image.getexif()
-            said = str(tags.get(_DESCRIPTION, ""))
-            return UPRIGHT[int(said.removeprefix(_TURNED) if said.startswith(_TURNED) else tags.get(_ORIENTATION, 1))]
+            said = str(image.getexif().get(_DESCRIPTION, ""))
+            return UPRIGHT[int(said.removeprefix(_TURNED)) if said.startswith(_TURNED) else orientation_of(image)]
     except Exception:  # of any kind that Pillow raises: broken metadata costs a direction and nothing else
         return UPRIGHT[1]
-
-
-def _orientation(path: Path) -> int:
-    """By the tag; 1 where it is damaged or mirrors, which no camera does."""
-    with open_header(path) as image:
-        try:
-            with quiet():
-                orientation = int(image.getexif().get(_ORIENTATION, 1))
-        except Exception:  # see above
-            return 1
-    return orientation if orientation in UPRIGHT else 1

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy.special import betainc, gammaincinv
 
 from fsinfer.trees.points.sums import Z95
+from fsinfer.trees.stand import mean_section
 
 Floats = NDArray[np.float64]
 #: Square metres of a hectare. Source: format; its definition.
@@ -128,9 +129,9 @@ def basal_area_per_ha(
     sections = stems.sections_m2[measured]
     found = int(stems.inside.sum())
     without = stems.inside & ~measured
-    if len(sections) == 0 or (without.any() and len(sections) < 2):
+    mean = mean_section(sections, lacking=bool(without.any()))
+    if mean is None:
         return None
-    mean = float(sections.mean())
     spread = float(sections.std(ddof=1)) if len(sections) > 1 else mean
     all_sections = np.where(np.isfinite(stems.dbh_m), stems.sections_m2, mean)
     seen = stems.inside & stems.on_seen

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fsinfer.geometry.similarity import apply
 from fsinfer.plot_border.border import Border
-from fsinfer.scene import Scene, View, project, view_image_size
+from fsinfer.scene import Scene, View, in_picture, project, view_image_size
 from fsinfer.trees.ground.ground import Ground
 from fsinfer.trees.points.cells import rows
 from fsinfer.trees.stand import CELL_M, near_ground, seen_cells
@@ -106,20 +106,18 @@ def views_of(cells: Floats, ground_m: Floats, stems: Floats, cameras: Cameras) -
     heights = [np.column_stack([cells, ground_m + height]) for height in LOOKED_AT_M]
     columns = apply(np.asarray(scene_from_cloud, dtype=np.float64), np.array(heights, dtype=np.float64))
     count = np.zeros(len(cells), dtype=np.int64)
-    sizes: dict[str, tuple[int, int]] = {}
     for view, place in zip(cameras.scene.views, cameras.places, strict=True):
-        looked_at = _in_picture(columns, view, sizes)
+        looked_at = _in_picture(columns, view)
         looked_at[looked_at] = ~_hidden(place[:2], cells[looked_at], stems)
         count += looked_at
     return count
 
 
-def _in_picture(columns: Floats, view: View, sizes: dict[str, tuple[int, int]]) -> Bools:
+def _in_picture(columns: Floats, view: View) -> Bools:
     """Which of the columns (H, C, 3) of scene points are in the picture at one of their heights: (C,)."""
     pixels, depth = project(columns, view.camera)
-    width, height = sizes.setdefault(view.name, view_image_size(view))
-    inside = (pixels >= -0.5).all(axis=-1) & (pixels[..., 0] < width - 0.5) & (pixels[..., 1] < height - 0.5)
-    return np.asarray((inside & (depth > 0) & (depth <= view.camera.depth_max)).any(axis=0))
+    inside = in_picture(pixels, depth, view_image_size(view))
+    return np.asarray((inside & (depth <= view.camera.depth_max)).any(axis=0))
 
 
 def _hidden(eye: Floats, cells: Floats, stems: Floats) -> Bools:

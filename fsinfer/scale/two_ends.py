@@ -54,15 +54,7 @@ def scale_from_endpoints(
         The points coincide or are not finite, or the length is not positive.
     """
     check_length(length_m, "the length")
-    if len(first) != 3 or len(second) != 3 or not np.isfinite([*first, *second]).all():
-        msg = f"the end points {first} and {second} are not two points of three finite numbers; give X,Y,Z twice"
-        raise ScaleError(msg)
-    points = np.array([first, second], dtype=np.float64)
-    length_units = float(np.linalg.norm(points[1] - points[0]))
-    if not length_units > _SAME_POINT * float(np.abs(points).max()):
-        msg = f"the end points {first} and {second} are the same; give the two ends of the {length_m} m length"
-        raise ScaleError(msg)
-    details = _end_details(points, length_units, length_m)
+    details = _end_details(first, second, length_m)
     return _of_one_length(details, math.sqrt(2) * PICK_SIGMA_M / length_m, settings)
 
 
@@ -125,15 +117,12 @@ def scale_from_clicks(
             "length each; click both ends in a third photo too, taken from another direction"
         )
         raise ScaleError(msg)
-    # Ends that are one point are no length.
-    scale_from_endpoints(ends[0].tolist(), ends[1].tolist(), length_m)
-    direction = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
-    std_units = math.sqrt(float(direction @ (covariances[0] + covariances[1]) @ direction))
-    length_units = float(np.linalg.norm(ends[1] - ends[0]))
     details = replace(
-        _end_details(np.array(ends), length_units, length_m), views=tuple(clicks), errors_px=tuple(errors_px)
+        _end_details(ends[0].tolist(), ends[1].tolist(), length_m), views=tuple(clicks), errors_px=tuple(errors_px)
     )
-    return _of_one_length(details, std_units / length_units, settings)
+    direction = (ends[1] - ends[0]) / details.length_units
+    std_units = math.sqrt(float(direction @ (covariances[0] + covariances[1]) @ direction))
+    return _of_one_length(details, std_units / details.length_units, settings)
 
 
 def _of_one_length(details: EndpointDetails, ends_rel_std: float, settings: MarkerSettings | None) -> Scale:
@@ -170,6 +159,15 @@ def _meets_exchanged(projections: Sequence[NDArray[np.float64]], pixels: NDArray
     return all(point is not None and _meets(point) and point.max_error_px <= most_px for point in points)
 
 
-def _end_details(ends: NDArray[np.float64], length_units: float, length_m: float) -> EndpointDetails:
-    first, second = ((float(x), float(y), float(z)) for x, y, z in ends)
-    return EndpointDetails(endpoints=(first, second), length_units=length_units, length_m=float(length_m))
+def _end_details(first: Sequence[float], second: Sequence[float], length_m: float) -> EndpointDetails:
+    """The two ends of the length in the model; :class:`ScaleError` where they are none."""
+    if len(first) != 3 or len(second) != 3 or not np.isfinite([*first, *second]).all():
+        msg = f"the end points {first} and {second} are not two points of three finite numbers; give X,Y,Z twice"
+        raise ScaleError(msg)
+    points = np.array([first, second], dtype=np.float64)
+    length_units = float(np.linalg.norm(points[1] - points[0]))
+    if not length_units > _SAME_POINT * float(np.abs(points).max()):
+        msg = f"the end points {first} and {second} are the same; give the two ends of the {length_m} m length"
+        raise ScaleError(msg)
+    one, other = ((float(x), float(y), float(z)) for x, y, z in points)
+    return EndpointDetails(endpoints=(one, other), length_units=length_units, length_m=float(length_m))

@@ -166,7 +166,15 @@ def measure_silhouettes(
             scale_rel_std=scale_rel_std,
             dbh=dbh,
             settings=s,
-            supported=is_supported(section, _points_std(section, s), looked, fit, silhouette=s.fit, settings=s.support),
+            supported=is_supported(
+                section,
+                _points_std(section, s),
+                looked,
+                fit,
+                silhouette=s.fit,
+                settings=s.support,
+                gate=s.combine.gate,
+            ),
             pose_std_m=pose_std_m,
         )
         pairs.append((_tree(tree, joined, stem, fit), joined))

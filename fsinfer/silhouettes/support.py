@@ -13,6 +13,7 @@ import numpy as np
 
 from fsinfer.notices.notice import Notice
 from fsinfer.notices.stems import StemCode
+from fsinfer.silhouettes.combine import CombineSettings
 from fsinfer.silhouettes.looks import Looked
 from fsinfer.trees import Section
 from fsinfer.trees.diameter.edge_problem import SilhouetteSettings
@@ -45,13 +46,11 @@ class SupportSettings:
     half_points_std: the same beside a second pair of sides that looks from almost as far apart as it should. Source:
         statistics, they rule out twice the size; renders only: of 24 stems of seven plots whose points were refused
         one more has a diameter, 9.2 cm for 9.2.
-    gate: standard deviations within which points and edges agree. Source: statistics, 95 %.
     second: of a second pair of sides.
     """
 
     points_std: float = 0.2
     half_points_std: float = 0.3
-    gate: float = 2.0
     second: SecondPairSettings = field(default_factory=SecondPairSettings)
 
 
@@ -63,10 +62,12 @@ def is_supported(
     *,
     silhouette: SilhouetteSettings,
     settings: SupportSettings | None = None,
+    gate: float = CombineSettings.gate,
 ) -> bool:
     """Whether anything beside the edges of ``fit`` has the size of a stem, which they need where the cloud refused it.
 
-    ``points_std_m`` is the standard deviation of the points' radius, metres.
+    ``points_std_m`` is the standard deviation of the points' radius, metres; ``gate`` that of
+    :class:`fsinfer.silhouettes.combine.CombineSettings`, within which the two agree.
     """
     s = settings or SupportSettings()
     if section.dbh_m is not None:
@@ -74,11 +75,11 @@ def is_supported(
     stem = looked.stem
     pair = second_pair(looked.edges, stem.radius_m, taper=stem.taper, silhouette=silhouette, settings=s.second)
     enough = s.half_points_std if pair.weak else s.points_std
-    return pair.agree or points_support(section, points_std_m, fit, enough, gate=s.gate)
+    return pair.agree or points_support(section, points_std_m, fit, enough, gate=gate)
 
 
 def points_support(
-    section: Section, points_std_m: float, fit: SilhouetteFit, enough: float, *, gate: float = SupportSettings.gate
+    section: Section, points_std_m: float, fit: SilhouetteFit, enough: float, *, gate: float = CombineSettings.gate
 ) -> bool:
     """Whether the points of a stem that the cloud refused have the size of its edges all the same.
 

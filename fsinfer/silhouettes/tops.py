@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.scene import Scene, project
+from fsinfer.geometry.similarity import apply
+from fsinfer.scene import Scene, in_picture, project
 from fsinfer.trees import PlotResult, Tree
 
 Floats = NDArray[np.float64]
@@ -48,8 +49,8 @@ def heights_in_view(
     scene_from_cloud = np.linalg.inv(cloud_from_scene)
 
     def in_scene(tree: Tree, height_m: float) -> Floats:
-        place = np.array([tree.x_m, tree.y_m, tree.z_ground_m + height_m, 1.0])
-        return np.asarray((scene_from_cloud @ place)[:3])
+        place = np.array([tree.x_m, tree.y_m, tree.z_ground_m + height_m])
+        return apply(np.asarray(scene_from_cloud, dtype=np.float64), place)
 
     trees = []
     for tree, section in zip(result.trees, result.sections, strict=True):
@@ -68,8 +69,8 @@ def _share_in_view(scene: Scene, stem: Floats, top: Floats, nearest: int) -> flo
     for view in scene.views:
         places, depth = project(np.stack([stem, top]), view.camera)
         # The principal point lies within a few pixels of the middle.
-        size = 2.0 * view.camera.intrinsic[:2, 2] + 1.0
-        inside = (depth > 0) & (places >= -0.5).all(axis=1) & (places <= size - 0.5).all(axis=1)
+        width, height = 2.0 * view.camera.intrinsic[:2, 2] + 1.0
+        inside = in_picture(places, depth, (width, height))
         if inside[0]:
             shown.append((float(depth[0]), bool(inside[1])))
     shown.sort()

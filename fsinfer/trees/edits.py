@@ -165,7 +165,7 @@ def apply_edits(
 
 def _refuse_within(place: Floats, others: Sequence[Tree], row: int) -> None:
     for tree in others:
-        if within(place, tree):
+        if _within(place, tree):
             msg = (
                 f"row {row} of the edits adds a tree at ({place[0]:.2f}, {place[1]:.2f}), which lies in tree "
                 f"{tree.tree_id}; delete that one first, or leave the row out"
@@ -175,7 +175,7 @@ def _refuse_within(place: Floats, others: Sequence[Tree], row: int) -> None:
 
 def _refuse_far(one: Tree, other: Tree, row: int) -> None:
     apart = math.hypot(one.x_m - other.x_m, one.y_m - other.y_m)
-    most = _radius_m(one) + _radius_m(other) + MERGE_REACH_M
+    most = one.radius_m + other.radius_m + MERGE_REACH_M
     if apart > most:
         msg = (
             f"row {row} of the edits merges the trees {one.tree_id} and {other.tree_id}, which stand {apart:.2f} m "
@@ -184,13 +184,8 @@ def _refuse_far(one: Tree, other: Tree, row: int) -> None:
         raise InputError(msg)
 
 
-def within(place: Floats, tree: Tree) -> bool:
-    """Whether a place (2,) lies in a stem."""
-    return math.hypot(place[0] - tree.x_m, place[1] - tree.y_m) < _radius_m(tree)
-
-
-def _radius_m(tree: Tree) -> float:
-    return 0.0 if tree.dbh_cm is None else tree.dbh_cm / 200.0
+def _within(place: Floats, tree: Tree) -> bool:
+    return math.hypot(place[0] - tree.x_m, place[1] - tree.y_m) < tree.radius_m
 
 
 def _measured_at(
@@ -225,7 +220,7 @@ def _measured_at(
         for stem in search.stems:
             center = stem.axis.center_at(settings.bh_m) + origin[:2]
             off = float(np.linalg.norm(center - middle))
-            if off > REACH_M + apart + stem.axis.radius_m or any(within(center, tree) for tree in others):
+            if off > REACH_M + apart + stem.axis.radius_m or any(_within(center, tree) for tree in others):
                 continue
             # One place: the nearest. Two: the one with the most to show for itself.
             worth = stem.quality if len(places) > 1 else -max(off - stem.axis.radius_m, 0.0) + TIE * stem.quality

@@ -35,7 +35,7 @@ NO_AREA = "unknown: the cloud shows too little ground around the stems"
 #: what stands on the rest is counted nowhere, and half of the stems are hardly the plot.
 LEAST_ON_GROUND = 0.5
 
-#: Measured stems whose mean section stands for those without a DBH. Source: as of a plot with a border.
+#: Measured stems whose mean section stands for those without a DBH. Source: judgement; one is no mean.
 LEAST_MEASURED = 2
 
 
@@ -104,9 +104,16 @@ def _basal_area_m2(dbh_cm: Floats, on: NDArray[np.bool_]) -> float | None:
     """Of the stems ``on`` (T,) the plot; those without a DBH (NaN) count with the mean section of all others (T,)."""
     sections = np.pi / 4.0 * (dbh_cm / 100.0) ** 2
     measured = np.isfinite(sections)
-    if not measured.any() or (measured.sum() < LEAST_MEASURED and (on & ~measured).any()):
-        return None
-    return float(np.where(measured, sections, sections[measured].mean())[on].sum())
+    mean = mean_section(sections[measured], lacking=bool((on & ~measured).any()))
+    return None if mean is None else float(np.where(measured, sections, mean)[on].sum())
+
+
+def mean_section(sections_m2: Floats, *, lacking: bool) -> float | None:
+    """Mean of the sections (M,) of the measured stems, which stands for those of others, if any are ``lacking``.
+
+    None where there is no stem that was measured, or too few to stand for others.
+    """
+    return float(sections_m2.mean()) if len(sections_m2) >= (LEAST_MEASURED if lacking else 1) else None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -68,6 +68,11 @@ class Tree:
         return float("inf") if lo is None or hi is None else (hi - lo) / 2.0
 
     @property
+    def radius_m(self) -> float:
+        """At breast height, 0 where there is no DBH."""
+        return 0.0 if self.dbh_cm is None else self.dbh_cm / 200.0
+
+    @property
     def reason(self) -> str:
         """The reasons in words, with semicolons between; empty where there is none."""
         return joined(self.reasons)

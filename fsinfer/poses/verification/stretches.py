@@ -66,26 +66,18 @@ def torn_off(votes: Sequence[PairVote], count: int, neighbours: int) -> NDArray[
     """
     stretch = stretches_of_walk(votes, count, neighbours)
     torn = np.zeros(count, np.bool_)
-    if count == 0 or stretch[-1] == 0:
-        return torn
     ballot = Ballot.of(votes)
     near = np.abs(np.diff(ballot.ends, axis=1)[:, 0]) <= neighbours
     ends, weight, against = ballot.ends[near], ballot.weight[near], ~ballot.agrees[near]
-    usual = float(np.median(weight[~against])) if (~against).any() else np.inf
+    usual = float(np.median(weight[~against])) if not against.all() else np.inf
     for number, size in enumerate(np.bincount(stretch)):
         if size > _SHORT_PART * count:
             continue
         mine = stretch == number
         across = mine[ends].sum(axis=1) == 1
-        if not (across & against).any():
-            continue
         # Pairs that share nothing count as none: neighbours would.
-        at = np.flatnonzero(mine)
-        possible = sum(
-            0 <= other < count and not mine[other]
-            for photo in at.tolist()
-            for other in range(photo - neighbours, photo + neighbours + 1)
-        )
+        apart = np.abs(np.subtract.outer(np.flatnonzero(mine), np.flatnonzero(~mine)))
+        possible = int((apart <= neighbours).sum())
         if weight[across & against].sum() >= _AS_NEIGHBOURS * usual * possible:
             torn |= mine
     return torn

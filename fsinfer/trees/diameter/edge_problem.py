@@ -8,7 +8,7 @@ system before it is solved (Schur's complement).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -209,10 +209,6 @@ class EdgeProblem:
         peaks = sorted(peaks, key=lambda i: -tops[i])[:STARTS]
         contrast = float(tops.max()) / max(float(np.median(tops)), 1e-9)
         return [np.array([radii[i], *places[i]]) for i in peaks], contrast
-
-    def circles(self, starts: Sequence[Floats]) -> Iterator[tuple[Floats, Floats]]:
-        """Each start without a second harmonic."""
-        return ((start, np.zeros(2)) for start in starts)
 
     def ovals(self, start: Floats) -> Iterator[tuple[Floats, Floats]]:
         """A start with a second harmonic: an oval that lies in one of some directions.

@@ -100,16 +100,14 @@ def fit_silhouette(
         return None
     # An EM ends where it began near. From the vote's peaks alone a stem of 69 cm ended 4 cm beside, less likely than
     # where the axis that was asked for leads, or the points' radius.
-    asked = [radius_m] if points is None else [radius_m, points[0]]
+    # At the first look both are mostly the same, and a fit from there is made once.
+    asked = dict.fromkeys([radius_m] if points is None else [radius_m, points[0]])
     starts += [np.array([radius, 0.0, 0.0]) for radius in asked]
-
-    def likely(found: Solution) -> float:
-        return found.log_posterior
-
-    circle, start = max(
-        ((problem.refine(*begun), begun[0]) for begun in problem.circles(starts)), key=lambda pair: likely(pair[0])
-    )
-    oval = max((problem.refine(*begun) for begun in problem.ovals(start)), key=likely)
+    circles = [problem.refine(start, np.zeros(2)) for start in starts]
+    best_start = max(range(len(starts)), key=lambda k: circles[k].log_posterior)
+    circle = circles[best_start]
+    ovals = (problem.refine(*begun) for begun in problem.ovals(starts[best_start]))
+    oval = max(ovals, key=lambda found: found.log_posterior)
     best = _surer(circle, oval, points)
     weight, used = best.weight, best.weight > 0.5
     if used.sum() < s.min_edges or weight.sum() < s.min_share * problem.rays:

@@ -165,12 +165,8 @@ def _put(
 def _standing_in(tree: Tree, others: Sequence[Tree], which: Collection[int]) -> int | None:
     """Index of the stem, of those in ``which``, that a tree stands in or within reach of; of several the nearest."""
     apart = {i: float(np.hypot(tree.x_m - others[i].x_m, tree.y_m - others[i].y_m)) for i in which}
-    near = [i for i in which if apart[i] < max(_REACH_M, _radius(tree) + _radius(others[i]))]
+    near = [i for i in which if apart[i] < max(_REACH_M, tree.radius_m + others[i].radius_m)]
     return min(near, key=apart.__getitem__, default=None)
-
-
-def _radius(tree: Tree) -> float:
-    return 0.0 if tree.dbh_cm is None else tree.dbh_cm / 200.0
 
 
 def _rank(tree: Tree) -> tuple[bool, int, float, float]:
