@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 from fsinfer.depth.model import DepthModel
 from fsinfer.depth.precision import FLOAT32, PRECISIONS
 from fsinfer.depth.settings import DepthSettings
-from fsinfer.depth.subpixel import enlarged, enlarged_surfaces, normalised
+from fsinfer.depth.subpixel import normalised
 from fsinfer.depth.view_maps import finish_depth, search_range
 from fsinfer.errors import FsinferError, SceneError
 from fsinfer.io.images import read_image
 from fsinfer.scene import Scene, View
 from training.data.find import find_true_scenes
 from training.data.true_scene import SPLITS, DepthsFolder
+from training.full_size import at_full_size, enlarged, on_truth_grid
 from training.metrics import DepthErrors, PixelErrors, depth_errors, mean_errors, pixel_errors, pool, pooled_errors
 
 Float32 = NDArray[np.float32]
@@ -93,28 +94,6 @@ def torch_predictor(checkpoint: Path, settings: DepthSettings | None = None) -> 
         return output.depth.cpu().numpy(), output.confidence.cpu().numpy(), output.stride
 
     return predict
-
-
-def on_truth_grid(values: Float32, truth_shape: tuple[int, int]) -> Float32:
-    """Nearest estimate at each pixel of a truth map that is the image reduced by some factor (1, 2, 4, …).
-
-    ``values`` (H, W) are at the image's own size.
-    """
-    indices = []
-    for size, full in zip(truth_shape, values.shape, strict=True):
-        pixel = (np.arange(size) + 0.5) * full / size - 0.5
-        indices.append(np.clip(np.rint(pixel), 0, full - 1).astype(np.intp))
-    return values[np.ix_(*indices)]
-
-
-def at_full_size(depth: Float32, stride: int, image_shape: tuple[int, int]) -> Float32:
-    """Depth at the image's own size: inverse depths between those of one surface, steps between two surfaces.
-
-    Without it a map at half size would be blamed for half a pixel of every slope at three of four pixels.
-    """
-    inverse = np.divide(1.0, depth, out=np.zeros_like(depth), where=depth > 0)
-    full = enlarged_surfaces(inverse, stride, image_shape)
-    return np.divide(1.0, full, out=np.zeros_like(full), where=full > 0)
 
 
 def evaluate_scene(

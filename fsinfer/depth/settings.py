@@ -63,7 +63,7 @@ class SubpixelSettings:
     docs/trials-accuracy.md; neither is blind to it.
     """
 
-    rounds: int = 1
+    rounds: int = 2
     normalise_px: float = 2.0
     least_contrast: float = 3.0
     window_px: float = 3.0

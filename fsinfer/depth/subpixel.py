@@ -2,7 +2,7 @@
 
 The network compares features at a quarter and at half of the resolution, and nobody looks at the full-size pixels
 again. Here each pixel of the depth map keeps its surface as the network has it, and that is moved along the viewing
-rays until the photographs round the pixel agree best: one or two Gauss-Newton steps of least squares matching (Gruen,
+rays until the photographs round the pixel agree best: a few Gauss-Newton steps of least squares matching (Gruen,
 South African Journal of Photogrammetry, Remote Sensing and Cartography 14, 1985), with the shift along the epipolar
 lines as the only unknown of a window and all sources in one system, as in multiphoto matching (Baltsavias, Multiphoto
 geometrically constrained matching, ETH Zurich 1991). With the locally normalised grey values I of the reference and
@@ -12,32 +12,32 @@ I_s of a source, warped by the depth map,
 
 sums over a Gaussian window. Where there is no texture along the lines the damping leaves the depth as it is; sources
 that do not show the same place (hidden, beyond the border) lose their weight by their correlation with the reference.
+
+A pixel of a depth map of stride k stands for k x k of the photograph. These are looked at one after the other, each
+time for the whole map: what is summed over a window is first summed over them, so that windows are looked through at
+the size of the map.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.depth.blocks import over_blocks
-from fsinfer.depth.cost_volume import upsample_twice
 from fsinfer.depth.settings import SubpixelSettings
 from fsinfer.depth.warping import Projection, relative_projection
 
 Float16 = NDArray[np.float16]
 Float32 = NDArray[np.float32]
 
-#: Rows at a time: their arrays stay in a processor's cache. Source: numerics.
-BLOCK_ROWS = 96
+#: Pixels of the depth map at a time: their arrays stay in a processor's cache. Source: numerics.
+BLOCK_PIXELS = 24_000
 #: A Gaussian window ends at so many standard deviations. Source: numerics.
 WINDOW_ENDS = 3.0
-#: Neighbouring places of a depth map whose inverse depths differ by more lie on two surfaces. Source: numerics; a
-#: surface seen at 85 degrees changes by 0.02 a pixel at a focal length of 600.
-SILHOUETTE = np.float32(0.02)
 #: Keeps divisions finite. Source: numerics.
 _TINY = np.float32(1e-9)
 
@@ -75,111 +75,214 @@ def refine_depth(
     """
     s = settings or SubpixelSettings()
     images = [grey.astype(np.float32) for grey in greys]
-    height, width = images[0].shape
-    stride = round(width / depth.shape[1])
+    stride = round(images[0].shape[1] / depth.shape[1])
     projections = [
         relative_projection(intrinsics[0], cam_from_world[0], intrinsics[i], cam_from_world[i], 1.0)
         for i in range(1, len(images))
     ]
     known = depth > 0
     inverse = np.divide(1.0, depth, out=np.zeros_like(depth), where=known)
-    inverse = enlarged_surfaces(inverse, stride, (height, width))
-    weight = enlarged(np.where(known, confidence, 0).astype(np.float32), stride, (height, width))
+    weight = np.where(known, confidence, 0).astype(np.float32)
+    parts = _cut(images[0], stride, depth.shape)
     for _ in range(s.rounds):
-        moved = inverse.copy()
-
-        def fill(row: int, moved: Float32 = moved, inverse: Float32 = inverse) -> None:
-            rows = slice(row, min(row + BLOCK_ROWS, height))
-            moved[rows] = _step(inverse, weight, images, projections, rows, s)
-
-        over_blocks(fill, height, BLOCK_ROWS, threads)
-        inverse = np.asarray(cv2.medianBlur(moved, s.median_px), np.float32) if s.median_px else moved
-    at_depth = inverse[::stride, ::stride]
-    refined = np.divide(1.0, at_depth, out=np.zeros_like(depth), where=known & (at_depth > 0))
+        moved = _step(inverse, weight, parts, images[1:], projections, s, stride=stride, threads=threads)
+        # Of a map at half size three pixels reach as far as five of the photograph.
+        side = 2 * (s.median_px // 2 // min(stride, 2)) + 1
+        inverse = np.asarray(cv2.medianBlur(moved, side), np.float32) if s.median_px else moved
+    refined = np.divide(1.0, inverse, out=np.zeros_like(depth), where=known & (inverse > 0))
     return np.asarray(refined, np.float32)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """The pixels (stride i + down, stride j + right) of the reference: (h, w), NaN beyond its border."""
+
+    down: int
+    right: int
+    grey: Float32
+
+
+def _cut(reference: Float32, stride: int, shape: tuple[int, int]) -> list[_Part]:
+    """The reference in ``stride`` x ``stride`` parts, each of the depth map's ``shape``; the first at its places."""
+    height, width = shape
+    whole = np.full((height * stride, width * stride), np.nan, np.float32)
+    whole[: reference.shape[0], : reference.shape[1]] = reference
+    return [
+        _Part(down, right, np.ascontiguousarray(whole[down::stride, right::stride]))
+        for down in range(stride)
+        for right in range(stride)
+    ]
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """Of each source, over the parts of each pixel of the depth map: (S, h, w).
+
+    ``speed``: pixels of the source to a unit of inverse depth. ``squares``: of the differences of grey values.
+    ``normal``, ``right``: of the least squares, slopes in grey values to two ``difference_px``, without the weights
+    that all parts of a pixel share. ``seen``: 1 where the source shows the place.
+    """
+
+    speed: Float32
+    squares: Float32
+    normal: Float32
+    right: Float32
+    seen: Float32
 
 
 def _step(
     inverse: Float32,
     weight: Float32,
-    images: Sequence[Float32],
+    parts: Sequence[_Part],
+    sources: Sequence[Float32],
     projections: Sequence[Projection],
-    rows: slice,
     s: SubpixelSettings,
+    *,
+    stride: int,
+    threads: int,
 ) -> Float32:
-    """One Gauss-Newton step for some rows: inverse depth (n, W) of them."""
-    halo = 2 * int(np.ceil(WINDOW_ENDS * s.window_px))  # a window of what a window's correlation weighs
+    """One Gauss-Newton step: inverse depth (h, w)."""
     height, width = inverse.shape
-    first, last = max(0, rows.start - halo), min(height, rows.stop + halo)
-    z, confidence, reference = inverse[first:last], weight[first:last], images[0][first:last]
-    x = np.arange(width, dtype=np.float32)[None]
-    y = np.arange(first, last, dtype=np.float32)[:, None]
-    lines = [_epipolar(projection, x, y, z) for projection in projections]
-    fastest = np.maximum(np.maximum.reduce([line[2] for line in lines]), _TINY)
-    normal, right = np.zeros_like(z), np.zeros_like(z)
-    for (u, v, speed, along_u, along_v), image in zip(lines, images[1:], strict=True):
-        ahead, behind = (
-            cv2.remap(
-                image,
-                u + side * along_u,
-                v + side * along_v,
-                cv2.INTER_LINEAR,
-                borderMode=cv2.BORDER_CONSTANT,
-                borderValue=float("nan"),
-            )
-            for side in (np.float32(s.difference_px), np.float32(-s.difference_px))
-        )
-        slope = (ahead - behind) * (speed / fastest) * np.float32(0.5 / s.difference_px)
-        away = reference - np.float32(0.5) * (ahead + behind)
-        seen = np.isfinite(away)
-        np.copyto(slope, 0, where=~seen)
-        np.copyto(away, 0, where=~seen)
+    surfaces = [_inverse_at(inverse, part.down / stride, part.right / stride) for part in parts]
+    sums = _Sums(*(np.empty((len(sources), height, width), np.float32) for _ in range(5)))
+    block_rows = max(1, BLOCK_PIXELS // width)
+
+    def fill(first: int) -> None:
+        rows = slice(first, min(first + block_rows, height))
+        for i, (source, projection) in enumerate(zip(sources, projections, strict=True)):
+            _sum_parts(sums, i, rows, surfaces, parts, source, projection, s, stride=stride)
+
+    over_blocks(fill, height, block_rows, threads)
+    kernel = _window_kernel(s.window_px, stride)
+
+    def window(values: Float32) -> Float32:
+        return np.asarray(cv2.sepFilter2D(values, -1, kernel, kernel, borderType=cv2.BORDER_REPLICATE), np.float32)
+
+    each = np.float32(1 / len(parts))
+    fastest = np.maximum(sums.speed.max(axis=0), _TINY)
+    normal, right = np.zeros_like(inverse), np.zeros_like(inverse)
+    for i in range(len(sources)):
         # Of two signals of variance 1 the mean squared difference is 2 - 2 r, r their correlation.
-        correlation = 1 - np.float32(0.5) * _window(away * away, s) / (_window(seen.astype(np.float32), s) + _TINY)
+        correlation = 1 - np.float32(0.5) * each * window(sums.squares[i]) / (window(sums.seen[i]) + _TINY)
         agrees = np.clip((correlation - s.least_correlation) / (s.full_correlation - s.least_correlation), 0, 1) ** 2
-        robust = np.float32(s.outlier) / np.maximum(np.abs(away), np.float32(s.outlier))
-        part = confidence * robust * agrees * slope
-        normal += part * slope
-        right += part * away
-    shift = _window(right, s) / (_window(normal, s) + np.float32(s.damping) * _window(confidence, s) + _TINY)
+        slower = sums.speed[i] / fastest * np.float32(0.5 / s.difference_px)
+        part = each * agrees * weight * slower
+        right += part * sums.right[i]
+        part *= slower
+        normal += part * sums.normal[i]
+    shift = window(right) / (window(normal) + np.float32(s.damping) * window(weight) + _TINY)
     np.clip(shift, -s.most_px, s.most_px, out=shift)
-    moved = z + shift / fastest
+    moved = inverse + shift / fastest
     # Nothing is moved beyond infinity, and what has no depth keeps none.
-    moved = np.where((moved > 0) & (z > 0), moved, z)
-    return np.asarray(moved[rows.start - first : rows.stop - first], np.float32)
+    return np.where((moved > 0) & (inverse > 0), moved, inverse)
 
 
-def _epipolar(projection: Projection, x: Float32, y: Float32, z: Float32) -> tuple[Any, Any, Any, Any, Any]:
-    """Place (u, v) in the source, its speed in pixels per unit of inverse depth, and the direction it moves in."""
+def _window_kernel(window_px: float, stride: int) -> Float32:
+    """Gaussian of ``window_px`` at the pixels of the depth map round one: (n,), n odd, sum 1.
+
+    A pixel of the map stands for ``stride`` of the photograph, the first at its place: their middle lies beside it, and
+    they are a window themselves.
+    """
+    sigma = np.sqrt(window_px**2 - (stride**2 - 1) / 12) / stride
+    half = int(np.ceil(WINDOW_ENDS * sigma))
+    away = np.arange(-half, half + 1) + (stride - 1) / (2 * stride)
+    kernel = np.exp(-0.5 * (away / sigma) ** 2)
+    return np.asarray(kernel / kernel.sum(), np.float32)
+
+
+def _sum_parts(
+    sums: _Sums,
+    index: int,
+    rows: slice,
+    surfaces: Sequence[Float32],
+    parts: Sequence[_Part],
+    source: Float32,
+    projection: Projection,
+    s: SubpixelSettings,
+    *,
+    stride: int,
+) -> None:
+    """Fill ``rows`` of the sums of one source."""
+    shape = (rows.stop - rows.start, surfaces[0].shape[1])
+    squares, normal, right = (np.zeros(shape, np.float32) for _ in range(3))
+    one = np.empty(shape, np.float32)
+    along: tuple[Float32, Float32] | None = None
+    for surface, part in zip(surfaces, parts, strict=True):
+        u, v, scale = _places(projection, surface[rows], rows, part, stride)
+        if along is None:
+            # The other parts are less than ``stride`` pixels away: their lines run alike.
+            along, sums.speed[index, rows] = _epipolar(projection, u, v, scale, s.difference_px)
+        ahead, behind = (_looked_up(source, side(u, along[0]), side(v, along[1])) for side in (np.add, np.subtract))
+        away = ahead + behind
+        away *= np.float32(-0.5)
+        away += part.grey[rows]
+        slope = np.subtract(ahead, behind, out=ahead)
+        if part is parts[0]:
+            sums.seen[index, rows] = np.isfinite(away)
+        cv2.patchNaNs(away, 0.0)
+        cv2.patchNaNs(slope, 0.0)
+        squares += np.multiply(away, away, out=one)
+        robust = np.abs(away, out=one)
+        np.maximum(robust, np.float32(s.outlier), out=robust)
+        np.divide(np.float32(s.outlier), robust, out=robust)
+        robust *= slope
+        normal += np.multiply(robust, slope, out=slope)
+        right += np.multiply(robust, away, out=away)
+    sums.squares[index, rows], sums.normal[index, rows], sums.right[index, rows] = squares, normal, right
+
+
+def _places(
+    projection: Projection, inverse: Float32, rows: slice, part: _Part, stride: int
+) -> tuple[Float32, Float32, Float32]:
+    """Place (u, v) in the source of each pixel of a part, and one over its depth there times its own; NaN behind it."""
     m, e = projection.matrix.astype(np.float32), projection.offset.astype(np.float32)
-    behind = (m[2, 0] * x + m[2, 1] * y + m[2, 2]) + z * e[2]
-    scale = np.divide(1, behind, out=np.full_like(z, np.nan), where=behind > _TINY)
-    u = ((m[0, 0] * x + m[0, 1] * y + m[0, 2]) + z * e[0]) * scale
-    v = ((m[1, 0] * x + m[1, 1] * y + m[1, 2]) + z * e[1]) * scale
+    x = (np.arange(inverse.shape[1], dtype=np.float32) * stride + part.right)[None]
+    y = (np.arange(rows.start, rows.stop, dtype=np.float32) * stride + part.down)[:, None]
+
+    def row_of_matrix(i: int) -> Float32:
+        found: Float32 = inverse * e[i]
+        found += m[i, 0] * x
+        found += m[i, 1] * y + m[i, 2]
+        return found
+
+    scale, u, v = row_of_matrix(2), row_of_matrix(0), row_of_matrix(1)
+    if scale.min() <= _TINY:
+        scale[scale <= _TINY] = np.nan
+    np.divide(np.float32(1), scale, out=scale)
+    u *= scale
+    v *= scale
+    return u, v, scale
+
+
+def _epipolar(
+    projection: Projection, u: Float32, v: Float32, scale: Float32, length_px: float
+) -> tuple[tuple[Float32, Float32], Float32]:
+    """Steps of ``length_px`` along the epipolar lines, and pixels to a unit of inverse depth; 0 behind the source."""
+    e = projection.offset.astype(np.float32)
     along_u, along_v = (e[0] - u * e[2]) * scale, (e[1] - v * e[2]) * scale
     speed = np.sqrt(along_u * along_u + along_v * along_v)
     np.nan_to_num(speed, copy=False, nan=0.0)
-    unit = np.divide(1, speed, out=np.zeros_like(speed), where=speed > 0)
-    return u, v, speed, along_u * unit, along_v * unit
+    unit = np.divide(np.float32(length_px), speed, out=np.zeros_like(speed), where=speed > 0)
+    along_u *= unit
+    along_v *= unit
+    return (along_u, along_v), speed
 
 
-def _window(values: Float32, s: SubpixelSettings) -> Float32:
-    size = 2 * int(np.ceil(WINDOW_ENDS * s.window_px)) + 1
-    return np.asarray(cv2.GaussianBlur(values, (size, size), s.window_px, borderType=cv2.BORDER_REPLICATE), np.float32)
+def _looked_up(image: Float32, u: Float32, v: Float32) -> Float32:
+    """Bilinear; NaN beyond the border."""
+    found = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan"))
+    return np.asarray(found, np.float32)
 
 
-def enlarged_surfaces(inverse: Float32, stride: int, shape: tuple[int, int]) -> Float32:
-    """Inverse depth at the image's own size; across a silhouette it steps, or places between the surfaces would fly."""
-    smooth = enlarged(inverse, stride, shape)
-    height, width = shape
-    step = inverse.repeat(stride, axis=0).repeat(stride, axis=1)[:height, :width]
-    return np.where(np.abs(smooth - step) > SILHOUETTE * step, step, smooth)
+def _inverse_at(inverse: Float32, down: float, right: float) -> Float32:
+    """Inverse depth (h, w) a share of a pixel below and beside each.
 
-
-def enlarged(values: Float32, stride: int, shape: tuple[int, int]) -> Float32:
-    """Map at the image's own size; pixel (i, j) stays at (stride i, stride j), between them it is interpolated."""
-    while stride > 1:
-        stride //= 2
-        height, width = (-(-length // stride) for length in shape)
-        values = upsample_twice(values, height, width)
-    return values
+    Between two surfaces it is that of neither, which their weights bear; staying on one brought nothing.
+    """
+    if not (down or right):
+        return inverse
+    below = np.concatenate([inverse[1:], inverse[-1:]])
+    beside, both = (np.concatenate([rows[:, 1:], rows[:, -1:]], axis=1) for rows in (inverse, below))
+    a, b = np.float32(down), np.float32(right)
+    between = (1 - a) * ((1 - b) * inverse + b * beside) + a * ((1 - b) * below + b * both)
+    return np.asarray(between, np.float32)

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from fsinfer.depth.settings import DepthSettings
 from tests.bench.results import add_result_options, check_result_options, save_result
-from training.evaluate import Predict, at_full_size, onnx_predictor
+from training.evaluate import Predict, onnx_predictor
+from training.full_size import at_full_size
 from training.synthesize.__main__ import parse, texture_photos, walk_settings
 from training.synthesize.cameras.camera_path import make_camera
 from training.synthesize.cameras.photo import expose, random_sensor

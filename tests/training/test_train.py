@@ -25,7 +25,8 @@ from training.data.samples import (
     mirrored,
     turned,
 )
-from training.evaluate import at_full_size, confidence_curve, evaluate_scene, main, on_truth_grid
+from training.evaluate import confidence_curve, evaluate_scene, main
+from training.full_size import at_full_size, on_truth_grid
 from training.metrics import PixelErrors, depth_errors, flying_pixels, mean_errors, pool, pooled_errors
 from training.model import ModelConfig
 from training.train import Trainer, TrainSettings, parse_arguments, pick_window, train
