@@ -23,13 +23,14 @@ Pair = tuple[Tree, Section]
 IN_EACH_OTHER = 2.0
 #: Without a DBH a radius may be anything; it counts for so much at most, metres. Source: geometry, a stem of 30 cm.
 UNMEASURED_M = 0.15
-#: What is doubtful and hazy, and has no edges in the photographs beside a stem that has, is a haze of that stem as far
-#: as this share of its radius from it. Source: a development plot, torn in three and joined: a wall 18.7 cm beside a
-#: stem of 12.5 cm, taken for one of 18.8 cm, 3 cm from it; renders only.
+#: What is hazy, doubtful or without a DBH, and has no edges in the photographs beside a stem that has, is a haze of
+#: that stem as far as this share of its radius from it. Source: development plots: torn in three and joined, a wall
+#: 18.7 cm beside a stem of 12.5 cm, taken for one of 18.8 cm, 3 cm from it; of some ninety entries without a DBH of
+#: ten others two, 1 and 2 cm from a stem, both nothing; renders only.
 HAZE_SHARE = 0.5
-#: Hazy is a wall of which less than this share of a circumference is seen, and whose noise is larger, metres. Source:
-#: judgement; the haze of a stem lies on one side of it and is centimetres thick. A neighbour that stands behind
-#: something and shows no edges has a bark of millimetres, or is seen from more sides.
+#: Hazy is a wall whose noise is larger than this, metres, and of which, if it has a DBH, less than this share of a
+#: circumference is seen. Source: judgement; the haze of a stem lies on one side of it and is centimetres thick. A
+#: neighbour that stands behind something and shows no edges has a bark of millimetres, or is seen from more sides.
 HAZE_COVERAGE, HAZE_NOISE_M = 0.4, 0.01
 #: The status words in the order of trust; what has none of these comes last.
 TRUST = ("ok", "doubtful")
@@ -72,11 +73,16 @@ def _same(worse: Pair, better: Pair, apart: NDArray[np.float64]) -> bool:
     section, other = worse[1], better[1]
     if _in_each_other(section, other, apart):
         return True
-    seen = section.silhouette is None and other.silhouette is not None
-    hazy = section.coverage < HAZE_COVERAGE and section.residual_m > HAZE_NOISE_M
-    if not (seen and hazy) or section.dbh_m is None or other.dbh_m is None or worse[0].status != "doubtful":
+    if section.silhouette is not None or other.silhouette is None or other.dbh_m is None:
         return False
-    return float(np.hypot(*apart)) < (other.dbh_m + (1.0 + HAZE_SHARE) * section.dbh_m) / 2.0
+    if section.dbh_m is None:
+        radius_m = min(float(section.circle_m[2]), UNMEASURED_M)
+        hazy = section.residual_m > HAZE_NOISE_M
+    else:
+        radius_m = section.dbh_m / 2.0
+        one_sided = section.coverage < HAZE_COVERAGE and worse[0].status == "doubtful"
+        hazy = one_sided and section.residual_m > HAZE_NOISE_M
+    return hazy and float(np.hypot(*apart)) < other.dbh_m / 2.0 + (1.0 + HAZE_SHARE) * radius_m
 
 
 def _in_each_other(one: Section, other: Section, apart: NDArray[np.float64]) -> bool:

@@ -16,6 +16,10 @@ from fsinfer.trees.stem_measurement import tree_of
 from fsinfer.trees.tree import Tree
 
 WALL = notice(StemCode.double_wall, gap_cm=3.0)
+EDGES = SilhouetteFit(
+    radius_m=0.063, std_m=0.001, shift_m=np.zeros(2), slope=np.zeros(2), taper=0.0, shape_m=np.zeros(6), rays=90.0,
+    share=0.9, photos=39, sectors=0.8, noise_m=0.002, contrast=1.5, weight=np.zeros(0),
+)  # fmt: skip
 
 
 def entry(
@@ -73,18 +77,29 @@ def test_a_doubtful_hazy_wall_beside_a_stem_whose_edges_are_seen_is_its_haze(
     status: str, edges: bool, sides: float, noise_m: float, left: list[int]
 ) -> None:
     """Three centimetres of air between them, as in a walk that was torn and joined."""
-    fit = SilhouetteFit(
-        radius_m=0.063, std_m=0.001, shift_m=np.zeros(2), slope=np.zeros(2), taper=0.0, shape_m=np.zeros(6), rays=90.0,
-        share=0.9, photos=39, sectors=0.8, noise_m=0.002, contrast=1.5, weight=np.zeros(0),
-    )  # fmt: skip
     stem, wall = entry(1, 0.0, 0.125), entry(2, 0.187, 0.188, sd_m=0.02, status=status)
     pairs = [
-        (stem[0], replace(stem[1], silhouette=fit)),
-        (wall[0], replace(wall[1], silhouette=fit if edges else None, coverage=sides, residual_m=noise_m)),
+        (stem[0], replace(stem[1], silhouette=EDGES)),
+        (wall[0], replace(wall[1], silhouette=EDGES if edges else None, coverage=sides, residual_m=noise_m)),
     ]
     assert numbers(one_entry_a_stem(pairs)[0]) == left
     # Without photographs nobody looked for edges.
     assert numbers(one_entry_a_stem([stem, wall])[0]) == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("gap_m", "noise_m", "edges", "left"),
+    [(0.02, 0.012, True, [1]), (0.05, 0.012, True, [1, 2]), (0.02, 0.005, True, [1, 2]), (0.02, 0.012, False, [1, 2])],
+)
+def test_a_haze_without_a_diameter_beside_a_stem_is_no_stem(
+    gap_m: float, noise_m: float, edges: bool, left: list[int]
+) -> None:
+    """Thirty-seven points, 17 cm +- 8 cm and 1.1 cm rough, stood a centimetre beside a stem of 18 cm."""
+    stem, wall = entry(1, 0.0, 0.18), entry(2, 0.09 + gap_m + 0.085, None)
+    wall = (wall[0], replace(wall[1], circle_m=np.array([0.0, 0.0, 0.085]), coverage=0.55, residual_m=noise_m))
+    if edges:
+        stem = (stem[0], replace(stem[1], silhouette=EDGES))
+    assert numbers(one_entry_a_stem([stem, wall])[0]) == left
 
 
 def test_what_a_person_put_there_stays() -> None:
