@@ -81,7 +81,7 @@ def reference_figures(pieces: Sequence[Piece], matches: Iterable[Match]) -> dict
     """What the references are, and the coverage of the stem of the scan that is worst.
 
     ``oval_percent`` is by how much the sections are longer one way than a circle, ``oval_one_way_percent`` whether the
-    stems are so in one direction (100) or each in its own (small): then the scan's stations do not fit together.
+    stems are so each in its own direction (small) or all in one (100), as where a scan's stations do not fit together.
     """
     stds = np.array([100.0 * piece.section.std_m for piece in pieces])
     ovals: dict[int, list[complex]] = {}

@@ -23,7 +23,7 @@ def test_every_view_and_every_share_has_its_class() -> None:
 def test_a_real_scan_from_the_file_to_the_figures() -> None:
     if not SCAN.exists():
         pytest.skip("shared/data/clouds is missing")
-    spec = ScanSpec(heights_m=(1.0, 1.0), half_m=0.3, limits=SectionLimits(std_m=0.003))
+    spec = ScanSpec(heights_m=(1.0, 1.0), above_m=0.9, half_m=0.3, limits=SectionLimits(std_m=0.003))
     pieces = find_pieces(SCAN, spec)
     assert 2 <= len(pieces) <= 8
     assert all(20.0 < 100.0 * piece.section.tape_m < 30.0 for piece in pieces)
