@@ -237,6 +237,58 @@ def classes(results: Sequence[Result]) -> Lines:
     )
 
 
+def resampled(results: Sequence[Result]) -> Lines:
+    """Pieces of real scans under a known diameter, a column a scan."""
+    rows: list[tuple[str, str, Callable[[Result], str]]] = [
+        ("set, seeds", "", lambda r: f"{r.kind}, {r.settings['first_seed']} to {r.settings['last_seed']}"),
+        ("sections of stems", "", lambda r: f"{r.figures['sections']:g} of {r.figures['scanned_stems']:g}"),
+        (
+            "oval by; one way (0 %: each its own, 100 %: all the same)",
+            "",
+            lambda r: f"{known(r, 'oval_percent', '.1f', ' %')}; {known(r, 'oval_one_way_percent', '.0f', ' %')}",
+        ),
+        (
+            "standard error of the reference: median, largest",
+            "",
+            lambda r: (
+                f"{known(r, 'reference_std_median_cm', '.2f', ' cm')}, "
+                f"{known(r, 'reference_std_largest_cm', '.2f', ' cm')}"
+            ),
+        ),
+        (
+            "pieces, found, with a DBH, false",
+            "",
+            lambda r: "{stems:g}, {found:g}, {measured:g}, {false:g}".format(**r.figures),
+        ),
+        ("all: RMSE, bias", "", lambda r: error(r, "")),
+    ]
+    names = {
+        "": "all",
+        "seen_360_": "all that was scanned",
+        "seen_270_": "a sector of 270°",
+        "seen_180_": "a sector of 180°",
+        "seen_120_": "a sector of 120°",
+        "two_stations_": "two stations",
+        "one_station_": "one station",
+        "all_points_": "all points of what is seen",
+        "third_": "30 % of them",
+        "tenth_": "10 % of them",
+        "thin_": "thinner than 18 cm",
+        "thick_": "thicker than 24 cm",
+        "swelling_": "on a whorl, or between two",
+    }
+    for prefix, name in names.items():
+        rows.append((f"{name}: stems, RMSE, inside, half width", "93 to 97 %", partial(covered, prefix=prefix)))
+    rows.append(
+        ("worst stem of the scan: inside", "", lambda r: known(r, "worst_stem_inside_interval_percent", ".1f", " %"))
+    )
+    rows.append(("code, date", "", lambda r: f"{r.short_commit}, {r.date[:10]}"))
+    return table(
+        ["", "asked for", *(f"`{result.settings['scan']}`, `{result.name}`" for result in results)],
+        [[label, asked, *(cell(result) for result in results)] for label, asked, cell in rows],
+    )
+
+
 def plot_classes(results: Sequence[Result]) -> Lines:
     """Coverage by class over the stems of several rendered plots together."""
     sums = Counter[str]()
@@ -352,6 +404,7 @@ TEMPLATES: dict[str, Template] = {
     "plots": plots,
     "stems": stems,
     "classes": classes,
+    "resampled": resampled,
     "plot-classes": plot_classes,
     "effects": effects,
     "same": ways,

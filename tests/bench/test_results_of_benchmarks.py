@@ -36,6 +36,7 @@ ARGUMENTS = {
     "plot_speed": ["plot", "out"],
     "poses": ["plot"],
     "relief": [],
+    "resampled": ["scan.laz"],
     "same": ["work"],
     "speed": [],
     "stems": [],
