@@ -9,6 +9,8 @@ _BOARD_POINTS = 10
 #: Of the boards that the part sees, this share of the sightings must agree; and so many of them, where two boards are
 #: all that speaks for a place. Source: judgement.
 _SIGHTINGS_AGREE, _FEWEST_SIGHTINGS = 0.6, 3
+#: Another place may have this share of what speaks for the best one, at most. Source: judgement.
+_RIVAL_SHARE = 0.6
 #: Common points that bear out a single board, and that are believed alone, in so many photos of each part. Source: by
 #: 30 COLMAP places a photo; judgement.
 _BEARING_POINTS, _POINTS_ALONE, _FEWEST_PHOTOS = 10, 30, 2
@@ -37,6 +39,18 @@ class Evidence:
     def score(self) -> int:
         """How much there is, in points."""
         return self.points + _BOARD_POINTS * self.sightings
+
+    @property
+    def balance(self) -> int:
+        """The same, less the sightings of boards that speak against the place."""
+        return self.score - _BOARD_POINTS * self.missed
+
+    def rivals(self, best: Evidence) -> bool:
+        """Whether this place, believed too, has nearly as much for it as the best one, so that nobody can tell.
+
+        Of a part whose 52 sightings all agreed, 36 agreed with a place elsewhere, on one board of three: no rival.
+        """
+        return self.balance > _RIVAL_SHARE * best.balance
 
     @property
     def possible(self) -> bool:

@@ -38,8 +38,6 @@ _CENTER_SHARE, _TURN_DEG = 0.1, 3.0
 #: Directions to the sky of the photos of two parts may differ so much, degrees. Source: people hold a phone level
 #: within some degrees, plots slope by some more.
 _MAX_TILT_DEG = 30.0
-#: Another place may have this share of what speaks for the best one, at most. Source: judgement.
-_RIVAL_SHARE = 0.6
 #: Places differ where the turn between them is larger, in degrees, or the shift, in extents of the part. Source:
 #: judgement.
 _OTHER_TURN_DEG, _OTHER_SHIFT = 10.0, 0.25
@@ -178,7 +176,7 @@ def find_place(
     proposed = [(evidence, place) for evidence, place in ties.proposals() if evidence.possible]
     proposed.sort(key=lambda entry: -entry[0].score)
     refined = [ties.refined(place) for _, place in _distinct(proposed, ties)]
-    judged = sorted(((ties.evidence(place), place) for place in refined), key=lambda entry: -entry[0].score)
+    judged = sorted(((ties.evidence(place), place) for place in refined), key=lambda entry: -entry[0].balance)
     believed = [(evidence, place) for evidence, place in judged if _believed(ties, evidence, place)]
     if not believed:
         if judged:
@@ -186,7 +184,7 @@ def find_place(
         return None
     evidence, best = believed[0]
     rivals = [other for other, place in believed if ties.differ(best, place)]
-    if rivals and rivals[0].score > _RIVAL_SHARE * evidence.score:
+    if rivals and rivals[0].rivals(evidence):
         _log.info("a part of %d photos could lie in two places: %s, %s", part.num_reg_images(), evidence, rivals[0])
         return None
     _log.info("a part of %d photos is joined: %s", part.num_reg_images(), evidence)

@@ -47,3 +47,11 @@ def test_two_boards_are_enough_and_one_needs_something_beside_it() -> None:
 
 def test_boards_that_mostly_disagree_are_evidence_against() -> None:
     assert not evidence(boards=2, sightings=5, missed=5, points=300, goes_on=True).enough(overlap=True)
+
+
+def test_a_place_that_boards_contradict_is_no_rival_of_one_that_they_all_bear_out() -> None:
+    """In a walk torn in three one board of three let 50 photographs lie elsewhere, too, and they were left out."""
+    best = evidence(boards=3, sightings=52, points=82)
+    assert not evidence(boards=1, sightings=36, missed=16, points=15).rivals(best)
+    assert evidence(boards=2, sightings=36, points=15).rivals(best)
+    assert not evidence(boards=2, sightings=30, points=15).rivals(best)
