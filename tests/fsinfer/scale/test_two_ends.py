@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +38,7 @@ def test_endpoints_follow_the_papers_equation() -> None:
     assert scale.source == "endpoints"
     assert isinstance(scale.details, EndpointDetails)
     assert scale.details.length_units == pytest.approx(5)
+    assert scale.details.endpoints == ((1.0, 2.0, 3.0), (1.0, 5.0, 7.0))
     # A centimetre at either end, and what one board has besides its own side.
     assert scale.rel_std == pytest.approx(with_the_model(0.014142), abs=1e-5)
     assert scale_from_endpoints((1, 2, 3), (1, 5, 7), 4.0).rel_std == pytest.approx(with_the_model(0.003536), abs=1e-6)
@@ -91,6 +93,21 @@ def test_clicks_give_the_scale_and_its_error(scene: Scene) -> None:
         ratios.append(once.m_per_unit / exact.m_per_unit)
     # Of 200 the scatter is known to 5 %.
     assert exact.rel_std == pytest.approx(with_the_model(float(np.std(ratios))), rel=0.18)
+
+
+def test_how_sure_clicks_are_does_not_hang_on_the_units_of_the_model(scene: Scene) -> None:
+    """The same photographs, in a model whose unit is a third as long."""
+    views = []
+    for view in scene.views:
+        larger = view.camera.cam_from_world.copy()
+        larger[:3, 3] *= 3.0
+        views.append(replace(view, camera=replace(view.camera, cam_from_world=larger, depth_min=3.0, depth_max=27.0)))
+    clicks = {"v0": clicked(scene, 0), "v3": clicked(scene, 3)}
+    one = scale_from_clicks(scene, clicks, 1.5)
+    other = scale_from_clicks(replace(scene, views=tuple(views)), clicks, 1.5)
+    assert one.m_per_unit is not None
+    assert other.m_per_unit == pytest.approx(one.m_per_unit / 3.0, rel=1e-6)
+    assert other.rel_std == pytest.approx(one.rel_std, rel=1e-6)
 
 
 def test_a_clicked_length_in_a_warped_model_holds_what_it_says(scene: Scene) -> None:
