@@ -70,7 +70,6 @@ class StemCode(StrEnum):
     ground_in_part = "ground_in_part"
     little_ground = "little_ground"
     lean_alike = "lean_alike"
-    halves_apart = "halves_apart"
     turned = "turned"
     thinned = "thinned"
     post_of_marker = "post_of_marker"
@@ -154,11 +153,6 @@ SENTENCES: dict[StemCode, str] = {
         "the stems lean the same way, {lean_deg:.0f} degrees in the mean of {stems}: either the stand does, or the "
         "cloud does not stand upright, and then heights, breast heights and slopes are wrong"
     ),
-    StemCode.halves_apart: (
-        "the stems look cut in halves that lie {shift_cm:.1f} cm apart, by the same shift in all {stems} (azimuth "
-        "{azimuth_deg:.0f} degrees, y axis 0, x axis 90): two parts of the cloud do not fit together, or the trees "
-        "grew so, under wind or on a slope; their intervals are wider for it"
-    ),
     StemCode.turned: "the cloud did not stand upright: {how} in it",
     StemCode.thinned: (
         "the cloud has {total:,} points: {kept:,} of them, drawn at random, were measured (up to {fine:.0f} in each "
@@ -202,9 +196,6 @@ ADVICE: dict[StemCode, str] = {
     StemCode.none_at_stem_height: "check the scale, or photograph the stems as well as the ground",
     StemCode.none_round: "check the scale",
     StemCode.lean_alike: "compare with a plumb line or with a stem that you know to be upright, and level the cloud",
-    StemCode.halves_apart: (
-        "register the scans again or repeat the walk, or look at the figures of the sections and check with a tape"
-    ),
     StemCode.turned: "it was turned, and so is the frame of all results",
 }
 #: Of use to those who look closely, nothing to act upon.

@@ -26,7 +26,7 @@ from fsinfer.poses.refinement import FEATURE_SIZE_PX
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.thorough import rematch, seams, torn
 from fsinfer.poses.verification.misplaced import drop
-from fsinfer.poses.verification.repair import repair, repair_part
+from fsinfer.poses.verification.repair import placed_again, repair, repair_part
 from fsinfer.progress import Progress
 
 _log = logging.getLogger(__name__)
@@ -134,6 +134,13 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
     if joined:
         # What both parts see of the wood was never compared while they stood apart.
         model = triangulate(model, matched, images, work / "joined")
+
+        def grown(start: Any) -> list[Any]:
+            return reconstruct(matched, images, work / "joined_again", settings, progress, start=start)
+
+        model, astray = placed_again(model, path, matched, grown)
+        misplaced["astray"] = [*misplaced.get("astray", []), *astray]
+        joined = [file for file in joined if file not in astray]
     tied = tie_boards(model, boards_in(model, sightings))
     _log.info("%d photos were joined; %d corners of boards tie all", len(joined), tied)
     apart = tuple(tuple(sorted(str(part.images[i].name) for i in part.reg_image_ids())) for part in left)

@@ -35,7 +35,6 @@ from fsinfer.trees.search.find import LEAST_POINTS, StemSearch, find_stems
 from fsinfer.trees.settings import TreeSettings
 from fsinfer.trees.stand import SeenCells, StandTable, near_ground, seen_cells, stand_table
 from fsinfer.trees.stem_measurement import doubt_the_rough, measure_stems
-from fsinfer.trees.torn import doubt_the_torn
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
@@ -179,8 +178,6 @@ def analyse_plot(
     pairs, same = one_entry_a_stem(measure_stems(stand, search, ground, settings, scale_rel_std, origin))
     warnings += same
     pairs = doubt_the_rough(pairs)
-    pairs, apart = doubt_the_torn(pairs, settings=settings)
-    warnings += apart
     warnings += common_lean([tree for tree, _ in pairs], [section for _, section in pairs], settings=settings.lean)
     # On the side of a cloud that lies, a surface may be followed and something on it be measured, but nothing soundly.
     in_part = ground.share < settings.sanity.min_ground
@@ -281,13 +278,11 @@ def _without_scale(
         )
         for tree in result.trees
     ]
-    # Centimetres of a guessed scale are none.
-    kept = tuple(said for said in result.warnings if said.code != StemCode.halves_apart)
     x_min, y_min, x_max, y_max = (units * value for value in result.extent_m)
     return replace(
         result,
         trees=tuple(trees),
-        warnings=(*kept, notice(StemCode.model_units)),
+        warnings=(*result.warnings, notice(StemCode.model_units)),
         extent_m=(x_min, y_min, x_max, y_max),
         plot_area_m2=0.0,
         seen_ground=None,

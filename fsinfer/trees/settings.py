@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 
 from fsinfer.conventions.breast_height import BREAST_HEIGHT_M, BhRule
 from fsinfer.trees.common_lean import CommonLeanSettings
-from fsinfer.trees.common_shift import CommonShiftSettings
 from fsinfer.trees.diameter.dbh import DbhSettings
 from fsinfer.trees.ground.settings import GroundSettings
 from fsinfer.trees.height import TopSettings
@@ -25,7 +24,7 @@ class TreeSettings:
         foot (``uphill``), one of :class:`BhRule`. Source: option; forest inventories of many countries.
     min_dbh_cm: below lies undergrowth. Source: forest inventories start at 4 to 7 cm.
     seed: of all random draws. Source: numerics.
-    ground, stems, dbh, sanity, lean, shift, top: of the steps.
+    ground, stems, dbh, sanity, lean, top: of the steps.
     """
 
     bh_m: float = BREAST_HEIGHT_M
@@ -37,5 +36,4 @@ class TreeSettings:
     dbh: DbhSettings = field(default_factory=DbhSettings)
     sanity: SanitySettings = field(default_factory=SanitySettings)
     lean: CommonLeanSettings = field(default_factory=CommonLeanSettings)
-    shift: CommonShiftSettings = field(default_factory=CommonShiftSettings)
     top: TopSettings = field(default_factory=TopSettings)

@@ -28,6 +28,9 @@ _MIN_POINTS = 10
 #: Matches with trusted photos that must agree with a stretch. Source: as many points as hold a part of a model.
 _VOUCHING_MATCHES = 100
 
+#: Photos so many times farther from the middle of all than most are stand nowhere. Source: judgement; 134 km was seen.
+_FAR = 50.0
+
 #: What the user is told of photos left out, by how they were found.
 LEFT_OUT = {
     "unplaced": CaptureCode.photos_unplaced,
@@ -52,6 +55,14 @@ def drop_strays(model: Any, walk: Sequence[str], database: Path | None = None) -
     if database is not None and found.any():
         found &= ~_vouched_for(found, stretches(centers, order), [i for _, i in placed], model, database)
     return drop(model, [image_id for is_stray, (_, image_id) in zip(found, placed, strict=True) if is_stray])
+
+
+def drop_far(model: Any) -> list[str]:
+    """Take photos that lie beyond any plot, against the others, out of the model; returns their files."""
+    image_ids = sorted(model.reg_image_ids())
+    centers = np.array([model.images[i].projection_center() for i in image_ids]).reshape(-1, 3)
+    away = np.linalg.norm(centers - np.median(centers, axis=0), axis=1)
+    return drop(model, [i for i, far in zip(image_ids, away > _FAR * np.median(away), strict=True) if far])
 
 
 def shrunk_photos(model: Any, walk: Sequence[str], database: Path) -> list[int]:

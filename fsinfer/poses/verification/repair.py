@@ -16,6 +16,7 @@ from fsinfer.poses.verification.misplaced import (
     agreeing_matches,
     drop,
     drop_contradicted,
+    drop_far,
     drop_loose_parts,
     drop_strays,
     shrunk_photos,
@@ -80,6 +81,33 @@ def repair_part(part: Any, database: Path, neighbours: int, least: int, mapped: 
         return part
     drop_contradicted(again, database, neighbours)
     return max(part, again, key=lambda model: model.num_reg_images())
+
+
+def placed_again(
+    model: Any, walk: Sequence[str], database: Path, mapped: Callable[[Any], Sequence[Any]]
+) -> tuple[Any, list[str]]:
+    """A joined model with the photos that are astray in it where they belong, or without them; and the files of those.
+
+    Four photos of a torn walk that were placed before the rest of their stretch was joined lay 134 km away.
+
+    Parameters
+    ----------
+    model: ``pycolmap.Reconstruction``; it is changed. walk: files in the order of walking; empty where there is none.
+    mapped: the models that come of one to start from, the largest first.
+    """
+
+    def astray(judged: Any) -> list[str]:
+        return [*drop_far(judged), *(drop_strays(judged, walk, database) if walk else [])]
+
+    lost = astray(model)
+    if not lost:
+        return model, []
+    again = next(iter(mapped(deepcopy(model))), None)
+    if again is not None:
+        astray(again)
+        model = max(model, again, key=lambda candidate: candidate.num_reg_images())
+    placed = {str(model.images[i].name) for i in model.reg_image_ids()}
+    return model, [file for file in lost if file not in placed]
 
 
 def _candidates(

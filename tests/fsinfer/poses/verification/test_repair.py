@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.verification.misplaced import agreeing_matches, drop, drop_strays, without_pairs
 from fsinfer.poses.verification.pair_votes import PairVote
-from fsinfer.poses.verification.repair import repair, repair_part
+from fsinfer.poses.verification.repair import placed_again, repair, repair_part
 from fsinfer.progress import silent
 
 
@@ -75,6 +75,32 @@ def test_photos_that_a_part_lost_find_their_place_beside_what_is_right(tmp_path:
     # What is left of it is too little to go on from.
     assert repair_part(deepcopy(wrong), database, 0, 8, mapped).num_reg_images() == 7
     assert begun == [7]
+
+
+@pytest.mark.parametrize("found", ["right", "still wrong", "nothing"])
+def test_photos_beyond_the_plot_find_their_place_or_are_left_out(tmp_path: Path, found: str) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig = 1, 1, 8
+    options.num_points3D = 100
+    database = tmp_path / "database.db"
+    with pycolmap.Database.open(database) as opened:
+        right = pycolmap.synthesize_dataset(options, opened)
+    wrong = deepcopy(right)
+    moved = wrong.images[sorted(wrong.reg_image_ids())[4]]
+    pose = pycolmap.Rigid3d(pycolmap.Rotation3d(), np.array([1e5, 0.0, 0.0])) * moved.cam_from_world()
+    wrong.frame(moved.frame_id).set_cam_from_world(moved.camera_id, pose)
+    begun: list[int] = []
+
+    def mapped(start: Any) -> list[Any]:
+        begun.append(start.num_reg_images())
+        return {"right": [deepcopy(right)], "still wrong": [deepcopy(wrong)], "nothing": []}[found]
+
+    model, lost = placed_again(deepcopy(right), (), database, mapped)
+    assert (model.num_reg_images(), lost, begun) == (8, [], [])
+    model, lost = placed_again(deepcopy(wrong), (), database, mapped)
+    assert begun == [7]
+    assert (model.num_reg_images(), lost) == ((8, []) if found == "right" else (7, [moved.name]))
 
 
 def test_forgotten_pairs_are_gone_from_the_copy_only(tmp_path: Path) -> None:
