@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Generator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ import cv2
 from fsinfer.depth.job import DepthJob, plan_job
 from fsinfer.depth.maps import read_depth_index
 from fsinfer.depth.settings import DepthSettings
-from fsinfer.depth.view_maps import MapsOfViews, NetworkView, ViewMaps, sources_of
+from fsinfer.depth.view_maps import MapsOfViews, ViewMaps, sources_of
 from fsinfer.errors import SceneError
 from fsinfer.io.files import make_folder, write_text
 from fsinfer.io.pfm import read_pfm, write_pfm
@@ -115,29 +114,14 @@ def _computed(job: DepthJob, scene: Scene, views: Sequence[View], tell: Callable
 
 
 def _here(job: DepthJob, scene: Scene, views: Sequence[View], tell: Callable[[View], None]) -> Computed:
-    """On this computer, one view after the other; ``tell`` is told of each that is begun.
-
-    What has little to share out, the steps behind the network and what the caller does with the maps, goes on while
-    the network is at the next view.
-    """
-    if not views:
-        return
+    """On this computer, one view after the other; ``tell`` is told of each that is begun."""
     maps = MapsOfViews(job, plan=job.plan, threads=job.settings.threads)
     threads_before = cv2.getNumThreads()
     cv2.setNumThreads(1)  # the volume is shared out over blocks of rows already
     try:
-        with ThreadPoolExecutor(1) as ahead:
-
-            def begin(view: View) -> Future[NetworkView]:
-                tell(view)
-                return ahead.submit(maps.by_network, view, sources_of(scene, view, job.settings))
-
-            begun = begin(views[0])
-            for view, following in zip(views, [*views[1:], None], strict=True):
-                ready = begun.result()
-                if following is not None:
-                    begun = begin(following)
-                yield view, maps.finish(ready)
+        for view in views:
+            tell(view)
+            yield view, maps.of(view, sources_of(scene, view, job.settings))
     finally:
         cv2.setNumThreads(threads_before)
 

@@ -35,22 +35,6 @@ class LoadedView:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NetworkView:
-    """What the network says of a view, and what the steps behind it need of the photographs: ``loaded`` in the order of
-    ``cam_from_world`` (N, 4, 4), the view itself first.
-    """
-
-    estimate: DepthEstimate
-    loaded: tuple[LoadedView, ...]
-    cam_from_world: NDArray[np.float64]
-
-    @property
-    def intrinsics(self) -> NDArray[np.float64]:
-        """(N, 3, 3) of the reduced photographs."""
-        return np.stack([item.intrinsic for item in self.loaded])
-
-
-@dataclass(frozen=True, kw_only=True)
 class ViewMaps:
     """What is written of a view.
 
@@ -100,41 +84,26 @@ class MapsOfViews:
 
     def of(self, view: View, sources: Sequence[View]) -> ViewMaps:
         """The maps of a view, compared with its sources."""
-        return self.finish(self.by_network(view, sources))
-
-    def by_network(self, view: View, sources: Sequence[View]) -> NetworkView:
-        """The first and largest part of :meth:`of`; one view at a time."""
-        loaded = tuple(self._recall(v) for v in (view, *sources))
+        settings = self._settings
+        loaded = [self._recall(v) for v in (view, *sources)]
         intrinsics = np.stack([item.intrinsic for item in loaded])
         cam_from_world = np.stack([v.camera.cam_from_world for v in (view, *sources)])
         depth_range = search_range(
-            view.camera.depth_min,
-            view.camera.depth_max,
-            self._settings,
-            inverse_depth=self._model.manifest.inverse_depth,
+            view.camera.depth_min, view.camera.depth_max, settings, inverse_depth=self._model.manifest.inverse_depth
         )
         estimate = self._predictor.predict_from_features(
             [item.features for item in loaded], intrinsics, cam_from_world, depth_range
         )
-        return NetworkView(estimate=estimate, loaded=loaded, cam_from_world=cam_from_world)
-
-    def finish(self, begun: NetworkView) -> ViewMaps:
-        """The rest of :meth:`of`; it may go on while the network is at the next view."""
-        first = begun.loaded[0]
+        greys = [item.grey for item in loaded]
         depth = finish_depth(
-            begun.estimate,
-            [item.grey for item in begun.loaded],
-            begun.intrinsics,
-            begun.cam_from_world,
-            settings=self._settings,
-            threads=self._model.threads,
+            estimate, greys, intrinsics, cam_from_world, settings=settings, threads=self._model.threads
         )
         return ViewMaps(
             depth=depth,
-            confidence=begun.estimate.confidence,
-            stride=begun.estimate.stride,
-            scale_x=first.scale_x,
-            scale_y=first.scale_y,
+            confidence=estimate.confidence,
+            stride=estimate.stride,
+            scale_x=loaded[0].scale_x,
+            scale_y=loaded[0].scale_y,
         )
 
     def _recall(self, view: View) -> LoadedView:

@@ -75,23 +75,17 @@ def _same(worse: Pair, better: Pair, apart: NDArray[np.float64]) -> bool:
         return True
     if section.silhouette is not None or other.silhouette is None or other.dbh_m is None:
         return False
-    if section.dbh_m is None:
-        radius_m = min(float(section.circle_m[2]), UNMEASURED_M)
-        hazy = section.residual_m > HAZE_NOISE_M
-    else:
-        radius_m = section.dbh_m / 2.0
-        one_sided = section.coverage < HAZE_COVERAGE and worse[0].status == "doubtful"
-        hazy = one_sided and section.residual_m > HAZE_NOISE_M
-    return hazy and float(np.hypot(*apart)) < other.dbh_m / 2.0 + (1.0 + HAZE_SHARE) * radius_m
+    one_sided = section.coverage < HAZE_COVERAGE and worse[0].status == "doubtful"
+    hazy = section.residual_m > HAZE_NOISE_M and (section.dbh_m is None or one_sided)
+    return hazy and float(np.hypot(*apart)) < other.dbh_m / 2.0 + (1.0 + HAZE_SHARE) * _radius_m(section)
+
+
+def _radius_m(section: Section) -> float:
+    return min(float(section.circle_m[2]), UNMEASURED_M) if section.dbh_m is None else section.dbh_m / 2.0
 
 
 def _in_each_other(one: Section, other: Section, apart: NDArray[np.float64]) -> bool:
     """Whether two sections whose centres are ``apart`` (2,) overlap by more than their errors; metres."""
-    reach, variance = 0.0, 0.0
-    for section in (one, other):
-        if section.dbh_m is None:
-            reach += min(float(section.circle_m[2]), UNMEASURED_M)
-        else:
-            reach += section.dbh_m / 2.0
-            variance += (section.sd_m / 2.0) ** 2
+    reach = _radius_m(one) + _radius_m(other)
+    variance = sum((section.sd_m / 2.0) ** 2 for section in (one, other) if section.dbh_m is not None)
     return float(np.hypot(*apart)) < reach - IN_EACH_OTHER * float(np.sqrt(variance))

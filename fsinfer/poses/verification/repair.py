@@ -76,11 +76,7 @@ def repair_part(part: Any, database: Path, neighbours: int, least: int, mapped: 
     """
     if not drop_contradicted(part, database, neighbours) or part.num_reg_images() < least:
         return part
-    again = next(iter(mapped(deepcopy(part))), None)
-    if again is None:
-        return part
-    drop_contradicted(again, database, neighbours)
-    return max(part, again, key=lambda model: model.num_reg_images())
+    return _mapped_on(part, lambda model: drop_contradicted(model, database, neighbours), mapped)
 
 
 def placed_again(
@@ -102,12 +98,18 @@ def placed_again(
     lost = astray(model)
     if not lost:
         return model, []
-    again = next(iter(mapped(deepcopy(model))), None)
-    if again is not None:
-        astray(again)
-        model = max(model, again, key=lambda candidate: candidate.num_reg_images())
+    model = _mapped_on(model, astray, mapped)
     placed = {str(model.images[i].name) for i in model.reg_image_ids()}
     return model, [file for file in lost if file not in placed]
+
+
+def _mapped_on(start: Any, take_out: Callable[[Any], Sequence[str]], mapped: Callable[[Any], Sequence[Any]]) -> Any:
+    """What is ``mapped`` from a model, less the photos that are wrong in it; the model where that has no more."""
+    again = next(iter(mapped(deepcopy(start))), None)
+    if again is None:
+        return start
+    take_out(again)
+    return max(start, again, key=lambda model: model.num_reg_images())
 
 
 def _candidates(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -18,24 +19,36 @@ from fsinfer.poses.verification.repair import placed_again, repair, repair_part
 from fsinfer.progress import silent
 
 
-def test_a_moved_photo_finds_its_place_again(tmp_path: Path) -> None:
+def synthetic(database: Path, frames: int, points: int) -> Any:
+    """A ``pycolmap.Reconstruction`` of so many photos and points, with their matches in ``database``."""
     pycolmap = pytest.importorskip("pycolmap")
     options = pycolmap.SyntheticDatasetOptions()
-    options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig = 1, 1, 8
-    options.num_points3D = 200
-    database = tmp_path / "database.db"
+    options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig = 1, 1, frames
+    options.num_points3D = points
     with pycolmap.Database.open(database) as opened:
-        model = pycolmap.synthesize_dataset(options, opened)
+        return pycolmap.synthesize_dataset(options, opened)
+
+
+def moved_to(model: Any, rotvec: Sequence[float], shift: Sequence[float]) -> Any:
+    """The fifth photo of a model, after it was moved with its points."""
+    pycolmap = pytest.importorskip("pycolmap")
+    image = model.images[sorted(model.reg_image_ids())[4]]
+    turn = pycolmap.Rotation3d(Rotation.from_rotvec(rotvec).as_quat())
+    pose = pycolmap.Rigid3d(turn, np.array(shift)) * image.cam_from_world()
+    model.frame(image.frame_id).set_cam_from_world(image.camera_id, pose)
+    return image
+
+
+def test_a_moved_photo_finds_its_place_again(tmp_path: Path) -> None:
+    database = tmp_path / "database.db"
+    model = synthetic(database, 8, 200)
     (tmp_path / "images").mkdir()
     image_ids = sorted(model.reg_image_ids())
     walk = [model.images[i].name for i in image_ids]
     true = {i: model.images[i].projection_center() for i in image_ids}
     before = agreeing_matches(model, database)
     # The mapper puts it elsewhere, with its points: another place, turned by twelve degrees.
-    image = model.images[image_ids[4]]
-    turn = pycolmap.Rotation3d(Rotation.from_rotvec([0.0, 0.2, 0.1]).as_quat())
-    pose = pycolmap.Rigid3d(turn, np.array([0.6, 0.0, 0.2])) * image.cam_from_world()
-    model.frame(image.frame_id).set_cam_from_world(image.camera_id, pose)
+    moved_to(model, [0.0, 0.2, 0.1], [0.6, 0.0, 0.2])
     assert agreeing_matches(model, database) < before
     repaired, misplaced = repair(model, database, walk, tmp_path, PoseSettings(threads=1), silent)
     assert not any(misplaced.values())
@@ -50,18 +63,10 @@ def test_a_moved_photo_finds_its_place_again(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("found", ["all", "none"])
 def test_photos_that_a_part_lost_find_their_place_beside_what_is_right(tmp_path: Path, found: str) -> None:
-    pycolmap = pytest.importorskip("pycolmap")
-    options = pycolmap.SyntheticDatasetOptions()
-    options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig = 1, 1, 8
-    options.num_points3D = 200
     database = tmp_path / "database.db"
-    with pycolmap.Database.open(database) as opened:
-        right = pycolmap.synthesize_dataset(options, opened)
+    right = synthetic(database, 8, 200)
     wrong = deepcopy(right)
-    moved = wrong.images[sorted(wrong.reg_image_ids())[4]]
-    turn = pycolmap.Rotation3d(Rotation.from_rotvec([0.0, 0.2, 0.1]).as_quat())
-    pose = pycolmap.Rigid3d(turn, np.array([0.6, 0.0, 0.2])) * moved.cam_from_world()
-    wrong.frame(moved.frame_id).set_cam_from_world(moved.camera_id, pose)
+    moved_to(wrong, [0.0, 0.2, 0.1], [0.6, 0.0, 0.2])
     begun: list[int] = []
 
     def mapped(start: Any) -> list[Any]:
@@ -79,17 +84,10 @@ def test_photos_that_a_part_lost_find_their_place_beside_what_is_right(tmp_path:
 
 @pytest.mark.parametrize("found", ["right", "still wrong", "nothing"])
 def test_photos_beyond_the_plot_find_their_place_or_are_left_out(tmp_path: Path, found: str) -> None:
-    pycolmap = pytest.importorskip("pycolmap")
-    options = pycolmap.SyntheticDatasetOptions()
-    options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig = 1, 1, 8
-    options.num_points3D = 100
     database = tmp_path / "database.db"
-    with pycolmap.Database.open(database) as opened:
-        right = pycolmap.synthesize_dataset(options, opened)
+    right = synthetic(database, 8, 100)
     wrong = deepcopy(right)
-    moved = wrong.images[sorted(wrong.reg_image_ids())[4]]
-    pose = pycolmap.Rigid3d(pycolmap.Rotation3d(), np.array([1e5, 0.0, 0.0])) * moved.cam_from_world()
-    wrong.frame(moved.frame_id).set_cam_from_world(moved.camera_id, pose)
+    moved = moved_to(wrong, [0.0, 0.0, 0.0], [1e5, 0.0, 0.0])
     begun: list[int] = []
 
     def mapped(start: Any) -> list[Any]:
@@ -105,11 +103,7 @@ def test_photos_beyond_the_plot_find_their_place_or_are_left_out(tmp_path: Path,
 
 def test_forgotten_pairs_are_gone_from_the_copy_only(tmp_path: Path) -> None:
     pycolmap = pytest.importorskip("pycolmap")
-    options = pycolmap.SyntheticDatasetOptions()
-    options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig = 1, 1, 4
-    options.num_points3D = 50
-    with pycolmap.Database.open(tmp_path / "database.db") as opened:
-        model = pycolmap.synthesize_dataset(options, opened)
+    model = synthetic(tmp_path / "database.db", 4, 50)
     one, two, *_ = sorted(model.reg_image_ids())
     copy = without_pairs(tmp_path / "database.db", [(one, two)], tmp_path / "copy.db")
     left = []
