@@ -78,21 +78,18 @@ class Roundness:
 def roundness(fit: AxisFit, spread: Spread) -> Roundness:
     """The roundness of a fit with harmonics, and of the ``spread`` of its parameters."""
     prior = fit.prior_information
-    # The prior's part of the spread: were it the truth, its errors would have the prior's own covariance.
-    by_prior = (fit.covariance * prior) @ fit.covariance
-    noise = spread.covariance - by_prior
     first = len(prior) - len(fit.shape_m)
     left_open = float(fit.covariance[4, first:] ** 2 @ prior[first:])
     return Roundness(
         harmonics=tuple(
-            _alone(fit, noise, slice(own, own + PAIR), fit.shape_m[own - first : own - first + PAIR])
+            _alone(fit, spread, slice(own, own + PAIR), fit.shape_m[own - first : own - first + PAIR])
             for own in range(first, len(prior), PAIR)
         ),
         left_open_m=float(np.sqrt(left_open)),
     )
 
 
-def _alone(fit: AxisFit, noise: Floats, own: slice, found_m: Floats) -> Harmonic | None:
+def _alone(fit: AxisFit, spread: Spread, own: slice, found_m: Floats) -> Harmonic | None:
     """A harmonic whose prior is taken off: the information of the points is that of both less the prior's."""
     both = np.linalg.inv(fit.covariance[own, own])
     prior = fit.prior_information[own]
@@ -103,7 +100,7 @@ def _alone(fit: AxisFit, noise: Floats, own: slice, found_m: Floats) -> Harmonic
     unit = np.sqrt(prior)
     return Harmonic(
         amplitude=back @ found_m * unit,
-        covariance=back @ noise[own, own] @ back.T * np.outer(unit, unit),
+        covariance=back @ spread.covariance[own, own] @ back.T * np.outer(unit, unit),
     )
 
 

@@ -23,6 +23,10 @@ def test_a_plots_factor_comes_back(factor: float) -> None:
     assert np.mean(found) == pytest.approx(factor, rel=0.1)
 
 
+def test_a_thousand_stems_are_as_good_as_a_few() -> None:
+    assert common_shape(ovals(np.random.default_rng(5), 2.0, 1000)) == pytest.approx(2.0, rel=0.06)
+
+
 def test_stems_rounder_than_usual_take_nothing_off() -> None:
     assert common_shape(ovals(np.random.default_rng(1), 0.3, 25)) == 1.0
 
