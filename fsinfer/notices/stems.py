@@ -26,6 +26,7 @@ class StemCode(StrEnum):
     ground_unsure = "ground_unsure"
     little_seen = "little_seen"
     wide_interval = "wide_interval"
+    far_from_round = "far_from_round"
     rougher_than_others = "rougher_than_others"
     edges_alone = "edges_alone"
     points_alone = "points_alone"
@@ -108,6 +109,9 @@ SENTENCES: dict[StemCode, str] = {
     StemCode.ground_unsure: "the ground at its foot is known to +- {std_cm:.0f} cm only",
     StemCode.little_seen: "only {seen_deg:.0f} degrees of the stem are seen",
     StemCode.wide_interval: "wide interval (+- {half_width_cm:.1f} cm)",
+    StemCode.far_from_round: (
+        "its section is farther from round than stems are: it grew so, or parts of the cloud do not fit"
+    ),
     StemCode.rougher_than_others: (
         "residual {residual_cm:.1f} cm, far above the plot's other stems: perhaps a double wall"
     ),

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from fsinfer.notices.notice import notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees.common_shape import common_shape
 from fsinfer.trees.diameter.budget import shared_std, total_std
@@ -18,6 +19,8 @@ from fsinfer.trees.stem_measurement import with_diameter
 from fsinfer.trees.tree import Tree
 
 Pair = tuple[Tree, Section]
+#: From this share of an interval's variance on the shape is why it is wide. Source: judgement.
+MOSTLY = 0.5
 
 
 def allow_for_shape(pairs: Sequence[Pair], *, settings: TreeSettings | None = None) -> list[Pair]:
@@ -55,11 +58,14 @@ def _with_parts(tree: Tree, section: Section, more_m: Mapping[str, float], limit
     wider = replace(section, parts_m=parts, sd_m=sd, dof=dof, shared_sd_m=2.0 * shared_std(parts))
     if section.dbh_m is None:
         return tree, wider
+    mostly = parts["oval"] ** 2 > MOSTLY * total_std(parts) ** 2
+    because = (notice(StemCode.far_from_round),) if mostly else ()
     refused = too_uncertain(section.dbh_m, wider.half95_m, limits)
     if refused:
-        wider = replace(wider, dbh_m=None, status="unmeasured", reasons=refused, outline=None)
+        wider = replace(wider, dbh_m=None, status="unmeasured", reasons=(*refused, *because), outline=None)
         return with_diameter(tree, wider), wider
     kept = tuple(why for why in section.reasons if why.code != StemCode.wide_interval)
-    reasons = (*kept, *wide_interval(section.dbh_m, wider.half95_m, limits))
+    wide = wide_interval(section.dbh_m, wider.half95_m, limits)
+    reasons = (*kept, *wide, *because) if wide else kept
     wider = replace(wider, reasons=reasons, status="doubtful" if reasons else section.status)
     return with_diameter(tree, wider), wider

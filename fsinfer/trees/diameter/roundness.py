@@ -21,7 +21,7 @@ from fsinfer.trees.cylinder.axis import AxisFit
 from fsinfer.trees.diameter.spread import Spread
 
 Floats = NDArray[np.float64]
-#: Coefficients of one harmonic: cosine and sine.
+#: Coefficients of one harmonic: cosine and sine. Source: mathematics.
 PAIR = 2
 
 

@@ -70,10 +70,17 @@ def test_a_section_far_from_round_is_less_sure_in_any_company() -> None:
 def test_a_wide_interval_is_a_doubt_and_one_too_wide_no_measurement() -> None:
     tree, section = allow_for_shape([pair(99, 0.15)])[0]
     assert (tree.status, section.status) == ("doubtful", "doubtful")
-    assert [why.code for why in tree.reasons] == [StemCode.wide_interval]
+    assert [why.code for why in tree.reasons] == [StemCode.wide_interval, StemCode.far_from_round]
     refused, section = allow_for_shape([pair(99, 0.40)])[0]
     assert (refused.status, refused.dbh_cm, section.dbh_m) == ("unmeasured", None, None)
-    assert [why.code for why in refused.reasons] == [StemCode.too_uncertain]
+    assert [why.code for why in refused.reasons] == [StemCode.too_uncertain, StemCode.far_from_round]
+
+
+def test_a_wide_interval_is_not_put_down_to_a_round_section() -> None:
+    (tree, _), (before, _) = allow_for_shape([pair(99, 0.0, arc_deg=80.0)])[0], pair(99, 0.0, arc_deg=80.0)
+    assert StemCode.wide_interval in [why.code for why in before.reasons]
+    assert [why.code for why in tree.reasons].count(StemCode.wide_interval) == 1
+    assert StemCode.far_from_round not in [why.code for why in tree.reasons]
 
 
 def test_its_parts_are_named_and_add_up() -> None:

@@ -25,8 +25,15 @@ def of(points: Floats) -> Roundness:
     return roundness(fit, fit_spread(fit, offset, foot))
 
 
-def shaped(rng: np.random.Generator, shape: Sequence[tuple[int, float, float]], **kwargs: float) -> Roundness:
-    return of(bark(rng, RADIUS, shape=shape, count=int(kwargs.pop("count", 2500)), **kwargs))
+def shaped(
+    rng: np.random.Generator,
+    shape: Sequence[tuple[int, float, float]],
+    *,
+    arc_deg: float = 360.0,
+    count: int = 2500,
+    sigma_m: float = 0.002,
+) -> Roundness:
+    return of(bark(rng, RADIUS, shape=shape, arc_deg=arc_deg, count=count, sigma_m=sigma_m))
 
 
 def flat(square: float) -> Harmonic:
