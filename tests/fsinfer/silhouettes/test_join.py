@@ -394,6 +394,9 @@ def test_photographs_lift_the_doubts_of_the_cloud_but_not_that_of_its_height() -
     high, unsure = notice(StemCode.above_breast_height, off_cm=22.0), notice(StemCode.little_seen, seen_deg=90.0)
     found = joined(replace(section_of(0.300, 0.002, high, unsure), status="doubtful"), fit_of(0.15, 0.002))
     assert (found.status, found.reasons) == ("doubtful", (high,))
+    fork = notice(StemCode.forks_here, dbh_cm=28.0)
+    found = joined(replace(section_of(0.300, 0.002, fork), status="doubtful"), fit_of(0.15, 0.002))
+    assert (found.status, found.reasons) == ("doubtful", (fork,))
     found = joined(replace(section_of(0.300, 0.002, unsure), status="doubtful"), fit_of(0.15, 0.002))
     assert (found.status, found.reasons) == ("ok", ())
 
