@@ -26,6 +26,7 @@ from fsinfer.silhouettes.join import (
 )
 from fsinfer.silhouettes.strips import GAP_PX, TILE_PX
 from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
+from fsinfer.trees.diameter.budget import factor95
 from fsinfer.trees.diameter.edge_problem import Edges
 from fsinfer.trees.diameter.silhouette import SilhouetteFit, fit_silhouette
 from tests.support.rendered_stem import (
@@ -313,6 +314,23 @@ def test_the_points_count_as_if_their_error_were_twice_as_large() -> None:
     # But whether they can both be right is asked of what they say: 9 mm apart, 2 x 4.5 mm.
     assert combine(0.150, 0.002, 0.1591, 0.004).contradict
     assert not combine(0.150, 0.002, 0.1588, 0.004).contradict
+
+
+def test_edges_on_a_few_sides_and_few_blocks_of_bark_make_it_students_interval() -> None:
+    sure = joined(section_of(0.300, 0.002), fit_of(0.1515, 0.002))
+    assert np.isinf(sure.dof)
+    for section, fit in (
+        (section_of(0.300, 0.002), replace(fit_of(0.1515, 0.002), dof=3.0)),
+        (replace(section_of(0.300, 0.002), dof=3.0), fit_of(0.1515, 0.002)),
+    ):
+        found = joined(section, fit)
+        assert found.sd_m == sure.sd_m
+        assert 3.0 < found.dof < 300.0
+        assert found.half95_m == pytest.approx(factor95(found.dof) * found.sd_m)
+        assert found.half95_m > sure.half95_m
+    edges_alone = joined(section_of(None, 0.01, ROUGH), replace(fit_of(0.15, 0.002), dof=3.0))
+    assert edges_alone.dof < 10.0
+    assert edges_alone.half95_m > 1.1 * 1.96 * edges_alone.sd_m
 
 
 def test_of_a_joined_diameter_only_what_all_stems_share_is_shared() -> None:
