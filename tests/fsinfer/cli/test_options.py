@@ -65,6 +65,15 @@ COMMANDS: dict[str, tuple[str, dict[str, dict[str, Any]]]] = {
     "depth": ("fsinfer.workflow.single_stages.depth_of", {**DEPTH, "--images photos": {"images": Path("photos")}}),
     "frames": ("fsinfer.workflow.single_stages.frames_of", FRAMES),
     "poses": ("fsinfer.workflow.single_stages.poses_of", {"--jobs 2": {"poses.threads": 2}}),
+    "evaluate": (
+        "fsinfer.evaluation.metrics.evaluate",
+        {
+            "--max-distance-m 0.7": {"max_distance_m": 0.7},
+            "--by-id": {"by_id": True},
+            "--align always": {"align": "always"},
+            "--area-margin-m 1": {"area_margin_m": 1.0},
+        },
+    ),
     "check": (
         "fsinfer.check.check_capture",
         {
@@ -76,7 +85,7 @@ COMMANDS: dict[str, tuple[str, dict[str, dict[str, Any]]]] = {
     ),
 }
 #: What changes nothing but what is shown.
-SHOWN = {"--quiet", "-q", "--debug", "--help", "-h"}
+SHOWN = {"--quiet", "-q", "--debug", "--help", "-h", "--json", "--figure"}
 
 
 class _StoppedError(FsinferError):
@@ -85,6 +94,8 @@ class _StoppedError(FsinferError):
 
 def settings_of(command: str, given: dict[str, Any]) -> Any:
     """What the work was given, as an object that has the names that the tables above have for it."""
+    if command == "evaluate":
+        return SimpleNamespace(**given)
     settings = given["settings"]
     if command == "trees":
         return SimpleNamespace(**given | vars(settings.stage), scale=given["request"])
@@ -109,7 +120,9 @@ def test_an_option_reaches_the_work(
         raise _StoppedError
 
     monkeypatch.setattr(target, stop)
-    code, _, error = call(command, "source", "out", *words.split(), "--quiet")
+    monkeypatch.setattr("fsinfer.evaluation.metrics.read_measured", lambda *_, **__: [])
+    silent = () if command == "evaluate" else ("--quiet",)
+    code, _, error = call(command, "source", "out", *words.split(), *silent)
     assert (code, error) == (2, "Error: \n")
     found = settings_of(command, given)
     assert {name: attrgetter(name)(found) for name in told[words]} == told[words]
