@@ -135,13 +135,17 @@ def test_the_page_is_opened_in_the_browser(
 ) -> None:
     asked: list[str] = []
     monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.setattr("webbrowser.open", lambda url: asked.append(url) or opens)
+
+    def browser(url: str) -> bool:
+        asked.append(url)
+        return opens
 
     def show_only(folder: Path, length_m: float, *, show: Callable[[str], None], progress: object) -> None:
         assert (folder, length_m) == (out, 1.5)
         show("http://127.0.0.1:1/token/")
         raise ScaleError
 
+    monkeypatch.setattr("webbrowser.open", browser)
     monkeypatch.setattr("fsinfer.workflow.clicked_scale.click_scale", show_only)
     code, said, _ = call("scale", out, "--click", "--length-m", "1.5", *options)
     assert code == 2
