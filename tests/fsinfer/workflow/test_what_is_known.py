@@ -18,7 +18,11 @@ from fsinfer.output.plot_json import read_plot
 from fsinfer.plot_border.hectare import DIAMETERS, SCALE
 from fsinfer.plot_border.request import BorderRequest
 from fsinfer.scale.request import ScaleRequest
+from fsinfer.scene import read_scene
+from fsinfer.silhouettes.walk import WalkSettings
+from fsinfer.trees.outputs.table import read_trees
 from fsinfer.workflow.measure_cloud import MeasureSettings, measure_cloud_file
+from fsinfer.workflow.run_photos import photos_of_run
 from fsinfer.workflow.tree_stage import PlotCloudInput, TreeStageSettings, measure_plot
 from tests.support.boards import board, scale_of_boards
 from tests.support.rendered_stem import BREAST, LEAN, M_PER_UNIT, PHOTOS, RADIUS, TAPER, write_photographs
@@ -126,3 +130,25 @@ def test_a_tree_that_forks_below_breast_height_is_told(tmp_path: Path, monkeypat
     assert result.trees == 5
     (told,) = [told for told in result.warnings if told.code == StemCode.forked]
     assert told.values["height_m"] == pytest.approx(0.5, abs=0.2)
+
+
+def test_a_stem_far_from_the_walk_is_measured_where_it_was_asked_for(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fsinfer.trees.outputs.figures.write_figures", lambda *_, **__: None)
+    rng = np.random.default_rng(4)
+    away = np.array([0.3, -9.5])
+    turn, height = rng.uniform(0, 2 * np.pi, 8000), rng.uniform(0, 3.5, 8000)
+    stem = np.column_stack([away + 0.15 * np.column_stack([np.cos(turn), np.sin(turn)]), height])
+    below = np.column_stack([rng.uniform(-3, 3, (8000, 2)) + away, np.zeros(8000)])
+    below = below[np.hypot(*(below[:, :2] - away).T) > 0.15]
+    plot = np.concatenate([cloud().xyz, stem + rng.normal(0, 0.003, stem.shape), below])
+    photos = photos_of_run(run, read_scene(run / "scene"), np.diag([*[M_PER_UNIT] * 3, 1.0]))
+    given = PlotCloudInput(cloud=PointCloud(xyz=plot), photos=photos)
+    for far in (False, True):
+        settings = TreeStageSettings(walk=WalkSettings(measure_far=far))
+        result = measure_plot(given, tmp_path / str(far), settings=settings)
+        (tree,) = [tree for tree in read_trees(tmp_path / str(far) / "trees.csv") if tree.y_m < -8.0]
+        assert result.trees_outside == 1
+        assert (tree.dbh_cm is not None) is far
+        assert tree.dbh_cm is None or tree.dbh_cm == pytest.approx(30.0, abs=0.5)
