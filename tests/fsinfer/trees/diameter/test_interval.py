@@ -234,3 +234,14 @@ def test_a_radius_above_a_narrow_ring_is_as_unsure_as_the_taper_of_stems() -> No
         errors.append((fit.radius_m - radius) / np.sqrt(fit.covariance[4, 4]))
     assert 0.75 < rms(np.array(errors)) < 1.25
     assert abs(np.mean(errors)) < 0.2
+
+
+def test_a_stem_known_by_a_few_blocks_of_bark_has_an_interval_of_student() -> None:
+    points = bark(np.random.default_rng(7), 0.15, arc_deg=240.0, count=40_000, sigma_m=0.02, taper=0.0)
+    disc = points[np.abs(points[:, 2] - BH) < 0.04]
+    few, many = measure([disc, points], [0.15, 0.15], DEFAULT)
+    # Half of the variance is estimated from a dozen blocks or so.
+    assert few.parts_m["common"] > 0.6 * few.sd_m / 2
+    assert few.dof < 60.0 < 10_000.0 < many.dof
+    assert few.half95_m > 2.0 * few.sd_m > 1.98 * many.sd_m
+    assert many.half95_m == pytest.approx(1.96 * many.sd_m, rel=1e-4)
