@@ -26,7 +26,9 @@ class StemCode(StrEnum):
     ground_unsure = "ground_unsure"
     little_seen = "little_seen"
     wide_interval = "wide_interval"
+    far_from_round = "far_from_round"
     rougher_than_others = "rougher_than_others"
+    forks_here = "forks_here"
     edges_alone = "edges_alone"
     points_alone = "points_alone"
     sources_disagree = "sources_disagree"
@@ -108,9 +110,13 @@ SENTENCES: dict[StemCode, str] = {
     StemCode.ground_unsure: "the ground at its foot is known to +- {std_cm:.0f} cm only",
     StemCode.little_seen: "only {seen_deg:.0f} degrees of the stem are seen",
     StemCode.wide_interval: "wide interval (+- {half_width_cm:.1f} cm)",
+    StemCode.far_from_round: (
+        "its section is farther from round than stems are: it grew so, or parts of the cloud do not fit"
+    ),
     StemCode.rougher_than_others: (
         "residual {residual_cm:.1f} cm, far above the plot's other stems: perhaps a double wall"
     ),
+    StemCode.forks_here: "it forks at breast height: a second stem, of {dbh_cm:.0f} cm, stands in it there",
     StemCode.edges_alone: "only from its edges in {photos} photos ({refused})",
     StemCode.points_alone: "only from its points: no photo shows its edges clearly",
     StemCode.sources_disagree: "the points say {points_cm:.1f} cm, the edges in the photos {edges_cm:.1f} cm",
@@ -186,7 +192,8 @@ SENTENCES: dict[StemCode, str] = {
 ADVICE: dict[StemCode, str] = {
     StemCode.too_few_on_bark: "photograph the stem from more places",
     StemCode.too_little_seen: "walk round it",
-    StemCode.double_wall: "the poses or scans do not agree at this stem",
+    StemCode.double_wall: "the poses or scans do not agree at this stem, or it forks there",
+    StemCode.forks_here: "measure the narrowest place below the fork by hand, or with --bh 1.0",
     StemCode.too_rough: "undergrowth or bad depth at breast height",
     StemCode.too_uncertain: "walk round the stem",
     StemCode.edges_unsupported: "walk round it",

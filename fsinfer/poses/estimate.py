@@ -24,6 +24,7 @@ from fsinfer.poses.adjustment.tell import told
 from fsinfer.poses.colmap import colmap_errors
 from fsinfer.poses.colmap_calls import require_pycolmap
 from fsinfer.poses.mapping import ADVICE, Walk, map_walk
+from fsinfer.poses.model_files import write_model
 from fsinfer.poses.refinement import larger_than_usual, refine
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.sparse import sparse_of
@@ -267,7 +268,7 @@ def _write_scene(
     for name, camera in cameras.items():
         write_camera(out / "cams" / f"{name}_cam.txt", camera)
     write_pairs(out / "pair.txt", select_views(sparse, cameras, settings.sources, settings=settings.selection))
-    model.write_binary(make_folder(out / "sparse"))
+    write_model(model, out / "sparse")
     progress(len(image_ids), len(image_ids), "undistorting")
     return tuple(image_ids)
 

@@ -1,12 +1,18 @@
 """The files of a COLMAP model: what their counts promise, held against their sizes before COLMAP believes it.
 
-COLMAP asks for memory by these counts, and reads on behind the end of a file as often as they say.
+COLMAP asks for memory by these counts, and reads on behind the end of a file as often as they say. On a full disk it
+writes files that end too early, and says nothing.
 """
 
 from __future__ import annotations
 
 import struct
 from pathlib import Path
+from typing import Any
+
+from fsinfer.errors import OutputError
+from fsinfer.io.files import make_folder
+from fsinfer.poses.colmap_calls import ColmapError, call
 
 #: Bytes of an image before its name, and of each of its points (COLMAP 3 and 4, binary). Source: format.
 _IMAGE, _POINT2D = 4 + 7 * 8 + 4, 2 * 8 + 8
@@ -37,6 +43,24 @@ def why_damaged(folder: Path) -> str:
             except (struct.error, ValueError):
                 return f"{name} is cut short, or promises more than it holds"
     return ""
+
+
+def write_model(model: Any, folder: Path) -> None:
+    """Write a ``pycolmap.Reconstruction`` as binary files into ``folder``, which is made if missing.
+
+    Raises
+    ------
+    OutputError
+        COLMAP cannot write there, or what it wrote is not whole.
+    """
+    try:
+        call(model.write_binary, make_folder(folder))
+        why = why_damaged(folder)
+    except ColmapError as error:
+        why = str(error)
+    if why:
+        msg = f"cannot write the COLMAP model to {folder} ({why}); free some space or choose another output folder"
+        raise OutputError(msg)
 
 
 class _Reader:

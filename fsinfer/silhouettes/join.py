@@ -51,7 +51,7 @@ SOURCE_COLUMNS = (
 )  # fmt: skip
 
 #: Doubts of the cloud that photographs do not lift.
-OFF_BREAST_HEIGHT = frozenset({StemCode.above_breast_height, StemCode.below_breast_height})
+NOT_LIFTED = frozenset({StemCode.above_breast_height, StemCode.below_breast_height, StemCode.forks_here})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -302,7 +302,7 @@ def _status(
     uncertain = too_uncertain(dbh_m, half_m, dbh)
     if uncertain:
         return "unmeasured", uncertain
-    doubts = [why for why in section.reasons if why.code in OFF_BREAST_HEIGHT and section.dbh_m is not None]
+    doubts = [why for why in section.reasons if why.code in NOT_LIFTED and section.dbh_m is not None]
     few = fit.photos < s.sure_photos or fit.sectors < s.sure_sectors
     # Two walls are poses that do not agree: the distance of two edges stands it, but somebody should look.
     if refused is not None and (few or refused.code == StemCode.double_wall):

@@ -24,6 +24,7 @@ from fsinfer.trees.measure import PlotResult
 from fsinfer.trees.search.find import find_stems
 from fsinfer.trees.search.stem import Stem, StemSettings
 from fsinfer.trees.settings import TreeSettings
+from fsinfer.trees.shape_doubts import allow_for_shape
 from fsinfer.trees.stem_measurement import measure_stems, tree_of
 from fsinfer.trees.tree import Tree
 
@@ -229,7 +230,7 @@ def _measured_at(
         if best is not None:
             alone = replace(search, stems=(best[0],))
             pairs = measure_stems(stand, alone, ground, settings, scale_rel_std, origin)
-            return pairs[0] if pairs else None
+            return allow_for_shape(pairs, settings=settings)[0] if pairs else None
     return None
 
 

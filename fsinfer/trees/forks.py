@@ -32,13 +32,19 @@ def forks(trees: Sequence[Tree], sections: Sequence[Section]) -> tuple[Notice, .
     """What to say of every two stems that meet below breast height, of those that are measured and not outside."""
     told = []
     stems = [pair for pair in zip(trees, sections, strict=True) if pair[1].dbh_m is not None and not pair[0].outside]
-    for (one, first), (other, second) in combinations(stems, 2):
-        height = _meeting_height(_at_breast(one), first, _at_breast(other), second)
+    for first, second in combinations(stems, 2):
+        (one, _), (other, _) = first, second
+        height = fork_height(first, second)
         if height is not None:
             ground = min(one.z_ground_m, other.z_ground_m)
             ids = sorted((one.tree_id, other.tree_id))
             told.append(notice(StemCode.forked, tree_id=ids[0], other_id=ids[1], height_m=max(height - ground, 0.0)))
     return tuple(told)
+
+
+def fork_height(first: tuple[Tree, Section], second: tuple[Tree, Section]) -> float | None:
+    """Height (z of the cloud) below breast height at which two measured stems part, None where they are no fork."""
+    return _meeting_height(_at_breast(first[0]), first[1], _at_breast(second[0]), second[1])
 
 
 def _at_breast(tree: Tree) -> NDArray[np.float64]:

@@ -33,6 +33,7 @@ from fsinfer.trees.sanity import (
 )
 from fsinfer.trees.search.find import LEAST_POINTS, StemSearch, find_stems
 from fsinfer.trees.settings import TreeSettings
+from fsinfer.trees.shape_doubts import allow_for_shape
 from fsinfer.trees.stand import SeenCells, StandTable, near_ground, seen_cells, stand_table
 from fsinfer.trees.stem_measurement import doubt_the_rough, measure_stems
 from fsinfer.trees.tree import Tree
@@ -177,7 +178,7 @@ def analyse_plot(
     progress(2, 3, "measuring stems")
     pairs, same = one_entry_a_stem(measure_stems(stand, search, ground, settings, scale_rel_std, origin))
     warnings += same
-    pairs = doubt_the_rough(pairs)
+    pairs = doubt_the_rough(allow_for_shape(pairs, settings=settings))
     warnings += common_lean([tree for tree, _ in pairs], [section for _, section in pairs], settings=settings.lean)
     # On the side of a cloud that lies, a surface may be followed and something on it be measured, but nothing soundly.
     in_part = ground.share < settings.sanity.min_ground

@@ -2,12 +2,14 @@
 
 The search lets the better stem own its wall, but a stem far from all cameras is a haze with several axes, and
 measuring moves axes: two entries may end a centimetre apart. Stems grown together, and the stems of a fork, touch; they
-do not stand in each other.
+do not stand in each other. Where they do and part above, the tree forks at breast height: it has no round section
+there, and neither of them is its diameter.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +17,7 @@ from numpy.typing import NDArray
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees.diameter.section import Section
+from fsinfer.trees.forks import fork_height
 from fsinfer.trees.tree import Tree
 
 Pair = tuple[Tree, Section]
@@ -39,12 +42,15 @@ TRUST = ("ok", "doubtful")
 def one_entry_a_stem(pairs: Sequence[Pair], kept: Collection[int] = ()) -> tuple[list[Pair], tuple[Notice, ...]]:
     """The ``pairs`` in their order without those that stand in a better one, and what to say of it.
 
+    A stem whose tree forks at breast height, by the one that stands in it, is doubtful.
+
     The better one is what a person put there (``kept``, numbers of trees), then the surer one by its status, by its
     relative interval, by the share of the stem that was seen. Positions and radii are in metres.
     """
     order = sorted(range(len(pairs)), key=lambda i: _rank(pairs[i], kept))
     places = np.array([[tree.x_m, tree.y_m] for tree, _ in pairs]).reshape(-1, 2)
     standing: list[int] = []
+    forks: dict[int, Pair] = {}
     told = []
     for i in order:
         tree = pairs[i][0]
@@ -53,8 +59,25 @@ def one_entry_a_stem(pairs: Sequence[Pair], kept: Collection[int] = ()) -> tuple
             standing.append(i)
             continue
         better = pairs[inside][0]
+        if _is_fork(pairs[i], pairs[inside]):
+            forks.setdefault(inside, pairs[i])
         told.append(notice(StemCode.same_stem, x_m=tree.x_m, y_m=tree.y_m, other_x_m=better.x_m, other_y_m=better.y_m))
-    return [pairs[i] for i in sorted(standing)], tuple(told)
+    return [_forked(pairs[i], forks[i]) if i in forks else pairs[i] for i in sorted(standing)], tuple(told)
+
+
+def _is_fork(worse: Pair, better: Pair) -> bool:
+    """Whether both are stems that are seen from several sides, and part: haze has axes of any direction."""
+    seen = all(section.dbh_m is not None and section.coverage >= HAZE_COVERAGE for _, section in (worse, better))
+    return seen and fork_height(worse, better) is not None
+
+
+def _forked(stem: Pair, other: Pair) -> Pair:
+    """The stem, doubtful by the one that stands in it."""
+    tree, section = stem
+    if any(why.code == StemCode.forks_here for why in section.reasons):
+        return stem
+    reasons = (*section.reasons, notice(StemCode.forks_here, dbh_cm=100.0 * (other[1].dbh_m or 0.0)))
+    return replace(tree, status="doubtful", reasons=reasons), replace(section, status="doubtful", reasons=reasons)
 
 
 def trust_rank(tree: Tree) -> int:

@@ -6,7 +6,9 @@ from dataclasses import dataclass, field
 
 from fsinfer.conventions.breast_height import BREAST_HEIGHT_M, BhRule
 from fsinfer.trees.common_lean import CommonLeanSettings
+from fsinfer.trees.common_shape import CommonShapeSettings
 from fsinfer.trees.diameter.dbh import DbhSettings
+from fsinfer.trees.diameter.roundness import RoundnessSettings
 from fsinfer.trees.ground.settings import GroundSettings
 from fsinfer.trees.height import TopSettings
 from fsinfer.trees.sanity import SanitySettings
@@ -24,7 +26,7 @@ class TreeSettings:
         foot (``uphill``), one of :class:`BhRule`. Source: option; forest inventories of many countries.
     min_dbh_cm: below lies undergrowth. Source: forest inventories start at 4 to 7 cm.
     seed: of all random draws. Source: numerics.
-    ground, stems, dbh, sanity, lean, top: of the steps.
+    ground, stems, dbh, sanity, lean, shape, roundness, top: of the steps.
     """
 
     bh_m: float = BREAST_HEIGHT_M
@@ -36,4 +38,6 @@ class TreeSettings:
     dbh: DbhSettings = field(default_factory=DbhSettings)
     sanity: SanitySettings = field(default_factory=SanitySettings)
     lean: CommonLeanSettings = field(default_factory=CommonLeanSettings)
+    shape: CommonShapeSettings = field(default_factory=CommonShapeSettings)
+    roundness: RoundnessSettings = field(default_factory=RoundnessSettings)
     top: TopSettings = field(default_factory=TopSettings)

@@ -18,8 +18,9 @@ import fsinfer.depth.job as depth_job
 from export.graphs import fold_batch_norm
 from export.onnx_export import export_model
 from export.volume_heads import TileVolumeHead, VolumeHead
+from fsinfer.depth.job import plan_within
 from fsinfer.depth.manifest import read_manifest
-from fsinfer.depth.memory import DepthPlan, plan_depth
+from fsinfer.depth.memory import DepthPlan
 from fsinfer.depth.model import DepthEstimate, DepthModel
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.stage import estimate_depth
@@ -139,22 +140,11 @@ def test_the_stage_runs_the_papers_model_as_a_whole_and_in_tiles(
     np.testing.assert_allclose(found["tiles"], found["whole"], rtol=1e-3)
 
 
-def _plan(manifest: Path, memory_gb: float, width: int = 1280, height: int = 720) -> DepthPlan:
+def _plan(manifest: Path, memory_gb: float, width: int = 1280, height: int = 720, views: int = 5) -> DepthPlan:
+    """As the depth stage plans it."""
+    settings = DepthSettings(model=str(manifest), source_views=views - 1)
     model = read_manifest(manifest)
-    assert model.tiles is not None
-    return plan_depth(
-        memory_gb,
-        width=width,
-        height=height,
-        planes=model.planes,
-        groups=model.groups,
-        level_channels=model.level_channels,
-        feature_channels=model.feature_channels,
-        refine_channels=model.refine_channels,
-        views=5,
-        most_cached=24,
-        tile_halo=model.tiles.halo,
-    )
+    return plan_within(memory_gb, settings=settings, manifest=model, precision="float32", width=width, height=height)
 
 
 def test_the_papers_model_fits_into_the_default_memory_at_1280x720(paper: Path) -> None:
@@ -186,18 +176,6 @@ print(next(int(line.split()[1]) for line in status.splitlines() if line.startswi
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_the_estimate_of_the_papers_model_is_that_of_a_real_run(paper: Path) -> None:
     done = subprocess.run([sys.executable, "-c", _PEAK, str(paper)], capture_output=True, text=True, check=True)
-    model = read_manifest(paper)
-    plan = plan_depth(
-        3.0,
-        width=256,
-        height=160,
-        planes=model.planes,
-        groups=model.groups,
-        level_channels=model.level_channels,
-        feature_channels=model.feature_channels,
-        refine_channels=model.refine_channels,
-        views=2,
-        most_cached=2,
-    )
+    plan = _plan(paper, 3.0, 256, 160, views=2)
     assert 0.7 * plan.peak_bytes < int(done.stdout) < 1.1 * plan.peak_bytes
     assert json.loads(paper.read_text(encoding="utf-8"))["config"]["width"] == 8

@@ -73,6 +73,18 @@ TARGETS: dict[str, Target] = {
         files=("fsinfer/trees/diameter/spread.py",),
         tests=(f"{_DIAMETER}test_sides_and_spread.py", *_INTERVAL),
     ),
+    "roundness": Target(
+        files=(
+            "fsinfer/trees/diameter/roundness.py",
+            "fsinfer/trees/common_shape.py",
+            "fsinfer/trees/shape_doubts.py",
+        ),
+        tests=(
+            f"{_DIAMETER}test_roundness.py",
+            "tests/fsinfer/trees/test_common_shape.py",
+            "tests/fsinfer/trees/test_shape_doubts.py",
+        ),
+    ),
     "silhouette-fit": Target(
         files=("fsinfer/trees/diameter/silhouette.py", "fsinfer/trees/diameter/edge_problem.py"),
         tests=(f"{_DIAMETER}test_silhouette.py", f"{_SILHOUETTES}test_join.py"),

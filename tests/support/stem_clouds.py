@@ -113,6 +113,25 @@ def wall(
     return np.column_stack([at_height * np.cos(angle), at_height * np.sin(angle), height])
 
 
+def forked_stem(
+    rng: np.random.Generator, *, at: tuple[float, float], height_m: float, sigma_m: float = 0.004
+) -> Floats:
+    """A trunk of 40 cm at ``at`` that parts at ``height_m`` into two stems of 28 cm, 12 degrees aslant each way."""
+    trunk, branch, count = 0.2, 0.14, 30_000
+    turn, height = rng.uniform(0, 2 * np.pi, count), rng.uniform(0, height_m, count)
+    parts = [np.column_stack([trunk * np.cos(turn), trunk * np.sin(turn), height])]
+    for side in (-1, 1):
+        turn, height = rng.uniform(0, 2 * np.pi, count), rng.uniform(height_m - 0.25, 4.0, count)
+        aside = 0.05 + np.tan(np.radians(12.0)) * (height - height_m + 0.25)
+        wall = np.column_stack([side * aside + branch * np.cos(turn), branch * np.sin(turn), height])
+        # Bark is the outside of all three.
+        inside = np.hypot(wall[:, 0] + side * aside, wall[:, 1]) < branch
+        inside |= (height < height_m) & (np.hypot(wall[:, 0], wall[:, 1]) < trunk)
+        parts.append(wall[~inside])
+    points = np.concatenate(parts)
+    return np.asarray(points + np.array([*at, 0.0]) + rng.normal(0.0, sigma_m, points.shape))
+
+
 def post(rng: np.random.Generator, *, at: tuple[float, float], width_m: float, top_m: float, sigma_m: float) -> Floats:
     """A square post standing at ``at``, seen from all sides."""
     count = int(4 * width_m * top_m / 0.008**2)

@@ -31,6 +31,7 @@ from fsinfer.trees.diameter.budget import effective_dof, factor95, shared_std, t
 from fsinfer.trees.diameter.circle import LEAST_POINTS, covered_bins
 from fsinfer.trees.diameter.double_wall import blurred_gap, wall_gap
 from fsinfer.trees.diameter.outline import fit_outline
+from fsinfer.trees.diameter.roundness import roundness
 from fsinfer.trees.diameter.section import Section, unmeasured_section
 from fsinfer.trees.diameter.slice import SliceSettings, fit_slice
 from fsinfer.trees.diameter.spread import Spread, SpreadSettings, fit_spread
@@ -248,6 +249,7 @@ def _section(
         dof=dof,
         shared_sd_m=2.0 * shared_std(parts),
         by_taper_m=radius - at_measured,
+        roundness=roundness(fit, spread),
     )
 
 

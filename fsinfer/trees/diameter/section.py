@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from fsinfer.notices.notice import Notice
 from fsinfer.trees.diameter.budget import factor95
 from fsinfer.trees.diameter.outline import Outline
+from fsinfer.trees.diameter.roundness import Roundness
 from fsinfer.trees.diameter.silhouette import SilhouetteFit
 
 Floats = NDArray[np.float64]
@@ -31,7 +32,7 @@ class Section:
     diameter, ``shared_sd_m`` is the part with one cause in all stems of a plot, without that of the scale.
     ``dbh_m`` is None when ``reasons`` say why there is none. Where photographs were looked at too
     (:mod:`fsinfer.silhouettes.join`), ``silhouette`` is what their edges say and ``cloud_dbh_m`` what the points alone
-    gave.
+    gave. ``roundness`` is how far from round the points have it, None where no fit holds.
     """
 
     center: Floats
@@ -59,6 +60,7 @@ class Section:
     dof: float = float("inf")
     shared_sd_m: float = 0.0
     by_taper_m: float = 0.0
+    roundness: Roundness | None = None
 
     @property
     def half95_m(self) -> float:

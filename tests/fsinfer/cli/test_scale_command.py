@@ -8,12 +8,14 @@ import re
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
 
 import pytest
 
+from fsinfer.errors import ScaleError
 from fsinfer.scale.clicks.file import read_clicks
 from fsinfer.scene import read_scene
 from tests.fsinfer.scale.test_click_server import true_clicks
@@ -123,3 +125,31 @@ def test_a_folder_without_a_scene_is_one_message(tmp_path: Path, call: Call) -> 
         (line,) = error.strip().splitlines()
         assert line.startswith("Error: ")
         assert "is not a folder" in line
+
+
+@pytest.mark.parametrize(
+    ("options", "opens", "opened"), [([], True, True), ([], False, True), (["--no-browser"], True, False)]
+)
+def test_the_page_is_opened_in_the_browser(
+    call: Call, out: Path, monkeypatch: pytest.MonkeyPatch, options: list[str], opens: bool, opened: bool
+) -> None:
+    asked: list[str] = []
+    monkeypatch.setenv("DISPLAY", ":0")
+
+    def browser(url: str) -> bool:
+        asked.append(url)
+        return opens
+
+    def show_only(folder: Path, length_m: float, *, show: Callable[[str], None], progress: object) -> None:
+        assert (folder, length_m) == (out, 1.5)
+        show("http://127.0.0.1:1/token/")
+        raise ScaleError
+
+    monkeypatch.setattr("webbrowser.open", browser)
+    monkeypatch.setattr("fsinfer.workflow.clicked_scale.click_scale", show_only)
+    code, said, _ = call("scale", out, "--click", "--length-m", "1.5", *options)
+    assert code == 2
+    assert asked == (["http://127.0.0.1:1/token/"] if opened else [])
+    assert "Click the two ends here: http://127.0.0.1:1/token/" in said
+    # Where no browser shows it, it is said what to do.
+    assert ("Open this address in a browser" in said) is not (opened and opens)

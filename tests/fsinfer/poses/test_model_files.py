@@ -8,8 +8,9 @@ from pathlib import Path
 import pycolmap
 import pytest
 
-from fsinfer.errors import SceneError
+from fsinfer.errors import OutputError, SceneError
 from fsinfer.poses import model_files
+from fsinfer.poses.model_files import write_model
 from fsinfer.poses.sparse import read_sparse
 from tests.fuzz.scenes import make_colmap
 
@@ -49,3 +50,22 @@ def test_files_that_were_cut(folder: Path, share: float) -> None:
     path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
     with pytest.raises(SceneError, match=r"points3D\.bin is cut short"):
         read_sparse(folder)
+
+
+def test_a_model_that_cannot_be_written_whole_is_told(folder: Path, tmp_path: Path) -> None:
+    model = pycolmap.Reconstruction(folder)
+    write_model(model, tmp_path / "whole")
+    assert len(read_sparse(tmp_path / "whole").points) == 6
+    (tmp_path / "barred" / "images.bin").mkdir(parents=True)
+    with pytest.raises(OutputError, match=r"cannot write .*barred .*images\.bin.*free some space"):
+        write_model(model, tmp_path / "barred")
+
+    class FullDisk:
+        """What COLMAP leaves there: it says nothing of it."""
+
+        def write_binary(self, out: Path) -> None:
+            model.write_binary(out)
+            (out / "points3D.bin").write_bytes((out / "points3D.bin").read_bytes()[:256])
+
+    with pytest.raises(OutputError, match=r"points3D\.bin is cut short.*free some space"):
+        write_model(FullDisk(), tmp_path / "full")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,10 +13,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from fsinfer.io.images import read_image, write_image
-from fsinfer.io.pfm import write_pfm
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
-from fsinfer.scene import Camera, read_scene, write_camera, write_pairs
+from fsinfer.scene import read_scene
 from fsinfer.silhouettes.combine import combine
 from fsinfer.silhouettes.join import (
     SilhouetteJoinSettings,
@@ -28,14 +26,20 @@ from fsinfer.silhouettes.join import (
 )
 from fsinfer.silhouettes.strips import GAP_PX, TILE_PX
 from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
+from fsinfer.trees.diameter.budget import factor95
 from fsinfer.trees.diameter.edge_problem import Edges
 from fsinfer.trees.diameter.silhouette import SilhouetteFit, fit_silhouette
+from tests.support.rendered_stem import (
+    BREAST,
+    HEIGHT,
+    M_PER_UNIT,
+    PHOTOS,
+    RADIUS,
+    TAPER,
+    WIDTH,
+    write_photographs,
+)
 from training.simulate.stem_edges import edges_from_rows
-
-WIDTH, HEIGHT, FOCAL = 360, 240, 520.0
-RADIUS, LEAN, TAPER = 0.14, np.array([0.03, -0.02]), -0.008  # of the rendered stem, at breast height
-BREAST = np.array([0.3, -0.2, 1.3])
-PHOTOS = 9
 
 
 def edges_of(
@@ -133,63 +137,11 @@ def test_edges_at_random_are_no_stem() -> None:
     assert fit_silhouette(replace(few, ray=np.zeros_like(few.ray)), 0.15, taper=TAPER) is None
 
 
-def camera(angle: float, distance: float) -> Camera:
-    """A level camera that looks at the stem from ``angle``, a little above breast height."""
-    center = np.array([BREAST[0] + distance * np.cos(angle), BREAST[1] + distance * np.sin(angle), 1.6])
-    forward = np.array([BREAST[0], BREAST[1], 1.35]) - center
-    forward /= np.linalg.norm(forward)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    rotation = np.stack([right, np.cross(forward, right), forward])
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation, -rotation @ center
-    intrinsic = np.array([[FOCAL, 0, (WIDTH - 1) / 2], [0, FOCAL, (HEIGHT - 1) / 2], [0, 0, 1]])
-    return Camera(intrinsic=intrinsic, cam_from_world=pose, depth_min=1.0, depth_max=60.0)
-
-
-def render(cam: Camera, rng: np.random.Generator) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """Photograph (H, W, 3) and depth map (H, W) of a leaning, tapering stem before a mottled background."""
-    fine = 3
-    u, v = np.meshgrid(np.arange(WIDTH * fine), np.arange(HEIGHT * fine))
-    pixels = np.stack([(u - 1) / fine, (v - 1) / fine, np.ones_like(u)], axis=-1).reshape(-1, 3)
-    rays = (pixels @ np.linalg.inv(cam.intrinsic).T) @ cam.cam_from_world[:3, :3]  # z depth 1, world axes
-    offset = cam.center - BREAST
-    # Distance from the axis at height h equals the radius there: a quadratic in the depth t.
-    level, slope = rays[:, :2] - rays[:, 2:] * LEAN, offset[:2] - offset[2] * LEAN
-    r0, r1 = RADIUS + TAPER * offset[2], TAPER * rays[:, 2]
-    a = (level**2).sum(1) - r1**2
-    b = level @ slope - r0 * r1
-    inside = b**2 - a * (slope @ slope - r0**2)
-    hit = inside > 0
-    depth = np.full(len(rays), 40.0)
-    depth[hit] = (-b[hit] - np.sqrt(inside[hit])) / a[hit]
-    cell = rng.integers(0, 255, (40, 60, 3))
-    background = 0.4 * cell[(v.reshape(-1) // 18) % 40, (u.reshape(-1) // 18) % 60] + np.array([70.0, 110.0, 90.0])
-    surface = offset + depth[:, None] * rays
-    along = np.arctan2(surface[:, 1], surface[:, 0])
-    bark = np.array([95.0, 70.0, 55.0]) * (1 + 0.25 * np.sin(23 * along + 40 * surface[:, 2]))[:, None]
-    image = np.where(hit[:, None], bark, background).reshape(HEIGHT, fine, WIDTH, fine, 3).mean(axis=(1, 3))
-    return image.clip(0, 255).astype(np.uint8), depth.reshape(HEIGHT, fine, WIDTH, fine)[:, 1, :, 1].astype(np.float32)
-
-
 @pytest.fixture(scope="module")
 def photos(tmp_path_factory: pytest.TempPathFactory) -> StemPhotos:
-    """Photographs from half of all sides at 6 to 8 m, where a pixel is 1.2 to 1.5 cm; scene units are half metres."""
     folder = tmp_path_factory.mktemp("stem")
-    rng = np.random.default_rng(1)
-    for index in range(PHOTOS):
-        cam = camera(np.pi * index / PHOTOS, 6.0 + 2.0 * (index % 3) / 2)
-        image, depth = render(cam, rng)
-        write_image(folder / "images" / f"p{index}.png", image)
-        pose = np.diag([2.0, 2.0, 2.0, 1.0]) @ cam.cam_from_world @ np.diag([0.5, 0.5, 0.5, 1.0])
-        write_camera(
-            folder / "cams" / f"p{index}_cam.txt", replace(cam, cam_from_world=pose, depth_min=2.0, depth_max=120.0)
-        )
-        write_pfm(folder / "depth" / f"p{index}.pfm", np.float32(2) * depth)
-        write_pfm(folder / "confidence" / f"p{index}.pfm", np.ones_like(depth))
-    write_pairs(folder / "pair.txt", {i: [((i + 1) % PHOTOS, 1.0)] for i in range(PHOTOS)})
-    (folder / "depth" / "depth.json").write_text(json.dumps({"pixel_step": 1.0}), encoding="utf-8")
-    return StemPhotos(scene=read_scene(folder), depth_folder=folder, cloud_from_scene=np.diag([0.5, 0.5, 0.5, 1.0]))
+    write_photographs(folder, folder)
+    return StemPhotos(scene=read_scene(folder), depth_folder=folder, cloud_from_scene=np.diag([*[M_PER_UNIT] * 3, 1.0]))
 
 
 ROUGH = notice(StemCode.too_rough, residual_cm=2.8)
@@ -364,6 +316,23 @@ def test_the_points_count_as_if_their_error_were_twice_as_large() -> None:
     assert not combine(0.150, 0.002, 0.1588, 0.004).contradict
 
 
+def test_edges_on_a_few_sides_and_few_blocks_of_bark_make_it_students_interval() -> None:
+    sure = joined(section_of(0.300, 0.002), fit_of(0.1515, 0.002))
+    assert np.isinf(sure.dof)
+    for section, fit in (
+        (section_of(0.300, 0.002), replace(fit_of(0.1515, 0.002), dof=3.0)),
+        (replace(section_of(0.300, 0.002), dof=3.0), fit_of(0.1515, 0.002)),
+    ):
+        found = joined(section, fit)
+        assert found.sd_m == sure.sd_m
+        assert 3.0 < found.dof < 300.0
+        assert found.half95_m == pytest.approx(factor95(found.dof) * found.sd_m)
+        assert found.half95_m > sure.half95_m
+    edges_alone = joined(section_of(None, 0.01, ROUGH), replace(fit_of(0.15, 0.002), dof=3.0))
+    assert edges_alone.dof < 10.0
+    assert edges_alone.half95_m > 1.1 * 1.96 * edges_alone.sd_m
+
+
 def test_of_a_joined_diameter_only_what_all_stems_share_is_shared() -> None:
     section = replace(section_of(0.30, 0.004), parts_m={"fit": 0.003, "bark": 0.0015, "scale": 0.002})
     fit = replace(fit_of(0.149, 0.003), common_m=0.001)
@@ -443,6 +412,9 @@ def test_photographs_lift_the_doubts_of_the_cloud_but_not_that_of_its_height() -
     high, unsure = notice(StemCode.above_breast_height, off_cm=22.0), notice(StemCode.little_seen, seen_deg=90.0)
     found = joined(replace(section_of(0.300, 0.002, high, unsure), status="doubtful"), fit_of(0.15, 0.002))
     assert (found.status, found.reasons) == ("doubtful", (high,))
+    fork = notice(StemCode.forks_here, dbh_cm=28.0)
+    found = joined(replace(section_of(0.300, 0.002, fork), status="doubtful"), fit_of(0.15, 0.002))
+    assert (found.status, found.reasons) == ("doubtful", (fork,))
     found = joined(replace(section_of(0.300, 0.002, unsure), status="doubtful"), fit_of(0.15, 0.002))
     assert (found.status, found.reasons) == ("ok", ())
 

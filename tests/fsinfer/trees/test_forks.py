@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from fsinfer.notices.stems import StemCode
+from fsinfer.trees import analyse_plot
 from fsinfer.trees.diameter.section import Section, unmeasured_section
 from fsinfer.trees.forks import forks
 from fsinfer.trees.stem_measurement import tree_of
 from fsinfer.trees.tree import Tree
+from tests.support.stem_clouds import forked_stem
 
 DBH_M = 0.24
 
@@ -76,3 +78,20 @@ def test_on_a_slope_breast_heights_differ_and_the_fork_is_the_same() -> None:
 
 def test_stems_without_a_diameter_are_not_compared() -> None:
     assert told(stem(1, -0.14, -10), stem(2, 0.14, 10, measured=False)) == []
+
+
+@pytest.mark.parametrize("height_m", [0.9, 1.15, 1.2, 1.3, 1.4, 1.7])
+def test_near_a_fork_no_diameter_of_one_of_its_stems_is_sure(height_m: float) -> None:
+    rng = np.random.default_rng(1)
+    ground = np.column_stack([rng.uniform(-2.0, 2.0, (12_000, 2)), rng.normal(0, 0.01, 12_000)])
+    stem = forked_stem(rng, at=(0.2, 0.1), height_m=height_m)
+    found = analyse_plot(np.concatenate([ground[np.hypot(*(ground[:, :2] - [0.2, 0.1]).T) > 0.22], stem]))
+    sure = [tree.dbh_cm for tree in found.trees if tree.status == "ok"]
+    if height_m == 0.9:
+        assert sure == pytest.approx([28.0, 28.0], abs=0.6)
+    elif height_m == 1.7:
+        assert sure == pytest.approx([40.0], abs=0.3)
+    else:
+        (tree,) = found.trees
+        assert sure == []
+        assert {why.code for why in tree.reasons} <= {StemCode.forks_here, StemCode.double_wall}

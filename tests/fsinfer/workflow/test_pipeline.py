@@ -40,6 +40,7 @@ from fsinfer.notices.notice import notice
 from fsinfer.output.plot_json import read_plot, write_plot
 from fsinfer.plot_border.request import BorderRequest
 from fsinfer.poses.estimate import PosesResult
+from fsinfer.scale.find import FoundScale
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scene import project, read_camera, read_scene, write_camera
 from fsinfer.silhouettes.edges import find_edges
@@ -55,6 +56,7 @@ from fsinfer.workflow.single_stages import depth_of
 from fsinfer.workflow.summary import PLOT_KEYS
 from fsinfer.workflow.tree_stage import PlotCloudInput
 from fsinfer.workflow.tree_stage import measure_plot as real_trees
+from tests.support.boards import board, scale_of_boards
 from tests.support.report_plot import plot_cloud
 from tests.support.synthetic_plot import _TURN, M_PER_UNIT, STEMS, VIEWS, write_depth_folder, write_scene_folder
 
@@ -657,3 +659,39 @@ def test_a_border_goes_through_a_run(fakes: Fakes, photos: Path, tmp_path: Path)
     marker = run(photos, out, settings=replace(METRIC, border=BorderRequest(radius_m=1.38, marker=7))).plot
     assert (marker["per_hectare_of"], marker["plot_border"]) == ("seen ground only", None)
     assert "marker 7, was not found" in marker["warnings"][-1]
+
+
+def test_what_is_known_of_scale_cameras_and_boards_is_given_to_the_trees(
+    fakes: Fakes, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[PlotCloudInput] = []
+
+    def measure_plot(cloud: PlotCloudInput, *args: Any, **kwargs: Any) -> Any:
+        given.append(cloud)
+        return real_trees(cloud, *args, **kwargs)
+
+    def find_scale(*_: Any, scene: Any, **__: Any) -> FoundScale:
+        # The scene is that of the poses; what they know of its cameras stands beside it.
+        entries = {view.name: {"center": 0.03, "direction_rad": 0.004} for view in scene.views[1:]}
+        write_text(scene.folder / "poses.json", json.dumps({"camera_std": entries}))
+        boards = [board(number, (number, 0.0, 1.0), "abc") for number in (40, 43)]
+        return FoundScale(scale=scale_of_boards(boards, m_per_unit=M_PER_UNIT, rel_std=0.02))
+
+    monkeypatch.setattr(pipeline, "measure_plot", measure_plot)
+    monkeypatch.setattr(cloud_stages, "find_scale", find_scale)
+    out = tmp_path / "out"
+    run(photos, out)
+    (cloud,) = given
+    assert cloud.scale_rel_std == 0.02
+    assert cloud.marker_numbers == (40, 43)
+    assert cloud.photos is not None
+    assert cloud.photos.ray_std_m is not None
+    # Three metres or more from each camera; the first one is not known.
+    std_m = cloud.photos.ray_std_m(np.zeros(3))
+    assert std_m[0] == 0.0
+    assert (std_m[1:] > np.hypot(M_PER_UNIT * 0.03, 3.0 * 0.004)).all()
+    for row in read_trees(out / "trees.csv"):
+        assert row.dbh_hi95_cm is not None
+        assert row.dbh_lo95_cm is not None
+        assert row.dbh_cm is not None
+        assert row.dbh_hi95_cm - row.dbh_lo95_cm > 2 * 1.96 * 0.02 * row.dbh_cm

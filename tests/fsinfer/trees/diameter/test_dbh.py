@@ -135,8 +135,8 @@ def test_bark_unseen_sides_and_noise_are_in_the_budget() -> None:
         assert section.parts_m["noise"] == pytest.approx(0.1 * section.residual_m)
         assert section.sd_m == pytest.approx(2.0 * np.sqrt(sum(part**2 for part in section.parts_m.values())))
         assert section.dof > 3.0
-        # What all stems of a plot err by together: not what the fit and the slice leave open, nor the scale.
-        alone = 2.0 * np.hypot(section.parts_m["fit"], section.parts_m["local"])
+        # What all stems of a plot err by together: not what the fit, the slice and the shape leave open, nor the scale.
+        alone = 2.0 * np.linalg.norm([section.parts_m[name] for name in ("fit", "local", "oval", "shape")])
         assert section.shared_sd_m == pytest.approx(np.sqrt(section.sd_m**2 - alone**2))
     assert half.parts_m["hidden"] > 0.003 > whole.parts_m["hidden"]
 

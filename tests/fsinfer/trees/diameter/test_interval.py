@@ -13,15 +13,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
-from fsinfer.trees.cylinder.axis import Axis, AxisSettings, fit_axis
+from fsinfer.trees.cylinder.axis import AxisSettings, fit_axis
 from fsinfer.trees.diameter.dbh import DbhSettings, measure_together
 from fsinfer.trees.diameter.section import Section
-from fsinfer.trees.search.stem import Stem
+from tests.support.bark import BH, bark, stem_of, tape
 
 Floats = NDArray[np.float64]
-BH = 1.3
 #: All terms but that of the fit are off: a test switches on the one that it is about, as it is by default.
 FIT_ALONE = DbhSettings(
     local_std=0.0,
@@ -34,47 +32,6 @@ FIT_ALONE = DbhSettings(
     max_interval=9.0,
 )
 DEFAULT = DbhSettings()
-
-
-def bark(
-    rng: np.random.Generator,
-    radius: float,
-    *,
-    taper: float = -0.006,
-    arc_deg: float = 360.0,
-    count: int = 2500,
-    sigma_m: float = 0.002,
-    shape: Sequence[tuple[int, float, float]] = (),
-    slope: tuple[float, float] = (0.0, 0.0),
-) -> Floats:
-    """Points (N, 3) on a metre of stem about breast height; ``shape`` are harmonics: number, cosine, sine of radius."""
-    arc = np.radians(arc_deg)
-    angle = rng.uniform(-arc / 2, arc / 2, int(count * arc_deg / 360))
-    height = rng.uniform(BH - 0.5, BH + 0.5, len(angle))
-    rho = radius * section(angle, shape) + taper * (height - BH)
-    points = np.column_stack([rho * np.cos(angle), rho * np.sin(angle), height])
-    points[:, :2] += (height - BH)[:, None] * np.array(slope)
-    normal = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))])
-    moved: Floats = points + normal * rng.normal(0.0, sigma_m, len(angle))[:, None]
-    return moved
-
-
-def section(angle: Floats, shape: Sequence[tuple[int, float, float]]) -> Floats:
-    return np.asarray(1.0 + sum((c * np.cos(k * angle) + s * np.sin(k * angle) for k, c, s in shape), np.zeros(1)))
-
-
-def tape(radius: float, shape: Sequence[tuple[int, float, float]]) -> float:
-    """What a tape reads of a section, over 2 pi."""
-    angle = np.linspace(0.0, 2.0 * np.pi, 3600, endpoint=False)
-    rho = radius * section(angle, shape)
-    hull = ConvexHull(np.column_stack([rho * np.cos(angle), rho * np.sin(angle)]))
-    return float(hull.area / (2.0 * np.pi))  # the "area" of a hull in the plane is its girth
-
-
-def stem_of(radius: float, *, taper: float = -0.006, sigma_m: float = 0.004) -> Stem:
-    """What the search would have of it."""
-    axis = Axis(parameters=np.array([0.0, 0.0, 0.0, 0.0, radius, taper]), height_m=BH, sigma_m=sigma_m)
-    return Stem(axis=axis, bottom_m=0.4, top_m=3.0, length_m=2.6, arc_coverage=1.0, quality=1.0)
 
 
 def measure(
@@ -277,3 +234,14 @@ def test_a_radius_above_a_narrow_ring_is_as_unsure_as_the_taper_of_stems() -> No
         errors.append((fit.radius_m - radius) / np.sqrt(fit.covariance[4, 4]))
     assert 0.75 < rms(np.array(errors)) < 1.25
     assert abs(np.mean(errors)) < 0.2
+
+
+def test_a_stem_known_by_a_few_blocks_of_bark_has_an_interval_of_student() -> None:
+    points = bark(np.random.default_rng(7), 0.15, arc_deg=240.0, count=40_000, sigma_m=0.02, taper=0.0)
+    disc = points[np.abs(points[:, 2] - BH) < 0.04]
+    few, many = measure([disc, points], [0.15, 0.15], DEFAULT)
+    # Half of the variance is estimated from a dozen blocks or so.
+    assert few.parts_m["common"] > 0.6 * few.sd_m / 2
+    assert few.dof < 60.0 < 10_000.0 < many.dof
+    assert few.half95_m > 2.0 * few.sd_m > 1.98 * many.sd_m
+    assert many.half95_m == pytest.approx(1.96 * many.sd_m, rel=1e-4)

@@ -28,7 +28,13 @@ def near(trees: tuple[Tree, ...]) -> list[Tree]:
 
 @pytest.mark.parametrize(
     ("seed", "dbh_m", "arc_deg", "off_cm"),
-    [(43000, 2.2, 360.0, 1.0), (43001, 1.3, 360.0, 1.0), (43002, 1.6, 200.0, 3.0), (43003, 2.4, 150.0, 6.0)],
+    [
+        (43000, 2.2, 360.0, 1.0),
+        (43001, 1.3, 360.0, 1.0),
+        (43002, 1.6, 200.0, 3.0),
+        (43003, 2.4, 150.0, 6.0),
+        (43005, 2.5, 360.0, 1.0),
+    ],
 )
 def test_thick_stems_are_found_and_measured_beside_others(
     seed: int, dbh_m: float, arc_deg: float, off_cm: float
