@@ -61,9 +61,14 @@ def combine(
     edges_m: float,
     edges_std_m: float,
     *,
+    points_doubt_m: float = 0.0,
     settings: CombineSettings | None = None,
 ) -> Combined:
-    """Combine radii with their standard deviations, metres; ``points_m`` is None where the points gave none."""
+    """Combine radii with their standard deviations, metres; ``points_m`` is None where the points gave none.
+
+    ``points_doubt_m`` is what the section's shape adds to the points' standard deviation. It counts in their weight;
+    whether the two contradict each other is asked without it, or a stem that is oval would never be doubted.
+    """
     s = settings or CombineSettings()
     if points_m is None:
         return Combined(radius_m=edges_m, weight=0.0, edges_std_m=edges_std_m, points_std_m=0.0, disagreement_m=0.0)
@@ -77,7 +82,7 @@ def combine(
             points_std_m=0.0,
             disagreement_m=float(np.sqrt(excess / (1.0 + s.points_over_edges))),
         )
-    points_std_m *= s.points_factor
+    points_std_m = float(np.hypot(s.points_factor * points_std_m, points_doubt_m))
     weight = edges_std_m**2 / (points_std_m**2 + edges_std_m**2)
     return Combined(
         radius_m=edges_m + weight * apart,

@@ -28,7 +28,7 @@ from fsinfer.scene import Scene
 from fsinfer.silhouettes.combine import Combined, CombineSettings, combine
 from fsinfer.silhouettes.edges import EdgeSettings, StemAxis
 from fsinfer.silhouettes.looks import Looked, LookSettings, look_at_stems
-from fsinfer.silhouettes.points_alone import NOT_OF_POINTS, by_points_alone
+from fsinfer.silhouettes.points_alone import NOT_OF_POINTS, OF_SHAPE, by_points_alone
 from fsinfer.silhouettes.pose_errors import radius_std
 from fsinfer.silhouettes.strips import draw_strips
 from fsinfer.silhouettes.support import SupportSettings, is_supported, refusal
@@ -38,6 +38,7 @@ from fsinfer.trees.diameter.budget import effective_dof, factor95, shared_std, t
 from fsinfer.trees.diameter.dbh import too_uncertain, wide_interval
 from fsinfer.trees.diameter.edge_problem import SilhouetteSettings
 from fsinfer.trees.diameter.outline import Outline
+from fsinfer.trees.diameter.roundness import oval_factor
 from fsinfer.trees.diameter.silhouette import SilhouetteFit, edge_contrast
 from fsinfer.trees.measure import trees_found
 from fsinfer.trees.one_entry import one_entry_a_stem
@@ -207,7 +208,15 @@ def join(
     points_m = None if section.dbh_m is None else section.dbh_m / 2.0
     # The edges are seen where the points were measured, which is not always at breast height.
     edges_m = fit.radius_m + section.by_taper_m
-    found = combine(points_m, _points_std(section, s), edges_m, fit.std_m, settings=s.combine)
+    oval_m = _hidden_oval(section, fit, s)
+    found = combine(
+        points_m,
+        _points_std(section, s),
+        edges_m,
+        float(np.hypot(fit.std_m, oval_m)),
+        points_doubt_m=_shape_doubt(section),
+        settings=s.combine,
+    )
     radius = found.radius_m
     level = section.parts_m.get("level", (abs(fit.taper) + dbh.taper_std) * dbh.ground_std_m)
     parts = {
@@ -225,7 +234,9 @@ def join(
     }
     sd = 2.0 * total_std(parts)
     dof = effective_dof(parts, {"silhouette": fit.dof, "cloud": section.dof})
-    status, reasons = _status(section, fit, 2.0 * radius, factor95(dof) * sd, dbh, s, found, supported=supported)
+    status, reasons = _status(
+        section, fit, 2.0 * radius, factor95(dof) * sd, dbh, s, found, supported=supported, oval=oval_m > fit.std_m
+    )
     measured = status != "unmeasured"
     return replace(
         section,
@@ -244,13 +255,30 @@ def join(
 
 
 def _points_std(section: Section, s: SilhouetteJoinSettings) -> float:
-    """Standard deviation of the points' radius without what both sources share."""
-    return float(np.hypot(total_std(_of_points(section)), s.cloud_floor_m))
+    """Standard deviation of the points' radius without what both sources share, and without doubts of its shape."""
+    parts = {name: part for name, part in _of_points(section).items() if name not in OF_SHAPE}
+    return float(np.hypot(total_std(parts), s.cloud_floor_m))
+
+
+def _shape_doubt(section: Section) -> float:
+    """Standard deviation of the points' radius by what the shape of its section leaves open."""
+    return total_std({name: part for name, part in section.parts_m.items() if name in OF_SHAPE})
+
+
+def _hidden_oval(section: Section, fit: SilhouetteFit, s: SilhouetteJoinSettings) -> float:
+    """Standard deviation of the edges' radius, metres, by sides that they miss of a section far from round.
+
+    What those leave open is in the edges' own standard deviation as far as hulls are as round as usual.
+    """
+    if section.roundness is None:
+        return 0.0
+    more = oval_factor(section.roundness) / s.fit.hull_of_rough_bark
+    return fit.left_open_m * float(np.sqrt(max(more**2 - 1.0, 0.0)))
 
 
 def _shared_by_points(section: Section, s: SilhouetteJoinSettings) -> float:
-    """Share of :func:`_points_std` that has one cause in all stems of a plot; so do edges that depth maps fatten."""
-    std = _points_std(section, s)
+    """Share of the points' standard deviation that has one cause in all stems of a plot, as fattened edges have."""
+    std = float(np.hypot(_points_std(section, s), _shape_doubt(section)))
     return float(np.hypot(shared_std(_of_points(section)), s.cloud_floor_m)) / std if std > 0 else 0.0
 
 
@@ -293,8 +321,12 @@ def _status(
     found: Combined,
     *,
     supported: bool,
+    oval: bool,
 ) -> tuple[str, tuple[Notice, ...]]:
-    """Status and reasons anew: what the cloud doubted or refused, the silhouette may know."""
+    """Status and reasons anew: what the cloud doubted or refused, the silhouette may know.
+
+    ``oval`` says that what a section far from round hides is most of what is not known.
+    """
     refused = refusal(section)
     if refused is not None and not supported:
         why = notice(StemCode.edges_unsupported, photos=fit.photos, edges_cm=100.0 * dbh_m, refused=refused)
@@ -311,6 +343,8 @@ def _status(
         points_cm, edges_cm = 100.0 * section.dbh_m, 200.0 * fit.radius_m
         doubts.append(notice(StemCode.sources_disagree, points_cm=points_cm, edges_cm=edges_cm))
     doubts += wide_interval(dbh_m, half_m, dbh)
+    if oval and section.dbh_m is not None:
+        doubts.append(notice(StemCode.far_from_round))
     return ("doubtful" if doubts else "ok"), tuple(doubts)
 
 

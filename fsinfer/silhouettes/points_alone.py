@@ -20,7 +20,7 @@ from fsinfer.trees.stem_measurement import with_diameter
 NOT_OF_POINTS = frozenset({"level", "scale"})
 #: Those that need no factor for haze: what unseen sides may be like, and what a haze made of the section's shape.
 #: Source: the names in the budget.
-NOT_OF_HAZE = NOT_OF_POINTS | {"shape", "oval"}
+OF_SHAPE = frozenset({"shape", "oval"})
 
 
 def by_points_alone(tree: Tree, section: Section, factor: float, *, dbh: DbhSettings) -> tuple[Tree, Section]:
@@ -30,7 +30,9 @@ def by_points_alone(tree: Tree, section: Section, factor: float, *, dbh: DbhSett
     """
     if section.dbh_m is None:
         return tree, section
-    parts = {name: part * (1.0 if name in NOT_OF_HAZE else factor) for name, part in section.parts_m.items()}
+    parts = {
+        name: part * (1.0 if name in NOT_OF_POINTS | OF_SHAPE else factor) for name, part in section.parts_m.items()
+    }
     sd = 2.0 * total_std(parts)
     wider = replace(section, sd_m=sd, parts_m=parts, shared_sd_m=2.0 * shared_std(parts))
     uncertain = too_uncertain(section.dbh_m, wider.half95_m, dbh)

@@ -79,13 +79,12 @@ def roundness(fit: AxisFit, spread: Spread) -> Roundness:
     """The roundness of a fit with harmonics, and of the ``spread`` of its parameters."""
     prior = fit.prior_information
     first = len(prior) - len(fit.shape_m)
-    left_open = float(fit.covariance[4, first:] ** 2 @ prior[first:])
     return Roundness(
         harmonics=tuple(
             _alone(fit, spread, slice(own, own + PAIR), fit.shape_m[own - first : own - first + PAIR])
             for own in range(first, len(prior), PAIR)
         ),
-        left_open_m=float(np.sqrt(left_open)),
+        left_open_m=left_open(fit.covariance[4, first:], prior[first:]),
     )
 
 
@@ -106,6 +105,22 @@ def _alone(fit: AxisFit, spread: Spread, own: slice, found_m: Floats) -> Harmoni
 
 #: A harmonic of which the points tell less than this part of what is known anyway is not known. Source: numerics.
 FAINTEST = 10.0
+
+
+def left_open(covariance: Floats, prior: Floats) -> float:
+    """Standard deviation of a radius by its ``covariance`` (K,) with coefficients of the shape whose priors have the
+    precision ``prior`` (K,): what is left of the priors' own errors in it.
+    """
+    return float(np.sqrt(covariance**2 @ prior))
+
+
+def oval_factor(shape: Roundness, settings: RoundnessSettings | None = None) -> float:
+    """By how much the section is more oval than usual; 1 where it is no more so than 95 % of stems, or not known."""
+    s = settings or RoundnessSettings()
+    oval = shape.harmonics[0] if shape.harmonics else None
+    if oval is None or not oval.known or oval.square <= s.usual:
+        return 1.0
+    return float(np.sqrt(oval.square / PAIR))
 
 
 def misfit_std(shape: Roundness, settings: RoundnessSettings | None = None) -> float:

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from fsinfer.trees.diameter.budget import LEAST_DOF, effective_dof, total_std
 from fsinfer.trees.diameter.edge_problem import EdgeProblem, Edges, SilhouetteSettings, Solution, design_matrix
+from fsinfer.trees.diameter.roundness import left_open
 from fsinfer.trees.diameter.sides import NOISE_SECTORS
 
 Floats = NDArray[np.float64]
@@ -42,8 +43,9 @@ class SilhouetteFit:
     """What the edges say of one stem, at the height about which ``Edges.height_m`` counts; metres.
 
     ``radius_m`` is the girth over 2 pi with its standard deviation ``std_m`` and the degrees of freedom ``dof`` of that
-    (:mod:`fsinfer.trees.diameter.budget`); ``one_sided_m`` is the part of it that comes from sides unseen, ``common_m``
-    the part that has one cause in all stems of a plot;
+    (:mod:`fsinfer.trees.diameter.budget`); ``one_sided_m`` is the part of it that comes from sides unseen,
+    ``left_open_m`` what the priors of the shape leave open in it, ``common_m`` the part that has one cause in all stems
+    of a plot;
     ``shift_m`` (2,) and ``slope`` (2,) what the axis is moved and turned by; ``shape_m`` cosine and sine of the
     harmonics of the support function; ``rays`` how many rays carry the stem's edge and ``share`` their part of all;
     ``photos`` how many photographs they come from; ``sectors`` the part of the directions round the stem that they
@@ -66,6 +68,7 @@ class SilhouetteFit:
     contrast: float
     weight: Floats
     one_sided_m: float = 0.0
+    left_open_m: float = 0.0
     common_m: float = 0.0
     dof: float = float("inf")
     gain: Floats = field(default_factory=lambda: np.zeros(0))
@@ -139,6 +142,7 @@ def fit_silhouette(
         contrast=contrast,
         weight=weight,
         one_sided_m=parts["one sided"],
+        left_open_m=left_open(np.linalg.inv(best.information)[0, 6:], problem.prior[6:]),
         common_m=float(np.hypot(parts["common"], parts["shape"])),
         dof=effective_dof(parts, {"edges": dof}),
         gain=np.asarray(np.linalg.solve(best.information, (best.own * best.precision[:, None]).T)[0]),
