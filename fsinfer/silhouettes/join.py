@@ -215,6 +215,7 @@ def join(
         edges_m,
         float(np.hypot(fit.std_m, oval_m)),
         points_doubt_m=_shape_doubt(section),
+        oval=_misses_an_oval(section, fit, s),
         settings=s.combine,
     )
     radius = found.radius_m
@@ -274,6 +275,12 @@ def _hidden_oval(section: Section, fit: SilhouetteFit, s: SilhouetteJoinSettings
         return 0.0
     more = oval_factor(section.roundness) / s.fit.hull_of_rough_bark
     return fit.left_open_m * float(np.sqrt(max(more**2 - 1.0, 0.0)))
+
+
+def _misses_an_oval(section: Section, fit: SilhouetteFit, s: SilhouetteJoinSettings) -> bool:
+    """Whether the points have the section far from round, and edges from too few sides to know."""
+    oval = section.roundness is not None and oval_factor(section.roundness) > 1.0
+    return oval and fit.sectors < s.fit.sides_enough
 
 
 def _shared_by_points(section: Section, s: SilhouetteJoinSettings) -> float:

@@ -17,6 +17,7 @@ Which of the edges belong to the stem is found with its size (:mod:`fsinfer.tree
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -36,6 +37,8 @@ Ints = NDArray[np.int64]
 #: side cost about 5 (Schwarz 1978); on three development plots stems that are oval gained 10 to 149 by their edges, one
 #: that is not 11, and the points parted these; renders only.
 OVAL_GAIN, OVAL_POINTS_STD = 5.0, 3.0
+#: Fits whose radii are nearer than this, metres, stand on the same summit. Source: numerics, the vote's step.
+SUMMIT_M = 0.001
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +112,7 @@ def fit_silhouette(
     circles = [problem.refine(start, np.zeros(2)) for start in starts]
     best_start = max(range(len(starts)), key=lambda k: circles[k].log_posterior)
     circle = circles[best_start]
-    ovals = (problem.refine(*begun) for begun in problem.ovals(starts[best_start]))
+    ovals = [problem.refine(*begun) for begun in problem.ovals(starts[best_start])]
     oval = max(ovals, key=lambda found: found.log_posterior)
     best = _surer(circle, oval, points)
     weight, used = best.weight, best.weight > 0.5
@@ -125,6 +128,7 @@ def fit_silhouette(
         "edges": float(np.sqrt(variance)),
         "common": s.common_px * float(np.median(edges.pixel_m[used])),
         "shape": s.common_std * float(x[0]),
+        "other fits": _spread_of_fits(best, [*circles, *ovals]),
         "one sided": s.one_sided_std * float(x[0]) * max(1.0 - sectors / s.sides_enough, 0.0),
     }
     return SilhouetteFit(
@@ -142,7 +146,7 @@ def fit_silhouette(
         contrast=contrast,
         weight=weight,
         one_sided_m=parts["one sided"],
-        left_open_m=left_open(np.linalg.inv(best.information)[0, 6:], problem.prior[6:]),
+        left_open_m=left_open(np.asarray(np.linalg.inv(best.information), np.float64)[0, 6:], problem.prior[6:]),
         common_m=float(np.hypot(parts["common"], parts["shape"])),
         dof=effective_dof(parts, {"edges": dof}),
         gain=np.asarray(np.linalg.solve(best.information, (best.own * best.precision[:, None]).T)[0]),
@@ -167,6 +171,21 @@ def _surer(circle: Solution, oval: Solution, points: tuple[float, float] | None)
         return found.log_posterior - 0.5 * away**2
 
     return oval if score(oval) > score(circle) + OVAL_GAIN else circle
+
+
+def _spread_of_fits(best: Solution, found: Sequence[Solution]) -> float:
+    """Standard deviation of the radius, metres, between fits that the edges make about as likely as the ``best``.
+
+    An EM tells how sharp one summit is, not whether there is another. Of fits on the same summit the likeliest counts.
+    """
+    likeliest: dict[int, float] = {}
+    for one in found:
+        summit = round(float(one.x[0]) / SUMMIT_M)
+        likeliest[summit] = max(likeliest.get(summit, -np.inf), one.log_posterior)
+    radius = np.array([SUMMIT_M * summit for summit in likeliest])
+    chance = np.exp(np.minimum(np.array(list(likeliest.values())) - best.log_posterior, 0.0))
+    away = np.maximum(np.abs(radius - float(best.x[0])) - SUMMIT_M, 0.0)
+    return float(np.sqrt((chance * away**2).sum() / max(float(chance.sum()), 1.0)))
 
 
 def _clustered_variance(information: Floats, scores: Floats, sector: Ints, prior: Floats) -> tuple[float, float]:
