@@ -28,6 +28,7 @@ from fsinfer.silhouettes.strips import GAP_PX, TILE_PX
 from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
 from fsinfer.trees.diameter.budget import factor95
 from fsinfer.trees.diameter.edge_problem import Edges
+from fsinfer.trees.diameter.roundness import Harmonic, Roundness, misfit_std
 from fsinfer.trees.diameter.silhouette import SilhouetteFit, fit_silhouette
 from tests.support.rendered_stem import (
     BREAST,
@@ -314,6 +315,49 @@ def test_the_points_count_as_if_their_error_were_twice_as_large() -> None:
     # But whether they can both be right is asked of what they say: 9 mm apart, 2 x 4.5 mm.
     assert combine(0.150, 0.002, 0.1591, 0.004).contradict
     assert not combine(0.150, 0.002, 0.1588, 0.004).contradict
+
+
+def oval_section(amplitude: float, dbh_m: float = 0.350, std_m: float = 0.003) -> Section:
+    """A section whose 2nd harmonic has so many usual standard deviations, as the points have it."""
+    known = Harmonic(amplitude=np.array([amplitude, 0.0]), covariance=np.zeros((2, 2)))
+    shape = Roundness(harmonics=(known, None, None), left_open_m=0.0)
+    parts = {"fit": std_m, "oval": 0.175 * misfit_std(shape), "shape": 0.0}
+    return replace(section_of(dbh_m, std_m), parts_m=parts, roundness=shape)
+
+
+def test_an_oval_section_does_not_hide_that_points_and_edges_contradict_each_other() -> None:
+    """As a stem of 40 by 30 cm that 14 photographs show along its longer side: 35.1 and 30.7 cm."""
+    found = joined(oval_section(7.8), replace(fit_of(0.1535, 0.0025, sectors=0.46), left_open_m=0.001))
+    assert found.status == "doubtful"
+    codes = [why.code for why in found.reasons]
+    assert StemCode.sources_disagree in codes
+    # What the edges missed is in the interval, which a round section's contradiction does not ask for.
+    assert found.dbh_m is not None
+    assert found.half95_m > 0.350 - found.dbh_m
+    few = joined(oval_section(1.0), fit_of(0.1535, 0.0025, sectors=0.46))
+    round_about = joined(oval_section(7.8), fit_of(0.1535, 0.0025, sectors=0.7))
+    assert max(few.half95_m, round_about.half95_m) < 0.6 * found.half95_m
+
+
+def test_what_a_shape_leaves_open_grows_with_how_far_from_round_the_points_have_it() -> None:
+    open_fit = replace(fit_of(0.1752, 0.001), left_open_m=0.004)
+    usual, oval = joined(oval_section(2.0), open_fit), joined(oval_section(6.0), open_fit)
+    assert usual.parts_m["silhouette"] <= 0.001
+    # 6 / sqrt(2) of the usual, of which the edges' own prior has 1.5; the points bear a part of it.
+    more = float(np.hypot(0.001, 0.004 * np.sqrt((6.0 / np.sqrt(2.0) / 1.5) ** 2 - 1.0)))
+    assert 0.6 * more < oval.parts_m["silhouette"] < 0.8 * more
+    assert oval.status == "doubtful"
+    assert [why.code for why in oval.reasons] == [StemCode.far_from_round]
+    # Nothing of it where the edges know the shape themselves.
+    assert joined(oval_section(6.0), fit_of(0.1752, 0.001)).status == "ok"
+
+
+def test_points_of_an_oval_section_weigh_less() -> None:
+    plain = combine(0.150, 0.002, 0.153, 0.004)
+    less = combine(0.150, 0.002, 0.153, 0.004, points_doubt_m=0.008)
+    assert less.weight < 0.5 * plain.weight
+    assert less.radius_m > plain.radius_m
+    assert combine(0.150, 0.002, 0.160, 0.004, points_doubt_m=0.1).contradict
 
 
 def test_edges_on_a_few_sides_and_few_blocks_of_bark_make_it_students_interval() -> None:

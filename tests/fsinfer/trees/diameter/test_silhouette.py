@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from fsinfer.trees.diameter.edge_problem import Edges, SilhouetteSettings, Solution
-from fsinfer.trees.diameter.silhouette import _surer, edge_contrast, fit_silhouette
+from fsinfer.trees.diameter.silhouette import _spread_of_fits, _surer, edge_contrast, fit_silhouette
 from training.simulate.stem_edges import edges_from_rows
 
 TAPER = -0.008
@@ -150,3 +150,17 @@ def test_a_shape_that_no_stem_has_costs_what_it_costs_however_many_edges_there_a
     assert _surer(circle, oval, None) is circle
     common = replace(oval, log_prior=-0.3)
     assert _surer(circle, common, None) is common
+
+
+def test_other_summits_that_are_as_likely_are_in_the_interval() -> None:
+    """As 30.7 cm beside 32 cm and less likely 28 and 35 cm, where 14 photographs show a stem."""
+    best = solution(0.1535, 25.1)
+    alike = [best, solution(0.1592, 25.1)]
+    assert _spread_of_fits(best, alike) == pytest.approx(0.005 / np.sqrt(2.0), rel=0.1)
+    # A summit counts once, however many starts led there, and none that is far less likely.
+    assert _spread_of_fits(best, [*alike, *alike, solution(0.1593, 25.0)]) == pytest.approx(
+        _spread_of_fits(best, alike), rel=0.1
+    )
+    assert _spread_of_fits(best, [best, solution(0.20, -100.0)]) < 1e-4
+    # Nor fits that ended a hair beside.
+    assert _spread_of_fits(best, [best, solution(0.1541, 25.1), solution(0.1529, 25.1)]) == 0.0
