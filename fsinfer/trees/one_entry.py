@@ -66,9 +66,13 @@ def one_entry_a_stem(pairs: Sequence[Pair], kept: Collection[int] = ()) -> tuple
 
 
 def _is_fork(worse: Pair, better: Pair) -> bool:
-    """Whether both are stems that are seen from several sides, and part: haze has axes of any direction."""
+    """Whether both are stems that are seen from several sides, and part: haze has axes of any direction.
+
+    What no photograph shows edges of, beside a stem that has some, is no stem.
+    """
     seen = all(section.dbh_m is not None and section.coverage >= HAZE_COVERAGE for _, section in (worse, better))
-    return seen and fork_height(worse, better) is not None
+    shown = worse[1].silhouette is not None or better[1].silhouette is None
+    return seen and shown and fork_height(worse, better) is not None
 
 
 def _forked(stem: Pair, other: Pair) -> Pair:

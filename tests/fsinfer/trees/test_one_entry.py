@@ -106,3 +106,22 @@ def test_what_a_person_put_there_stays() -> None:
     pairs = [entry(1, 0.0, 0.30), entry(2, 0.02, None)]
     assert numbers(one_entry_a_stem(pairs, kept={2})[0]) == [2]
     assert numbers(one_entry_a_stem(pairs, kept={1, 2})[0]) == [1, 2]
+
+
+def leaning(pair: tuple[Tree, Section], slope: float) -> tuple[Tree, Section]:
+    """Seen from several sides, its axis parting from the upright by so much."""
+    return pair[0], replace(pair[1], slope=np.array([slope, 0.0]), coverage=0.8)
+
+
+@pytest.mark.parametrize(("edges", "other_edges", "forks"), [(0, 0, True), (1, 1, True), (1, 0, False)])
+def test_what_shows_no_edges_beside_a_stem_that_does_makes_no_fork(edges: int, other_edges: int, forks: bool) -> None:
+    """As a haze of 15 cm in a stem of 10 cm, whose axis parts from it below breast height."""
+    stem, other = leaning(entry(1, 0.0, 0.30), -0.1), leaning(entry(2, 0.06, 0.28, status="doubtful"), 0.1)
+    pairs = [
+        (tree, replace(section, silhouette=EDGES if has else None))
+        for (tree, section), has in zip((stem, other), (edges, other_edges), strict=True)
+    ]
+    ((tree, _),) = one_entry_a_stem(pairs)[0]
+    assert tree.tree_id == 1
+    assert ([why.code for why in tree.reasons] == [StemCode.forks_here]) is forks
+    assert tree.status == ("doubtful" if forks else "ok")
