@@ -352,6 +352,16 @@ def test_what_a_shape_leaves_open_grows_with_how_far_from_round_the_points_have_
     assert joined(oval_section(6.0), fit_of(0.1752, 0.001)).status == "ok"
 
 
+def test_of_points_that_gave_no_diameter_the_shape_is_no_reason_of_its_own() -> None:
+    """It widens the interval of the edges alone; why the points gave nothing is said anyway."""
+    refused = replace(
+        oval_section(6.0), dbh_m=None, status="unmeasured", reasons=(notice(StemCode.too_rough, residual_cm=2.0),)
+    )
+    alone = joined(refused, replace(fit_of(0.1752, 0.001, photos=4), left_open_m=0.001))
+    assert [why.code for why in alone.reasons] == [StemCode.edges_alone]
+    assert alone.parts_m["silhouette"] > 0.002
+
+
 def test_points_of_an_oval_section_weigh_less() -> None:
     plain = combine(0.150, 0.002, 0.153, 0.004)
     less = combine(0.150, 0.002, 0.153, 0.004, points_doubt_m=0.008)
