@@ -19,8 +19,6 @@ from fsinfer.trees.stem_measurement import with_diameter
 from fsinfer.trees.tree import Tree
 
 Pair = tuple[Tree, Section]
-#: From this share of an interval's variance on the shape is why it is wide. Source: judgement.
-MOSTLY = 0.5
 
 
 def allow_for_shape(pairs: Sequence[Pair], *, settings: TreeSettings | None = None) -> list[Pair]:
@@ -58,7 +56,7 @@ def _with_parts(tree: Tree, section: Section, more_m: Mapping[str, float], limit
     wider = replace(section, parts_m=parts, sd_m=sd, dof=dof, shared_sd_m=2.0 * shared_std(parts))
     if section.dbh_m is None:
         return tree, wider
-    mostly = parts["oval"] ** 2 > MOSTLY * total_std(parts) ** 2
+    mostly = parts["oval"] > total_std({name: part for name, part in parts.items() if name != "oval"})
     because = (notice(StemCode.far_from_round),) if mostly else ()
     refused = too_uncertain(section.dbh_m, wider.half95_m, limits)
     if refused:
