@@ -271,16 +271,13 @@ def _hidden_oval(section: Section, fit: SilhouetteFit, s: SilhouetteJoinSettings
 
     What those leave open is in the edges' own standard deviation as far as hulls are as round as usual.
     """
-    if section.roundness is None:
-        return 0.0
     more = oval_factor(section.roundness) / s.fit.hull_of_rough_bark
     return fit.left_open_m * float(np.sqrt(max(more**2 - 1.0, 0.0)))
 
 
 def _misses_an_oval(section: Section, fit: SilhouetteFit, s: SilhouetteJoinSettings) -> bool:
     """Whether the points have the section far from round, and edges from too few sides to know."""
-    oval = section.roundness is not None and oval_factor(section.roundness) > 1.0
-    return oval and fit.sectors < s.fit.sides_enough
+    return oval_factor(section.roundness) > 1.0 and fit.sectors < s.fit.sides_enough
 
 
 def _shared_by_points(section: Section, s: SilhouetteJoinSettings) -> float:

@@ -23,6 +23,8 @@ from fsinfer.trees.diameter.spread import Spread
 Floats = NDArray[np.float64]
 #: Coefficients of one harmonic: cosine and sine. Source: mathematics.
 PAIR = 2
+#: A harmonic is not known of which the points tell less than one part in so many of the prior. Source: numerics.
+FAINTEST = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,10 +105,6 @@ def _alone(fit: AxisFit, spread: Spread, own: slice, found_m: Floats) -> Harmoni
     )
 
 
-#: A harmonic of which the points tell less than this part of what is known anyway is not known. Source: numerics.
-FAINTEST = 10.0
-
-
 def left_open(covariance: Floats, prior: Floats) -> float:
     """Standard deviation of a radius by its ``covariance`` (K,) with coefficients of the shape whose priors have the
     precision ``prior`` (K,): what is left of the priors' own errors in it.
@@ -114,10 +112,10 @@ def left_open(covariance: Floats, prior: Floats) -> float:
     return float(np.sqrt(covariance**2 @ prior))
 
 
-def oval_factor(shape: Roundness, settings: RoundnessSettings | None = None) -> float:
+def oval_factor(shape: Roundness | None, settings: RoundnessSettings | None = None) -> float:
     """By how much the section is more oval than usual; 1 where it is no more so than 95 % of stems, or not known."""
     s = settings or RoundnessSettings()
-    oval = shape.harmonics[0] if shape.harmonics else None
+    oval = None if shape is None else shape.harmonics[0]
     if oval is None or not oval.known or oval.square <= s.usual:
         return 1.0
     return float(np.sqrt(oval.square / PAIR))

@@ -121,7 +121,8 @@ def fit_silhouette(
     # Edges seen under about the same angle err together: bark is no smooth curve.
     all_round = NOISE_SECTORS
     sector = np.floor(np.degrees(edges.angle_rad[used]) / (360.0 / all_round)).astype(np.int64) % all_round
-    variance, dof = _clustered_variance(best.information, best.scores[used], sector, problem.prior)
+    covariance = np.asarray(np.linalg.inv(best.information), np.float64)
+    variance, dof = _clustered_variance(covariance, best.scores[used], sector, problem.prior)
     x = best.x
     sectors = len(np.unique(sector)) / all_round
     parts = {
@@ -146,7 +147,7 @@ def fit_silhouette(
         contrast=contrast,
         weight=weight,
         one_sided_m=parts["one sided"],
-        left_open_m=left_open(np.asarray(np.linalg.inv(best.information), np.float64)[0, 6:], problem.prior[6:]),
+        left_open_m=left_open(covariance[0, 6:], problem.prior[6:]),
         common_m=float(np.hypot(parts["common"], parts["shape"])),
         dof=effective_dof(parts, {"edges": dof}),
         gain=np.asarray(np.linalg.solve(best.information, (best.own * best.precision[:, None]).T)[0]),
@@ -188,19 +189,18 @@ def _spread_of_fits(best: Solution, found: Sequence[Solution]) -> float:
     return float(np.sqrt((chance * away**2).sum() / max(float(chance.sum()), 1.0)))
 
 
-def _clustered_variance(information: Floats, scores: Floats, sector: Ints, prior: Floats) -> tuple[float, float]:
+def _clustered_variance(covariance: Floats, scores: Floats, sector: Ints, prior: Floats) -> tuple[float, float]:
     """Variance of the radius where edges of one sector err together (Liang & Zeger 1986), or the model's if larger.
 
     Also its degrees of freedom: the sectors beyond the three that radius and place use up, for that part of it which
     the sectors tell; what the priors leave open is known.
     """
-    covariance = np.linalg.inv(information)
     names, cluster = np.unique(sector, return_inverse=True)
     sums = np.zeros((len(names), scores.shape[1]))
     np.add.at(sums, cluster, scores)
     few = len(names) / max(len(names) - 3.0, 1.0)  # radius and place are taken from the sectors
     told = float(covariance[0] @ (few * sums.T @ sums) @ covariance[0])
-    variance = told + float(covariance[0] @ np.diag(prior) @ covariance[0])
+    variance = told + left_open(covariance[0], prior) ** 2
     if variance < covariance[0, 0]:
         return float(covariance[0, 0]), float("inf")
     return variance, max(len(names) - 3.0, LEAST_DOF) / max(told / variance, 1e-9) ** 2

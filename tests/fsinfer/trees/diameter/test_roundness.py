@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fsinfer.trees.cylinder.axis import AxisSettings, axis_coordinates, fit_axis
+from fsinfer.trees.cylinder.axis import AxisFit, AxisSettings, axis_coordinates, fit_axis
 from fsinfer.trees.diameter.roundness import Harmonic, Roundness, misfit_std, roundness
 from fsinfer.trees.diameter.spread import fit_spread
 from tests.support.bark import BH, bark
@@ -18,11 +18,11 @@ RADIUS = 0.15
 USUAL = AxisSettings().shape_std
 
 
-def of(points: Floats) -> Roundness:
+def fitted(points: Floats) -> tuple[AxisFit, Roundness]:
     start = np.array([0.0, 0.0, 0.0, 0.0, RADIUS, -0.006])
     fit = fit_axis(points, start, BH, sigma_m=0.01, order=4)
     offset, foot = axis_coordinates(points, fit.parameters, BH)
-    return roundness(fit, fit_spread(fit, offset, foot))
+    return fit, roundness(fit, fit_spread(fit, offset, foot))
 
 
 def shaped(
@@ -33,7 +33,7 @@ def shaped(
     count: int = 2500,
     sigma_m: float = 0.002,
 ) -> Roundness:
-    return of(bark(rng, RADIUS, shape=shape, arc_deg=arc_deg, count=count, sigma_m=sigma_m))
+    return fitted(bark(rng, RADIUS, shape=shape, arc_deg=arc_deg, count=count, sigma_m=sigma_m))[1]
 
 
 def flat(square: float) -> Harmonic:
@@ -116,12 +116,9 @@ def test_halves_that_are_apart_are_held_by_it() -> None:
         cut, shift = rng.uniform(0.0, 2.0 * np.pi), rng.normal(0.0, 0.02, 2)
         side = np.cos(np.arctan2(points[:, 1], points[:, 0]) - cut) > 0.0
         points[side, :2] += shift
-        start = np.array([0.0, 0.0, 0.0, 0.0, RADIUS, -0.006])
-        fit = fit_axis(points, start, BH, sigma_m=0.01, order=4)
-        offset, foot = axis_coordinates(points, fit.parameters, BH)
-        spread = fit_spread(fit, offset, foot)
+        fit, shape = fitted(points)
         errors.append(abs(fit.radius_m - RADIUS) / RADIUS)
-        said.append(misfit_std(roundness(fit, spread)))
+        said.append(misfit_std(shape))
     # Bark and the local correction would be a hundredth of the radius in any case.
     held = np.array(errors) <= 1.96 * np.hypot(0.01, said)
     assert held.mean() > 0.75
