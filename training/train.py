@@ -32,6 +32,7 @@ from training.data.samples import Sample, SamplingSettings, SceneSamples, load_s
 from training.losses import at_stride, compute_loss
 from training.metrics import depth_errors, mean_errors
 from training.model import CONFIGS, FSMVSNet, ModelConfig
+from training.model.config import DEPTH_PLANES
 from training.model.fsmvsnet import Window
 from training.processes import Processes, join_processes, leave_processes
 
@@ -52,6 +53,8 @@ class TrainSettings:
         end of ``minutes`` all the same. 0 for none. Source: option.
     learning_rate, weight_decay: of Adam. Source: FS-MVSNet, Forests 2025, 16, 927.
     crop: width and height of the window at quarter resolution. Source: numerics; what a laptop trains on.
+    planes: of the wide volume, a multiple of 8; with fewer than the network's 192, for the first part of a long
+        training, a step takes a share of the time. Source: option.
     accumulate: samples of a step. Source: numerics.
     min_sources, max_sources: of a sample, see :class:`training.data.samples.SamplingSettings`.
     ema_decay: of the mean of the weights over the steps. Source: judgement.
@@ -72,6 +75,7 @@ class TrainSettings:
     learning_rate: float = 1e-3
     weight_decay: float = 1e-5
     crop: tuple[int, int] = (64, 48)
+    planes: int = DEPTH_PLANES
     accumulate: int = 1
     min_sources: int = SamplingSettings.min_sources
     max_sources: int = SamplingSettings.max_sources
@@ -185,6 +189,8 @@ class Trainer:
                     "seed": self.settings.seed,
                     "learning_rate": self.settings.learning_rate,
                     "samples_per_step": self.settings.accumulate * self.processes.count,
+                    "planes": self.settings.planes,
+                    "preset": self.settings.preset,
                     # The runs whose weights this one began with, the oldest first.
                     "before": self.before,
                 },
@@ -213,7 +219,12 @@ class Trainer:
             window = pick_window(sample, self.settings.crop, rng)
             with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=self.amp):
                 output = self.model(
-                    sample.images.to(self.device), sample.intrinsics, sample.cam_from_world, sample.depth_range, window
+                    sample.images.to(self.device),
+                    sample.intrinsics,
+                    sample.cam_from_world,
+                    sample.depth_range,
+                    window,
+                    self.settings.planes,
                 )
             truth = sample.depth.to(self.device)
             loss, parts = compute_loss(output, truth, (window.x, window.y, window.width, window.height), self.config)
@@ -343,6 +354,7 @@ def parse_arguments(arguments: list[str] | None = None) -> TrainSettings:
     parser.add_argument("--learning-rate", type=float, default=default.learning_rate)
     parser.add_argument("--weight-decay", type=float, default=default.weight_decay)
     parser.add_argument("--crop", type=int, nargs=2, default=list(default.crop), metavar=("W", "H"))
+    parser.add_argument("--planes", type=int, default=default.planes, help="of the wide volume, a multiple of 8")
     parser.add_argument("--accumulate", type=int, default=default.accumulate, help="samples per optimizer step")
     parser.add_argument("--min-sources", type=int, default=default.min_sources)
     parser.add_argument("--max-sources", type=int, default=default.max_sources)
@@ -358,6 +370,10 @@ def parse_arguments(arguments: list[str] | None = None) -> TrainSettings:
     parser.add_argument("--workers", type=int, default=default.workers, help="processes that read samples")
     parser.add_argument("--init", type=Path, help="start from the weights of this checkpoint")
     values = vars(parser.parse_args(arguments))
+    if values["planes"] < 16 or values["planes"] % 8:
+        parser.error(
+            f"--planes {values['planes']}: the networks halve the planes three times; give a multiple of 8 from 16 on"
+        )
     for name in ("data", "validation", "crop"):
         values[name] = tuple(values[name])
     return TrainSettings(**values)

@@ -198,6 +198,42 @@ def test_chunked_correlation_equals_the_plain_one_with_its_gradients(
     torch.testing.assert_close(found, expected, atol=1e-4, rtol=1e-4)
 
 
+@pytest.mark.parametrize("chunk_bytes", [1, 2**30])
+def test_chunked_variance_equals_its_definition_with_its_gradients(
+    chunk_bytes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("training.model.volume.CHUNK_BYTES", chunk_bytes)
+    _, intrinsics, poses = views()
+    torch.manual_seed(5)
+    maps = [torch.randn(8, 16, 24, requires_grad=True) for _ in range(3)]
+    inverse = plane_inverse_depths(torch.tensor(1.0), torch.tensor(9.0), 12, inverse=True)[:, None, None]
+    planes = inverse.expand(-1, 16, 24)
+    a, b = relative_projection(intrinsics, poses, 4)
+    warped = [sample(maps[i + 1], *project(a[i], b[i], planes, (0, 0))).reshape(8, 12, 16, 24) for i in range(2)]
+    plain = torch.stack([maps[0][:, None].expand(-1, 12, -1, -1), *warped]).var(dim=0, unbiased=False)
+    toward = torch.randn_like(plain)
+    expected = torch.autograd.grad((plain * toward).sum(), maps)
+    chunked = torch_variance(maps[0], maps[1:], a, b, planes, (0, 0))
+    found = torch.autograd.grad((chunked * toward).sum(), maps)
+    torch.testing.assert_close(chunked, plain, atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(found, expected, atol=1e-4, rtol=1e-4)
+
+
+@pytest.mark.parametrize("preset", ["paper", "field"])
+def test_fewer_planes_span_the_same_depths(preset: str) -> None:
+    model = FSMVSNet(PRESETS[preset]).eval()
+    images, intrinsics, poses = views()
+    with torch.no_grad():
+        output = model(images, intrinsics, poses, (1.0, 9.0), planes=48)
+    wide = output.scales[0 if preset == "field" else -1]
+    assert wide.scores_dhw.shape[0] == 48
+    ends = sorted(1 / float(wide.inverse_depth_dhw[i].mean()) for i in (0, -1))
+    assert ends == pytest.approx([1.0, 9.0])
+    # The depth is the index's place between the ends, whatever the number of planes.
+    if preset == "paper":
+        torch.testing.assert_close(output.depth, 1 + wide.index_hw / 47 * 8)
+
+
 @pytest.mark.parametrize("inverse", [True, False])
 def test_planes_go_from_one_end_of_the_depths_to_the_other_in_equal_steps(inverse: bool) -> None:
     planes = plane_inverse_depths(torch.tensor(2.0), torch.tensor(8.0), 7, inverse=inverse)

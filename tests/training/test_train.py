@@ -375,6 +375,38 @@ def test_amp_is_an_option(given: list[str], amp: bool | None) -> None:
     assert parse_arguments(["--data", "a", "--out", "b", *given]).amp is amp
 
 
+def test_training_may_begin_with_fewer_planes(scenes: Path, tmp_path: Path) -> None:
+    seen: list[int] = []
+    for planes in (16, 192):
+        given = [
+            "--data",
+            str(scenes),
+            "--out",
+            str(tmp_path / str(planes)),
+            "--crop",
+            "16",
+            "12",
+            "--max-sources",
+            "2",
+        ]
+        given += ["--planes", str(planes)] if planes != 192 else []
+        trainer = Trainer(parse_arguments(given))
+        trainer.model.register_forward_hook(lambda *call: seen.append(call[-1].scales[0].scores_dhw.shape[0]))
+        sample = load_sample(read_scene(scenes / "s0"), 0, [1, 2])
+        trainer.train_step([sample], np.random.default_rng(0))
+        trainer.save()
+        assert torch.load(trainer.checkpoint, weights_only=True)["training"]["planes"] == planes
+    assert seen == [16, 192]
+
+
+@pytest.mark.parametrize("planes", ["8", "60"])
+def test_planes_that_cannot_be_halved_are_refused(planes: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as refused:
+        parse_arguments(["--data", "a", "--out", "b", "--planes", planes])
+    assert refused.value.code == 2
+    assert "multiple of 8" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("preset", ["field", "paper"])
 def test_amp_trains(preset: str, scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     trainer = Trainer(_tiny(scenes, tmp_path, preset=preset, amp=True))

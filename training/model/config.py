@@ -84,6 +84,7 @@ ABLATIONS: dict[str, ModelConfig] = {
         replace(PAPER, name="paper-no-bfpn", backbone="conv"),
         replace(PAPER, name="paper-no-se", se=False),
         replace(PAPER, name="paper-no-hybrid", loss="smooth"),
+        replace(PAPER, name="paper-plane", loss="plane"),
         replace(FIELD, name="field-conv3d", regularizer="conv3d", width=8),
         replace(FIELD, name="field-no-bfpn", backbone="conv", refine_planes=0),
         replace(FIELD, name="field-no-refine", refine_planes=0),

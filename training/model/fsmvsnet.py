@@ -173,8 +173,9 @@ class FSMVSNet(nn.Module):
         cam_from_world: Tensor,  # (N, 4, 4)
         depth_range: tuple[float, float],
         window: Window | None = None,
+        planes: int = DEPTH_PLANES,
     ) -> DepthOutput:
-        """Depth of view 0 inside ``window`` (default: all of it)."""
+        """Depth of view 0 inside ``window`` (default: all of it); training may begin with fewer ``planes``."""
         config = self.config
         quarter, half = self.features(images)
         # Under autocast the networks may compute in 16 bits; where features meet coordinates, and where a depth is read
@@ -184,7 +185,7 @@ class FSMVSNet(nn.Module):
             window = Window(x=0, y=0, width=quarter.shape[-1], height=quarter.shape[-2])
         rows, columns = slice(window.y, window.y + window.height), slice(window.x, window.x + window.width)
         near, far = (torch.tensor(d, device=images.device, dtype=torch.float32) for d in depth_range)
-        inverse = plane_inverse_depths(near, far, DEPTH_PLANES, inverse=config.inverse_depth)[:, None, None]
+        inverse = plane_inverse_depths(near, far, planes, inverse=config.inverse_depth)[:, None, None]
         hypotheses = inverse.expand(-1, window.height, window.width)
         a, b = (part.to(images.device) for part in relative_projection(intrinsics, cam_from_world, 4))
         origin = (window.x, window.y)
@@ -214,7 +215,7 @@ class FSMVSNet(nn.Module):
             )
         scales.append(ScaleOutput(stride=4, scores_dhw=all_scores[0], index_hw=index, inverse_depth_dhw=inverse))
         if self.refine_head is None or half is None or weights is None:
-            depth = self._depth(index, near, far)
+            depth = self._depth(index / (planes - 1), near, far)
             return DepthOutput(depth=depth, confidence=confidence, stride=4, scales=tuple(scales))
 
         height, width = (
@@ -223,7 +224,7 @@ class FSMVSNet(nn.Module):
         )
         centre = upsample_index(index.detach(), height, width)
         offsets = torch.linspace(-config.refine_span, config.refine_span, config.refine_planes, device=images.device)
-        interval = (1 / near - 1 / far) / (DEPTH_PLANES - 1)
+        interval = (1 / near - 1 / far) / (planes - 1)
         narrow = 1 / far + (centre[None] + offsets[:, None, None]) * interval
         narrow = narrow.clamp_min(1e-6)
         a, b = (part.to(images.device) for part in relative_projection(intrinsics, cam_from_world, 2))
@@ -242,14 +243,14 @@ class FSMVSNet(nn.Module):
         final = centre + offsets[0] + fine_index * step
         coarse_confidence = upsample_like(confidence[None, None], centre)[0, 0]
         return DepthOutput(
-            depth=self._depth(final, near, far),
+            depth=self._depth(final / (planes - 1), near, far),
             confidence=coarse_confidence * fine_confidence,
             stride=2,
             scales=tuple(scales),
         )
 
-    def _depth(self, index_hw: Tensor, near: Tensor, far: Tensor) -> Tensor:
-        fraction = index_hw / (DEPTH_PLANES - 1)
+    def _depth(self, fraction_hw: Tensor, near: Tensor, far: Tensor) -> Tensor:
+        """Depth at these shares of the way through the planes."""
         if self.config.inverse_depth:
-            return 1 / (1 / far + fraction * (1 / near - 1 / far)).clamp_min(1e-6)
-        return near + fraction * (far - near)
+            return 1 / (1 / far + fraction_hw * (1 / near - 1 / far)).clamp_min(1e-6)
+        return near + fraction_hw * (far - near)

@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from training.model.warping import project, warp
+from training.model.warping import project
 
 #: Warped features at a time: what a second-level cache holds. Source: numerics; 2**18 was measured 12 % slower.
 CHUNK_BYTES = 2**21
@@ -34,14 +34,59 @@ def variance_volume(
 
     ``reference_chw`` is already cut to the window; ``sources`` are whole feature maps.
     """
-    planes = inverse_depth_dhw.shape[0]
-    total = reference_chw[:, None].expand(-1, planes, -1, -1)
-    squares = total.square()
-    for i, source in enumerate(sources):
-        warped = warp(source, a[i], b[i], inverse_depth_dhw, origin_xy)
-        total, squares = total + warped, squares + warped.square()
-    views = len(sources) + 1
-    return squares / views - (total / views).square()
+    places = [torch.stack(project(a[i], b[i], inverse_depth_dhw, origin_xy)) for i in range(len(sources))]
+    return torch.as_tensor(FeatureVariance.apply(reference_chw, torch.stack(places), *sources))  # type: ignore[no-untyped-call]
+
+
+class FeatureVariance(torch.autograd.Function):
+    """The variance of the reference and its warped sources without the warped volumes, as :class:`GroupCorrelation`.
+
+    Written out, sums, squares and their gradients, each (C, D, h, w), were half of a training step on a CPU.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, reference_chw: Tensor, places_s2dhw: Tensor, *sources_chw: Tensor) -> Tensor:
+        """(C, h, w), source coordinates (S, 2, D, h, w), S times (C, Hs, Ws) → (C, D, h, w)."""
+        channels, h, w = reference_chw.shape
+        planes, views = places_s2dhw.shape[2], len(sources_chw) + 1
+        reference = reference_chw.reshape(channels, 1, h * w)
+        grids = [_normalized(x, y, source) for (x, y), source in zip(places_s2dhw, sources_chw, strict=True)]
+        result = reference_chw.new_empty(channels, planes, h * w)
+        for chunk in _chunks(planes, reference_chw):
+            first, *others = (_sample(source, grid[chunk])[0] for source, grid in zip(sources_chw, grids, strict=True))
+            total, squares = first + reference, first.square().addcmul_(reference, reference)
+            for warped in others:
+                total += warped
+                squares.addcmul_(warped, warped)
+            result[:, chunk] = squares.div_(views).addcmul_(total, total, value=-1 / views**2)
+        ctx.save_for_backward(reference_chw, *grids, *sources_chw)
+        return result.reshape(channels, planes, h, w)
+
+    @staticmethod
+    def backward(ctx: Any, gradient_cdhw: Tensor) -> tuple[Tensor | None, ...]:
+        """Gradients of the reference and of the sources: 2 / N times a feature's distance from the views' mean."""
+        reference_chw, *rest = ctx.saved_tensors
+        grids, sources = rest[: len(rest) // 2], rest[len(rest) // 2 :]
+        channels, planes = gradient_cdhw.shape[:2]
+        views = len(sources) + 1
+        reference = reference_chw.reshape(channels, 1, -1)
+        gradient = gradient_cdhw.reshape(channels, planes, -1)
+        of_reference = torch.zeros_like(reference)
+        of_sources = [torch.zeros_like(source)[None] for source in sources]
+        for chunk in _chunks(planes, reference_chw):
+            all_warped = [_sample(source, grid[chunk])[0] for source, grid in zip(sources, grids, strict=True)]
+            mean = all_warped[0] + reference
+            for warped in all_warped[1:]:
+                mean += warped
+            mean /= views
+            part = gradient[:, chunk] * (2 / views)
+            of_reference += ((reference - mean) * part).sum(dim=1, keepdim=True)
+            for of_source, source, grid, warped in zip(of_sources, sources, grids, all_warped, strict=True):
+                of_warped = warped.sub_(mean).mul_(part)[None]
+                of_source += torch.ops.aten.grid_sampler_2d_backward(
+                    of_warped, source[None], grid[chunk][None], 0, 0, True, [True, False]
+                )[0]
+        return of_reference.reshape_as(reference_chw), None, *(of_source[0] for of_source in of_sources)
 
 
 def correlation(reference_chw: Tensor, warped_cdhw: Tensor, groups: int) -> Tensor:

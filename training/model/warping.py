@@ -27,23 +27,6 @@ def relative_projection(intrinsics: Tensor, cam_from_world: Tensor, stride: int 
     return a.float().to(intrinsics.device), b.float().to(intrinsics.device)
 
 
-def warp(features_chw: Tensor, a: Tensor, b: Tensor, inverse_depth_dhw: Tensor, origin_xy: tuple[int, int]) -> Tensor:
-    """Sample one source's features on the hypotheses of the reference pixels.
-
-    Parameters
-    ----------
-    features_chw: (C, Hs, Ws) source features.
-    a, b: (3, 3) and (3,) of this source, from :func:`relative_projection`.
-    inverse_depth_dhw: (D, h, w) or (D, 1, 1), 1/depth of each hypothesis.
-    origin_xy: feature pixel of the reference view at which the (h, w) window starts.
-
-    Returns
-    -------
-    (C, D, h, w); zero where the hypothesis falls outside the source view or behind it.
-    """
-    return sample(features_chw, *project(a, b, inverse_depth_dhw, origin_xy)).reshape(-1, *inverse_depth_dhw.shape)
-
-
 def project(a: Tensor, b: Tensor, inverse_depth_dhw: Tensor, origin_xy: tuple[int, int]) -> tuple[Tensor, Tensor]:
     """Source pixel coordinates x, y (D, h, w) of every hypothesis; -1e4 where it lies behind the source view."""
     _, h, w = inverse_depth_dhw.shape
