@@ -15,7 +15,7 @@ from fsinfer.plot_border.request import BorderRequest
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scale.square_fit import MarkerSettings
-from fsinfer.silhouettes.join import SilhouetteJoinSettings
+from fsinfer.silhouettes.join_settings import SilhouetteJoinSettings
 from fsinfer.silhouettes.tops import TopViewSettings
 from fsinfer.silhouettes.walk import WalkSettings
 from fsinfer.trees import TreeSettings

@@ -20,7 +20,8 @@ from fsinfer.plot_border.rows import figure_rows
 from fsinfer.plot_border.sight import Cameras, seen_share
 from fsinfer.progress import Progress, silent
 from fsinfer.scale.scale import CAMERA_HEIGHT_M
-from fsinfer.silhouettes.join import SilhouetteJoinSettings, StemPhotos, measure_silhouettes, write_sources
+from fsinfer.silhouettes.join import StemPhotos, measure_silhouettes, write_sources
+from fsinfer.silhouettes.join_settings import SilhouetteJoinSettings
 from fsinfer.silhouettes.tops import TopViewSettings, heights_in_view
 from fsinfer.silhouettes.walk import WalkSettings, apart_from_walk, camera_places
 from fsinfer.trees import PlotResult, StandTable, TreeSettings, analyse_plot

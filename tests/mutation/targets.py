@@ -94,7 +94,11 @@ TARGETS: dict[str, Target] = {
         tests=(f"{_SILHOUETTES}test_edges.py", f"{_SILHOUETTES}test_join.py"),
     ),
     "silhouette-join": Target(
-        files=("fsinfer/silhouettes/join.py", "fsinfer/silhouettes/combine.py"),
+        files=(
+            "fsinfer/silhouettes/join.py",
+            "fsinfer/silhouettes/joined_section.py",
+            "fsinfer/silhouettes/combine.py",
+        ),
         tests=(f"{_SILHOUETTES}test_join.py",),
     ),
     "silhouette-looks": Target(
