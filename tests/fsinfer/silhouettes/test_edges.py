@@ -122,6 +122,18 @@ def test_a_stem_too_far_or_too_thin_in_the_photograph_is_left_out(tmp_path: Path
         assert len(strips_of_photo([STEM], 0, scene, maps, np.eye(4), settings=limits)) == seen
 
 
+@pytest.mark.parametrize(("distance_m", "seen"), [(18.0, 1), (21.0, 0)])
+def test_a_stem_is_looked_at_from_as_far_as_it_is_large_in_a_photograph(
+    tmp_path: Path, distance_m: float, seen: int
+) -> None:
+    """Fifteen photographs from 16.1 to 16.5 m, 17 pixels wide, were left out of a stem that no others showed."""
+    scene = write_plot(tmp_path)
+    times = distance_m / DISTANCE_M
+    cloud = np.diag([times, times, times, 1.0])
+    stem = StemAxis(breast=times * STEM.breast, along=STEM.along, radius_m=times * STEM.radius_m, taper=0.0)
+    assert len(strips_of_photo([stem], 0, scene, DepthMaps(scene, tmp_path), cloud)) == seen
+
+
 def test_a_stem_that_is_not_there_or_beside_the_picture_is_left_out(tmp_path: Path) -> None:
     scene = write_plot(tmp_path)
     maps = DepthMaps(scene, tmp_path)
