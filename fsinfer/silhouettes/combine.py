@@ -5,8 +5,7 @@ one of them is wrong by more than it says: the excess E = d^2 - s_p^2 - s_e^2 of
 an unknown error between them (DerSimonian & Laird, Controlled Clinical Trials 7, 1986, for two sources), and it goes
 into the interval. The two do not share it evenly, as they would in a random-effects mean of alike sources: a depth map
 fattens a hazy side by centimetres, an edge is where it is. Its share for each is that of the variances that both had
-where the truth was known. The edges' radius stays, with their share of E on top; of a section far from round, of which
-edges that miss a side know no more than points, it is the mean of both by precision, each with its share of E.
+where the truth was known. The edges' radius stays, with their share of E on top.
 """
 
 from __future__ import annotations
@@ -83,13 +82,11 @@ def combine(
     contradict = abs(apart) > s.gate * both
     excess = apart**2 - both**2 if contradict else 0.0
     over = s.points_over_edges_oval if oval else s.points_over_edges
-    of_edges, of_points = excess / (1.0 + over), excess * over / (1.0 + over)
-    edges_var, points_var = edges_std_m**2 + of_edges, points_std_m**2 + of_points
-    weight = 0.0 if contradict and not oval else edges_var / (edges_var + points_var)
+    weight = 0.0 if contradict else edges_std_m**2 / (points_std_m**2 + edges_std_m**2)
     return Combined(
         radius_m=edges_m + weight * apart,
         weight=weight,
         edges_std_m=(1.0 - weight) * edges_std_m,
         points_std_m=weight * points_std_m,
-        disagreement_m=float(np.sqrt((1.0 - weight) ** 2 * of_edges + weight**2 * of_points)),
+        disagreement_m=float(np.sqrt(excess / (1.0 + over))),
     )
