@@ -303,6 +303,24 @@ def test_join_by_precision_and_alone_where_they_disagree() -> None:
     assert alone.sd_m > between.sd_m > 2 * 0.15 * 0.002  # never surer than the scale
 
 
+def test_a_stem_measured_beside_breast_height_is_carried_there_by_its_taper() -> None:
+    """Edges are seen where the points were measured; the diameter is that at breast height, the circle the one seen."""
+    section = replace(section_of(0.308, 0.002), by_taper_m=0.004)
+    found = joined(section, fit_of(0.150, 0.002))
+    assert found.dbh_m == pytest.approx(0.308)
+    assert found.circle_m[2] == pytest.approx(0.150)
+
+
+@pytest.mark.parametrize(
+    ("photos", "sectors", "status"), [(20, 0.6, "ok"), (7, 0.6, "doubtful"), (20, 0.2, "doubtful")]
+)
+def test_few_photographs_or_few_sides_leave_a_stem_without_points_doubtful(
+    photos: int, sectors: float, status: str
+) -> None:
+    refused = section_of(None, 0.01, ROUGH)
+    assert joined(refused, fit_of(0.150, 0.002, photos=photos, sectors=sectors)).status == status
+
+
 def test_the_points_count_as_if_their_error_were_twice_as_large() -> None:
     mean = combine(0.150, 0.002, 0.153, 0.004)
     assert mean.radius_m == pytest.approx(0.1515)  # both know it to 4 mm
