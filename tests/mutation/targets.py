@@ -135,6 +135,7 @@ TARGETS: dict[str, Target] = {
             "test_volumes_equal_the_deployed_numpy_volumes",
             "test_a_window_is_a_cut_of_the_whole_volume",
             "test_chunked_correlation_equals_the_plain_one_with_its_gradients",
+            "test_chunked_variance_equals_its_definition_with_its_gradients",
         ),
     ),
     "losses": Target(
