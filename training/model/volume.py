@@ -82,10 +82,7 @@ class FeatureVariance(torch.autograd.Function):
             part = gradient[:, chunk] * (2 / views)
             of_reference += ((reference - mean) * part).sum(dim=1, keepdim=True)
             for of_source, source, grid, warped in zip(of_sources, sources, grids, all_warped, strict=True):
-                of_warped = warped.sub_(mean).mul_(part)[None]
-                of_source += torch.ops.aten.grid_sampler_2d_backward(
-                    of_warped, source[None], grid[chunk][None], 0, 0, True, [True, False]
-                )[0]
+                of_source += _sample_backward(warped.sub_(mean).mul_(part)[None], source, grid[chunk])
         return of_reference.reshape_as(reference_chw), None, *(of_source[0] for of_source in of_sources)
 
 
@@ -134,9 +131,7 @@ class GroupCorrelation(torch.autograd.Function):
             warped = _sample(source_chw, grid[chunk]).reshape(groups, channels // groups, -1, h * w)
             of_reference += (warped * part).sum(dim=2, keepdim=True)
             of_warped = (part * reference).reshape(1, channels, -1, h * w)
-            of_source += torch.ops.aten.grid_sampler_2d_backward(
-                of_warped, source_chw[None], grid[chunk][None], 0, 0, True, [True, False]
-            )[0]
+            of_source += _sample_backward(of_warped, source_chw, grid[chunk])
         return of_reference.reshape(channels, h, w), of_source[0], None, None, None
 
 
@@ -149,6 +144,14 @@ def _normalized(x_dhw: Tensor, y_dhw: Tensor, source_chw: Tensor) -> Tensor:
 
 def _sample(source_chw: Tensor, grid_dp2: Tensor) -> Tensor:
     return F.grid_sample(source_chw[None], grid_dp2[None], mode="bilinear", padding_mode="zeros", align_corners=True)
+
+
+def _sample_backward(of_sampled: Tensor, source_chw: Tensor, grid_dp2: Tensor) -> Tensor:
+    """Gradient of the source (1, C, Hs, Ws) from that of what :func:`_sample` gave."""
+    found = torch.ops.aten.grid_sampler_2d_backward(
+        of_sampled, source_chw[None], grid_dp2[None], 0, 0, True, [True, False]
+    )
+    return torch.as_tensor(found[0])
 
 
 def _chunks(planes: int, reference_chw: Tensor) -> list[slice]:
