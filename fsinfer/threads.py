@@ -11,6 +11,7 @@ import os
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 
 _lock = threading.Lock()
 _inside = 0
@@ -42,6 +43,22 @@ def cores() -> int:
     """Processor cores that this process may use."""
     allowed = getattr(os, "sched_getaffinity", None)  # Linux alone knows
     return len(allowed(0)) if allowed is not None else os.cpu_count() or 1
+
+
+def blas_architecture() -> str:
+    """What OpenBLAS calls the processor that NumPy's products are computed for; empty where it is another library."""
+    from threadpoolctl import threadpool_info
+
+    found = [library for library in threadpool_info() if library.get("internal_api") == "openblas"]
+    # SciPy and OpenCV bring libraries of their own, which may be older and know less of processors.
+    of_numpy = [library for library in found if _of_numpy(Path(library["filepath"]))] or found
+    named = {str(library.get("architecture") or "") for library in of_numpy}
+    return named.pop() if len(named) == 1 else ""
+
+
+def _of_numpy(library: Path) -> bool:
+    """Whether a wheel of NumPy brought it: in ``numpy.libs`` or ``numpy/.dylibs``."""
+    return any(part.startswith("numpy") for part in library.parts[-3:-1])
 
 
 def _limit() -> None:

@@ -25,7 +25,7 @@ BLOCK_BYTES = 2_000_000
 #: Source: numerics.
 _PIXELS_PER_PRODUCT = 8
 #: Weight that all sources together have at least. Source: numerics.
-_LEAST_WEIGHT = 1e-6
+LEAST_WEIGHT = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +94,7 @@ def correlation_volume(
         inverse = inverse_depth_dhw if inverse_depth_dhw.shape[1] == 1 else inverse_depth_dhw[:, rows]
         block = np.zeros((groups, planes, count, width), np.float32)
         one = np.empty_like(block)
-        weight_sum = np.full((count, width), _LEAST_WEIGHT, np.float32)
+        weight_sum = np.full((count, width), LEAST_WEIGHT, np.float32)
         for i, (source, projection) in enumerate(zip(sources, projections, strict=True)):
             x, y = source_coordinates(projection, inverse, rows.start, width, count)
             for g, (target, feature) in enumerate(zip(source.groups, reference.groups, strict=True)):
@@ -168,7 +168,7 @@ def correlation_volume_reference(
     """The correlation volume straight from its definition, the reference of :func:`correlation_volume`."""
     height, width, channels = reference_hwc.shape
     summed = np.zeros((inverse_depth_dhw.shape[0], channels // 4, height, width), np.float32)
-    weight_sum = np.full((height, width), _LEAST_WEIGHT, np.float32)
+    weight_sum = np.full((height, width), LEAST_WEIGHT, np.float32)
     for source, projection in zip(sources_hwc, projections, strict=True):
         x, y = source_coordinates(projection, inverse_depth_dhw, 0, width, height)
         product = sample_reference(source, x, y) * reference_hwc

@@ -149,7 +149,7 @@ def read_manifest(name_or_path: str | Path, *, trust: bool = False) -> ModelMani
     if path.suffix != ".json":
         path = path / "manifest.json" if path.is_dir() else models_folder() / f"{name_or_path}.json"
     if not path.is_file():
-        known = sorted(p.stem for p in models_folder().glob("*.json"))
+        known = ", ".join(sorted(p.stem for p in models_folder().glob("*.json")))
         msg = f"no depth model {name_or_path!s}: {path} does not exist; models that came with fsinfer: {known}"
         raise ModelError(msg)
     try:

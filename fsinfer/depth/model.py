@@ -20,6 +20,7 @@ from fsinfer.depth.cost_volume import (
     variance_volume,
 )
 from fsinfer.depth.manifest import ModelManifest, read_manifest
+from fsinfer.depth.plane_volume import plane_correlation_volume
 from fsinfer.depth.precision import AUTO, INT8, choose_precision
 from fsinfer.depth.session import available_providers, find_providers, load_graph
 from fsinfer.depth.settings import DepthSettings
@@ -222,7 +223,9 @@ class DepthModel:
         projections = self._projections(intrinsics, cam_from_world, 4)
         if manifest.volume == "variance":
             return variance_volume(quarter[0], quarter[1:], projections, planes, threads=self.threads)[None], None
-        volume, weights = correlation_volume(quarter[0], quarter[1:], projections, planes, threads=self.threads)
+        volume, weights = plane_correlation_volume(
+            quarter[0], quarter[1:], projections, planes[:, 0, 0], threads=self.threads
+        )
         if not manifest.packed_planes:
             return np.ascontiguousarray(volume.transpose(1, 0, 2, 3))[None], weights
         depth, groups, height, width = volume.shape

@@ -90,6 +90,38 @@ def source_coordinates(
     return x, y
 
 
+def pixel_coordinates(
+    projection: Projection,
+    inverse_depth_d: Float32,
+    u: NDArray[np.float64],
+    v: NDArray[np.float64],
+    *,
+    behind: np.float32 = OUTSIDE,
+) -> tuple[Float32, Float32]:
+    """As :func:`source_coordinates` for N reference pixels: (N, D) float32, the planes of a pixel side by side.
+
+    ``u``, ``v`` (N,) are columns and rows, ``inverse_depth_d`` is (D,); ``behind`` the coordinate of hypotheses behind
+    the source view.
+    """
+    m, t = projection.matrix, projection.offset
+    far = [(m[i, 0] * u + m[i, 1] * v + m[i, 2]).astype(np.float32)[:, None] for i in range(3)]
+    shift = [np.float32(t[i]) * inverse_depth_d for i in range(3)]
+    z = far[2] + shift[2]
+    hidden = z < _BEHIND
+    some_hidden = bool(hidden.any())
+    if some_hidden:
+        z[hidden] = 1.0
+    np.divide(np.float32(1), z, out=z)
+    found = []
+    for i in (0, 1):
+        place = far[i] + shift[i]
+        place *= z
+        if some_hidden:
+            place[hidden] = behind
+        found.append(place)
+    return found[0], found[1]
+
+
 def sample_reference(features_hwc: Float32, x_dhw: Float32, y_dhw: Float32) -> Float32:
     """Bilinear sampling in plain NumPy, zeros outside: (D, h, w, C). The reference of :func:`sample`."""
     height, width, _ = features_hwc.shape

@@ -61,7 +61,7 @@ class PlotCloud:
     warnings: tuple[Notice, ...] = ()
 
 
-DEPTH = Stage(name="depth", version=3, result=DepthResult, outputs=("depth", "confidence"), keeps_partial=True)
+DEPTH = Stage(name="depth", version=4, result=DepthResult, outputs=("depth", "confidence"), keeps_partial=True)
 CHECK = Stage(name="check", version=1, result=DepthCheck)
 FUSE = Stage(name="fuse", version=1, result=FusedCloud, outputs=("fused",))
 SCALE = Stage(name="scale", version=4, result=FoundScale)

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from fsinfer.depth.cost_volume import correlation_volume
 from fsinfer.depth.manifest import read_manifest
+from fsinfer.depth.plane_volume import plane_correlation_volume
 from fsinfer.depth.settings import DepthSettings
 from tests.bench.results import add_result_options, check_result_options, save_result
 
@@ -106,11 +107,8 @@ def ours(args: argparse.Namespace, precision: str) -> Callable[[], dict[str, flo
         for name, session in sessions.items()
     }
 
-    def volume(*arguments: Any, **keywords: Any) -> Any:
-        name = "volume" if keywords.get("view_weights") is None else "narrow volume"
-        return Timed(correlation_volume, seconds, name)(*arguments, **keywords)
-
-    patch.object(depth_model, "correlation_volume", volume).start()
+    for work, name in ((plane_correlation_volume, "volume"), (correlation_volume, "narrow volume")):
+        patch.object(depth_model, work.__name__, Timed(work, seconds, name)).start()
     images, intrinsics, poses, depth_range = make_views(args.views, args.height, args.width)
 
     settings = DepthSettings()

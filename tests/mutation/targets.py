@@ -125,8 +125,8 @@ TARGETS: dict[str, Target] = {
         tests=("tests/fsinfer/placement/test_level.py",),
     ),
     "warping": Target(
-        files=("fsinfer/depth/warping.py", "fsinfer/depth/cost_volume.py"),
-        tests=("tests/fsinfer/depth/test_warping.py",),
+        files=("fsinfer/depth/warping.py", "fsinfer/depth/cost_volume.py", "fsinfer/depth/plane_volume.py"),
+        tests=("tests/fsinfer/depth/test_warping.py", "tests/fsinfer/depth/test_plane_volume.py"),
     ),
     "training-volume": Target(
         files=("training/model/warping.py", "training/model/volume.py"),
