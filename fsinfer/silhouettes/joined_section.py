@@ -53,8 +53,9 @@ def join(
         points_m,
         points_std(section, s),
         edges_m,
-        float(np.hypot(fit.std_m, oval_m)),
+        float(np.sqrt(max(fit.std_m**2 - fit.one_sided_m**2, 0.0))),
         points_doubt_m=_shape_doubt(section),
+        edges_doubt_m=float(np.hypot(oval_m, fit.one_sided_m)),
         oval=_misses_an_oval(section, fit, s),
         settings=s.combine,
     )
@@ -69,7 +70,7 @@ def join(
         "scale": radius * scale_rel_std,
     }
     shared = {
-        "silhouette": (1.0 - found.weight) * fit.common_m,
+        "silhouette": (1.0 - found.weight) * s.combine.edges_factor * fit.common_m,
         "cloud": found.points_std_m * _shared_by_points(section, s),
         "level": level,
     }
