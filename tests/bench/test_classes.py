@@ -5,7 +5,7 @@ import pytest
 
 from tests.bench.classes import MeasuredStem, class_figures, nearest_m, truth_of_stems
 from tests.bench.results import Result
-from tests.bench.templates import plot_classes
+from tests.bench.stem_tables import plot_classes
 
 STEMS = [
     MeasuredStem(true_cm=12, found_cm=12.3, low_cm=12.1, high_cm=12.5, sides=0.4, lean_deg=5.0, camera_m=4.0),

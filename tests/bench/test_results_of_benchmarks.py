@@ -38,6 +38,7 @@ ARGUMENTS = {
     "relief": [],
     "resampled": ["scan.laz"],
     "same": ["work"],
+    "sfm_mvs": ["plot", "out"],
     "speed": [],
     "stems": [],
     "stereo": [],
