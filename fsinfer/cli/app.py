@@ -126,12 +126,18 @@ def _main_options(
 
 @app.command()
 @reports_errors
-def demo(out: Out, threads: Threads = DepthSettings.threads, quiet: Quiet = False, debug: Debug = False) -> None:
+def demo(
+    out: Out,
+    model: Model = DepthSettings.model,
+    threads: Threads = DepthSettings.threads,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
     """Measure a small plot that comes with fsinfer, and compare the result with the truth."""
     from fsinfer.workflow.demo import run_demo
 
     with stage_progress(quiet=quiet) as progress:
-        result = run_demo(out, threads=threads, progress=progress)
+        result = run_demo(out, model=model, threads=threads, progress=progress)
     for row in demo_rows(result):
         typer.echo(row)
     typer.echo("")

@@ -41,13 +41,19 @@ class DemoResult:
 
 
 def run_demo(
-    out: Path, *, max_size_px: int = 960, threads: int = 0, progress: StageProgress = silent_stages
+    out: Path,
+    *,
+    model: str = DepthSettings.model,
+    max_size_px: int = 960,
+    threads: int = 0,
+    progress: StageProgress = silent_stages,
 ) -> DemoResult:
     """Copy the demo photographs into ``out/photos``, run the pipeline, compare with the truth.
 
     Parameters
     ----------
     out: output folder; what an earlier demo finished there is kept.
+    model: name of a shipped depth model, or path of a manifest.
     max_size_px: longer side of the images for depth; the photographs have 960 pixels.
     threads: 0 uses every core.
     progress: gives the progress callback for a stage's name.
@@ -73,7 +79,7 @@ def run_demo(
     truth = out / "truth.csv"
     _copy(data / "truth.csv", truth)
     settings = RunSettings(
-        depth=DepthSettings(max_size_px=max_size_px, threads=threads),
+        depth=DepthSettings(model=model, max_size_px=max_size_px, threads=threads),
         scale=ScaleRequest(aruco_length_m=ARUCO_LENGTH_M),
     )
     result = run(photos, out, settings=settings, progress=progress)

@@ -18,6 +18,7 @@ import time
 from importlib import resources
 from pathlib import Path
 
+from fsinfer.depth.settings import DepthSettings
 from fsinfer.evaluation.metrics import evaluate, read_measured
 from fsinfer.trees.outputs.table import read_trees
 from tests.bench.plot import run_figures, source_errors, tree_figures
@@ -68,6 +69,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.bench.demo", description=__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--fsinfer", type=Path, help="the installed command; without it the one beside this Python")
+    parser.add_argument("--model", default=DepthSettings.model, help="as of fsinfer demo")
     parser.add_argument("--judge", action="store_true", help="compare what OUT holds, and run nothing")
     add_result_options(parser)
     args = parser.parse_args(argv)
@@ -102,7 +104,9 @@ def run_command(args: argparse.Namespace, parser: argparse.ArgumentParser) -> fl
     if args.result and digest_of(installed_package(command)) != digest_of(ROOT / "fsinfer"):
         parser.error(f"{command} is not the code of this working tree; install it again")
     start = time.perf_counter()
-    subprocess.run([str(command), "demo", str(args.out.resolve())], env=user_environment(), check=True)
+    subprocess.run(
+        [str(command), "demo", str(args.out.resolve()), "--model", args.model], env=user_environment(), check=True
+    )
     return time.perf_counter() - start
 
 

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from fsinfer.cli.app import app
 from fsinfer.cli.tables import demo_rows
 from fsinfer.depth.manifest import models_folder, read_manifest
 from fsinfer.depth.model import DepthModel
@@ -109,3 +111,9 @@ def test_int8_gives_the_depth_of_float32(demo: DemoResult) -> None:
     assert (index > 1).mean() < 0.05
     assert np.median(depth) < 0.001
     assert (depth > 0.01).mean() < 0.02
+
+
+def test_the_demo_takes_a_model(tmp_path: Path) -> None:
+    ended = CliRunner().invoke(app, ["demo", str(tmp_path / "out"), "--model", "nothere"])
+    assert ended.exit_code == 2
+    assert "no depth model nothere" in ended.output
