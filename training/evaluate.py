@@ -102,6 +102,7 @@ def evaluate_scene(
     *,
     source_views: int = 4,
     every: int = 1,
+    min_depth: float = 0.0,
     max_depth: float = np.inf,
     pixels: list[PixelErrors] | None = None,
     true_depth: Callable[[View], Float32 | None] | None = None,
@@ -129,9 +130,9 @@ def evaluate_scene(
         shape = (truth.shape[0], truth.shape[1])
         depth = on_truth_grid(at_full_size(depth, stride, (height, width)), shape)
         confidence = on_truth_grid(enlarged(confidence, stride, (height, width)), shape)
-        errors = depth_errors(depth, confidence, truth, max_depth=max_depth)
+        errors = depth_errors(depth, confidence, truth, min_depth=min_depth, max_depth=max_depth)
         if pixels is not None:
-            pixels.append(pixel_errors(depth, confidence, truth, max_depth=max_depth))
+            pixels.append(pixel_errors(depth, confidence, truth, min_depth=min_depth, max_depth=max_depth))
         if errors is not None:
             rows[f"{scene.folder.name}/{view.name}"] = errors
     if not rows:
@@ -173,6 +174,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--checkpoint", type=Path, help="evaluate this checkpoint in PyTorch instead")
     parser.add_argument("--source-views", type=int, default=4)
     parser.add_argument("--every", type=int, default=1, help="every N-th view of a scene")
+    parser.add_argument("--min-depth", type=float, default=0.0, help="ignore truth nearer than this, scene units")
     parser.add_argument("--max-depth", type=float, default=float("inf"), help="ignore truth beyond, scene units")
     parser.add_argument(
         "--min-far-over-near",
@@ -219,6 +221,7 @@ def main(arguments: list[str] | None = None) -> int:
                 true_scene.read(),
                 source_views=args.source_views,
                 every=args.every,
+                min_depth=args.min_depth,
                 max_depth=args.max_depth,
                 pixels=pixels,
                 true_depth=true_scene.true_depth,

@@ -51,9 +51,9 @@ class PixelErrors:
         return np.asarray(self.confidence >= np.quantile(self.confidence, 0.3))
 
 
-def known_pixels(truth: NDArray[np.float32], max_depth: float = np.inf) -> NDArray[np.bool_]:
-    """Pixels whose true depth is known (not 0) and nearer than ``max_depth``."""
-    return np.asarray((truth > 0) & (truth < max_depth))
+def known_pixels(truth: NDArray[np.float32], min_depth: float = 0.0, max_depth: float = np.inf) -> NDArray[np.bool_]:
+    """Pixels whose true depth is known (not 0), from ``min_depth`` on and nearer than ``max_depth``."""
+    return np.asarray((truth > 0) & (truth >= min_depth) & (truth < max_depth))
 
 
 def pixel_errors(
@@ -61,10 +61,11 @@ def pixel_errors(
     confidence: NDArray[np.float32],
     truth: NDArray[np.float32],
     *,
+    min_depth: float = 0.0,
     max_depth: float = np.inf,
 ) -> PixelErrors:
     """Errors of a depth map at the pixels with truth, all (h, w) on one grid; a missing estimate (0) is wrong."""
-    known = known_pixels(truth, max_depth)
+    known = known_pixels(truth, min_depth, max_depth)
     absolute = np.abs(depth[known] - truth[known])
     return PixelErrors(confidence=confidence[known], absolute=absolute, relative=absolute / truth[known])
 
@@ -96,16 +97,17 @@ def depth_errors(
     confidence: NDArray[np.float32],
     truth: NDArray[np.float32],
     *,
+    min_depth: float = 0.0,
     max_depth: float = np.inf,
 ) -> DepthErrors | None:
     """Compare a depth map with the truth sampled on the same grid; pixels without truth (0) do not count.
 
     A missing estimate (0) counts as wrong. Returns ``None`` where no pixel has truth.
     """
-    known = known_pixels(truth, max_depth)
+    known = known_pixels(truth, min_depth, max_depth)
     if not known.any():
         return None
-    pixels = pixel_errors(depth, confidence, truth, max_depth=max_depth)
+    pixels = pixel_errors(depth, confidence, truth, min_depth=min_depth, max_depth=max_depth)
     sure = pixels.sure
     silhouette, flies = (found[known] for found in flying_pixels(depth, truth))
     return DepthErrors(

@@ -1,10 +1,13 @@
-"""Train variants of the network alike and compare them: the paper's ablation (Table 8, Table 6) on our data.
+r"""Train variants of the network alike and compare them: the paper's ablation (Table 8, Table 6) on our data.
 
-python -m tests.bench.ablation --data SCENES --test WALKS --plot PLOT --out RUNS --steps 1000
+python -m tests.bench.ablation --data SCENES --test WALKS --plot PLOT --out RUNS --steps 8000 --planes 64 \
+    --first-part 0.75
 
-Every variant sees as many samples of the same stream, in windows of one size. It is exported and judged as deployed:
-depth on views held out (nearer than ``--max-depth``), and on a plot with true cameras the fused cloud's density and
-the diameters. A run that was stopped goes on where it was; finished variants are not trained again.
+Every variant sees as many samples of the same stream, in windows of one size: with ``--first-part`` it begins with the
+cross-entropy over ``--planes``, whatever its own loss is. It is exported and judged as deployed: depth on views held
+out (nearer than ``--max-depth``), and on a plot with true cameras the fused cloud's density and the diameters. A run
+that was stopped goes on where it was; finished variants are not trained again. ``--stop-after`` trains so many minutes,
+to go on another day, and ends with exit code 3 while a variant is not finished.
 """
 
 from __future__ import annotations
@@ -12,6 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import logging
+import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -34,9 +38,12 @@ from training.data.find import find_true_scenes
 from training.evaluate import evaluate_scene, onnx_predictor
 from training.metrics import mean_errors
 from training.model import CONFIGS
-from training.train import TrainSettings, train
+from training.train import train
+from training.train_settings import TrainSettings
 
 PAPER_TABLE = ("mvsnet", "paper-no-bfpn", "paper-no-se", "paper-no-hybrid", "paper", "field")
+#: Exit code while a variant is not finished.
+UNFINISHED = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,15 +69,21 @@ class AblationRow:
 
 def run_variant(
     base: TrainSettings, *, test: tuple[Path, ...], plot: Path | None, every: int, max_depth: float
-) -> AblationRow:
-    """Train ``base.preset`` in ``base.out``, export it and judge it; the finished row is kept in ``row.json``."""
+) -> AblationRow | None:
+    """Train ``base.preset`` in ``base.out``, export it and judge it; the finished row is kept in ``row.json``.
+
+    ``None`` where ``base.stop_after`` came first.
+    """
     kept = base.out / "row.json"
     key = {"steps": base.steps, "crop": list(base.crop), "seed": base.seed, "every": every, "max_depth": max_depth}
+    key |= {"planes": base.planes, "first_part": base.first_part}
     if kept.is_file():
         record = json.loads(kept.read_text(encoding="utf-8"))
         if record["key"] == key:
             return AblationRow(**record["row"])
     model, state = load_checkpoint(train(base))
+    if state["step"] < base.steps:
+        return None
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)
     manifest = export_model(model, base.out / "onnx", provenance=state["training"])
     predict = onnx_predictor(manifest)
@@ -161,6 +174,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--variants", nargs="+", choices=sorted(CONFIGS), default=list(PAPER_TABLE))
     parser.add_argument("--steps", type=int, default=1000)
+    parser.add_argument("--planes", type=int, default=default.planes, help="as of training.train")
+    parser.add_argument("--first-part", type=float, default=default.first_part, metavar="SHARE", help="likewise")
+    parser.add_argument("--amp", action=argparse.BooleanOptionalAction, help="likewise")
+    parser.add_argument("--stop-after", type=float, default=0.0, metavar="MINUTES", help="train no longer; go on later")
     parser.add_argument("--crop", type=int, nargs=2, default=(32, 24), metavar=("W", "H"))
     parser.add_argument("--every", type=int, default=1, help="every N-th view of a test scene")
     parser.add_argument("--max-depth", type=float, default=6.0)
@@ -170,25 +187,37 @@ def main(arguments: list[str] | None = None) -> int:
     args = parser.parse_args(arguments)
     check_result_options(parser, args)
     rows = []
+    began = time.monotonic()
     try:
         for name in args.variants:
+            left = args.stop_after - (time.monotonic() - began) / 60
+            if args.stop_after and left <= 0:
+                print(f"{name} is next")
+                return UNFINISHED
             settings = TrainSettings(
                 data=tuple(args.data),
                 out=args.out / name,
                 preset=name,
                 steps=args.steps,
                 minutes=1e6,
+                stop_after=left if args.stop_after else 0.0,
+                planes=args.planes,
+                first_part=args.first_part,
+                amp=args.amp,
                 crop=tuple(args.crop),
                 min_sources=2,
                 max_sources=3,
-                ema_decay=0.99,
                 checkpoint_every=100,
                 seed=args.seed,
                 threads=args.threads,
             )
-            rows.append(
-                run_variant(settings, test=tuple(args.test), plot=args.plot, every=args.every, max_depth=args.max_depth)
+            row = run_variant(
+                settings, test=tuple(args.test), plot=args.plot, every=args.every, max_depth=args.max_depth
             )
+            if row is None:
+                print(f"{name} is not finished")
+                return UNFINISHED
+            rows.append(row)
             print(table(rows), flush=True)
     except FsinferError as error:
         print(f"Error: {error}")
@@ -196,7 +225,8 @@ def main(arguments: list[str] | None = None) -> int:
     figures: dict[str, float | None] = {}
     for row in rows:
         figures |= figures_of(row)
-    save_result(args, figures, module="tests.bench.ablation", arguments=arguments, settings={"steps": args.steps})
+    trained = {name: getattr(args, name) for name in ("steps", "planes", "first_part", "crop", "seed")}
+    save_result(args, figures, module="tests.bench.ablation", arguments=arguments, settings=trained)
     return 0
 
 

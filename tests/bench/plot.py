@@ -144,24 +144,53 @@ class PlacedTrees:
     evaluation: Evaluation
 
 
-def placed_trees(plot: Path, out: Path) -> PlacedTrees:
-    """The trees that a run on the photographs of ``plot`` left in ``out`` against the truth, aligned by the cameras."""
-    summary = json.loads((out / "plot.json").read_text(encoding="utf-8"))
+@dataclass(frozen=True, kw_only=True)
+class Alignment:
+    """Similarity from the frame of a run's results to that of the truth, found from the cameras.
+
+    ``target = scale * rotation @ point + shift``; ``residual_m`` (K,) how far the cameras lie from
+    ``true_cameras`` (K, 3).
+    """
+
+    scale: float
+    rotation: NDArray[np.float64]
+    shift: NDArray[np.float64]
+    residual_m: NDArray[np.float64]
+    true_cameras: NDArray[np.float64]
+
+    def evaluate(self, plot: Path, trees: Sequence[Tree]) -> tuple[list[Tree], Evaluation]:
+        """The trees at their places in the frame of the truth, and how they compare with ``plot``'s."""
+        moved = []
+        for tree in trees:
+            x, y, _ = self.scale * self.rotation @ np.array([tree.x_m, tree.y_m, tree.z_ground_m]) + self.shift
+            moved.append(replace(tree, x_m=float(x), y_m=float(y)))
+        return moved, evaluate(read_measured(plot / "truth.csv"), moved, align="never", area_margin_m=1.0)
+
+
+def align_cameras(plot: Path, out: Path, cloud_from_scene: NDArray[np.float64]) -> Alignment:
+    """Alignment of the cameras that a run on the photographs of ``plot`` left in ``out`` to the true ones."""
     truth = {view.name: view.camera.center for view in read_scene(plot).views}
     found = {view.name: view.camera.center for view in read_scene(out / "scene").views}
     names = sorted(found)
-    cloud_from_scene = np.array(summary["cloud_from_scene"])
     centers = np.array([cloud_from_scene[:3, :3] @ found[n] + cloud_from_scene[:3, 3] for n in names])
     expected = np.array([truth[n] for n in names])
     scale, rotation, shift = similarity(centers, expected)
     residual = np.linalg.norm(scale * centers @ rotation.T + shift - expected, axis=1)
-    trees = []
-    for tree in read_trees(out / "trees.csv"):
-        x, y, _ = scale * rotation @ np.array([tree.x_m, tree.y_m, tree.z_ground_m]) + shift
-        trees.append(replace(tree, x_m=float(x), y_m=float(y)))
-    result = evaluate(read_measured(plot / "truth.csv"), trees, align="never", area_margin_m=1.0)
+    return Alignment(scale=scale, rotation=rotation, shift=shift, residual_m=residual, true_cameras=expected)
+
+
+def placed_trees(plot: Path, out: Path) -> PlacedTrees:
+    """The trees that a run on the photographs of ``plot`` left in ``out`` against the truth, aligned by the cameras."""
+    summary = json.loads((out / "plot.json").read_text(encoding="utf-8"))
+    aligned = align_cameras(plot, out, np.array(summary["cloud_from_scene"]))
+    trees, result = aligned.evaluate(plot, read_trees(out / "trees.csv"))
     return PlacedTrees(
-        summary=summary, trees=trees, scale=scale, residual_m=residual, true_cameras=expected, evaluation=result
+        summary=summary,
+        trees=trees,
+        scale=aligned.scale,
+        residual_m=aligned.residual_m,
+        true_cameras=aligned.true_cameras,
+        evaluation=result,
     )
 
 

@@ -12,7 +12,8 @@ import torch
 from fsinfer.errors import ModelError
 from training.checkpoint import KEPT, load_checkpoint, slim
 from training.model import FSMVSNet, ModelConfig
-from training.train import Trainer, TrainSettings
+from training.train import Trainer
+from training.train_settings import TrainSettings
 
 CONFIG = ModelConfig(name="tiny", feature_channels=8, base_channels=4, width=4)
 

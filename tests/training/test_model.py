@@ -231,7 +231,7 @@ def test_fewer_planes_span_the_same_depths(preset: str) -> None:
     assert ends == pytest.approx([1.0, 9.0])
     # The depth is the index's place between the ends, whatever the number of planes.
     if preset == "paper":
-        torch.testing.assert_close(output.depth, 1 + wide.index_hw / 47 * 8)
+        torch.testing.assert_close(output.depth, 1 / (1 / 9 + wide.index_hw / 47 * (1 - 1 / 9)))
 
 
 @pytest.mark.parametrize("inverse", [True, False])

@@ -12,7 +12,7 @@ from training.losses import EDGE_GRADIENT
 from training.model import PRESETS
 from training.model.attention import LEAST_HIDDEN, REDUCTION, SqueezeExcitation
 from training.model.config import DEPTH_PLANES
-from training.train import TrainSettings
+from training.train_settings import TrainSettings
 
 PAPER, SAMPLES = PRESETS["paper"], SamplingSettings()
 WEIGHTS = (PAPER.lambda_smooth, PAPER.lambda_multiscale, PAPER.lambda_attention)

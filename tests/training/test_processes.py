@@ -26,7 +26,8 @@ from fsinfer.scene import read_scene
 from training.model.fsmvsnet import Window
 from training.data.samples import load_sample
 from training.processes import join_processes, leave_processes
-from training.train import Trainer, TrainSettings
+from training.train import Trainer
+from training.train_settings import TrainSettings
 
 scenes, out = Path(sys.argv[1]), Path(sys.argv[2])
 processes = join_processes("cpu")

@@ -10,7 +10,7 @@ import torch
 from tests.support.plane_scene import write_plane_scene
 from training import timed_run
 from training.synthesize.__main__ import parse as parse_synthesize
-from training.train import parse_arguments
+from training.train_settings import parse_arguments
 
 
 def test_the_worlds_are_shared_out_without_gap_or_overlap(tmp_path: Path) -> None:

@@ -27,9 +27,9 @@ from training.data.samples import (
 )
 from training.evaluate import confidence_curve, evaluate_scene, main
 from training.full_size import at_full_size, on_truth_grid
-from training.metrics import PixelErrors, depth_errors, flying_pixels, mean_errors, pool, pooled_errors
 from training.model import ModelConfig
-from training.train import Trainer, TrainSettings, parse_arguments, pick_window, train
+from training.train import Trainer, pick_window, train
+from training.train_settings import TrainSettings, parse_arguments
 
 
 @pytest.fixture(scope="module")
@@ -129,44 +129,6 @@ def test_the_time_limit_ends_a_run(scenes: Path, tmp_path: Path) -> None:
     assert torch.load(tmp_path / "checkpoint.pt", weights_only=True)["step"] == 1
 
 
-def test_a_sure_estimate_counts_and_a_missing_one_is_wrong() -> None:
-    truth = np.full((10, 10), 4.0, np.float32)
-    truth[0] = 0
-    depth = truth.copy()
-    depth[1:4] = 0  # missing, and known to be unsure
-    confidence = (depth > 0).astype(np.float32)
-    errors = depth_errors(depth, confidence, truth)
-    assert errors is not None
-    assert errors.pixels == 90
-    assert errors.within_1pct == pytest.approx(60 / 90)
-    assert errors.median_rel == 0
-    assert errors.within_1pct_sure == pytest.approx(60 / 90)
-    confidence[1] = 2.0
-    surest = depth_errors(depth, confidence, truth)
-    assert surest is not None
-    assert surest.within_1pct_sure < 1
-    assert depth_errors(depth, confidence, np.zeros_like(truth)) is None
-
-
-def test_only_depths_between_two_surfaces_fly() -> None:
-    truth = np.full((20, 30), 2.0, np.float32)
-    truth[:, 15:] = 6.0
-    depth = truth.copy()
-    depth[:, 14] = 3.5  # between both
-    depth[:, 15] = 2.01  # the silhouette is a pixel too wide: on the wrong surface, but on one
-    depth[:, 3] = 3.5  # wrong, but not at the silhouette
-    silhouette, flies = flying_pixels(depth, truth, radius_px=3)
-    np.testing.assert_array_equal(np.flatnonzero(silhouette.any(axis=0)), np.arange(12, 18))
-    np.testing.assert_array_equal(np.flatnonzero(flies.any(axis=0)), [14])
-    errors = depth_errors(depth, np.ones_like(depth), truth)
-    assert errors is not None
-    assert errors.flying == pytest.approx(1 / 6)
-    flat = depth_errors(depth[:, :10], np.ones((20, 10), np.float32), truth[:, :10])
-    assert flat is not None
-    assert np.isnan(flat.flying)
-    assert mean_errors([errors, flat])["flying"] == pytest.approx(1 / 6)
-
-
 def seen_in_source(sample: Sample, u: int, v: int) -> tuple[torch.Tensor, torch.Tensor]:
     """World point of a reference pixel, and the colour at the nearest pixel of view 1 that shows it."""
     ray = torch.linalg.inv(sample.intrinsics[0]) @ torch.tensor([u, v, 1.0], dtype=torch.float64)
@@ -254,23 +216,6 @@ def test_confidence_curve_finds_where_the_errors_begin() -> None:
     )  # 0.5 to 1 where all are good, 0 to 0.5 where none is
     assert threshold == pytest.approx(0.5 - 0.5 / 9, abs=2e-3)  # 500 good among 500 / 0.9
     assert confidence_curve(confidence, np.ones_like(error))[1] == 1.0
-
-
-def test_pooled_errors_rank_the_pixels_of_all_views_together() -> None:
-    good = PixelErrors(
-        confidence=np.full(70, 0.9, np.float32),
-        absolute=np.full(70, 0.01, np.float32),
-        relative=np.full(70, 0.005, np.float32),
-    )
-    bad = PixelErrors(
-        confidence=np.full(30, 0.2, np.float32),
-        absolute=np.full(30, 0.5, np.float32),
-        relative=np.full(30, 0.1, np.float32),
-    )
-    errors = pooled_errors(pool([bad, good]))
-    assert errors["within_1pct"] == pytest.approx(0.7)
-    assert errors["within_1pct_sure"] == errors["within_3cm_sure"] == 1.0  # of view ``bad`` alone it would be 0
-    assert errors["median_abs"] == errors["median_abs_sure"] == pytest.approx(0.01)
 
 
 def test_evaluate_command(scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -377,7 +322,7 @@ def test_amp_is_an_option(given: list[str], amp: bool | None) -> None:
 
 def test_training_may_begin_with_fewer_planes(scenes: Path, tmp_path: Path) -> None:
     seen: list[int] = []
-    for planes in (16, 192):
+    for planes in (32, 192):
         given = [
             "--data",
             str(scenes),
@@ -396,10 +341,22 @@ def test_training_may_begin_with_fewer_planes(scenes: Path, tmp_path: Path) -> N
         trainer.train_step([sample], np.random.default_rng(0))
         trainer.save()
         assert torch.load(trainer.checkpoint, weights_only=True)["training"]["planes"] == planes
-    assert seen == [16, 192]
+    assert seen == [32, 192]
 
 
-@pytest.mark.parametrize("planes", ["8", "60"])
+def test_the_first_part_of_a_run_learns_planes_and_the_rest_what_the_preset_says(scenes: Path, tmp_path: Path) -> None:
+    planes: list[int] = []
+    settings = _tiny(scenes, tmp_path, preset="paper", steps=4, first_part=0.5, planes=32)
+    trainer = Trainer(settings)
+    trainer.model.register_forward_hook(lambda *call: planes.append(call[-1].scales[-1].scores_dhw.shape[0]))
+    sample = load_sample(read_scene(scenes / "s0"), 0, [1, 2])
+    losses = [set(trainer.train_step([sample], np.random.default_rng(0))) - {"grad", "lr"} for _ in range(4)]
+    assert losses[0] == losses[1] == {"ce16", "sub16", "ce8", "sub8", "ce4", "sub4"}
+    assert losses[2] == losses[3] == {"smooth", "multiscale", "attention"}
+    assert planes == [32, 32, 192, 192]
+
+
+@pytest.mark.parametrize("planes", ["24", "60"])
 def test_planes_that_cannot_be_halved_are_refused(planes: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as refused:
         parse_arguments(["--data", "a", "--out", "b", "--planes", planes])

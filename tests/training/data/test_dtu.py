@@ -19,7 +19,8 @@ from training.data.dtu import SCANS, TEST_SCANS, TRAIN_SCANS, VALIDATION_SCANS, 
 from training.data.find import find_true_scenes
 from training.data.samples import Sample, SamplingSettings, SceneSamples
 from training.evaluate import evaluate_scene, main
-from training.train import Trainer, TrainSettings
+from training.train import Trainer
+from training.train_settings import TrainSettings
 
 PLAIN = SamplingSettings(
     min_sources=2, max_sources=2, colour_jitter=0, range_jitter=0, near_pull=1, mirror=0, turn=0, pose_noise_px=0
