@@ -24,7 +24,10 @@ from tests.support.plane_scene import write_plane_scene
 from training.checkpoint import load_checkpoint
 from training.model import PRESETS, FSMVSNet
 
-CHECKPOINT = ROOT / "training" / "checkpoints" / "field.pt"
+CHECKPOINTS = ROOT / "training" / "checkpoints"
+CHECKPOINT = CHECKPOINTS / "field.pt"
+#: What ships, and the stride of its maps.
+SHIPPED = {"field": 2, "paper": 4}
 
 pytestmark = pytest.mark.skipif(not CHECKPOINT.is_file(), reason="the checkpoint is not in this source tree")
 
@@ -34,19 +37,34 @@ def checkpoint() -> FSMVSNet:
     return load_checkpoint(CHECKPOINT)[0]
 
 
-def test_the_manifest_names_the_weights_of_the_checkpoint(checkpoint: FSMVSNet) -> None:
-    data = json.loads((models_folder() / "field.json").read_text(encoding="utf-8"))
-    assert data["weights_sha256"] == hash_weights(checkpoint)
-    state = torch.load(CHECKPOINT, weights_only=True)
+def test_these_models_ship() -> None:
+    assert {path.stem for path in models_folder().glob("*.json")} == SHIPPED.keys()
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_manifest_names_the_weights_of_the_checkpoint(name: str) -> None:
+    data = json.loads((models_folder() / f"{name}.json").read_text(encoding="utf-8"))
+    path = CHECKPOINTS / f"{name}.pt"
+    assert data["weights_sha256"] == hash_weights(load_checkpoint(path)[0])
+    state = torch.load(path, weights_only=True)
     assert (data["training"]["steps"], data["training"]["seed"]) == (state["step"], state["training"]["seed"])
 
 
-def test_whole_maps_of_the_shipped_files_are_those_of_the_checkpoint(checkpoint: FSMVSNet, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", SHIPPED)
+def test_confidence_of_what_ships_is_a_share_of_pixels(name: str) -> None:
+    calibration = read_manifest(name).calibration
+    assert calibration is not None
+    assert calibration[1][-1] > 0.9
+
+
+@pytest.mark.parametrize(("name", "stride"), SHIPPED.items())
+def test_whole_maps_of_the_shipped_files_are_those_of_the_checkpoint(name: str, stride: int, tmp_path: Path) -> None:
+    checkpoint, _ = load_checkpoint(CHECKPOINTS / f"{name}.pt")
     # An even and an odd size, and texture that the network is sure of.
     for height, width in ((192, 256), (190, 251)):
         scene = read_scene(write_plane_scene(tmp_path / str(height), height=height, width=width))
-        parity = whole_parity(checkpoint, DepthModel.load("field", precision="float32"), scene, views=2)
-        assert parity.pixels == 2 * -(-height // 2) * -(-width // 2)
+        parity = whole_parity(checkpoint, DepthModel.load(name, precision="float32"), scene, views=2)
+        assert parity.pixels == 2 * -(-height // stride) * -(-width // stride)
         assert parity.depth_rel_p999 <= 1e-3
         assert parity.mask_agreement >= 0.999
         assert parity.passes()
