@@ -15,11 +15,13 @@ from fsinfer.depth.warping import Projection, pixel_coordinates, source_coordina
 from fsinfer.threads import blas_architecture
 
 SHAPE = (13, 37)
-#: Sideways, so that the nearest planes leave the picture; ahead, so that some lie behind the source; and far away.
+#: Sideways, so that the nearest planes leave the picture; ahead, so that some lie behind the source; far away; and turned
+#: away, so that the farthest planes are beside the picture.
 PROJECTIONS = [
     Projection(matrix=np.eye(3), offset=np.array([60.0, 0.3, 0.0])),
     Projection(matrix=np.array([[1, 0.02, -3], [-0.02, 1, 2], [0, 1e-3, 1]]), offset=np.array([-4.0, 5.0, -2.0])),
     Projection(matrix=np.eye(3), offset=np.array([0.0, -900.0, 0.0])),
+    Projection(matrix=np.array([[1.0, 0, 45], [0, 1, 0], [0, 0, 1]]), offset=np.array([-60.0, 0.0, 0.0])),
 ]
 
 
@@ -38,14 +40,14 @@ def test_it_is_what_the_definition_says(
     monkeypatch.setattr(plane_volume, "TILE_ROWS", tile[0])
     monkeypatch.setattr(plane_volume, "TILE_COLUMNS", tile[1])
     planes = plane_inverse_depths(0.8, 9.0, 24, inverse=True)
-    views = maps(4)
+    views = maps(5)
     features = [Features.from_chw(view) for view in views]
     volume, weights = plane_correlation_volume(features[0], features[1:], PROJECTIONS, planes, threads=threads)
     hwc = [view.transpose(1, 2, 0) for view in views]
     expected = correlation_volume_reference(hwc[0], hwc[1:], PROJECTIONS, planes[:, None, None])
     np.testing.assert_allclose(volume, expected, atol=2e-5)
-    assert weights.shape == (3, *SHAPE)
-    # Nothing of the reference lies in the last one but on the farthest planes: it knows next to nothing.
+    assert weights.shape == (4, *SHAPE)
+    # Nothing of the reference lies in the third one but on the farthest planes: it knows next to nothing.
     assert weights[2].max() < 0.2
     assert ((weights > 0) & (weights <= 1)).all()
 
