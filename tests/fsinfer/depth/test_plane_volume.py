@@ -15,8 +15,8 @@ from fsinfer.depth.warping import Projection, pixel_coordinates, source_coordina
 from fsinfer.threads import blas_architecture
 
 SHAPE = (13, 37)
-#: Sideways, so that the nearest planes leave the picture; ahead, so that some lie behind the source; far away; and turned
-#: away, so that the farthest planes are beside the picture.
+#: Sideways, so that the nearest planes leave the picture; ahead, so that some lie behind the source; far away; and
+#: turned away, so that the farthest planes are beside the picture.
 PROJECTIONS = [
     Projection(matrix=np.eye(3), offset=np.array([60.0, 0.3, 0.0])),
     Projection(matrix=np.array([[1, 0.02, -3], [-0.02, 1, 2], [0, 1e-3, 1]]), offset=np.array([-4.0, 5.0, -2.0])),
