@@ -40,7 +40,7 @@ _HEADER = """\
 """
 # A version, its marker, and the hashes below it.
 _PIN = re.compile(
-    r"^(?P<pin>[A-Za-z0-9][\w.-]*==[^\s;\\]+(?: ; [^\\\n]+?)?)(?P<hashes>(?: *\\\n +--hash=sha256:[0-9a-f]{64})*) *$",
+    r"^(?P<pin>[A-Za-z0-9][\w.-]*(?:\[[\w.,-]+\])?==[^\s;\\]+(?: ; [^\\\n]+?)?)(?P<hashes>(?: *\\\n +--hash=sha256:[0-9a-f]{64})*) *$",
     flags=re.MULTILINE,
 )
 
@@ -120,7 +120,10 @@ def write_locks(*, upgrade: bool) -> None:
 def _compile(path: Path, what: str, asked: Sequence[str], upgrade: bool, constraints: Sequence[str] = ()) -> None:
     path.parent.mkdir(exist_ok=True)
     command = ["uv", "pip", "compile", "-", "--output-file", path.name, "--universal", "--python-version", PYTHON]
-    command += ["--generate-hashes", "--no-header", "--no-annotate", "--no-emit-index-url", "--no-emit-find-links"]
+    # Extras stay: where another package asks for `coverage[toml]` and there is a newer version than the locked one, pip
+    # takes `coverage==7.1` for a pin of something else and refuses.
+    command += ["--no-strip-extras", "--generate-hashes", "--no-header", "--no-annotate"]
+    command += ["--no-emit-index-url", "--no-emit-find-links"]
     command += ["--quiet", "--no-config", *constraints, *(["--upgrade"] if upgrade else [])]
     subprocess.run(command, input="\n".join(asked), text=True, cwd=path.parent, check=True)
     lines = [line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import re
 
 import pytest
 from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from tests.supply.lock import DEV, SLIM, faults, needed, pins, pyproject
 
@@ -38,6 +40,28 @@ def test_the_lock_holds_for_other_systems_and_pythons() -> None:
     linux = {"sys_platform": "linux", "platform_machine": "x86_64"}
     assert pycolmap.evaluate(linux)
     assert not pycolmap.evaluate(linux | {"platform_machine": "aarch64"})
+
+
+def test_what_packages_ask_for_with_an_extra_is_locked_with_it() -> None:
+    # pip takes `coverage==7` for no pin of `coverage[toml]` as soon as there is a newer version than 7.
+    locked = {(canonicalize_name(pin.name), frozenset(pin.extras)) for pin, _ in pins(DEV.read_text(encoding="utf-8"))}
+    names = {name for name, _ in locked}
+    asked = {
+        (canonicalize_name(requirement.name), frozenset(requirement.extras))
+        for name in names
+        for requirement in map(Requirement, _requires(name))
+        if requirement.extras and (requirement.marker is None or requirement.marker.evaluate({"extra": ""}))
+    }
+    assert ("coverage", frozenset({"toml"})) in asked
+    assert asked <= locked
+
+
+def _requires(name: str) -> list[str]:
+    """What an installed package asks for; nothing where it is not installed here."""
+    try:
+        return importlib.metadata.requires(name) or []
+    except importlib.metadata.PackageNotFoundError:
+        return []
 
 
 def test_faults_of_a_lock_are_found() -> None:
