@@ -43,6 +43,7 @@ FENCED = re.compile(r"^ *```.*?^ *```", flags=re.DOTALL | re.MULTILINE)
 INLINE = re.compile(r"`((?:fsinfer|python -m) [^`]+)`")
 #: What the shell itself, or what is installed beside fsinfer, does.
 OTHERS = {"pip", "dask", "pre-commit", "python3", ".", "for", "done", "do", "pytest", "mkdocs", "build"}
+OTHERS |= {"colmap", "InterfaceCOLMAP", "DensifyPointCloud"}  # other programs that ours is held against
 OTHERS |= {"py", "envScriptsActivate.ps1"}  # of PowerShell; a path without its backslashes
 #: Words in capitals that stand for themselves and not for what the user puts there.
 MEANT = {"A3", "A4"}
