@@ -40,7 +40,8 @@ _HEADER = """\
 """
 # A version, its marker, and the hashes below it.
 _PIN = re.compile(
-    r"^(?P<pin>[A-Za-z0-9][\w.-]*(?:\[[\w.,-]+\])?==[^\s;\\]+(?: ; [^\\\n]+?)?)(?P<hashes>(?: *\\\n +--hash=sha256:[0-9a-f]{64})*) *$",
+    r"^(?P<pin>[A-Za-z0-9][\w.-]*(?:\[[\w.,-]+\])?==[^\s;\\]+(?: ; [^\\\n]+?)?)"
+    r"(?P<hashes>(?: *\\\n +--hash=sha256:[0-9a-f]{64})*) *$",
     flags=re.MULTILINE,
 )
 
