@@ -1,11 +1,13 @@
-"""Numbers the regularizer is computed with: float32, or 8-bit integers where the processor has instructions for them.
+"""Numbers the regularizer is computed with: float32, or 8-bit integers where the processor is fast at them.
 
-Without dot products of 8-bit integers that add up in 32 bits, a sum of two products would be cut off at 16 bits on
-x86 (AVX2 alone): wrong, and no faster. So the choice asks for VNNI there, and for the like instructions of ARM.
+On x86 that is where it has AVX2. Without VNNI onnxruntime adds up two products of 8 bits each in 16 bits there, which
+weights of 8 bits could overflow; those of the int8 graph have 7 (:mod:`export.quantize`), so that every processor
+computes the same. ARM needs its dot products of 8-bit integers.
 """
 
 from __future__ import annotations
 
+import ctypes
 import platform
 from pathlib import Path
 
@@ -17,21 +19,25 @@ AUTO, FLOAT32, INT8 = Precision.auto.value, Precision.float32.value, Precision.i
 PRECISIONS = tuple(precision.value for precision in Precision)
 
 # Names of the flags in /proc/cpuinfo.
-_X86_FLAGS = frozenset({"avx512_vnni", "avx_vnni"})
+_X86_FLAGS = frozenset({"avx2"})
 _ARM_FLAGS = frozenset({"asimddp"})
+#: PF_AVX2_INSTRUCTIONS_AVAILABLE of IsProcessorFeaturePresent (winnt.h). Source: format.
+_WINDOWS_AVX2 = 40
 
 
-def has_int8_dot_products(system: str, machine: str, cpuinfo: str) -> bool:
-    """Whether a processor multiplies and adds 8-bit integers in one instruction.
+def is_fast_at_int8(system: str, machine: str, *, cpuinfo: str = "", windows_avx2: bool = False) -> bool:
+    """Whether a processor multiplies 8-bit integers faster than float32.
 
     Parameters
     ----------
     system, machine: as ``platform.system()`` and ``platform.machine()`` give them.
-    cpuinfo: text of ``/proc/cpuinfo``; empty where there is none. Linux only: elsewhere only Apple's own processors
-        are known to have them.
+    cpuinfo: text of ``/proc/cpuinfo``, which Linux has; empty elsewhere.
+    windows_avx2: whether Windows says that there is AVX2. Of Macs only Apple's own processors count.
     """
     if system == "Darwin":
         return machine == "arm64"
+    if system == "Windows":
+        return machine == "AMD64" and windows_avx2
     if system != "Linux":
         return False
     wanted = {"x86_64": _X86_FLAGS, "aarch64": _ARM_FLAGS}.get(machine, frozenset[str]())
@@ -84,4 +90,9 @@ def _this_machine_is_fast() -> bool:
         cpuinfo = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
     except OSError:
         cpuinfo = ""
-    return has_int8_dot_products(platform.system(), platform.machine(), cpuinfo)
+    return is_fast_at_int8(platform.system(), platform.machine(), cpuinfo=cpuinfo, windows_avx2=_windows_has_avx2())
+
+
+def _windows_has_avx2() -> bool:
+    windows = getattr(ctypes, "windll", None)  # nowhere else
+    return windows is not None and bool(windows.kernel32.IsProcessorFeaturePresent(_WINDOWS_AVX2))

@@ -196,7 +196,7 @@ WAYS_WORDS = {
     "one_core": "on one core",
     "hogs": "two busy programs beside it",
     "avx2_libraries": "OpenBLAS, OpenCV and NumPy with their code for AVX2",
-    "float32": "depth network in float32, as without 8-bit dot products",
+    "float32": "depth network in float32, as on processors without AVX2",
 }
 
 

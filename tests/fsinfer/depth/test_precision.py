@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from fsinfer.depth import precision
 from fsinfer.depth.manifest import hash_files, models_folder, read_manifest
 from fsinfer.depth.maps import read_depth_index
 from fsinfer.depth.model import DepthModel
-from fsinfer.depth.precision import choose_precision, has_int8_dot_products
+from fsinfer.depth.precision import choose_precision, is_fast_at_int8
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.errors import InputError, ModelError
 from fsinfer.scene import read_scene
 from fsinfer.workflow.single_stages import depth_of
 from tests.support.plane_scene import write_plane_scene
 
-X86 = "processor\t: {core}\nmodel name\t: Some CPU\nflags\t\t: fpu sse2 avx2 {flags}\nbugs\t\t:\n\n"
+X86 = "processor\t: {core}\nmodel name\t: Some CPU\nflags\t\t: fpu sse2 avx {flags}\nbugs\t\t:\n\n"
 ARM = "processor\t: {core}\nBogoMIPS\t: 50.00\nFeatures\t: fp asimd {flags}\nCPU part\t: 0xd0c\n\n"
 
 
@@ -30,11 +33,11 @@ def cpuinfo(text: str, *flags: str) -> str:
 @pytest.mark.parametrize(
     ("system", "machine", "text", "expected"),
     [
-        ("Linux", "x86_64", cpuinfo(X86, "avx512f avx512_vnni", "avx512f avx512_vnni"), True),
-        ("Linux", "x86_64", cpuinfo(X86, "avx_vnni"), True),
-        ("Linux", "x86_64", cpuinfo(X86, "avx512f"), False),
-        ("Linux", "x86_64", cpuinfo(X86, "xavx_vnni avx512_vnnix"), False),
-        ("Linux", "x86_64", cpuinfo(X86, "avx_vnni", ""), False),
+        ("Linux", "x86_64", cpuinfo(X86, "avx2 avx512f avx512_vnni", "avx2 avx512f avx512_vnni"), True),
+        ("Linux", "x86_64", cpuinfo(X86, "avx2"), True),
+        ("Linux", "x86_64", cpuinfo(X86, "sse4_2"), False),
+        ("Linux", "x86_64", cpuinfo(X86, "xavx2 avx2x"), False),
+        ("Linux", "x86_64", cpuinfo(X86, "avx2", ""), False),
         ("Linux", "x86_64", cpuinfo(X86, "asimddp"), False),
         ("Linux", "x86_64", "", False),
         ("Linux", "aarch64", cpuinfo(ARM, "asimddp", "asimddp sve"), True),
@@ -45,8 +48,42 @@ def cpuinfo(text: str, *flags: str) -> str:
         ("Windows", "AMD64", "", False),
     ],
 )
-def test_processors_with_dot_products_of_8_bit_integers(system: str, machine: str, text: str, expected: bool) -> None:
-    assert has_int8_dot_products(system, machine, text) is expected
+def test_processors_that_are_fast_at_8_bit_integers(system: str, machine: str, text: str, expected: bool) -> None:
+    assert is_fast_at_int8(system, machine, cpuinfo=text) is expected
+
+
+def test_windows_is_asked_for_avx2() -> None:
+    assert is_fast_at_int8("Windows", "AMD64", windows_avx2=True)
+    assert not is_fast_at_int8("Windows", "ARM64", windows_avx2=True)
+    assert not is_fast_at_int8("Linux", "x86_64", windows_avx2=True)
+
+
+def test_windows_answers_by_its_own_function(monkeypatch: pytest.MonkeyPatch) -> None:
+    for present in (True, False):
+        asked: list[int] = []
+
+        def answer(feature: int, asked: list[int] = asked, present: bool = present) -> int:
+            asked.append(feature)
+            return int(present)
+
+        windll = SimpleNamespace(kernel32=SimpleNamespace(IsProcessorFeaturePresent=answer))
+        monkeypatch.setattr(ctypes, "windll", windll, raising=False)
+        assert precision._windows_has_avx2() is present
+        assert asked == [40]
+    monkeypatch.delattr(ctypes, "windll")
+    assert not precision._windows_has_avx2()
+
+
+def test_weights_of_the_int8_graph_have_seven_bits() -> None:
+    onnx = pytest.importorskip("onnx", reason="onnx comes with the extra train")
+    field = read_manifest("field")
+    assert field.int8_regularizer is not None
+    graph = onnx.load(field.folder / field.int8_regularizer).graph
+    weights = [onnx.numpy_helper.to_array(item) for item in graph.initializer]
+    found = [weight for weight in weights if weight.dtype == np.int8 and weight.ndim > 1]
+    assert len(found) > 10
+    # Two products with 8 bits of the other side have to fit into 16.
+    assert max(int(np.abs(weight.astype(int)).max()) for weight in found) * 255 * 2 < 2**15
 
 
 @pytest.fixture
