@@ -25,8 +25,9 @@ from fsinfer.depth.view_maps import finish_depth, search_range
 from fsinfer.errors import FsinferError, SceneError
 from fsinfer.io.images import read_image
 from fsinfer.scene import Scene, View
+from training.data.confirmed import ConfirmedTruth
 from training.data.find import find_true_scenes
-from training.data.true_scene import SPLITS, DepthsFolder
+from training.data.true_scene import SPLITS, DepthsFolder, TrueScene
 from training.full_size import at_full_size, enlarged, on_truth_grid
 from training.metrics import DepthErrors, PixelErrors, depth_errors, mean_errors, pixel_errors, pool, pooled_errors
 
@@ -188,6 +189,13 @@ def main(arguments: list[str] | None = None) -> int:
         default=DepthSettings().max_far_over_near,
         help="as in fsinfer depth; inf keeps the camera files' near bound",
     )
+    parser.add_argument(
+        "--confirmed",
+        type=int,
+        default=0,
+        metavar="N",
+        help="judge by the true depth alone that the true maps of N neighbouring views confirm",
+    )
     unsure = DepthSettings().unsure
     parser.add_argument("--unsure-below", type=float, default=unsure.below, help="0 leaves unsure pixels alone (ONNX)")
     parser.add_argument("--unsure-radius-px", type=int, default=unsure.radius_px)
@@ -209,7 +217,9 @@ def main(arguments: list[str] | None = None) -> int:
             if args.checkpoint
             else onnx_predictor(args.model, settings=settings, precision=args.precision)
         )
-        scenes = find_true_scenes(args.scenes, args.split)
+        scenes: list[TrueScene] = list(find_true_scenes(args.scenes, args.split))
+        if args.confirmed:
+            scenes = [ConfirmedTruth(scene=scene, votes=args.confirmed) for scene in scenes]
         if not scenes:
             msg = f"no scene with pair.txt and depths/ in {[str(p) for p in args.scenes]}"
             raise SceneError(msg)
