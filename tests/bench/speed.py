@@ -3,11 +3,12 @@
 python -m tests.bench.speed                 1280x704, 5 views, 5 pairs of runs, every core
 python -m tests.bench.speed --ours --pairs 9 only ours, with its split by stage
 
-Vanilla is the ``mvsnet`` preset of ``training`` (variance volume of 32 channels, 192 planes, 3D U-Net, soft-argmin) in
-PyTorch eager; weights do not matter for the time. Each side is a process of its own, so that its peak memory is its
-own; they work in turns, never at the same time. ``fsinfer`` takes part twice, with its regularizer in float32 and in
-int8 where the model has it. Beside the clock stand the processor seconds of all threads, which
-other programs on the machine disturb less. The photographs are noise, the cameras stand 0.3 m apart in a row.
+Vanilla is MVSNet (variance volume of 32 channels, 192 planes, 3D U-Net, soft-argmin) in PyTorch eager, its volume
+written out with whole warped volumes (:mod:`tests.bench.vanilla_mvsnet`); ``chunked`` is our own training code, whose
+volume is made in chunks that stay in the cache. Weights do not matter for the time. Each side is a process of its own,
+so that its peak memory is its own; they work in turns, never at the same time. ``fsinfer`` takes part twice, with its
+regularizer in float32 and in int8 where the model has it. Beside the clock stand the processor seconds of all threads,
+which other programs on the machine disturb less. The photographs are noise, the cameras stand 0.3 m apart in a row.
 """
 
 from __future__ import annotations
@@ -37,6 +38,8 @@ GEMM_SIZE = 2048
 #: Variables that set threads from outside; no user has them.
 NOT_A_USERS = ("OMP_", "OPENBLAS_", "MKL_")
 OURS = ("float32", "int8")  # precisions of the regularizer
+#: MVSNet in PyTorch: with its volume written out, and as the training code has it.
+VANILLA, CHUNKED = "vanilla", "chunked"
 
 
 def make_views(
@@ -51,23 +54,15 @@ def make_views(
     return images, np.stack([intrinsic] * views), poses, (1.0, 20.0)
 
 
-def vanilla(args: argparse.Namespace) -> Callable[[], dict[str, float]]:
+def in_pytorch(args: argparse.Namespace) -> Callable[[], dict[str, float]]:
     """One whole depth map by MVSNet in PyTorch."""
-    import torch
+    from tests.bench.vanilla_mvsnet import mvsnet
 
-    from training.model import FSMVSNet
-    from training.model.config import PRESETS
+    estimate = mvsnet(make_views(args.views, args.height, args.width), args.threads, written_out=args.worker == VANILLA)
 
-    torch.set_num_threads(args.threads)
-    model = FSMVSNet(PRESETS["mvsnet"]).eval()
-    images, intrinsics, poses, depth_range = make_views(args.views, args.height, args.width)
-    nchw = torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2).float()
-    matrices = torch.from_numpy(intrinsics), torch.from_numpy(poses)
-
-    @torch.no_grad()
     def run() -> dict[str, float]:
         started, busy = time.perf_counter(), time.process_time()
-        model(nchw, *matrices, depth_range)
+        estimate()
         return {"all": time.perf_counter() - started, "processor": time.process_time() - busy}
 
     return run
@@ -225,7 +220,7 @@ def regularizer_speed(args: argparse.Namespace) -> dict[str, float]:
 
 def serve(args: argparse.Namespace) -> int:
     """The worker: one run for each line on stdin, one line of JSON for each run."""
-    run = vanilla(args) if args.worker == "vanilla" else ours(args, args.worker)
+    run = ours(args, args.worker) if args.worker in OURS else in_pytorch(args)
     for _ in sys.stdin:
         found = run()
         peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
@@ -271,24 +266,34 @@ def peak_of(runs: list[dict[str, Any]]) -> float:
     return max(float(run["peak_rss_mib"]) for run in runs)
 
 
-def print_ratios(side: str, theirs: list[dict[str, Any]], mine: list[dict[str, Any]]) -> dict[str, float]:
+def print_rival(rival: str, runs: list[dict[str, Any]]) -> dict[str, float]:
+    """Seconds and memory of MVSNet in PyTorch; printed, and as figures."""
+    figures = {f"{rival}_{key}_s": median_of(runs, key) for key in ("all", "processor")}
+    figures[f"{rival}_peak_mib"] = peak_of(runs)
+    for name, value in figures.items():
+        print(f"  {name.replace('_', ' '):25s} {value:9.3f}")
+    return figures
+
+
+def print_ratios(side: str, rival: str, theirs: list[dict[str, Any]], mine: list[dict[str, Any]]) -> dict[str, float]:
     """How many times faster, pair by pair: median, least and most; printed, and as figures."""
     figures: dict[str, float] = {}
+    than = "" if rival == VANILLA else f"_than_{rival}"
     for theirs_key, key, what in (
         ("all", "all", "features of all views"),
         ("all", "cached", "features of one view, as in a plot"),
         ("processor", "processor", "processor seconds, features of all views"),
     ):
         ratios = [a["seconds"][theirs_key] / b["seconds"][key] for a, b in zip(theirs, mine, strict=True)]
-        print(f"  vanilla / {side}, {what}: {np.median(ratios):.1f} ({min(ratios):.1f} to {max(ratios):.1f})")
+        print(f"  {rival} / {side}, {what}: {np.median(ratios):.1f} ({min(ratios):.1f} to {max(ratios):.1f})")
         figures |= {
-            f"{side}_times_faster_{key}": float(np.median(ratios)),
-            f"{side}_times_faster_{key}_least": min(ratios),
-            f"{side}_times_faster_{key}_most": max(ratios),
+            f"{side}_times_faster{than}_{key}": float(np.median(ratios)),
+            f"{side}_times_faster{than}_{key}_least": min(ratios),
+            f"{side}_times_faster{than}_{key}_most": max(ratios),
         }
     share = peak_of(mine) / peak_of(theirs)
-    print(f"  peak memory of {side}: {share:.2f} of vanilla's")
-    return figures | {f"{side}_share_of_vanilla_memory": share}
+    print(f"  peak memory of {side}: {share:.2f} of that of {rival}")
+    return figures | {f"{side}_share_of_{rival}_memory": share}
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -303,14 +308,14 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--height", type=int, default=704)
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--model", default="field")
-    parser.add_argument("--worker", choices=("vanilla", *OURS), help=argparse.SUPPRESS)
+    parser.add_argument("--worker", choices=(VANILLA, CHUNKED, *OURS), help=argparse.SUPPRESS)
     add_result_options(parser)
     args = parser.parse_args(argv)
     check_result_options(parser, args)
     if args.worker:
         return serve(args)
     precisions = [name for name in OURS if name == "float32" or read_manifest(args.model).int8_regularizer]
-    sides = precisions if args.ours else ["vanilla", *precisions]
+    sides = precisions if args.ours else [VANILLA, CHUNKED, *precisions]
     workers = {side: Worker(side, args) for side in sides}
     for side in precisions:
         workers[side].run()  # warm-up: onnxruntime plans its memory in the first run
@@ -330,17 +335,10 @@ def main(argv: list[str] | None = None) -> int:
             figures[f"{side}_{stage.replace(' ', '_')}_s"] = median_of(runs[side], stage)
         print(f"  {side}, peak memory: {peak_of(runs[side]):.0f} MiB")
         figures[f"{side}_peak_mib"] = peak_of(runs[side])
-    if not args.ours:
-        print(f"  vanilla MVSNet              {median_of(runs['vanilla'], 'all'):7.3f} s")
-        print(f"  vanilla MVSNet, processor   {median_of(runs['vanilla'], 'processor'):7.3f} s")
-        print(f"  vanilla MVSNet, peak memory: {peak_of(runs['vanilla']):.0f} MiB")
+    for rival in () if args.ours else (VANILLA, CHUNKED):
+        figures |= print_rival(rival, runs[rival])
         for side in precisions:
-            figures |= print_ratios(side, runs["vanilla"], runs[side])
-        figures |= {
-            "vanilla_all_s": median_of(runs["vanilla"], "all"),
-            "vanilla_processor_s": median_of(runs["vanilla"], "processor"),
-            "vanilla_peak_mib": peak_of(runs["vanilla"]),
-        }
+            figures |= print_ratios(side, rival, runs[rival], runs[side])
     found = regularizer_speed(args)
     print(
         f"  regularizer: {found['gflop']:.1f} GFLOP in {found['seconds']:.3f} s = {found['gflop_per_s']:.0f} GFLOP/s, "
