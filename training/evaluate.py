@@ -243,15 +243,19 @@ def main(arguments: list[str] | None = None) -> int:
     except FsinferError as error:
         print(f"Error: {error}")
         return 2
+    asked, confirmed = (sum(s.counts[i] for s in scenes if isinstance(s, ConfirmedTruth)) for i in (0, 1))
+    share = {"confirmed": confirmed / asked} if asked else {}
     mean, pooled = mean_errors(list(rows.values())), pool(pixels)
     flying = {key: mean[key] for key in ("flying", "flying_sure")}
     together = pooled_errors(pooled) | flying
     if args.json:
         views = {name: e.to_dict() for name, e in rows.items()}
-        print(json.dumps({"mean": mean, "pooled": together, "views": views}, indent=1))
+        print(json.dumps({"mean": mean, "pooled": together, "views": views} | share, indent=1))
     else:
         print(_line(f"mean of {len(rows)} views", mean))
         print(_line("all their pixels together", together))
+        if share:
+            print(f"{100 * share['confirmed']:.1f} % of the true depth are confirmed")
         if args.confidence:
             table, threshold = confidence_curve(pooled.confidence, pooled.relative)
             print("\n".join([*table, f"90 % are within 1 % from a confidence of {threshold:.3f}"]))

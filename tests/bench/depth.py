@@ -15,6 +15,7 @@ import math
 import sys
 import time
 from collections.abc import Mapping
+from typing import Any
 
 import training.evaluate
 from tests.bench.results import add_result_options, check_result_options, save_result
@@ -24,9 +25,11 @@ SHARES = ("median_rel", "within_1pct", "within_1pct_sure", "within_3cm_sure", "f
 LENGTHS = ("median_abs", "median_abs_sure")
 
 
-def figures_of(report: Mapping[str, Mapping[str, float]], unit_m: float | None) -> dict[str, float]:
+def figures_of(report: Mapping[str, Any], unit_m: float | None) -> dict[str, float]:
     """The JSON of ``training.evaluate`` as figures with units; what the set has no truth for (NaN) is left out."""
     figures: dict[str, float] = {"views": len(report["views"])}
+    if "confirmed" in report:
+        figures["confirmed_percent"] = 100 * report["confirmed"]
     for part in ("mean", "pooled"):
         errors = report[part]
         figures |= {f"{part}_{name}_percent": 100 * errors[name] for name in SHARES if not math.isnan(errors[name])}

@@ -27,10 +27,14 @@ TOLERANCE = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class ConfirmedTruth:
-    """A scene of whose true depth only that counts which ``votes`` of the views' first sources confirm."""
+    """A scene of whose true depth only that counts which ``votes`` of the views' first sources confirm.
+
+    ``counts`` are the pixels with truth, and those of them that are confirmed, of all maps asked for so far.
+    """
 
     scene: TrueScene
     votes: int
+    counts: list[int] = field(default_factory=lambda: [0, 0])
     _maps: dict[str, Float32 | None] = field(default_factory=dict)
     _scene: list[Scene] = field(default_factory=list)
 
@@ -56,7 +60,10 @@ class ConfirmedTruth:
             theirs = self._map(views[i])
             if theirs is not None:
                 found += agree(truth, view, theirs, views[i])
-        return np.where(found >= self.votes, truth, np.float32(0))
+        confirmed = (truth > 0) & (found >= self.votes)
+        self.counts[0] += int((truth > 0).sum())
+        self.counts[1] += int(confirmed.sum())
+        return np.where(confirmed, truth, np.float32(0))
 
     def _map(self, view: View) -> Float32 | None:
         if view.name not in self._maps:

@@ -10,6 +10,7 @@ import pytest
 
 from fsinfer.io.pfm import read_pfm, write_pfm
 from fsinfer.scene import read_scene
+from tests.bench import depth
 from tests.support.plane_scene import PLANE_DEPTH, write_plane_scene
 from training import evaluate
 from training.data.confirmed import ConfirmedTruth, agree
@@ -68,9 +69,15 @@ def test_places_behind_the_other_view_do_not_agree(folder: Path) -> None:
 
 
 def test_the_evaluation_asks_for_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    shares = []
+    reports = []
     for options in ([], ["--confirmed", "2"]):
         assert evaluate.main([str(folder), "--subpixel-rounds", "0", "--json", *options]) == 0
-        shares.append(json.loads(capsys.readouterr().out)["views"]["scene/0"]["pixels"])
+        reports.append(json.loads(capsys.readouterr().out))
     wrong = (WRONG[0].stop - WRONG[0].start) * (WRONG[1].stop - WRONG[1].start)
-    assert shares == [64 * 96, 64 * (96 - 20) - wrong]
+    pixels = [[report["views"][f"scene/{i}"]["pixels"] for i in range(3)] for report in reports]
+    # The middle view sees ten columns less with each of the others, and where the first one's truth is wrong it has one
+    # vote alone; so has the third.
+    assert pixels == [[64 * 96] * 3, [64 * (96 - 20) - wrong] * 3]
+    assert "confirmed" not in reports[0]
+    assert reports[1]["confirmed"] == pytest.approx(sum(pixels[1]) / (3 * 64 * 96))
+    assert depth.figures_of(reports[1], None)["confirmed_percent"] == pytest.approx(100 * reports[1]["confirmed"])
