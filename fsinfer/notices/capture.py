@@ -149,7 +149,10 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
     ),
     CaptureCode.photo_of_same_name: "{name} was left out: {other} has the same name",
     CaptureCode.photo_unreadable: "left out: {error}",
-    CaptureCode.photos_unplaced: _left_out("they could not be placed with the others; more photos between would help"),
+    CaptureCode.photos_unplaced: _left_out(
+        "they could not be placed with the others; more photos between would help, from so far away that both edges of "
+        "a stem and the ground are in the picture"
+    ),
     CaptureCode.photos_astray: _left_out(
         "the steps between them do not fit the rest of the walk, so they were joined to it by false matches; turn more "
         "slowly, with more photos between"
@@ -178,7 +181,7 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
     ),
     CaptureCode.picture_shifts: (
         "the middle of the picture shifted by {shift_px:.1f} pixels from photo to photo, as a stabiliser does; that "
-        "was undone, but switch the stabilisation off where the phone lets you"
+        "was undone, but switch digital stabilisation off (that of the lens cannot be, and does little harm)"
     ),
     CaptureCode.no_scale_given: (
         "no scale was given: the cloud is in model units and no DBH is measured; photograph boards printed by fsinfer "

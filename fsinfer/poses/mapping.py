@@ -38,7 +38,8 @@ _LEAST_START = 0.25
 _LEAST_TURN_DEG = 60.0
 
 ADVICE = (
-    "photos must overlap by two thirds or more, be sharp, and show bark, litter or other texture in good light; "
+    "photos must overlap by two thirds or more, be sharp, and show bark, litter or other texture in good light, from "
+    "so far away that both edges of a stem and the ground are in the picture; "
     "walk on a little between photos and do not only turn on the spot"
 )
 

@@ -17,6 +17,9 @@ from fsinfer.scale.scale import CAMERA_HEIGHT_M, BoardVerdict, MarkerDetails, Ma
 
 #: Nobody holds a phone lower or higher than this all through a plot: kneeling, or on a stick. Source: human bodies.
 LIKELY_HEIGHTS_M = (0.4, 3.5)
+#: Two places of one number that are nearer to each other than this are one board, seen from both sides or a little
+#: askew. Source: what boards are made of; cardboard to planks are up to three centimetres thick.
+LEAST_APART_M = 0.03
 #: A given length that differs by more from the printed one is not that of a print which came out a little smaller, and
 #: was measured. Source: judgement; the three sizes differ by a quarter and more.
 _OTHER_LENGTH = 0.1
@@ -136,6 +139,8 @@ def boards_at_two_places(boards: Scale, m_per_unit: float) -> tuple[Notice, ...]
             if any(_faces(place, other) for place in places if place is not other):
                 continue
             apart_m = m_per_unit * float(np.linalg.norm(np.subtract(other.center, places[0].center)))
+            if apart_m < LEAST_APART_M:
+                continue
             views = sorted(other.views)
             found.append(
                 notice(CaptureCode.board_at_two_places, number=number, apart_m=apart_m, first=views[0], last=views[-1])

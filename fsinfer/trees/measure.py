@@ -283,6 +283,7 @@ def _without_scale(
     return replace(
         result,
         trees=tuple(trees),
+        diagnosis=trees_found(trees) if trees else result.diagnosis,
         warnings=(*result.warnings, notice(StemCode.model_units)),
         extent_m=(x_min, y_min, x_max, y_max),
         plot_area_m2=0.0,

@@ -2,6 +2,7 @@
 
 The whole command ``fsinfer run``. What can be said without a truth: how many photographs were registered, and how far
 the depth maps lie from well triangulated points of structure from motion (``depth_vs_sfm_median_rel`` of plot.json).
+The result file has what the run said in words, too.
 """
 
 from __future__ import annotations
@@ -27,10 +28,13 @@ def main(argv: list[str] | None = None) -> int:
     check_result_options(parser, args)
     if not args.judge:
         run(args.photos, args.out, settings=RunSettings())
-    figures = run_figures(json.loads((args.out / "plot.json").read_text(encoding="utf-8")))
+    plot = json.loads((args.out / "plot.json").read_text(encoding="utf-8"))
+    figures = run_figures(plot)
+    said = [*plot["warnings"], *([plot["diagnosis"]] if plot.get("diagnosis") else [])]
+    print("\n".join(said))
     for name, value in figures.items():
         print(f"{name:24s} {value}")
-    save_result(args, figures, module="tests.bench.photos", arguments=argv)
+    save_result(args, figures, module="tests.bench.photos", arguments=argv, settings={"said": said})
     return 0
 
 

@@ -61,6 +61,18 @@ def test_the_two_faces_of_one_board_are_no_alarm_and_drift_is() -> None:
     )
 
 
+@pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.0, 0.7, -0.7), None])
+def test_a_board_is_at_one_place_whichever_way_its_faces_seem_to_look(
+    normal: tuple[float, float, float] | None,
+) -> None:
+    front = board(1, (0.0, 0.0, 0.0), "abc", normal=(0.0, 0.0, 1.0))
+    for apart, alarms in ((0.004, 0), (0.025, 0), (0.035, 1)):
+        again = board(1, (0.0, 0.0, apart), "pq", normal=normal)
+        # In a scene whose unit is half a metre.
+        found = boards_at_two_places(scale_of_boards([front, replace(again, center=(0.0, 0.0, 2 * apart))]), 0.5)
+        assert len(found) == alarms, apart
+
+
 def test_a_board_with_two_faces_is_one_board() -> None:
     faces = [board(21, (0.0, 0.0, z), ["a", "b", "c"], normal=(0.0, 0.0, 1.0 if z == 0 else -1.0)) for z in (0.0, 0.01)]
     assert [doubt.code for doubt in doubt_boards(scale_of_boards(faces))] == [CaptureCode.one_board]

@@ -152,6 +152,7 @@ def test_a_point_a_mile_away_does_not_matter(plot: StemPlot, result: PlotResult)
 def test_without_scale_there_are_positions_and_no_dbh(plot: StemPlot, result: PlotResult) -> None:
     found = analyse_plot(3.0 * plot.points, metric=False, units_per_m_hint=3.0)
     assert len(found.trees) == len(result.trees)
+    assert sentence(found.diagnosis) == f"{len(found.trees)} trees found, 0 with a DBH"
     for tree, reference in zip(found.trees, result.trees, strict=True):
         assert tree.dbh_cm is None
         assert tree.reasons == (notice(StemCode.no_scale),)
