@@ -81,8 +81,10 @@ def take_glance(
 def read_glance(
     scene: Scene, folder: Path, *, settings: GlanceSettings | None = None, progress: Progress = silent
 ) -> Glance | None:
-    """Fuse depth maps that lie in ``folder``; None where no two of them agree on anything."""
+    """Fuse depth maps that lie in ``folder``; None where no two of them agree on anything, or none could be made."""
     settings = settings or GlanceSettings()
+    if not any(view.sources for view in scene.views):
+        return None
     try:
         cloud = fuse(
             scene,

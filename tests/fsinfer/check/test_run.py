@@ -25,8 +25,11 @@ from fsinfer.check.survey import Survey, SurveySettings, survey_scene
 from fsinfer.errors import InputError
 from fsinfer.frames.settings import FrameSettings
 from fsinfer.io.images import read_image, write_image
+from fsinfer.notices.capture import CaptureCode
+from fsinfer.notices.notice import notice
 from fsinfer.poses.colmap import reconstruct
 from fsinfer.poses.estimate import PosesResult, estimate_poses
+from fsinfer.poses.mapping import MappedWalk, Walk
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.sparse import SparseModel
 from fsinfer.progress import silent
@@ -37,7 +40,8 @@ from fsinfer.trees import StemSettings
 from fsinfer.workflow import photo_stages, pipeline
 from fsinfer.workflow.settings import RunSettings
 from tests.support.boards import board, scale_of_boards
-from tests.support.rendered_room import photographs
+from tests.support.rendered_room import photographs, poses
+from tests.support.room_model import room_model
 from tests.support.walked_plot import PHOTOS, STEMS, UNIT, make_plot, walk_angles
 
 NO_SCALE = Scale(m_per_unit=None, source="none", rel_std=None)
@@ -302,6 +306,40 @@ def test_photos_whose_numbers_are_of_unequal_length_are_not_missing(
     assert not any("did not join" in line for line in result.lines)
     # The place on the earth stands in the photos themselves.
     assert asked == [folder / f"photo ({number}).jpg" for number in range(5, 13)]
+
+
+def test_how_the_photos_were_taken_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, out = tmp_path / "photos", tmp_path / "out"
+    # From one end of the arc to the other, and back in small steps.
+    order = [0, 4, 3, 2, 1]
+    images = photographs(5)
+    for number, view in enumerate(order):
+        write_image(folder / f"r{number}.jpg", images[view])
+    placed: Counter[str] = Counter()
+
+    def mapped(walk: Walk, *_: Any) -> MappedWalk:
+        return MappedWalk(model=room_model(walk.files, [poses(5)[view] for view in order]), misplaced={})
+
+    def place(*args: Any, **kwargs: Any) -> PosesResult:
+        placed["poses"] += 1
+        found = notice(CaptureCode.rolling_shutter, median_px=3.2)
+        return replace(estimate_poses(*args, **kwargs), warnings=(found,))
+
+    monkeypatch.setattr("fsinfer.poses.estimate.map_walk", mapped)
+    monkeypatch.setattr(photo_stages, "estimate_poses_apart", place)
+    # No stem is looked for here.
+    monkeypatch.setattr("fsinfer.check.run._coarse_depth", lambda *_: None)
+    result = check_capture(folder, out)
+    (shutter,) = (note for note in result.notes if "moved by 3.2 pixels" in note)
+    assert "stand still for each photo" in shutter
+    (turn,) = (note for note in result.notes if note.startswith("You turned fast"))
+    assert "between r0 and r1 (" in turn
+    assert turn.count("degrees)") == 1
+    record = json.loads((out / "check" / "check.json").read_text(encoding="utf-8"))
+    assert record["notes"] == list(result.notes)
+    # It is known as well where the photos were placed before.
+    assert check_capture(folder, out).notes == result.notes
+    assert placed["poses"] == 1
 
 
 def test_a_check_that_was_stopped_goes_on(tmp_path: Path, calls: Counter[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,17 +6,28 @@ import json
 import signal
 import subprocess
 import sys
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fsinfer.errors import FsinferError, ImageError, OutputError, PosesError
 from fsinfer.io.gravity import noted_gravity
 from fsinfer.io.images import image_size, read_image, write_image
+from fsinfer.notices.capture import CaptureCode
+from fsinfer.notices.notice import notice
 from fsinfer.notices.sentences import sentence
+from fsinfer.poses.adjustment.adjust import PhotoAdjustment
+from fsinfer.poses.adjustment.photo_effects import effects_of
+from fsinfer.poses.adjustment.precision import CameraPrecision
+from fsinfer.poses.adjustment.projection import TURN
 from fsinfer.poses.estimate import PosesResult, estimate_poses
+from fsinfer.poses.mapping import MappedWalk, Walk
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.sparse import read_sparse
 from fsinfer.progress import Progress
@@ -24,7 +35,8 @@ from fsinfer.scene import Scene, read_scene
 from fsinfer.workflow.single_stages import poses_of
 from tests.support.apple_note import phone_exif
 from tests.support.places import DATA
-from tests.support.rendered_room import photographs, poses
+from tests.support.rendered_room import FOCAL_PX, SIZE, photographs, poses
+from tests.support.room_model import room_model
 
 MONSTREE = DATA / "monstree"
 SETTINGS = PoseSettings(max_features=1000, threads=1)
@@ -197,6 +209,73 @@ def test_the_larger_of_two_parts_is_taken_and_the_other_named(tmp_path: Path) ->
     assert len(result.warnings) == 1
     assert "3 of 8 photos left out (other0, other1, other2): they hang together" in sentence(result.warnings[0])
     assert {view.name for view in read_scene(result.scene).views} == {f"p{index}" for index in range(5)}
+
+
+def moved_px(one: NDArray[np.uint8], other: NDArray[np.uint8], rows: slice) -> float:
+    """How far to the right what ``one`` shows in these rows lies in ``other``."""
+    grey = [cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[rows].astype(np.float64) for image in (one, other)]
+    window = cv2.createHanningWindow(grey[0].shape[::-1], cv2.CV_64F)
+    return float(cv2.phaseCorrelate(grey[0], grey[1], window)[0][0])
+
+
+def test_what_changes_from_photo_to_photo_is_told_and_undone_in_the_images(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    views, shutter_px = 4, 24.0
+    for index, image in enumerate(photographs(views)):
+        write_image(tmp_path / "photos" / f"r{index}.png", image)
+
+    def mapped(walk: Walk, *_: Any) -> MappedWalk:
+        return MappedWalk(model=room_model(walk.files, poses(views)), misplaced={})
+
+    def adjusted(model: Any, *_: Any) -> tuple[Any, PhotoAdjustment]:
+        """All but the last photo turned about the upright axis while they were read out; the room is twice as large."""
+        import pycolmap
+
+        own = np.zeros(9)
+        own[TURN] = 0.0, shutter_px / FOCAL_PX, 0.0
+        effects = effects_of(own, np.empty((0, 2)), np.empty(0), *SIZE)
+        found = PhotoAdjustment(
+            effects={i: effects for i in model.reg_image_ids() if model.images[i].name != "00003.png"},
+            precisions={i: CameraPrecision(center_std=0.01 * i, direction_std_rad=1e-4) for i in model.reg_image_ids()},
+            groups=("turn",),
+            rolling_shutter_px=shutter_px,
+            focal_std_percent=0.0502,
+            principal_std_px=0.25,
+        )
+        larger = deepcopy(model)
+        larger.transform(pycolmap.Sim3d(2.0, pycolmap.Rotation3d(), np.zeros(3)))
+        return larger, found
+
+    monkeypatch.setattr("fsinfer.poses.estimate.map_walk", mapped)
+    still = estimate_poses(tmp_path / "photos", tmp_path / "still", settings=SETTINGS)
+    monkeypatch.setattr("fsinfer.poses.estimate.adjust_photos", adjusted)
+    result = estimate_poses(tmp_path / "photos", tmp_path / "scene", settings=SETTINGS)
+
+    # Nothing was to be told of so few photos that stood still; what is small is not told now.
+    assert still.warnings == ()
+    assert result.warnings == (notice(CaptureCode.rolling_shutter, median_px=shutter_px),)
+    assert (result.rolling_shutter_px, result.focal_std_percent, result.principal_std_px) == (shutter_px, 0.0502, 0.25)
+    record = json.loads((result.scene / "poses.json").read_text(encoding="utf-8"))
+    assert record["warnings"] == [sentence(result.warnings[0])]
+    assert record["adjusted_photo_by_photo"] == ["turn"]
+    assert (record["rolling_shutter_px"], record["focal_std_percent"]) == (shutter_px, 0.05)
+    assert record["principal_std_px"] == 0.25
+    assert {name: std["center"] for name, std in record["camera_std"].items()} == {
+        "r0": 0.01, "r1": 0.02, "r2": 0.03, "r3": 0.04,
+    }  # fmt: skip
+    before, after = read_scene(still.scene).views, read_scene(result.scene).views
+    for view, was in zip(after, before, strict=True):
+        np.testing.assert_allclose(view.camera.center, 2 * was.camera.center, atol=1e-6)
+        image, plain = read_image(view.image_path), read_image(was.image_path)
+        if view.name == "r3":
+            np.testing.assert_array_equal(image, plain)
+            continue
+        # The last rows had seen everything half the way to the right, the first rows to the left, and the middle one
+        # where it belongs. Strips are 60 of 360 rows.
+        half = shutter_px * (0.5 - 30 / SIZE[1])
+        moved = [moved_px(plain, image, slice(row, row + 60)) for row in (0, 150, 300)]
+        np.testing.assert_allclose(moved, [half, 0.0, -half], atol=1.5)
 
 
 def noise_photos(folder: Path, count: int) -> Path:

@@ -1,16 +1,36 @@
-"""What is mapped apart from the rest has its calibration, where the rest knows one."""
+"""A walk's parts and boards end in one model, and what is mapped apart has the calibration that the rest knows."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from fsinfer.geometry.similarity import apply, fit_similarity
+from fsinfer.poses.boards import BoardSighting
 from fsinfer.poses.colmap import with_calibration
-from fsinfer.poses.mapping import tells_focal_length
+from fsinfer.poses.mapping import MappedWalk, Walk, map_walk, tells_focal_length
+from fsinfer.poses.settings import PoseSettings, ThoroughSettings
+from fsinfer.progress import silent
+from tests.fsinfer.poses.joining.test_parts import (
+    FIRST,
+    PHOTOS,
+    SECOND,
+    WITHIN,
+    boards,
+    errors,
+    matched,
+    names,
+    part_of,
+    sightings_of,
+    walked,
+)
 
 pycolmap = pytest.importorskip("pycolmap")
 
@@ -42,3 +62,130 @@ def test_a_copy_of_the_database_gets_the_calibration_and_the_database_keeps_its_
     with pycolmap.Database.open(tmp_path / "given.db") as opened:
         np.testing.assert_allclose(opened.read_camera(1).params, [120.0, 50.0, 40.0, 0.0])
     assert not model.cameras[1].has_prior_focal_length  # the model is not changed
+
+
+#: Two are enough to join parts.
+BOARDS = boards((0.8, 0, 0), (-0.7, 0.2, 0.3))
+
+
+def as_it_is(model: Any) -> Any:
+    return model
+
+
+def mapped_walk(
+    work: Path,
+    patch: pytest.MonkeyPatch,
+    parts: Sequence[Any],
+    sightings: Sequence[BoardSighting],
+    *,
+    mapper: str = "incremental",
+    triangulated: Callable[[Any], Any] = as_it_is,
+) -> MappedWalk:
+    """The walk of these parts, the largest first, as if COLMAP had made them of photographs."""
+    matched(work / "database.db", parts[0], {})
+
+    def reconstruct(*_: Any, start: Any = None, only: Sequence[str] = (), **__: Any) -> list[Any]:
+        if start is not None:
+            return []  # nothing more is found from there on
+        if mapper == "global":
+            return list(parts)
+        # The further parts are mapped from the photos alone that have no place in the first.
+        return [part for part in parts[1:] if set(files_of(part)) <= set(only)] if only else [parts[0]]
+
+    def find_boards(_images: Path, files: Sequence[str], **_: Any) -> list[BoardSighting]:
+        return [sighting for sighting in sightings if sighting.file in files]
+
+    for step in ("extract_features", "match_features"):
+        patch.setattr(f"fsinfer.poses.mapping.{step}", lambda *_: None)
+    patch.setattr("fsinfer.poses.mapping.find_boards", find_boards)
+    patch.setattr("fsinfer.poses.mapping.reconstruct", reconstruct)
+    patch.setattr("fsinfer.poses.mapping.triangulate", lambda model, *_: triangulated(model))
+    files = tuple(names(range(PHOTOS)))
+    # Some photos belong to no part, and those are not looked at again: there are no pictures to look at.
+    settings = PoseSettings(mapper=mapper, thorough=ThoroughSettings(min_share=0.0), threads=1)
+    return map_walk(Walk(files=files, cameras={"phone": files}), work / "photos", work, settings, silent)
+
+
+def files_of(model: Any) -> list[str]:
+    return sorted(model.images[i].name for i in model.reg_image_ids())
+
+
+def corners_of(model: Any, truth: Any) -> list[tuple[NDArray[np.float64], list[str]]]:
+    """The points that the model has beyond those of ``truth``: where they lie in its frame, and who sees them."""
+    ids = sorted(model.reg_image_ids())
+    true_from_model = fit_similarity(
+        np.array([model.images[i].projection_center() for i in ids]),
+        np.array([truth.images[i].projection_center() for i in ids]),
+    )
+    assert true_from_model is not None
+    keypoints = truth.images[ids[0]].num_points2D()
+    found = []
+    for number in sorted(model.point3D_ids()):
+        point = model.points3D[number]
+        elements = [element for element in point.track.elements if element.point2D_idx >= keypoints]
+        if elements:
+            assert len(elements) == point.track.length()
+            seen_by = sorted(model.images[element.image_id].name for element in elements)
+            found.append((apply(true_from_model, point.xyz[None])[0], seen_by))
+    return found
+
+
+def assert_boards_tie(model: Any, truth: Any) -> None:
+    """Each corner is one point that all photos of the walk see, where the board hangs."""
+    corners = corners_of(model, truth)
+    assert [seen_by for _, seen_by in corners] == 8 * [names(WITHIN)]
+    np.testing.assert_allclose([xyz for xyz, _ in corners], np.vstack([BOARDS[0], BOARDS[1]]), atol=1e-3)
+
+
+def test_the_corners_of_boards_are_points_of_the_model_that_is_adjusted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    truth = walked()
+    mapped = mapped_walk(tmp_path, monkeypatch, [part_of(truth, WITHIN)], sightings_of(truth, BOARDS, WITHIN))
+    assert_boards_tie(mapped.model, truth)
+    assert mapped.model.num_points3D() == truth.num_points3D() + 8
+    assert (mapped.joined, mapped.apart) == ((), ())
+
+
+@pytest.mark.parametrize("mapper", ["incremental", "global"])
+def test_a_part_that_boards_tie_ends_in_one_model_with_the_rest(
+    mapper: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    truth = walked()
+    parts = [part_of(truth, FIRST), part_of(truth, SECOND, moved=True)]
+    mapped = mapped_walk(tmp_path, monkeypatch, parts, sightings_of(truth, BOARDS, WITHIN), mapper=mapper)
+    assert files_of(mapped.model) == names(WITHIN)
+    assert errors(mapped.model, truth).max() < 1e-3
+    assert mapped.joined == tuple(names(SECOND))
+    assert mapped.apart == ()
+    assert not any(mapped.misplaced.values())
+    # The boards are looked for once more in the joined model: their corners hold both parts together.
+    assert_boards_tie(mapped.model, truth)
+
+
+def test_a_part_that_nothing_ties_is_named_by_its_photos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    truth = walked()
+    parts = [part_of(truth, FIRST), part_of(truth, SECOND, moved=True)]
+    mapped = mapped_walk(tmp_path, monkeypatch, parts, sightings_of(truth, BOARDS, FIRST))
+    assert files_of(mapped.model) == names(FIRST)
+    assert (mapped.joined, mapped.apart) == ((), (tuple(names(SECOND)),))
+
+
+def test_a_photo_that_is_astray_in_the_joined_model_is_taken_out_and_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def triangulated(model: Any) -> Any:
+        """As the adjustment after joining may leave it: one photo kilometres away."""
+        left = deepcopy(model)
+        image = next(image for image in left.images.values() if image.name == "08.jpg")
+        pose = pycolmap.Rigid3d(image.cam_from_world().rotation, np.array([0.0, 0.0, 1e6]))
+        image.frame.set_cam_from_world(image.camera_id, pose)
+        return left
+
+    truth = walked()
+    parts = [part_of(truth, FIRST), part_of(truth, SECOND, moved=True)]
+    seen = sightings_of(truth, BOARDS, WITHIN)
+    mapped = mapped_walk(tmp_path, monkeypatch, parts, seen, triangulated=triangulated)
+    assert files_of(mapped.model) == [file for file in names(WITHIN) if file != "08.jpg"]
+    assert mapped.joined == ("07.jpg", "09.jpg")
+    assert mapped.misplaced["astray"] == ["08.jpg"]
