@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from fsinfer.io.images import read_image, write_image
+from fsinfer.io.pfm import write_pfm
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.scene import read_scene
@@ -34,6 +36,8 @@ from tests.support.rendered_stem import (
     RADIUS,
     TAPER,
     WIDTH,
+    camera,
+    render,
     write_photographs,
 )
 from training.simulate.stem_edges import edges_from_rows
@@ -444,6 +448,69 @@ def test_edges_alone_are_no_measurement() -> None:
     assert why.values["edges_cm"] == pytest.approx(2.8)
     assert alone.silhouette is not None  # for dbh_sources.csv
     assert joined(refused, fit_of(0.14, 0.001), supported=True).dbh_m == pytest.approx(0.28)
+
+
+def seen_from(directions_deg: list[float], photos: StemPhotos, folder: Path) -> StemPhotos:
+    """The same stem photographed from these directions, one for each of the views, at 6 to 8 m as they are."""
+    rng = np.random.default_rng(1)
+    to_units = np.diag([1 / M_PER_UNIT] * 3 + [1.0])
+    views = []
+    for index, (view, direction) in enumerate(zip(photos.scene.views, directions_deg, strict=True)):
+        cam = camera(np.radians(direction), 6.0 + index % 3)
+        image, depth = render(cam, rng)
+        path = folder / "images" / f"{view.name}.png"
+        write_image(path, image)
+        write_pfm(folder / "depth" / f"{view.name}.pfm", np.float32(1 / M_PER_UNIT) * depth)
+        write_pfm(folder / "confidence" / f"{view.name}.pfm", np.ones_like(depth))
+        pose = to_units @ cam.cam_from_world @ np.linalg.inv(to_units)
+        views.append(replace(view, image_path=path, camera=replace(view.camera, cam_from_world=pose)))
+    (folder / "depth" / "depth.json").write_text(json.dumps({"pixel_step": 1.0}), encoding="utf-8")
+    return replace(photos, scene=replace(photos.scene, views=tuple(views)), depth_folder=folder)
+
+
+def test_a_stem_that_the_cloud_refused_needs_a_second_direction(photos: StemPhotos, tmp_path: Path) -> None:
+    """As many photographs of the same stem, from within 16 degrees and from two places 40 degrees apart."""
+    few = notice(StemCode.too_few_at_breast_height, least=12)  # no size of its own that could support the edges
+    refused = plot_of(section_of(None, 0.01, few))
+    one_side = seen_from([2.0 * index for index in range(PHOTOS)], photos, tmp_path / "one")
+    result = measure_silhouettes(refused, one_side)
+    (tree,), (section,) = result.trees, result.sections
+    assert section.silhouette is not None  # the edges are clear and as wide as the stem, and still are not enough
+    assert section.silhouette.radius_m == pytest.approx(RADIUS, abs=0.003)
+    assert (tree.dbh_cm, tree.dbh_lo95_cm, tree.status, section.dbh_m) == (None, None, "unmeasured", None)
+    (why,) = tree.reasons
+    assert (why.code, why.values["photos"], why.values["refused"]) == (StemCode.edges_unsupported, PHOTOS, few)
+    assert result.diagnosis == notice(StemCode.trees_found, trees=1, measured=0)
+
+    directions = [3.0 * index + (0.0 if index < 4 else 30.0) for index in range(PHOTOS)]
+    result = measure_silhouettes(refused, seen_from(directions, photos, tmp_path / "two"))
+    (tree,) = result.trees
+    assert tree.dbh_cm == pytest.approx(200 * RADIUS, abs=0.5)
+    assert StemCode.edges_unsupported not in [why.code for why in tree.reasons]
+    assert result.diagnosis == notice(StemCode.trees_found, trees=1, measured=1)
+    # The cloud's own diameter needs no second direction.
+    known = measure_silhouettes(plot_of(section_of(0.28, 0.004)), one_side)
+    assert known.trees[0].dbh_cm == pytest.approx(200 * RADIUS, abs=0.5)
+
+
+def test_two_entries_that_turn_out_to_be_one_stem_become_one(photos: StemPhotos) -> None:
+    """The cloud had the stem twice, 1 cm apart; the photographs put both where it stands."""
+    plot = plot_of(section_of(0.285, 0.004))
+    (tree,), (section,) = plot.trees, plot.sections
+    again, less_sure = replace(tree, tree_id=2, x_m=tree.x_m + 0.01), section_of(0.29, 0.012)
+    twice = replace(plot, trees=(tree, again), sections=(section, less_sure))
+    result = measure_silhouettes(twice, photos)
+    assert [tree.tree_id for tree in result.trees] == [1]
+    assert len(result.sections) == 1
+    assert result.diagnosis == notice(StemCode.trees_found, trees=1, measured=1)
+    (said,) = result.warnings
+    assert said.code == StemCode.same_stem
+    places = [said.values[name] for name in ("x_m", "y_m", "other_x_m", "other_y_m")]
+    np.testing.assert_allclose(np.array(places, dtype=np.float64), [*BREAST[:2], *BREAST[:2]], atol=0.004)
+    # What a person says are two stays two.
+    kept = measure_silhouettes(twice, photos, kept={1, 2})
+    assert [tree.tree_id for tree in kept.trees] == [1, 2]
+    assert kept.warnings == ()
 
 
 def test_what_the_cameras_errors_do_goes_into_the_interval(photos: StemPhotos) -> None:
