@@ -185,7 +185,15 @@ def _is_shrub(tree: Tree, looked: Looked, s: SilhouetteJoinSettings) -> bool:
     stem, edges = looked.stem, looked.fitted
     if tree.status == "ok" or len(np.unique(edges.photo)) < s.shrub_photos:
         return False
-    return edge_contrast(edges, stem.radius_m, taper=stem.taper, settings=s.fit) < s.shrub_contrast
+    least = s.sizeless_contrast if _is_sizeless(tree) else s.shrub_contrast
+    return edge_contrast(edges, stem.radius_m, taper=stem.taper, settings=s.fit) < least
+
+
+def _is_sizeless(tree: Tree) -> bool:
+    """Whether the points leave the diameter open by more than the diameter itself."""
+    said = [reason.values for reason in tree.reasons if reason.code == StemCode.too_uncertain]
+    sizes = [(values["half_width_cm"], values["dbh_cm"]) for values in said]
+    return any(isinstance(half, float) and isinstance(dbh, float) and half > dbh for half, dbh in sizes)
 
 
 def _shrub_warning(shrubs: Sequence[Tree]) -> tuple[Notice, ...]:

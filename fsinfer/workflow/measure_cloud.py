@@ -108,7 +108,7 @@ class _Opened:
     warnings: tuple[Notice, ...] = ()
 
 
-MEASURE = Stage(name="measure", version=15, result=MeasuredCloud, outputs=("trees.csv",))
+MEASURE = Stage(name="measure", version=16, result=MeasuredCloud, outputs=("trees.csv",))
 
 
 @one_blas_thread()

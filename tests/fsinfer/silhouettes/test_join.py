@@ -614,6 +614,13 @@ def test_a_doubtful_stem_that_many_photographs_do_not_show_is_a_shrub(photos: St
     assert len(measure_silhouettes(doubtful, shrub, settings=few, kept={1}).trees) == 1
     # And a stem that the photographs do show stays too.
     assert len(measure_silhouettes(doubtful, photos, settings=few).trees) == 1
+    # Edges that agree a little on some size are of a stem, unless the points have no size for it.
+    agreeing = replace(few, shrub_contrast=0.0, sizeless_contrast=99.0)
+    for half_width_cm, stays in ((22.0, True), (24.0, False)):
+        reason = notice(StemCode.too_uncertain, dbh_cm=23.0, half_width_cm=half_width_cm)
+        uncertain = plot_of(section_of(None, 0.02, reason))
+        assert bool(measure_silhouettes(uncertain, shrub, settings=agreeing).trees) is stays
+        assert len(measure_silhouettes(uncertain, photos, settings=few).trees) == 1
 
 
 def rms(values: list[float]) -> float:
