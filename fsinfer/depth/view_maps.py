@@ -122,18 +122,22 @@ def load_view(model: DepthModel, view: View, settings: DepthSettings) -> LoadedV
     image = read_view_image(view)
     height, width = image.shape[:2]
     size = reduced_size(width, height, settings)
-    intrinsic = view.camera.intrinsic.copy()
-    scale_x = scale_y = 1.0
+    scale_x, scale_y = size[0] / width, size[1] / height
     if size != (width, height):
         image = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.uint8)
-        scale_x, scale_y = size[0] / width, size[1] / height
-        # cv2.resize maps the centre of pixel x to (x + 0.5) * scale - 0.5.
-        intrinsic[0] *= scale_x
-        intrinsic[1] *= scale_y
-        intrinsic[0, 2] += 0.5 * scale_x - 0.5
-        intrinsic[1, 2] += 0.5 * scale_y - 0.5
+    intrinsic = reduced_intrinsic(view.camera.intrinsic, scale_x, scale_y)
     grey = normalised(image, settings.subpixel)
     return LoadedView(features=model.features(image), grey=grey, intrinsic=intrinsic, scale_x=scale_x, scale_y=scale_y)
+
+
+def reduced_intrinsic(intrinsic: NDArray[np.float64], scale_x: float, scale_y: float) -> NDArray[np.float64]:
+    """(3, 3) of a photograph that was reduced: pixel centre x goes to (x + 0.5) scale - 0.5, as in cv2.resize."""
+    reduced = intrinsic.copy()
+    reduced[0] *= scale_x
+    reduced[1] *= scale_y
+    reduced[0, 2] += 0.5 * scale_x - 0.5
+    reduced[1, 2] += 0.5 * scale_y - 0.5
+    return reduced
 
 
 def finish_depth(

@@ -8,10 +8,13 @@ neighbours. The estimate that is judged has no part in the choice.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.depth.view_maps import reduced_intrinsic
+from fsinfer.depth.warping import relative_projection
 from fsinfer.io.images import image_size
 from fsinfer.scene import Scene, View
 from training.data.true_scene import TrueScene
@@ -35,8 +38,6 @@ class ConfirmedTruth:
     scene: TrueScene
     votes: int
     counts: list[int] = field(default_factory=lambda: [0, 0])
-    _maps: dict[str, Float32 | None] = field(default_factory=dict)
-    _scene: list[Scene] = field(default_factory=list)
 
     @property
     def name(self) -> str:
@@ -45,30 +46,26 @@ class ConfirmedTruth:
 
     def read(self) -> Scene:
         """Read the scene; SceneError where it is incomplete."""
-        if not self._scene:
-            self._scene.append(self.scene.read())
-        return self._scene[0]
+        return self._read
+
+    @cached_property
+    def _read(self) -> Scene:
+        return self.scene.read()
 
     def true_depth(self, view: View) -> Float32 | None:
         """(H, W) float32 as the scene has it, 0 where too few neighbours confirm it. None: no map."""
-        truth = self._map(view)
+        truth = self.scene.true_depth(view)
         if truth is None:
             return None
-        views = self.read().views
         found = np.zeros(truth.shape, np.int32)
-        for i in view.sources[:NEIGHBOURS]:
-            theirs = self._map(views[i])
+        for other in (self._read.views[i] for i in view.sources[:NEIGHBOURS]):
+            theirs = self.scene.true_depth(other)
             if theirs is not None:
-                found += agree(truth, view, theirs, views[i])
+                found += agree(truth, view, theirs, other)
         confirmed = (truth > 0) & (found >= self.votes)
         self.counts[0] += int((truth > 0).sum())
         self.counts[1] += int(confirmed.sum())
         return np.where(confirmed, truth, np.float32(0))
-
-    def _map(self, view: View) -> Float32 | None:
-        if view.name not in self._maps:
-            self._maps[view.name] = self.scene.true_depth(view)
-        return self._maps[view.name]
 
 
 def agree(depth: Float32, view: View, theirs: Float32, other: View) -> NDArray[np.bool_]:
@@ -77,21 +74,27 @@ def agree(depth: Float32, view: View, theirs: Float32, other: View) -> NDArray[n
     ``depth`` (h, w) and ``theirs`` are maps of the views' photographs or of an integer part of their size, 0 unknown.
     """
     (h, w), (their_h, their_w) = depth.shape, theirs.shape
-    full_w, full_h = image_size(view.image_path, upright=False)
-    their_full_w, their_full_h = image_size(other.image_path, upright=False)
+    projection = relative_projection(
+        _intrinsic_of(depth, view),
+        view.camera.cam_from_world,
+        _intrinsic_of(theirs, other),
+        other.camera.cam_from_world,
+        1,
+    )
     v, u = np.mgrid[:h, :w]
-    # Pixel i of a map reduced by s covers the pixels s i to s (i + 1) - 1 of the photograph.
-    x, y = (u + 0.5) * full_w / w - 0.5, (v + 0.5) * full_h / h - 0.5
-    k = view.camera.intrinsic
-    rays = np.stack([(x - k[0, 2]) / k[0, 0], (y - k[1, 2]) / k[1, 1], np.ones_like(x)], axis=-1)
-    relative = other.camera.cam_from_world @ np.linalg.inv(view.camera.cam_from_world)
-    places = (rays * depth[..., None]) @ relative[:3, :3].T + relative[:3, 3]
-    ahead = (depth > 0) & (places[..., 2] > 0)
-    z = np.where(ahead, places[..., 2], 1.0)
-    k = other.camera.intrinsic
-    column = np.rint((k[0, 0] * places[..., 0] / z + k[0, 2] + 0.5) * their_w / their_full_w - 0.5)
-    row = np.rint((k[1, 1] * places[..., 1] / z + k[1, 2] + 0.5) * their_h / their_full_h - 0.5)
+    # Before the divide: column and row there times the depth there, and that depth.
+    x, y, z = projection.matrix @ np.stack([u, v, np.ones_like(u)]).reshape(3, -1) * depth.ravel()
+    x, y, z = (part.reshape(h, w) + shift for part, shift in zip((x, y, z), projection.offset, strict=True))
+    ahead = (depth > 0) & (z > 0)
+    z = np.where(ahead, z, 1.0)
+    column, row = np.rint(x / z), np.rint(y / z)
     seen = ahead & (column >= 0) & (column < their_w) & (row >= 0) & (row < their_h)
     there = np.zeros(depth.shape)
     there[seen] = theirs[row[seen].astype(np.intp), column[seen].astype(np.intp)]
     return np.asarray(seen & (there > 0) & (np.abs(there - z) <= TOLERANCE * z), bool)
+
+
+def _intrinsic_of(depth: Float32, view: View) -> NDArray[np.float64]:
+    """(3, 3) of a map of the view's photograph, or of one reduced to its size."""
+    width, height = image_size(view.image_path, upright=False)
+    return reduced_intrinsic(view.camera.intrinsic, depth.shape[1] / width, depth.shape[0] / height)
