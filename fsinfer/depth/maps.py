@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import threading
 from collections import OrderedDict
 from dataclasses import dataclass
 from pathlib import Path
@@ -114,7 +115,7 @@ def seen_and_hidden(
 
 
 class DepthMaps:
-    """Reads maps by view index; the ``cache_maps`` used last stay in memory.
+    """Reads maps by view index; the ``cache_maps`` used last stay in memory. Threads may share one.
 
     Parameters
     ----------
@@ -130,6 +131,7 @@ class DepthMaps:
         self.scene = scene
         self.folder = folder
         self._cache: OrderedDict[int, DepthMap] = OrderedDict()
+        self._lock = threading.Lock()
         self._cache_maps = max(2, cache_maps)
         # Maps without an entry are left over from another run, and nobody knows where their pixels lie.
         self._grids = _read_grids(folder / "depth" / "depth.json", [view.name for view in scene.views])
@@ -153,9 +155,10 @@ class DepthMaps:
 
     def get(self, index: int) -> DepthMap:
         """Return the map of view ``index``; :class:`SceneError` where it cannot be read."""
-        if index in self._cache:
-            self._cache.move_to_end(index)
-            return self._cache[index]
+        with self._lock:
+            if index in self._cache:
+                self._cache.move_to_end(index)
+                return self._cache[index]
         view = self.scene.views[index]
         depth = read_pfm(self._depth_path(index))
         confidence_path = self.folder / "confidence" / f"{view.name}.pfm"
@@ -172,9 +175,10 @@ class DepthMaps:
             cam_from_world=view.camera.cam_from_world,
             grid=grid,
         )
-        self._cache[index] = found
-        while len(self._cache) > self._cache_maps:
-            self._cache.popitem(last=False)
+        with self._lock:
+            self._cache[index] = found
+            while len(self._cache) > self._cache_maps:
+                self._cache.popitem(last=False)
         return found
 
     def _depth_path(self, index: int) -> Path:

@@ -25,7 +25,7 @@ from fsinfer.fusion.voxels import MAX_EXTENT_VOXELS, Samples, VoxelMerger, much_
 from fsinfer.io.cloud import PointCloud
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene, read_view_image
-from fsinfer.threads import one_blas_thread
+from fsinfer.threads import MOST_AT_ONCE, cores, in_order, one_blas_thread
 
 _log = logging.getLogger(__name__)
 
@@ -142,9 +142,14 @@ def fuse(
     settings = replace(settings, tolerances=adapt_tolerances(maps, neighbours, min_confidence, settings))
     middle = np.mean([scene.views[i].camera.center for i in maps.available], axis=0)
     merger = VoxelMerger(voxel, max_points=plan.max_points, batch_points=plan.batch_points)
-    for done, index in enumerate(maps.available):
+
+    def confirmed(index: int) -> Samples:
+        return fuse_view(scene, maps, index, neighbours[index], min_confidence=min_confidence, settings=settings)
+
+    # The order of the views stays, so that the sums of a voxel do.
+    in_turn = in_order(confirmed, maps.available, min(plan.at_once, cores()))
+    for done, (index, samples) in enumerate(zip(maps.available, in_turn, strict=True)):
         progress(done, len(maps.available), scene.views[index].name)
-        samples = fuse_view(scene, maps, index, neighbours[index], min_confidence=min_confidence, settings=settings)
         # The sides of a cube around the cameras: what lies beyond it is no forest, and its voxel keys would wrap.
         near = np.abs(samples.xyz - middle).max(axis=1, initial=0) < voxel * MAX_EXTENT_VOXELS / 2
         merger.add(samples if near.all() else select(samples, near))
@@ -182,6 +187,7 @@ def _plan(maps: DepthMaps, settings: FusionSettings) -> FusionPlan:
         cache_maps=settings.cache_maps,
         max_points=settings.max_points,
         batch_points=settings.batch_points,
+        at_once=MOST_AT_ONCE,  # whatever the cores, so that the cloud is the same
     )
 
 

@@ -25,23 +25,24 @@ _SHARE_OF_MAPS, _LEAST_MAPS = 0.2, 4
 
 @dataclass(frozen=True, kw_only=True)
 class FusionPlan:
-    """Depth maps kept, points merged at a time and kept at most, and the peak memory expected, bytes."""
+    """Maps kept, views worked on at a time, points merged at a time and kept at most, and the peak memory, bytes."""
 
     cache_maps: int
+    at_once: int
     batch_points: int
     max_points: int
     peak_bytes: int
 
 
 def plan_fusion(
-    memory_gb: float, *, map_pixels: int, cache_maps: int, max_points: int, batch_points: int
+    memory_gb: float, *, map_pixels: int, cache_maps: int, max_points: int, batch_points: int, at_once: int = 1
 ) -> FusionPlan:
-    """Keep fewer depth maps and merge smaller batches where the limit asks for it, then fewer points.
+    """Keep fewer depth maps, fewer views at a time and smaller batches where the limit asks for it, then fewer points.
 
     Parameters
     ----------
     map_pixels: pixels of one depth map; it and its confidence are kept.
-    cache_maps, max_points, batch_points: what fusion would like.
+    cache_maps, at_once, max_points, batch_points: what fusion would like.
 
     Raises
     ------
@@ -50,8 +51,10 @@ def plan_fusion(
     """
     limit = memory_gb * GIGABYTE - BASE_BYTES
     of_map = _BYTES_PER_PIXEL * map_pixels
-    maps = min(cache_maps, max(_LEAST_MAPS, int(_SHARE_OF_MAPS * limit / of_map) - _MAPS_OF_A_PAIR))
-    of_maps = (maps + _MAPS_OF_A_PAIR) * of_map
+    room = int(_SHARE_OF_MAPS * limit / of_map)
+    views = max(1, min(at_once, (room - _LEAST_MAPS) // _MAPS_OF_A_PAIR))
+    maps = min(cache_maps, max(_LEAST_MAPS, room - views * _MAPS_OF_A_PAIR))
+    of_maps = (maps + views * _MAPS_OF_A_PAIR) * of_map
     points = int((limit - of_maps) / _BYTES_PER_MERGED_POINT)
     if points < _LEAST_POINTS + _LEAST_BATCH_POINTS:
         msg = f"{memory_gb:g} GB of --memory-gb are too few for a cloud; give 1 or more"
@@ -59,4 +62,4 @@ def plan_fusion(
     batch = min(batch_points, max(_LEAST_BATCH_POINTS, points - max_points))
     kept = min(max_points, points - batch)
     peak = BASE_BYTES + of_maps + (kept + batch) * _BYTES_PER_MERGED_POINT
-    return FusionPlan(cache_maps=maps, batch_points=batch, max_points=kept, peak_bytes=int(peak))
+    return FusionPlan(cache_maps=maps, at_once=views, batch_points=batch, max_points=kept, peak_bytes=int(peak))

@@ -19,6 +19,7 @@ from fsinfer.io.images import read_image
 from fsinfer.progress import Progress
 from fsinfer.scale.detection import detect_markers, make_detector
 from fsinfer.scale.square_fit import FittedMarker, MarkerSettings, Sighting, find_markers
+from fsinfer.threads import in_order
 
 #: COLMAP's pixel (0, 0) has its centre at (0.5, 0.5), ours at (0, 0). Source: COLMAP.
 _HALF_PIXEL = 0.5
@@ -54,22 +55,27 @@ class Board:
 
 
 def find_boards(
-    images: Path, files: Sequence[str], *, dictionary: str, longest_px: int, progress: Progress
+    images: Path, files: Sequence[str], *, dictionary: str, longest_px: int, progress: Progress, threads: int = 1
 ) -> list[BoardSighting]:
-    """Look for markers in all photos, made smaller to ``longest_px`` where they are larger."""
-    detector = make_detector(dictionary)
-    found = []
-    for done, file in enumerate(files):
-        progress(done, len(files), "looking for boards")
+    """Look for markers in all photos, made smaller to ``longest_px`` where they are larger; in the order of files."""
+
+    def look(file: str) -> list[BoardSighting]:
         pixels = read_image(images / file)
         factor = max(1.0, max(pixels.shape[:2]) / longest_px)
         if factor > 1.0:
             size = (round(pixels.shape[1] / factor), round(pixels.shape[0] / factor))
             pixels = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), np.uint8)
-        for number, corners in detect_markers(pixels, detector):
-            corners_px = (corners + _HALF_PIXEL) * factor
-            found.append(BoardSighting(file=file, number=number, corners_px=corners_px))
-    progress(len(files), len(files), "looking for boards")
+        # OpenCV does not say that a detector may be shared between threads; making one takes no time.
+        return [
+            BoardSighting(file=file, number=number, corners_px=(corners + _HALF_PIXEL) * factor)
+            for number, corners in detect_markers(pixels, make_detector(dictionary))
+        ]
+
+    found: list[BoardSighting] = []
+    progress(0, len(files), "looking for boards")
+    for done, seen in enumerate(in_order(look, files, threads), 1):
+        found += seen
+        progress(done, len(files), "looking for boards")
     return found
 
 

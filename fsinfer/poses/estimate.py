@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fsinfer.errors import ImageError, OutputError, PosesError
 from fsinfer.io.exif import camera_exif, camera_key, gravity_exif
@@ -33,7 +34,7 @@ from fsinfer.poses.verification.misplaced import LEFT_OUT, drop_blind_views
 from fsinfer.poses.view_selection import depth_range, select_views
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Camera, write_camera, write_pairs
-from fsinfer.threads import one_blas_thread
+from fsinfer.threads import in_order, one_blas_thread
 
 _log = logging.getLogger(__name__)
 
@@ -119,7 +120,7 @@ def estimate_poses(
         raise PosesError(msg)
     work = _work_folder(out, resume=resume)
     warnings: list[Notice] = []
-    photos = _prepare(paths, work / "images", warnings, progress)
+    photos = _prepare(paths, work / "images", warnings, progress, settings.photo_threads)
     if len(photos) < settings.min_registered:
         msg = f"{given} holds {len(photos)} photos that can be used, {settings.min_registered} are needed: {ADVICE}"
         raise PosesError(msg)
@@ -181,25 +182,26 @@ def _work_folder(out: Path, *, resume: bool) -> Path:
     return make_folder(work)
 
 
-def _prepare(paths: Sequence[Path], folder: Path, warnings: list[Notice], progress: Progress) -> list[_Photo]:
+def _prepare(
+    paths: Sequence[Path], folder: Path, warnings: list[Notice], progress: Progress, threads: int
+) -> list[_Photo]:
     """Put every usable photo into ``folder``, upright and under a name that COLMAP's lists can hold."""
     make_folder(folder)
     photos: list[_Photo] = []
     names: dict[str, Path] = {}
     first_error: ImageError | None = None
-    for done, path in enumerate(paths):
+    progress(0, len(paths), "reading photos")
+    for done, (path, usable) in enumerate(zip(paths, in_order(_usable, paths, threads), strict=True)):
         progress(done, len(paths), "reading photos")
         # Many phones write IMG_1.HEIC and IMG_1.JPG of the same moment.
         if path.stem in names:
             warnings.append(notice(CaptureCode.photo_of_same_name, name=path.name, other=names[path.stem].name))
             continue
-        try:
-            pixels = read_image(path)
-            plain = is_upright_jpeg_or_png(path)
-        except ImageError as error:
-            first_error = first_error or error
-            warnings.append(notice(CaptureCode.photo_unreadable, error=str(error)))
+        if isinstance(usable, ImageError):
+            first_error = first_error or usable
+            warnings.append(notice(CaptureCode.photo_unreadable, error=str(usable)))
             continue
+        pixels, plain = usable
         names[path.stem] = path
         file = f"{done:05d}{path.suffix.lower() if plain else '.jpg'}"
         if not (folder / file).is_file():
@@ -211,6 +213,14 @@ def _prepare(paths: Sequence[Path], folder: Path, warnings: list[Notice], progre
     if not photos and first_error is not None:
         raise first_error
     return photos
+
+
+def _usable(path: Path) -> tuple[NDArray[np.uint8], bool] | ImageError:
+    """A photo's pixels, and whether COLMAP reads its file as it is; or what is wrong with it."""
+    try:
+        return read_image(path), is_upright_jpeg_or_png(path)
+    except ImageError as error:
+        return error
 
 
 def _walk_of(photos: Sequence[_Photo]) -> Walk:
@@ -236,17 +246,20 @@ def _write_scene(
     lenses = undistort_model(model)
     image_ids = {by_file[model.images[i].name].name: i for i in model.reg_image_ids()}
     maps = {i: undistortion_maps(lens, model.cameras[i]) for i, lens in lenses.items()}
-    for done, (name, image_id) in enumerate(sorted(image_ids.items())):
-        progress(done, len(image_ids), "undistorting")
-        image = model.images[image_id]
-        target = out / "images" / f"{name}.jpg"
+
+    def straighten(name: str) -> None:
+        image = model.images[image_ids[name]]
         source = by_file[image.name].source
-        pixels = read_image(source)
         map_of = maps[image.camera_id]
-        if image_id in adjustment.effects:
+        if image_ids[name] in adjustment.effects:
             lens, pinhole = lenses[image.camera_id], model.cameras[image.camera_id]
-            map_of = maps_of_photo(map_of, lens, pinhole, adjustment.effects[image_id])
-        write_image(target, undistort(pixels, map_of), quality=settings.jpeg_quality, exif=gravity_exif(source))
+            map_of = maps_of_photo(map_of, lens, pinhole, adjustment.effects[image_ids[name]])
+        pixels = undistort(read_image(source), map_of)
+        write_image(out / "images" / f"{name}.jpg", pixels, quality=settings.jpeg_quality, exif=gravity_exif(source))
+
+    progress(0, len(image_ids), "undistorting")
+    for done, _ in enumerate(in_order(straighten, sorted(image_ids), settings.photo_threads), 1):
+        progress(done, len(image_ids), "undistorting")
     for image_id in image_ids.values():
         image = model.images[image_id]
         image.name = f"{by_file[image.name].name}.jpg"
@@ -269,7 +282,6 @@ def _write_scene(
         write_camera(out / "cams" / f"{name}_cam.txt", camera)
     write_pairs(out / "pair.txt", select_views(sparse, cameras, settings.sources, settings=settings.selection))
     write_model(model, out / "sparse")
-    progress(len(image_ids), len(image_ids), "undistorting")
     return tuple(image_ids)
 
 

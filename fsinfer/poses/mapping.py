@@ -97,7 +97,12 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
     extract_features(database, images, walk.cameras, settings, progress)
     match_features(database, walk.files, settings, progress)
     sightings = find_boards(
-        images, walk.files, dictionary=settings.dictionary, longest_px=FEATURE_SIZE_PX, progress=progress
+        images,
+        walk.files,
+        dictionary=settings.dictionary,
+        longest_px=FEATURE_SIZE_PX,
+        progress=progress,
+        threads=settings.photo_threads,
     )
     models = reconstruct(database, images, work / "models", settings, progress)
     placed = models[0].num_reg_images() if models else 0

@@ -10,6 +10,7 @@ from fsinfer.poses.pairs import PairSettings
 from fsinfer.poses.refinement import FEATURE_SIZE_PX, RefinementSettings
 from fsinfer.poses.view_selection import SelectionSettings
 from fsinfer.scale.printed_boards import DICTIONARY
+from fsinfer.threads import MOST_AT_ONCE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,3 +85,8 @@ class PoseSettings:
     def thread_count(self) -> int:
         """Threads really used."""
         return self.threads if self.threads > 0 else (os.cpu_count() or 1)
+
+    @property
+    def photo_threads(self) -> int:
+        """Threads for what is done to photos one by one."""
+        return min(self.thread_count, MOST_AT_ONCE)

@@ -19,6 +19,7 @@ from fsinfer.depth.maps import DepthMap, DepthMaps, seen_and_hidden
 from fsinfer.geometry.similarity import scale_of, scaling
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Camera, Scene, project, read_view_image
+from fsinfer.threads import in_order, photo_threads
 from fsinfer.trees.diameter.edge_problem import Edges
 
 Floats = NDArray[np.float64]
@@ -144,13 +145,18 @@ def find_edges(
     """
     s = settings or EdgeSettings()
     found: list[list[Floats]] = [[] for _ in stems]
-    for done, index in enumerate(maps.available):
-        progress(done, len(maps.available), "edges of stems")
-        for number, strip in strips_of_photo(stems, index, scene, maps, cloud_from_scene, settings=s):
-            found[number].append(_candidates(strip, stems[number], s))
+
+    def look(index: int) -> list[tuple[int, Strip, Floats]]:
+        strips = strips_of_photo(stems, index, scene, maps, cloud_from_scene, settings=s)
+        return [(number, strip, _candidates(strip, stems[number], s)) for number, strip in strips]
+
+    progress(0, len(maps.available), "edges of stems")
+    for done, seen in enumerate(in_order(look, maps.available, photo_threads()), 1):
+        for number, strip, candidates in seen:
+            found[number].append(candidates)
             if on_strip is not None:
                 on_strip(number, strip)
-    progress(len(maps.available), len(maps.available), "edges of stems")
+        progress(done, len(maps.available), "edges of stems")
     return [_edges(rows) for rows in found]
 
 

@@ -36,7 +36,9 @@ def _depth(memory_gb: float, width: int = 1280, height: int = 720) -> DepthPlan:
 
 
 def _fusion(memory_gb: float) -> FusionPlan:
-    return plan_fusion(memory_gb, map_pixels=640 * 360, cache_maps=40, max_points=4_000_000, batch_points=1_500_000)
+    return plan_fusion(
+        memory_gb, map_pixels=640 * 360, cache_maps=40, max_points=4_000_000, batch_points=1_500_000, at_once=4
+    )
 
 
 def test_a_common_photo_has_everything_kept_in_three_gigabytes() -> None:
@@ -99,7 +101,7 @@ def test_the_largest_depth_map_is_planned_for(tmp_path: Path) -> None:
     maps = DepthMaps(scene, tmp_path)
     assert maps.most_pixels() == 60_000
     tight = FusionSettings(memory_gb=1.0)
-    known = plan_fusion(1.0, map_pixels=60_000, cache_maps=40, max_points=4_000_000, batch_points=1_500_000)
+    known = plan_fusion(1.0, map_pixels=60_000, cache_maps=40, max_points=4_000_000, batch_points=1_500_000, at_once=4)
     assert most_points(scene, tmp_path, settings=tight) == known.max_points < 4_000_000
     (tmp_path / "depth" / "1.pfm").write_bytes(b"Pf\n300 200\n-1.0\n")
     with pytest.raises(SceneError, match=r"1\.pfm is not a complete"):
@@ -153,13 +155,18 @@ def test_photos_that_do_not_fit_are_cut_into_the_largest_tiles_that_do() -> None
 
 def test_fusion_shrinks_its_batches_before_it_drops_points() -> None:
     assert _fusion(3.0) == FusionPlan(
-        cache_maps=40, batch_points=1_500_000, max_points=4_000_000, peak_bytes=_fusion(3.0).peak_bytes
+        cache_maps=40, at_once=4, batch_points=1_500_000, max_points=4_000_000, peak_bytes=_fusion(3.0).peak_bytes
     )
     smaller = _fusion(1.7)
     assert smaller.batch_points < 1_500_000
     assert smaller.max_points == 4_000_000
     least = _fusion(0.8)
     assert least.max_points < 4_000_000
+    assert least.cache_maps < 40
+    large = plan_fusion(
+        2.0, map_pixels=3_000_000, cache_maps=40, max_points=4_000_000, batch_points=1_500_000, at_once=4
+    )
+    assert (large.at_once, large.cache_maps) == (1, 5)
     for limit in (3.0, 1.7, 0.8):
         assert _fusion(limit).peak_bytes <= limit * 1e9
     with pytest.raises(InputError, match="too few"):
