@@ -183,9 +183,12 @@ def _tree(tree: Tree, section: Section, stem: StemAxis, fit: SilhouetteFit) -> T
 
 def _is_shrub(tree: Tree, looked: Looked, s: SilhouetteJoinSettings) -> bool:
     stem, edges = looked.stem, looked.fitted
-    if tree.status == "ok" or len(np.unique(edges.photo)) < s.shrub_photos:
+    photos = len(np.unique(edges.photo))
+    if tree.status == "ok" or photos < s.shrub_photos:
         return False
-    least = s.sizeless_contrast if _is_sizeless(tree) else s.shrub_contrast
+    least = s.many_contrast if photos >= s.many_photos else s.shrub_contrast
+    if _is_sizeless(tree):
+        least = max(least, s.sizeless_contrast)
     return edge_contrast(edges, stem.radius_m, taper=stem.taper, settings=s.fit) < least
 
 

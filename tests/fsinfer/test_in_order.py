@@ -45,9 +45,8 @@ def test_an_error_comes_in_its_turn_and_ends_the_work(threads: int) -> None:
             raise ValueError("three")
         return item
 
-    taken = []
+    taken: list[int] = []
     with pytest.raises(ValueError, match="three"):
-        for result in in_order(fail_at_three, range(100), threads):
-            taken.append(result)
+        taken.extend(in_order(fail_at_three, range(100), threads))
     assert taken == [0, 1, 2]
     assert max(begun) <= 3 + 2

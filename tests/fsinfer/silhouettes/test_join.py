@@ -621,6 +621,11 @@ def test_a_doubtful_stem_that_many_photographs_do_not_show_is_a_shrub(photos: St
         uncertain = plot_of(section_of(None, 0.02, reason))
         assert bool(measure_silhouettes(uncertain, shrub, settings=agreeing).trees) is stays
         assert len(measure_silhouettes(uncertain, photos, settings=few).trees) == 1
+    # What very many photographs do not show has to agree better.
+    for many, stays in ((PHOTOS + 1, True), (PHOTOS, False)):
+        often = replace(few, shrub_contrast=0.0, many_photos=many, many_contrast=99.0)
+        assert bool(measure_silhouettes(doubtful, shrub, settings=often).trees) is stays
+        assert len(measure_silhouettes(doubtful, photos, settings=often).trees) == 1
 
 
 def rms(values: list[float]) -> float:
