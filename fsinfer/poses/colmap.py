@@ -15,7 +15,6 @@ from typing import Any
 from fsinfer.errors import PosesError
 from fsinfer.poses.colmap_calls import ColmapError, call, copy_database, open_database, require_pycolmap
 from fsinfer.poses.pairs import MIN_INLIERS, first_pairs, in_walking_order, most_pairs, pairs_beside
-from fsinfer.poses.refinement import ENOUGH
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.progress import Progress
 
@@ -34,8 +33,12 @@ _PHOTOS_PER_BATCH, _PAIRS_PER_BATCH = 8, 120
 #: 92,629 matches against 279 and 92,574; renders only.
 _MOST_TRIALS = 2500
 #: All photos are adjusted together when so many times more have come, not at every tenth (COLMAP: 1.1). Source:
-#: numerics; 300 photos of a rendered plot in 82 instead of 150 s, their places as exact; renders only.
-_ADJUST_GROWTH = 1.6
+#: numerics; renders only, docs/trials-speed.md: with what follows two walks of 200 photos were mapped in half of the
+#: time of 1.6 and COLMAP's own ends, all photos placed and as exactly.
+_ADJUST_GROWTH = 2.5
+#: While photos are placed an adjustment ends where a step gains less than this share of its error: of a photo and its
+#: neighbours, and of all. The model is adjusted with more care afterwards. Source: as above.
+_ENOUGH_OF_NEIGHBOURS, _ENOUGH_OF_ALL = 1e-3, 1e-4
 #: Parts that the mapper begins at most, of which the largest counts. Source: numerics.
 _MOST_PARTS = 5
 
@@ -301,7 +304,8 @@ def reconstruct(
         incremental.max_num_models = _MOST_PARTS
         # Without points that add nothing; the model is refined once more at the end.
         incremental.ba_global_frames_ratio = incremental.ba_global_points_ratio = _ADJUST_GROWTH
-        incremental.ba_global_function_tolerance = ENOUGH
+        incremental.ba_local_function_tolerance = _ENOUGH_OF_NEIGHBOURS
+        incremental.ba_global_function_tolerance = _ENOUGH_OF_ALL
         incremental.mapper.ba_global_ignore_redundant_points3D = True
         # Colours are taken from the photographs at fusion.
         incremental.extract_colors = False

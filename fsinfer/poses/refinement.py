@@ -20,7 +20,7 @@ _log = logging.getLogger(__name__)
 
 #: An adjustment of all photos ends where a step gains less than this share; COLMAP goes on to its limit of steps.
 #: Source: numerics; three adjustments of 300 photos take 36 instead of 85 s, to the same places.
-ENOUGH = 1e-5
+_ENOUGH = 1e-5
 #: Longer side at which features are found and errors are told, pixels. Source: 23 phone photos of 2016x1512, all of
 #: which are registered at it.
 FEATURE_SIZE_PX = 1600
@@ -122,7 +122,7 @@ def _adjust(model: Any) -> None:
     options.print_summary = False
     options.ceres.solver_options.num_threads = 1
     options.ceres.solver_options.max_num_iterations = _MOST_STEPS
-    options.ceres.solver_options.function_tolerance = ENOUGH
+    options.ceres.solver_options.function_tolerance = _ENOUGH
     # Leaves move: a robust loss keeps the wrong matches that passed the mapper from pulling.
     options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
     config = pycolmap.BundleAdjustmentConfig()
