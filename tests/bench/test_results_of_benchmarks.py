@@ -23,6 +23,7 @@ from training.simulate.stem_cloud import StemTruth
 #: What each benchmark cannot do without.
 ARGUMENTS = {
     "ablation": ["--data", "a", "--test", "b", "--out", "c"],
+    "busy": ["scene", "work"],
     "check": ["plot", "out"],
     "cloud_size": ["work"],
     "demo": ["out"],
