@@ -35,7 +35,7 @@ class FusionPlan:
 
 
 def plan_fusion(
-    memory_gb: float, *, map_pixels: int, cache_maps: int, max_points: int, batch_points: int, at_once: int = 1
+    memory_gb: float, *, map_pixels: int, cache_maps: int, max_points: int, batch_points: int, at_once: int
 ) -> FusionPlan:
     """Keep fewer depth maps, fewer views at a time and smaller batches where the limit asks for it, then fewer points.
 

@@ -55,7 +55,7 @@ class Board:
 
 
 def find_boards(
-    images: Path, files: Sequence[str], *, dictionary: str, longest_px: int, progress: Progress, threads: int = 1
+    images: Path, files: Sequence[str], *, dictionary: str, longest_px: int, progress: Progress, threads: int
 ) -> list[BoardSighting]:
     """Look for markers in all photos, made smaller to ``longest_px`` where they are larger; in the order of files."""
 

@@ -155,6 +155,20 @@ def test_one_point_a_place_and_bounded_size(tmp_path: Path) -> None:
     assert -0.0025 < np.median(distance[stem]) <= 0.0005
 
 
+def test_the_cloud_is_the_same_on_any_number_of_cores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = make_scene(tmp_path / "scene", tmp_path, noise=0.003, cameras=6)
+    clouds = []
+    for count in (1, 3):
+        monkeypatch.setattr("fsinfer.fusion.fuse.cores", lambda count=count: count)
+        clouds.append(fuse(scene, tmp_path, settings=FusionSettings(batch_points=2000)))
+    one, several = clouds
+    assert np.array_equal(one.xyz, several.xyz)
+    assert one.rgb is not None
+    assert several.rgb is not None
+    assert np.array_equal(one.rgb, several.rgb)
+    assert all(np.array_equal(one.extra[name], several.extra[name]) for name in one.extra)
+
+
 def test_unsure_pixels_are_left_out_by_themselves(tmp_path: Path) -> None:
     def confidence(wrong: NDArray[np.bool_], rng: np.random.Generator) -> NDArray[np.float64]:
         return np.where(wrong, rng.uniform(0, 0.2, wrong.shape), rng.uniform(0.4, 1, wrong.shape))
