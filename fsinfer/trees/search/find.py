@@ -23,6 +23,7 @@ from fsinfer.notices.stems import StemCode
 from fsinfer.progress import Progress, silent
 from fsinfer.trees.cylinder.axis import axis_coordinates
 from fsinfer.trees.points.cells import PlanIndex, measured_spacing, rows, thin
+from fsinfer.trees.search.blurred import find_blurred
 from fsinfer.trees.search.giants import find_giants
 from fsinfer.trees.search.hough import hough_seeds
 from fsinfer.trees.search.stem import Stem, StemSettings
@@ -84,11 +85,13 @@ def find_stems(
     spacing = measured_spacing(slab, seed=seed)
     cell_m = float(max(s.cell_m, CELL_OF_SPACING * spacing))
     seeds = hough_seeds(slab, cell_m, s)
-    thinned = thin(slab, max(0.5 * cell_m, LEAST_THINNING_M))
-    index = PlanIndex(thinned, INDEX_CELL_M)
+    thinning_m = max(0.5 * cell_m, LEAST_THINNING_M)
+    index = PlanIndex(thin(slab, thinning_m), INDEX_CELL_M)
     accepted, rejected = _search(seeds, index, cell_m, s, progress, gradient_at)
     stems = _resolve_overlaps(accepted, index, cell_m, bh_m, s, gradient_at)
-    stems = _in_order([*stems, *find_giants(slab, stems, spacing, s)], bh_m)
+    stems += find_giants(slab, stems, spacing, s)
+    stems += find_blurred(slab, stems, cell_m, thinning_m, s)
+    stems = _in_order(stems, bh_m)
     return StemSearch(stems=tuple(stems), candidates=len(seeds), rejected=rejected, spacing_m=spacing)
 
 

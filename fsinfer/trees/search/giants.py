@@ -13,13 +13,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.notices.stems import StemCode
-from fsinfer.trees.cylinder.axis import axis_coordinates
-from fsinfer.trees.points.cells import PlanIndex, rows, thin
-from fsinfer.trees.points.sums import lengths
-from fsinfer.trees.search.hough import hough_seeds
+from fsinfer.trees.points.cells import thin
+from fsinfer.trees.search.remaining import search_again, without_stems
 from fsinfer.trees.search.stem import Stem, StemSettings
-from fsinfer.trees.search.verify import Candidate, verify
 
 Floats = NDArray[np.float64]
 #: Cells of the search, metres, and of its index: the wall of a stem of more than a metre is straight over several of
@@ -32,10 +28,6 @@ VOTES = 3.0
 #: Share of the girth seen, metres of supported height, share of the ring in a start, and of points well inside.
 #: Source: simulated stems of 1.4 to 2.4 m, seeds 43000 to 43011; a quarter of the girth tells a curve from a bank.
 LEAST_ARC, LEAST_LENGTH_M, LEAST_RING, MOST_FILLED = 0.25, 1.2, 0.15, 0.1
-#: Points this near to the wall of a stem that was found are its own, metres. Source: judgement; bark, moss, twigs.
-OWN_M = 0.1
-#: Points this far outside are looked at, metres. Source: as in the first search.
-BESIDE_M = 0.15
 #: Candidates looked at, strongest first: a hectare of giants has fewer. Source: numerics.
 MOST = 200
 
@@ -58,38 +50,5 @@ def find_giants(slab: Floats, stems: Sequence[Stem], spacing_m: float, s: StemSe
         max_filled=min(MOST_FILLED, s.max_filled),
     )
     cell_m = max(CELL_M, spacing_m)
-    left = _without(thin(slab, 0.5 * cell_m), stems)
-    if len(left) < s.min_points:
-        return ()
-    seeds = hough_seeds(left, cell_m, own)[:MOST]
-    index = PlanIndex(left, INDEX_CELL_M)
-    candidates = [
-        Candidate(near=index.near(seed[:2], own.radius_m[1] + BESIDE_M), xy=seed[:2], height_m=float(seed[2]))
-        for seed in seeds
-    ]
-    found = [giant for giant in verify(candidates, cell_m, own) if not isinstance(giant, StemCode)]
-    kept: list[Stem] = []
-    for giant in sorted(found, key=lambda item: -item.quality):
-        if all(_apart(giant, other) for other in (*stems, *kept)):
-            kept.append(giant)
-    return tuple(kept)
-
-
-def _without(points: Floats, stems: Sequence[Stem]) -> Floats:
-    """Points (N, 3) that are not on or in one of the stems."""
-    free = np.ones(len(points), dtype=bool)
-    for stem in stems:
-        reach = stem.axis.radius_m + OWN_M
-        low, high = (stem.axis.center_at(height) for height in (0.0, float(points[:, 2].max())))
-        box_low, box_high = np.minimum(low, high) - reach, np.maximum(low, high) + reach
-        near = np.flatnonzero(((points[:, :2] >= box_low) & (points[:, :2] <= box_high)).all(axis=1))
-        offset, _ = axis_coordinates(points[near], stem.axis.parameters, stem.axis.height_m)
-        free[near[lengths(offset) <= reach]] = False
-    return rows(points, free)
-
-
-def _apart(giant: Stem, other: Stem) -> bool:
-    """Whether the axis of neither stands within the other, at the giant's middle height."""
-    height = giant.axis.height_m
-    gap = float(np.linalg.norm(giant.axis.center_at(height) - other.axis.center_at(height)))
-    return gap > max(giant.axis.radius_m, other.axis.radius_m)
+    left = without_stems(thin(slab, 0.5 * cell_m), stems)
+    return search_again(left, stems, cell_m, own, index_cell_m=INDEX_CELL_M, most=MOST)

@@ -33,6 +33,8 @@ class StemSettings:
     min_contrast: density on the wall against the density just outside of it. Source: chosen on simulated stems.
     max_noise: sigma over radius; more is a bush. Source: chosen on simulated stems.
     max_sigma_m: the fit's own bound is 3 cm: whoever reaches it has found no wall. Source: ``AxisSettings.sigma_m``.
+    blurred_sigma_m: the same in a third search (:mod:`fsinfer.trees.search.blurred`), which asks for more height and
+        girth. Source: renders only, the undergrown plots of seeds 955022 to 955024.
     rough_m: noisier than the usual photogrammetric cloud (1.5 cm): a shrub, unless it is ``sure_length_m`` long.
         Source: chosen on simulated stems.
     sure_length_m: supported length of what is rough or touches another stem. Source: chosen on simulated stems.
@@ -57,6 +59,7 @@ class StemSettings:
     min_contrast: float = 1.6
     max_noise: float = 0.40
     max_sigma_m: float = 0.028
+    blurred_sigma_m: float = 0.045
     rough_m: float = 0.017
     sure_length_m: float = 1.2
     sure_arc: float = 0.25

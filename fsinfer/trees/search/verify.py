@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.notices.stems import StemCode
-from fsinfer.trees.cylinder.axis import START_SIGMA_M, STEPS, TOLERANCE, Axis, axis_coordinates
+from fsinfer.trees.cylinder.axis import START_SIGMA_M, STEPS, TOLERANCE, Axis, AxisSettings, axis_coordinates
 from fsinfer.trees.cylinder.batch import fit_axes
 from fsinfer.trees.points.cells import rows
 from fsinfer.trees.points.sums import lengths
@@ -70,8 +70,10 @@ class Candidate:
     gradient: tuple[float, float] = (0.0, 0.0)
 
 
-def verify(candidates: Sequence[Candidate], cell_m: float, s: StemSettings) -> list[Stem | StemCode]:
-    """The stem at each candidate, or why there is none.
+def verify(
+    candidates: Sequence[Candidate], cell_m: float, s: StemSettings, *, axis: AxisSettings | None = None
+) -> list[Stem | StemCode]:
+    """The stem at each candidate, or why there is none; ``axis`` are the constants of the fits.
 
     Candidates do not know of each other; they are taken together because their axes are fitted at once.
     """
@@ -85,15 +87,19 @@ def verify(candidates: Sequence[Candidate], cell_m: float, s: StemSettings) -> l
             result[number] = StemCode.candidate_no_ring
     # All rings at once; the first that is a stem counts, else what the last one lacks.
     rings = [(n, radius) for n, found in radii.items() for radius in found]
-    axes = _fit_rings([candidates[n] for n, _ in rings], [windows[n] for n, _ in rings], [r for _, r in rings], s)
-    for (n, _), axis in zip(rings, axes, strict=True):
+    axes = _fit_rings([candidates[n] for n, _ in rings], [windows[n] for n, _ in rings], [r for _, r in rings], s, axis)
+    for (n, _), fit in zip(rings, axes, strict=True):
         if isinstance(result[n], StemCode):
-            result[n] = axis if isinstance(axis, StemCode) else _judge(candidates[n].near, axis, cell_m, s)
+            result[n] = fit if isinstance(fit, StemCode) else _judge(candidates[n].near, fit, cell_m, s)
     return result
 
 
 def _fit_rings(
-    candidates: Sequence[Candidate], windows: Sequence[Floats], radii: Sequence[float], s: StemSettings
+    candidates: Sequence[Candidate],
+    windows: Sequence[Floats],
+    radii: Sequence[float],
+    s: StemSettings,
+    settings: AxisSettings | None = None,
 ) -> list[Axis | StemCode]:
     """The axis of each candidate that starts from a ring of the given radius, or why there is none."""
     result: list[Axis | StemCode] = [StemCode.candidate_radius] * len(candidates)
@@ -113,6 +119,7 @@ def _fit_rings(
             sigma_m=np.array([axis.sigma_m for axis in axes]),
             steps=steps,
             tolerance=tolerance,
+            settings=settings,
         )
 
     def keep(those: list[int], axes: list[Axis], low: float, high: float) -> tuple[list[int], list[Axis]]:

@@ -1,0 +1,73 @@
+"""Another search among the points that belong to no stem yet, for stems that the first one does not look for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.notices.stems import StemCode
+from fsinfer.trees.cylinder.axis import AxisSettings, axis_coordinates
+from fsinfer.trees.points.cells import PlanIndex, rows
+from fsinfer.trees.points.sums import lengths
+from fsinfer.trees.search.hough import hough_seeds
+from fsinfer.trees.search.stem import Stem, StemSettings
+from fsinfer.trees.search.verify import Candidate, verify
+
+Floats = NDArray[np.float64]
+#: Points this near to the wall of a stem that was found are its own, metres. Source: judgement; bark, moss, twigs.
+OWN_M = 0.1
+#: Points this far outside are looked at, metres. Source: as in the first search.
+BESIDE_M = 0.15
+
+
+def search_again(
+    left: Floats,
+    stems: Sequence[Stem],
+    cell_m: float,
+    s: StemSettings,
+    *,
+    index_cell_m: float,
+    most: int | None = None,
+    apart_m: float = 0.0,
+    axis: AxisSettings | None = None,
+) -> tuple[Stem, ...]:
+    """Stems by the settings ``s`` among points (N, 3) of x, y, height above ground, metres, which no stem owns.
+
+    None has its axis within ``apart_m`` of the wall of another or one of ``stems``. Of the candidates the ``most``
+    strongest are looked at; ``axis`` are the constants of their fits.
+    """
+    if len(left) < s.min_points:
+        return ()
+    index = PlanIndex(left, index_cell_m)
+    candidates = [
+        Candidate(near=index.near(seed[:2], s.radius_m[1] + BESIDE_M), xy=seed[:2], height_m=float(seed[2]))
+        for seed in hough_seeds(left, cell_m, s)[:most]
+    ]
+    found = [stem for stem in verify(candidates, cell_m, s, axis=axis) if not isinstance(stem, StemCode)]
+    kept: list[Stem] = []
+    for stem in sorted(found, key=lambda item: -item.quality):
+        if all(_apart(stem, other, apart_m) for other in (*stems, *kept)):
+            kept.append(stem)
+    return tuple(kept)
+
+
+def without_stems(points: Floats, stems: Sequence[Stem]) -> Floats:
+    """Points (N, 3) that are not on or in one of the stems."""
+    free = np.ones(len(points), dtype=bool)
+    for stem in stems:
+        reach = stem.axis.radius_m + OWN_M
+        low, high = (stem.axis.center_at(height) for height in (0.0, float(points[:, 2].max())))
+        box_low, box_high = np.minimum(low, high) - reach, np.maximum(low, high) + reach
+        near = np.flatnonzero(((points[:, :2] >= box_low) & (points[:, :2] <= box_high)).all(axis=1))
+        offset, _ = axis_coordinates(points[near], stem.axis.parameters, stem.axis.height_m)
+        free[near[lengths(offset) <= reach]] = False
+    return rows(points, free)
+
+
+def _apart(stem: Stem, other: Stem, apart_m: float) -> bool:
+    """Whether the axis of neither stands within the other or so near to it, at the first one's middle height."""
+    height = stem.axis.height_m
+    gap = float(np.linalg.norm(stem.axis.center_at(height) - other.axis.center_at(height)))
+    return gap > max(stem.axis.radius_m, other.axis.radius_m) + apart_m
