@@ -20,6 +20,7 @@ from fsinfer.trees.height import INDEX_CELL_M as TOP_CELL_M
 from fsinfer.trees.points.cells import PlanIndex, near_paths, rows
 from fsinfer.trees.points.sums import lengths
 from fsinfer.trees.search.find import INDEX_CELL_M, StemSearch
+from fsinfer.trees.search.giants import is_no_giant
 from fsinfer.trees.search.stem import Stem
 from fsinfer.trees.settings import TreeSettings
 from fsinfer.trees.tree import Tree
@@ -80,7 +81,11 @@ def measure_stems(
             seed=settings.seed,
         )
         for number, stem, level, section in zip(numbers, stems, levels, sections, strict=True):
-            if section.dbh_m is None or 100.0 * section.dbh_m >= settings.min_dbh_cm:
+            if section.dbh_m is None:
+                wanted = not is_no_giant(search.stems[number], section.coverage, settings.stems)
+            else:
+                wanted = 100.0 * section.dbh_m >= settings.min_dbh_cm
+            if wanted:
                 measured.append((number, stem, level, section))
     highest = float(stand[:, 2].max(initial=0.0))
     highest_of = {n: highest + _rise_within_reach(stem, level, ground, settings) for n, stem, level, _ in measured}

@@ -52,3 +52,12 @@ def find_giants(slab: Floats, stems: Sequence[Stem], spacing_m: float, s: StemSe
     cell_m = max(CELL_M, spacing_m)
     left = without_stems(thin(slab, 0.5 * cell_m), stems)
     return search_again(left, stems, cell_m, own, index_cell_m=INDEX_CELL_M, most=MOST)
+
+
+def is_no_giant(stem: Stem, coverage: float, s: StemSettings) -> bool:
+    """Whether a stem that only the second search looks for shows less of its girth at breast height than it has to.
+
+    ``coverage`` is the share that its section shows. Shrubs that stand in an arc pass for a part of a large circle
+    over some layers; where they have no diameter either, nothing is left of them.
+    """
+    return stem.axis.radius_m > s.radius_m[1] and coverage < LEAST_ARC
