@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,8 +122,13 @@ def correlation_volume(
 def mean_of_four(values_dhw4: Float32, *, out: Float32) -> None:
     """Mean over the last axis of (D, h, w, 4) into ``out`` (D, h, w), both contiguous."""
     together = math.gcd(out.size, _PIXELS_PER_PRODUCT)
-    quarters = np.kron(np.eye(together, dtype=np.float32), np.full((4, 1), 0.25, np.float32))
-    np.matmul(values_dhw4.reshape(-1, 4 * together), quarters, out=out.reshape(-1, together))
+    np.matmul(values_dhw4.reshape(-1, 4 * together), _quarters(together), out=out.reshape(-1, together))
+
+
+@cache
+def _quarters(together: int) -> Float32:
+    """(4 n, n): means of four for n pixels at once."""
+    return np.asarray(np.kron(np.eye(together), np.full((4, 1), 0.25)), np.float32)
 
 
 def variance_volume(

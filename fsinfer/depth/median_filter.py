@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.depth.blocks import over_blocks
 from fsinfer.depth.settings import UnsureSettings
 
 Float32 = NDArray[np.float32]
@@ -22,7 +23,9 @@ CHUNK_PIXELS = 4_000
 _HALF = np.uint64(32)
 
 
-def settle_unsure(depth: Float32, confidence: Float32, *, settings: UnsureSettings | None = None) -> Float32:
+def settle_unsure(
+    depth: Float32, confidence: Float32, *, settings: UnsureSettings | None = None, threads: int = 1
+) -> Float32:
     """Depth map (h, w) with the unsure pixels replaced; ``confidence`` (h, w) in [0, 1], a depth of 0 is none.
 
     Pixels without depth have no say, and get one where their surroundings have.
@@ -38,10 +41,13 @@ def settle_unsure(depth: Float32, confidence: Float32, *, settings: UnsureSettin
     windows = np.lib.stride_tricks.sliding_window_view(pairs, (2 * r + 1, 2 * r + 1))
     rows, columns = np.nonzero(confidence < s.below)
     settled = depth.copy()
-    for start in range(0, len(rows), CHUNK_PIXELS):
+
+    def settle(start: int) -> None:
         y, x = rows[start : start + CHUNK_PIXELS], columns[start : start + CHUNK_PIXELS]
         median = _weighted_median(windows[y, x].reshape(len(y), -1))
         settled[y, x] = np.divide(1.0, median, out=np.zeros_like(median), where=median > 0)
+
+    over_blocks(settle, len(rows), CHUNK_PIXELS, threads)
     return settled
 
 

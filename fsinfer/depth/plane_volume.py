@@ -24,9 +24,9 @@ from fsinfer.threads import blas_architecture
 
 Float32 = NDArray[np.float32]
 
-#: Rows and columns of a tile, whose samples of one group and 192 planes take a megabyte. Source: numerics; they stay in
-#: the second-level cache of a core, and most planes that leave the source's picture leave it for the whole tile.
-TILE_ROWS, TILE_COLUMNS = 2, 160
+#: Rows and columns of a tile, whose samples of one group and 192 planes take two megabytes. Source: numerics
+#: (docs/trials-speed.md); the more square a tile, the more planes leave the source's picture for all of it.
+TILE_ROWS, TILE_COLUMNS = 8, 80
 #: Kernels of OpenBLAS that multiply a matrix of four columns by a vector in a third of the time of the others, which
 #: are the faster the more columns there are. Source: numerics; 75 instead of 218 us for 640 pixels of 192 planes, and
 #: 169 us for four planes at a time with either.

@@ -34,8 +34,9 @@ from fsinfer.depth.warping import Projection, relative_projection
 Float16 = NDArray[np.float16]
 Float32 = NDArray[np.float32]
 
-#: Pixels of the depth map at a time: their arrays stay in a processor's cache. Source: numerics.
-BLOCK_PIXELS = 24_000
+#: Pixels of the depth map at a time: some share for each of a few threads. Source: numerics; a quarter of a map of
+#: 640x352 at a time takes three quarters of the processor seconds of a tenth (docs/trials-speed.md).
+BLOCK_PIXELS = 57_000
 #: A Gaussian window ends at so many standard deviations. Source: numerics.
 WINDOW_ENDS = 3.0
 #: Keeps divisions finite. Source: numerics.
@@ -160,17 +161,21 @@ def _step(
 
     each = np.float32(1 / len(parts))
     fastest = np.maximum(sums.speed.max(axis=0), _TINY)
-    normal, right = np.zeros_like(inverse), np.zeros_like(inverse)
-    for i in range(len(sources)):
+    normal, right = sums.normal, sums.right
+
+    def weigh(i: int) -> None:
         # Of two signals of variance 1 the mean squared difference is 2 - 2 r, r their correlation.
         correlation = 1 - np.float32(0.5) * each * window(sums.squares[i]) / (window(sums.seen[i]) + _TINY)
         agrees = np.clip((correlation - s.least_correlation) / (s.full_correlation - s.least_correlation), 0, 1) ** 2
         slower = sums.speed[i] / fastest * np.float32(0.5 / s.difference_px)
         part = each * agrees * weight * slower
-        right += part * sums.right[i]
+        right[i] *= part
         part *= slower
-        normal += part * sums.normal[i]
-    shift = window(right) / (window(normal) + np.float32(s.damping) * window(weight) + _TINY)
+        normal[i] *= part
+
+    over_blocks(weigh, len(sources), 1, threads)
+    held = window(normal.sum(axis=0)) + np.float32(s.damping) * window(weight)
+    shift = window(right.sum(axis=0)) / (held + _TINY)
     np.clip(shift, -s.most_px, s.most_px, out=shift)
     moved = inverse + shift / fastest
     # Nothing is moved beyond infinity, and what has no depth keeps none.

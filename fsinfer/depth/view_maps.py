@@ -153,7 +153,7 @@ def finish_depth(
 
     ``greys`` (N, H, W), ``intrinsics`` (N, 3, 3) and ``cam_from_world`` (N, 4, 4) of reference and sources.
     """
-    depth = settle_unsure(estimate.depth, estimate.confidence, settings=settings.unsure)
+    depth = settle_unsure(estimate.depth, estimate.confidence, settings=settings.unsure, threads=threads)
     if settings.subpixel.rounds == 0:
         return depth
     return refine_depth(

@@ -33,15 +33,15 @@ def reference(depth: NDArray[np.float32], confidence: NDArray[np.float32], s: Un
 
 
 @settings(max_examples=30, deadline=None)
-@given(seed=st.integers(0, 10_000), holes=st.floats(0, 0.6))
-def test_is_the_weighted_median(seed: int, holes: float) -> None:
+@given(seed=st.integers(0, 10_000), holes=st.floats(0, 0.6), threads=st.sampled_from([1, 3]))
+def test_is_the_weighted_median(seed: int, holes: float, threads: int) -> None:
     rng = np.random.default_rng(seed)
     depth = rng.uniform(1, 20, (9, 11)).astype(np.float32)
     depth[rng.random(depth.shape) < holes] = 0
     confidence = rng.random(depth.shape).astype(np.float32)
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(median_filter, "CHUNK_PIXELS", 7)
-        settled = settle_unsure(depth, confidence, settings=SMALL)
+        settled = settle_unsure(depth, confidence, settings=SMALL, threads=threads)
     np.testing.assert_allclose(settled, reference(depth, confidence, SMALL), rtol=1e-6)
 
 
