@@ -19,9 +19,10 @@ from fsinfer.trees.height import FOOT_M, axis_path, top_may_be_seen, tree_height
 from fsinfer.trees.height import INDEX_CELL_M as TOP_CELL_M
 from fsinfer.trees.points.cells import PlanIndex, near_paths, rows
 from fsinfer.trees.points.sums import lengths
-from fsinfer.trees.search.find import INDEX_CELL_M, StemSearch
+from fsinfer.trees.search.find import StemSearch
 from fsinfer.trees.search.giants import is_no_giant
 from fsinfer.trees.search.stem import Stem
+from fsinfer.trees.search.verify import INDEX_CELL_M
 from fsinfer.trees.settings import TreeSettings
 from fsinfer.trees.tree import Tree
 

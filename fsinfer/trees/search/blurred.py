@@ -14,13 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.trees.cylinder.axis import AxisSettings
-from fsinfer.trees.points.cells import thin
-from fsinfer.trees.search.remaining import search_again, without_stems
+from fsinfer.trees.search.remaining import search_again
 from fsinfer.trees.search.stem import Stem, StemSettings
+from fsinfer.trees.search.verify import INDEX_CELL_M
 
 Floats = NDArray[np.float64]
-#: Cells of the index, metres. Source: numerics.
-INDEX_CELL_M = 0.375
 #: Least radius, metres, share of the girth seen, and metres of supported height. Source: renders only, the undergrown
 #: plots of seeds 955022 to 955024: what is left there beside the stems found and has all of it is a stem; shrubs are
 #: lower, the rims of other stems thinner or seen from one side.
@@ -31,10 +29,10 @@ APART_M = 0.3
 BEYOND = 1.1
 
 
-def find_blurred(slab: Floats, stems: Sequence[Stem], cell_m: float, thinning_m: float, s: StemSettings) -> list[Stem]:
+def find_blurred(thinned: Floats, stems: Sequence[Stem], cell_m: float, s: StemSettings) -> list[Stem]:
     """Stems with more noise than the first search allows among points (N, 3) of x, y, height above ground, metres.
 
-    ``stems`` are those found; ``cell_m`` and ``thinning_m`` the cells and the spacing of the first search.
+    ``stems`` are those found; the points and ``cell_m`` are those of the first search.
     """
     if s.blurred_sigma_m <= s.max_sigma_m:
         return []
@@ -47,7 +45,6 @@ def find_blurred(slab: Floats, stems: Sequence[Stem], cell_m: float, thinning_m:
     )
     usual = AxisSettings()
     axis = replace(usual, sigma_m=(usual.sigma_m[0], max(BEYOND * s.blurred_sigma_m, usual.sigma_m[1])))
-    left = without_stems(thin(slab, thinning_m), stems)
-    found = search_again(left, stems, cell_m, own, index_cell_m=INDEX_CELL_M, apart_m=APART_M, axis=axis)
+    found = search_again(thinned, stems, cell_m, own, index_cell_m=INDEX_CELL_M, apart_m=APART_M, axis=axis)
     # What is no more blurred than other stems, the first search has refused for another reason.
     return [stem for stem in found if stem.axis.sigma_m > s.max_sigma_m]

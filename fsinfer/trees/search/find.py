@@ -27,7 +27,7 @@ from fsinfer.trees.search.blurred import find_blurred
 from fsinfer.trees.search.giants import find_giants
 from fsinfer.trees.search.hough import hough_seeds
 from fsinfer.trees.search.stem import Stem, StemSettings
-from fsinfer.trees.search.verify import Candidate, verify
+from fsinfer.trees.search.verify import BESIDE_M, INDEX_CELL_M, Candidate, verify
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -39,10 +39,6 @@ LEAST_POINTS = 20
 TOGETHER = 256
 #: Candidates farther apart are looked at together; both may find one stem, which is resolved. Metres. Source: numerics.
 APART_M = 0.3
-#: Cell of the index, metres, half of the reach of a look around. Source: numerics.
-INDEX_CELL_M = 0.375
-#: Points this far outside the widest stem are looked at, metres: what it has to stand out from. Source: not recorded.
-BESIDE_M = 0.15
 #: Cells grow with the spacing of a sparse cloud. Source: not recorded.
 CELL_OF_SPACING = 1.2
 #: Points are thinned to half a cell, but not below so many metres. Source: numerics.
@@ -85,12 +81,12 @@ def find_stems(
     spacing = measured_spacing(slab, seed=seed)
     cell_m = float(max(s.cell_m, CELL_OF_SPACING * spacing))
     seeds = hough_seeds(slab, cell_m, s)
-    thinning_m = max(0.5 * cell_m, LEAST_THINNING_M)
-    index = PlanIndex(thin(slab, thinning_m), INDEX_CELL_M)
+    thinned = thin(slab, max(0.5 * cell_m, LEAST_THINNING_M))
+    index = PlanIndex(thinned, INDEX_CELL_M)
     accepted, rejected = _search(seeds, index, cell_m, s, progress, gradient_at)
     stems = _resolve_overlaps(accepted, index, cell_m, bh_m, s, gradient_at)
     stems += find_giants(slab, stems, spacing, s)
-    stems += find_blurred(slab, stems, cell_m, thinning_m, s)
+    stems += find_blurred(thinned, stems, cell_m, s)
     stems = _in_order(stems, bh_m)
     return StemSearch(stems=tuple(stems), candidates=len(seeds), rejected=rejected, spacing_m=spacing)
 

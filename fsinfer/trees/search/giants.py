@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.trees.points.cells import thin
-from fsinfer.trees.search.remaining import search_again, without_stems
+from fsinfer.trees.search.remaining import search_again
 from fsinfer.trees.search.stem import Stem, StemSettings
 
 Floats = NDArray[np.float64]
@@ -50,8 +50,7 @@ def find_giants(slab: Floats, stems: Sequence[Stem], spacing_m: float, s: StemSe
         max_filled=min(MOST_FILLED, s.max_filled),
     )
     cell_m = max(CELL_M, spacing_m)
-    left = without_stems(thin(slab, 0.5 * cell_m), stems)
-    return search_again(left, stems, cell_m, own, index_cell_m=INDEX_CELL_M, most=MOST)
+    return search_again(thin(slab, 0.5 * cell_m), stems, cell_m, own, index_cell_m=INDEX_CELL_M, most=MOST)
 
 
 def is_no_giant(stem: Stem, coverage: float, s: StemSettings) -> bool:

@@ -13,17 +13,15 @@ from fsinfer.trees.points.cells import PlanIndex, rows
 from fsinfer.trees.points.sums import lengths
 from fsinfer.trees.search.hough import hough_seeds
 from fsinfer.trees.search.stem import Stem, StemSettings
-from fsinfer.trees.search.verify import Candidate, verify
+from fsinfer.trees.search.verify import BESIDE_M, Candidate, verify
 
 Floats = NDArray[np.float64]
 #: Points this near to the wall of a stem that was found are its own, metres. Source: judgement; bark, moss, twigs.
 OWN_M = 0.1
-#: Points this far outside are looked at, metres. Source: as in the first search.
-BESIDE_M = 0.15
 
 
 def search_again(
-    left: Floats,
+    points: Floats,
     stems: Sequence[Stem],
     cell_m: float,
     s: StemSettings,
@@ -33,11 +31,13 @@ def search_again(
     apart_m: float = 0.0,
     axis: AxisSettings | None = None,
 ) -> tuple[Stem, ...]:
-    """Stems by the settings ``s`` among points (N, 3) of x, y, height above ground, metres, which no stem owns.
+    """Stems by the settings ``s`` among points (N, 3) of x, y, height above ground, metres: those that none of
+    ``stems`` owns.
 
     None has its axis within ``apart_m`` of the wall of another or one of ``stems``. Of the candidates the ``most``
     strongest are looked at; ``axis`` are the constants of their fits.
     """
+    left = _without(points, stems)
     if len(left) < s.min_points:
         return ()
     index = PlanIndex(left, index_cell_m)
@@ -53,7 +53,7 @@ def search_again(
     return tuple(kept)
 
 
-def without_stems(points: Floats, stems: Sequence[Stem]) -> Floats:
+def _without(points: Floats, stems: Sequence[Stem]) -> Floats:
     """Points (N, 3) that are not on or in one of the stems."""
     free = np.ones(len(points), dtype=bool)
     for stem in stems:

@@ -25,6 +25,10 @@ from fsinfer.trees.points.surface import (
 from fsinfer.trees.search.stem import Stem, StemSettings
 
 Floats = NDArray[np.float64]
+#: Cell of the index, metres, half of the reach of a look around. Source: numerics.
+INDEX_CELL_M = 0.375
+#: Points this far outside the widest stem are looked at, metres: what it has to stand out from. Source: not recorded.
+BESIDE_M = 0.15
 #: Points of a candidate, and steps of its fit. In the first most candidates run away, after the next most of the
 #: others are not round; only what is left is fitted to the end. Source: numerics.
 FIRST_POINTS, FIRST_STEPS, NEXT_POINTS, NEXT_STEPS, LAST_POINTS = 150, 7, 300, 10, 700
@@ -99,7 +103,7 @@ def _fit_rings(
     windows: Sequence[Floats],
     radii: Sequence[float],
     s: StemSettings,
-    settings: AxisSettings | None = None,
+    settings: AxisSettings | None,
 ) -> list[Axis | StemCode]:
     """The axis of each candidate that starts from a ring of the given radius, or why there is none."""
     result: list[Axis | StemCode] = [StemCode.candidate_radius] * len(candidates)
