@@ -27,9 +27,10 @@ IN_EACH_OTHER = 2.0
 #: Without a DBH a radius may be anything; it counts for so much at most, metres. Source: geometry, a stem of 30 cm.
 UNMEASURED_M = 0.15
 #: What is hazy, doubtful or without a DBH, and has no edges in the photographs beside a stem that has, is a haze of
-#: that stem as far as this share of its radius from it. Source: development plots: torn in three and joined, a wall
-#: 18.7 cm beside a stem of 12.5 cm, taken for one of 18.8 cm, 3 cm from it; of some ninety entries without a DBH of
-#: ten others two, 1 and 2 cm from a stem, both nothing; renders only.
+#: that stem, and so is what is hazy and has its DBH by edges alone, which may be that stem's, as far as this share of
+#: its radius from it. Source: development plots: torn in three and joined, a wall 18.7 cm beside a stem of 12.5 cm,
+#: taken for one of 18.8 cm, 3 cm from it; of some ninety entries without a DBH of ten others two, 1 and 2 cm from a
+#: stem, both nothing; undergrown, seed 955025, a wall 1.2 cm from a stem of 17 cm, 16 cm by its edges; renders only.
 HAZE_SHARE = 0.5
 #: Hazy is a wall whose noise is larger than this, metres, and of which, if it has a DBH, less than this share of a
 #: circumference is seen. Source: judgement; the haze of a stem lies on one side of it and is centimetres thick. A
@@ -100,10 +101,14 @@ def _same(worse: Pair, better: Pair, apart: NDArray[np.float64]) -> bool:
     section, other = worse[1], better[1]
     if _in_each_other(section, other, apart):
         return True
-    if section.silhouette is not None or other.silhouette is None or other.dbh_m is None:
+    if other.silhouette is None or other.dbh_m is None:
         return False
-    one_sided = section.coverage < HAZE_COVERAGE and worse[0].status == "doubtful"
-    hazy = section.residual_m > HAZE_NOISE_M and (section.dbh_m is None or one_sided)
+    if section.silhouette is None:
+        one_sided = section.coverage < HAZE_COVERAGE and worse[0].status == "doubtful"
+        sizeless = section.dbh_m is None or one_sided
+    else:
+        sizeless = section.cloud_dbh_m is None and other.cloud_dbh_m is not None
+    hazy = section.residual_m > HAZE_NOISE_M and sizeless
     return hazy and float(np.hypot(*apart)) < other.dbh_m / 2.0 + (1.0 + HAZE_SHARE) * _radius_m(section)
 
 

@@ -31,7 +31,7 @@ from fsinfer.io.json_text import read_json
 from fsinfer.output.json_values import as_json, of_json
 from fsinfer.output.layout import RECORDS_FOLDER
 from fsinfer.workflow.folder_lock import alone_in
-from fsinfer.workflow.memory_peak import MemoryPeak
+from fsinfer.workflow.memory_peak import MemoryPeak, hand_back
 
 #: Raised when records of an older layout must not be trusted any more. Source: the layout of the record.
 RECORD_FORMAT = 2
@@ -158,6 +158,7 @@ class Ledger:
         entry |= {"version": stage.version, "made_by": __version__, "inputs": told["inputs"]}
         self._write(stage.name, entry | {"seconds": spent_s})
         start = time.perf_counter()
+        hand_back()
         peak = MemoryPeak()
         try:
             result = work(carried_on)

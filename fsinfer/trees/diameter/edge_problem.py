@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.trees.cylinder.axis import AxisSettings
+from fsinfer.trees.diameter.sides import NOISE_SECTORS
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -22,6 +23,8 @@ Ints = NDArray[np.int64]
 
 #: Steps of the vote over radius and place, metres. Source: numerics.
 RADIUS_STEP_M, PLACE_STEP_M = 0.004, 0.01
+#: Unknowns before those of the shape: radius, taper, place and slope. Source: mathematics.
+AXIS = 6
 #: Peaks of the vote that are followed up. Source: numerics.
 STARTS = 3
 #: Rounds of a fit; tolerance of the vote and of the first ones, metres, after which it is what was found, and how
@@ -65,8 +68,11 @@ class SilhouetteSettings:
     offset_m: scale of the prior of each photograph's offset. Source: cameras of plots stand 2 to 18 mm from the truth,
         those next to each other the same way; on five development plots the RMSE of the edges of stems seen from 60 %
         of their sides is 0.20 cm without offsets, 0.16 at 1 mm, 0.15 at 2 mm; renders only.
-    common_px: what all edges share (blur, light from one side, undistortion), typical pixels. Source: renders only, as
-        ``hull_of_rough_bark``.
+    sector_m: what bark, light and cover move all edges by that are seen from one of the sectors round the stem, by
+        which a harmonic is not told from a few of them. Source: renders only, 121 stems of four development plots
+        (docs/trials-accuracy.md).
+    common_px: what all edges share (blur, light from one side, undistortion), typical pixels. Source: renders only,
+        so that the intervals of stems seen from one side hold the truth on all plots.
     common_std: what a few harmonics do not describe, share of the radius. Source: renders only, two renders.
     one_sided_std: what else a stem may be off that is seen from one direction, share of the radius: two sides leave
         its size to shadows, to what covers an edge, to a shape that nobody saw. Source: simulated edges
@@ -87,6 +93,7 @@ class SilhouetteSettings:
     background: float = 0.13
     min_contrast: float = 1.2
     offset_m: float = 0.002
+    sector_m: float = 0.002
     common_px: float = 0.08
     common_std: float = 0.003
     one_sided_std: float = 0.05
@@ -171,13 +178,18 @@ class EdgeProblem:
         # Which of the two sides of the stem in its photograph an edge lies on.
         self.side = np.where(np.cos(edges.angle_rad - first[self.photo]) > 0.0, 1.0, -1.0)
         shape_std = s.hull_of_rough_bark * np.array(AxisSettings().shape_std)
-        self.design = design_matrix(edges.angle_rad, edges.height_m, len(shape_std))
+        self.shape = slice(AXIS, AXIS + 2 * len(shape_std))
+        degrees = np.degrees(edges.angle_rad)
+        self.sector = np.floor(degrees / (360.0 / NOISE_SECTORS)).astype(np.int64) % NOISE_SECTORS
+        own_sector = np.eye(NOISE_SECTORS)[self.sector]
+        self.design = np.hstack([design_matrix(edges.angle_rad, edges.height_m, len(shape_std)), own_sector])
         # Sums over the edges of each photograph, which every round needs, are taken of its rows in one piece.
         self.by_photo = np.argsort(self.photo, kind="stable")
         self.first_of_photo = np.searchsorted(self.photo[self.by_photo], np.arange(self.photos))
         self.design_by_photo = self.design[self.by_photo]
         shape = np.repeat(shape_std * radius_m, 2)
-        self.prior = 1.0 / np.r_[np.inf, s.taper_std, [s.place_std_m] * 2, [s.slope_std] * 2, shape] ** 2
+        sectors = np.full(NOISE_SECTORS, s.sector_m)
+        self.prior = 1.0 / np.r_[np.inf, s.taper_std, [s.place_std_m] * 2, [s.slope_std] * 2, shape, sectors] ** 2
         self.prior_mean = np.zeros(len(self.prior))
         self.prior_mean[1] = taper
 
@@ -223,8 +235,8 @@ class EdgeProblem:
         """Expectation-maximisation from ``start`` (radius and place) and a second harmonic, then with all harmonics."""
         edges, design = self.edges, self.design
         x = self.prior_mean.copy()
-        x[[0, 2, 3]], x[6:8] = start, oval
-        start_shape = np.r_[self.prior_mean[:6], x[6:]]
+        x[[0, 2, 3]], x[AXIS : AXIS + 2] = start, oval
+        start_shape = np.r_[self.prior_mean[:AXIS], x[AXIS:]]
         noise = LEAST_NOISE_M
         offset, offset_prior = np.zeros(self.photos), np.full(self.photos, OFFSET_FIRST_M**-2)
         for turn in range(ROUNDS):
@@ -234,7 +246,7 @@ class EdgeProblem:
             precision = weight / std**2
             prior, expected = self.prior.copy(), self.prior_mean
             if early:
-                prior[6:] *= ROUND_FIRST**2
+                prior[AXIS:] *= ROUND_FIRST**2
                 expected = start_shape
             told = np.bincount(self.photo, precision, self.photos)
             held = told + offset_prior
@@ -244,7 +256,8 @@ class EdgeProblem:
             residual = edges.support_m - design @ x
             offset = np.bincount(self.photo, precision * self.side * residual, self.photos) / held
             residual -= self.side * offset[self.photo]
-            free = float((told / held).sum())
+            of_sector = np.bincount(self.sector, precision, NOISE_SECTORS)
+            free = float((told / held).sum() + (of_sector / (of_sector + self.prior[-NOISE_SECTORS:])).sum())
             offset_prior = 2.0 / (self.s.offset_m**2 + offset**2)
             total = max(float(weight.sum()), 1.0)
             pixels = float((weight * self.pixel**2).sum()) * max(1.0 - free / total, 0.0)
@@ -262,7 +275,7 @@ class EdgeProblem:
             noise_m=noise,
             # The offsets' prior goes with the edges; beside the shape's it lost (docs/trials-accuracy.md).
             log_likelihood=log_likelihood - aside,
-            log_prior=-0.5 * float((self.prior[6:] * x[6:] ** 2).sum()),
+            log_prior=-0.5 * float((self.prior[AXIS:] * x[AXIS:] ** 2).sum()),
             precision=precision,
         )
 

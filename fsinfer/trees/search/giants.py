@@ -28,6 +28,9 @@ VOTES = 3.0
 #: Share of the girth seen, metres of supported height, share of the ring in a start, and of points well inside.
 #: Source: simulated stems of 1.4 to 2.4 m, seeds 43000 to 43011; a quarter of the girth tells a curve from a bank.
 LEAST_ARC, LEAST_LENGTH_M, LEAST_RING, MOST_FILLED = 0.25, 1.2, 0.15, 0.1
+#: A stem of the first search is thick from this radius on, metres. Source: renders only, seed 955025: an arc of shrubs
+#: with a radius of 59 cm, seen over 1.0 m and 65 degrees.
+THICK_M = 0.3
 #: Candidates looked at, strongest first: a hectare of giants has fewer. Source: numerics.
 MOST = 200
 
@@ -54,9 +57,12 @@ def find_giants(slab: Floats, stems: Sequence[Stem], spacing_m: float, s: StemSe
 
 
 def is_no_giant(stem: Stem, coverage: float, s: StemSettings) -> bool:
-    """Whether a stem that only the second search looks for shows less of its girth at breast height than it has to.
+    """Whether a thick stem shows less of its girth at breast height, and of its height, than it has to.
 
     ``coverage`` is the share that its section shows. Shrubs that stand in an arc pass for a part of a large circle
-    over some layers; where they have no diameter either, nothing is left of them.
+    over some layers; where they have no diameter either, nothing is left of them. Of stems that the first search looks
+    for as well, those are meant that are thick and not seen over the height that a giant has to have.
     """
-    return stem.axis.radius_m > s.radius_m[1] and coverage < LEAST_ARC
+    radius = stem.axis.radius_m
+    low = radius > THICK_M and stem.length_m < LEAST_LENGTH_M
+    return (radius > s.radius_m[1] or low) and coverage < LEAST_ARC

@@ -102,7 +102,7 @@ def test_a_fit_is_begun_where_the_stem_was_thought_to_be(
     edges = edges_of(0.34, 0.08, rays=14, reach_deg=120, junk=6.0, rng=np.random.default_rng(seed))
     fit = fit_silhouette(edges, asked, taper=TAPER, points=points)
     assert fit is not None
-    assert fit.radius_m == pytest.approx(0.34, abs=0.001)
+    assert fit.radius_m == pytest.approx(0.34, abs=0.002)
 
 
 def test_a_stem_seen_from_one_side_is_less_certain() -> None:

@@ -102,6 +102,22 @@ def test_a_haze_without_a_diameter_beside_a_stem_is_no_stem(
     assert numbers(one_entry_a_stem([stem, wall])[0]) == left
 
 
+@pytest.mark.parametrize(
+    ("gap_m", "noise_m", "by_points", "left"),
+    [(0.02, 0.012, None, [1]), (0.06, 0.012, None, [1, 2]), (0.02, 0.005, None, [1, 2]), (0.02, 0.012, 0.16, [1, 2])],
+)
+def test_a_haze_with_the_edges_of_the_stem_beside_it_is_no_stem(
+    gap_m: float, noise_m: float, by_points: float | None, left: list[int]
+) -> None:
+    """A wall whose points have no size, 1.2 cm from a stem of 17 cm, was given as 16 cm by its edges alone."""
+    stem, wall = entry(1, 0.0, 0.171), entry(2, 0.0855 + gap_m + 0.082, 0.164, sd_m=0.006)
+    pairs = [
+        (stem[0], replace(stem[1], silhouette=EDGES, cloud_dbh_m=0.163, coverage=0.8)),
+        (wall[0], replace(wall[1], silhouette=EDGES, cloud_dbh_m=by_points, coverage=0.5, residual_m=noise_m)),
+    ]
+    assert numbers(one_entry_a_stem(pairs)[0]) == left
+
+
 def test_what_a_person_put_there_stays() -> None:
     pairs = [entry(1, 0.0, 0.30), entry(2, 0.02, None)]
     assert numbers(one_entry_a_stem(pairs, kept={2})[0]) == [2]

@@ -27,7 +27,7 @@ def test_the_mean_of_the_support_all_round_is_what_a_tape_reads() -> None:
     assert 2.0 * stem.edges.support_m[breast].mean() == pytest.approx(stem.dbh_m, rel=0.005)
 
 
-@pytest.mark.parametrize("seed", [43246, 43252, 43318, 43362, 43365])
+@pytest.mark.parametrize("seed", [43246, 43252, 43318, 43354, 43365])
 def test_few_sides_stay_inside_the_interval_by_what_nobody_saw(seed: int) -> None:
     """Five of the stems of seeds 43200 to 43419 that were outside by less than unseen sides add."""
     stem = simulate_edges(seed, EdgeSpec(arc_deg=(5.0, 110.0)))

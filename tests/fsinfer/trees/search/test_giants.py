@@ -86,8 +86,8 @@ def test_what_is_no_giant_is_not_taken_for_one() -> None:
     assert sum(abs(np.hypot(tree.x_m - 16, tree.y_m - 10) - 1) < 0.1 for tree in found.trees) == 8
 
 
-@pytest.mark.parametrize(("dbh_m", "entries"), [(1.8, 0), (0.8, 1)])
-def test_of_a_giant_more_than_a_sliver_is_seen_at_breast_height(dbh_m: float, entries: int) -> None:
+@pytest.mark.parametrize(("dbh_m", "length_m", "entries"), [(1.8, 2.0, 0), (0.8, 2.0, 1), (0.8, 1.0, 0), (0.5, 1.0, 1)])
+def test_of_a_giant_more_than_a_sliver_is_seen_at_breast_height(dbh_m: float, length_m: float, entries: int) -> None:
     """A shrub that passed for a part of a large circle shows 12 degrees of it, and that no better than a shrub does."""
     rng = np.random.default_rng(43006)
     sliver = wall(rng, radius=dbh_m / 2, arc_deg=12.0, spacing_m=0.01)
@@ -96,7 +96,7 @@ def test_of_a_giant_more_than_a_sliver_is_seen_at_breast_height(dbh_m: float, en
     ground = np.column_stack([rng.uniform(-3.0, 3.0, (15_000, 2)) + AT, rng.normal(0, 0.01, 15_000)])
     points = np.concatenate([sliver, ground])
     axis = Axis(parameters=np.array([*AT, 0.0, 0.0, dbh_m / 2, 0.0]), height_m=1.3, sigma_m=0.012)
-    stem = Stem(axis=axis, bottom_m=0.5, top_m=2.5, length_m=2.0, arc_coverage=0.3, quality=1.0)
+    stem = Stem(axis=axis, bottom_m=0.5, top_m=2.5, length_m=length_m, arc_coverage=0.3, quality=1.0)
     search = StemSearch(stems=(stem,), candidates=1, rejected={}, spacing_m=0.01)
     found = measure_stems(points, search, find_ground(points), TreeSettings(), 0.0, np.zeros(3))
     assert [tree.dbh_cm for tree, _ in found] == [None] * entries
