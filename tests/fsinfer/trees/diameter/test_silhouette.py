@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from fsinfer.trees.diameter.edge_problem import Edges, SilhouetteSettings, Solution
+from fsinfer.trees.diameter.sides import NOISE_SECTORS
 from fsinfer.trees.diameter.silhouette import _spread_of_fits, _surer, edge_contrast, fit_silhouette
 from training.simulate.stem_edges import edges_from_rows
 
@@ -164,3 +165,25 @@ def test_other_summits_that_are_as_likely_are_in_the_interval() -> None:
     assert _spread_of_fits(best, [best, solution(0.20, -100.0)]) < 1e-4
     # Nor fits that ended a hair beside.
     assert _spread_of_fits(best, [best, solution(0.1541, 25.1), solution(0.1529, 25.1)]) == 0.0
+
+
+def test_a_few_edges_that_err_together_bend_no_shape() -> None:
+    """What shifts all edges that are seen from one side by 2 mm is told as that, not as a second harmonic."""
+    rng = np.random.default_rng(31)
+    off: dict[float, list[tuple[float, float]]] = {0.002: [], 1e-6: []}
+    for _ in range(12):
+        rows, shift = [], rng.normal(0, 0.002, NOISE_SECTORS)
+        for number, direction in enumerate(np.radians(np.arange(0.0, 80.0, 4.0))):
+            for side in (0, 1):
+                angle = float(direction + (np.pi / 2 if side else -np.pi / 2)) % (2 * np.pi)
+                for band in range(4):
+                    place = 0.18 + shift[int(angle / (2 * np.pi) * NOISE_SECTORS)] + rng.normal(0, 0.001)
+                    rows.append((place, angle, 0.1 * band - 0.15, 8.0, 0.001, (2 * number + side) * 4 + band, number))
+        for sector_m, errors in off.items():
+            settings = SilhouetteSettings(sector_m=sector_m)
+            fit = fit_silhouette(edges_from_rows(rows), 0.18, taper=0.0, settings=settings)
+            assert fit is not None
+            errors.append((fit.radius_m - 0.18, fit.std_m))
+    with_them, without = np.array(off[0.002]), np.array(off[1e-6])
+    assert np.sqrt((with_them[:, 0] ** 2).mean()) < 0.8 * np.sqrt((without[:, 0] ** 2).mean())
+    assert (np.abs(with_them[:, 0]) < 2.5 * with_them[:, 1]).all()
