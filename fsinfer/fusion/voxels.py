@@ -171,9 +171,12 @@ class VoxelMerger:
     def _merge(self) -> None:
         if not self._waiting:
             return
-        joined = join(self._merged + self._waiting)
-        self._waiting = []
-        merged = merge_voxels(joined, self.voxel)
+        parts = self._merged + self._waiting
+        self._merged, self._waiting = [], []
+        merged = join(parts)
+        # What is merged is not kept beside it: millions of points, and here is the peak of fusion's memory.
+        del parts
+        merged = merge_voxels(merged, self.voxel)
         while len(merged) > self._max_points:
             self.voxel *= _GROWTH * (len(merged) / self._max_points) ** 0.5
             merged = merge_voxels(merged, self.voxel)

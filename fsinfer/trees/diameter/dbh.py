@@ -32,7 +32,7 @@ from fsinfer.trees.diameter.circle import LEAST_POINTS, covered_bins
 from fsinfer.trees.diameter.double_wall import blurred_gap, wall_gap
 from fsinfer.trees.diameter.outline import fit_outline
 from fsinfer.trees.diameter.roundness import roundness
-from fsinfer.trees.diameter.section import Section, unmeasured_section
+from fsinfer.trees.diameter.section import Section, as_searched, unmeasured_section
 from fsinfer.trees.diameter.slice import SliceSettings, fit_slice
 from fsinfer.trees.diameter.spread import Spread, SpreadSettings, fit_spread
 from fsinfer.trees.diameter.tapered_fit import joint_fits
@@ -225,7 +225,7 @@ def _section(
     if not reasons:
         reasons = _doubts(coverage, 2.0 * radius, half, off, ground_noise_m, s)
         status = "doubtful" if reasons else "ok"
-    return Section(
+    measured = Section(
         center=fit.center_at(height),
         bh_m=height,
         dbh_m=None if status == "unmeasured" else 2.0 * radius,
@@ -251,6 +251,7 @@ def _section(
         by_taper_m=radius - at_measured,
         roundness=roundness(fit, spread),
     )
+    return as_searched(measured, stem.axis) if astray else measured
 
 
 def _girth_factor(fit: AxisFit, spread: Spread) -> float:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.notices.notice import Notice
+from fsinfer.trees.cylinder.axis import Axis
 from fsinfer.trees.diameter.budget import factor95
 from fsinfer.trees.diameter.outline import Outline
 from fsinfer.trees.diameter.roundness import Roundness
@@ -107,4 +108,22 @@ def unmeasured_section(
         circle_m=np.array([0.0, 0.0, radius_m]),
         half_slice_m=half_slice_m,
         outline=None,
+    )
+
+
+def as_searched(section: Section, axis: Axis) -> Section:
+    """A section without a DBH, about the ``axis`` that the search had found.
+
+    A fit that has left what was searched for has its centre and radius anywhere; photographs are to be asked for the
+    stem where the search saw it.
+    """
+    center = axis.center_at(section.bh_m)
+    return replace(
+        section,
+        center=center,
+        slope=axis.parameters[2:4],
+        taper=float(axis.parameters[5]),
+        lean_deg=axis.lean_deg,
+        circle_m=np.array([0.0, 0.0, axis.radius_m + axis.parameters[5] * (section.bh_m - axis.height_m)]),
+        offsets_m=section.offsets_m + (section.center - center),
     )

@@ -175,3 +175,18 @@ def test_an_interval_of_more_than_a_fifth_is_doubted_and_one_of_more_than_three_
     assert (why.code, dict(why.values)) == (StemCode.too_uncertain, {"dbh_cm": 30.0, "half_width_cm": 12.0})
     (why,) = wide_interval(dbh_m, 0.06, s)
     assert (why.code, dict(why.values)) == (StemCode.wide_interval, {"half_width_cm": 6.0})
+
+
+def test_of_a_fit_that_left_what_was_searched_for_the_place_and_size_of_the_search_stay() -> None:
+    """Far views had an arc of 20 cm round the place of a stem of 8 cm; its edges were looked for 20 cm beside it."""
+    axis = Axis(parameters=np.array([0.03, -0.02, 0.01, 0.0, 0.12, -0.01]), height_m=1.5, sigma_m=0.03)
+    stem = Stem(axis=axis, bottom_m=0.5, top_m=2.5, length_m=2.0, arc_coverage=1.0, quality=1.0)
+    points = points_of(0.2)
+    (section,) = measure_together([points], [stem])
+    assert codes(section) == {StemCode.not_round}
+    np.testing.assert_allclose(section.center, [0.03 - 0.2 * 0.01, -0.02])
+    assert float(section.circle_m[2]) == pytest.approx(0.122)
+    assert section.taper == -0.01
+    # What is drawn of it stays where the points are.
+    drawn = section.offsets_m + section.center
+    assert np.hypot(*drawn.T).mean() == pytest.approx(0.2, abs=0.003)
