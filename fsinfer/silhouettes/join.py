@@ -115,6 +115,18 @@ def measure_silhouettes(
             else:
                 pairs.append(by_points_alone(tree, section, s.points_alone_factor, dbh=dbh))
             continue
+        supported = is_supported(
+            section,
+            points_std(section, s),
+            looked,
+            fit,
+            silhouette=s.fit,
+            settings=s.support,
+            gate=s.combine.gate,
+        )
+        if not supported and tree.tree_id not in kept and _shows_no_edges_all_round(tree, looked, fit.contrast, s):
+            shrubs.append(tree)
+            continue
         if figures is not None:
             names = [photos.scene.views[strip.photo].name for strip in looked.strips]
             draw_strips(figures / f"tree_{tree.tree_id:03d}_edges.png", looked.strips, names, looked.stem, fit)
@@ -128,15 +140,7 @@ def measure_silhouettes(
             scale_rel_std=scale_rel_std,
             dbh=dbh,
             settings=s,
-            supported=is_supported(
-                section,
-                points_std(section, s),
-                looked,
-                fit,
-                silhouette=s.fit,
-                settings=s.support,
-                gate=s.combine.gate,
-            ),
+            supported=supported,
             pose_std_m=pose_std_m,
         )
         pairs.append((_tree(tree, joined, stem, fit), joined))
@@ -189,7 +193,17 @@ def _is_shrub(tree: Tree, looked: Looked, s: SilhouetteJoinSettings) -> bool:
     least = s.many_contrast if photos >= s.many_photos else s.shrub_contrast
     if _is_sizeless(tree):
         least = max(least, s.sizeless_contrast)
-    return edge_contrast(edges, stem.radius_m, taper=stem.taper, settings=s.fit) < least
+    contrast = edge_contrast(edges, stem.radius_m, taper=stem.taper, settings=s.fit)
+    return contrast < least or _shows_no_edges_all_round(tree, looked, contrast, s)
+
+
+def _shows_no_edges_all_round(tree: Tree, looked: Looked, contrast: float, s: SilhouetteJoinSettings) -> bool:
+    """Whether the points show most of a girth but no size, and many photographs no edges of it that stand out.
+
+    A stem that is seen from all those sides has edges from several.
+    """
+    many = len(np.unique(looked.fitted.photo)) >= s.shrub_photos
+    return many and tree.status == "unmeasured" and tree.arc_coverage >= s.all_round and contrast < s.all_round_contrast
 
 
 def _is_sizeless(tree: Tree) -> bool:

@@ -73,9 +73,13 @@ def is_supported(
     if section.dbh_m is not None:
         return True
     stem = looked.stem
-    pair = second_pair(looked.edges, stem.radius_m, taper=stem.taper, silhouette=silhouette, settings=s.second)
-    enough = s.half_points_std if pair.weak else s.points_std
-    return pair.agree or points_support(section, points_std_m, fit, enough, gate=gate)
+    # Small pictures of the stem may be what lacks for a second pair, or what spoils it.
+    seen = [looked.edges] if looked.fitted is looked.edges else [looked.edges, looked.fitted]
+    pairs = [
+        second_pair(edges, stem.radius_m, taper=stem.taper, silhouette=silhouette, settings=s.second) for edges in seen
+    ]
+    enough = s.half_points_std if any(pair.weak for pair in pairs) else s.points_std
+    return any(pair.agree for pair in pairs) or points_support(section, points_std_m, fit, enough, gate=gate)
 
 
 def points_support(

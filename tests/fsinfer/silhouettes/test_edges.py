@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter1d
 
 from fsinfer.depth.maps import DepthMaps, seen_and_hidden
 from fsinfer.io.images import write_image
@@ -85,6 +86,27 @@ def test_the_strongest_edges_are_where_rays_graze_the_stem(tmp_path: Path, units
         away = np.angle(np.exp(1j * (edges.angle_rad[own] - towards)))
         assert (away > 0).sum() == (away < 0).sum()
         np.testing.assert_allclose(np.abs(away), spread, atol=0.001)
+
+
+def test_a_blur_of_light_moves_edges_into_a_dark_stem_where_grey_values_are_looked_at(tmp_path: Path) -> None:
+    """A lens blurs light; in the photograph's grey values the middle of the edge lies on the dark side."""
+    scene = write_plot(tmp_path)
+    fine = (np.arange(WIDTH * 8) + 0.5) / 8 - 0.5
+    half_px = FOCAL * np.tan(np.arcsin(RADIUS / DISTANCE_M))
+    light = np.where(np.abs(fine - 149.5) <= half_px, 40.0, 200.0) ** 2.2
+    light = gaussian_filter1d(light, 8 * 1.5, mode="nearest").reshape(WIDTH, 8).mean(axis=1)
+    row = np.repeat(light[:, None] ** (1 / 2.2), 3, axis=1)
+    for index in range(2):
+        write_image(tmp_path / "images" / f"p{index}.png", np.rint(np.tile(row, (HEIGHT, 1, 1))).astype(np.uint8))
+    reach = {}
+    for power in (1.0, 1.5, 2.2):
+        settings = EdgeSettings(light_power=power)
+        (edges,) = find_edges([STEM], scene, DepthMaps(scene, tmp_path), np.eye(4), settings=settings)
+        reach[power] = float(np.median(edges.support_m)) - RADIUS
+    pixel = DISTANCE_M / FOCAL
+    assert reach[2.2] == pytest.approx(0.0, abs=0.07 * pixel)
+    assert reach[1.0] < -0.3 * pixel
+    assert reach[1.0] < reach[1.5] < reach[2.2]
 
 
 @pytest.mark.parametrize(("screen", "seen"), [(0.1, True), (0.4, False), (1.0, False)])

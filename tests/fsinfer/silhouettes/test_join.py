@@ -23,10 +23,12 @@ from fsinfer.silhouettes.join import StemPhotos, measure_silhouettes, write_sour
 from fsinfer.silhouettes.join_settings import SilhouetteJoinSettings
 from fsinfer.silhouettes.joined_section import join
 from fsinfer.silhouettes.strips import GAP_PX, TILE_PX
+from fsinfer.silhouettes.support import SupportSettings
 from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
 from fsinfer.trees.diameter.budget import factor95
 from fsinfer.trees.diameter.edge_problem import Edges
 from fsinfer.trees.diameter.roundness import Harmonic, Roundness, misfit_std
+from fsinfer.trees.diameter.second_pair import SecondPairSettings
 from fsinfer.trees.diameter.silhouette import SilhouetteFit, fit_silhouette
 from tests.support.rendered_stem import (
     BREAST,
@@ -558,7 +560,7 @@ def test_photographs_lift_the_doubts_of_the_cloud_but_not_that_of_its_height() -
     assert (found.status, found.reasons) == ("ok", ())
 
 
-@pytest.mark.parametrize(("dbh", "sides"), [(0.285, 6), (0.30, 7)], ids=["as thought", "looked at again"])
+@pytest.mark.parametrize(("dbh", "sides"), [(0.285, 6), (0.31, 8)], ids=["as thought", "looked at again"])
 def test_sheet_of_strips_shows_the_edges_where_the_stem_ends(
     photos: StemPhotos, tmp_path: Path, dbh: float, sides: int
 ) -> None:
@@ -577,7 +579,7 @@ def test_sheet_of_strips_shows_the_edges_where_the_stem_ends(
             if part.min() > 250:
                 continue  # an empty place at the end
             shown += 1
-            between = part[:, at.min() + 6 : at.max() - 5].reshape(-1, 3)
+            between = part[:, at.min() + 7 : at.max() - 6].reshape(-1, 3)
             outside = np.concatenate([part[:, : at.min() - 6], part[:, at.max() + 7 :]], axis=1).reshape(-1, 3)
             # Bark is reddish, the background is not.
             assert ((between[:, 0] - between[:, 1]) > 0).mean() > 0.97
@@ -626,6 +628,26 @@ def test_a_doubtful_stem_that_many_photographs_do_not_show_is_a_shrub(photos: St
         often = replace(few, shrub_contrast=0.0, many_photos=many, many_contrast=99.0)
         assert bool(measure_silhouettes(doubtful, shrub, settings=often).trees) is stays
         assert len(measure_silhouettes(doubtful, photos, settings=often).trees) == 1
+
+
+@pytest.mark.parametrize(
+    ("sides", "contrast", "supported", "stays"),
+    [(0.7, 9.0, False, False), (0.5, 9.0, False, True), (0.7, 1.0, False, True), (0.7, 9.0, True, True)],
+)
+def test_what_is_seen_all_round_without_a_size_has_edges_or_is_a_shrub(
+    photos: StemPhotos, sides: float, contrast: float, supported: bool, stays: bool
+) -> None:
+    """Of its edges some 19 cm apart nothing else had the size."""
+    nothing_beside = SupportSettings(points_std=0.0, half_points_std=0.0, second=SecondPairSettings(min_contrast=9.0))
+    settings = SilhouetteJoinSettings(
+        shrub_photos=PHOTOS,
+        all_round_contrast=contrast,
+        support=SupportSettings() if supported else nothing_beside,
+    )
+    plot = plot_of(section_of(None, 0.02, notice(StemCode.too_uncertain, dbh_cm=11.0, half_width_cm=4.0)))
+    plot = replace(plot, trees=tuple(replace(tree, arc_coverage=sides) for tree in plot.trees))
+    assert bool(measure_silhouettes(plot, photos, settings=settings).trees) is stays
+    assert len(measure_silhouettes(plot, photos, settings=settings, kept={1}).trees) == 1
 
 
 def rms(values: list[float]) -> float:

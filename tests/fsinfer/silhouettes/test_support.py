@@ -16,7 +16,7 @@ from fsinfer.trees.diameter.edge_problem import Edges, SilhouetteSettings
 from fsinfer.trees.diameter.section import unmeasured_section
 from fsinfer.trees.diameter.silhouette import fit_silhouette
 from tests.fsinfer.silhouettes.test_looks import NOWHERE, UPRIGHT, fit_of
-from tests.fsinfer.trees.diameter.test_second_pair import edges_of
+from tests.fsinfer.trees.diameter.test_second_pair import edges_of, together
 
 SEEN_LITTLE = notice(StemCode.too_little_seen, seen_deg=50.0)
 
@@ -97,3 +97,16 @@ def test_what_the_cloud_measured_needs_no_support() -> None:
     looked = seen_from(NARROW)
     section = replace(refused(0.065), dbh_m=0.13)
     assert is_supported(section, 1.0, looked, fit_of(0.06, 0.002), silhouette=SilhouetteSettings())
+
+
+def test_small_pictures_that_spoil_a_second_pair_are_left_out_of_it() -> None:
+    """All photographs beside those that show the stem large: the others have their edges anywhere."""
+    large = seen_from(WIDE)
+    rng = np.random.default_rng(5)
+    small = edges_of(0.06, [-40.0, -35.0, *np.arange(100.0, 150.0, 5.0)], rng=rng, photo=20)
+    small = replace(small, support_m=rng.uniform(0.0, 0.15, len(small.ray)))
+    spoilt = replace(large, edges=together(large.edges, small))
+    section = refused(0.2, notice(StemCode.double_wall, gap_cm=3.0))
+    assert large.fit is not None
+    for looked, supported in ((large, True), (spoilt, True), (replace(spoilt, fitted=spoilt.edges), False)):
+        assert is_supported(section, 0.01, looked, large.fit, silhouette=SilhouetteSettings()) is supported

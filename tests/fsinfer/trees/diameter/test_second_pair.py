@@ -150,3 +150,18 @@ def test_one_photograph_and_no_edges_agree_with_nothing() -> None:
     assert not second_pair(edges, 0.12, taper=TAPER).agree
     none = replace(edges, **{name: getattr(edges, name)[:0] for name in vars(edges)})
     assert not second_pair(none, 0.12, taper=TAPER).agree
+
+
+@pytest.mark.parametrize(("kept", "weak", "agree"), [(1.0, False, True), (0.65, True, False), (0.45, False, False)])
+def test_two_thirds_of_the_rays_from_far_enough_apart_are_half_a_support(kept: float, weak: bool, agree: bool) -> None:
+    """Of the second part that share of the rays has the stem's edge, the others have theirs anywhere."""
+    rng = np.random.default_rng(20)
+    one = edges_of(0.06, [0.0, 3.0, 6.0, 9.0, 12.0, 15.0], rng=rng)
+    other = edges_of(0.06, [70.0, 73.0, 76.0, 79.0, 82.0, 85.0], rng=rng, photo=10)
+    lost = np.isin(other.ray, rng.permutation(np.unique(other.ray))[round(kept * 36) :])
+    support = np.where(lost, rng.uniform(0.10, 0.14, len(lost)), other.support_m)
+    # Two thirds are enough where both parts find the stem: not here.
+    found = second_pair(
+        together(one, replace(other, support_m=support)), 0.06, taper=TAPER, settings=SecondPairSettings(both_share=0.7)
+    )
+    assert (found.weak, found.agree) == (weak, agree)
