@@ -200,9 +200,12 @@ def _is_shrub(tree: Tree, looked: Looked, s: SilhouetteJoinSettings) -> bool:
 def _shows_no_edges_all_round(tree: Tree, looked: Looked, contrast: float, s: SilhouetteJoinSettings) -> bool:
     """Whether the points show most of a girth but no size, and many photographs no edges of it that stand out.
 
-    A stem that is seen from all those sides has edges from several.
+    A stem that is seen from all those sides has edges from several. Photographs count that show it large: of a thin
+    stem far away they say little.
     """
-    many = len(np.unique(looked.fitted.photo)) >= s.shrub_photos
+    edges = looked.fitted
+    large = edges.photo[edges.pixel_m * s.all_round_px <= looked.stem.radius_m]
+    many = len(np.unique(large)) >= s.shrub_photos
     return many and tree.status == "unmeasured" and tree.arc_coverage >= s.all_round and contrast < s.all_round_contrast
 
 

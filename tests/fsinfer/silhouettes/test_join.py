@@ -631,17 +631,24 @@ def test_a_doubtful_stem_that_many_photographs_do_not_show_is_a_shrub(photos: St
 
 
 @pytest.mark.parametrize(
-    ("sides", "contrast", "supported", "stays"),
-    [(0.7, 9.0, False, False), (0.5, 9.0, False, True), (0.7, 1.0, False, True), (0.7, 9.0, True, True)],
+    ("sides", "contrast", "supported", "least_px", "stays"),
+    [
+        (0.7, 9.0, False, 6.0, False),
+        (0.5, 9.0, False, 6.0, True),
+        (0.7, 1.0, False, 6.0, True),
+        (0.7, 9.0, True, 6.0, True),
+        (0.7, 9.0, False, 60.0, True),  # too small in the photographs
+    ],
 )
 def test_what_is_seen_all_round_without_a_size_has_edges_or_is_a_shrub(
-    photos: StemPhotos, sides: float, contrast: float, supported: bool, stays: bool
+    photos: StemPhotos, sides: float, contrast: float, supported: bool, least_px: float, stays: bool
 ) -> None:
     """Of its edges some 19 cm apart nothing else had the size."""
     nothing_beside = SupportSettings(points_std=0.0, half_points_std=0.0, second=SecondPairSettings(min_contrast=9.0))
     settings = SilhouetteJoinSettings(
         shrub_photos=PHOTOS,
         all_round_contrast=contrast,
+        all_round_px=least_px,
         support=SupportSettings() if supported else nothing_beside,
     )
     plot = plot_of(section_of(None, 0.02, notice(StemCode.too_uncertain, dbh_cm=11.0, half_width_cm=4.0)))
