@@ -51,8 +51,8 @@ class EdgeSettings:
     ----------
     light_power: edges are looked for in grey values, 0 to 1, to this power. Blur of lens and motion mixes light, which
         is their power of 2.2; making smaller, sharpening and tone mapping mix the values themselves. In the values a
-        dark stem before a bright wood comes out too thin, in light too thick. Source: renders only, undergrown plots
-        of seeds 955025 to 955027: bias of the edges -0.13, -0.10 and -0.13 cm at 1, 0.00 to -0.02 at 1.6, +0.10 at 2.2.
+        dark stem before a bright wood comes out too thin, in light too thick. Source: renders only, 1.5 is better on
+        three undergrown plots with a phone's blur and worse on two without any (docs/trials-accuracy.md).
     half_length_m: of the strip: long enough to average, short enough for a straight axis. Source: renders only, strips
         of 30 to 80 cm are all the same (docs/accuracy.md).
     band_m: in which gradients are averaged, a sixth of the strip. Source: renders only, two renders.
@@ -73,7 +73,7 @@ class EdgeSettings:
     tolerance_of_depth: of the depth map, share of the depth. Source: renders only, two renders.
     """
 
-    light_power: float = 1.5
+    light_power: float = 1.0
     half_length_m: float = 0.25
     band_m: float = 0.0834
     margin: float = 1.6
