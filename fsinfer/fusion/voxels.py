@@ -171,11 +171,9 @@ class VoxelMerger:
     def _merge(self) -> None:
         if not self._waiting:
             return
-        parts = self._merged + self._waiting
+        merged = join(self._merged + self._waiting)
+        # What was joined is not kept beside it: millions of points, and here is the peak of fusion's memory.
         self._merged, self._waiting = [], []
-        merged = join(parts)
-        # What is merged is not kept beside it: millions of points, and here is the peak of fusion's memory.
-        del parts
         merged = merge_voxels(merged, self.voxel)
         while len(merged) > self._max_points:
             self.voxel *= _GROWTH * (len(merged) / self._max_points) ** 0.5

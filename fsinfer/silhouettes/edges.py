@@ -284,7 +284,9 @@ def _candidates(strip: Strip, stem: StemAxis, s: EdgeSettings) -> Floats:
     """Rows of support, angle, strength, side, height, pixel, photo and band for every edge of a strip."""
     step = strip.offsets_m[1] - strip.offsets_m[0]
     samples_per_px = strip.pixel_m / step
-    light = WHITE * (strip.image / WHITE) ** np.float32(s.light_power)
+    light = strip.image
+    if s.light_power != 1.0:  # a power of every sample is dear
+        light = WHITE * (light / WHITE) ** np.float32(s.light_power)
     gradient = samples_per_px * gaussian_filter1d(light, s.blur_px * samples_per_px, axis=1, order=1, mode="nearest")
     band = np.floor((strip.heights_m + s.half_length_m) / s.band_m).astype(np.int64)
     means, heights = [], []

@@ -75,11 +75,14 @@ def is_supported(
     stem = looked.stem
     # Small pictures of the stem may be what lacks for a second pair, or what spoils it.
     seen = [looked.edges] if looked.fitted is looked.edges else [looked.edges, looked.fitted]
-    pairs = [
-        second_pair(edges, stem.radius_m, taper=stem.taper, silhouette=silhouette, settings=s.second) for edges in seen
-    ]
-    enough = s.half_points_std if any(pair.weak for pair in pairs) else s.points_std
-    return any(pair.agree for pair in pairs) or points_support(section, points_std_m, fit, enough, gate=gate)
+    enough = s.points_std
+    for edges in seen:
+        pair = second_pair(edges, stem.radius_m, taper=stem.taper, silhouette=silhouette, settings=s.second)
+        if pair.agree:
+            return True
+        if pair.weak:
+            enough = s.half_points_std
+    return points_support(section, points_std_m, fit, enough, gate=gate)
 
 
 def points_support(

@@ -95,6 +95,10 @@ class Axis:
         """Angle between the axis and the vertical."""
         return float(np.degrees(np.arctan(np.hypot(self.parameters[2], self.parameters[3]))))
 
+    def radius_at(self, height_m: float) -> float:
+        """Radius at ``height_m`` by the taper."""
+        return float(self.radius_m + self.parameters[5] * (height_m - self.height_m))
+
     def center_at(self, height_m: float) -> Floats:
         """Axis position (2,) where it passes ``height_m``."""
         return np.asarray(self.parameters[:2] + self.parameters[2:4] * (height_m - self.height_m))

@@ -131,7 +131,7 @@ def measure_together(
         height = float(np.clip(bh_m, lowest, max(stem.top_m - LAYER_M, lowest)))
         start = stem.axis.parameters.copy()
         start[:2] = stem.axis.center_at(height)
-        start[4] = max(stem.axis.radius_m + start[5] * (height - stem.axis.height_m), LEAST_RADIUS_M)
+        start[4] = max(stem.axis.radius_at(height), LEAST_RADIUS_M)
         starts[k], heights[k] = start, height
     sigmas = np.array([stem.axis.sigma_m for stem in stems])
     noises = np.broadcast_to(np.asarray(ground_noise_m, dtype=np.float64), len(stems)).tolist()

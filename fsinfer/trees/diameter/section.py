@@ -124,6 +124,6 @@ def as_searched(section: Section, axis: Axis) -> Section:
         slope=axis.parameters[2:4],
         taper=float(axis.parameters[5]),
         lean_deg=axis.lean_deg,
-        circle_m=np.array([0.0, 0.0, axis.radius_m + axis.parameters[5] * (section.bh_m - axis.height_m)]),
+        circle_m=np.array([0.0, 0.0, axis.radius_at(section.bh_m)]),
         offsets_m=section.offsets_m + (section.center - center),
     )

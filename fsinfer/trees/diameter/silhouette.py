@@ -119,12 +119,11 @@ def fit_silhouette(
     if used.sum() < s.min_edges or weight.sum() < s.min_share * problem.rays:
         return None
     # Edges seen under about the same angle err together: bark is no smooth curve.
-    all_round = NOISE_SECTORS
-    sector = np.floor(np.degrees(edges.angle_rad[used]) / (360.0 / all_round)).astype(np.int64) % all_round
+    sector = problem.sector[used]
     covariance = np.asarray(np.linalg.inv(best.information), np.float64)
     variance, dof = _clustered_variance(covariance, best.scores[used], sector, problem.prior)
     x = best.x
-    sectors = len(np.unique(sector)) / all_round
+    sectors = len(np.unique(sector)) / NOISE_SECTORS
     parts = {
         "edges": float(np.sqrt(variance)),
         "common": s.common_px * float(np.median(edges.pixel_m[used])),

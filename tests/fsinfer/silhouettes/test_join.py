@@ -579,7 +579,7 @@ def test_sheet_of_strips_shows_the_edges_where_the_stem_ends(
             if part.min() > 250:
                 continue  # an empty place at the end
             shown += 1
-            between = part[:, at.min() + 7 : at.max() - 6].reshape(-1, 3)
+            between = part[:, at.min() + 6 : at.max() - 5].reshape(-1, 3)
             outside = np.concatenate([part[:, : at.min() - 6], part[:, at.max() + 7 :]], axis=1).reshape(-1, 3)
             # Bark is reddish, the background is not.
             assert ((between[:, 0] - between[:, 1]) > 0).mean() > 0.97
