@@ -28,14 +28,15 @@ from fsinfer.scene import Scene
 from fsinfer.silhouettes.edges import StemAxis
 from fsinfer.silhouettes.join_settings import SilhouetteJoinSettings
 from fsinfer.silhouettes.joined_section import join, points_std
-from fsinfer.silhouettes.looks import Looked, look_at_stems
+from fsinfer.silhouettes.looks import look_at_stems
 from fsinfer.silhouettes.points_alone import by_points_alone
 from fsinfer.silhouettes.pose_errors import radius_std
+from fsinfer.silhouettes.shrubs import is_arc_of_haze, is_shrub, shows_no_edges_all_round
 from fsinfer.silhouettes.strips import draw_strips
 from fsinfer.silhouettes.support import is_supported
 from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
 from fsinfer.trees.cylinder.axis import LEAST_RADIUS_M
-from fsinfer.trees.diameter.silhouette import SilhouetteFit, edge_contrast
+from fsinfer.trees.diameter.silhouette import SilhouetteFit
 from fsinfer.trees.measure import trees_found
 from fsinfer.trees.one_entry import one_entry_a_stem
 from fsinfer.trees.stem_measurement import with_diameter
@@ -110,10 +111,15 @@ def measure_silhouettes(
     for tree, section, stem, looked in zip(result.trees, result.sections, stems, found, strict=True):
         fit = looked.fit
         if fit is None or not looked.clear(s.looks):
-            if fit is None and tree.tree_id not in kept and _is_shrub(tree, looked, s):
+            alone = by_points_alone(tree, section, s.points_alone_factor, dbh=dbh)
+            if (
+                fit is None
+                and tree.tree_id not in kept
+                and (is_shrub(tree, looked, s) or is_arc_of_haze(alone[0], looked))
+            ):
                 shrubs.append(tree)
             else:
-                pairs.append(by_points_alone(tree, section, s.points_alone_factor, dbh=dbh))
+                pairs.append(alone)
             continue
         supported = is_supported(
             section,
@@ -124,7 +130,7 @@ def measure_silhouettes(
             settings=s.support,
             gate=s.combine.gate,
         )
-        if not supported and tree.tree_id not in kept and _shows_no_edges_all_round(tree, looked, fit.contrast, s):
+        if not supported and tree.tree_id not in kept and shows_no_edges_all_round(tree, looked, fit.contrast, s):
             shrubs.append(tree)
             continue
         if figures is not None:
@@ -183,37 +189,6 @@ def _tree(tree: Tree, section: Section, stem: StemAxis, fit: SilhouetteFit) -> T
     first, second = stem.across
     moved = stem.breast + fit.shift_m[0] * first + fit.shift_m[1] * second
     return with_diameter(replace(tree, x_m=float(moved[0]), y_m=float(moved[1])), section)
-
-
-def _is_shrub(tree: Tree, looked: Looked, s: SilhouetteJoinSettings) -> bool:
-    stem, edges = looked.stem, looked.fitted
-    photos = len(np.unique(edges.photo))
-    if tree.status == "ok" or photos < s.shrub_photos:
-        return False
-    least = s.many_contrast if photos >= s.many_photos else s.shrub_contrast
-    if _is_sizeless(tree):
-        least = max(least, s.sizeless_contrast)
-    contrast = edge_contrast(edges, stem.radius_m, taper=stem.taper, settings=s.fit)
-    return contrast < least or _shows_no_edges_all_round(tree, looked, contrast, s)
-
-
-def _shows_no_edges_all_round(tree: Tree, looked: Looked, contrast: float, s: SilhouetteJoinSettings) -> bool:
-    """Whether the points show most of a girth but no size, and many photographs no edges of it that stand out.
-
-    A stem that is seen from all those sides has edges from several. Photographs count that show it large: of a thin
-    stem far away they say little.
-    """
-    edges = looked.fitted
-    large = edges.photo[edges.pixel_m * s.all_round_px <= looked.stem.radius_m]
-    many = len(np.unique(large)) >= s.shrub_photos
-    return many and tree.status == "unmeasured" and tree.arc_coverage >= s.all_round and contrast < s.all_round_contrast
-
-
-def _is_sizeless(tree: Tree) -> bool:
-    """Whether the points leave the diameter open by more than the diameter itself."""
-    said = [reason.values for reason in tree.reasons if reason.code == StemCode.too_uncertain]
-    sizes = [(values["half_width_cm"], values["dbh_cm"]) for values in said]
-    return any(isinstance(half, float) and isinstance(dbh, float) and half > dbh for half, dbh in sizes)
 
 
 def _shrub_warning(shrubs: Sequence[Tree]) -> tuple[Notice, ...]:

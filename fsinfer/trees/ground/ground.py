@@ -97,9 +97,10 @@ def find_ground(points: Floats, *, settings: GroundSettings | None = None, seed:
     seen = lowest_cells(points, settings or GroundSettings())
     settings, origin, shape, index, reachable = seen.settings, seen.origin, seen.shape, seen.index, seen.reachable
     x, y, z = seen.columns
-    cell, low, known = seen.cell[reachable], seen.low[reachable], support(seen.count[reachable], settings)
+    cell, low = seen.cell[reachable], seen.low[reachable]
+    known, known_finely = (support(seen.count[reachable], share) for share in settings.well_seen)
     known_by_cell = np.zeros(shape[0] * shape[1])
-    known_by_cell[cell] = known
+    known_by_cell[cell] = known_finely
     center = origin + settings.cell_m * (np.column_stack([cell % shape[1], cell // shape[1]]) + 0.5)
     plane = _ransac_plane(center, low, settings, np.random.default_rng(seed))
     relative = low - (center @ plane[:2] + plane[2])
@@ -108,6 +109,7 @@ def find_ground(points: Floats, *, settings: GroundSettings | None = None, seed:
     plane_share = float(np.mean(np.abs(relative) <= settings.plane_tolerance_m))
     low_enough = opened(cell, relative, shape, settings)
     surface = smooth_surface(cell, relative, shape, settings.smoothness[0], start=low_enough, support=known)
+    stiff = (surface, settings.hold)
     # A mound or a terrace that few cells show is relief all the same, and a stem may stand on it.
     on_plane = np.abs(surface.ravel()[cell]).max() <= settings.plane_tolerance_m
     use_raster = not (plane_share >= settings.plane_share and on_plane)
@@ -131,7 +133,9 @@ def find_ground(points: Floats, *, settings: GroundSettings | None = None, seed:
     if use_raster:
         for _ in range(settings.rounds):
             known = known_by_cell[used]
-            surface = smooth_surface(used, heights, shape, settings.smoothness[1], symmetric=True, support=known)
+            surface = smooth_surface(
+                used, heights, shape, settings.smoothness[1], symmetric=True, support=known, held_to=stiff
+            )
             band = np.flatnonzero(np.abs(above - surface.ravel().take(index)) <= reach)
             used, heights = cell_medians(index.take(band), above.take(band))
     elif len(used) >= 3:

@@ -139,14 +139,14 @@ def _lowest_layers(index: Ints, z: Floats, settings: GroundSettings) -> tuple[In
     return cell[found], center, joined[found]
 
 
-def support(count: Floats, settings: GroundSettings) -> Floats:
-    """What cells with so many points (C,) count beside a well seen one, 0 to 1.
+def support(count: Floats, well_seen: float) -> Floats:
+    """What cells with so many points (C,) count beside one with ``well_seen`` times those of the median one, 0 to 1.
 
     At the border of a plot a handful of points of leaves and haze is all there is, beside thousands elsewhere.
     """
     if len(count) == 0:
         return count
-    return np.asarray(np.minimum(1.0, count / max(settings.well_seen * float(np.median(count)), 1.0)))
+    return np.asarray(np.minimum(1.0, count / max(well_seen * float(np.median(count)), 1.0)))
 
 
 def cell_medians(index: Ints, z: Floats) -> tuple[Ints, Floats]:

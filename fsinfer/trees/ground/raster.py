@@ -82,14 +82,19 @@ def smooth_surface(
     symmetric: bool = False,
     start: Floats | None = None,
     support: Floats | None = None,
+    held_to: tuple[Floats, float] | None = None,
 ) -> Floats:
     """Penalised least squares surface (H, W) through the heights (C,) of cells; asymmetric unless ``symmetric``.
 
     ``cell`` (C,) are numbers of cells by row, ``smoothness`` the weight of squared second differences against a cell.
     ``start`` (H, W) is a first guess, 0 without one; an asymmetric surface leaves a wrong one only slowly. ``support``
-    (C,), 0 to 1, is how much each cell counts.
+    (C,), 0 to 1, is how much each cell counts. ``held_to`` is a surface (H, W) and a weight, against one cell's, that
+    this one keeps to it with: where nothing was seen it returns there instead of going on as steep as it began.
     """
-    equations = _Equations(shape, smoothness)
+    surface_held, ridge = (None, _RIDGE) if held_to is None else held_to
+    if surface_held is not None:
+        height = height - surface_held.ravel()[cell]
+    equations = _Equations(shape, smoothness, ridge)
     surface = np.zeros(shape[0] * shape[1]) if start is None else start.ravel()
     for step, stiff in enumerate(_FINE_STIFFNESS if symmetric else _STIFFNESS):
         residual = height - surface[cell]
@@ -101,7 +106,7 @@ def smooth_surface(
             weight = np.where(residual < -limit_below, (limit_below / np.maximum(-residual, 1e-9)) ** 2, weight)
         weight = weight if support is None else weight * support
         surface = equations.solve(stiff, cell, weight, weight * height)
-    return surface.reshape(shape)
+    return surface.reshape(shape) if surface_held is None else surface.reshape(shape) + surface_held
 
 
 class _Equations:
@@ -110,11 +115,11 @@ class _Equations:
     Not by LAPACK's banded solver, which is faster alone but wakes BLAS's threads (:mod:`fsinfer.trees.points.sums`).
     """
 
-    def __init__(self, shape: tuple[int, int], smoothness: float) -> None:
+    def __init__(self, shape: tuple[int, int], smoothness: float, ridge: float) -> None:
         rows, columns = (_second_difference(n) for n in shape)
         penalty = sparse.kron(rows.T @ rows, sparse.eye(shape[1]))
         penalty = penalty + sparse.kron(sparse.eye(shape[0]), columns.T @ columns)
-        penalty = (smoothness * penalty + _RIDGE * sparse.eye(shape[0] * shape[1])).tocsc()
+        penalty = (smoothness * penalty + ridge * sparse.eye(shape[0] * shape[1])).tocsc()
         first = splu(penalty + sparse.eye(penalty.shape[0], format="csc"), permc_spec="MMD_AT_PLUS_A", **_SYMMETRIC)
         self._order = np.argsort(first.perm_c)
         self._place = first.perm_c.astype(np.int64)

@@ -267,7 +267,8 @@ def test_points_whose_edges_no_photograph_shows_are_less_sure(photos: StemPhotos
     assert (far.trees[0].dbh_cm, far.trees[0].status) == (None, "unmeasured")
     assert [why.code for why in far.trees[0].reasons] == [StemCode.too_uncertain]
     refused = plot_of(section_of(None, 0.02, ROUGH))
-    assert measure_silhouettes(refused, nothing).trees == refused.trees
+    asked_of_points = SilhouetteJoinSettings(large_photos=99)
+    assert measure_silhouettes(refused, nothing, settings=asked_of_points).trees == refused.trees
 
 
 def fit_of(radius: float, std: float, *, photos: int = 20, sectors: float = 0.6) -> SilhouetteFit:
@@ -603,7 +604,7 @@ def test_a_doubtful_stem_that_many_photographs_do_not_show_is_a_shrub(photos: St
         write_image(tmp_path / f"{view.name}.png", rng.integers(60, 180, (HEIGHT, WIDTH, 3), dtype=np.uint8))
     noise = tuple(replace(view, image_path=tmp_path / f"{view.name}.png") for view in photos.scene.views)
     shrub = replace(photos, scene=replace(photos.scene, views=noise))
-    few = SilhouetteJoinSettings(shrub_photos=PHOTOS)
+    few = SilhouetteJoinSettings(shrub_photos=PHOTOS, large_photos=99)
     doubtful = plot_of(section_of(None, 0.02, ROUGH))
     gone = measure_silhouettes(doubtful, shrub, settings=few)
     assert gone.trees == ()
@@ -611,7 +612,8 @@ def test_a_doubtful_stem_that_many_photographs_do_not_show_is_a_shrub(photos: St
     assert gone.diagnosis == notice(StemCode.none_in_photos)
     assert gone.warnings == (notice(StemCode.shrubs_left_out, places=("(0.3, -0.2)",)),)
     # One photograph too few, a sound stem of the cloud, or a person who said so: it stays.
-    assert len(measure_silhouettes(doubtful, shrub).trees) == 1
+    fewer = replace(few, shrub_photos=PHOTOS + 1)
+    assert len(measure_silhouettes(doubtful, shrub, settings=fewer).trees) == 1
     assert len(measure_silhouettes(plot_of(section_of(0.28, 0.004)), shrub, settings=few).trees) == 1
     assert len(measure_silhouettes(doubtful, shrub, settings=few, kept={1}).trees) == 1
     # And a stem that the photographs do show stays too.
@@ -628,6 +630,24 @@ def test_a_doubtful_stem_that_many_photographs_do_not_show_is_a_shrub(photos: St
         often = replace(few, shrub_contrast=0.0, many_photos=many, many_contrast=99.0)
         assert bool(measure_silhouettes(doubtful, shrub, settings=often).trees) is stays
         assert len(measure_silhouettes(doubtful, photos, settings=often).trees) == 1
+        # And so has what fewer show, but large.
+        large = replace(fewer, large_photos=many, many_contrast=99.0)
+        assert bool(measure_silhouettes(doubtful, shrub, settings=large).trees) is stays
+        assert bool(measure_silhouettes(doubtful, shrub, settings=replace(large, large_px=60.0)).trees)
+
+
+@pytest.mark.parametrize(
+    ("radius_m", "coverage", "half_width_cm", "stays"),
+    [(0.6, 0.2, 60.0, False), (0.25, 0.2, 60.0, True), (0.6, 0.3, 60.0, True), (0.6, 0.2, 1.0, True)],
+)
+def test_a_thick_arc_without_a_size_that_no_photograph_shows_is_haze(
+    photos: StemPhotos, radius_m: float, coverage: float, half_width_cm: float, stays: bool
+) -> None:
+    """Behind the cameras; thin, seen all round, or of a known size it stays."""
+    section = section_of(2.0 * radius_m, half_width_cm / 400.0)
+    plot = plot_of(section)
+    behind = tuple(replace(tree, x_m=60.0, y_m=60.0, arc_coverage=coverage) for tree in plot.trees)
+    assert bool(measure_silhouettes(replace(plot, trees=behind), photos).trees) is stays
 
 
 @pytest.mark.parametrize(
@@ -648,7 +668,7 @@ def test_what_is_seen_all_round_without_a_size_has_edges_or_is_a_shrub(
     settings = SilhouetteJoinSettings(
         shrub_photos=PHOTOS,
         all_round_contrast=contrast,
-        all_round_px=least_px,
+        large_px=least_px,
         support=SupportSettings() if supported else nothing_beside,
     )
     plot = plot_of(section_of(None, 0.02, notice(StemCode.too_uncertain, dbh_cm=11.0, half_width_cm=4.0)))
