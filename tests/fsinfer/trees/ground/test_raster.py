@@ -67,3 +67,17 @@ def test_the_reach_alone_is_that_of_the_ground() -> None:
     assert reach_of(points) == reach
     assert 0.3 < reach < 1.0
     assert reach_of(np.arange(9.0).reshape(3, 3)) == 0.0
+
+
+def test_a_surface_returns_to_what_it_is_held_to_where_nothing_was_seen() -> None:
+    """Seen on a third of a strip, where it rises by 10 cm over the surface that it is held to."""
+    shape = (3, 60)
+    about = np.tile(0.05 * np.arange(60.0), (3, 1))
+    cell = np.flatnonzero(np.tile(np.arange(60) < 20, 3))
+    height = about.ravel()[cell] + 0.005 * (cell % 60)
+    free = smooth_surface(cell, height - about.ravel()[cell], shape, 0.2, symmetric=True)
+    held = smooth_surface(cell, height, shape, 0.2, symmetric=True, held_to=(about, 0.01))
+    np.testing.assert_allclose((held - about)[:, :18], free[:, :18], atol=0.01)
+    two_metres_on = 24  # cells of 0.4 m
+    assert free[:, two_metres_on].min() > 0.08
+    assert np.abs((held - about)[:, two_metres_on:]).max() < 0.02
