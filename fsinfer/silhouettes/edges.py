@@ -51,8 +51,9 @@ class EdgeSettings:
     ----------
     light_power: edges are looked for in grey values, 0 to 1, to this power. Blur of lens and motion mixes light, which
         is their power of 2.2; making smaller, sharpening and tone mapping mix the values themselves. In the values a
-        dark stem before a bright wood comes out too thin, in light too thick. Source: renders only, 1.5 is better on
-        three undergrown plots with a phone's blur and worse on two without any (docs/trials-accuracy.md).
+        dark stem before a bright wood comes out too thin, in light too thick. Source: renders only, 1.5 makes stems of
+        two plots without blur too thick; on undergrown ones with a phone's it made up for their ground, which was too
+        high (docs/trials-accuracy.md).
     half_length_m: of the strip: long enough to average, short enough for a straight axis. Source: renders only, strips
         of 30 to 80 cm are all the same (docs/accuracy.md).
     band_m: in which gradients are averaged, a sixth of the strip. Source: renders only, two renders.
