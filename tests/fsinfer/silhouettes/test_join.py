@@ -631,7 +631,7 @@ def test_a_doubtful_stem_that_many_photographs_do_not_show_is_a_shrub(photos: St
         assert bool(measure_silhouettes(doubtful, shrub, settings=often).trees) is stays
         assert len(measure_silhouettes(doubtful, photos, settings=often).trees) == 1
         # And so has what fewer show, but large.
-        large = replace(fewer, large_photos=many, many_contrast=99.0)
+        large = replace(fewer, shrub_contrast=0.0, large_photos=many, many_contrast=99.0)
         assert bool(measure_silhouettes(doubtful, shrub, settings=large).trees) is stays
         assert bool(measure_silhouettes(doubtful, shrub, settings=replace(large, large_px=60.0)).trees)
 
