@@ -112,11 +112,8 @@ def measure_silhouettes(
         fit = looked.fit
         if fit is None or not looked.clear(s.looks):
             alone = by_points_alone(tree, section, s.points_alone_factor, dbh=dbh)
-            if (
-                fit is None
-                and tree.tree_id not in kept
-                and (is_shrub(tree, looked, s) or is_arc_of_haze(alone[0], looked))
-            ):
+            asked = fit is None and tree.tree_id not in kept
+            if asked and (is_shrub(tree, looked, s) or is_arc_of_haze(alone[0], looked)):
                 shrubs.append(tree)
             else:
                 pairs.append(alone)

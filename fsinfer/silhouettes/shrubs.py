@@ -1,6 +1,6 @@
 """What the cloud took for a stem and the photographs do not: shrubs, and haze.
 
-Only what has no diameter by its points is asked; a stem that a photograph shows has edges that agree on a size.
+Only what the points are not sure of is asked; a stem that a photograph shows has edges that agree on a size.
 """
 
 from __future__ import annotations

@@ -109,7 +109,6 @@ def find_ground(points: Floats, *, settings: GroundSettings | None = None, seed:
     plane_share = float(np.mean(np.abs(relative) <= settings.plane_tolerance_m))
     low_enough = opened(cell, relative, shape, settings)
     surface = smooth_surface(cell, relative, shape, settings.smoothness[0], start=low_enough, support=known)
-    stiff = (surface, settings.hold)
     # A mound or a terrace that few cells show is relief all the same, and a stem may stand on it.
     on_plane = np.abs(surface.ravel()[cell]).max() <= settings.plane_tolerance_m
     use_raster = not (plane_share >= settings.plane_share and on_plane)
@@ -131,6 +130,7 @@ def find_ground(points: Floats, *, settings: GroundSettings | None = None, seed:
     band = np.flatnonzero(np.abs(above - surface.ravel().take(index)) <= reach)
     used, heights = cell_medians(index.take(band), above.take(band))
     if use_raster:
+        stiff = (surface, settings.hold)
         for _ in range(settings.rounds):
             known = known_by_cell[used]
             surface = smooth_surface(

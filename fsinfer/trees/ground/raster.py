@@ -91,11 +91,10 @@ def smooth_surface(
     (C,), 0 to 1, is how much each cell counts. ``held_to`` is a surface (H, W) and a weight, against one cell's, that
     this one keeps to it with: where nothing was seen it returns there instead of going on as steep as it began.
     """
-    surface_held, ridge = (None, _RIDGE) if held_to is None else held_to
-    if surface_held is not None:
-        height = height - surface_held.ravel()[cell]
+    about, ridge = (np.zeros(shape), _RIDGE) if held_to is None else held_to
+    height = height - about.ravel()[cell]
     equations = _Equations(shape, smoothness, ridge)
-    surface = np.zeros(shape[0] * shape[1]) if start is None else start.ravel()
+    surface = np.zeros(shape[0] * shape[1]) if start is None else (start - about).ravel()
     for step, stiff in enumerate(_FINE_STIFFNESS if symmetric else _STIFFNESS):
         residual = height - surface[cell]
         if symmetric:
@@ -106,7 +105,7 @@ def smooth_surface(
             weight = np.where(residual < -limit_below, (limit_below / np.maximum(-residual, 1e-9)) ** 2, weight)
         weight = weight if support is None else weight * support
         surface = equations.solve(stiff, cell, weight, weight * height)
-    return surface.reshape(shape) if surface_held is None else surface.reshape(shape) + surface_held
+    return np.asarray(surface.reshape(shape) + about)
 
 
 class _Equations:

@@ -38,7 +38,7 @@ def test_the_ground_does_not_climb_onto_undergrowth(shape: Shape) -> None:
 
 @pytest.mark.parametrize("slope", [0.0, 0.1])
 def test_leaves_beyond_the_last_seen_ground_lift_it_little(slope: float) -> None:
-    """Round a walk a hundred points show each cell of the ground, farther out two dozen those of the ferns on it.
+    """Round a walk 250 points show each cell of the ground, farther out two dozen those of the ferns on it.
 
     Ferns of 5 to 30 cm are all that is known there; counted like the ground they lift it by 13 cm, up to 21.
     """
