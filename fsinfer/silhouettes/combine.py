@@ -31,6 +31,9 @@ class CombineSettings:
         ``points_factor`` is. Source: renders only, 226 stems of eight development plots (seeds 900101, 955013 to
         955017, 955019, 955020): 0.71 times (rms; 0.58 to 0.80 in each of five classes of what the fit says), and 99 %
         of the intervals held the truth (docs/trials-accuracy.md).
+    fuller_factor: the same of a half-seen stem with single edges or sharp faces in its fit
+        (:func:`fsinfer.silhouettes.looks.fuller_look`). Source: renders only, 74 half-seen stems of six plots: 0.94
+        times (docs/trials-accuracy.md, "Sharp faces").
     points_over_edges: variance of the points' unknown error over that of the edges'. Source: renders only, 41 stems of
         five plots photographed by a phone (docs/trials-accuracy.md): the edges' errors are 0.28 of half their 95 %
         intervals (rms; 0.22 at 16, and 0.51 were right), and 40 intervals hold the truth.
@@ -41,8 +44,13 @@ class CombineSettings:
     gate: float = 2.0
     points_factor: float = 2.0
     edges_factor: float = 0.7
+    fuller_factor: float = 1.0
     points_over_edges: float = 36.0
     points_over_edges_oval: float = 1.0
+
+    def factor(self, *, fuller: bool) -> float:
+        """By how much the edges' radius is off, in what their fit says."""
+        return self.fuller_factor if fuller else self.edges_factor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +81,8 @@ def combine(
     points_doubt_m: float = 0.0,
     edges_doubt_m: float = 0.0,
     oval: bool = False,
+    counted: bool = False,
+    fuller: bool = False,
     settings: CombineSettings | None = None,
 ) -> Combined:
     """Combine radii with their standard deviations, metres; ``points_m`` is None where the points gave none.
@@ -80,11 +90,13 @@ def combine(
     ``points_doubt_m`` is what the section's shape adds to the points' standard deviation. It counts in their weight;
     whether the two contradict each other is asked without it, or a stem that is oval would never be doubted.
     ``edges_doubt_m`` is what sides that the edges miss add to theirs, in both questions. ``oval`` says
-    that the points have the section far from round, and that the edges miss sides of it.
+    that the points have the section far from round, and that the edges miss sides of it; ``counted`` that the edges'
+    radius has points of the cloud in it already, so that they get no weight once more; ``fuller`` that single edges or
+    points are in it.
     """
     s = settings or CombineSettings()
     said_m = float(np.hypot(edges_std_m, edges_doubt_m))
-    edges_std_m = float(np.hypot(s.edges_factor * edges_std_m, edges_doubt_m))
+    edges_std_m = float(np.hypot(s.factor(fuller=fuller) * edges_std_m, edges_doubt_m))
     if points_m is None:
         return Combined(radius_m=edges_m, weight=0.0, edges_std_m=edges_std_m, points_std_m=0.0, disagreement_m=0.0)
     apart, both = points_m - edges_m, float(np.hypot(points_std_m, said_m))
@@ -92,7 +104,7 @@ def combine(
     contradict = abs(apart) > s.gate * both
     excess = apart**2 - both**2 if contradict else 0.0
     over = s.points_over_edges_oval if oval else s.points_over_edges
-    weight = 0.0 if contradict else edges_std_m**2 / (points_std_m**2 + edges_std_m**2)
+    weight = 0.0 if contradict or counted else edges_std_m**2 / (points_std_m**2 + edges_std_m**2)
     return Combined(
         radius_m=edges_m + weight * apart,
         weight=weight,

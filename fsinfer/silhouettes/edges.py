@@ -37,6 +37,12 @@ NEAREST_RADII, NEAREST_M, LEAST_DEPTH_M = 2.5, 0.5, 0.3
 #: Both edges must lie inside the photograph with this much room, in radii and pixels, and above and below in pixels.
 #: Source: not recorded.
 ROOM_RADII, ROOM_PX, ROOM_ABOVE_PX = 1.3, 3.0, 5
+#: Left and right of the axis. Source: convention.
+BOTH_SIDES = (-1.0, 1.0)
+#: Of a half that is looked at by itself: points across it, from and to this share of the radius, how far the depth map
+#: may be off, in radii, and where its strip begins beside the axis. Source: judgement, what lies before the other half
+#: ends at the axis at the nearest.
+HALF_POINTS, HALF_RANGE, HALF_TOLERANCE, HALF_FROM = 6, (0.2, 0.9), 0.5, 0.15
 #: The greatest grey value. Source: format.
 WHITE = np.float32(255.0)
 #: Share of its rows that must lie inside the photograph, or a strip is not used. Source: not recorded.
@@ -71,6 +77,8 @@ class EdgeSettings:
     min_strength: of an edge, standard deviations of the bark. Source: renders only, two renders.
     min_seen: share of the near side at which the depth map shows the stem. Source: renders only, two renders.
     max_hidden: share behind something nearer. Source: renders only, two renders.
+    half_seen: as ``min_seen``, of the half of the near side that belongs to an edge, where the photograph does not show
+        both edges. Source: renders only, 74 stems of six plots (docs/trials-accuracy.md, "Sharp faces").
     tolerance_of_depth: of the depth map, share of the depth. Source: renders only, two renders.
     """
 
@@ -88,6 +96,7 @@ class EdgeSettings:
     min_strength: float = 1.2
     min_seen: float = 0.5
     max_hidden: float = 0.2
+    half_seen: float = 0.6
     tolerance_of_depth: float = 0.05
 
 
@@ -120,9 +129,10 @@ class Strip:
     """One photograph's view of one stem.
 
     ``image`` (H, W, 3) float32 is sampled at ``heights_m`` (H,) along the axis and ``offsets_m`` (W,) across, where
-    offsets are those of a cylinder with the stem's taper. ``right`` is the unit vector (3,) of growing offsets, to the
-    right in the photograph, ``towards`` that from the axis to the camera, ``distance_m`` the camera's from the axis,
-    ``pixel_m`` one pixel.
+    offsets are those of a cylinder with the stem's taper. ``sides`` are those whose edges it shows, -1 to the left and
+    +1 to the right; with one of them it has that half of the stem only. ``right`` is the unit vector (3,) of growing
+    offsets, to the right in the photograph, ``towards`` that from the axis to the camera, ``distance_m`` the camera's
+    from the axis, ``pixel_m`` one pixel.
     """
 
     photo: int
@@ -133,6 +143,7 @@ class Strip:
     towards: Floats
     distance_m: float
     pixel_m: float
+    sides: tuple[float, ...] = BOTH_SIDES
 
 
 def find_edges(
@@ -146,6 +157,9 @@ def find_edges(
     progress: Progress = silent,
 ) -> list[Edges]:
     """Find candidate edges of each stem in all photographs that show it; each photograph is read at most once.
+
+    Photographs that show one edge have candidates on that side alone
+    (:func:`fsinfer.trees.diameter.edge_problem.two_sided`).
 
     ``cloud_from_scene`` (4, 4) is the similarity that made the cloud of the scene. ``on_strip`` is given every strip
     with its stem's number, for those who want to look at them. Raises :class:`~fsinfer.errors.FsinferError` where a
@@ -188,13 +202,11 @@ def strips_of_photo(
     depth_map = maps.get(index)
     rows, columns = depth_map.inverse_depth.shape
     size = np.array([columns * depth_map.grid.step_x, rows * depth_map.grid.step_y])
-    seen = [
-        (n, stem) for n, stem in near if _inside(stem, camera, size) and _unhidden(stem, camera, depth_map, metres, s)
-    ]
+    seen = [(n, stem, sides) for n, stem in near if (sides := _sides(stem, camera, size, depth_map, metres, s))]
     if not seen:
         return []
     image = read_view_image(view).astype(np.float32)
-    strips = [(n, _cut(stem, camera, image, index, s)) for n, stem in seen]
+    strips = [(n, _cut(stem, camera, image, index, s, sides)) for n, stem, sides in seen]
     return [(n, strip) for n, strip in strips if strip is not None]
 
 
@@ -228,6 +240,35 @@ def _in_reach(stem: StemAxis, camera: Camera, s: EdgeSettings) -> bool:
     return float(camera.intrinsic[0, 0]) * stem.radius_m / depth >= s.min_radius_px
 
 
+def _sides(
+    stem: StemAxis, camera: Camera, size: Floats, depth_map: DepthMap, metres: float, s: EdgeSettings
+) -> tuple[float, ...]:
+    """The sides of the stem whose edges the photograph shows: both, one, or none.
+
+    Where both halves are seen and the stem is not, something stands before its middle.
+    """
+    if _inside(stem, camera, size) and _unhidden(stem, camera, depth_map, metres, s):
+        return BOTH_SIDES
+    halves = tuple(side for side in BOTH_SIDES if _shows_half(side, stem, camera, size, depth_map, metres, s))
+    return () if halves == BOTH_SIDES else halves
+
+
+def _shows_half(
+    side: float, stem: StemAxis, camera: Camera, size: Floats, depth_map: DepthMap, metres: float, s: EdgeSettings
+) -> bool:
+    """Whether one edge lies well inside the photograph, and the depth map shows the half of the near side before it."""
+    right, _, _ = _facing(stem, camera)
+    height = np.linspace(-s.half_length_m, s.half_length_m, SIDE_POINTS[0])[:, None]
+    edge = stem.breast + height * stem.along + ROOM_RADII * side * stem.radius_m * right
+    pixel, depth = project(edge, camera)
+    room = ROOM_ABOVE_PX
+    if not (np.all(depth > LEAST_DEPTH_M) and np.all((pixel >= room) & (pixel <= size - room))):
+        return False
+    across = side * np.linspace(*HALF_RANGE, HALF_POINTS)
+    seen, hidden = _seen_and_hidden(across, HALF_TOLERANCE * stem.radius_m, stem, camera, depth_map, metres, s)
+    return seen >= s.half_seen and hidden <= s.max_hidden
+
+
 def _inside(stem: StemAxis, camera: Camera, size: Floats) -> bool:
     """Whether both edges at breast height lie well inside the photograph of ``size`` (2,)."""
     pixel, depth = project(stem.breast, camera)
@@ -238,26 +279,44 @@ def _inside(stem: StemAxis, camera: Camera, size: Floats) -> bool:
 
 def _unhidden(stem: StemAxis, camera: Camera, depth_map: DepthMap, metres: float, s: EdgeSettings) -> bool:
     """Whether the depth map shows the near side of the stem where it is, and little before it."""
-    right, towards, _ = _facing(stem, camera)
-    height, side = np.meshgrid(
-        np.linspace(-s.half_length_m, s.half_length_m, SIDE_POINTS[0]),
-        np.linspace(-SIDE_OF_RADIUS, SIDE_OF_RADIUS, SIDE_POINTS[1]),
-    )
-    height, side = height.reshape(-1, 1), side.reshape(-1, 1)
-    surface = stem.radius_m * (side * right + np.sqrt(1.0 - side**2) * towards)
-    points = stem.breast + height * stem.along + surface
-    tolerance = np.maximum(stem.radius_m, s.tolerance_of_depth * project(points, camera)[1])
-    seen, hidden = seen_and_hidden(points, tolerance, camera, depth_map, units_per_scene_unit=metres)
+    across = np.linspace(-SIDE_OF_RADIUS, SIDE_OF_RADIUS, SIDE_POINTS[1])
+    seen, hidden = _seen_and_hidden(across, stem.radius_m, stem, camera, depth_map, metres, s)
     return seen >= s.min_seen and hidden <= s.max_hidden
 
 
-def _cut(stem: StemAxis, camera: Camera, image: NDArray[np.float32], index: int, s: EdgeSettings) -> Strip | None:
+def _seen_and_hidden(
+    across: Floats,
+    tolerance_m: float,
+    stem: StemAxis,
+    camera: Camera,
+    depth_map: DepthMap,
+    metres: float,
+    s: EdgeSettings,
+) -> tuple[float, float]:
+    """Shares of the near side that the depth map shows where it is, and that something nearer hides.
+
+    Looked at are points ``across`` the stem (shares of the radius, to the right) along the strip's length.
+    """
+    right, towards, _ = _facing(stem, camera)
+    height, side = np.meshgrid(np.linspace(-s.half_length_m, s.half_length_m, SIDE_POINTS[0]), across)
+    height, side = height.reshape(-1, 1), side.reshape(-1, 1)
+    surface = stem.radius_m * (side * right + np.sqrt(1.0 - side**2) * towards)
+    points = stem.breast + height * stem.along + surface
+    tolerance = np.maximum(tolerance_m, s.tolerance_of_depth * project(points, camera)[1])
+    return seen_and_hidden(points, tolerance, camera, depth_map, units_per_scene_unit=metres)
+
+
+def _cut(
+    stem: StemAxis, camera: Camera, image: NDArray[np.float32], index: int, s: EdgeSettings, sides: tuple[float, ...]
+) -> Strip | None:
     right, towards, distance = _facing(stem, camera)
     depth = float(project(stem.breast, camera)[1])
     pixel_m = depth / float(camera.intrinsic[0, 0])
     step = max(pixel_m / SAMPLES_PER_PX, stem.radius_m / MOST_SAMPLES_OF_RADIUS)
     count = int(np.ceil((s.margin * stem.radius_m + s.margin_m) / step))
     offsets = np.asarray(np.arange(-count, count + 1) * step, dtype=np.float64)
+    if sides != BOTH_SIDES:
+        offsets = offsets[sides[0] * offsets >= HALF_FROM * stem.radius_m]
     rows = max(int(np.ceil(2 * s.half_length_m / max(pixel_m, LEAST_ROW_M))), LEAST_ROWS)
     heights = np.linspace(-s.half_length_m, s.half_length_m, rows)
     widened = offsets[None] * (1.0 + stem.taper * heights[:, None] / stem.radius_m)
@@ -278,6 +337,7 @@ def _cut(stem: StemAxis, camera: Camera, image: NDArray[np.float32], index: int,
         towards=towards,
         distance_m=distance,
         pixel_m=pixel_m,
+        sides=sides,
     )
 
 

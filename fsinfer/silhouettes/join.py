@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,7 @@ from fsinfer.silhouettes.pose_errors import radius_std
 from fsinfer.silhouettes.shrubs import is_arc_of_haze, is_shrub, shows_no_edges_all_round
 from fsinfer.silhouettes.strips import draw_strips
 from fsinfer.silhouettes.support import is_supported
+from fsinfer.silhouettes.surface import points_about
 from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
 from fsinfer.trees.cylinder.axis import LEAST_RADIUS_M
 from fsinfer.trees.diameter.silhouette import SilhouetteFit
@@ -77,6 +79,7 @@ def measure_silhouettes(
     settings: SilhouetteJoinSettings | None = None,
     figures: Path | None = None,
     kept: Collection[int] = (),
+    cloud_xyz: Floats | None = None,
     progress: Progress = silent,
 ) -> PlotResult:
     """Look every stem of ``result`` up in the photographs and join what they say with what the cloud says.
@@ -85,7 +88,8 @@ def measure_silhouettes(
     (:mod:`fsinfer.silhouettes.points_alone`). Sections get ``silhouette`` and ``cloud_dbh_m``.
     What is doubtful in the cloud and no stem in many photographs is left out with a warning, unless ``kept`` has its
     number; so are entries that turn out to stand in another stem. ``figures`` is a folder for ``tree_ID_edges.png``:
-    strips of the photographs with the edges that were found.
+    strips of the photographs with the edges that were found. ``cloud_xyz`` (N, 3) is the cloud, metres, whose sharp
+    faces tell of sides that no photograph shows the edges of.
     Raises :class:`~fsinfer.errors.FsinferError` where a photograph or a depth map cannot be read.
     """
     s = settings or SilhouetteJoinSettings()
@@ -105,6 +109,7 @@ def measure_silhouettes(
         fit=s.fit,
         settings=s.looks,
         keep_strips=figures is not None,
+        surface=None if cloud_xyz is None else partial(points_about, cloud_xyz),
         progress=progress,
     )
     pairs, shrubs = [], []
@@ -135,7 +140,7 @@ def measure_silhouettes(
             draw_strips(figures / f"tree_{tree.tree_id:03d}_edges.png", looked.strips, names, looked.stem, fit)
         pose_std_m = 0.0
         if photos.ray_std_m is not None:
-            pose_std_m = radius_std(looked.fitted, fit, photos.ray_std_m(looked.stem.breast))
+            pose_std_m = radius_std(looked.of_fit, fit, photos.ray_std_m(looked.stem.breast))
         fit = replace(fit, shift_m=fit.shift_m + looked.moved_m)  # about the section's own axis
         joined = join(
             section,

@@ -57,6 +57,8 @@ def join(
         points_doubt_m=_shape_doubt(section),
         edges_doubt_m=float(np.hypot(oval_m, fit.one_sided_m)),
         oval=_misses_an_oval(section, fit, s),
+        counted=fit.faces > 0,
+        fuller=fit.fuller,
         settings=s.combine,
     )
     radius = found.radius_m
@@ -70,7 +72,7 @@ def join(
         "scale": radius * scale_rel_std,
     }
     shared = {
-        "silhouette": (1.0 - found.weight) * s.combine.edges_factor * fit.common_m,
+        "silhouette": (1.0 - found.weight) * s.combine.factor(fuller=fit.fuller) * fit.common_m,
         "cloud": found.points_std_m * _shared_by_points(section, s),
         "level": level,
     }

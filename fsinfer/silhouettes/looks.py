@@ -5,6 +5,9 @@ before: by the cloud. That may be a haze half again as wide as the stem and some
 bark then has the stem's own edges in it, and some photographs show something else where the haze's near side is. So a
 stem that turns out to have another radius is looked at once more about what was found. A true edge is found again; what
 only lay where the haze ended is not.
+
+Whether there is a stem, and about how thick, is said by photographs that show both of its edges. Where they see too few
+sides to know its section, photographs that show one edge are asked too, and the cloud, where it is sharp.
 """
 
 from __future__ import annotations
@@ -21,7 +24,9 @@ from fsinfer.scene import Scene
 from fsinfer.silhouettes.edges import EdgeSettings, StemAxis, Strip, find_edges
 from fsinfer.silhouettes.strips import keep_strip
 from fsinfer.trees.cylinder.axis import LEAST_RADIUS_M
-from fsinfer.trees.diameter.edge_problem import Edges, SilhouetteSettings, chosen_edges
+from fsinfer.trees.diameter.edge_problem import Edges, SilhouetteSettings, chosen_edges, joined_edges, two_sided
+from fsinfer.trees.diameter.faces import Faces, sector_of_angle, sharp_faces
+from fsinfer.trees.diameter.sides import NOISE_SECTORS
 from fsinfer.trees.diameter.silhouette import SilhouetteFit, fit_silhouette
 
 Floats = NDArray[np.float64]
@@ -42,6 +47,8 @@ class LookSettings:
     looks: at a stem at most. Source: renders only, five plots: nothing changed after the third.
     contradict_std: standard deviations between two looks beyond which the later counts though it is less sure. Source:
         statistics, 95 %.
+    well_seen: of the sides: a stem of which both edges are seen from fewer is asked of single edges and sharp faces as
+        well. Source: renders only, 74 stems of six plots (docs/trials-accuracy.md, "Sharp faces").
     """
 
     min_photos: int = 4
@@ -49,20 +56,25 @@ class LookSettings:
     again_rel: float = 0.05
     looks: int = 3
     contradict_std: float = 2.0
+    well_seen: float = 0.75
 
 
 @dataclass(frozen=True, kw_only=True)
 class Looked:
     """What the photographs show of one stem.
 
-    ``edges`` are all candidates about the axis ``stem``, ``fitted`` those that were fitted, ``fit`` (about ``stem``) is
-    None where they do not agree. ``moved_m`` (2,) is how far ``stem`` lies from the axis that was asked for, along its
+    ``edges`` are all candidates of photographs that show both edges, about the axis ``stem``, ``single`` those of
+    photographs that show one. ``fitted`` are those of ``edges`` that say whether there is a stem. ``fit`` (about
+    ``stem``) is what it is like, None where they do not agree, and ``of_fit`` what it was made of, the candidates of
+    its ``weight`` and ``gain``. ``moved_m`` (2,) is how far ``stem`` lies from the axis that was asked for, along its
     two directions across; ``strips`` are some to look at.
     """
 
     stem: StemAxis
     edges: Edges
+    single: Edges
     fitted: Edges
+    of_fit: Edges
     fit: SilhouetteFit | None
     moved_m: Floats
     strips: list[Strip] = field(default_factory=list)
@@ -74,6 +86,8 @@ class Looked:
 
 #: A look at some stems: their edges and strips.
 Look = Callable[[Sequence[StemAxis]], tuple[list[Edges], list[list[Strip]]]]
+#: Points of the cloud round a stem: (N, 2) from its axis, along its two directions across, and (N,) along it, metres.
+Surface = Callable[[StemAxis], tuple[Floats, Floats]]
 
 
 def look_at_stems(
@@ -87,10 +101,12 @@ def look_at_stems(
     fit: SilhouetteSettings,
     settings: LookSettings | None = None,
     keep_strips: bool = False,
+    surface: Surface | None = None,
     progress: Progress = silent,
 ) -> list[Looked]:
     """Find each stem in the photographs and fit its silhouette; ``points`` are the cloud's radii and their deviations.
 
+    ``surface`` gives the points of the cloud round a stem, None where there are none.
     Raises :class:`~fsinfer.errors.FsinferError` where a photograph or a depth map cannot be read.
     """
     s = settings or LookSettings()
@@ -111,7 +127,8 @@ def look_at_stems(
         fitted_look(stem, here, found, strips, radius, fit, s)
         for stem, found, strips, radius in zip(stems, *first, points, strict=True)
     ]
-    return again(looked, points, look, fit=fit, settings=s)
+    looked = again(looked, points, look, fit=fit, settings=s)
+    return [fuller_look(one, of_points, fit, s, surface) for one, of_points in zip(looked, points, strict=True)]
 
 
 def again(
@@ -174,12 +191,82 @@ def fitted_look(
     s: LookSettings,
 ) -> Looked:
     """One look: the fit to the photographs that show the stem large, or to all where those are too few or not clear."""
-    large = edges.pixel_m * s.sure_radius_px <= stem.radius_m
+    both = two_sided(edges)
+    single, edges = chosen_edges(edges, ~both), edges if both.all() else chosen_edges(edges, both)
+    large = _is_large(edges, stem, s)
     enough = len(np.unique(edges.photo[large])) >= s.min_photos
     tries = []
     for some in (chosen_edges(edges, large), edges) if enough else (edges,):
         found = fit_silhouette(some, stem.radius_m, taper=stem.taper, settings=fit, points=points)
-        tries.append(Looked(stem=stem, edges=edges, fitted=some, fit=found, moved_m=moved_m, strips=strips))
-        if tries[-1].clear(s):
-            return tries[-1]
+        one = Looked(
+            stem=stem,
+            edges=edges,
+            single=single,
+            fitted=some,
+            of_fit=some,
+            fit=found,
+            moved_m=moved_m,
+            strips=strips,
+        )
+        tries.append(one)
+        if one.clear(s):
+            return one
     return tries[0]  # what is no stem in the large pictures is asked of them, too, whether it is a shrub
+
+
+def fuller_look(
+    looked: Looked,
+    points: tuple[float, float] | None,
+    fit: SilhouetteSettings,
+    s: LookSettings,
+    surface: Surface | None,
+) -> Looked:
+    """The look with what else knows a half-seen stem: single edges first, then the cloud's sharp faces about those.
+
+    What contradicts both edges of the photographs that have them does not count.
+    """
+    before = looked.fit
+    if before is None or not looked.clear(s) or before.sectors >= s.well_seen:
+        return looked
+    best = looked
+    large = _is_large(looked.single, looked.stem, s)
+    if large.any():
+        more = joined_edges(looked.fitted, chosen_edges(looked.single, large))
+        best = _unless_against(looked, best, more, None, points, fit, s)
+    faces = None if surface is None else _faces(best, *surface(looked.stem), fit)
+    return best if faces is None else _unless_against(looked, best, best.of_fit, faces, points, fit, s)
+
+
+def _unless_against(
+    looked: Looked,
+    best: Looked,
+    edges: Edges,
+    faces: Faces | None,
+    points: tuple[float, float] | None,
+    fit: SilhouetteSettings,
+    s: LookSettings,
+) -> Looked:
+    """The look with a fit of ``edges`` and ``faces``, or the ``best`` so far where that contradicts the first."""
+    stem, first = looked.stem, looked.fit
+    found = fit_silhouette(edges, stem.radius_m, taper=stem.taper, settings=fit, points=points, faces=faces)
+    if found is None or first is None:
+        return best
+    new = replace(best, fit=replace(found, fuller=True), of_fit=edges)
+    if not new.clear(s):
+        return best
+    return new if abs(found.radius_m - first.radius_m) <= s.contradict_std * first.std_m else best
+
+
+def _faces(looked: Looked, offsets_m: Floats, height_m: Floats, fit: SilhouetteSettings) -> Faces | None:
+    """Sharp faces of the cloud on the sides that no edge of the fit lies on."""
+    found = looked.fit
+    if found is None or len(height_m) == 0:
+        return None
+    seen = np.zeros(NOISE_SECTORS, dtype=bool)
+    seen[sector_of_angle(looked.of_fit.angle_rad[found.weight > 0.5])] = True
+    return sharp_faces(offsets_m, height_m, found.section, seen, settings=fit.faces)
+
+
+def _is_large(edges: Edges, stem: StemAxis, s: LookSettings) -> NDArray[np.bool_]:
+    """Whether each edge's (N,) photograph shows the stem large."""
+    return np.asarray(edges.pixel_m * s.sure_radius_px <= stem.radius_m)

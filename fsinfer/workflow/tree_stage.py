@@ -227,6 +227,7 @@ def _look_at_photos(
             settings=settings.silhouettes,
             figures=out / "figures",
             kept=by_hand,
+            cloud_xyz=given.cloud.xyz,
             progress=progress,
         )
 

@@ -3,18 +3,20 @@
 The true stem is where the edges of many photographs agree: a vote over radius and place starts the fit,
 expectation-maximisation (Dempster, Laird and Rubin 1977) with a background class refines it. Each edge is one linear
 equation in the unknowns (:mod:`fsinfer.trees.diameter.silhouette`); each photograph's offset is taken out of the
-system before it is solved (Schur's complement).
+system before it is solved (Schur's complement). So is every sharp face of the cloud
+(:mod:`fsinfer.trees.diameter.faces`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.trees.cylinder.axis import AxisSettings
+from fsinfer.trees.diameter.faces import Faces, FaceSettings, sector_of_angle
 from fsinfer.trees.diameter.sides import NOISE_SECTORS
 
 Floats = NDArray[np.float64]
@@ -80,6 +82,7 @@ class SilhouetteSettings:
     sides_enough: share of the sides from which that is nothing. Source: as ``one_sided_std``.
     min_edges: rays. Source: twice the unknowns that no prior holds.
     min_share: of the rays that must agree on the stem. Source: renders only, two renders.
+    faces: of sharp faces of the cloud.
     """
 
     radius_range: tuple[float, float] = (0.6, 1.5)
@@ -100,6 +103,7 @@ class SilhouetteSettings:
     sides_enough: float = 0.6
     min_edges: int = 8
     min_share: float = 0.5
+    faces: FaceSettings = field(default_factory=FaceSettings)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,6 +143,26 @@ def chosen_edges(edges: Edges, chosen: NDArray[np.bool_]) -> Edges:
     )
 
 
+def joined_edges(first: Edges, second: Edges) -> Edges:
+    """The edges of both, which share no photograph."""
+    return Edges(
+        support_m=np.r_[first.support_m, second.support_m],
+        angle_rad=np.r_[first.angle_rad, second.angle_rad],
+        height_m=np.r_[first.height_m, second.height_m],
+        strength=np.r_[first.strength, second.strength],
+        pixel_m=np.r_[first.pixel_m, second.pixel_m],
+        ray=np.r_[first.ray, second.ray],
+        photo=np.r_[first.photo, second.photo],
+    )
+
+
+def two_sided(edges: Edges) -> NDArray[np.bool_]:
+    """Whether each edge's (N,) photograph has edges on both sides of the stem."""
+    _, first, photo = np.unique(edges.photo, return_index=True, return_inverse=True)
+    across = np.cos(edges.angle_rad - edges.angle_rad[first[photo]]) < 0.0
+    return np.asarray(np.bincount(photo, across, len(first))[photo] > 0.0)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Solution:
     """Unknowns ``x`` (K,); of each edge its probability ``weight``, ``precision`` (N,), gradient ``scores`` (N, K).
@@ -165,7 +189,14 @@ class Solution:
 class EdgeProblem:
     """The edges of one stem with what both steps of the fit need of them."""
 
-    def __init__(self, edges: Edges, radius_m: float, taper: float, settings: SilhouetteSettings) -> None:
+    def __init__(
+        self,
+        edges: Edges,
+        radius_m: float,
+        taper: float,
+        settings: SilhouetteSettings,
+        faces: Faces | None = None,
+    ) -> None:
         s = self.s = settings
         self.edges, self.radius_m, self.taper = edges, radius_m, taper
         self.ray = np.asarray(np.unique(edges.ray, return_inverse=True)[1], dtype=np.int64)
@@ -179,8 +210,8 @@ class EdgeProblem:
         self.side = np.where(np.cos(edges.angle_rad - first[self.photo]) > 0.0, 1.0, -1.0)
         shape_std = s.hull_of_rough_bark * np.array(AxisSettings().shape_std)
         self.shape = slice(AXIS, AXIS + 2 * len(shape_std))
-        degrees = np.degrees(edges.angle_rad)
-        self.sector = np.floor(degrees / (360.0 / NOISE_SECTORS)).astype(np.int64) % NOISE_SECTORS
+        self.of_sectors = slice(self.shape.stop, self.shape.stop + NOISE_SECTORS)
+        self.sector = sector_of_angle(edges.angle_rad)
         own_sector = np.eye(NOISE_SECTORS)[self.sector]
         self.design = np.hstack([design_matrix(edges.angle_rad, edges.height_m, len(shape_std)), own_sector])
         # Sums over the edges of each photograph, which every round needs, are taken of its rows in one piece.
@@ -192,6 +223,25 @@ class EdgeProblem:
         self.prior = 1.0 / np.r_[np.inf, s.taper_std, [s.place_std_m] * 2, [s.slope_std] * 2, shape, sectors] ** 2
         self.prior_mean = np.zeros(len(self.prior))
         self.prior_mean[1] = taper
+        self.faces = faces
+        if faces is not None:
+            self._add_faces(faces)
+
+    def _add_faces(self, faces: Faces) -> None:
+        """Add the equations of ``faces``, whose common errors are unknowns that edges do not have."""
+        s = self.s.faces
+        count, common = len(faces.angle_rad), len(s.alike_std_m)
+        of_stem = design_matrix(faces.angle_rad, np.zeros(count), (self.shape.stop - AXIS) // 2)
+        alike = [np.ones(count)]
+        for k in range(1, common // 2 + 1):
+            alike += [np.cos(k * faces.angle_rad), np.sin(k * faces.angle_rad)]
+        self.face_design = np.hstack([of_stem, np.zeros((count, NOISE_SECTORS)), np.column_stack(alike)])
+        self.design = np.hstack([self.design, np.zeros((len(self.design), common))])
+        self.design_by_photo = self.design[self.by_photo]
+        self.prior = np.r_[self.prior, np.array(s.alike_std_m) ** -2.0]
+        self.prior_mean = np.r_[self.prior_mean, -s.hull_share * self.radius_m, np.zeros(common - 1)]
+        weighed = self.face_design / faces.std_m[:, None] ** 2
+        self.face_information, self.face_sum = weighed.T @ self.face_design, weighed.T @ faces.support_m
 
     def vote(self) -> tuple[list[Floats], float]:
         """Radius and place (3,) where the most rays have a strong edge: the best few radii, each at its best place.
@@ -246,18 +296,21 @@ class EdgeProblem:
             precision = weight / std**2
             prior, expected = self.prior.copy(), self.prior_mean
             if early:
-                prior[AXIS:] *= ROUND_FIRST**2
+                prior[AXIS : self.of_sectors.stop] *= ROUND_FIRST**2
                 expected = start_shape
             told = np.bincount(self.photo, precision, self.photos)
             held = told + offset_prior
             own = self._without_offsets(precision, held)
             information = (own * precision[:, None]).T @ design + np.diag(prior)
-            x = np.linalg.solve(information, own.T @ (precision * edges.support_m) + prior * expected)
+            told_sum = own.T @ (precision * edges.support_m) + prior * expected
+            if self.faces is not None:
+                information, told_sum = information + self.face_information, told_sum + self.face_sum
+            x = np.linalg.solve(information, told_sum)
             residual = edges.support_m - design @ x
             offset = np.bincount(self.photo, precision * self.side * residual, self.photos) / held
             residual -= self.side * offset[self.photo]
             of_sector = np.bincount(self.sector, precision, NOISE_SECTORS)
-            free = float((told / held).sum() + (of_sector / (of_sector + self.prior[-NOISE_SECTORS:])).sum())
+            free = float((told / held).sum() + (of_sector / (of_sector + self.prior[self.of_sectors])).sum())
             offset_prior = 2.0 / (self.s.offset_m**2 + offset**2)
             total = max(float(weight.sum()), 1.0)
             pixels = float((weight * self.pixel**2).sum()) * max(1.0 - free / total, 0.0)
@@ -275,7 +328,7 @@ class EdgeProblem:
             noise_m=noise,
             # The offsets' prior goes with the edges; beside the shape's it lost (docs/trials-accuracy.md).
             log_likelihood=log_likelihood - aside,
-            log_prior=-0.5 * float((self.prior[AXIS:] * x[AXIS:] ** 2).sum()),
+            log_prior=self._log_prior(x),
             precision=precision,
         )
 
@@ -287,6 +340,14 @@ class EdgeProblem:
         sided = (precision * self.side)[self.by_photo, None] * self.design_by_photo
         taken = np.add.reduceat(sided, self.first_of_photo, axis=0)
         return np.asarray(self.design - self.side[:, None] * (taken / held[:, None])[self.photo])
+
+    def _log_prior(self, x: Floats) -> float:
+        """Of the shape and what the edges do not tell, with the faces, which are as sure as they say."""
+        away = (x - self.prior_mean)[AXIS:]
+        found = float((self.prior[AXIS:] * away**2).sum())
+        if self.faces is not None:
+            found += float((((self.faces.support_m - self.face_design @ x) / self.faces.std_m) ** 2).sum())
+        return -0.5 * found
 
     def _log_fit(self, x: Floats, offset: Floats, std: Floats) -> Floats:
         residual = self.edges.support_m - self.design @ x - self.side * offset[self.photo]

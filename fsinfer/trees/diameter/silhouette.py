@@ -24,7 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.trees.diameter.budget import LEAST_DOF, effective_dof, total_std
-from fsinfer.trees.diameter.edge_problem import EdgeProblem, Edges, SilhouetteSettings, Solution, design_matrix
+from fsinfer.trees.diameter.edge_problem import EdgeProblem, Edges, SilhouetteSettings, Solution
+from fsinfer.trees.diameter.faces import Faces, SupportFunction
 from fsinfer.trees.diameter.roundness import left_open
 from fsinfer.trees.diameter.sides import NOISE_SECTORS
 
@@ -54,7 +55,8 @@ class SilhouetteFit:
     ``photos`` how many photographs they come from; ``sectors`` the part of the directions round the stem that they
     cover; ``noise_m`` the scatter of an edge.
     ``weight`` (N,) is each candidate's probability of being the stem's edge, ``gain`` (N,) how far the radius goes with
-    its support (zero for a fit that was made by hand).
+    its support (zero for a fit that was made by hand). ``faces`` is the number of sharp faces that the fit had beside
+    the edges; ``sectors`` has them too. ``fuller`` says that it has more than photographs of both edges.
     """
 
     radius_m: float
@@ -75,13 +77,19 @@ class SilhouetteFit:
     common_m: float = 0.0
     dof: float = float("inf")
     gain: Floats = field(default_factory=lambda: np.zeros(0))
+    faces: int = 0
+    fuller: bool = False
+
+    @property
+    def section(self) -> SupportFunction:
+        """The section with its place, slope and taper."""
+        return SupportFunction(
+            radius_m=self.radius_m, taper=self.taper, shift_m=self.shift_m, slope=self.slope, shape_m=self.shape_m
+        )
 
     def support(self, angle_rad: Floats, height_m: Floats | float = 0.0) -> Floats:
         """Return the support function at normal angles (N,) and heights about the axis of the cloud's fit."""
-        p = np.r_[self.radius_m, self.taper, self.shift_m, self.slope, self.shape_m]
-        return np.asarray(
-            design_matrix(angle_rad, np.broadcast_to(height_m, np.shape(angle_rad)), len(self.shape_m) // 2) @ p
-        )
+        return self.section.at(angle_rad, np.broadcast_to(np.asarray(height_m, np.float64), np.shape(angle_rad)))
 
 
 def fit_silhouette(
@@ -91,16 +99,18 @@ def fit_silhouette(
     taper: float,
     settings: SilhouetteSettings | None = None,
     points: tuple[float, float] | None = None,
+    faces: Faces | None = None,
 ) -> SilhouetteFit | None:
     """Fit the support function of a stem whose radius is roughly ``radius_m``; None where the edges do not agree.
 
     ``points`` are the cloud's radius and its standard deviation, metres, where it has one: the fit is begun there, too,
-    and where the edges allow a round stem and an oval one it tells which.
+    and where the edges allow a round stem and an oval one it tells which. ``faces`` is its surface where no edge is
+    seen.
     """
     s = settings or SilhouetteSettings()
     if len(np.unique(edges.ray)) < s.min_edges:
         return None
-    problem = EdgeProblem(edges, radius_m, taper, s)
+    problem = EdgeProblem(edges, radius_m, taper, s, faces)
     starts, contrast = problem.vote()
     if contrast < s.min_contrast:
         return None
@@ -121,9 +131,10 @@ def fit_silhouette(
     # Edges seen under about the same angle err together: bark is no smooth curve.
     sector = problem.sector[used]
     covariance = np.asarray(np.linalg.inv(best.information), np.float64)
-    variance, dof = _clustered_variance(covariance, best.scores[used], sector, problem.prior)
+    by_faces = np.zeros_like(covariance) if faces is None else problem.face_information
+    variance, dof = _clustered_variance(covariance, best.scores[used], sector, problem.prior, by_faces)
     x = best.x
-    sectors = len(np.unique(sector)) / NOISE_SECTORS
+    sectors = len(np.unique(sector if faces is None else np.r_[sector, faces.sector])) / NOISE_SECTORS
     parts = {
         "edges": float(np.sqrt(variance)),
         "common": s.common_px * float(np.median(edges.pixel_m[used])),
@@ -150,6 +161,7 @@ def fit_silhouette(
         common_m=float(np.hypot(parts["common"], parts["shape"])),
         dof=effective_dof(parts, {"edges": dof}),
         gain=np.asarray(np.linalg.solve(best.information, (best.own * best.precision[:, None]).T)[0]),
+        faces=0 if faces is None else len(faces.angle_rad),
     )
 
 
@@ -188,18 +200,21 @@ def _spread_of_fits(best: Solution, found: Sequence[Solution]) -> float:
     return float(np.sqrt((chance * away**2).sum() / max(float(chance.sum()), 1.0)))
 
 
-def _clustered_variance(covariance: Floats, scores: Floats, sector: Ints, prior: Floats) -> tuple[float, float]:
+def _clustered_variance(
+    covariance: Floats, scores: Floats, sector: Ints, prior: Floats, by_faces: Floats
+) -> tuple[float, float]:
     """Variance of the radius where edges of one sector err together (Liang & Zeger 1986), or the model's if larger.
 
     Also its degrees of freedom: the sectors beyond the three that radius and place use up, for that part of it which
-    the sectors tell; what the priors leave open is known.
+    the sectors tell; what the priors leave open is known, and so is what the faces bring by ``by_faces`` (K, K), their
+    part of the information.
     """
     names, cluster = np.unique(sector, return_inverse=True)
     sums = np.zeros((len(names), scores.shape[1]))
     np.add.at(sums, cluster, scores)
     few = len(names) / max(len(names) - 3.0, 1.0)  # radius and place are taken from the sectors
     told = float(covariance[0] @ (few * sums.T @ sums) @ covariance[0])
-    variance = told + left_open(covariance[0], prior) ** 2
+    variance = told + left_open(covariance[0], prior) ** 2 + float(covariance[0] @ by_faces @ covariance[0])
     if variance < covariance[0, 0]:
         return float(covariance[0, 0]), float("inf")
     return variance, max(len(names) - 3.0, LEAST_DOF) / max(told / variance, 1e-9) ** 2

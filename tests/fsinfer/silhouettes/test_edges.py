@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter1d
 
 from fsinfer.depth.maps import DepthMaps, seen_and_hidden
-from fsinfer.io.images import write_image
-from fsinfer.io.pfm import write_pfm
+from fsinfer.io.images import read_image, write_image
+from fsinfer.io.pfm import read_pfm, write_pfm
 from fsinfer.scene import Camera, Scene, read_scene, write_camera, write_pairs
 from fsinfer.silhouettes.edges import EdgeSettings, StemAxis, Strip, find_edges, normal_angles, strips_of_photo
+from fsinfer.trees.diameter.edge_problem import two_sided
 
 WIDTH, HEIGHT, FOCAL, RADIUS, DISTANCE_M = 300, 200, 400.0, 0.15, 1.2
 STEM = StemAxis(breast=np.array([0.0, 0.0, 1.3]), along=np.array([0.0, 0.0, 1.0]), radius_m=0.16, taper=0.0)
@@ -114,6 +115,52 @@ def test_a_stem_behind_something_nearer_gives_no_edges(tmp_path: Path, screen: f
     scene = write_plot(tmp_path, screen=screen)
     (edges,) = find_edges([STEM], scene, DepthMaps(scene, tmp_path), np.eye(4))
     assert (len(edges.support_m) > 0) == seen
+
+
+@pytest.mark.parametrize("hidden", [-1.0, 1.0, 0.0])
+def test_where_one_half_is_hidden_the_edge_of_the_other_is_found(tmp_path: Path, hidden: float) -> None:
+    """Something green a metre nearer stands before one half of the stem, or before its middle."""
+    scene = write_plot(tmp_path)
+    column = np.arange(WIDTH) - 149.5
+    screen = np.abs(column - 8.25) < 11.25 if hidden == 0.0 else hidden * column > 5
+    path = tmp_path / "images" / "p0.png"
+    image = read_image(path)
+    image[:, screen] = (60, 140, 50)
+    write_image(path, image)
+    depth = read_pfm(tmp_path / "depth" / "p0.pfm").copy()
+    depth[:, screen] = 0.6
+    write_pfm(tmp_path / "depth" / "p0.pfm", depth)
+    maps = DepthMaps(scene, tmp_path)
+    strips = strips_of_photo([STEM], 0, scene, maps, np.eye(4))
+    if hidden == 0.0:
+        assert strips == []
+        return
+    ((_, strip),) = strips
+    assert strip.sides == (-hidden,)
+    assert np.all(-hidden * strip.offsets_m > 0)
+    (edges,) = find_edges([STEM], scene, maps, np.eye(4))
+    np.testing.assert_array_equal(two_sided(edges), edges.photo == 1)
+    own = edges.photo == 0
+    assert len(np.unique(edges.ray[own])) == 6
+    best = [
+        np.flatnonzero(edges.ray == ray)[np.argmax(edges.strength[edges.ray == ray])] for ray in set(edges.ray[own])
+    ]
+    np.testing.assert_allclose(edges.support_m[best], RADIUS, atol=0.0007)
+
+
+@pytest.mark.parametrize(("cut_px", "sides"), [(75, ()), (125, (-1.0,)), (230, (-1.0, 1.0))])
+def test_of_a_stem_at_the_border_of_the_picture_the_edge_within_counts(
+    tmp_path: Path, cut_px: int, sides: tuple[float, ...]
+) -> None:
+    """The photograph ends so many pixels to the right of where the stem's left edge can be looked for."""
+    scene = write_plot(tmp_path)
+    width = min(cut_px + 30, WIDTH)
+    image = read_image(tmp_path / "images" / "p0.png")[:, :width]
+    write_image(tmp_path / "images" / "p0.png", image)
+    for kind in ("depth", "confidence"):
+        write_pfm(tmp_path / kind / "p0.pfm", read_pfm(tmp_path / kind / "p0.pfm")[:, :width].copy())
+    strips = strips_of_photo([STEM], 0, scene, DepthMaps(scene, tmp_path), np.eye(4))
+    assert [strip.sides for _, strip in strips] == ([sides] if sides else [])
 
 
 @pytest.mark.parametrize(("nearest", "shown"), [(0.5, 0), (1.15, 1)])

@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 from fsinfer.silhouettes.edges import StemAxis, Strip
-from fsinfer.silhouettes.looks import Looked, LookSettings, again, fitted_look
+from fsinfer.silhouettes.looks import Looked, LookSettings, Surface, again, fitted_look, fuller_look
 from fsinfer.trees.diameter.edge_problem import Edges, SilhouetteSettings
 from fsinfer.trees.diameter.silhouette import SilhouetteFit
 from training.simulate.stem_edges import edges_from_rows
 
 NOWHERE = np.zeros(2)
+#: Not one edge.
+NONE = edges_from_rows(np.zeros((0, 7)))
 UPRIGHT = StemAxis(breast=np.array([3.0, 5.0, 1.3]), along=np.array([0.0, 0.0, 1.0]), radius_m=0.10, taper=0.0)
 
 
@@ -51,7 +53,7 @@ def fit_of(radius: float, std: float, *, photos: int = 9, shift: Sequence[float]
 
 def looked_at(fit: SilhouetteFit | None) -> Looked:
     edges = edges_at(0.1 if fit is None else fit.radius_m, photos=9)
-    return Looked(stem=UPRIGHT, edges=edges, fitted=edges, fit=fit, moved_m=NOWHERE)
+    return Looked(stem=UPRIGHT, edges=edges, single=NONE, fitted=edges, of_fit=edges, fit=fit, moved_m=NOWHERE)
 
 
 class Photos:
@@ -170,3 +172,110 @@ def test_large_pictures_are_those_of_four_pixels_of_radius(pixels: float, used: 
     looked = fitted_look(UPRIGHT, NOWHERE, both, [], None, SilhouetteSettings(), LookSettings())
     assert looked.fit is not None
     assert len(np.unique(looked.fitted.photo)) == used
+
+
+SIDES_DEG = np.r_[np.arange(-30.0, 31.0, 5.0)]
+
+
+def half_seen(*, single_deg: Sequence[float] = (), seed: int = 0) -> Edges:
+    """An oval stem of 40 cm from about one direction, with both edges, and one edge of photographs from others.
+
+    Its longer side lies across the first direction, so that those photographs take it for thicker.
+    """
+    rng = np.random.default_rng(seed)
+    rows = []
+    for photo, direction in enumerate([*SIDES_DEG, *single_deg]):
+        for side in (0, 1) if photo < len(SIDES_DEG) else (0,):
+            for band in range(6):
+                angle = np.radians(direction) + np.pi * (0.5 - side)
+                at = oval_support(angle) + rng.normal(0.0, 0.001)
+                rows.append((at, angle, -0.2 + 0.08 * band, 8.0, 0.004, (photo * 2 + side) * 6 + band, photo))
+    return edges_from_rows(rows)
+
+
+def oval_support(angle: float) -> float:
+    return 0.2 - 0.016 * float(np.cos(2 * angle))
+
+
+def oval_points(sides_deg: Sequence[float], *, scatter_m: float = 0.001, seed: int = 1) -> Surface:
+    """Points of that stem's surface within 30 degrees of some directions: its hull, less what its bark lies below."""
+    rng = np.random.default_rng(seed)
+    t = np.radians(np.concatenate([rng.uniform(at - 30.0, at + 30.0, 400) for at in sides_deg]))
+    p, slope = 0.2 - 0.016 * np.cos(2 * t), 0.032 * np.sin(2 * t)
+    curve = np.column_stack([p * np.cos(t) - slope * np.sin(t), p * np.sin(t) + slope * np.cos(t)])
+    away = (rng.normal(-0.0014, scatter_m, len(t)))[:, None] * np.column_stack([np.cos(t), np.sin(t)])
+    height = rng.uniform(-0.24, 0.24, len(t))
+    return lambda stem: (curve + away, height)
+
+
+def fuller(edges: Edges, surface: Surface | None, settings: LookSettings | None = None) -> tuple[Looked, Looked]:
+    s = settings or LookSettings()
+    stem = replace(UPRIGHT, radius_m=0.2)
+    first = fitted_look(stem, NOWHERE, edges, [], None, SilhouetteSettings(), s)
+    return first, fuller_look(first, None, SilhouetteSettings(), s, surface)
+
+
+def test_single_edges_of_other_sides_and_no_others_say_what_a_half_seen_stem_is_like() -> None:
+    before, after = fuller(half_seen(single_deg=np.arange(60.0, 121.0, 5.0)), None)
+    assert before.fit is not None
+    assert after.fit is not None
+    assert len(np.unique(before.of_fit.photo)) == len(SIDES_DEG)
+    assert len(np.unique(before.single.photo)) == 13
+    assert set(before.edges.photo) == set(range(len(SIDES_DEG)))
+    assert after.fitted is before.fitted  # whether there is a stem goes by both edges
+    assert after.fit.sectors > before.fit.sectors
+    assert after.fit.fuller
+    assert not before.fit.fuller
+    assert after.fit.std_m < before.fit.std_m
+    assert abs(after.fit.radius_m - 0.2) < 0.7 * abs(before.fit.radius_m - 0.2)
+    assert len(after.fit.gain) == len(after.of_fit.photo)
+    # Of a stem that is well seen nobody asks them.
+    enough, same = fuller(half_seen(single_deg=np.arange(60.0, 121.0, 5.0)), None, LookSettings(well_seen=0.3))
+    assert same is enough
+
+
+def test_single_edges_that_contradict_both_edges_do_not_count() -> None:
+    """A stem of 9 cm with both edges in seven photographs was 9 mm thicker by what covers one of them in others."""
+    edges = half_seen(single_deg=np.arange(60.0, 121.0, 5.0))
+    for most, counts in ((0.5, True), (0.2, False)):  # they move it by a third of what the first fit says
+        before, after = fuller(edges, None, LookSettings(contradict_std=most))
+        assert (after is not before) == counts
+
+
+@pytest.mark.parametrize(
+    ("sides_deg", "scatter_m", "counts"),
+    [
+        ((0.0, 180.0), 0.001, True),
+        ((0.0,), 0.001, False),  # where the stem stands, not how thick it is
+        ((0.0, 180.0), 0.012, False),  # haze
+    ],
+)
+def test_sharp_faces_count_where_both_ends_of_a_width_are_known(
+    sides_deg: Sequence[float], scatter_m: float, counts: bool
+) -> None:
+    before, after = fuller(half_seen(), oval_points(sides_deg, scatter_m=scatter_m))
+    assert before.fit is not None
+    assert after.fit is not None
+    assert (after.fit.faces > 0) == counts
+    if not counts:
+        assert after is before
+        return
+    assert abs(after.fit.radius_m - 0.2) < 0.6 * abs(before.fit.radius_m - 0.2)
+    assert abs(after.fit.radius_m - 0.2) < 2 * after.fit.std_m < 1.5 * before.fit.std_m
+    assert after.fit.sectors > before.fit.sectors + 0.2
+
+
+def test_faces_that_err_together_are_no_surer_than_that() -> None:
+    """All faces 4 mm inside of the bark: one standard deviation of what depth maps have alike."""
+    surface = oval_points((0.0, 180.0))
+
+    def pulled(stem: StemAxis) -> tuple[np.ndarray, np.ndarray]:
+        offsets, height = surface(stem)
+        length = np.linalg.norm(offsets, axis=1, keepdims=True)
+        return offsets * (1 - 0.004 / length), height
+
+    true, off = (fuller(half_seen(), one)[1].fit for one in (surface, pulled))
+    assert true is not None
+    assert off is not None
+    assert 0.0005 < true.radius_m - off.radius_m < 0.003
+    assert abs(off.radius_m - 0.2) < 2 * off.std_m

@@ -15,7 +15,7 @@ from fsinfer.trees import Section
 from fsinfer.trees.diameter.edge_problem import Edges, SilhouetteSettings
 from fsinfer.trees.diameter.section import unmeasured_section
 from fsinfer.trees.diameter.silhouette import fit_silhouette
-from tests.fsinfer.silhouettes.test_looks import NOWHERE, UPRIGHT, fit_of
+from tests.fsinfer.silhouettes.test_looks import NONE, NOWHERE, UPRIGHT, fit_of
 from tests.fsinfer.trees.diameter.test_second_pair import edges_of, together
 
 SEEN_LITTLE = notice(StemCode.too_little_seen, seen_deg=50.0)
@@ -31,7 +31,7 @@ def seen_from(directions_deg: list[float], radius: float = 0.06, *, seed: int = 
     edges: Edges = edges_of(radius, directions_deg, rng=np.random.default_rng(seed))
     stem = replace(UPRIGHT, radius_m=radius, taper=-0.008)
     fit = fit_silhouette(edges, radius, taper=stem.taper)
-    return Looked(stem=stem, edges=edges, fitted=edges, fit=fit, moved_m=NOWHERE)
+    return Looked(stem=stem, edges=edges, single=NONE, fitted=edges, of_fit=edges, fit=fit, moved_m=NOWHERE)
 
 
 def test_points_that_were_refused_may_still_agree_on_the_size() -> None:
