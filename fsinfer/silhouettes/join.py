@@ -26,13 +26,13 @@ from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene
-from fsinfer.silhouettes.edges import StemAxis
 from fsinfer.silhouettes.join_settings import SilhouetteJoinSettings
 from fsinfer.silhouettes.joined_section import join, points_std
 from fsinfer.silhouettes.looks import look_at_stems
 from fsinfer.silhouettes.points_alone import by_points_alone
 from fsinfer.silhouettes.pose_errors import radius_std
 from fsinfer.silhouettes.shrubs import is_arc_of_haze, is_shrub, shows_no_edges_all_round
+from fsinfer.silhouettes.stem_axis import StemAxis
 from fsinfer.silhouettes.strips import draw_strips
 from fsinfer.silhouettes.support import is_supported
 from fsinfer.silhouettes.surface import points_about

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from fsinfer.silhouettes.combine import CombineSettings
-from fsinfer.silhouettes.edges import EdgeSettings
+from fsinfer.silhouettes.edge_settings import EdgeSettings
 from fsinfer.silhouettes.looks import LookSettings
 from fsinfer.silhouettes.support import SupportSettings
 from fsinfer.trees.diameter.edge_problem import SilhouetteSettings

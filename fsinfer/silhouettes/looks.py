@@ -21,10 +21,13 @@ from numpy.typing import NDArray
 from fsinfer.depth.maps import DepthMaps
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene
-from fsinfer.silhouettes.edges import EdgeSettings, StemAxis, Strip, find_edges
+from fsinfer.silhouettes.edge_settings import EdgeSettings
+from fsinfer.silhouettes.edges import Strip, find_edges
+from fsinfer.silhouettes.stem_axis import StemAxis
 from fsinfer.silhouettes.strips import keep_strip
 from fsinfer.trees.cylinder.axis import LEAST_RADIUS_M
-from fsinfer.trees.diameter.edge_problem import Edges, SilhouetteSettings, chosen_edges, joined_edges, two_sided
+from fsinfer.trees.diameter.edge_problem import SilhouetteSettings
+from fsinfer.trees.diameter.edge_set import Edges, chosen_edges, joined_edges, two_sided
 from fsinfer.trees.diameter.faces import Faces, sector_of_angle, sharp_faces
 from fsinfer.trees.diameter.sides import NOISE_SECTORS
 from fsinfer.trees.diameter.silhouette import SilhouetteFit, fit_silhouette

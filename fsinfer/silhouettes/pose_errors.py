@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fsinfer.geometry.similarity import apply, scale_of
 from fsinfer.poses.adjustment.precision import CameraPrecision
 from fsinfer.scene import Scene, project
-from fsinfer.trees.diameter.edge_problem import Edges
+from fsinfer.trees.diameter.edge_set import Edges
 from fsinfer.trees.diameter.silhouette import SilhouetteFit
 
 Floats = NDArray[np.float64]

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.io.images import write_image
-from fsinfer.silhouettes.edges import StemAxis, Strip, normal_angles
+from fsinfer.silhouettes.edges import Strip, normal_angles
+from fsinfer.silhouettes.stem_axis import StemAxis
 from fsinfer.trees.diameter.silhouette import SilhouetteFit
 
 Floats = NDArray[np.float64]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.silhouettes.edges import StemAxis
+from fsinfer.silhouettes.stem_axis import StemAxis
 from fsinfer.trees.diameter.faces import FaceSettings
 
 Floats = NDArray[np.float64]

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.trees.diameter.edge_problem import Edges
+from fsinfer.trees.diameter.edge_set import Edges
 from training.simulate.grown_stem import GrownStem, GrowthSpec
 
 Floats = NDArray[np.float64]

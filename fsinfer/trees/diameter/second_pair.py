@@ -17,7 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.trees.diameter.edge_problem import Edges, SilhouetteSettings, chosen_edges
+from fsinfer.trees.diameter.edge_problem import SilhouetteSettings
+from fsinfer.trees.diameter.edge_set import Edges, chosen_edges
 from fsinfer.trees.diameter.silhouette import SilhouetteFit, fit_silhouette
 
 Floats = NDArray[np.float64]

@@ -16,8 +16,10 @@ from fsinfer.depth.maps import DepthMaps, seen_and_hidden
 from fsinfer.io.images import read_image, write_image
 from fsinfer.io.pfm import read_pfm, write_pfm
 from fsinfer.scene import Camera, Scene, read_scene, write_camera, write_pairs
-from fsinfer.silhouettes.edges import EdgeSettings, StemAxis, Strip, find_edges, normal_angles, strips_of_photo
-from fsinfer.trees.diameter.edge_problem import two_sided
+from fsinfer.silhouettes.edge_settings import EdgeSettings
+from fsinfer.silhouettes.edges import Strip, find_edges, normal_angles, strips_of_photo
+from fsinfer.silhouettes.stem_axis import StemAxis
+from fsinfer.trees.diameter.edge_set import two_sided
 
 WIDTH, HEIGHT, FOCAL, RADIUS, DISTANCE_M = 300, 200, 400.0, 0.15, 1.2
 STEM = StemAxis(breast=np.array([0.0, 0.0, 1.3]), along=np.array([0.0, 0.0, 1.0]), radius_m=0.16, taper=0.0)

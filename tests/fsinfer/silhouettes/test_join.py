@@ -26,7 +26,7 @@ from fsinfer.silhouettes.strips import GAP_PX, TILE_PX
 from fsinfer.silhouettes.support import SupportSettings
 from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
 from fsinfer.trees.diameter.budget import factor95
-from fsinfer.trees.diameter.edge_problem import Edges
+from fsinfer.trees.diameter.edge_set import Edges
 from fsinfer.trees.diameter.roundness import Harmonic, Roundness, misfit_std
 from fsinfer.trees.diameter.second_pair import SecondPairSettings
 from fsinfer.trees.diameter.silhouette import SilhouetteFit, fit_silhouette

@@ -8,9 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsinfer.silhouettes.edges import StemAxis, Strip
+from fsinfer.silhouettes.edges import Strip
 from fsinfer.silhouettes.looks import Looked, LookSettings, Surface, again, fitted_look, fuller_look
-from fsinfer.trees.diameter.edge_problem import Edges, SilhouetteSettings
+from fsinfer.silhouettes.stem_axis import StemAxis
+from fsinfer.trees.diameter.edge_problem import SilhouetteSettings
+from fsinfer.trees.diameter.edge_set import Edges
 from fsinfer.trees.diameter.silhouette import SilhouetteFit
 from training.simulate.stem_edges import edges_from_rows
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fsinfer.poses.adjustment.precision import CameraPrecision
 from fsinfer.scene import Camera, Scene, View
 from fsinfer.silhouettes.pose_errors import radius_std, ray_errors
-from fsinfer.trees.diameter.edge_problem import Edges
+from fsinfer.trees.diameter.edge_set import Edges
 from fsinfer.trees.diameter.silhouette import fit_silhouette
 from training.simulate.stem_edges import edges_from_rows
 

@@ -12,7 +12,8 @@ from fsinfer.notices.stems import StemCode
 from fsinfer.silhouettes.looks import Looked
 from fsinfer.silhouettes.support import SupportSettings, is_supported, points_support
 from fsinfer.trees import Section
-from fsinfer.trees.diameter.edge_problem import Edges, SilhouetteSettings
+from fsinfer.trees.diameter.edge_problem import SilhouetteSettings
+from fsinfer.trees.diameter.edge_set import Edges
 from fsinfer.trees.diameter.section import unmeasured_section
 from fsinfer.trees.diameter.silhouette import fit_silhouette
 from tests.fsinfer.silhouettes.test_looks import NONE, NOWHERE, UPRIGHT, fit_of

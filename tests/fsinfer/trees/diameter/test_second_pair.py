@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsinfer.trees.diameter.edge_problem import Edges
+from fsinfer.trees.diameter.edge_set import Edges
 from fsinfer.trees.diameter.second_pair import SecondPairSettings, second_pair
 from fsinfer.trees.diameter.silhouette import fit_silhouette
 from training.simulate.stem_edges import edges_from_rows

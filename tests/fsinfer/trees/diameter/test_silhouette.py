@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fsinfer.trees.diameter.edge_problem import Edges, SilhouetteSettings, Solution
+from fsinfer.trees.diameter.edge_problem import SilhouetteSettings, Solution
+from fsinfer.trees.diameter.edge_set import Edges
 from fsinfer.trees.diameter.sides import NOISE_SECTORS
 from fsinfer.trees.diameter.silhouette import _spread_of_fits, _surer, edge_contrast, fit_silhouette
 from training.simulate.stem_edges import edges_from_rows
