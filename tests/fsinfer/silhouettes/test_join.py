@@ -33,6 +33,7 @@ from fsinfer.trees.diameter.silhouette import SilhouetteFit, fit_silhouette
 from tests.support.rendered_stem import (
     BREAST,
     HEIGHT,
+    LEAN,
     M_PER_UNIT,
     PHOTOS,
     RADIUS,
@@ -494,6 +495,44 @@ def test_a_stem_that_the_cloud_refused_needs_a_second_direction(photos: StemPhot
     # The cloud's own diameter needs no second direction.
     known = measure_silhouettes(plot_of(section_of(0.28, 0.004)), one_side)
     assert known.trees[0].dbh_cm == pytest.approx(200 * RADIUS, abs=0.5)
+
+
+def test_the_clouds_sharp_faces_are_in_the_diameter_of_a_stem_seen_from_one_side(
+    photos: StemPhotos, tmp_path: Path
+) -> None:
+    one_side = seen_from([2.0 * index for index in range(PHOTOS)], photos, tmp_path)
+    angle, height = np.meshgrid(np.radians([*range(-40, 56, 2), *range(140, 236, 2)]), np.linspace(-0.24, 0.24, 25))
+    angle, height = angle.reshape(-1), height.reshape(-1)
+    radius = 0.993 * RADIUS + TAPER * height
+    axis = BREAST + np.column_stack([LEAN[0] * height, LEAN[1] * height, height])
+    bark = axis + radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))])
+    shrub = np.random.default_rng(0).uniform(-3.0, 3.0, (2000, 3)) + np.array([4.0, 4.0, 1.3])
+    plot = plot_of(section_of(0.284, 0.004))
+    before = measure_silhouettes(plot, one_side)
+    after = measure_silhouettes(plot, one_side, cloud_xyz=np.concatenate([bark, shrub]))
+    first, then = before.sections[0].silhouette, after.sections[0].silhouette
+    assert first is not None
+    assert then is not None
+    assert (first.faces, first.fuller) == (0, False)
+    assert then.faces >= 10
+    assert then.sectors > first.sectors + 0.35
+    assert then.std_m < 0.6 * first.std_m
+    assert then.radius_m == pytest.approx(RADIUS, abs=0.0015)
+    # The points are in it, and do not count once more beside it.
+    assert (before.sections[0].parts_m["cloud"] > 0) == (after.sections[0].parts_m["cloud"] == 0)
+    assert after.trees[0].dbh_cm == pytest.approx(200 * (then.radius_m), abs=0.02)
+
+
+def test_what_a_fuller_fit_says_of_its_error_counts_as_it_is() -> None:
+    own = combine(0.150, 0.002, 0.153, 0.004, counted=True)
+    assert (own.radius_m, own.weight, own.points_std_m) == (0.153, 0.0, 0.0)
+    assert own.edges_std_m == pytest.approx(0.7 * 0.004)
+    assert combine(None, 0.0, 0.153, 0.004, fuller=True).edges_std_m == pytest.approx(0.004)
+    assert combine(0.150, 0.002, 0.1591, 0.004, counted=True).contradict
+    plain, fuller = (joined(section_of(None, 0.01, ROUGH), replace(fit_of(0.15, 0.004), fuller=more, common_m=0.001))
+                     for more in (False, True))  # fmt: skip
+    assert fuller.parts_m["silhouette"] == pytest.approx(plain.parts_m["silhouette"] / 0.7)
+    assert fuller.shared_sd_m > 1.2 * plain.shared_sd_m
 
 
 def test_two_entries_that_turn_out_to_be_one_stem_become_one(photos: StemPhotos) -> None:

@@ -24,6 +24,7 @@ import fsinfer.silhouettes.looks as silhouettes
 import fsinfer.workflow.cloud_stages as cloud_stages
 import fsinfer.workflow.photo_stages as photo_stages
 import fsinfer.workflow.pipeline as pipeline
+import fsinfer.workflow.tree_stage as tree_stage
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.sfm_check import DepthCheck
 from fsinfer.depth.stage import DepthResult
@@ -44,6 +45,7 @@ from fsinfer.scale.find import FoundScale
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scene import project, read_camera, read_scene, write_camera
 from fsinfer.silhouettes.edges import find_edges
+from fsinfer.silhouettes.join import measure_silhouettes
 from fsinfer.trees import TreeSettings
 from fsinfer.trees.outputs.table import read_trees
 from fsinfer.trees.pattern.match import PatternSettings
@@ -463,13 +465,18 @@ def test_trees_of_the_runs_own_cloud_with_and_without_its_photographs(
     out = tmp_path / "out"
     run(photos, out, settings=METRIC)
     expected = dbh_cm(out)
-    looked_at = []
+    looked_at, clouds = [], []
 
     def looking(trees: Sequence[Any], *args: Any, **kwargs: Any) -> Any:
         looked_at.append(len(trees))
         return find_edges(trees, *args, **kwargs)
 
+    def measuring(*args: Any, **kwargs: Any) -> Any:
+        clouds.append(len(kwargs["cloud_xyz"]))
+        return measure_silhouettes(*args, **kwargs)
+
     monkeypatch.setattr(silhouettes, "find_edges", looking)
+    monkeypatch.setattr(tree_stage, "measure_silhouettes", measuring)
     for gone in (None, out / "scene" / "images"):
         if gone is not None:
             shutil.rmtree(gone)
@@ -477,6 +484,7 @@ def test_trees_of_the_runs_own_cloud_with_and_without_its_photographs(
         assert dbh_cm(out) == expected
     # The photographs were looked at the first time; without them the points have to do.
     assert looked_at == [len(STEMS)]
+    assert clouds == [len(read_cloud(out / "cloud.ply").xyz)]
 
 
 def test_the_cloud_of_a_run_that_was_stopped_is_measured_in_its_own_unit(
