@@ -104,7 +104,8 @@ class SupportFunction:
     def normals_at(self, offsets_m: Floats, height_m: Floats) -> Floats:
         """Angle (N,) of the outward normal where the section is in the direction of ``offsets_m`` (N, 2).
 
-        The point of a convex curve with normal angle t lies at t + atan(p'(t) / p(t)) (Santalo 2004, section 1.2).
+        The point of a convex curve with normal angle t lies at t + atan(p'(t) / p(t)) (Santalo 2004, section 1.2);
+        both are taken at the point's own direction, which is right to second order.
         """
         from_middle = offsets_m - self._place(height_m)
         direction = np.arctan2(from_middle[:, 1], from_middle[:, 0])

@@ -150,12 +150,20 @@ def test_where_one_half_is_hidden_the_edge_of_the_other_is_found(tmp_path: Path,
     np.testing.assert_allclose(edges.support_m[best], RADIUS, atol=0.0007)
 
 
-@pytest.mark.parametrize(("cut_px", "sides"), [(75, ()), (125, (-1.0,)), (230, (-1.0, 1.0))])
+@pytest.mark.parametrize(
+    ("cut_px", "screen", "sides"),
+    [
+        (75, 0.0, ()),
+        (125, 0.0, (-1.0,)),
+        (125, 0.2, ()),  # a fifth of that half is hidden
+        (230, 0.0, (-1.0, 1.0)),
+    ],
+)
 def test_of_a_stem_at_the_border_of_the_picture_the_edge_within_counts(
-    tmp_path: Path, cut_px: int, sides: tuple[float, ...]
+    tmp_path: Path, cut_px: int, screen: float, sides: tuple[float, ...]
 ) -> None:
     """The photograph ends so many pixels to the right of where the stem's left edge can be looked for."""
-    scene = write_plot(tmp_path)
+    scene = write_plot(tmp_path, screen=screen)
     width = min(cut_px + 30, WIDTH)
     image = read_image(tmp_path / "images" / "p0.png")[:, :width]
     write_image(tmp_path / "images" / "p0.png", image)

@@ -179,7 +179,7 @@ def test_large_pictures_are_those_of_four_pixels_of_radius(pixels: float, used: 
 SIDES_DEG = np.r_[np.arange(-30.0, 31.0, 5.0)]
 
 
-def half_seen(*, single_deg: Sequence[float] = (), seed: int = 0) -> Edges:
+def half_seen(*, single_deg: Sequence[float] = (), single_px: float = 0.004, seed: int = 0) -> Edges:
     """An oval stem of 40 cm from about one direction, with both edges, and one edge of photographs from others.
 
     Its longer side lies across the first direction, so that those photographs take it for thicker.
@@ -191,7 +191,8 @@ def half_seen(*, single_deg: Sequence[float] = (), seed: int = 0) -> Edges:
             for band in range(6):
                 angle = np.radians(direction) + np.pi * (0.5 - side)
                 at = oval_support(angle) + rng.normal(0.0, 0.001)
-                rows.append((at, angle, -0.2 + 0.08 * band, 8.0, 0.004, (photo * 2 + side) * 6 + band, photo))
+                pixel = 0.004 if photo < len(SIDES_DEG) else single_px
+                rows.append((at, angle, -0.2 + 0.08 * band, 8.0, pixel, (photo * 2 + side) * 6 + band, photo))
     return edges_from_rows(rows)
 
 
@@ -231,7 +232,12 @@ def test_single_edges_of_other_sides_and_no_others_say_what_a_half_seen_stem_is_
     assert after.fit.std_m < before.fit.std_m
     assert abs(after.fit.radius_m - 0.2) < 0.7 * abs(before.fit.radius_m - 0.2)
     assert len(after.fit.gain) == len(after.of_fit.photo)
-    # Of a stem that is well seen nobody asks them.
+    # Photographs that show it small are not asked, and of a stem that is well seen none.
+    small = fuller(half_seen(single_deg=np.arange(60.0, 121.0, 5.0), single_px=0.06), None)
+    assert small[1] is small[0]
+    some = half_seen(single_deg=np.arange(60.0, 121.0, 5.0))
+    pixel = np.where(some.photo == some.photo.max(), 0.06, some.pixel_m)
+    assert set(fuller(replace(some, pixel_m=pixel), None)[1].of_fit.photo) == set(range(some.photo.max()))
     enough, same = fuller(half_seen(single_deg=np.arange(60.0, 121.0, 5.0)), None, LookSettings(well_seen=0.3))
     assert same is enough
 
