@@ -109,7 +109,7 @@ def measure_silhouettes(
         fit=s.fit,
         settings=s.looks,
         keep_strips=figures is not None,
-        surface=None if cloud_xyz is None else partial(points_about, cloud_xyz),
+        surface=None if cloud_xyz is None else partial(points_about, cloud_xyz, settings=s.fit.faces),
         progress=progress,
     )
     pairs, shrubs = [], []
@@ -172,7 +172,8 @@ def write_sources(path: Path, result: PlotResult) -> None:
         points = None if section.cloud_dbh_m is None else f"{100 * section.cloud_dbh_m:.2f}"
         edges = (f"{200 * fit.radius_m:.2f}", f"{200 * fit.std_m:.2f}", fit.photos)
         shares = (f"{fit.sectors:.2f}", f"{fit.share:.2f}", f"{fit.contrast:.2f}")
-        rows.append((tree.tree_id, points, *edges, *shares, "yes" if section.parts_m["cloud"] > 0 else "no"))
+        used = section.parts_m["cloud"] > 0 or fit.faces > 0
+        rows.append((tree.tree_id, points, *edges, *shares, "yes" if used else "no"))
     write_table(path, SOURCE_COLUMNS, rows)
 
 

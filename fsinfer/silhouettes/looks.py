@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaincinv
 
 from fsinfer.depth.maps import DepthMaps
 from fsinfer.progress import Progress, silent
@@ -25,6 +26,7 @@ from fsinfer.silhouettes.edge_settings import EdgeSettings
 from fsinfer.silhouettes.edges import Strip, find_edges
 from fsinfer.silhouettes.stem_axis import StemAxis
 from fsinfer.silhouettes.strips import keep_strip
+from fsinfer.silhouettes.visibility import BOTH_SIDES
 from fsinfer.trees.cylinder.axis import LEAST_RADIUS_M
 from fsinfer.trees.diameter.edge_problem import SilhouetteSettings
 from fsinfer.trees.diameter.edge_set import Edges, chosen_edges, joined_edges, two_sided
@@ -50,6 +52,11 @@ class LookSettings:
     looks: at a stem at most. Source: renders only, five plots: nothing changed after the third.
     contradict_std: standard deviations between two looks beyond which the later counts though it is less sure. Source:
         statistics, 95 %.
+    against_std: standard deviations of the fit of both edges within which single edges and faces have to leave the
+        radius. Source: statistics, 95 %.
+    fitting_faces: probability of what faces are off by, beyond which they do not count: they lie beside the edges, as
+        where two parts of the walk do not stand where they should. Source: statistics; renders only, six plots: one of
+        31 stems, 70 cm, whose parts stand 3 cm beside each other.
     well_seen: of the sides: a stem of which both edges are seen from fewer is asked of single edges and sharp faces as
         well. Source: renders only, 74 stems of six plots (docs/trials-accuracy.md, "Sharp faces").
     """
@@ -59,6 +66,8 @@ class LookSettings:
     again_rel: float = 0.05
     looks: int = 3
     contradict_std: float = 2.0
+    against_std: float = 2.0
+    fitting_faces: float = 0.95
     well_seen: float = 0.75
 
 
@@ -118,7 +127,8 @@ def look_at_stems(
         strips: list[list[Strip]] = [[] for _ in at]
 
         def on_strip(number: int, strip: Strip) -> None:
-            keep_strip(strips[number], strip)
+            if strip.sides == BOTH_SIDES:  # half a stem says little to who looks at it
+                keep_strip(strips[number], strip)
 
         wanted = on_strip if keep_strips else None
         found = find_edges(at, scene, maps, cloud_from_scene, settings=edges, on_strip=wanted, progress=progress)
@@ -131,7 +141,11 @@ def look_at_stems(
         for stem, found, strips, radius in zip(stems, *first, points, strict=True)
     ]
     looked = again(looked, points, look, fit=fit, settings=s)
-    return [fuller_look(one, of_points, fit, s, surface) for one, of_points in zip(looked, points, strict=True)]
+    return [
+        # Points that gave no radius have no say in what the edges have to agree with.
+        fuller_look(one, of_points, fit, s, None if of_points is None else surface)
+        for one, of_points in zip(looked, points, strict=True)
+    ]
 
 
 def again(
@@ -254,10 +268,11 @@ def _unless_against(
     found = fit_silhouette(edges, stem.radius_m, taper=stem.taper, settings=fit, points=points, faces=faces)
     if found is None or first is None:
         return best
-    new = replace(best, fit=replace(found, fuller=True), of_fit=edges)
-    if not new.clear(s):
+    new = replace(best, fit=replace(found, fuller=True, contrast=first.contrast), of_fit=edges)
+    fits = found.faces_misfit * found.faces <= 2.0 * gammaincinv(0.5 * max(found.faces, 1), s.fitting_faces)
+    if not (new.clear(s) and fits):
         return best
-    return new if abs(found.radius_m - first.radius_m) <= s.contradict_std * first.std_m else best
+    return new if abs(found.radius_m - first.radius_m) <= s.against_std * first.std_m else best
 
 
 def _faces(looked: Looked, offsets_m: Floats, height_m: Floats, fit: SilhouetteSettings) -> Faces | None:

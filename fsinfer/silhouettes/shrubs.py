@@ -39,7 +39,7 @@ def shows_no_edges_all_round(tree: Tree, looked: Looked, contrast: float, s: Sil
 
 
 def is_arc_of_haze(tree: Tree, looked: Looked) -> bool:
-    """Whether what would be a thick stem shows less than a giant of its girth, has no size, and is in no photograph.
+    """Whether what would be a thick stem shows less than a giant of its girth, has no size, and both edges nowhere.
 
     What is as thick as that can be hidden from some photographs of a walk, hardly from all.
     """

@@ -49,7 +49,7 @@ def draw_strips(
     for number, (strip, name) in enumerate(zip(strips, names, strict=True)):
         upright = strip.image[::-1].clip(0, 255).astype(np.uint8)  # rows of a strip count upwards
         tile = np.ascontiguousarray(cv2.resize(upright, TILE_PX, interpolation=cv2.INTER_LINEAR))
-        for side in strip.sides:
+        for side in (-1.0, 1.0):
             offsets = edge_offsets(strip, stem, fit, side)
             x = (offsets - strip.offsets_m[0]) / np.ptp(strip.offsets_m) * (width - 1)
             y = (strip.heights_m[-1] - strip.heights_m) / np.ptp(strip.heights_m) * (height - 1)

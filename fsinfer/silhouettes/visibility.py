@@ -19,8 +19,8 @@ SIDE_POINTS, SIDE_OF_RADIUS = (9, 5), 0.6
 #: A camera nearer than this to a stem, in radii and metres, or of which it is less deep, sees it too slanted.
 #: Source: numerics.
 NEAREST_RADII, NEAREST_M, LEAST_DEPTH_M = 2.5, 0.5, 0.3
-#: Both edges must lie inside the photograph with this much room, in radii and pixels, and above and below in pixels.
-#: Source: not recorded.
+#: Both edges must lie inside the photograph with this much room, in radii and pixels, and above and below in pixels;
+#: one edge by itself with so many radii, and with the last on all sides. Source: not recorded.
 ROOM_RADII, ROOM_PX, ROOM_ABOVE_PX = 1.3, 3.0, 5
 #: Left and right of the axis. Source: convention.
 BOTH_SIDES = (-1.0, 1.0)

@@ -2,9 +2,9 @@
 
 The true stem is where the edges of many photographs agree: a vote over radius and place starts the fit,
 expectation-maximisation (Dempster, Laird and Rubin 1977) with a background class refines it. Each edge is one linear
-equation in the unknowns (:mod:`fsinfer.trees.diameter.silhouette`); each photograph's offset is taken out of the
-system before it is solved (Schur's complement). So is every sharp face of the cloud
-(:mod:`fsinfer.trees.diameter.faces`).
+equation in the unknowns (:mod:`fsinfer.trees.diameter.silhouette`), and so is every sharp face of the cloud
+(:mod:`fsinfer.trees.diameter.faces`); each photograph's offset is taken out of the system before it is solved (Schur's
+complement).
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from fsinfer.trees.diameter.faces import Faces, FaceSettings, sector_of_angle
 from fsinfer.trees.diameter.sides import NOISE_SECTORS
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 #: Steps of the vote over radius and place, metres. Source: numerics.
@@ -187,6 +186,27 @@ class EdgeProblem:
         weighed = self.face_design / faces.std_m[:, None] ** 2
         self.face_information, self.face_sum = weighed.T @ self.face_design, weighed.T @ faces.support_m
 
+    def shared_by_faces(self, covariance: Floats) -> float:
+        """Standard deviation of the radius, metres, by what all faces of a plot err outwards together.
+
+        ``covariance`` (K,) is that of the radius with all unknowns.
+        """
+        first = self.of_sectors.stop
+        return 0.0 if self.faces is None else float(abs(covariance[first]) * np.sqrt(self.prior[first]))
+
+    def misfit_of_faces(self, x: Floats) -> float:
+        """Mean square, for each face, of what they are off by in standard deviations, alike and each by itself."""
+        if self.faces is None:
+            return 0.0
+        common = slice(self.of_sectors.stop, None)
+        alike = self.prior[common] * (x - self.prior_mean)[common] ** 2
+        return float((alike.sum() + self._squares_of_faces(x)) / len(self.faces.angle_rad))
+
+    def _squares_of_faces(self, x: Floats) -> float:
+        if self.faces is None:
+            return 0.0
+        return float((((self.faces.support_m - self.face_design @ x) / self.faces.std_m) ** 2).sum())
+
     def vote(self) -> tuple[list[Floats], float]:
         """Radius and place (3,) where the most rays have a strong edge: the best few radii, each at its best place.
 
@@ -288,10 +308,7 @@ class EdgeProblem:
     def _log_prior(self, x: Floats) -> float:
         """Of the shape and what the edges do not tell, with the faces, which are as sure as they say."""
         away = (x - self.prior_mean)[AXIS:]
-        found = float((self.prior[AXIS:] * away**2).sum())
-        if self.faces is not None:
-            found += float((((self.faces.support_m - self.face_design @ x) / self.faces.std_m) ** 2).sum())
-        return -0.5 * found
+        return -0.5 * (float((self.prior[AXIS:] * away**2).sum()) + self._squares_of_faces(x))
 
     def _log_fit(self, x: Floats, offset: Floats, std: Floats) -> Floats:
         residual = self.edges.support_m - self.design @ x - self.side * offset[self.photo]

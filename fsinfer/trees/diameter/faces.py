@@ -39,7 +39,8 @@ class FaceSettings:
         radius. Source: judgement, three times what edges were off by on a side that they do not see.
     min_points: of a sector. Source: statistics, their median is known to a third of their scatter.
     sharp_m: greatest scatter of a sector. Source: renders only, six plots: those within 0.4 cm have their medians
-        within 0.3 to 0.5 cm of the hull (rms), those of 0.4 to 0.8 cm within 1.0, hazier ones within 1.3 to 2 cm.
+        within 0.3 to 0.5 cm of the hull (rms) on four and within 0.9 and 1.3 cm on two, where parts of the walk do not
+        stand where they should; those of 0.4 to 0.8 cm within 0.6 to 2.3, hazier ones within 1.2 to 2.8 cm.
     own_std_m: what a sector's median is off by beside its scatter. Source: six plots.
     alike_std_m: what all of them are off by together: outwards, to one side (two parts of the walk do not stand where
         they should), and as an oval. Source: six plots; from 0.2 to 0.4 cm outwards and as an oval nothing
@@ -138,15 +139,14 @@ def sharp_faces(
 
     Parameters
     ----------
-    offsets_m: (N, 2) points from the axis, along its two directions across. height_m: (N,) along it.
+    offsets_m: (N, 2) points within ``half_length_m`` of breast height from the axis, along its two directions across.
+    height_m: (N,) along it.
     support: the section that the edges gave, with its place, slope and taper.
     seen: (24,) whether the edges see the sector.
     """
     s = settings or FaceSettings()
-    near = np.abs(height_m) < s.half_length_m
-    offsets, height = offsets_m[near], height_m[near]
-    angle = support.normals_at(offsets, height)
-    outside = (offsets * np.column_stack([np.cos(angle), np.sin(angle)])).sum(axis=1) - support.at(angle, height)
+    angle = support.normals_at(offsets_m, height_m)
+    outside = (offsets_m * np.column_stack([np.cos(angle), np.sin(angle)])).sum(axis=1) - support.at(angle, height_m)
     inside = np.abs(outside) < min(s.window_m, s.window_share * support.radius_m)
     sector = sector_of_angle(angle)
     scatter, middle = np.full(NOISE_SECTORS, np.inf), np.zeros(NOISE_SECTORS)

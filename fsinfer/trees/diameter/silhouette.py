@@ -57,7 +57,8 @@ class SilhouetteFit:
     cover; ``noise_m`` the scatter of an edge.
     ``weight`` (N,) is each candidate's probability of being the stem's edge, ``gain`` (N,) how far the radius goes with
     its support (zero for a fit that was made by hand). ``faces`` is the number of sharp faces that the fit had beside
-    the edges; ``sectors`` has them too. ``fuller`` says that it has more than photographs of both edges.
+    the edges, ``faces_misfit`` the mean square of what they are off by, in standard deviations; ``sectors`` has them
+    too. ``fuller`` says that it has more than photographs of both edges.
     """
 
     radius_m: float
@@ -79,6 +80,7 @@ class SilhouetteFit:
     dof: float = float("inf")
     gain: Floats = field(default_factory=lambda: np.zeros(0))
     faces: int = 0
+    faces_misfit: float = 0.0
     fuller: bool = False
 
     @property
@@ -159,10 +161,11 @@ def fit_silhouette(
         weight=weight,
         one_sided_m=parts["one sided"],
         left_open_m=left_open(covariance[0, problem.shape], problem.prior[problem.shape]),
-        common_m=float(np.hypot(parts["common"], parts["shape"])),
+        common_m=float(np.hypot(np.hypot(parts["common"], parts["shape"]), problem.shared_by_faces(covariance[0]))),
         dof=effective_dof(parts, {"edges": dof}),
         gain=np.asarray(np.linalg.solve(best.information, (best.own * best.precision[:, None]).T)[0]),
         faces=0 if faces is None else len(faces.angle_rad),
+        faces_misfit=problem.misfit_of_faces(x),
     )
 
 

@@ -119,6 +119,16 @@ def test_a_stem_behind_something_nearer_gives_no_edges(tmp_path: Path, screen: f
     assert (len(edges.support_m) > 0) == seen
 
 
+def test_a_half_that_the_depth_map_does_not_show_has_no_edge(tmp_path: Path) -> None:
+    """One half hidden, and behind where the other should be the map has what lies far beyond."""
+    scene = write_plot(tmp_path)
+    depth = read_pfm(tmp_path / "depth" / "p0.pfm").copy()
+    depth[:, 150:] = 0.6
+    depth[:, :150] = 30.0
+    write_pfm(tmp_path / "depth" / "p0.pfm", depth)
+    assert strips_of_photo([STEM], 0, scene, DepthMaps(scene, tmp_path), np.eye(4)) == []
+
+
 @pytest.mark.parametrize("hidden", [-1.0, 1.0, 0.0])
 def test_where_one_half_is_hidden_the_edge_of_the_other_is_found(tmp_path: Path, hidden: float) -> None:
     """Something green a metre nearer stands before one half of the stem, or before its middle."""

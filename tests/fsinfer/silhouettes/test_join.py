@@ -519,7 +519,16 @@ def test_the_clouds_sharp_faces_are_in_the_diameter_of_a_stem_seen_from_one_side
     assert then.std_m < 0.6 * first.std_m
     assert then.radius_m == pytest.approx(RADIUS, abs=0.0015)
     # The points are in it, and do not count once more beside it.
-    assert (before.sections[0].parts_m["cloud"] > 0) == (after.sections[0].parts_m["cloud"] == 0)
+    assert before.sections[0].parts_m["cloud"] > 0
+    assert after.sections[0].parts_m["cloud"] == 0
+    write_sources(tmp_path / "sources.csv", after)
+    with (tmp_path / "sources.csv").open(encoding="utf-8", newline="") as file:
+        assert [row["points_used"] for row in csv.DictReader(file)] == ["yes"]
+    # Points that the cloud gave no radius by are no face either.
+    refused = plot_of(section_of(None, 0.01, ROUGH))
+    again = measure_silhouettes(refused, one_side, cloud_xyz=np.concatenate([bark, shrub])).sections[0].silhouette
+    assert again is not None
+    assert again.faces == 0
     assert after.trees[0].dbh_cm == pytest.approx(200 * (then.radius_m), abs=0.02)
 
 

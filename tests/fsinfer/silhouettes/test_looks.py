@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fsinfer.silhouettes.edges import Strip
 from fsinfer.silhouettes.looks import Looked, LookSettings, Surface, again, fitted_look, fuller_look
@@ -228,6 +229,7 @@ def test_single_edges_of_other_sides_and_no_others_say_what_a_half_seen_stem_is_
     assert after.fitted is before.fitted  # whether there is a stem goes by both edges
     assert after.fit.sectors > before.fit.sectors
     assert after.fit.fuller
+    assert after.fit.contrast == before.fit.contrast
     assert not before.fit.fuller
     assert after.fit.std_m < before.fit.std_m
     assert abs(after.fit.radius_m - 0.2) < 0.7 * abs(before.fit.radius_m - 0.2)
@@ -246,7 +248,7 @@ def test_single_edges_that_contradict_both_edges_do_not_count() -> None:
     """A stem of 9 cm with both edges in seven photographs was 9 mm thicker by what covers one of them in others."""
     edges = half_seen(single_deg=np.arange(60.0, 121.0, 5.0))
     for most, counts in ((0.5, True), (0.2, False)):  # they move it by a third of what the first fit says
-        before, after = fuller(edges, None, LookSettings(contradict_std=most))
+        before, after = fuller(edges, None, LookSettings(against_std=most))
         assert (after is not before) == counts
 
 
@@ -273,17 +275,33 @@ def test_sharp_faces_count_where_both_ends_of_a_width_are_known(
     assert after.fit.sectors > before.fit.sectors + 0.2
 
 
+def pulled(surface: Surface, inside_m: float) -> Surface:
+    """The same points so far inside of the bark."""
+
+    def moved(stem: StemAxis) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        offsets, height = surface(stem)
+        return offsets * (1 - inside_m / np.linalg.norm(offsets, axis=1, keepdims=True)), height
+
+    return moved
+
+
+def test_faces_that_lie_beside_the_edges_do_not_count() -> None:
+    """Two parts of a walk, 3 cm beside each other: one has the edges of a stem, the other its faces."""
+    surface = oval_points((0.0, 180.0))
+    for inside_m, counts in ((0.004, True), (0.03, False), (-0.03, False)):
+        before, after = fuller(half_seen(), pulled(surface, inside_m))
+        assert after.fit is not None
+        assert (after.fit.faces > 0) == counts
+        assert (after is before) != counts
+
+
 def test_faces_that_err_together_are_no_surer_than_that() -> None:
     """All faces 4 mm inside of the bark: one standard deviation of what depth maps have alike."""
     surface = oval_points((0.0, 180.0))
-
-    def pulled(stem: StemAxis) -> tuple[np.ndarray, np.ndarray]:
-        offsets, height = surface(stem)
-        length = np.linalg.norm(offsets, axis=1, keepdims=True)
-        return offsets * (1 - 0.004 / length), height
-
-    true, off = (fuller(half_seen(), one)[1].fit for one in (surface, pulled))
+    true, off = (fuller(half_seen(), one)[1].fit for one in (surface, pulled(surface, 0.004)))
     assert true is not None
     assert off is not None
     assert 0.0005 < true.radius_m - off.radius_m < 0.003
     assert abs(off.radius_m - 0.2) < 2 * off.std_m
+    # And all stems of a plot share it.
+    assert true.common_m > 1.2 * fuller(half_seen(), None)[0].fit.common_m

@@ -46,7 +46,7 @@ def test_the_normal_of_a_point_on_the_section_is_found(normal: float, height: fl
 
 def faces_of_bark(*, scatter_m: float = 0.001, inside_m: float = 0.0) -> Faces | None:
     rng = np.random.default_rng(0)
-    normal, height = rng.uniform(-np.pi, np.pi, 6000), rng.uniform(-0.4, 0.4, 6000)
+    normal, height = rng.uniform(-np.pi, np.pi, 6000), rng.uniform(-0.25, 0.25, 6000)
     off = rng.normal(-inside_m, scatter_m, 6000)
     points = surface_at(normal, height) + off[:, None] * np.column_stack([np.cos(normal), np.sin(normal)])
     return sharp_faces(points, height, OVAL, TO_THE_SIDES)
@@ -88,6 +88,21 @@ def test_the_hull_lies_outside_of_the_points() -> None:
     assert fit.faces == len(at)
 
 
+def test_the_error_of_faces_is_in_that_of_the_radius_and_their_misfit_is_told() -> None:
+    at = np.radians(np.r_[np.arange(-37.5, 40.0, 15.0), np.arange(142.5, 220.0, 15.0)])
+    tight = SilhouetteSettings(faces=FaceSettings(alike_std_m=(1e-5,) * 5))
+    fits = []
+    for std, off in ((0.0005, 0.0), (0.01, 0.0), (0.002, 0.008)):
+        support = 0.2 * 0.993 + np.where(np.arange(len(at)) % 2, off, -off)
+        faces = Faces(angle_rad=at, support_m=support, std_m=np.full(len(at), std))
+        fit = fit_silhouette(edges_to_the_sides(0.2), 0.2, taper=0.0, faces=faces, settings=tight)
+        assert fit is not None
+        fits.append(fit)
+    assert fits[1].std_m > 1.3 * fits[0].std_m
+    assert fits[1].faces_misfit < 0.1
+    assert fits[2].faces_misfit == pytest.approx(16.0, rel=0.15)
+
+
 def test_what_faces_are_off_by_is_in_the_variance_beside_what_edges_are() -> None:
     rng = np.random.default_rng(3)
     scores, covariance = rng.normal(0, 1.0, (40, 3)), np.diag([0.5, 0.2, 0.1])
@@ -105,7 +120,8 @@ def test_the_points_of_a_leaning_stem_are_counted_from_its_axis() -> None:
     first, second = stem.across
     xyz = stem.breast + offsets[:, :1] * first + offsets[:, 1:] * second + height[:, None] * along
     far = xyz + np.array([2.0, 0.0, 0.0])
-    found, at = points_about(np.concatenate([far, xyz]), stem)
-    kept = np.abs(height) <= 0.25
-    np.testing.assert_allclose(found, offsets[kept], atol=1e-9)
-    np.testing.assert_allclose(at, height[kept], atol=1e-9)
+    for length in (0.25, 0.4):
+        found, at = points_about(np.concatenate([far, xyz]), stem, settings=FaceSettings(half_length_m=length))
+        kept = np.abs(height) < length
+        np.testing.assert_allclose(found, offsets[kept], atol=1e-9)
+        np.testing.assert_allclose(at, height[kept], atol=1e-9)
