@@ -501,8 +501,8 @@ def test_the_clouds_sharp_faces_are_in_the_diameter_of_a_stem_seen_from_one_side
     photos: StemPhotos, tmp_path: Path
 ) -> None:
     one_side = seen_from([2.0 * index for index in range(PHOTOS)], photos, tmp_path)
-    angle, height = np.meshgrid(np.radians([*range(-40, 56, 2), *range(140, 236, 2)]), np.linspace(-0.24, 0.24, 25))
-    angle, height = angle.reshape(-1), height.reshape(-1)
+    grid = np.meshgrid(np.radians([*range(-40, 56, 2), *range(140, 236, 2)]), np.linspace(-0.24, 0.24, 25))
+    angle, height = (part.reshape(-1) for part in grid)
     radius = 0.993 * RADIUS + TAPER * height
     axis = BREAST + np.column_stack([LEAN[0] * height, LEAN[1] * height, height])
     bark = axis + radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))])

@@ -13,13 +13,13 @@ from fsinfer.silhouettes.edges import Strip
 from fsinfer.silhouettes.looks import Looked, LookSettings, Surface, again, fitted_look, fuller_look
 from fsinfer.silhouettes.stem_axis import StemAxis
 from fsinfer.trees.diameter.edge_problem import SilhouetteSettings
-from fsinfer.trees.diameter.edge_set import Edges
+from fsinfer.trees.diameter.edge_set import Edges, chosen_edges
 from fsinfer.trees.diameter.silhouette import SilhouetteFit
 from training.simulate.stem_edges import edges_from_rows
 
 NOWHERE = np.zeros(2)
 #: Not one edge.
-NONE = edges_from_rows(np.zeros((0, 7)))
+NONE = chosen_edges(edges_from_rows([(0.0,) * 7]), np.zeros(1, dtype=bool))
 UPRIGHT = StemAxis(breast=np.array([3.0, 5.0, 1.3]), along=np.array([0.0, 0.0, 1.0]), radius_m=0.10, taper=0.0)
 
 
@@ -177,7 +177,9 @@ def test_large_pictures_are_those_of_four_pixels_of_radius(pixels: float, used: 
     assert len(np.unique(looked.fitted.photo)) == used
 
 
-SIDES_DEG = np.r_[np.arange(-30.0, 31.0, 5.0)]
+SIDES_DEG = np.arange(-30.0, 31.0, 5.0).tolist()
+#: Of photographs that show one edge.
+OTHERS_DEG = np.arange(60.0, 121.0, 5.0).tolist()
 
 
 def half_seen(*, single_deg: Sequence[float] = (), single_px: float = 0.004, seed: int = 0) -> Edges:
@@ -220,7 +222,7 @@ def fuller(edges: Edges, surface: Surface | None, settings: LookSettings | None 
 
 
 def test_single_edges_of_other_sides_and_no_others_say_what_a_half_seen_stem_is_like() -> None:
-    before, after = fuller(half_seen(single_deg=np.arange(60.0, 121.0, 5.0)), None)
+    before, after = fuller(half_seen(single_deg=OTHERS_DEG), None)
     assert before.fit is not None
     assert after.fit is not None
     assert len(np.unique(before.of_fit.photo)) == len(SIDES_DEG)
@@ -235,18 +237,18 @@ def test_single_edges_of_other_sides_and_no_others_say_what_a_half_seen_stem_is_
     assert abs(after.fit.radius_m - 0.2) < 0.7 * abs(before.fit.radius_m - 0.2)
     assert len(after.fit.gain) == len(after.of_fit.photo)
     # Photographs that show it small are not asked, and of a stem that is well seen none.
-    small = fuller(half_seen(single_deg=np.arange(60.0, 121.0, 5.0), single_px=0.06), None)
+    small = fuller(half_seen(single_deg=OTHERS_DEG, single_px=0.06), None)
     assert small[1] is small[0]
-    some = half_seen(single_deg=np.arange(60.0, 121.0, 5.0))
+    some = half_seen(single_deg=OTHERS_DEG)
     pixel = np.where(some.photo == some.photo.max(), 0.06, some.pixel_m)
     assert set(fuller(replace(some, pixel_m=pixel), None)[1].of_fit.photo) == set(range(some.photo.max()))
-    enough, same = fuller(half_seen(single_deg=np.arange(60.0, 121.0, 5.0)), None, LookSettings(well_seen=0.3))
+    enough, same = fuller(half_seen(single_deg=OTHERS_DEG), None, LookSettings(well_seen=0.3))
     assert same is enough
 
 
 def test_single_edges_that_contradict_both_edges_do_not_count() -> None:
     """A stem of 9 cm with both edges in seven photographs was 9 mm thicker by what covers one of them in others."""
-    edges = half_seen(single_deg=np.arange(60.0, 121.0, 5.0))
+    edges = half_seen(single_deg=OTHERS_DEG)
     for most, counts in ((0.5, True), (0.2, False)):  # they move it by a third of what the first fit says
         before, after = fuller(edges, None, LookSettings(against_std=most))
         assert (after is not before) == counts
@@ -304,4 +306,6 @@ def test_faces_that_err_together_are_no_surer_than_that() -> None:
     assert 0.0005 < true.radius_m - off.radius_m < 0.003
     assert abs(off.radius_m - 0.2) < 2 * off.std_m
     # And all stems of a plot share it.
-    assert true.common_m > 1.2 * fuller(half_seen(), None)[0].fit.common_m
+    both = fuller(half_seen(), None)[0].fit
+    assert both is not None
+    assert true.common_m > 1.2 * both.common_m

@@ -33,7 +33,7 @@ def surface_at(normal: NDArray[np.float64], height: NDArray[np.float64]) -> NDAr
     p = OVAL.at(normal, height)
     slope = (OVAL.at(normal + step, height) - OVAL.at(normal - step, height)) / (2 * step)
     n = np.column_stack([np.cos(normal), np.sin(normal)])
-    return p[:, None] * n + slope[:, None] * np.column_stack([-n[:, 1], n[:, 0]])
+    return np.asarray(p[:, None] * n + slope[:, None] * np.column_stack([-n[:, 1], n[:, 0]]))
 
 
 @given(normal=st.floats(-3.0, 3.0), height=st.floats(-0.25, 0.25))
