@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.trees.cylinder.axis import AxisSettings
-from fsinfer.trees.diameter.edge_set import Edges
+from fsinfer.trees.diameter.edge_set import Edges, sides_in_photos
 from fsinfer.trees.diameter.faces import Faces, FaceSettings, sector_of_angle
 from fsinfer.trees.diameter.sides import NOISE_SECTORS
 
@@ -148,9 +148,7 @@ class EdgeProblem:
         self.pixel = s.edge_std_px * edges.pixel_m
         names, self.photo = np.unique(edges.photo, return_inverse=True)
         self.photos = len(names)
-        first = edges.angle_rad[np.unique(self.photo, return_index=True)[1]]
-        # Which of the two sides of the stem in its photograph an edge lies on.
-        self.side = np.where(np.cos(edges.angle_rad - first[self.photo]) > 0.0, 1.0, -1.0)
+        self.side = sides_in_photos(edges)
         shape_std = s.hull_of_rough_bark * np.array(AxisSettings().shape_std)
         self.shape = slice(AXIS, AXIS + 2 * len(shape_std))
         self.of_sectors = slice(self.shape.stop, self.shape.stop + NOISE_SECTORS)

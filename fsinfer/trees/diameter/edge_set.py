@@ -61,8 +61,12 @@ def joined_edges(first: Edges, second: Edges) -> Edges:
     )
 
 
+def sides_in_photos(edges: Edges) -> Floats:
+    """Which of the two sides of the stem in its photograph each edge (N,) lies on: 1 as that one's first, or -1."""
+    _, first, photo = np.unique(edges.photo, return_index=True, return_inverse=True)
+    return np.where(np.cos(edges.angle_rad - edges.angle_rad[first[photo]]) > 0.0, 1.0, -1.0)
+
+
 def two_sided(edges: Edges) -> NDArray[np.bool_]:
     """Whether each edge's (N,) photograph has edges on both sides of the stem."""
-    _, first, photo = np.unique(edges.photo, return_index=True, return_inverse=True)
-    across = np.cos(edges.angle_rad - edges.angle_rad[first[photo]]) < 0.0
-    return np.asarray(np.bincount(photo, across, len(first))[photo] > 0.0)
+    return np.isin(edges.photo, edges.photo[sides_in_photos(edges) < 0.0])
