@@ -57,6 +57,7 @@ def join(
         points_doubt_m=_shape_doubt(section),
         edges_doubt_m=float(np.hypot(oval_m, fit.one_sided_m)),
         oval=_misses_an_oval(section, fit, s),
+        hazy=section.residual_m > s.haze_m,
         counted=fit.faces > 0,
         fuller=fit.fuller,
         settings=s.combine,

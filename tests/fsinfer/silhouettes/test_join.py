@@ -428,7 +428,9 @@ def test_of_a_joined_diameter_only_what_all_stems_share_is_shared() -> None:
 def test_sources_that_contradict_each_other_widen_the_interval_and_say_so() -> None:
     """33.0 +- 0.4 from points and 30.3 +- 0.4 from edges is not 30.3 +- 0.8 beyond doubt."""
     std = 0.002 / 1.96  # of the radius: 0.4 cm are half of the interval of the diameter
-    agree, apart = (joined(section_of(dbh, std), fit_of(0.1515, std)) for dbh in (0.3035, 0.330))
+    agree, apart = (
+        joined(replace(section_of(dbh, std), residual_m=0.003), fit_of(0.1515, std)) for dbh in (0.3035, 0.330)
+    )
     assert apart.dbh_m == pytest.approx(0.303)
     assert 0.009 < apart.half95_m < 0.013
     assert agree.half95_m < 0.006
@@ -436,6 +438,10 @@ def test_sources_that_contradict_each_other_widen_the_interval_and_say_so() -> N
     assert (apart.status, why.code) == ("doubtful", StemCode.sources_disagree)
     assert (why.values["points_cm"], why.values["edges_cm"]) == pytest.approx((33.0, 30.3))
     assert (agree.status, agree.reasons) == ("ok", ())
+    # A haze errs rather than the edges do.
+    hazy = joined(replace(section_of(0.330, std), residual_m=0.012), fit_of(0.1515, std))
+    assert (hazy.dbh_m, hazy.status) == (apart.dbh_m, "doubtful")
+    assert agree.half95_m < hazy.half95_m < 0.7 * apart.half95_m
     # The excess is what their own errors do not explain: points that know little contradict nothing.
     vague = joined(section_of(0.330, 0.010), fit_of(0.1515, std))
     assert (vague.status, vague.parts_m["disagreement"]) == ("ok", 0.0)
