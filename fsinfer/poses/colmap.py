@@ -14,6 +14,7 @@ from typing import Any
 
 from fsinfer.errors import PosesError
 from fsinfer.poses.colmap_calls import ColmapError, call, copy_database, open_database, require_pycolmap
+from fsinfer.poses.matching import PairMatcher
 from fsinfer.poses.pairs import MIN_INLIERS, first_pairs, in_walking_order, most_pairs, pairs_beside
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.progress import Progress
@@ -239,10 +240,12 @@ def _match(
     verification.min_num_inliers = MIN_INLIERS
     verification.ransac.random_seed = SEED
     verification.ransac.max_num_trials = _MOST_TRIALS
+    matcher = PairMatcher(database, names, max_ratio=options.sift.max_ratio, max_angle=options.sift.max_distance)
     listed = database.parent / "pairs.txt"
     for start in range(0, len(pairs), _PAIRS_PER_BATCH):
         progress(done + start, total, step)
         batch = pairs[start : start + _PAIRS_PER_BATCH]
+        matcher.match(batch, settings.thread_count)
         listed.write_text("".join(f"{names[i]} {names[j]}\n" for i, j in batch), encoding="utf-8")
         pairing = pycolmap.ImportedPairingOptions()
         pairing.match_list_path = listed
