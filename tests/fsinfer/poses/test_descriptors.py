@@ -81,6 +81,14 @@ def test_a_feature_that_looks_like_two_of_the_other_photo_is_none() -> None:
     assert partner not in {j for _, j in pairs_of(np.vstack([first, first[number : number + 1]]), second)}
 
 
+def test_the_farther_of_two_whose_nearest_is_the_same_is_none() -> None:
+    rng = np.random.default_rng(10)
+    values = sift(30, rng)
+    farther, nearer = (np.abs(values[:1] + change * rng.standard_normal((1, 128))) for change in (0.4, 0.05))
+    assert pairs_of(of_length(np.vstack([farther, nearer])), of_length(values)) == {(1, 0)}
+    assert pairs_of(of_length(farther), of_length(values)) == {(0, 0)}
+
+
 def test_what_is_not_near_is_no_match() -> None:
     rng = np.random.default_rng(7)
     first, second = of_length(sift(1, rng)), of_length(sift(1, rng))
