@@ -60,6 +60,7 @@ def test_faces_lie_on_the_surface_of_the_sides_that_are_not_seen() -> None:
     np.testing.assert_allclose(faces.support_m, expected, atol=0.0005)
     np.testing.assert_allclose(faces.std_m, np.hypot(0.003, 0.001), atol=0.0003)
     assert faces_of_bark(scatter_m=0.008) is None
+    assert faces_of_bark(scatter_m=0.005) is not None
     assert faces_of_bark(inside_m=0.15) is None  # something else
 
 
