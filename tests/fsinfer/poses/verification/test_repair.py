@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from fsinfer.poses.colmap import reconstruct
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.verification.misplaced import agreeing_matches, drop, drop_strays, without_pairs
 from fsinfer.poses.verification.pair_votes import PairVote
@@ -31,8 +32,13 @@ def synthetic(database: Path, frames: int, points: int) -> Any:
 
 def moved_to(model: Any, rotvec: Sequence[float], shift: Sequence[float]) -> Any:
     """The fifth photo of a model, after it was moved with its points."""
+    return move(model, sorted(model.reg_image_ids())[4], rotvec, shift)
+
+
+def move(model: Any, image_id: int, rotvec: Sequence[float], shift: Sequence[float]) -> Any:
+    """A photo of a model, moved with its points."""
     pycolmap = pytest.importorskip("pycolmap")
-    image = model.images[sorted(model.reg_image_ids())[4]]
+    image = model.images[image_id]
     turn = pycolmap.Rotation3d(Rotation.from_rotvec(rotvec).as_quat())
     pose = pycolmap.Rigid3d(turn, np.array(shift)) * image.cam_from_world()
     model.frame(image.frame_id).set_cam_from_world(image.camera_id, pose)
@@ -194,6 +200,38 @@ def test_photos_that_were_placed_far_too_near_to_each_other_are_placed_anew(
     assert np.ptp(ratio) / ratio.mean() < 0.01
 
 
+def test_photos_that_a_straightened_walk_lacks_are_mapped_on_from_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The mapper's own model is bent; of the straight one six photos are missing, and both judge themselves right."""
+    database = tmp_path / "database.db"
+    truth = synthetic(database, 24, 200)
+    (tmp_path / "images").mkdir()
+    image_ids = sorted(truth.reg_image_ids())
+    walk = [truth.images[i].name for i in image_ids]
+    straight = deepcopy(truth)
+    drop(straight, image_ids[9:15])
+    bent = deepcopy(truth)
+    for image_id in image_ids[12:]:
+        move(bent, image_id, [0.0, 0.4, 0.1], [0.6, 0.0, 0.2])
+    folders: list[str] = []
+
+    def counted(*given: Any, **options: Any) -> list[Any]:
+        folders.append(given[2].name)
+        return reconstruct(*given, **options)
+
+    monkeypatch.setattr("fsinfer.poses.verification.repair.is_walk", lambda *_: True)
+    monkeypatch.setattr("fsinfer.poses.verification.repair.cut_and_join", lambda *_: straight)
+    monkeypatch.setattr("fsinfer.poses.verification.repair.reconstruct", counted)
+    repaired, misplaced = repair(bent, database, walk, tmp_path, PoseSettings(threads=1), silent)
+    assert folders == ["cut_again"]  # and the walk is not mapped three times more
+    assert not any(misplaced.values())
+    assert repaired.num_reg_images() == 24
+    found, true = (np.array([model.images[i].projection_center() for i in image_ids]) for model in (repaired, truth))
+    ratio = np.linalg.norm(found[1:] - found[0], axis=1) / np.linalg.norm(true[1:] - true[0], axis=1)
+    assert np.ptp(ratio) / ratio.mean() < 0.01
+
+
 @pytest.mark.parametrize(("missing", "mapped_again"), [(1, False), (2, True)])
 def test_a_straightened_walk_is_mapped_again_only_where_much_is_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, missing: int, mapped_again: bool
@@ -202,6 +240,7 @@ def test_a_straightened_walk_is_mapped_again_only_where_much_is_missing(
     options = pycolmap.SyntheticDatasetOptions()
     options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig = 1, 1, 40
     options.num_points3D = 100
+    (tmp_path / "images").mkdir()
     database = tmp_path / "database.db"
     with pycolmap.Database.open(database) as opened:
         model = pycolmap.synthesize_dataset(options, opened)
@@ -211,19 +250,16 @@ def test_a_straightened_walk_is_mapped_again_only_where_much_is_missing(
     drop(straight, image_ids[5 : 5 + missing])
     # The mapper's own model is bent in the middle.
     for image_id in image_ids[20:]:
-        image = model.images[image_id]
-        turn = pycolmap.Rotation3d(Rotation.from_rotvec([0.0, 0.4, 0.1]).as_quat())
-        pose = pycolmap.Rigid3d(turn, np.array([0.6, 0.0, 0.2])) * image.cam_from_world()
-        model.frame(image.frame_id).set_cam_from_world(image.camera_id, pose)
+        move(model, image_id, [0.0, 0.4, 0.1], [0.6, 0.0, 0.2])
     again: list[Path] = []
     monkeypatch.setattr("fsinfer.poses.verification.repair.is_walk", lambda *_: True)
     monkeypatch.setattr("fsinfer.poses.verification.repair.cut_and_join", lambda *_: straight)
 
-    def reconstruct(*given: Any, **_: Any) -> list[Any]:
+    def none(*given: Any, **_: Any) -> list[Any]:
         again.append(given[2])
         return []
 
-    monkeypatch.setattr("fsinfer.poses.verification.repair.reconstruct", reconstruct)
+    monkeypatch.setattr("fsinfer.poses.verification.repair.reconstruct", none)
     repaired, _ = repair(model, database, walk, tmp_path, PoseSettings(threads=1), silent)
     assert repaired.num_reg_images() == 40 - missing
     assert bool(again) is mapped_again
