@@ -104,7 +104,7 @@ def test_small_pictures_that_spoil_a_second_pair_are_left_out_of_it() -> None:
     """All photographs beside those that show the stem large: the others have their edges anywhere."""
     large = seen_from(WIDE)
     rng = np.random.default_rng(5)
-    small = edges_of(0.06, [-40.0, -35.0, *np.arange(100.0, 150.0, 5.0)], rng=rng, photo=20)
+    small = edges_of(0.06, np.arange(5.0, 175.0, 7.0).tolist(), rng=rng, photo=20)
     small = replace(small, support_m=rng.uniform(0.0, 0.15, len(small.ray)))
     spoilt = replace(large, edges=together(large.edges, small))
     section = refused(0.2, notice(StemCode.double_wall, gap_cm=3.0))
