@@ -6,8 +6,6 @@ the instructions of a processor for products of 8-bit integers, which NumPy does
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import onnx
 from onnx import TensorProto, helper
 
@@ -37,7 +35,7 @@ def integer_product() -> onnx.ModelProto:
 
 def main() -> None:
     """Write the file."""
-    Path(FILE).write_bytes(integer_product().SerializeToString())
+    FILE.write_bytes(integer_product().SerializeToString())
 
 
 if __name__ == "__main__":

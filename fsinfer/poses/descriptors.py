@@ -71,8 +71,6 @@ def matched(one: Descriptors, other: Descriptors, *, max_ratio: float, max_angle
     every = np.arange(len(one))
     nearest, angle, second = _two_nearest(one, every, other)
     asked = every[(angle <= max_angle) & (angle < max_ratio * second)]
-    if not len(asked):
-        return np.zeros((0, 2), dtype=np.uint32)
     back, angle, second = _two_nearest(other, nearest[asked], one)
     both = (back == asked) & (angle < max_ratio * second)
     return np.column_stack([asked[both], nearest[asked[both]]]).astype(np.uint32)

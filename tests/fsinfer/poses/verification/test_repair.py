@@ -167,12 +167,8 @@ def test_photos_that_were_placed_far_too_near_to_each_other_are_placed_anew(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pycolmap = pytest.importorskip("pycolmap")
-    options = pycolmap.SyntheticDatasetOptions()
-    options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig = 1, 1, 12
-    options.num_points3D = 200
     database = tmp_path / "database.db"
-    with pycolmap.Database.open(database) as opened:
-        model = pycolmap.synthesize_dataset(options, opened)
+    model = synthetic(database, 12, 200)
     (tmp_path / "images").mkdir()
     image_ids = sorted(model.reg_image_ids())
     walk = [model.images[i].name for i in image_ids]
@@ -236,14 +232,9 @@ def test_photos_that_a_straightened_walk_lacks_are_mapped_on_from_it(
 def test_a_straightened_walk_is_mapped_again_only_where_much_is_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, missing: int, mapped_again: bool
 ) -> None:
-    pycolmap = pytest.importorskip("pycolmap")
-    options = pycolmap.SyntheticDatasetOptions()
-    options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig = 1, 1, 40
-    options.num_points3D = 100
     (tmp_path / "images").mkdir()
     database = tmp_path / "database.db"
-    with pycolmap.Database.open(database) as opened:
-        model = pycolmap.synthesize_dataset(options, opened)
+    model = synthetic(database, 40, 100)
     image_ids = sorted(model.reg_image_ids())
     walk = [model.images[i].name for i in image_ids]
     straight = deepcopy(model)
