@@ -1,38 +1,23 @@
-"""Structure from motion with COLMAP's SIFT on the CPU: features, matches, mapping.
+"""COLMAP's SIFT features, and its mapping, on the CPU.
 
-Everything is done in small batches, so that progress can be told, a key press can stop it, and a repetition after a
-kill goes on from the database.
+Features are looked for in small batches, so that progress can be told, a key press can stop it, and a repetition after
+a kill goes on from the database.
 """
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from fsinfer.errors import PosesError
-from fsinfer.poses.colmap_calls import ColmapError, call, copy_database, open_database, require_pycolmap
-from fsinfer.poses.matching import PairMatcher
-from fsinfer.poses.pairs import MIN_INLIERS, first_pairs, in_walking_order, most_pairs, pairs_beside
+from fsinfer.poses.colmap_calls import SEED, ColmapError, call, copy_database, open_database, require_pycolmap
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.progress import Progress
 
-_log = logging.getLogger(__name__)
-
-#: COLMAP draws random samples; a fixed seed, and one thread where sums are taken, make two runs on one machine alike.
-#: Source: numerics.
-SEED = 1
-
-
-#: Photos and pairs handed to COLMAP at a time: large enough that its indices are built once for many pairs. Source:
-#: numerics.
-_PHOTOS_PER_BATCH, _PAIRS_PER_BATCH = 8, 120
-#: Trials of the geometric check of a pair. With COLMAP's 10,000 it takes as long as matching, most of it on pairs that
-#: do not belong together. Source: numerics; 360 pairs of a rendered plot: 6.4 s with 10,000 against 3.0, 281 pairs and
-#: 92,629 matches against 279 and 92,574; renders only.
-_MOST_TRIALS = 2500
+#: Photos handed to COLMAP at a time. Source: numerics.
+_PHOTOS_PER_BATCH = 8
 #: All photos are adjusted together when so many times more have come, not at every tenth (COLMAP: 1.1). Source:
 #: numerics; renders only, docs/trials-speed.md: with what follows two walks of 200 photos were mapped in half of the
 #: time of 1.6 and COLMAP's own ends, all photos placed and as exactly.
@@ -164,99 +149,6 @@ def _has_features(database: Path, name: str) -> bool:
         if image is None:
             return False
         return bool(opened.exists_keypoints(image.image_id) and opened.exists_descriptors(image.image_id))
-
-
-def match_features(database: Path, names: Sequence[str], settings: PoseSettings, progress: Progress) -> None:
-    """Match the photos and check the matches geometrically; pairs that the database has are not matched again.
-
-    ``names`` are those of the photos in the order of walking, and hold no spaces.
-    """
-    count = len(names)
-    pairs = first_pairs(count, settings.pairs)
-    rounds = settings.pairs.rounds if count > settings.pairs.exhaustive_up_to else 0
-    total = most_pairs(count, settings.pairs)
-    _match(database, names, pairs, settings, progress, 0, total)
-    tried = pairs
-    for _ in range(rounds):
-        # Only what was matched before this round decides, so that a run that was killed in it goes on to the same end.
-        found = inliers_by_rank(database, names)
-        pairs = pairs_beside({pair: found.get(pair, 0) for pair in tried}, count, settings.pairs)
-        _match(database, names, pairs, settings, progress, len(tried), total)
-        tried = tried + pairs
-    progress(total, total, "matching photos")
-
-
-def match_pairs(
-    database: Path,
-    names: Sequence[str],
-    pairs: Sequence[tuple[int, int]],
-    settings: PoseSettings,
-    progress: Progress,
-    *,
-    step: str = "matching photos",
-) -> None:
-    """Match these pairs of photos, by their ranks among ``names``; those that the database has are not repeated."""
-    _match(database, names, pairs, settings, progress, 0, len(pairs), step=step)
-    progress(len(pairs), len(pairs), step)
-
-
-def inliers_by_rank(database: Path, names: Sequence[str]) -> dict[tuple[int, int], int]:
-    """Matches of each pair of photos, by their ranks, that passed the geometric check."""
-    import pycolmap
-
-    rank = {name: index for index, name in enumerate(names)}
-    with open_database(database) as opened:
-        number = {image.image_id: rank[image.name] for image in opened.read_all_images()}
-        pair_ids, counts = opened.read_two_view_geometry_num_inliers()
-    found = {}
-    for pair_id, inliers in zip(pair_ids, counts, strict=True):
-        first, second = sorted(number[i] for i in pycolmap.pair_id_to_image_pair(pair_id))
-        found[first, second] = int(inliers)
-    return found
-
-
-def is_walk(database: Path, names: Sequence[str], settings: PoseSettings) -> bool:
-    """Whether the photos, in the order of their names, were taken one after the other, as far as matches tell."""
-    return in_walking_order(inliers_by_rank(database, names), len(names), settings.pairs)
-
-
-def _match(
-    database: Path,
-    names: Sequence[str],
-    pairs: Sequence[tuple[int, int]],
-    settings: PoseSettings,
-    progress: Progress,
-    done: int,
-    total: int,
-    *,
-    step: str = "matching photos",
-) -> None:
-    import pycolmap
-
-    options = pycolmap.FeatureMatchingOptions()
-    options.use_gpu = False
-    options.num_threads = settings.thread_count
-    verification = pycolmap.TwoViewGeometryOptions()
-    verification.min_num_inliers = MIN_INLIERS
-    verification.ransac.random_seed = SEED
-    verification.ransac.max_num_trials = _MOST_TRIALS
-    matcher = PairMatcher(database, names, max_ratio=options.sift.max_ratio, max_angle=options.sift.max_distance)
-    listed = database.parent / "pairs.txt"
-    for start in range(0, len(pairs), _PAIRS_PER_BATCH):
-        progress(done + start, total, step)
-        batch = pairs[start : start + _PAIRS_PER_BATCH]
-        matcher.match(batch, settings.thread_count)
-        listed.write_text("".join(f"{names[i]} {names[j]}\n" for i, j in batch), encoding="utf-8")
-        pairing = pycolmap.ImportedPairingOptions()
-        pairing.match_list_path = listed
-        call(
-            pycolmap.match_image_pairs,
-            database,
-            matching_options=options,
-            pairing_options=pairing,
-            verification_options=verification,
-            device=pycolmap.Device.cpu,
-        )
 
 
 def reconstruct(

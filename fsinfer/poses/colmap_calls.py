@@ -16,6 +16,9 @@ from typing import Any
 
 from fsinfer.errors import PosesError
 
+#: COLMAP draws random samples; a fixed seed, and one thread where sums are taken, make two runs on one machine alike.
+#: Source: numerics.
+SEED = 1
 #: What to do where pycolmap is missing.
 MISSING = (
     "finding poses needs pycolmap, which cannot be loaded here ({error}); pip has it for Linux on x86-64, Windows on "

@@ -13,15 +13,9 @@ import numpy as np
 
 from fsinfer.errors import PosesError
 from fsinfer.poses.boards import boards_in, find_boards, tie_boards
-from fsinfer.poses.colmap import (
-    extract_features,
-    is_walk,
-    match_features,
-    reconstruct,
-    triangulate,
-    with_calibration,
-)
+from fsinfer.poses.colmap import extract_features, reconstruct, triangulate, with_calibration
 from fsinfer.poses.joining.parts import join_parts
+from fsinfer.poses.matches import is_walk, match_features
 from fsinfer.poses.refinement import FEATURE_SIZE_PX
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.thorough import rematch, seams, torn

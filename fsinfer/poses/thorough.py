@@ -14,8 +14,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fsinfer.poses.colmap import extract_features, inliers_by_rank, match_pairs
+from fsinfer.poses.colmap import extract_features
 from fsinfer.poses.colmap_calls import copy_database, open_database
+from fsinfer.poses.matches import inliers_by_rank, match_pairs
 from fsinfer.poses.pairs import MIN_INLIERS, Pair
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.progress import Progress

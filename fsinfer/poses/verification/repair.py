@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from fsinfer.poses.boards import BoardSighting
-from fsinfer.poses.colmap import is_walk, reconstruct, triangulate
+from fsinfer.poses.colmap import reconstruct, triangulate
 from fsinfer.poses.joining.stretches import cut_and_join
+from fsinfer.poses.matches import is_walk
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.verification.misplaced import (
     agreeing_matches,

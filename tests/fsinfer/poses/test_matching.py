@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fsinfer.poses.colmap import inliers_by_rank, match_pairs
 from fsinfer.poses.colmap_calls import open_database
+from fsinfer.poses.matches import inliers_by_rank, match_pairs
 from fsinfer.poses.matching import PairMatcher
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.progress import silent

@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from fsinfer.io.images import write_image
-from fsinfer.poses.colmap import extract_features, match_pairs
+from fsinfer.poses.colmap import extract_features
 from fsinfer.poses.estimate import estimate_poses
+from fsinfer.poses.matches import match_pairs
 from fsinfer.poses.settings import PoseSettings, ThoroughSettings
 from fsinfer.poses.thorough import rematch, seams, thorough_pairs, torn
 from fsinfer.progress import silent
