@@ -36,10 +36,6 @@ class PairMatcher:
             for (first, second), found in zip(missing, in_order(self._matched, missing, threads), strict=True):
                 opened.write_matches(numbers[first], numbers[second], found)
 
-    def __len__(self) -> int:
-        """Photos whose descriptors it holds."""
-        return len(self._kept)
-
     def _matched(self, pair: Pair) -> NDArray[np.uint32]:
         one, other = (self._kept[rank] for rank in pair)
         return matched(one, other, max_ratio=self._max_ratio, max_angle=self._max_angle)

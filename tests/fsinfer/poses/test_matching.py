@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from fsinfer.poses.colmap_calls import open_database
+from fsinfer.poses.descriptors import Descriptors, prepared
 from fsinfer.poses.matches import inliers_by_rank, match_pairs
 from fsinfer.poses.matching import PairMatcher
 from fsinfer.poses.settings import PoseSettings
@@ -81,12 +82,20 @@ def test_a_pair_that_the_database_has_is_not_searched_again(database: Path) -> N
     assert len(other) == COUNT
 
 
-def test_photos_are_dropped_that_the_next_pairs_do_not_need(database: Path) -> None:
+def test_photos_are_kept_as_long_as_the_next_pairs_need_them(database: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of all photos of a long walk would not fit into memory."""
+    made: list[int] = []
+
+    def counted(descriptors: NDArray[np.uint8]) -> Descriptors:
+        made.append(len(descriptors))
+        return prepared(descriptors)
+
+    monkeypatch.setattr("fsinfer.poses.matching.prepared", counted)
     asked = matcher(database)
-    asked.match([(0, 1)], threads=1)
-    asked.match([(1, 2)], threads=1)
-    assert matches(database, "b.jpg", "c.jpg") is not None
-    assert len(asked) == 2
+    for pair, all_made in (((0, 1), 2), ((1, 2), 3), ((0, 2), 4)):  # the second photo is still there, the first is not
+        asked.match([pair], threads=1)
+        assert len(made) == all_made
+        assert matches(database, *(NAMES[rank] for rank in pair)) is not None
 
 
 def test_colmap_checks_what_it_is_given_and_searches_nothing(database: Path, monkeypatch: pytest.MonkeyPatch) -> None:
