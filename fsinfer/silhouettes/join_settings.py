@@ -8,7 +8,7 @@ from fsinfer.silhouettes.combine import CombineSettings
 from fsinfer.silhouettes.edge_settings import EdgeSettings
 from fsinfer.silhouettes.looks import LookSettings
 from fsinfer.silhouettes.support import SupportSettings
-from fsinfer.trees.diameter.edge_problem import SilhouetteSettings
+from fsinfer.trees.diameter.silhouette_settings import SilhouetteSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +32,7 @@ class SilhouetteJoinSettings:
         afterwards: 1.02 to 1.07, a half-hidden stem 1.18.
     sizeless_contrast: the same where the points leave the diameter open by more than itself. Source: renders only, a
         shrub of the undergrown plot of seed 955022, afterwards: 23 cm +- 53 cm, 1.16 in 25 photographs; stems that come
-        out right have 1.2 and more (:class:`fsinfer.trees.diameter.edge_problem.SilhouetteSettings`).
+        out right have 1.2 and more (:class:`fsinfer.trees.diameter.silhouette_settings.SilhouetteSettings`).
     all_round, all_round_contrast: what shows so much of its girth and has no diameter by its points, and whose edges
         agree no better and have nothing beside them of the same size, is a shrub. Source: renders only, one of the
         undergrown plot of seed 955027, afterwards: 11 cm +- 4 cm, 0.76 of its girth, 1.20 in 18 photographs; the

@@ -28,11 +28,11 @@ from fsinfer.silhouettes.stem_axis import StemAxis
 from fsinfer.silhouettes.strips import keep_strip
 from fsinfer.silhouettes.visibility import BOTH_SIDES
 from fsinfer.trees.cylinder.axis import LEAST_RADIUS_M
-from fsinfer.trees.diameter.edge_problem import SilhouetteSettings
 from fsinfer.trees.diameter.edge_set import Edges, chosen_edges, joined_edges, two_sided
 from fsinfer.trees.diameter.faces import Faces, sector_of_angle, sharp_faces
 from fsinfer.trees.diameter.sides import NOISE_SECTORS
 from fsinfer.trees.diameter.silhouette import SilhouetteFit, fit_silhouette
+from fsinfer.trees.diameter.silhouette_settings import SilhouetteSettings
 
 Floats = NDArray[np.float64]
 

@@ -16,9 +16,9 @@ from fsinfer.notices.stems import StemCode
 from fsinfer.silhouettes.combine import CombineSettings
 from fsinfer.silhouettes.looks import Looked
 from fsinfer.trees import Section
-from fsinfer.trees.diameter.edge_problem import SilhouetteSettings
 from fsinfer.trees.diameter.second_pair import SecondPairSettings, second_pair
 from fsinfer.trees.diameter.silhouette import SilhouetteFit
+from fsinfer.trees.diameter.silhouette_settings import SilhouetteSettings
 
 #: Said of a stem beside its reasons.
 BY_HAND = frozenset({StemCode.added_by_hand, StemCode.merged_by_hand})

@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.trees.diameter.edge_problem import SilhouetteSettings
 from fsinfer.trees.diameter.edge_set import Edges, chosen_edges
 from fsinfer.trees.diameter.silhouette import SilhouetteFit, fit_silhouette
+from fsinfer.trees.diameter.silhouette_settings import SilhouetteSettings
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

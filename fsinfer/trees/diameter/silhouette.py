@@ -24,11 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.trees.diameter.budget import LEAST_DOF, effective_dof, total_std
-from fsinfer.trees.diameter.edge_problem import EdgeProblem, SilhouetteSettings, Solution
+from fsinfer.trees.diameter.edge_problem import EdgeProblem, Solution
 from fsinfer.trees.diameter.edge_set import Edges
 from fsinfer.trees.diameter.faces import Faces, SupportFunction
 from fsinfer.trees.diameter.roundness import left_open
 from fsinfer.trees.diameter.sides import NOISE_SECTORS
+from fsinfer.trees.diameter.silhouette_settings import SilhouetteSettings
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from fsinfer.silhouettes.edges import Strip
 from fsinfer.silhouettes.looks import Looked, LookSettings, Surface, again, fitted_look, fuller_look
 from fsinfer.silhouettes.stem_axis import StemAxis
-from fsinfer.trees.diameter.edge_problem import SilhouetteSettings
 from fsinfer.trees.diameter.edge_set import Edges, chosen_edges
 from fsinfer.trees.diameter.silhouette import SilhouetteFit
+from fsinfer.trees.diameter.silhouette_settings import SilhouetteSettings
 from training.simulate.stem_edges import edges_from_rows
 
 NOWHERE = np.zeros(2)

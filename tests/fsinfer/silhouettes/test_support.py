@@ -12,10 +12,10 @@ from fsinfer.notices.stems import StemCode
 from fsinfer.silhouettes.looks import Looked
 from fsinfer.silhouettes.support import SupportSettings, is_supported, points_support
 from fsinfer.trees import Section
-from fsinfer.trees.diameter.edge_problem import SilhouetteSettings
 from fsinfer.trees.diameter.edge_set import Edges
 from fsinfer.trees.diameter.section import unmeasured_section
 from fsinfer.trees.diameter.silhouette import fit_silhouette
+from fsinfer.trees.diameter.silhouette_settings import SilhouetteSettings
 from tests.fsinfer.silhouettes.test_looks import NONE, NOWHERE, UPRIGHT, fit_of
 from tests.fsinfer.trees.diameter.test_second_pair import edges_of, together
 

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from fsinfer.silhouettes.stem_axis import StemAxis
 from fsinfer.silhouettes.surface import points_about
-from fsinfer.trees.diameter.edge_problem import SilhouetteSettings
 from fsinfer.trees.diameter.edge_set import Edges
 from fsinfer.trees.diameter.faces import Faces, FaceSettings, SupportFunction, sharp_faces
 from fsinfer.trees.diameter.sides import NOISE_SECTORS
 from fsinfer.trees.diameter.silhouette import _clustered_variance, fit_silhouette
+from fsinfer.trees.diameter.silhouette_settings import SilhouetteSettings
 from training.simulate.stem_edges import edges_from_rows
 
 OVAL = SupportFunction(

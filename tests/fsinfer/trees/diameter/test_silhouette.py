@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fsinfer.trees.diameter.edge_problem import SilhouetteSettings, Solution
+from fsinfer.trees.diameter.edge_problem import Solution
 from fsinfer.trees.diameter.edge_set import Edges
 from fsinfer.trees.diameter.sides import NOISE_SECTORS
 from fsinfer.trees.diameter.silhouette import _spread_of_fits, _surer, edge_contrast, fit_silhouette
+from fsinfer.trees.diameter.silhouette_settings import SilhouetteSettings
 from training.simulate.stem_edges import edges_from_rows
 
 TAPER = -0.008
