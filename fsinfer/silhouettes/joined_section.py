@@ -20,7 +20,7 @@ from fsinfer.trees import DbhSettings, Section
 from fsinfer.trees.diameter.budget import effective_dof, factor95, shared_std, total_std
 from fsinfer.trees.diameter.dbh import too_uncertain, wide_interval
 from fsinfer.trees.diameter.outline import Outline
-from fsinfer.trees.diameter.roundness import oval_factor
+from fsinfer.trees.diameter.roundness import oval_factor, oval_share
 from fsinfer.trees.diameter.silhouette import SilhouetteFit
 
 #: Doubts of the cloud that photographs do not lift.
@@ -56,7 +56,7 @@ def join(
         float(np.sqrt(max(fit.std_m**2 - fit.one_sided_m**2, 0.0))),
         points_doubt_m=_shape_doubt(section),
         edges_doubt_m=float(np.hypot(oval_m, fit.one_sided_m)),
-        oval=_misses_an_oval(section, fit, s),
+        oval=_misses_an_oval(section, fit, edges_m, s),
         hazy=section.residual_m > s.haze_m,
         counted=fit.faces > 0,
         fuller=fit.fuller,
@@ -119,9 +119,16 @@ def _hidden_oval(section: Section, fit: SilhouetteFit, s: SilhouetteJoinSettings
     return fit.left_open_m * float(np.sqrt(max(more**2 - 1.0, 0.0)))
 
 
-def _misses_an_oval(section: Section, fit: SilhouetteFit, s: SilhouetteJoinSettings) -> bool:
-    """Whether the points have the section far from round, and edges from too few sides to know."""
-    return oval_factor(section.roundness) > 1.0 and fit.sectors < s.fit.sides_enough
+def _misses_an_oval(section: Section, fit: SilhouetteFit, edges_m: float, s: SilhouetteJoinSettings) -> bool:
+    """Whether the points have the section so far from round that edges from few sides may differ from them as they do.
+
+    A section's mean radius and that of some of its sides are an oval's amplitude apart at most.
+    """
+    if section.dbh_m is None or oval_factor(section.roundness) <= 1.0 or fit.sectors >= s.fit.sides_enough:
+        return False
+    points_m = section.dbh_m / 2.0
+    apart_m = abs(points_m - edges_m) - oval_share(section.roundness) * points_m
+    return apart_m <= s.combine.gate * float(np.hypot(points_std(section, s), fit.std_m))
 
 
 def _shared_by_points(section: Section, s: SilhouetteJoinSettings) -> float:

@@ -57,7 +57,7 @@ class ReportResult:
     path: Path
 
 
-TREES = Stage(name="trees", version=30, result=TreesResult, outputs=("trees.csv", "figures"))
+TREES = Stage(name="trees", version=31, result=TreesResult, outputs=("trees.csv", "figures"))
 REPORT = Stage(name="report", version=1, result=ReportResult, outputs=("report.html",))
 
 

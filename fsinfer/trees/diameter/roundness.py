@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.trees.cylinder.axis import AxisFit
+from fsinfer.trees.cylinder.axis import AxisFit, AxisSettings
 from fsinfer.trees.diameter.spread import Spread
 
 Floats = NDArray[np.float64]
@@ -119,6 +119,12 @@ def oval_factor(shape: Roundness | None, settings: RoundnessSettings | None = No
     if oval is None or not oval.known or oval.square <= s.usual:
         return 1.0
     return float(np.sqrt(oval.square / PAIR))
+
+
+def oval_share(shape: Roundness | None) -> float:
+    """Amplitude of the section's 2nd harmonic, part of the radius; 0 where it is not known."""
+    oval = None if shape is None else shape.harmonics[0]
+    return 0.0 if oval is None or not oval.known else float(np.sqrt(oval.square)) * AxisSettings().shape_std[0]
 
 
 def misfit_std(shape: Roundness, settings: RoundnessSettings | None = None) -> float:

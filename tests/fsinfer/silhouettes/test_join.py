@@ -365,6 +365,18 @@ def test_an_oval_section_does_not_hide_that_points_and_edges_contradict_each_oth
     assert found.dbh_m == few.dbh_m == round_about.dbh_m == pytest.approx(0.307)
 
 
+def test_an_oval_explains_no_more_than_its_amplitude() -> None:
+    """As a stem of 8 cm of which 29 points beside it make 6.2 cm and an oval of a millimetre and a half."""
+    edges = fit_of(0.0400, 0.0012, photos=8, sectors=0.42)
+    found = joined(oval_section(3.1, 0.0623, 0.0017), edges)
+    assert found.dbh_m == pytest.approx(0.0800)
+    assert [why.code for why in found.reasons] == [StemCode.sources_disagree]
+    # The contradiction is the points' fault as of a section that is round.
+    assert found.half95_m == pytest.approx(joined(oval_section(1.0, 0.0623, 0.0017), edges).half95_m, rel=0.05)
+    # Half of what is between them is the edges' where an oval may be the reason: it has 6 mm, they are 9 mm apart.
+    assert joined(oval_section(12.0, 0.0623, 0.0017), edges).parts_m["disagreement"] > 0.005
+
+
 def test_what_a_shape_leaves_open_grows_with_how_far_from_round_the_points_have_it() -> None:
     open_fit = replace(fit_of(0.1752, 0.001), left_open_m=0.004)
     usual, oval = joined(oval_section(2.0), open_fit), joined(oval_section(6.0), open_fit)
