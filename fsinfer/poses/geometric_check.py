@@ -2,63 +2,87 @@
 
 A pair counts with :data:`~fsinfer.poses.pairs.MIN_INLIERS` matches that agree. Of a pair with few matches most must
 then be right, and so few random samples tell that they are not: of 20 matches, three quarters. COLMAP does not draw
-that conclusion, and spends half of its time on pairs that do not belong together (docs/trials-speed.md).
+that conclusion by itself, and spends half of its time on pairs that do not belong together; its own loop over the pairs
+of a database uses one thread where their matches are there already (docs/trials-speed.md).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from fsinfer.poses.colmap_calls import SEED, call, open_database
 from fsinfer.poses.pairs import MIN_INLIERS
+from fsinfer.threads import in_order
 
 #: Random samples of a pair at most; of many matches that is the limit. With COLMAP's 10,000 the check takes as long as
 #: matching. Source: numerics; 360 pairs of a rendered plot: 6.4 s with 10,000 against 3.0, 281 pairs and 92,629 matches
 #: against 279 and 92,574; renders only.
 _MOST_SAMPLES = 2500
-#: Pairs with at most so many matches are checked together; what of these agrees at least when a pair counts limits the
-#: samples. Above, :data:`_MOST_SAMPLES` are fewer. Source: numerics.
-_FEW_MATCHES = (18, 21, 25, 29)
+#: Samples are drawn as for so much of the least share that counts: not every sample of right matches has all agree.
+#: Source: numerics; of 725 pairs of a rendered plot 588 count at 1.0, 590 at 0.9, 594 at 0.8 (six more with 15 or 16
+#: matches that agree), and 589 with COLMAP's samples; renders only.
+_OF_LEAST_SHARE = 0.9
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Photo:
+    """A photo of the database: its number, its ``pycolmap.Camera``, and the places (N, 2) of its features, pixels."""
+
+    number: int
+    camera: Any
+    places: NDArray[np.float64]
 
 
 def check_pairs(database: Path, pairs: Sequence[tuple[str, str]], threads: int) -> None:
-    """Check the matches that the database has of ``pairs`` of photos, by their names, which hold no spaces.
+    """Check the matches that the database has of ``pairs`` of photos, by their names, so many pairs at a time.
 
     What agrees is in the database afterwards; pairs that were checked before are not checked again.
     """
+
+    with open_database(database) as opened:
+        photos = {name: _photo(opened, name) for name in {name for pair in pairs for name in pair}}
+        asked = [(photos[first], photos[second]) for first, second in pairs]
+        asked = [pair for pair in asked if not opened.exists_two_view_geometry(*(photo.number for photo in pair))]
+        given = [(*pair, _matches(opened, *pair)) for pair in asked]
+        for (first, second), found in zip(asked, in_order(_checked, given, threads), strict=True):
+            opened.write_two_view_geometry(first.number, second.number, found)
+
+
+def _photo(opened: Any, name: str) -> _Photo:
+    image = opened.read_image_with_name(name)
+    places = np.asarray(opened.read_keypoints(image.image_id), dtype=np.float64)[:, :2]
+    return _Photo(number=int(image.image_id), camera=opened.read_camera(image.camera_id), places=places)
+
+
+def _matches(opened: Any, first: _Photo, second: _Photo) -> NDArray[np.uint32]:
+    return np.asarray(opened.read_matches(first.number, second.number), dtype=np.uint32)
+
+
+def _checked(given: tuple[_Photo, _Photo, NDArray[np.uint32]]) -> Any:
+    """The ``pycolmap.TwoViewGeometry`` of a pair, without matches where too few of them agree."""
     import pycolmap
 
-    options = pycolmap.FeatureMatchingOptions()
-    options.use_gpu = False
-    options.num_threads = threads
-    listed = database.parent / "pairs.txt"
-    for least_share, group in _by_least_share(database, pairs):
-        verification = pycolmap.TwoViewGeometryOptions()
-        verification.min_num_inliers = MIN_INLIERS
-        verification.ransac.random_seed = SEED
-        verification.ransac.max_num_trials = _MOST_SAMPLES
-        verification.ransac.min_inlier_ratio = max(verification.ransac.min_inlier_ratio, least_share)
-        listed.write_text("".join(f"{first} {second}\n" for first, second in group), encoding="utf-8")
-        pairing = pycolmap.ImportedPairingOptions()
-        pairing.match_list_path = listed
-        call(
-            pycolmap.match_image_pairs,
-            database,
-            matching_options=options,
-            pairing_options=pairing,
-            verification_options=verification,
-            device=pycolmap.Device.cpu,
-        )
-
-
-def _by_least_share(database: Path, pairs: Sequence[tuple[str, str]]) -> Iterator[tuple[float, list[tuple[str, str]]]]:
-    """Pairs of about as many matches, and the least share of these that agrees where one of the pairs counts."""
-    groups: dict[float, list[tuple[str, str]]] = {}
-    with open_database(database) as opened:
-        number = {image.name: image.image_id for image in opened.read_all_images()}
-        for first, second in pairs:
-            matches = len(opened.read_matches(number[first], number[second]))
-            few = next((limit for limit in _FEW_MATCHES if matches <= limit), None)
-            groups.setdefault(0.0 if few is None else MIN_INLIERS / few, []).append((first, second))
-    yield from sorted(groups.items())
+    first, second, matches = given
+    if len(matches) < MIN_INLIERS:
+        return pycolmap.TwoViewGeometry()
+    options = pycolmap.TwoViewGeometryOptions()
+    options.min_num_inliers = MIN_INLIERS
+    options.ransac.random_seed = SEED
+    options.ransac.max_num_trials = _MOST_SAMPLES
+    # What agrees at least where the pair counts: samples that would only tell less are not drawn.
+    options.ransac.min_inlier_ratio = max(options.ransac.min_inlier_ratio, _OF_LEAST_SHARE * MIN_INLIERS / len(matches))
+    return call(
+        pycolmap.estimate_two_view_geometry,
+        first.camera,
+        first.places,
+        second.camera,
+        second.places,
+        matches,
+        options,
+    )
