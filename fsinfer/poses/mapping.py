@@ -12,14 +12,13 @@ from typing import Any
 import numpy as np
 
 from fsinfer.errors import PosesError
-from fsinfer.io.files import make_folder
 from fsinfer.poses.boards import BoardSighting, boards_in, find_boards, tie_boards
 from fsinfer.poses.colmap import extract_features, reconstruct, triangulate, with_calibration
 from fsinfer.poses.joining.parts import join_parts
 from fsinfer.poses.matches import is_walk, match_features
 from fsinfer.poses.refinement import FEATURE_SIZE_PX
 from fsinfer.poses.settings import PoseSettings
-from fsinfer.poses.thorough import rematch, seams, torn, worth_a_glance
+from fsinfer.poses.thorough import rematch, seams, torn
 from fsinfer.poses.verification.misplaced import drop
 from fsinfer.poses.verification.repair import placed_again, repair, repair_part
 from fsinfer.progress import Progress
@@ -157,12 +156,7 @@ def _looked(
     sightings: Sequence[BoardSighting],
     progress: Progress,
 ) -> _Look:
-    """Cheap first: few small photos as they are, doubled only where not all have a place then, and what tore again."""
-    if worth_a_glance(images, walk.files, settings):
-        glance = replace(settings, double_below_px=0)
-        look = _first_look(walk, images, make_folder(work / "glance"), glance, sightings, progress)
-        if all(look.has_place(walk)):
-            return look
+    """Cheap first, and what tore again."""
     look = _first_look(walk, images, work, settings, sightings, progress)
     if torn(look.has_place(walk), settings):
         look = _second_look(look, walk, images, work, settings, sightings, progress)

@@ -14,7 +14,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fsinfer.io.images import image_size
 from fsinfer.poses.colmap import extract_features
 from fsinfer.poses.colmap_calls import copy_database, open_database
 from fsinfer.poses.matches import inliers_by_rank, match_pairs
@@ -26,16 +25,6 @@ _log = logging.getLogger(__name__)
 
 #: Photos are doubled whatever their size. Source: COLMAP's default.
 _DOUBLE_ALL_PX = 1_000_000
-
-
-def worth_a_glance(images: Path, files: Sequence[str], settings: PoseSettings) -> bool:
-    """Whether few photos are so small that they would be doubled, which is five times the work: most need none of it.
-
-    Every pair of few photos is matched, so that they often hold together by the features of the photos as they are.
-    """
-    if len(files) > settings.pairs.exhaustive_up_to:
-        return False
-    return any(max(image_size(images / file)) < settings.double_below_px for file in files)
 
 
 def torn(placed: Sequence[bool], settings: PoseSettings) -> bool:

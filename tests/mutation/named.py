@@ -109,7 +109,7 @@ NAMED: dict[str, Named] = {
     ),
     "bark_std": _halved_and_doubled(_DBH, "bark_std", 0.005, _interval("test_a_tape_over_ridges_of_bark")),
     "common_px": _halved_and_doubled(
-        "fsinfer/trees/diameter/edge_problem.py",
+        "fsinfer/trees/diameter/silhouette_settings.py",
         "common_px",
         0.08,
         ("tests/fsinfer/silhouettes/test_join.py::test_edges_that_all_err_alike_are_in_the_error_of_the_fit",),

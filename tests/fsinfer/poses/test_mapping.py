@@ -97,7 +97,6 @@ def mapped_walk(
 
     for step in ("extract_features", "match_features"):
         patch.setattr(f"fsinfer.poses.mapping.{step}", lambda *_: None)
-    patch.setattr("fsinfer.poses.mapping.worth_a_glance", lambda *_: False)  # nor is there a picture to be doubled
     patch.setattr("fsinfer.poses.mapping.find_boards", find_boards)
     patch.setattr("fsinfer.poses.mapping.reconstruct", reconstruct)
     patch.setattr("fsinfer.poses.mapping.triangulate", lambda model, *_: triangulated(model))
