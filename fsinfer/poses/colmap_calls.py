@@ -81,6 +81,11 @@ def open_database(path: Path) -> Iterator[Any]:
         yield _Guarded(database)
 
 
+def image_number(opened: Any, name: str) -> int:
+    """The number of a photo, by its name, in a database of :func:`open_database`."""
+    return int(opened.read_image_with_name(name).image_id)
+
+
 def copy_database(database: Path, copy: Path) -> None:
     """Copy a database with what is still in its log; a file ``copy`` of before goes."""
     copy.unlink(missing_ok=True)

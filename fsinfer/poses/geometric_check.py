@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.poses.colmap_calls import SEED, call, open_database
+from fsinfer.poses.colmap_calls import SEED, call, image_number, open_database
 from fsinfer.poses.pairs import MIN_INLIERS
 from fsinfer.threads import in_order
 
@@ -25,16 +25,15 @@ from fsinfer.threads import in_order
 #: against 279 and 92,574; renders only.
 _MOST_SAMPLES = 2500
 #: Samples are drawn as for so much of the least share that counts: not every sample of right matches has all agree.
-#: Source: numerics; of 725 pairs of a rendered plot 588 count at 1.0, 590 at 0.9, 594 at 0.8 (six more with 15 or 16
-#: matches that agree), and 589 with COLMAP's samples; renders only.
+#: Source: numerics; of 725 pairs with 15 matches or more, of a rendered plot, 588 count at 1.0, 590 at 0.9, 594 at 0.8
+#: (six more of 15 or 16 that agree), and 589 with COLMAP's samples; renders only.
 _OF_LEAST_SHARE = 0.9
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Photo:
-    """A photo of the database: its number, its ``pycolmap.Camera``, and the places (N, 2) of its features, pixels."""
+    """A photo of the database: its ``pycolmap.Camera``, and the places (N, 2) of its features, pixels."""
 
-    number: int
     camera: Any
     places: NDArray[np.float64]
 
@@ -44,31 +43,30 @@ def check_pairs(database: Path, pairs: Sequence[tuple[str, str]], threads: int) 
 
     What agrees is in the database afterwards; pairs that were checked before are not checked again.
     """
-
     with open_database(database) as opened:
-        photos = {name: _photo(opened, name) for name in {name for pair in pairs for name in pair}}
-        asked = [(photos[first], photos[second]) for first, second in pairs]
-        asked = [pair for pair in asked if not opened.exists_two_view_geometry(*(photo.number for photo in pair))]
-        given = [(*pair, _matches(opened, *pair)) for pair in asked]
-        for (first, second), found in zip(asked, in_order(_checked, given, threads), strict=True):
-            opened.write_two_view_geometry(first.number, second.number, found)
+        numbers = {name: image_number(opened, name) for name in {name for pair in pairs for name in pair}}
+        missing = [(numbers[first], numbers[second]) for first, second in pairs]
+        missing = [pair for pair in missing if not opened.exists_two_view_geometry(*pair)]
+        photos = {number: _photo(opened, number) for number in {number for pair in missing for number in pair}}
+        asked = [(photos[first], photos[second], _matches(opened, first, second)) for first, second in missing]
+        for (first, second), found in zip(missing, in_order(_checked, asked, threads), strict=True):
+            opened.write_two_view_geometry(first, second, found)
 
 
-def _photo(opened: Any, name: str) -> _Photo:
-    image = opened.read_image_with_name(name)
-    places = np.asarray(opened.read_keypoints(image.image_id), dtype=np.float64)[:, :2]
-    return _Photo(number=int(image.image_id), camera=opened.read_camera(image.camera_id), places=places)
+def _photo(opened: Any, number: int) -> _Photo:
+    places = np.asarray(opened.read_keypoints(number), dtype=np.float64)[:, :2]
+    return _Photo(camera=opened.read_camera(opened.read_image(number).camera_id), places=places)
 
 
-def _matches(opened: Any, first: _Photo, second: _Photo) -> NDArray[np.uint32]:
-    return np.asarray(opened.read_matches(first.number, second.number), dtype=np.uint32)
+def _matches(opened: Any, first: int, second: int) -> NDArray[np.uint32]:
+    return np.asarray(opened.read_matches(first, second), dtype=np.uint32)
 
 
-def _checked(given: tuple[_Photo, _Photo, NDArray[np.uint32]]) -> Any:
+def _checked(asked: tuple[_Photo, _Photo, NDArray[np.uint32]]) -> Any:
     """The ``pycolmap.TwoViewGeometry`` of a pair, without matches where too few of them agree."""
     import pycolmap
 
-    first, second, matches = given
+    first, second, matches = asked
     if len(matches) < MIN_INLIERS:
         return pycolmap.TwoViewGeometry()
     options = pycolmap.TwoViewGeometryOptions()

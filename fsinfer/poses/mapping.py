@@ -5,14 +5,14 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fsinfer.errors import PosesError
-from fsinfer.poses.boards import BoardSighting, boards_in, find_boards, tie_boards
+from fsinfer.poses.boards import boards_in, find_boards, tie_boards
 from fsinfer.poses.colmap import extract_features, reconstruct, triangulate, with_calibration
 from fsinfer.poses.joining.parts import join_parts
 from fsinfer.poses.matches import is_walk, match_features
@@ -74,24 +74,6 @@ class MappedWalk:
     apart: tuple[tuple[str, ...], ...] = field(default=())
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Look:
-    """What the mapper made of a walk from the features and matches of one ``database``.
-
-    ``model`` is the largest part, repaired, or None, ``models`` all parts as they were mapped, and ``most`` how many
-    photos any look has placed together.
-    """
-
-    database: Path
-    model: Any
-    misplaced: dict[str, list[str]]
-    models: Sequence[Any]
-    most: int
-
-    def has_place(self, walk: Walk) -> list[bool]:
-        return walk.has_place(self.model) if self.model is not None else [False] * len(walk.files)
-
-
 def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progress: Progress) -> MappedWalk:
     """Features, matches and the map of all photos in ``work/images``.
 
@@ -105,7 +87,9 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
     PosesError
         Fewer than ``settings.min_registered`` photos could be placed together.
     """
-    images = work / "images"
+    images, database = work / "images", work / "database.db"
+    extract_features(database, images, walk.cameras, settings, progress)
+    match_features(database, walk.files, settings, progress)
     sightings = find_boards(
         images,
         walk.files,
@@ -114,12 +98,29 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
         progress=progress,
         threads=settings.photo_threads,
     )
-    look = _looked(walk, images, work, settings, sightings, progress)
-    if look.model is None:
-        found = "no two photos" if look.most == 0 else f"only {look.most} photos"
+    models = reconstruct(database, images, work / "models", settings, progress)
+    placed = models[0].num_reg_images() if models else 0
+    model: Any = None
+    misplaced: dict[str, list[str]] = {}
+    if placed >= settings.min_registered:
+        model, misplaced = repair(models[0], database, walk.files, work, settings, progress, sightings=sightings)
+    has_place = walk.has_place(model) if model is not None else [False] * len(walk.files)
+    matched = database
+    if torn(has_place, settings):
+        richer = rematch(database, images, walk.cameras, walk.files, has_place, settings, progress)
+        start = _beyond_the_tear(model, walk, seams(has_place, settings.thorough.beside), settings)
+        again = reconstruct(richer, images, work / "thorough", settings, progress, start=start)
+        if again and again[0].num_reg_images() >= max(sum(has_place), settings.min_registered):
+            better, wrong = repair(again[0], richer, walk.files, work, settings, progress, sightings=sightings)
+            if sum(walk.has_place(better)) > sum(has_place):
+                _log.info("thorough: %d instead of %d photos", better.num_reg_images(), sum(has_place))
+                model, misplaced, models = better, wrong, again
+                matched = richer
+        placed = max(placed, again[0].num_reg_images() if again else 0)
+    if model is None:
+        found = "no two photos" if placed == 0 else f"only {placed} photos"
         msg = f"{found} of the {len(walk.files)} in {given} could be placed together: {ADVICE}"
         raise PosesError(msg)
-    model, misplaced, matched = look.model, look.misplaced, look.database
     if model.num_reg_images() < settings.min_registered:
         msg = f"the {len(walk.files)} photos in {given} match in ways that contradict each other: {ADVICE}"
         raise PosesError(msg)
@@ -127,7 +128,7 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
     if settings.mapper == "incremental":
         parts = _alone(model, matched, walk, work, settings, progress)
     else:
-        parts = [part for part in look.models[1:] if part.num_reg_images() >= settings.min_registered]
+        parts = [part for part in models[1:] if part.num_reg_images() >= settings.min_registered]
     path = walk.files if is_walk(matched, walk.files, settings) else ()
     joined, left = join_parts(model, parts, sightings, database=matched, walk=path)
     if joined:
@@ -146,64 +147,6 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
     named = {*joined, *(file for files in apart for file in files)}
     misplaced = {how: [file for file in files if file not in named] for how, files in misplaced.items()}
     return MappedWalk(model=model, misplaced=misplaced, joined=tuple(sorted(joined)), apart=apart)
-
-
-def _looked(
-    walk: Walk,
-    images: Path,
-    work: Path,
-    settings: PoseSettings,
-    sightings: Sequence[BoardSighting],
-    progress: Progress,
-) -> _Look:
-    """Cheap first, and what tore again."""
-    look = _first_look(walk, images, work, settings, sightings, progress)
-    if torn(look.has_place(walk), settings):
-        look = _second_look(look, walk, images, work, settings, sightings, progress)
-    return look
-
-
-def _first_look(
-    walk: Walk,
-    images: Path,
-    folder: Path,
-    settings: PoseSettings,
-    sightings: Sequence[BoardSighting],
-    progress: Progress,
-) -> _Look:
-    database = folder / "database.db"
-    extract_features(database, images, walk.cameras, settings, progress)
-    match_features(database, walk.files, settings, progress)
-    models = reconstruct(database, images, folder / "models", settings, progress)
-    most = models[0].num_reg_images() if models else 0
-    model: Any = None
-    misplaced: dict[str, list[str]] = {}
-    if most >= settings.min_registered:
-        model, misplaced = repair(models[0], database, walk.files, folder, settings, progress, sightings=sightings)
-    return _Look(database=database, model=model, misplaced=misplaced, models=models, most=most)
-
-
-def _second_look(
-    first: _Look,
-    walk: Walk,
-    images: Path,
-    work: Path,
-    settings: PoseSettings,
-    sightings: Sequence[BoardSighting],
-    progress: Progress,
-) -> _Look:
-    """Thorough where the walk tore; the first look, where that places no more."""
-    has_place = first.has_place(walk)
-    richer = rematch(first.database, images, walk.cameras, walk.files, has_place, settings, progress)
-    start = _beyond_the_tear(first.model, walk, seams(has_place, settings.thorough.beside), settings)
-    again = reconstruct(richer, images, work / "thorough", settings, progress, start=start)
-    most = max(first.most, again[0].num_reg_images() if again else 0)
-    if again and again[0].num_reg_images() >= max(sum(has_place), settings.min_registered):
-        model, misplaced = repair(again[0], richer, walk.files, work, settings, progress, sightings=sightings)
-        if sum(walk.has_place(model)) > sum(has_place):
-            _log.info("thorough: %d instead of %d photos", model.num_reg_images(), sum(has_place))
-            return _Look(database=richer, model=model, misplaced=misplaced, models=again, most=most)
-    return replace(first, most=most)
 
 
 def _beyond_the_tear(model: Any, walk: Walk, affected: Sequence[int], settings: PoseSettings) -> Any:

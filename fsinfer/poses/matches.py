@@ -23,7 +23,7 @@ _PAIRS_PER_BATCH = 120
 def match_features(database: Path, names: Sequence[str], settings: PoseSettings, progress: Progress) -> None:
     """Match the photos and check the matches geometrically; pairs that the database has are not matched again.
 
-    ``names`` are those of the photos in the order of walking, and hold no spaces.
+    ``names`` are those of the photos in the order of walking.
     """
     count = len(names)
     pairs = first_pairs(count, settings.pairs)

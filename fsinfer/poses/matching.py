@@ -1,7 +1,4 @@
-"""Matches of pairs of photos in COLMAP's database, before they are checked geometrically.
-
-COLMAP checks what it finds in its database, and searches by itself only what is missing there.
-"""
+"""Matches of pairs of photos in COLMAP's database, before :mod:`fsinfer.poses.geometric_check` checks them."""
 
 from __future__ import annotations
 
@@ -12,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.poses.colmap_calls import open_database
+from fsinfer.poses.colmap_calls import image_number, open_database
 from fsinfer.poses.descriptors import Descriptors, matched, prepared
 from fsinfer.threads import in_order
 
@@ -30,7 +27,9 @@ class PairMatcher:
     def match(self, pairs: Sequence[Pair], threads: int) -> None:
         """Write the matches of ``pairs`` that the database has none of, so many at a time."""
         with open_database(self._database) as opened:
-            numbers = {rank: _number(opened, self._names[rank]) for rank in {rank for pair in pairs for rank in pair}}
+            numbers = {
+                rank: image_number(opened, self._names[rank]) for rank in {rank for pair in pairs for rank in pair}
+            }
             missing = [pair for pair in pairs if not opened.exists_matches(*(numbers[rank] for rank in pair))]
             self._keep(opened, {rank: numbers[rank] for pair in missing for rank in pair})
             for (first, second), found in zip(missing, in_order(self._matched, missing, threads), strict=True):
@@ -46,10 +45,6 @@ class PairMatcher:
             rank: self._kept[rank] if rank in self._kept else prepared(_descriptors(opened, number))
             for rank, number in numbers.items()
         }
-
-
-def _number(opened: Any, name: str) -> int:
-    return int(opened.read_image_with_name(name).image_id)
 
 
 def _descriptors(opened: Any, number: int) -> NDArray[np.uint8]:

@@ -115,16 +115,22 @@ def left_open(covariance: Floats, prior: Floats) -> float:
 def oval_factor(shape: Roundness | None, settings: RoundnessSettings | None = None) -> float:
     """By how much the section is more oval than usual; 1 where it is no more so than 95 % of stems, or not known."""
     s = settings or RoundnessSettings()
-    oval = None if shape is None else shape.harmonics[0]
-    if oval is None or not oval.known or oval.square <= s.usual:
+    oval = _known_oval(shape)
+    if oval is None or oval.square <= s.usual:
         return 1.0
     return float(np.sqrt(oval.square / PAIR))
 
 
 def oval_share(shape: Roundness | None) -> float:
     """Amplitude of the section's 2nd harmonic, part of the radius; 0 where it is not known."""
+    oval = _known_oval(shape)
+    return 0.0 if oval is None else float(np.sqrt(oval.square)) * AxisSettings().shape_std[0]
+
+
+def _known_oval(shape: Roundness | None) -> Harmonic | None:
+    """The section's 2nd harmonic, where the points tell it."""
     oval = None if shape is None else shape.harmonics[0]
-    return 0.0 if oval is None or not oval.known else float(np.sqrt(oval.square)) * AxisSettings().shape_std[0]
+    return oval if oval is not None and oval.known else None
 
 
 def misfit_std(shape: Roundness, settings: RoundnessSettings | None = None) -> float:
