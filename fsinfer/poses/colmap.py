@@ -25,6 +25,11 @@ _ADJUST_GROWTH = 2.5
 #: While photos are placed an adjustment ends where a step gains less than this share of its error: of a photo and its
 #: neighbours, and of all. The model is adjusted with more care afterwards. Source: as above.
 _ENOUGH_OF_NEIGHBOURS, _ENOUGH_OF_ALL = 1e-3, 1e-4
+#: All are adjusted and filtered so many times at most while something changes (COLMAP: 5), neighbours so many (COLMAP:
+#: 2). Source: numerics; renders only, docs/trials-speed.md.
+_ROUNDS_OF_ALL, _ROUNDS_OF_NEIGHBOURS = 2, 1
+#: A model from a pair to begin with that was given is enough with this share of the photos. Source: judgement.
+_ENOUGH_PLACED = 0.5
 #: Parts that the mapper begins at most, of which the largest counts. Source: numerics.
 _MOST_PARTS = 5
 
@@ -72,7 +77,6 @@ def extract_features(
     options.use_gpu = False
     options.num_threads = settings.thread_count
     options.max_image_size = settings.max_image_size
-    options.sift.max_num_features = settings.max_features
     total = sum(len(names) for names in cameras.values())
     done = 0
     for names in cameras.values():
@@ -92,6 +96,7 @@ def extract_features(
         camera_id = _camera_of(database, names)
         doubled = camera_id is not None and _longer_side_px(database, camera_id, settings) < settings.double_below_px
         options.sift.first_octave = -1 if doubled else 0
+        options.sift.max_num_features = settings.max_doubled_features if doubled else settings.max_features
         for start in range(0, len(names), _PHOTOS_PER_BATCH):
             batch = list(names[start : start + _PHOTOS_PER_BATCH])
             progress(done, total, step)
@@ -160,12 +165,14 @@ def reconstruct(
     start: Any = None,
     only: Sequence[str] = (),
     known_cameras: Sequence[int] = (),
+    beginnings: Sequence[tuple[int, int]] = (),
 ) -> list[Any]:
     """Map the photos; returns the ``pycolmap.Reconstruction`` of each connected part, the largest first.
 
     With a model to ``start`` from, the incremental mapper goes on with the photos that it has not placed. ``only``:
     the files of the photos that are to be mapped; none = all. ``known_cameras``: ids of those whose calibration in the
-    database stands.
+    database stands. ``beginnings``: pairs, by COLMAP's numbers, to begin with, the best first; where none makes a model
+    of half of the photos, or none is given, COLMAP looks for one.
     """
     import pycolmap
 
@@ -189,42 +196,66 @@ def reconstruct(
             placed = min(placed + 1, total)
             progress(placed, total, "placing photos")
 
-        incremental = pycolmap.IncrementalPipelineOptions()
-        # With several threads sums come out in another order now and then, another model with them (on 23 photos every
-        # fifth time, cameras 0.007 % apart), and a run that was stopped would not end as one that was not. 300 photos
-        # take 74 processor seconds, 67 s with two threads.
-        incremental.num_threads = 1
-        incremental.random_seed = SEED
-        incremental.min_model_size = settings.min_registered
-        incremental.max_num_models = _MOST_PARTS
-        # Without points that add nothing; the model is refined once more at the end.
-        incremental.ba_global_frames_ratio = incremental.ba_global_points_ratio = _ADJUST_GROWTH
-        incremental.ba_local_function_tolerance = _ENOUGH_OF_NEIGHBOURS
-        incremental.ba_global_function_tolerance = _ENOUGH_OF_ALL
-        incremental.mapper.ba_global_ignore_redundant_points3D = True
-        # Colours are taken from the photographs at fusion.
-        incremental.extract_colors = False
-        incremental.image_names = list(only)
-        incremental.constant_cameras = incremental.mapper.constant_cameras = set(known_cameras)
+        options = _incremental(settings, only, known_cameras)
         known = out / "start"
         if start is not None:
             known.mkdir(exist_ok=True)
             call(start.write_binary, known)
-            incremental.multiple_models = False
-        models = call(
-            pycolmap.incremental_mapping,
-            database,
-            images,
-            out,
-            options=incremental,
-            input_path="" if start is None else known,
-            next_image_callback=step,
-        )
+            options.multiple_models = False
+
+        def mapped(trial: Any) -> Any:
+            return call(
+                pycolmap.incremental_mapping,
+                database,
+                images,
+                out,
+                options=trial,
+                input_path="" if start is None else known,
+                next_image_callback=step,
+            )
+
+        models = {}
+        for first, second in beginnings if start is None else ():
+            trial = _incremental(settings, only, known_cameras)
+            trial.init_image_id1, trial.init_image_id2 = first, second
+            # A pair that COLMAP does not like is not tried two hundred times.
+            trial.init_num_trials, trial.multiple_models = 1, False
+            models = mapped(trial)
+            if models:
+                break
+        if not models or max(model.num_reg_images() for model in models.values()) < _ENOUGH_PLACED * total:
+            placed = 0 if start is None else placed
+            models = mapped(options)
     else:
         msg = f"there is no mapper {settings.mapper!r}; choose incremental or global"
         raise PosesError(msg)
     progress(total, total, "placing photos")
     return sorted(models.values(), key=lambda model: (-model.num_reg_images(), -model.num_points3D()))
+
+
+def _incremental(settings: PoseSettings, only: Sequence[str], known_cameras: Sequence[int]) -> Any:
+    import pycolmap
+
+    incremental = pycolmap.IncrementalPipelineOptions()
+    # With several threads sums come out in another order now and then, another model with them (on 23 photos every
+    # fifth time, cameras 0.007 % apart), and a run that was stopped would not end as one that was not. 300 photos
+    # take 74 processor seconds, 67 s with two threads.
+    incremental.num_threads = 1
+    incremental.random_seed = SEED
+    incremental.min_model_size = settings.min_registered
+    incremental.max_num_models = _MOST_PARTS
+    # Without points that add nothing; the model is refined once more at the end.
+    incremental.ba_global_frames_ratio = incremental.ba_global_points_ratio = _ADJUST_GROWTH
+    incremental.ba_local_function_tolerance = _ENOUGH_OF_NEIGHBOURS
+    incremental.ba_global_function_tolerance = _ENOUGH_OF_ALL
+    incremental.ba_global_max_refinements = _ROUNDS_OF_ALL
+    incremental.ba_local_max_refinements = _ROUNDS_OF_NEIGHBOURS
+    incremental.mapper.ba_global_ignore_redundant_points3D = True
+    # Colours are taken from the photographs at fusion.
+    incremental.extract_colors = False
+    incremental.image_names = list(only)
+    incremental.constant_cameras = incremental.mapper.constant_cameras = set(known_cameras)
+    return incremental
 
 
 def with_calibration(database: Path, cameras: Sequence[Any], copy: Path) -> Path:

@@ -18,6 +18,7 @@ from fsinfer.poses.joining.parts import join_parts
 from fsinfer.poses.matches import is_walk, match_features
 from fsinfer.poses.refinement import FEATURE_SIZE_PX
 from fsinfer.poses.settings import PoseSettings
+from fsinfer.poses.sure_pairs import put_back, sure_pairs
 from fsinfer.poses.thorough import rematch, seams, torn
 from fsinfer.poses.verification.misplaced import drop
 from fsinfer.poses.verification.repair import placed_again, repair, repair_part
@@ -98,20 +99,26 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
         progress=progress,
         threads=settings.photo_threads,
     )
-    models = reconstruct(database, images, work / "models", settings, progress)
+    sure = sure_pairs(database, walk.files, work, settings)
+    models = reconstruct(sure.database, images, work / "models", settings, progress, beginnings=sure.beginnings)
     placed = models[0].num_reg_images() if models else 0
     model: Any = None
     misplaced: dict[str, list[str]] = {}
     if placed >= settings.min_registered:
         model, misplaced = repair(models[0], database, walk.files, work, settings, progress, sightings=sightings)
+        put_back(model, sure.left_out, database, work)
     has_place = walk.has_place(model) if model is not None else [False] * len(walk.files)
     matched = database
     if torn(has_place, settings):
         richer = rematch(database, images, walk.cameras, walk.files, has_place, settings, progress)
         start = _beyond_the_tear(model, walk, seams(has_place, settings.thorough.beside), settings)
-        again = reconstruct(richer, images, work / "thorough", settings, progress, start=start)
+        sure = sure_pairs(richer, walk.files, work, settings)
+        again = reconstruct(
+            sure.database, images, work / "thorough", settings, progress, start=start, beginnings=sure.beginnings
+        )
         if again and again[0].num_reg_images() >= max(sum(has_place), settings.min_registered):
             better, wrong = repair(again[0], richer, walk.files, work, settings, progress, sightings=sightings)
+            put_back(better, sure.left_out, richer, work)
             if sum(walk.has_place(better)) > sum(has_place):
                 _log.info("thorough: %d instead of %d photos", better.num_reg_images(), sum(has_place))
                 model, misplaced, models = better, wrong, again

@@ -12,7 +12,7 @@ import numpy as np
 
 from fsinfer.geometry.similarity import apply, fit_similarity, rotation_of, scale_of
 from fsinfer.poses.adjustment.evidence import Trial, groups_borne_out
-from fsinfer.poses.adjustment.fit import Weighting, fit, noise_of
+from fsinfer.poses.adjustment.fit import Weighting, fit, noise_of, with_points_fitted
 from fsinfer.poses.adjustment.photo_effects import PhotoEffects, effects_of
 from fsinfer.poses.adjustment.precision import CameraPrecision, camera_precisions
 from fsinfer.poses.adjustment.problem import (
@@ -102,10 +102,15 @@ def adjust_photos(
         return model, PhotoAdjustment()
     seen, start, numbers = from_model(model)
     weighting = weighting_of(model, seen, start, numbers, settings, larger)
-    groups, trials, weighting = groups_borne_out(seen, start, weighting, settings)
+    evidence = groups_borne_out(seen, start, weighting, settings)
+    groups, trials, weighting = evidence.groups, evidence.trials, evidence.weighting
     progress(1, 2, "adjusting photo by photo")
     structure = Structure(seen, len(start.points))
-    found = like(fit(structure, start, groups, weighting), start) if groups else start
+    found = start
+    if groups:
+        # The cameras are nearly where they belong, and the points come after.
+        near = with_points_fitted(seen, evidence.cameras, weighting.loss_px)
+        found = like(fit(structure, near, groups, weighting), start)
     precisions = dict(zip(numbers.images, camera_precisions(structure, found, groups, weighting), strict=True))
     if not groups:
         return model, PhotoAdjustment(precisions=precisions, trials=trials)

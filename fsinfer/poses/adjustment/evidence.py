@@ -29,6 +29,9 @@ _MIN_PHOTOS = 3
 #: Standard deviations of an observation, before any effect is known, beyond which a larger error hardly counts as more.
 #: Source: three sigma.
 _JUDGED_TO = 3.0
+#: A fit that only decides ends with a step that gains less than this share of its cost. Source: numerics; what a group
+#: does to points held out was the same to 0.1 % with 0.0001, in one and a half times the time; renders only.
+_ENOUGH = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,17 +52,33 @@ class Trial:
     kept: bool
 
 
+@dataclass(frozen=True, kw_only=True)
+class Evidence:
+    """What was found.
+
+    Attributes
+    ----------
+    groups: those to keep. trials: every one. weighting: with the noise that is left.
+    cameras: poses, lenses and each photo's own as they were fitted with ``groups``, with the points given at first.
+    """
+
+    groups: tuple[Group, ...]
+    trials: tuple[Trial, ...]
+    weighting: Weighting
+    cameras: Unknowns
+
+
 def groups_borne_out(
     seen: Observations, start: Unknowns, weighting: Weighting, settings: AdjustmentSettings
-) -> tuple[tuple[Group, ...], tuple[Trial, ...], Weighting]:
-    """Try each group; returns those to keep, every trial, and the weighting with the noise that is left."""
+) -> Evidence:
+    """Try each group."""
     held, fitted = split(seen, len(start.points), settings)
     judged, judged_points = seen.of_points(held)
     learned, learned_points = seen.of_points(fitted)
     if len(judged_points) == 0:
-        return (), (), weighting
+        return Evidence(groups=(), trials=(), weighting=weighting, cameras=start)
     structure = Structure(learned, len(learned_points))
-    base = fit(structure, replace(start, points=start.points[learned_points]), (), weighting)
+    base = fit(structure, replace(start, points=start.points[learned_points]), (), weighting, enough=_ENOUGH)
     weighting = replace(weighting, noise_px=noise_of(base.residuals(learned)))
 
     bound = (_JUDGED_TO * weighting.noise_px) ** 2
@@ -74,7 +93,7 @@ def groups_borne_out(
     kept: list[Group] = []
     trials: dict[Group, Trial] = {}
     for group in ORDER:
-        tried = fit(structure, current, (*kept, group), weighting)
+        tried = fit(structure, current, (*kept, group), weighting, enough=_ENOUGH)
         there = errors_of(tried)
         trials[group] = _trial(group, errors, there, settings.min_gain, settings)
         if trials[group].kept:
@@ -85,12 +104,13 @@ def groups_borne_out(
         others = [other for other in kept if other is not group]
         own = current.own.copy()
         own[:, group.value] = 0
-        tried = fit(structure, replace(current, own=own), others, weighting)
+        tried = fit(structure, replace(current, own=own), others, weighting, enough=_ENOUGH)
         there = errors_of(tried)
         trials[group] = _trial(group, there, errors, settings.min_gain_beside, settings)
         if not trials[group].kept:
             kept, current, errors = others, tried, there
-    return tuple(kept), tuple(trials.values()), weighting
+    cameras = replace(current, points=start.points)
+    return Evidence(groups=tuple(kept), trials=tuple(trials.values()), weighting=weighting, cameras=cameras)
 
 
 def _trial(group: Group, without: Floats, with_it: Floats, least: float, settings: AdjustmentSettings) -> Trial:

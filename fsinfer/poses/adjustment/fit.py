@@ -66,9 +66,18 @@ def columns_of(groups: Sequence[Group]) -> list[int]:
 
 
 def fit(
-    structure: Structure, start: Unknowns, groups: Sequence[Group], weighting: Weighting, steps: int = _MOST_STEPS
+    structure: Structure,
+    start: Unknowns,
+    groups: Sequence[Group],
+    weighting: Weighting,
+    *,
+    steps: int = _MOST_STEPS,
+    enough: float = _ENOUGH,
 ) -> Unknowns:
-    """Adjust everything; of each photo's own unknowns those of ``groups``."""
+    """Adjust everything; of each photo's own unknowns those of ``groups``.
+
+    It ends after so many ``steps``, or with one that gains less than the share ``enough`` of the cost.
+    """
     seen, best = structure.seen, start
     cost = weighting.cost(seen, best)
     damping = _DAMPING
@@ -89,7 +98,7 @@ def fit(
             return best
         gain, best, cost = 1 - cost_there / cost, tried, cost_there
         damping *= _LESS
-        if gain < _ENOUGH:
+        if gain < enough:
             break
     return best
 
