@@ -359,9 +359,9 @@ def test_a_check_that_was_stopped_goes_on(tmp_path: Path, calls: Counter[str], m
     inode, size = database.stat().st_ino, database.stat().st_size
     seen: list[tuple[int, int]] = []
 
-    def look(path: Path, *args: Any) -> Any:
+    def look(path: Path, *args: Any, **options: Any) -> Any:
         seen.append((path.stat().st_ino, path.stat().st_size))
-        return reconstruct(path, *args)
+        return reconstruct(path, *args, **options)
 
     monkeypatch.setattr("fsinfer.poses.mapping.reconstruct", look)
     assert check_capture(folder, out, settings=settings).registered == 8

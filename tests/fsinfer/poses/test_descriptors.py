@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fsinfer.poses.descriptors import ROWS_AT_ONCE, matched, prepared
+from fsinfer.poses import descriptors
+from fsinfer.poses.descriptors import matched, prepared
 from fsinfer.poses.integer_product import MOST, integer_product
 
 RATIO, ANGLE = 0.8, 0.7
@@ -58,12 +59,21 @@ def pairs_of(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> set[tuple[i
 @pytest.mark.parametrize("seed", range(4))
 def test_matches_are_those_of_the_definition(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    first, second = two_photos(rng, shared=400, own=ROWS_AT_ONCE + 50)
+    first, second = two_photos(rng, shared=400, own=306)
     truth, found = by_definition(first, second), pairs_of(first, second)
     assert len(truth) > 250
     # One side has seven bits: what lies at the edge of a rule may fall on its other side.
     assert len(truth & found) >= 0.98 * len(truth)
     assert len(found - truth) <= 0.02 * len(truth)
+
+
+@pytest.mark.parametrize("products", [1, 711, 100_000])
+def test_products_of_few_at_a_time_make_the_same_matches(products: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second = two_photos(np.random.default_rng(6), shared=200, own=500)
+    at_once = pairs_of(first, second)
+    monkeypatch.setattr(descriptors, "PRODUCTS_AT_ONCE", products)
+    assert pairs_of(first, second) == at_once
+    assert len(at_once) > 100
 
 
 def test_the_other_way_round_they_are_the_same() -> None:

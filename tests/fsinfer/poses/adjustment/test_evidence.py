@@ -27,9 +27,12 @@ def trials_of(effects: np.ndarray | None, outliers: float = 0.0, seed: int = 1) 
         loss_px=1.0, noise_px=NOISE_PX, own_std=own_std, mean_std=np.full_like(own_std, np.inf), lens_free=[FREE]
     )
     start: Unknowns = fit(Structure(seen, len(truth.points)), disturbed(truth), (), weighting)
-    groups, trials, _ = groups_borne_out(seen, start, weighting, AdjustmentSettings())
-    assert {trial.group for trial in trials if trial.kept} == set(groups)
-    return {trial.group: trial for trial in trials}
+    found = groups_borne_out(seen, start, weighting, AdjustmentSettings())
+    assert {trial.group for trial in found.trials if trial.kept} == set(found.groups)
+    # Its cameras have what was kept and nothing else.
+    had = {group for group in Group if np.abs(found.cameras.own[:, group.value]).max() > 0}
+    assert had == set(found.groups)
+    return {trial.group: trial for trial in found.trials}
 
 
 def kept(effects: np.ndarray | None, outliers: float = 0.0) -> set[Group]:

@@ -1,0 +1,90 @@
+"""A walk is mapped without the pairs that contradict it, and true ones among them come in afterwards."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fsinfer.poses.colmap import reconstruct
+from fsinfer.poses.matches import inliers_by_rank
+from fsinfer.poses.pairs import MIN_INLIERS, PairSettings
+from fsinfer.poses.settings import PoseSettings
+from fsinfer.poses.sure_pairs import SurePairs, put_back, sure_pairs
+from fsinfer.progress import silent
+from tests.support.pairs_of_walk import FOCAL_PX, PHOTOS, names, pairs_of_walk, pose
+
+pytest.importorskip("pycolmap")
+
+FALSE = {(0, 13): 3, (1, 12): 2}
+FURTHER = ((0, 9), (2, 11), (3, 12))
+#: A walk, however few its photos are.
+SETTINGS = PoseSettings(threads=1, pairs=PairSettings(overlap=4, exhaustive_up_to=5))
+
+
+def counting(database: Path) -> set[tuple[int, int]]:
+    """Pairs of ranks that count."""
+    return {pair for pair, found in inliers_by_rank(database, names()).items() if found >= MIN_INLIERS}
+
+
+def test_the_mapper_is_given_the_pairs_that_do_not_contradict_each_other(tmp_path: Path) -> None:
+    database = pairs_of_walk(tmp_path / "pairs.db", focal_px=0.8 * FOCAL_PX, further=FURTHER, false=FALSE)
+    every = counting(database)
+    sure = sure_pairs(database, names(), tmp_path, SETTINGS)
+    assert set(sure.left_out) == {(1, 14), (2, 13)}
+    assert counting(sure.database) == every - set(FALSE)
+    assert counting(database) == every  # the others are kept for later
+    assert sure.beginnings
+
+
+@pytest.mark.parametrize("settings", [PoseSettings(threads=1, mapper="global"), PoseSettings(threads=1)])
+def test_photos_in_no_order_and_the_global_mapper_keep_all_pairs(settings: PoseSettings, tmp_path: Path) -> None:
+    # Those that follow each other match no better than others: no walk.
+    across = [(i, j) for i in range(PHOTOS) for j in range(i + 2, PHOTOS, 2)]
+    database = pairs_of_walk(tmp_path / "pairs.db", neighbours=0, further=across)
+    assert sure_pairs(database, names(), tmp_path, settings) == SurePairs(database=database)
+
+
+def mapped(sure: SurePairs, work: Path) -> Any:
+    (model,) = reconstruct(sure.database, work, work / "models", SETTINGS, silent, beginnings=sure.beginnings)
+    return model
+
+
+def test_a_true_pair_that_was_left_out_brings_its_observations_and_a_false_one_none(tmp_path: Path) -> None:
+    # Photos 0 and 12 share features that no other photo has: only their pair tells that these are the same points.
+    database = pairs_of_walk(tmp_path / "pairs.db", further=FURTHER, false=FALSE)
+    sure = sure_pairs(database, names(), tmp_path, SETTINGS)
+    model = mapped(sure, tmp_path)
+    assert model.num_reg_images() == PHOTOS
+    before = model.compute_num_observations()
+    assert put_back(model, sure.left_out, database, tmp_path) == 0
+    assert model.compute_num_observations() == before
+    # Its points taken from photo 9, what photos 0 and 9 show of them together is told by their pair alone.
+    number = {model.images[i].name: i for i in model.reg_image_ids()}["09.jpg"]
+    for index, feature in enumerate(model.images[number].points2D):
+        if feature.has_point3D() and index < 200:
+            model.delete_observation(number, index)
+    assert put_back(model, [(1, 10), *sure.left_out], database, tmp_path) > 150
+    assert model.images[number].num_points3D > 150
+
+
+def test_a_beginning_is_taken_and_a_bad_one_passed_over(tmp_path: Path) -> None:
+    database = pairs_of_walk(tmp_path / "pairs.db")
+    placed: list[int] = []
+
+    def progress(done: int, _total: int, _step: str) -> None:
+        placed.append(done)
+
+    # Photos that have no match cannot begin.
+    models = reconstruct(
+        database, tmp_path, tmp_path / "models", SETTINGS, progress, beginnings=[(1, 14), (1, 3)]
+    )  # fmt: skip
+    assert [model.num_reg_images() for model in models] == [PHOTOS]
+    assert max(placed) == PHOTOS
+    for image_id in models[0].reg_image_ids():
+        turn = models[0].images[image_id].cam_from_world().rotation.matrix()
+        first = models[0].images[1].cam_from_world().rotation.matrix()
+        true = pose(image_id - 1)[0] @ pose(0)[0].T
+        np.testing.assert_allclose(turn @ first.T, true, atol=0.02)
