@@ -171,8 +171,8 @@ def reconstruct(
 
     With a model to ``start`` from, the incremental mapper goes on with the photos that it has not placed. ``only``:
     the files of the photos that are to be mapped; none = all. ``known_cameras``: ids of those whose calibration in the
-    database stands. ``beginnings``: pairs, by COLMAP's numbers, to begin with, the best first; where none makes a model
-    of half of the photos, or none is given, COLMAP looks for one.
+    database stands. ``beginnings``: pairs, by COLMAP's numbers, to begin with, the best first; where none is given, or
+    the first that makes a model makes one of less than half of the photos, COLMAP looks for one.
     """
     import pycolmap
 
@@ -189,43 +189,39 @@ def reconstruct(
         options.random_seed = SEED
         models = call(pycolmap.global_mapping, database, images, out, options=options)
     elif settings.mapper == "incremental":
-        placed = 0 if start is None else int(start.num_reg_images())
+        before = placed = 0 if start is None else int(start.num_reg_images())
 
         def step() -> None:
             nonlocal placed
             placed = min(placed + 1, total)
             progress(placed, total, "placing photos")
 
-        options = _incremental(settings, only, known_cameras)
         known = out / "start"
         if start is not None:
             known.mkdir(exist_ok=True)
             call(start.write_binary, known)
-            options.multiple_models = False
 
-        def mapped(trial: Any) -> Any:
+        def mapped(beginning: tuple[int, int] | None = None) -> Any:
+            options = _incremental(settings, only, known_cameras)
+            options.multiple_models = start is None and beginning is None
+            if beginning is not None:
+                options.init_image_id1, options.init_image_id2 = beginning
+                # A pair that COLMAP does not like is not tried two hundred times.
+                options.init_num_trials = 1
             return call(
                 pycolmap.incremental_mapping,
                 database,
                 images,
                 out,
-                options=trial,
+                options=options,
                 input_path="" if start is None else known,
                 next_image_callback=step,
             )
 
-        models = {}
-        for first, second in beginnings if start is None else ():
-            trial = _incremental(settings, only, known_cameras)
-            trial.init_image_id1, trial.init_image_id2 = first, second
-            # A pair that COLMAP does not like is not tried two hundred times.
-            trial.init_num_trials, trial.multiple_models = 1, False
-            models = mapped(trial)
-            if models:
-                break
-        if not models or max(model.num_reg_images() for model in models.values()) < _ENOUGH_PLACED * total:
-            placed = 0 if start is None else placed
-            models = mapped(options)
+        models = next(filter(None, map(mapped, beginnings if start is None else ())), {})
+        if max((model.num_reg_images() for model in models.values()), default=0) < _ENOUGH_PLACED * total:
+            placed = before
+            models = mapped()
     else:
         msg = f"there is no mapper {settings.mapper!r}; choose incremental or global"
         raise PosesError(msg)

@@ -81,6 +81,16 @@ def open_database(path: Path) -> Iterator[Any]:
         yield _Guarded(database)
 
 
+def database_cache(database: Path, *, all_photos: bool = False) -> Any:
+    """The ``pycolmap.DatabaseCache`` of a database; ``all_photos``: of those without a match as well."""
+    import pycolmap
+
+    options = pycolmap.DatabaseCacheOptions()
+    options.load_all_images = all_photos
+    with call(pycolmap.Database.open, database) as opened:
+        return call(pycolmap.DatabaseCache.create, opened, options)
+
+
 def image_number(opened: Any, name: str) -> int:
     """The number of a photo, by its name, in a database of :func:`open_database`."""
     return int(opened.read_image_with_name(name).image_id)

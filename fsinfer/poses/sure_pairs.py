@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fsinfer.poses.colmap_calls import SEED, call, image_number, open_database
+from fsinfer.poses.colmap_calls import SEED, call, database_cache, image_number, open_database
 from fsinfer.poses.matches import is_walk
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.verification.misplaced import without_pairs
@@ -25,7 +25,7 @@ class SurePairs:
     Attributes
     ----------
     database: with the matches of the pairs that do not contradict each other.
-    left_out: the others, by COLMAP's numbers of their photos.
+    left_out: the others, by COLMAP's numbers of their photos, the smaller first.
     beginnings: pairs to begin with, the best first.
     """
 
@@ -70,24 +70,17 @@ def put_back(model: Any, left_out: Sequence[tuple[int, int]], database: Path, wo
     import pycolmap
 
     image_ids, votes = pair_votes(model, database) if left_out else ([], [])
-    asked = {tuple(sorted(pair)) for pair in left_out}
-    agreed = {
-        pair
+    agreed = set(left_out) & {
+        _in_order(image_ids[vote.first], image_ids[vote.second])
         for vote in votes
         if vote.agrees and vote.telling_agrees
-        and (pair := tuple(sorted((image_ids[vote.first], image_ids[vote.second])))) in asked
-    }  # fmt: skip
+    }
     if not agreed:
         return 0
     with open_database(database) as opened:
-        others = [pair for pair in configurations(opened) if tuple(sorted(pair)) not in agreed]
+        others = [pair for pair in configurations(opened) if pair not in agreed]
     copy = without_pairs(database, others, work / f"{database.stem}_agreed.db")
-    options = pycolmap.DatabaseCacheOptions()
-    options.load_all_images = True
-    opened = call(pycolmap.Database.open, copy)
-    with opened:
-        cache = call(pycolmap.DatabaseCache.create, opened, options)
-    mapper = pycolmap.IncrementalMapper(cache)
+    mapper = pycolmap.IncrementalMapper(database_cache(copy, all_photos=True))
     rules = pycolmap.IncrementalTriangulatorOptions()
     rules.random_seed = SEED
     call(mapper.begin_reconstruction, model)
@@ -95,5 +88,10 @@ def put_back(model: Any, left_out: Sequence[tuple[int, int]], database: Path, wo
     came = sum(call(mapper.triangulate_image, rules, i) for i in sorted({i for p in agreed for i in p} & placed))
     call(mapper.merge_tracks, rules)
     call(mapper.end_reconstruction, False)
-    _log.info("%d of %d pairs left out agree, and bring %d observations", len(agreed), len(asked), came)
+    _log.info("%d of %d pairs left out agree, and bring %d observations", len(agreed), len(left_out), came)
     return int(came)
+
+
+def _in_order(first: int, second: int) -> tuple[int, int]:
+    """As COLMAP names a pair."""
+    return (first, second) if first < second else (second, first)

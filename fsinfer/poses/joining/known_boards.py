@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from fsinfer.geometry.rotation import turn_deg
 from fsinfer.geometry.similarity import Floats, apply
 from fsinfer.poses.boards import Board, BoardSighting, by_number
 
@@ -111,7 +112,7 @@ class KnownBoards:
 def _from_two(one: tuple[Floats, Floats], other: tuple[Floats, Floats]) -> Floats | None:
     """The similarity by which two photos, (pose in the part, pose in the model) each, lie at their places in both."""
     turns = [ours[:, :3].T @ theirs[:, :3] for theirs, ours in (one, other)]
-    if np.degrees(Rotation.from_matrix(turns[0] @ turns[1].T).magnitude()) > _TURNS_AGREE_DEG:
+    if turn_deg(turns[0], turns[1]) > _TURNS_AGREE_DEG:
         return None
     turn = Rotation.from_matrix(np.array(turns)).mean().as_matrix()
     part, model = (np.array([-pose[i][:, :3].T @ pose[i][:, 3] for pose in (one, other)]) for i in (0, 1))

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from fsinfer.geometry.rotation import turn_deg
 from fsinfer.geometry.similarity import Floats, apply, fit_similarity, rotation_of, scale_of
 from fsinfer.poses.boards import Board, BoardSighting, by_number
 from fsinfer.poses.joining.common_points import CommonPoints
@@ -90,7 +91,7 @@ class _Ties:
         shift = float(np.linalg.norm(apply(one, self.middle) - apply(other, self.middle)))
         ratio = abs(np.log(scale_of(one) / scale_of(other)))
         return bool(
-            _turn_deg(rotation_of(one), rotation_of(other)) > _OTHER_TURN_DEG
+            turn_deg(rotation_of(one), rotation_of(other)) > _OTHER_TURN_DEG
             or shift > _OTHER_SHIFT * self.extent * scale_of(one)
             or ratio > _OTHER_SHIFT
         )
@@ -229,7 +230,7 @@ def _by_photos(model: Any, part: Any, common: Sequence[int]) -> Floats | None:
         return None
     residual = float(np.median(np.linalg.norm(apply(found, theirs) - ours, axis=1)))
     turns = [
-        _turn_deg(
+        turn_deg(
             model.images[i].cam_from_world().rotation.matrix() @ rotation_of(found),
             part.images[i].cam_from_world().rotation.matrix(),
         )
@@ -258,8 +259,3 @@ def _of_boards(ours: Sequence[Board], theirs: Sequence[Board]) -> Iterator[Float
 def _spread(centers: Floats) -> float:
     """RMS distance of centres (N, 3) from their middle."""
     return float(np.sqrt(((centers - centers.mean(axis=0)) ** 2).sum(axis=1).mean()))
-
-
-def _turn_deg(one: Floats, other: Floats) -> float:
-    """Angle of the turn between two rotations (3, 3)."""
-    return float(np.degrees(Rotation.from_matrix(one @ other.T).magnitude()))

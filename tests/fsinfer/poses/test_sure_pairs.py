@@ -53,7 +53,6 @@ def mapped(sure: SurePairs, work: Path) -> Any:
 
 
 def test_a_true_pair_that_was_left_out_brings_its_observations_and_a_false_one_none(tmp_path: Path) -> None:
-    # Photos 0 and 12 share features that no other photo has: only their pair tells that these are the same points.
     database = pairs_of_walk(tmp_path / "pairs.db", further=FURTHER, false=FALSE)
     sure = sure_pairs(database, names(), tmp_path, SETTINGS)
     model = mapped(sure, tmp_path)
@@ -61,7 +60,7 @@ def test_a_true_pair_that_was_left_out_brings_its_observations_and_a_false_one_n
     before = model.compute_num_observations()
     assert put_back(model, sure.left_out, database, tmp_path) == 0
     assert model.compute_num_observations() == before
-    # Its points taken from photo 9, what photos 0 and 9 show of them together is told by their pair alone.
+    # Most of photo 9 forgotten, its pair with photo 0, taken for one left out, tells where it sees the points.
     number = {model.images[i].name: i for i in model.reg_image_ids()}["09.jpg"]
     for index, feature in enumerate(model.images[number].points2D):
         if feature.has_point3D() and index < 200:
@@ -78,9 +77,8 @@ def test_a_beginning_is_taken_and_a_bad_one_passed_over(tmp_path: Path) -> None:
         placed.append(done)
 
     # Photos that have no match cannot begin.
-    models = reconstruct(
-        database, tmp_path, tmp_path / "models", SETTINGS, progress, beginnings=[(1, 14), (1, 3)]
-    )  # fmt: skip
+    given = [(1, 14), (1, 3)]
+    models = reconstruct(database, tmp_path, tmp_path / "models", SETTINGS, progress, beginnings=given)
     assert [model.num_reg_images() for model in models] == [PHOTOS]
     assert max(placed) == PHOTOS
     for image_id in models[0].reg_image_ids():
