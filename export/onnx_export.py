@@ -106,16 +106,16 @@ def _still_true(before: dict[str, Any], now: dict[str, Any], folder: Path, files
     if not made:
         return {}
     same = all(before.get(key) == now[key] for key in ("weights_sha256", "refine"))
-    int8 = folder / made["int8"]["regularizer"] if "int8" in made else None
+    roles = [role for role in now["graphs"] if role in made.get("int8", ())]
+    int8 = {now["graphs"][role]["file"]: folder / made["int8"][role] for role in roles}
     if same:
-        if int8 is not None and int8.is_file():
-            of_int8 = [int8 if file.name == now["graphs"]["regularizer"]["file"] else file for file in files]
-            made["int8"] = {**made["int8"], "sha256": hash_files(of_int8)}
+        if int8 and all(file.is_file() for file in int8.values()):
+            made["int8"] = {**made["int8"], "sha256": hash_files([int8.get(file.name, file) for file in files])}
         else:
             made.pop("int8", None)
         return made
-    if int8 is not None:
-        int8.unlink(missing_ok=True)
+    for file in int8.values():
+        file.unlink(missing_ok=True)
     for key in made:
         _log.warning(
             "%s: %s was made from other weights and is gone; make it again: %s", now["name"], key, _MADE_AFTERWARDS[key]

@@ -1,8 +1,9 @@
-"""Regularizer in 8-bit integers: ``python -m export.quantize models/field.json --scene SCENE --scene SCENE``.
+"""The graphs in 8-bit integers: ``python -m export.quantize models/field.json --scene SCENE --scene SCENE``.
 
 Static quantization in ONNX's QDQ form: weights symmetric with a scale for each output channel, activations with a scale
 and a zero point for each tensor (Jacob et al. 2018, "Quantization and Training of Neural Networks for Efficient
-Integer-Arithmetic-Only Inference"). The scales come from the cost volumes of real views, so no training is needed.
+Integer-Arithmetic-Only Inference"). The scales come from photographs and cost volumes of real views, so no training is
+needed.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import argparse
 import json
 import logging
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,13 +24,15 @@ from onnxruntime.quantization import CalibrationDataReader, CalibrationMethod, Q
 from onnxruntime.quantization.shape_inference import quant_pre_process
 
 from fsinfer.depth.manifest import hash_files, read_manifest
-from fsinfer.depth.model import DepthEstimate, DepthModel, ViewFeatures
+from fsinfer.depth.model import DepthEstimate, DepthModel, ViewFeatures, network_input
 from fsinfer.depth.settings import DepthSettings
-from fsinfer.depth.view_maps import load_view, search_range
+from fsinfer.depth.view_maps import load_view, reduced_image, search_range
 from fsinfer.errors import FsinferError, SceneError
 from fsinfer.scene import Scene, View, read_scene
 
 Float32 = NDArray[np.float32]
+#: Inputs of a graph by their names.
+Feeds = Mapping[str, Float32]
 
 METHODS = {
     "minmax": CalibrationMethod.MinMax,
@@ -40,19 +43,19 @@ METHODS = {
 
 @dataclass(frozen=True, kw_only=True)
 class QuantizeSettings:
-    """How the graph is quantized.
+    """How the graphs are quantized.
 
     Attributes
     ----------
     method: key of :data:`METHODS`: how a tensor's range is taken from the calibration. Source:
         compared with others on four volumes, docs/speed.md.
-    operators: kinds of nodes that are computed in int8, or only hand int8 on. Source: what the regularizer is made of.
-    keep_float: convolutions whose weights' names hold one of these stay in float32. The sum that gives the scores of
-        the planes always does: the depth is read off their differences. Source: option.
+    operators: kinds of nodes that are computed in int8, or only hand int8 on. Source: what the graphs are made of.
+    keep_float: convolutions whose weights' names hold one of these stay in float32. What gives the scores of the
+        planes and the feature maps always does: the depth is read off their differences. Source: option.
     weight_bits: 8, or 7, with which two products fit into the 16 bits in which processors with AVX2 and no VNNI add
         them up. Source: numerics; 255 * 64 * 2 < 2^15.
-    window_px: rows and columns of the middle of each volume that are looked at, at a quarter of the image's resolution.
-        Source: numerics.
+    window_px: rows and columns of the middle of each volume that are looked at, at a quarter of the image's resolution;
+        twice as many of the narrow volume at half of it, and whole photographs. Source: numerics.
     """
 
     method: str = "minmax"
@@ -77,19 +80,18 @@ class Difference:
     depth_beyond_1pct: float
 
 
-class _Windows(CalibrationDataReader):  # type: ignore[misc]
-    def __init__(self, windows: Sequence[Float32]) -> None:
-        self._windows = iter(windows)
+class _Feeds(CalibrationDataReader):  # type: ignore[misc]
+    def __init__(self, feeds: Sequence[Feeds]) -> None:
+        self._feeds = iter(feeds)
 
-    def get_next(self) -> dict[str, Float32] | None:
-        window = next(self._windows, None)
-        return None if window is None else {"volume": window}
+    def get_next(self) -> Feeds | None:
+        return next(self._feeds, None)
 
 
-def quantize(model: Path, target: Path, windows: Sequence[Float32], settings: QuantizeSettings) -> None:
-    """Write the graph ``model`` in int8 to ``target``, with the ranges that ``windows`` of its input give.
+def quantize(model: Path, target: Path, feeds: Sequence[Feeds], settings: QuantizeSettings) -> None:
+    """Write the graph ``model`` in int8 to ``target``, with the ranges that these inputs of it give.
 
-    The same windows give the same file.
+    The same inputs give the same file.
     """
     with tempfile.TemporaryDirectory() as folder:
         prepared = Path(folder) / "prepared.onnx"
@@ -99,7 +101,7 @@ def quantize(model: Path, target: Path, windows: Sequence[Float32], settings: Qu
         quantize_static(
             str(prepared),
             str(target),
-            _Windows(windows),
+            _Feeds(feeds),
             quant_format=QuantFormat.QDQ,
             per_channel=True,
             activation_type=QuantType.QUInt8,
@@ -107,7 +109,7 @@ def quantize(model: Path, target: Path, windows: Sequence[Float32], settings: Qu
             reduce_range=settings.weight_bits < 8,
             op_types_to_quantize=list(settings.operators),
             nodes_to_exclude=[
-                *_scores(graph),
+                *_results(graph),
                 *(
                     node.name
                     for node in graph.node
@@ -119,14 +121,14 @@ def quantize(model: Path, target: Path, windows: Sequence[Float32], settings: Qu
     onnx.checker.check_model(onnx.load(target), full_check=True)
 
 
-def _scores(graph: onnx.GraphProto) -> list[str]:
-    """Name of the node whose result, reshaped, the best plane is looked up in."""
+def _results(graph: onnx.GraphProto) -> list[str]:
+    """Names of the nodes whose result, reshaped, the best plane is looked up in, and of convolutions that are asked."""
     makers = {output: node for node in graph.node for output in node.output}
-    found = []
+    found = [makers[output.name].name for output in graph.output if makers[output.name].op_type == "Conv"]
     for node in graph.node:
         if node.op_type == "ArgMax":
             maker = makers[node.input[0]]
-            while maker.op_type == "Reshape":
+            while maker.op_type in ("Reshape", "Gather"):
                 maker = makers[maker.input[0]]
             found.append(maker.name)
     return found
@@ -143,16 +145,30 @@ def choose_views(scene: Scene, count: int, *, between: bool = False) -> list[Vie
 
 
 def window_of(volume: Float32, window_px: tuple[int, int]) -> Float32:
-    """The middle of a volume (slabs, channels, h, w)."""
+    """The middle of a volume (..., h, w)."""
     starts = [max(0, (size - wanted) // 2) for size, wanted in zip(volume.shape[-2:], window_px, strict=True)]
     rows, columns = (slice(start, start + wanted) for start, wanted in zip(starts, window_px, strict=True))
     return np.ascontiguousarray(volume[..., rows, columns])
 
 
-def volumes(model: DepthModel, scene: Scene, views: Sequence[View]) -> Iterator[Float32]:
-    """The cost volumes of the views, made as the depth stage does."""
+def inputs_of_graphs(
+    model: DepthModel, scene: Scene, views: Sequence[View], window_px: tuple[int, int]
+) -> Iterator[dict[str, Feeds]]:
+    """What each graph is given for a view, by its role, made as the depth stage does; of volumes the middle."""
+    rows, columns = window_px
     for view in views:
-        yield model.cost_volume(*_inputs(model, scene, view))[0]
+        image, _, _ = reduced_image(view, DepthSettings())
+        inputs = _inputs(model, scene, view)
+        volume, weights = model.cost_volume(*inputs)
+        feeds: dict[str, Feeds] = {
+            "features": {"images": network_input(image)},
+            "regularizer": {"volume": window_of(volume, window_px)},
+        }
+        if weights is not None and model.manifest.refiner is not None:
+            index, _ = model.regularize(volume)
+            narrow, _ = model.narrow_volume(*inputs, index, weights)
+            feeds["refiner"] = {name: window_of(part, (2 * rows, 2 * columns)) for name, part in narrow.items()}
+        yield feeds
 
 
 def compare(manifest: Path, scenes: Sequence[Scene], count: int) -> Difference:
@@ -163,11 +179,10 @@ def compare(manifest: Path, scenes: Sequence[Scene], count: int) -> Difference:
     views = 0
     for scene in scenes:
         for view in choose_views(scene, count, between=True):
-            inputs = _inputs(models[0], scene, view)
-            volume, _ = models[0].cost_volume(*inputs)
-            planes = [model.regularize(volume)[0] for model in models]
-            index.append(np.abs(planes[1] - planes[0]).ravel())
-            exact, quick = (model.predict_from_features(*inputs) for model in models)
+            inputs = [_inputs(model, scene, view) for model in models]
+            made = [model.regularize(model.cost_volume(*given)[0]) for model, given in zip(models, inputs, strict=True)]
+            index.append(np.abs(made[1][0] - made[0][0]).ravel())
+            exact, quick = (model.predict_from_features(*given) for model, given in zip(models, inputs, strict=True))
             depth.append(_relative(exact, quick))
             views += 1
     all_index, all_depth = np.concatenate(index), np.concatenate(depth)
@@ -180,14 +195,16 @@ def compare(manifest: Path, scenes: Sequence[Scene], count: int) -> Difference:
     )
 
 
-def add_to_manifest(path: Path, file: Path, settings: QuantizeSettings, scenes: Sequence[str], views: int) -> None:
-    """Enter the int8 graph, the hash with it, and how it was made."""
+def add_to_manifest(
+    path: Path, int8: Mapping[str, Path], settings: QuantizeSettings, scenes: Sequence[str], views: int
+) -> None:
+    """Enter the int8 graphs by their roles, the hash with them, and how they were made."""
     manifest = read_manifest(path)
     data = json.loads(path.read_text(encoding="utf-8"))
-    files = [file if f.name == manifest.regularizer else f for f in manifest.files]
+    replaced = {data["graphs"][role]["file"]: file for role, file in int8.items()}
     data["int8"] = {
-        "regularizer": file.name,
-        "sha256": hash_files(files),
+        **{role: file.name for role, file in int8.items()},
+        "sha256": hash_files([replaced.get(file.name, file) for file in manifest.files]),
         "method": settings.method,
         "operators": list(settings.operators),
         "keep_float": list(settings.keep_float),
@@ -199,7 +216,7 @@ def add_to_manifest(path: Path, file: Path, settings: QuantizeSettings, scenes: 
 
 
 def drop_from_manifest(path: Path) -> None:
-    """Take the entry of an int8 graph out, so that the model can be read while that is replaced."""
+    """Take the entry of the int8 graphs out, so that the model can be read while they are replaced."""
     data = json.loads(path.read_text(encoding="utf-8"))
     if data.pop("int8", None) is not None:
         path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
@@ -228,7 +245,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Command line."""
     default = QuantizeSettings()
     parser = argparse.ArgumentParser(prog="python -m export.quantize", description=__doc__)
-    parser.add_argument("manifest", type=Path, help="manifest of an exported model; the int8 graph is put beside it")
+    parser.add_argument("manifest", type=Path, help="manifest of an exported model; the int8 graphs are put beside it")
     parser.add_argument("--scene", type=Path, action="append", required=True, help="in MVSNet format; may be repeated")
     parser.add_argument("--views", type=int, default=4, help="views of each scene that calibrate")
     parser.add_argument("--compare-views", type=int, help="other views of each that compare; as many, 0 for none")
@@ -248,22 +265,25 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         model = DepthModel.load(args.manifest, precision="float32")
         scenes = [read_scene(path) for path in args.scene]
-        windows = [
-            window_of(volume, settings.window_px)
+        feeds = [
+            found
             for scene in scenes
-            for volume in volumes(model, scene, choose_views(scene, args.views))
+            for found in inputs_of_graphs(model, scene, choose_views(scene, args.views), settings.window_px)
         ]
-        regularizer = model.manifest.folder / model.manifest.regularizer
-        target = regularizer.with_name(f"{regularizer.stem}_int8.onnx")
-        fresh = target.with_suffix(".new")
-        quantize(regularizer, fresh, windows, settings)
+        targets = {}
+        for role in feeds[0]:
+            graph = model.manifest.folder / model.manifest.details["graphs"][role]["file"]
+            targets[role] = graph.with_name(f"{graph.stem}_int8.onnx")
+            quantize(graph, targets[role].with_suffix(".new"), [found[role] for found in feeds], settings)
         # Without the entry first: the model can be read at any moment.
         drop_from_manifest(args.manifest)
-        fresh.replace(target)
+        for target in targets.values():
+            target.with_suffix(".new").replace(target)
         # Those that fsinfer made are all called "scene".
         names = [path.parent.name if path.name == "scene" else path.name for path in args.scene]
-        add_to_manifest(args.manifest, target, settings, names, len(windows))
-        print(f"{target.name}: {target.stat().st_size} bytes, calibrated on {len(windows)} views")
+        add_to_manifest(args.manifest, targets, settings, names, len(feeds))
+        for target in targets.values():
+            print(f"{target.name}: {target.stat().st_size} bytes, calibrated on {len(feeds)} views")
         compared = args.views if args.compare_views is None else args.compare_views
         if compared == 0:
             return 0

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -60,7 +60,7 @@ def photo_threads() -> int:
     return min(cores(), MOST_AT_ONCE)
 
 
-def in_order(work: Callable[[_Item], _Result], items: Iterable[_Item], threads: int) -> Iterator[_Result]:
+def in_order(work: Callable[[_Item], _Result], items: Iterable[_Item], threads: int) -> Generator[_Result, None, None]:
     """The results of ``work`` on each item, in the items' order, worked out by so many threads at a time.
 
     At most so many items are worked on ahead of what is taken, so that as many photos are held at once. An error comes

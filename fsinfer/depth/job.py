@@ -12,12 +12,13 @@ from fsinfer.depth.memory import DepthPlan, plan_depth
 from fsinfer.depth.precision import FLOAT32, INT8, choose_precision
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.scene import View, view_image_size
+from fsinfer.threads import cores
 
 _log = logging.getLogger(__name__)
 
 #: Feature maps kept at most; those of neighbours are asked for again within a few views, and 1280x720 takes 11 MB each.
 #: Source: numerics.
-CACHED_VIEWS = 24
+CACHED_VIEWS = 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +58,14 @@ def plan_job(views: Sequence[View], settings: DepthSettings) -> DepthJob:
     # Of one capture some may be upright and some across, of one camera or of several.
     width, height = max((reduced_size(*view_image_size(view), settings) for view in views), key=math.prod)
     plan = plan_within(
-        settings.memory_gb, settings=settings, manifest=manifest, precision=precision, width=width, height=height
+        settings.memory_gb,
+        settings=settings,
+        manifest=manifest,
+        precision=precision,
+        width=width,
+        height=height,
+        # A worker of a cluster computes one at a time.
+        most_at_once=1 if settings.scheduler else settings.threads or cores(),
     )
     if plan.tile_size:
         _log.warning(
@@ -69,7 +77,12 @@ def plan_job(views: Sequence[View], settings: DepthSettings) -> DepthJob:
         )
         # Tiles are computed in float32 alone; what is written says so.
         precision = FLOAT32
-    _log.info("depth takes about %.1f GB, %d feature maps are kept", plan.peak_bytes / 1e9, plan.cached_views)
+    _log.info(
+        "depth takes about %.1f GB, %d at a time, %d feature maps are kept",
+        plan.peak_bytes / 1e9,
+        plan.at_once,
+        plan.cached_views,
+    )
     return DepthJob(
         settings=settings,
         model=manifest.name,
@@ -88,7 +101,14 @@ def reduced_size(width: int, height: int, settings: DepthSettings) -> tuple[int,
 
 
 def plan_within(
-    memory_gb: float, *, settings: DepthSettings, manifest: ModelManifest, precision: str, width: int, height: int
+    memory_gb: float,
+    *,
+    settings: DepthSettings,
+    manifest: ModelManifest,
+    precision: str,
+    width: int,
+    height: int,
+    most_at_once: int = 1,
 ) -> DepthPlan:
     """How depth of photographs of this size keeps within a limit; raises InputError where it cannot."""
     return plan_depth(
@@ -104,4 +124,5 @@ def plan_within(
         most_cached=CACHED_VIEWS,
         int8=precision == INT8,
         tile_halo=None if manifest.tiles is None else manifest.tiles.halo,
+        most_at_once=most_at_once,
     )

@@ -72,8 +72,8 @@ class ModelManifest:
     feature_channels: of a feature map at a quarter; refine_channels: at half resolution, 0 where nothing is refined.
     refine_planes, refine_span: the narrow volume at half resolution; span in plane intervals on each side.
     sha256: over the graphs' bytes, in the order features, regularizer, refiner.
-    int8_regularizer, int8_sha256: the regularizer in 8-bit integers, and the hash with it in place of the other one;
-        ``None`` where the model has none.
+    int8_regularizer, int8_features, int8_refiner: the graphs in 8-bit integers, and ``int8_sha256`` the hash with them
+        in place of the others; ``None`` where the model has none. One with an int8 regularizer may lack the others.
     tiles: the float32 regularizer for parts of a volume, ``None`` where the model cannot be cut into tiles.
     parity_confidence_threshold: at which the check of the export compares the confidence masks; fusion finds its own
         threshold for each plot.
@@ -98,6 +98,8 @@ class ModelManifest:
     refine_span: float
     sha256: str
     int8_regularizer: str | None
+    int8_features: str | None
+    int8_refiner: str | None
     int8_sha256: str | None
     tiles: TileGraph | None
     parity_confidence_threshold: float
@@ -110,9 +112,12 @@ class ModelManifest:
         return self.files_of(int8=False)
 
     def files_of(self, *, int8: bool) -> list[Path]:
-        """Paths of the graphs with the regularizer of that precision, in the order of the hash."""
-        regularizer = self.int8_regularizer if int8 else self.regularizer
-        return [self.folder / name for name in (self.features, regularizer, self.refiner) if name is not None]
+        """Paths of the graphs of that precision, in the order of the hash; in float32 where there is none in int8."""
+        names: list[str | None] = [self.features, self.regularizer, self.refiner]
+        if int8:
+            of_int8 = (self.int8_features, self.int8_regularizer, self.int8_refiner)
+            names = [quick or exact for quick, exact in zip(of_int8, names, strict=True)]
+        return [self.folder / name for name in names if name is not None]
 
     def sha256_of(self, *, int8: bool) -> str:
         """SHA-256 over the bytes of :meth:`files_of`, which tells results of the two precisions apart."""
@@ -172,6 +177,8 @@ def read_manifest(name_or_path: str | Path, *, trust: bool = False) -> ModelMani
             refine_span=data["refine"]["span"],
             sha256=data["sha256"],
             int8_regularizer=data["int8"]["regularizer"] if "int8" in data else None,
+            int8_features=data["int8"].get("features") if "int8" in data else None,
+            int8_refiner=data["int8"].get("refiner") if "int8" in data else None,
             int8_sha256=data["int8"]["sha256"] if "int8" in data else None,
             tiles=_tiles(data.get("tiles")),
             parity_confidence_threshold=_either(data, "parity_confidence_threshold", "confidence_threshold"),
@@ -195,7 +202,8 @@ def read_manifest(name_or_path: str | Path, *, trust: bool = False) -> ModelMani
 def _check(manifest: ModelManifest, data: dict[str, Any]) -> None:
     """Raise ValueError or KeyError where an entry has another type or size than any model has."""
     files: list[Any] = [manifest.features, manifest.regularizer]
-    files += [file for file in (manifest.refiner, manifest.int8_regularizer) if file is not None]
+    of_int8 = (manifest.int8_features, manifest.int8_regularizer, manifest.int8_refiner)
+    files += [file for file in (manifest.refiner, *of_int8) if file is not None]
     hashes: list[Any] = [manifest.sha256]
     if manifest.int8_regularizer is not None:
         hashes.append(manifest.int8_sha256)

@@ -41,12 +41,14 @@ class DepthPlan:
     ----------
     cached_views: feature maps kept for the neighbouring photos.
     peak_bytes: memory expected with them.
+    at_once: depth maps computed at a time.
     tile_size: quarter pixels of a tile (:mod:`fsinfer.depth.tiles`); 0 where a depth map is computed as a whole.
     keeps_volume: in tiles, whether the cost volume is kept as a whole.
     """
 
     cached_views: int
     peak_bytes: int
+    at_once: int = 1
     tile_size: int = 0
     keeps_volume: bool = True
 
@@ -65,8 +67,11 @@ def plan_depth(
     level_channels: int = 0,
     int8: bool = False,
     tile_halo: int | None = None,
+    most_at_once: int = 1,
 ) -> DepthPlan:
     """Cache as many feature maps as the limit allows, at least those of one depth map; in tiles where that is too much.
+
+    As many maps are computed at a time as the limit allows, each with all the feature maps that it needs.
 
     Parameters
     ----------
@@ -79,6 +84,7 @@ def plan_depth(
     views: photographs compared at a time, the reference among them.
     int8: the regularizer is in 8-bit integers; in tiles it never is.
     tile_halo: of the model's tiles, quarter pixels; None where it cannot be cut into tiles.
+    most_at_once: depth maps that may be computed at a time.
 
     Raises
     ------
@@ -119,8 +125,12 @@ def plan_depth(
             f"{memory_gb:g} GB of --memory-gb; {way_out}"
         )
         raise InputError(msg)
-    cached = max(views, min(most_cached, int((limit - fixed) / of_view)))
-    return DepthPlan(cached_views=cached, peak_bytes=int(fixed + cached * of_view))
+    of_map = whole_peak * quarter + views * of_view
+    at_once = max(1, min(most_at_once, int((limit - BASE_BYTES) / of_map)))
+    fixed += (at_once - 1) * whole_peak * quarter
+    needed = at_once * views
+    cached = max(needed, min(most_cached, int((limit - fixed) / of_view)))
+    return DepthPlan(cached_views=cached, peak_bytes=int(fixed + cached * of_view), at_once=at_once)
 
 
 def _largest_tiles(

@@ -62,6 +62,11 @@ class ViewFeatures:
     half: Features | None
 
 
+def network_input(image: NDArray[np.uint8]) -> Float32:
+    """(1, 3, H, W) float32, 0 to 255, of an (H, W, 3) RGB uint8 image."""
+    return np.ascontiguousarray(image.transpose(2, 0, 1)[None], dtype=np.float32)
+
+
 class DepthModel:
     """A depth network: load it once, call :meth:`predict` for each reference view.
 
@@ -70,7 +75,7 @@ class DepthModel:
     >>> model = DepthModel.load("field")  # doctest: +SKIP
     >>> estimate = model.predict(images, intrinsics, cam_from_world, (1.0, 20.0))  # doctest: +SKIP
 
-    ``precision`` is that of the regularizer, ``float32`` or ``int8``; ``sha256`` is over the graphs in use.
+    ``precision`` is that of the graphs, ``float32`` or ``int8``; ``sha256`` is over those in use.
     """
 
     def __init__(
@@ -125,8 +130,7 @@ class DepthModel:
             least = f"{_LEAST_SIDE_PX}x{_LEAST_SIDE_PX}"
             msg = f"an image must be (H, W, 3) uint8 RGB of at least {least} pixels, is {image.shape=}, {image.dtype=}"
             raise InputError(msg)
-        nchw = np.ascontiguousarray(image.transpose(2, 0, 1)[None], dtype=np.float32)
-        outputs = self._sessions["features"].run(None, {"images": nchw})
+        outputs = self._sessions["features"].run(None, {"images": network_input(image)})
         if not outputs or any(maps.ndim != 4 or maps.shape[1] % 4 or not maps.size for maps in outputs):
             shapes = [maps.shape for maps in outputs]
             msg = f"the features of model {self.manifest.name} are {shapes}, not (1, C, h, w) with C a multiple of 4"
@@ -247,7 +251,35 @@ class DepthModel:
         confidence: Float32,
         weights: Float32,
     ) -> DepthEstimate:
-        """Narrow volume at half resolution round the depth of the 192 planes."""
+        """Depth at half resolution, from the narrow volume round that of the 192 planes."""
+        manifest = self.manifest
+        near, far = depth_range
+        inputs, centre = self.narrow_volume(features, intrinsics, cam_from_world, depth_range, index, weights)
+        fine_index, fine_confidence = self._sessions["refiner"].run_two(inputs)
+        step = np.float32(2 * manifest.refine_span / (manifest.refine_planes - 1))
+        final = centre - np.float32(manifest.refine_span) + fine_index * step
+        height, width = centre.shape
+        return DepthEstimate(
+            depth=self._depth(final, near, far),
+            confidence=self.calibrated(upsample_twice(confidence, height, width) * fine_confidence),
+            stride=2,
+        )
+
+    @one_blas_thread()
+    def narrow_volume(
+        self,
+        features: Sequence[ViewFeatures],
+        intrinsics: Float64,
+        cam_from_world: Float64,
+        depth_range: tuple[float, float],
+        index: Float32,
+        weights: Float32,
+    ) -> tuple[dict[str, Float32], Float32]:
+        """What the refiner is given, and the plane index (H, W) at half resolution that its hypotheses lie round.
+
+        ``index`` (h, w) is that of :meth:`regularize`, ``weights`` (S, h, w) those of :meth:`cost_volume`; the others
+        as there. The inputs are ``volume`` (hypotheses x groups, H, W) and ``features`` (C, H, W) by their names.
+        """
         manifest = self.manifest
         half = [view.half for view in features if view.half is not None]
         near, far = depth_range
@@ -265,16 +297,7 @@ class DepthModel:
             view_weights=upsample_twice(weights, height, width),
             threads=self.threads,
         )
-        fine_index, fine_confidence = self._sessions["refiner"].run_two(
-            {"volume": fine_volume.reshape(-1, height, width), "features": half[0].to_chw()}
-        )
-        step = np.float32(2 * manifest.refine_span / (manifest.refine_planes - 1))
-        final = centre + offsets[0] + fine_index * step
-        return DepthEstimate(
-            depth=self._depth(final, near, far),
-            confidence=self.calibrated(upsample_twice(confidence, height, width) * fine_confidence),
-            stride=2,
-        )
+        return {"volume": fine_volume.reshape(-1, height, width), "features": half[0].to_chw()}, centre
 
     def calibrated(self, confidence: Float32) -> Float32:
         """What the model gives for this raw confidence of the network."""

@@ -20,7 +20,7 @@ from fsinfer.io.files import make_folder, write_text
 from fsinfer.io.pfm import read_pfm, write_pfm
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene, View
-from fsinfer.threads import one_blas_thread
+from fsinfer.threads import cores, in_order, one_blas_thread
 
 #: Views and their maps as they get ready, in any order.
 Computed = Generator[tuple[View, ViewMaps], None, None]
@@ -114,14 +114,21 @@ def _computed(job: DepthJob, scene: Scene, views: Sequence[View], tell: Callable
 
 
 def _here(job: DepthJob, scene: Scene, views: Sequence[View], tell: Callable[[View], None]) -> Computed:
-    """On this computer, one view after the other; ``tell`` is told of each that is begun."""
-    maps = MapsOfViews(job, plan=job.plan, threads=job.settings.threads)
+    """On this computer, as many views at a time as memory allows; ``tell`` is told of each that is waited for."""
+    # Threads that share out one view wait for each other in every layer of the network; views do not.
+    at_once = job.plan.at_once
+    maps = MapsOfViews(job, plan=job.plan, threads=-(-(job.settings.threads or cores()) // at_once))
     threads_before = cv2.getNumThreads()
     cv2.setNumThreads(1)  # the volume is shared out over blocks of rows already
+
+    def compute(view: View) -> ViewMaps:
+        return maps.of(view, sources_of(scene, view, job.settings))
+
     try:
-        for view in views:
-            tell(view)
-            yield view, maps.of(view, sources_of(scene, view, job.settings))
+        with closing(in_order(compute, views, at_once)) as made:
+            for view in views:
+                tell(view)
+                yield view, next(made)
     finally:
         cv2.setNumThreads(threads_before)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -52,8 +53,18 @@ class ViewMaps:
     scale_y: float
 
 
+class _Slot:
+    """Place of a photograph in the cache; who comes first loads it, and others wait for that."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.loaded: LoadedView | None = None
+
+
 class MapsOfViews:
     """The model of a job, which computes the maps of its views in any order; those of neighbours are quickest together.
+
+    Several threads may ask at a time.
 
     Parameters
     ----------
@@ -80,7 +91,8 @@ class MapsOfViews:
         self._predictor = (
             TiledDepth(self._model, plan.tile_size, keeps_volume=plan.keeps_volume) if plan.tile_size else self._model
         )
-        self._cache: OrderedDict[str, LoadedView] = OrderedDict()
+        self._cache: OrderedDict[str, _Slot] = OrderedDict()
+        self._lock = threading.Lock()
 
     def of(self, view: View, sources: Sequence[View]) -> ViewMaps:
         """The maps of a view, compared with its sources."""
@@ -107,27 +119,33 @@ class MapsOfViews:
         )
 
     def _recall(self, view: View) -> LoadedView:
-        cache = self._cache
-        if view.name in cache:
-            cache.move_to_end(view.name)
-            return cache[view.name]
-        loaded = cache[view.name] = load_view(self._model, view, self._settings)
-        while len(cache) > self._cached_views:
-            cache.popitem(last=False)
-        return loaded
+        with self._lock:
+            slot = self._cache.setdefault(view.name, _Slot())
+            self._cache.move_to_end(view.name)
+            while len(self._cache) > self._cached_views:
+                self._cache.popitem(last=False)
+        with slot.lock:
+            if slot.loaded is None:
+                slot.loaded = load_view(self._model, view, self._settings)
+            return slot.loaded
 
 
 def load_view(model: DepthModel, view: View, settings: DepthSettings) -> LoadedView:
     """Read a photograph, reduce it to ``max_size_px`` on its longer side, and compute its feature maps."""
-    image = read_view_image(view)
-    height, width = image.shape[:2]
-    size = reduced_size(width, height, settings)
-    scale_x, scale_y = size[0] / width, size[1] / height
-    if size != (width, height):
-        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.uint8)
+    image, scale_x, scale_y = reduced_image(view, settings)
     intrinsic = reduced_intrinsic(view.camera.intrinsic, scale_x, scale_y)
     grey = normalised(image, settings.subpixel)
     return LoadedView(features=model.features(image), grey=grey, intrinsic=intrinsic, scale_x=scale_x, scale_y=scale_y)
+
+
+def reduced_image(view: View, settings: DepthSettings) -> tuple[NDArray[np.uint8], float, float]:
+    """The (H, W, 3) photograph of a view as it is given to the network, and by how much its sides were reduced."""
+    image = read_view_image(view)
+    height, width = image.shape[:2]
+    size = reduced_size(width, height, settings)
+    if size != (width, height):
+        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.uint8)
+    return image, size[0] / width, size[1] / height
 
 
 def reduced_intrinsic(intrinsic: NDArray[np.float64], scale_x: float, scale_y: float) -> NDArray[np.float64]:

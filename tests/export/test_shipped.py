@@ -115,7 +115,7 @@ def exported(tmp_path: Path) -> tuple[FSMVSNet, Path]:
     manifest.write_text(json.dumps(data), encoding="utf-8")
     int8 = tmp_path / "mvsnet_regularizer_int8.onnx"
     shutil.copy(tmp_path / "mvsnet_regularizer.onnx", int8)
-    add_to_manifest(manifest, int8, QuantizeSettings(), ["scene"], 1)
+    add_to_manifest(manifest, {"regularizer": int8}, QuantizeSettings(), ["scene"], 1)
     read_manifest(manifest)
     return model, manifest
 

@@ -31,7 +31,7 @@ def test_no_more_is_begun_than_is_soon_taken() -> None:
     for taken in range(1, 20):
         next(results)
         assert len(begun) <= taken + 2
-    results.close()  # type: ignore[attr-defined]  # a generator
+    results.close()
     assert len(begun) < 25
 
 

@@ -115,6 +115,25 @@ def test_int8_takes_less() -> None:
         _depth(3.0, 1920, 1080)
 
 
+def test_as_many_maps_are_computed_at_a_time_as_memory_allows() -> None:
+    def plan(memory_gb: float, most: int, **options: Any) -> DepthPlan:
+        sizes: dict[str, Any] = {"width": 1280, "height": 720, **FIELD, "views": 5, "most_cached": 24, "int8": True}
+        return plan_depth(memory_gb, **sizes | options, most_at_once=most)
+
+    assert plan(3.0, 1).at_once == 1
+    two, many = plan(3.0, 2), plan(3.0, 8)
+    assert (two.at_once, many.at_once) == (2, 3)
+    assert two.peak_bytes < many.peak_bytes <= 3e9
+    # Each has all the feature maps that it needs.
+    assert many.cached_views >= 3 * 5
+    assert plan(1.5, 2).at_once == 1
+    assert plan(3.0, 2, int8=False).at_once == 1
+    assert plan(1.5, 8, width=640, height=360).at_once == 6
+    tiled = plan(1.4, 8, width=1280, height=800, int8=False, tile_halo=56)
+    assert tiled.tile_size
+    assert tiled.at_once == 1
+
+
 def test_less_memory_keeps_fewer_maps_and_stays_within() -> None:
     generous, tight = _depth(3.0), _depth(1.7)
     assert 5 <= tight.cached_views < generous.cached_views
@@ -199,6 +218,19 @@ model = DepthModel.load(threads=2, precision="int8")
 model.predict(images, intrinsics, poses, depth_range)
 plan = plan_depth(3.0, width=960, height=512, **{FIELD}, views=3, most_cached=3, int8=True)
 """
+_TWO = f"""
+import threading
+from fsinfer.depth.model import DepthModel
+from fsinfer.depth.memory import plan_depth
+from tests.bench.speed import make_views
+images, intrinsics, poses, depth_range = make_views(3, 512, 960)
+model = DepthModel.load(threads=1, precision="int8")
+work = [threading.Thread(target=model.predict, args=(images, intrinsics, poses, depth_range)) for _ in range(2)]
+[one.start() for one in work]
+[one.join() for one in work]
+plan = plan_depth(3.0, width=960, height=512, **{FIELD}, views=3, most_cached=3, int8=True, most_at_once=2)
+assert plan.at_once == 2
+"""
 _TILED = f"""
 from fsinfer.depth.model import DepthModel
 from fsinfer.depth.memory import plan_depth
@@ -214,7 +246,7 @@ tiled.predict_from_features([model.features(image) for image in images], intrins
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-@pytest.mark.parametrize("program", [_WHOLE, _INT8, _TILED])
+@pytest.mark.parametrize("program", [_WHOLE, _INT8, _TWO, _TILED])
 def test_the_estimate_is_that_of_a_real_run(program: str) -> None:
     done = subprocess.run([sys.executable, "-c", program + _PEAK], capture_output=True, text=True, check=True)
     expected, found = (int(word) for word in done.stdout.split())

@@ -74,16 +74,31 @@ def test_windows_answers_by_its_own_function(monkeypatch: pytest.MonkeyPatch) ->
     assert not precision._windows_has_avx2()
 
 
-def test_weights_of_the_int8_graph_have_seven_bits() -> None:
+def test_weights_of_the_int8_graphs_have_seven_bits() -> None:
     onnx = pytest.importorskip("onnx", reason="onnx comes with the extra train")
     field = read_manifest("field")
-    assert field.int8_regularizer is not None
-    graph = onnx.load(field.folder / field.int8_regularizer).graph
-    weights = [onnx.numpy_helper.to_array(item) for item in graph.initializer]
-    found = [weight for weight in weights if weight.dtype == np.int8 and weight.ndim > 1]
-    assert len(found) > 10
-    # Two products with 8 bits of the other side have to fit into 16.
-    assert max(int(np.abs(weight.astype(int)).max()) for weight in found) * 255 * 2 < 2**15
+    files = field.files_of(int8=True)
+    assert [file.stem for file in files] == [f"field_{role}_int8" for role in ("features", "regularizer", "refiner")]
+    for file in files:
+        weights = [onnx.numpy_helper.to_array(item) for item in onnx.load(file).graph.initializer]
+        found = [weight for weight in weights if weight.dtype == np.int8 and weight.ndim > 1]
+        assert len(found) > 10
+        # Two products with 8 bits of the other side have to fit into 16.
+        assert max(int(np.abs(weight.astype(int)).max()) for weight in found) * 255 * 2 < 2**15
+
+
+def test_what_a_model_has_not_in_int8_stays_in_float32(tmp_path: Path) -> None:
+    for file in models_folder().glob("field*"):
+        shutil.copy(file, tmp_path)
+    manifest = tmp_path / "field.json"
+    data = json.loads(manifest.read_text(encoding="utf-8"))
+    for role in ("features", "refiner"):
+        (tmp_path / data["int8"].pop(role)).unlink()
+    files = [tmp_path / f"field_{name}.onnx" for name in ("features", "regularizer_int8", "refiner")]
+    data["int8"]["sha256"] = hash_files(files)
+    manifest.write_text(json.dumps(data), encoding="utf-8")
+    assert read_manifest(manifest).files_of(int8=True) == files
+    assert DepthModel.load(manifest, precision="int8", threads=1).sha256 == hash_files(files)
 
 
 @pytest.fixture
@@ -93,7 +108,9 @@ def without_int8(tmp_path: Path) -> Path:
         shutil.copy(file, tmp_path)
     manifest = tmp_path / "field.json"
     data = json.loads(manifest.read_text(encoding="utf-8"))
-    (tmp_path / data.pop("int8")["regularizer"]).unlink()
+    del data["int8"]
+    for file in tmp_path.glob("*_int8.onnx"):
+        file.unlink()
     manifest.write_text(json.dumps(data), encoding="utf-8")
     return manifest
 

@@ -1,0 +1,97 @@
+"""Depth maps of several views at a time, and the feature maps that they share."""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from fsinfer.depth import stage, view_maps
+from fsinfer.depth.job import DepthJob, plan_job
+from fsinfer.depth.model import DepthModel
+from fsinfer.depth.settings import DepthSettings
+from fsinfer.depth.stage import estimate_depth
+from fsinfer.depth.view_maps import LoadedView, MapsOfViews, ViewMaps, load_view, sources_of
+from fsinfer.scene import Scene, View, read_scene
+from tests.support.plane_scene import write_plane_scene
+
+SETTINGS = DepthSettings(threads=2, precision="int8")
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Scene:
+    return read_scene(write_plane_scene(tmp_path / "scene", height=75, width=90))
+
+
+def test_maps_made_two_at_a_time_are_those_made_one_by_one(
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    of = MapsOfViews.of
+    # The first two are computed once both have begun, or never.
+    together = threading.Barrier(2, timeout=60)
+    begun: list[str] = []
+
+    def meeting(self: MapsOfViews, view: View, sources: Sequence[View]) -> ViewMaps:
+        begun.append(view.name)
+        if len(begun) <= 2:
+            together.wait()
+        return of(self, view, sources)
+
+    monkeypatch.setattr(MapsOfViews, "of", meeting)
+    told: list[str] = []
+    estimate_depth(scene, tmp_path / "two", settings=SETTINGS, progress=lambda *given: told.append(given[2]))
+    monkeypatch.setattr(MapsOfViews, "of", of)
+    estimate_depth(scene, tmp_path / "one", settings=replace(SETTINGS, threads=1))
+    for kind in ("depth", "confidence"):
+        for view in scene.views:
+            one, two = (tmp_path / times / kind / f"{view.name}.pfm" for times in ("one", "two"))
+            assert one.read_bytes() == two.read_bytes()
+    assert told == [*(f"depth of {view.name}" for view in scene.views), "depth"]
+
+
+def test_two_threads_load_a_photograph_once(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    loads: Counter[str] = Counter()
+
+    def counted(model: DepthModel, view: View, settings: DepthSettings) -> LoadedView:
+        loads[view.name] += 1
+        return load_view(model, view, settings)
+
+    monkeypatch.setattr(view_maps, "load_view", counted)
+    job = plan_job(scene.views, SETTINGS)
+    maps = MapsOfViews(job, plan=job.plan, threads=1)
+    begin = threading.Barrier(4)
+
+    def ask(view: View) -> None:
+        begin.wait()
+        maps.of(view, sources_of(scene, view, SETTINGS))
+
+    asking = [threading.Thread(target=ask, args=(scene.views[number % 3],)) for number in range(4)]
+    for one in asking:
+        one.start()
+    for one in asking:
+        one.join()
+    assert loads == {view.name: 1 for view in scene.views}
+
+
+@pytest.mark.parametrize(("at_once", "threads"), [(1, 5), (2, 3), (3, 2)])
+def test_the_cores_are_shared_out_among_the_maps(
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_once: int, threads: int
+) -> None:
+    class AskedError(Exception):
+        pass
+
+    def planned(views: Sequence[View], settings: DepthSettings) -> DepthJob:
+        job = plan_job(views, settings)
+        return replace(job, plan=replace(job.plan, at_once=at_once))
+
+    def maps(_job: DepthJob, *, plan: object, threads: int) -> None:
+        raise AskedError(threads)
+
+    monkeypatch.setattr(stage, "plan_job", planned)
+    monkeypatch.setattr(stage, "MapsOfViews", maps)
+    with pytest.raises(AskedError, match=f"^{threads}$"):
+        estimate_depth(scene, tmp_path / "out", settings=replace(SETTINGS, threads=5))
