@@ -60,11 +60,13 @@ def photo_threads() -> int:
     return min(cores(), MOST_AT_ONCE)
 
 
-def in_order(work: Callable[[_Item], _Result], items: Iterable[_Item], threads: int) -> Generator[_Result, None, None]:
+def in_order(
+    work: Callable[[_Item], _Result], items: Iterable[_Item], threads: int, *, ahead: int = 0
+) -> Generator[_Result, None, None]:
     """The results of ``work`` on each item, in the items' order, worked out by so many threads at a time.
 
-    At most so many items are worked on ahead of what is taken, so that as many photos are held at once. An error comes
-    where its result would, and what was not begun by then is not begun any more.
+    At most so many items and ``ahead`` more are worked on ahead of what is taken, so that as many photos are held at
+    once. An error comes where its result would, and what was not begun by then is not begun any more.
     """
     if threads <= 1:
         yield from map(work, items)
@@ -74,7 +76,7 @@ def in_order(work: Callable[[_Item], _Result], items: Iterable[_Item], threads: 
         try:
             for item in items:
                 waiting.append(pool.submit(work, item))
-                if len(waiting) > threads:
+                if len(waiting) > threads + ahead:
                     yield waiting.popleft().result()
             while waiting:
                 yield waiting.popleft().result()

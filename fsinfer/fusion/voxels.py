@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 
 #: Bits for each axis: three fit into one signed 64-bit key. Source: format.
 _AXIS_BITS = 21
@@ -16,6 +18,8 @@ _AXIS_CELLS, MAX_EXTENT_VOXELS = 1 << _AXIS_BITS, (1 << _AXIS_BITS) - 4
 _GROWTH = 1.05
 #: Lengths and weights that stand for none. Source: numerics.
 _LEAST_LENGTH, _LEAST_WEIGHT = 1e-12, 1e-300
+#: Times as many points as there are that room is made for when it is short. Source: numerics.
+_ROOM = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +54,7 @@ def voxel_keys(xyz: NDArray[np.float64], voxel: float) -> NDArray[np.int64]:
 
     Keys wrap round every two million voxels, so the points must lie within ``MAX_EXTENT_VOXELS`` of each other.
     """
-    cells = np.floor(xyz / voxel).astype(np.int64) % _AXIS_CELLS
+    cells = np.floor(xyz / voxel).astype(np.int64) & (_AXIS_CELLS - 1)
     return np.asarray((cells[:, 0] << (2 * _AXIS_BITS)) | (cells[:, 1] << _AXIS_BITS) | cells[:, 2])
 
 
@@ -60,33 +64,41 @@ def merge_voxels(samples: Samples, voxel: float) -> Samples:
     The mean of a patch of a curved surface lies inside it by at most voxel^2 / (8 R): 0.03 mm for voxels of 5 mm
     on a stem of 10 cm radius, so voxels do not bias diameters.
     """
-    if not len(samples):
-        return samples
+    return _merged(samples, voxel)[1]
+
+
+def _merged(samples: Samples, voxel: float) -> tuple[NDArray[np.int64], Samples]:
+    """The keys of the voxels that hold points, rising, and the merged point of each."""
     keys = voxel_keys(samples.xyz, voxel)
+    if not len(samples):
+        return keys, samples
     order = np.argsort(keys, kind="stable")
     keys = keys[order]
     starts = np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
     weight = samples.weight[order]
     total = np.add.reduceat(weight, starts)
+    # Row by row the weighted sum over one voxel, without sorted copies of what is summed.
+    sums = csr_matrix((weight, order, np.append(starts, len(order))), shape=(len(starts), len(order)))
 
     def mean(values: NDArray[np.floating]) -> NDArray[np.float64]:
-        return np.stack(
-            [np.add.reduceat(values[order, i] * weight, starts) / total for i in range(values.shape[1])], axis=1
-        )
+        return np.asarray(sums @ values) / total[:, None]
 
-    normals = mean(samples.normals)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), _LEAST_LENGTH)
     count = samples.count[order]
     counts = np.add.reduceat(count, starts)
-    return Samples(
+    return keys[starts], Samples(
         xyz=mean(samples.xyz),
         rgb=mean(samples.rgb).astype(np.float32),
-        normals=normals.astype(np.float32),
+        normals=_of_unit_length(mean(samples.normals)),
         weight=total,
         confidence=(np.add.reduceat(samples.confidence[order] * count, starts) / counts).astype(np.float32),
         views=np.maximum.reduceat(samples.views[order], starts),
         count=counts.astype(np.int32),
     )
+
+
+def _of_unit_length(normals: NDArray[np.float64]) -> NDArray[np.float32]:
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.asarray(normals / np.maximum(lengths, _LEAST_LENGTH), dtype=np.float32)
 
 
 def join(parts: list[Samples]) -> Samples:
@@ -147,13 +159,16 @@ def much_worse_than_nearby(samples: Samples, cell: float, ratio: float) -> NDArr
 
 
 class VoxelMerger:
-    """Collects batches and merges them whenever ``batch_points`` new ones have come."""
+    """Collects batches and merges them whenever ``batch_points`` new ones have come.
+
+    Only what is new is sorted: it is merged by itself, and then into the voxels that are there already.
+    """
 
     def __init__(self, voxel: float, *, max_points: int, batch_points: int) -> None:
         self.voxel = voxel
         self._max_points = max_points
         self._batch_points = batch_points
-        self._merged: list[Samples] = []
+        self._voxels: _Voxels | None = None
         self._waiting: list[Samples] = []
 
     def add(self, samples: Samples) -> None:
@@ -166,16 +181,78 @@ class VoxelMerger:
     def result(self) -> Samples | None:
         """Return everything merged, in voxels as large as ``max_points`` asks for; None when nothing came."""
         self._merge()
-        return self._merged[0] if self._merged else None
+        return None if self._voxels is None else self._voxels.samples()
 
     def _merge(self) -> None:
         if not self._waiting:
             return
-        merged = join(self._merged + self._waiting)
-        # What was joined is not kept beside it: millions of points, and here is the peak of fusion's memory.
-        self._merged, self._waiting = [], []
-        merged = merge_voxels(merged, self.voxel)
-        while len(merged) > self._max_points:
-            self.voxel *= _GROWTH * (len(merged) / self._max_points) ** 0.5
-            merged = merge_voxels(merged, self.voxel)
-        self._merged = [merged]
+        keys, merged = _merged(join(self._waiting), self.voxel)
+        self._waiting = []
+        if self._voxels is None:
+            self._voxels = _Voxels(keys, merged)
+        else:
+            self._voxels.add(keys, merged)
+        while len(self._voxels) > self._max_points:
+            self.voxel *= _GROWTH * (len(self._voxels) / self._max_points) ** 0.5
+            self._voxels = _Voxels(*_merged(self._voxels.samples(), self.voxel))
+
+
+class _Voxels:
+    """Merged points in the order in which their voxels came, and where that of each key is.
+
+    Only what is new or changed is written, so that a batch costs what its own size asks for.
+    """
+
+    def __init__(self, keys: NDArray[np.int64], points: Samples) -> None:
+        """``keys`` are without doubles and rise, as those of :func:`_merged`."""
+        self._keys = keys
+        self._place = np.arange(len(keys))
+        self._points = points
+        self._count = len(keys)
+
+    def __len__(self) -> int:
+        return self._count
+
+    def samples(self) -> Samples:
+        """All points in the order of their keys."""
+        return Samples(**{name: values[self._place] for name, values in _fields(self._points)})
+
+    def add(self, keys: NDArray[np.int64], new: Samples) -> None:
+        """Merge points into the voxels; ``keys`` as at first."""
+        at = np.searchsorted(self._keys, keys)
+        known = self._keys[np.minimum(at, len(self._keys) - 1)] == keys
+        self._average(self._place[at[known]], select(new, known))
+        self._append(select(new, ~known))
+        gaps, added = at[~known], np.arange(self._count - int((~known).sum()), self._count)
+        self._keys, self._place = np.insert(self._keys, gaps, keys[~known]), np.insert(self._place, gaps, added)
+
+    def _average(self, at: NDArray[np.intp], new: Samples) -> None:
+        points = self._points
+        one, other = points.weight[at], new.weight
+        total = one + other
+        share = (other / total)[:, None]
+        points.xyz[at] += (new.xyz - points.xyz[at]) * share
+        points.rgb[at] += ((new.rgb - points.rgb[at]) * share).astype(np.float32)
+        points.normals[at] = _of_unit_length(points.normals[at] * (1 - share) + new.normals * share)
+        points.weight[at] = total
+        counts = points.count[at] + new.count
+        points.confidence[at] += (new.confidence - points.confidence[at]) * (new.count / counts).astype(np.float32)
+        points.count[at] = counts
+        points.views[at] = np.maximum(points.views[at], new.views)
+
+    def _append(self, new: Samples) -> None:
+        end = self._count + len(new)
+        if end > len(self._points):
+            # Room for more than is needed, so that it is not copied each time; what is not written takes no memory.
+            room = max(end, int(_ROOM * len(self._points)))
+            larger = {name: np.empty((room, *values.shape[1:]), values.dtype) for name, values in _fields(new)}
+            for name, values in _fields(self._points):
+                larger[name][: self._count] = values[: self._count]
+            self._points = Samples(**larger)
+        for name, values in _fields(new):
+            getattr(self._points, name)[self._count : end] = values
+        self._count = end
+
+
+def _fields(samples: Samples) -> list[tuple[str, NDArray[Any]]]:
+    return [(name, getattr(samples, name)) for name in Samples.__dataclass_fields__]

@@ -25,14 +25,31 @@ def test_so_many_are_worked_on_at_a_time() -> None:
     assert list(in_order(lambda item: (together.wait(), item)[1], range(6), 3)) == [*range(6)]
 
 
-def test_no_more_is_begun_than_is_soon_taken() -> None:
+@pytest.mark.parametrize("ahead", [0, 3])
+def test_no_more_is_begun_than_is_soon_taken(ahead: int) -> None:
     begun: list[int] = []
-    results = in_order(begun.append, range(100), 2)
+    results = in_order(begun.append, range(100), 2, ahead=ahead)
     for taken in range(1, 20):
         next(results)
-        assert len(begun) <= taken + 2
+        assert len(begun) <= taken + 2 + ahead
     results.close()
-    assert len(begun) < 25
+    assert len(begun) < 25 + ahead
+
+
+def test_so_many_more_are_begun_as_are_asked_for() -> None:
+    begun: list[int] = []
+    all_begun = threading.Event()
+
+    def begin(item: int) -> int:
+        begun.append(item)
+        if len(begun) == 1 + 2 + 3:
+            all_begun.set()
+        return item
+
+    results = in_order(begin, range(100), 2, ahead=3)
+    assert next(results) == 0
+    assert all_begun.wait(timeout=10)
+    results.close()
 
 
 @pytest.mark.parametrize("threads", [1, 2])

@@ -37,28 +37,52 @@ def test_points_of_a_voxel_become_their_weighted_mean() -> None:
 def test_batches_give_the_same_as_all_at_once() -> None:
     rng = np.random.default_rng(0)
     parts = [make_samples(rng.normal(0, 3, (400, 3)), rng.uniform(0.1, 2, 400)) for _ in range(6)]
+    parts = [replace(part, rgb=rng.uniform(0, 255, (400, 3)).astype(np.float32)) for part in parts]
     merger = VoxelMerger(0.7, max_points=10_000, batch_points=700)
     for part in parts:
         merger.add(part)
     at_once, batched = merge_voxels(join(parts), 0.7), merger.result()
     assert batched is not None
     np.testing.assert_allclose(batched.xyz, at_once.xyz, atol=1e-12)
+    np.testing.assert_allclose(batched.weight, at_once.weight, rtol=1e-12)
+    np.testing.assert_allclose(batched.rgb, at_once.rgb, rtol=1e-5)
+    np.testing.assert_allclose(batched.normals, at_once.normals, atol=1e-6)
+    np.testing.assert_allclose(batched.confidence, at_once.confidence, rtol=1e-5)
+    np.testing.assert_array_equal(batched.views, at_once.views)
     np.testing.assert_array_equal(batched.count, at_once.count)
+    # Voxels that were there, and such before, between and behind them.
+    assert (batched.count > 1).any()
+    assert np.diff(voxels.voxel_keys(batched.xyz, 0.7)).min() > 0
+
+
+def test_normals_of_two_batches_are_averaged_as_positions_are() -> None:
+    merger = VoxelMerger(1.0, max_points=10, batch_points=0)
+    for normal, weight in (([0, 0, 1], 3.0), ([0, 1, 0], 4.0)):
+        batch = make_samples([[0.5, 0.5, 0.5], [1.5, 0.5, 0.5]], [weight, weight])
+        merger.add(replace(batch, normals=np.tile(np.array(normal, np.float32), (2, 1))))
+    found = merger.result()
+    assert found is not None
+    np.testing.assert_allclose(found.normals, [[0, 0.8, 0.6]] * 2, atol=1e-6)
+    assert found.weight.tolist() == [7, 7]
 
 
 def test_batches_are_merged_when_enough_has_come_and_not_before(monkeypatch: pytest.MonkeyPatch) -> None:
     sizes: list[int] = []
 
-    def merge(samples: Samples, voxel: float) -> Samples:
-        sizes.append(len(samples))
-        return merge_voxels(samples, voxel)
+    merged = voxels._merged
 
-    monkeypatch.setattr(voxels, "merge_voxels", merge)
+    def merge(samples: Samples, voxel: float) -> tuple[NDArray[np.int64], Samples]:
+        sizes.append(len(samples))
+        return merged(samples, voxel)
+
+    monkeypatch.setattr(voxels, "_merged", merge)
     merger = VoxelMerger(1.0, max_points=100, batch_points=50)
     for _ in range(12):
         merger.add(make_samples([[0.5, 0.5, 0.5]] * 10))
-    merger.result()
-    assert sizes == [60, 61]  # the second with what the first left
+    found = merger.result()
+    assert sizes == [60, 60]
+    assert found is not None
+    assert found.count.tolist() == [120]
 
 
 def test_voxels_beside_each_other_stay_apart_on_both_sides_of_the_origin() -> None:
