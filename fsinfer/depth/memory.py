@@ -19,6 +19,12 @@ BASE_BYTES = 150 * MEGABYTE
 #: Source: numerics; measured, 7.3 to 7.9 times at 960x540 to 1920x1080 in float32, 3.8 to 4.1 in int8 at 960x540 to
 #: 2400x1800.
 _PEAK_OVER_VOLUME, _INT8_PEAK_OVER_VOLUME = 8.2, 4.4
+#: What a depth map holds while another one is in the regularizer, likewise: its volume, or feature maps and the narrow
+#: volume. Source: numerics; measured.
+_BESIDE_OVER_VOLUME = 1.6
+#: Depth maps worked on at a time to one regularizer. Source: numerics; of a map in one thread it takes a fifth of the
+#: time in int8 and a third in float32, and two thirds of the memory.
+_MAPS_TO_A_REGULARIZER, _INT8_MAPS_TO_A_REGULARIZER = 2, 3
 #: The same in tiles, of which the volume is a copy, and bytes a pixel that the feature network leaves behind. Source:
 #: numerics; measured, 1600x1200 and 2400x1800 in tiles of 128 take 2.13 and 3.06 GB.
 _PEAK_OVER_TILE, _FEATURES_BYTES = 9.2, 105
@@ -41,7 +47,7 @@ class DepthPlan:
     ----------
     cached_views: feature maps kept for the neighbouring photos.
     peak_bytes: memory expected with them.
-    at_once: depth maps computed at a time.
+    at_once: depth maps computed at a time; regularizers: how many of them are in the regularizer at a time.
     tile_size: quarter pixels of a tile (:mod:`fsinfer.depth.tiles`); 0 where a depth map is computed as a whole.
     keeps_volume: in tiles, whether the cost volume is kept as a whole.
     """
@@ -49,6 +55,7 @@ class DepthPlan:
     cached_views: int
     peak_bytes: int
     at_once: int = 1
+    regularizers: int = 1
     tile_size: int = 0
     keeps_volume: bool = True
 
@@ -71,7 +78,8 @@ def plan_depth(
 ) -> DepthPlan:
     """Cache as many feature maps as the limit allows, at least those of one depth map; in tiles where that is too much.
 
-    As many maps are computed at a time as the limit allows, each with all the feature maps that it needs.
+    As many maps are computed at a time as the limit allows, each with all the feature maps that it needs. Of a
+    regularizer that takes the volume as it is one map takes nearly all of the time and the memory, so it is one.
 
     Parameters
     ----------
@@ -125,12 +133,23 @@ def plan_depth(
             f"{memory_gb:g} GB of --memory-gb; {way_out}"
         )
         raise InputError(msg)
-    of_map = whole_peak * quarter + views * of_view
-    at_once = max(1, min(most_at_once, int((limit - BASE_BYTES) / of_map)))
-    fixed += (at_once - 1) * whole_peak * quarter
-    needed = at_once * views
+    maps_to_one = _INT8_MAPS_TO_A_REGULARIZER if int8 else _MAPS_TO_A_REGULARIZER
+    beside = _BESIDE_OVER_VOLUME * of_volume
+    at_once = 1 if level_channels else most_at_once
+    while True:
+        regularizers = -(-at_once // maps_to_one)
+        fixed = BASE_BYTES + (regularizers * whole_peak + (at_once - regularizers) * beside) * quarter
+        needed = at_once * views
+        if at_once == 1 or fixed + needed * of_view <= limit:
+            break
+        at_once -= 1
     cached = max(needed, min(most_cached, int((limit - fixed) / of_view)))
-    return DepthPlan(cached_views=cached, peak_bytes=int(fixed + cached * of_view), at_once=at_once)
+    return DepthPlan(
+        cached_views=cached,
+        peak_bytes=int(fixed + cached * of_view),
+        at_once=at_once,
+        regularizers=regularizers,
+    )
 
 
 def _largest_tiles(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -87,6 +88,7 @@ class DepthModel:
         *,
         calibrate: bool = True,
         providers: Sequence[str] = ("CPUExecutionProvider",),
+        regularizers: int = 1,
     ) -> None:
         self.manifest = manifest
         self.threads = threads
@@ -94,6 +96,7 @@ class DepthModel:
         self.sha256 = manifest.sha256_of(int8=precision == INT8)
         self._calibration = manifest.calibration if calibrate else None
         self._sessions = sessions
+        self._turns = threading.Semaphore(regularizers)
         self.providers = tuple(providers)
 
     @classmethod
@@ -106,12 +109,14 @@ class DepthModel:
         provider: str = "cpu",
         precision: str = AUTO,
         trust: bool = False,
+        regularizers: int = 1,
     ) -> DepthModel:
         """Load a shipped model by name, or any model by the path of its manifest.
 
         ``threads`` = 0 uses every core; ``calibrate`` = False leaves the network's confidence as it is; ``provider``
         see :func:`fsinfer.depth.session.find_providers`; ``precision`` see
-        :func:`fsinfer.depth.precision.choose_precision`; ``trust`` takes graphs whose hash is not the manifest's.
+        :func:`fsinfer.depth.precision.choose_precision`; ``trust`` takes graphs whose hash is not the manifest's. Of
+        threads that share the model so many ``regularizers`` run at a time, which takes most of a map's memory.
         Raises :class:`ModelError` where a file is missing, damaged or not ONNX, or the provider is not there, and
         :class:`InputError` for an unknown precision.
         """
@@ -122,7 +127,15 @@ class DepthModel:
         files = manifest.files_of(int8=precision == INT8)
         roles = ("features", "regularizer", "refiner")
         sessions = {role: load_graph(file, threads, providers) for role, file in zip(roles, files, strict=False)}
-        return cls(manifest, sessions, threads, precision, calibrate=calibrate, providers=providers)
+        return cls(
+            manifest,
+            sessions,
+            threads,
+            precision,
+            calibrate=calibrate,
+            providers=providers,
+            regularizers=regularizers,
+        )
 
     def features(self, image: NDArray[np.uint8]) -> ViewFeatures:
         """Feature maps of one (H, W, 3) RGB uint8 image; they can be kept and given to several reference views."""
@@ -238,7 +251,8 @@ class DepthModel:
 
     def regularize(self, volume: Float32) -> tuple[Float32, Float32]:
         """Plane index, with fraction, and the network's own confidence (h, w) of a volume of :meth:`cost_volume`."""
-        index, confidence = self._sessions["regularizer"].run_two({"volume": volume})
+        with self._turns:
+            index, confidence = self._sessions["regularizer"].run_two({"volume": volume})
         return index, confidence
 
     def _refine(

@@ -86,6 +86,7 @@ class MapsOfViews:
             provider=job.settings.provider,
             precision=job.precision,
             trust=job.settings.trust_model,
+            regularizers=plan.regularizers,
         )
         self.model_sha256 = self._model.sha256
         self._predictor = (

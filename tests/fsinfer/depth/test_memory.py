@@ -122,13 +122,18 @@ def test_as_many_maps_are_computed_at_a_time_as_memory_allows() -> None:
 
     assert plan(3.0, 1).at_once == 1
     two, many = plan(3.0, 2), plan(3.0, 8)
-    assert (two.at_once, many.at_once) == (2, 3)
+    assert (two.at_once, two.regularizers) == (2, 1)
+    assert (many.at_once, many.regularizers) == (5, 2)
     assert two.peak_bytes < many.peak_bytes <= 3e9
     # Each has all the feature maps that it needs.
-    assert many.cached_views >= 3 * 5
-    assert plan(1.5, 2).at_once == 1
-    assert plan(3.0, 2, int8=False).at_once == 1
-    assert plan(1.5, 8, width=640, height=360).at_once == 6
+    assert many.cached_views >= 5 * 5
+    assert plan(1.2, 2).at_once == 1
+    exact = plan(3.0, 2, int8=False)
+    assert (exact.at_once, exact.regularizers) == (2, 1)
+    assert plan(3.0, 4, int8=False).at_once == 2
+    assert plan(3.0, 8, width=640, height=360).at_once == 8
+    # A regularizer of 3D convolutions is nearly all of the work.
+    assert plan(8.0, 8, groups=32, level_channels=8, int8=False).at_once == 1
     tiled = plan(1.4, 8, width=1280, height=800, int8=False, tile_halo=56)
     assert tiled.tile_size
     assert tiled.at_once == 1
