@@ -73,14 +73,17 @@ def fit(
     *,
     steps: int = _MOST_STEPS,
     enough: float = _ENOUGH,
+    foresee: bool = False,
 ) -> Unknowns:
     """Adjust everything; of each photo's own unknowns those of ``groups``.
 
-    It ends after so many ``steps``, or with one that gains less than the share ``enough`` of the cost.
+    It ends after so many ``steps``, or with one that gains less than the share ``enough`` of the cost; with ``foresee``
+    with one after which the next would, were its gain to fall as the last one did.
     """
     seen, best = structure.seen, start
     cost = weighting.cost(seen, best)
     damping = _DAMPING
+    gain = 0.0
     for _ in range(steps):
         blocks = normal_equations(structure, best, groups, weighting)
         while damping <= _MOST_DAMPING:
@@ -96,9 +99,10 @@ def fit(
             damping *= _MORE
         else:
             return best
-        gain, best, cost = 1 - cost_there / cost, tried, cost_there
+        before, gain = gain, 1 - cost_there / cost
+        best, cost = tried, cost_there
         damping *= _LESS
-        if gain < enough:
+        if gain < enough or (foresee and gain**2 < enough * before):
             break
     return best
 
