@@ -19,7 +19,7 @@ _GROWTH = 1.05
 #: Lengths and weights that stand for none. Source: numerics.
 _LEAST_LENGTH, _LEAST_WEIGHT = 1e-12, 1e-300
 #: Times as many points as there are that room is made for when it is short. Source: numerics.
-_ROOM = 2.0
+_ROOM = 1.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,9 +179,13 @@ class VoxelMerger:
             self._merge()
 
     def result(self) -> Samples | None:
-        """Return everything merged, in voxels as large as ``max_points`` asks for; None when nothing came."""
+        """Return everything merged, in voxels as large as ``max_points`` asks for, and keep nothing of it.
+
+        None when nothing came.
+        """
         self._merge()
-        return None if self._voxels is None else self._voxels.samples()
+        merged, self._voxels = None if self._voxels is None else self._voxels.samples(), None
+        return merged
 
     def _merge(self) -> None:
         if not self._waiting:
@@ -194,7 +198,7 @@ class VoxelMerger:
             self._voxels.add(keys, merged)
         while len(self._voxels) > self._max_points:
             self.voxel *= _GROWTH * (len(self._voxels) / self._max_points) ** 0.5
-            self._voxels = _Voxels(*_merged(self._voxels.samples(), self.voxel))
+            self._voxels = _Voxels(*_merged(self._voxels.in_no_order(), self.voxel))
 
 
 class _Voxels:
@@ -207,52 +211,58 @@ class _Voxels:
         """``keys`` are without doubles and rise, as those of :func:`_merged`."""
         self._keys = keys
         self._place = np.arange(len(keys))
-        self._points = points
         self._count = len(keys)
+        # By the fields' names, with room for more behind what is there.
+        self._values = _fields(points)
 
     def __len__(self) -> int:
         return self._count
 
     def samples(self) -> Samples:
         """All points in the order of their keys."""
-        return Samples(**{name: values[self._place] for name, values in _fields(self._points)})
+        return Samples(**{name: values[self._place] for name, values in self._values.items()})
+
+    def in_no_order(self) -> Samples:
+        """The same as they lie in memory, which is not copied."""
+        return Samples(**{name: values[: self._count] for name, values in self._values.items()})
 
     def add(self, keys: NDArray[np.int64], new: Samples) -> None:
         """Merge points into the voxels; ``keys`` as at first."""
         at = np.searchsorted(self._keys, keys)
         known = self._keys[np.minimum(at, len(self._keys) - 1)] == keys
         self._average(self._place[at[known]], select(new, known))
+        gaps, added = at[~known], np.arange(self._count, self._count + int((~known).sum()))
         self._append(select(new, ~known))
-        gaps, added = at[~known], np.arange(self._count - int((~known).sum()), self._count)
         self._keys, self._place = np.insert(self._keys, gaps, keys[~known]), np.insert(self._place, gaps, added)
 
     def _average(self, at: NDArray[np.intp], new: Samples) -> None:
-        points = self._points
-        one, other = points.weight[at], new.weight
-        total = one + other
-        share = (other / total)[:, None]
-        points.xyz[at] += (new.xyz - points.xyz[at]) * share
-        points.rgb[at] += ((new.rgb - points.rgb[at]) * share).astype(np.float32)
-        points.normals[at] = _of_unit_length(points.normals[at] * (1 - share) + new.normals * share)
-        points.weight[at] = total
-        counts = points.count[at] + new.count
-        points.confidence[at] += (new.confidence - points.confidence[at]) * (new.count / counts).astype(np.float32)
-        points.count[at] = counts
-        points.views[at] = np.maximum(points.views[at], new.views)
+        held = self._values
+        total = held["weight"][at] + new.weight
+        share = (new.weight / total)[:, None]
+        for name in ("xyz", "rgb"):
+            there = held[name][at]
+            held[name][at] = there + (getattr(new, name) - there) * share
+        held["normals"][at] = _of_unit_length(held["normals"][at] * (1 - share) + new.normals * share)
+        held["weight"][at] = total
+        counts = held["count"][at] + new.count
+        confidence = held["confidence"][at]
+        held["confidence"][at] = confidence + (new.confidence - confidence) * (new.count / counts)
+        held["count"][at] = counts
+        held["views"][at] = np.maximum(held["views"][at], new.views)
 
     def _append(self, new: Samples) -> None:
         end = self._count + len(new)
-        if end > len(self._points):
-            # Room for more than is needed, so that it is not copied each time; what is not written takes no memory.
-            room = max(end, int(_ROOM * len(self._points)))
-            larger = {name: np.empty((room, *values.shape[1:]), values.dtype) for name, values in _fields(new)}
-            for name, values in _fields(self._points):
-                larger[name][: self._count] = values[: self._count]
-            self._points = Samples(**larger)
-        for name, values in _fields(new):
-            getattr(self._points, name)[self._count : end] = values
+        for name, added in _fields(new).items():
+            values = self._values[name]
+            if end > len(values):
+                # Room for more than is needed, so that it is not copied each time; one field after the other, so that
+                # little is held twice.
+                larger = np.empty((max(end, int(_ROOM * len(values))), *values.shape[1:]), values.dtype)
+                larger[: self._count] = values[: self._count]
+                values = self._values[name] = larger
+            values[self._count : end] = added
         self._count = end
 
 
-def _fields(samples: Samples) -> list[tuple[str, NDArray[Any]]]:
-    return [(name, getattr(samples, name)) for name in Samples.__dataclass_fields__]
+def _fields(samples: Samples) -> dict[str, NDArray[Any]]:
+    return {name: getattr(samples, name) for name in Samples.__dataclass_fields__}

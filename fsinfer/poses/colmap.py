@@ -17,7 +17,7 @@ from fsinfer.poses.settings import PoseSettings
 from fsinfer.progress import Progress
 
 #: Photos handed to COLMAP at a time. Source: numerics.
-_PHOTOS_PER_BATCH = 8
+_PHOTOS_PER_BATCH = 16
 #: All photos are adjusted together when so many times more have come, not at every tenth (COLMAP: 1.1). Source:
 #: numerics; renders only, docs/trials-speed.md: with what follows two walks of 200 photos were mapped in half of the
 #: time of 1.6 and COLMAP's own ends, all photos placed and as exactly.

@@ -29,8 +29,9 @@ _MIN_PHOTOS = 3
 #: Standard deviations of an observation, before any effect is known, beyond which a larger error hardly counts as more.
 #: Source: three sigma.
 _JUDGED_TO = 3.0
-#: A fit that only decides ends where a step gains less than this share of its cost, or the next would. Source: numerics;
-#: what a group does to points held out was the same to 0.5 % with 0.0001, in two and a half times the steps; renders only.
+#: A fit that only decides ends where a step gains less than this share of its cost, or the next would. Source:
+#: numerics; what a group does to points held out was the same to 0.5 % with 0.0001, in two and a half times the steps;
+#: renders only.
 _ENOUGH = 1e-3
 
 
@@ -78,7 +79,9 @@ def groups_borne_out(
     if len(judged_points) == 0:
         return Evidence(groups=(), trials=(), weighting=weighting, cameras=start)
     structure = Structure(learned, len(learned_points))
-    base = fit(structure, replace(start, points=start.points[learned_points]), (), weighting, enough=_ENOUGH, foresee=True)
+    base = fit(
+        structure, replace(start, points=start.points[learned_points]), (), weighting, enough=_ENOUGH, foresee=True
+    )
     weighting = replace(weighting, noise_px=noise_of(base.residuals(learned)))
 
     bound = (_JUDGED_TO * weighting.noise_px) ** 2
