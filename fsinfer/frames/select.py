@@ -23,6 +23,7 @@ from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.sentences import sentence, sentences
 from fsinfer.progress import Progress, silent
+from fsinfer.threads import in_order, photo_threads
 
 __all__ = ["FrameRow", "FrameSettings", "FramesResult", "list_captures", "select_frames"]
 
@@ -165,13 +166,18 @@ def _from_photos(
     reasons: dict[Path, Notice | None] = {}
     first_of: dict[str, Path] = {}
     first_error: ImageError | None = None
-    for done, path in enumerate(paths):
-        progress(done, 2 * len(paths), "judging photos")
+
+    def look(path: Path) -> FrameScore | ImageError:
         try:
-            score = score_frame(read_image(path))
+            return score_frame(read_image(path))
         except ImageError as error:
-            first_error = first_error or error
-            reasons[path] = notice(CaptureCode.unreadable, error=str(error))
+            return error
+
+    for done, (path, score) in enumerate(zip(paths, in_order(look, paths, photo_threads()), strict=True)):
+        progress(done, 2 * len(paths), "judging photos")
+        if isinstance(score, ImageError):
+            first_error = first_error or score
+            reasons[path] = notice(CaptureCode.unreadable, error=str(score))
             continue
         if path.stem in first_of:
             # Many phones write IMG_1.HEIC and IMG_1.JPG of the same moment.

@@ -26,6 +26,7 @@ from fsinfer.scale.scale import (
 )
 from fsinfer.scale.square_fit import FittedMarker, MarkerSettings, Sighting, find_markers
 from fsinfer.scene import Scene, read_view_image
+from fsinfer.threads import in_order, photo_threads
 
 _log = logging.getLogger(__name__)
 
@@ -72,16 +73,28 @@ def scale_from_aruco(
     for length in length_m.values() if isinstance(length_m, Mapping) else (length_m,):
         check_length(length, "the side of the markers")
     settings = settings or MarkerSettings()
-    detector, printed = make_detector(dictionary), predefined_dictionary(dictionary)
-    sightings: list[Sighting] = []
-    for index, view in enumerate(scene.views):
-        progress(index, len(scene.views), "looking for markers")
-        pixels = read_view_image(view)
+    printed = predefined_dictionary(dictionary)
+
+    def look(index: int) -> list[Sighting]:
+        pixels = read_view_image(scene.views[index])
         grey = luminance(pixels)
-        for number, corners_px in detect_markers(pixels, detector, min_side_px=settings.min_side_px):
-            if not isinstance(length_m, Mapping) or number in length_m:
-                bloom_px = bloom_of(grey, corners_px, number, printed)
-                sightings.append(Sighting(marker_id=number, view=index, corners_px=corners_px, bloom_px=bloom_px))
+        # OpenCV does not say that a detector may be shared between threads; making one takes no time.
+        found = detect_markers(pixels, make_detector(dictionary), min_side_px=settings.min_side_px)
+        return [
+            Sighting(
+                marker_id=number,
+                view=index,
+                corners_px=corners_px,
+                bloom_px=bloom_of(grey, corners_px, number, printed),
+            )
+            for number, corners_px in found
+            if not isinstance(length_m, Mapping) or number in length_m
+        ]
+
+    sightings: list[Sighting] = []
+    for done, seen in enumerate(in_order(look, range(len(scene.views)), photo_threads())):
+        progress(done, len(scene.views), "looking for markers")
+        sightings += seen
     blooming = common_blooming(
         [sighting.bloom_px for sighting in sightings],
         fewest=settings.min_blooming,
