@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from fsinfer.depth.manifest import ModelManifest, read_manifest
 from fsinfer.depth.memory import DepthPlan, plan_depth
 from fsinfer.depth.precision import FLOAT32, INT8, choose_precision
+from fsinfer.depth.session import is_processor
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.scene import View, view_image_size
 from fsinfer.threads import cores
@@ -64,8 +65,7 @@ def plan_job(views: Sequence[View], settings: DepthSettings) -> DepthJob:
         precision=precision,
         width=width,
         height=height,
-        # A worker of a cluster computes one at a time.
-        most_at_once=1 if settings.scheduler else settings.threads or cores(),
+        most_at_once=_most_at_once(settings),
     )
     if plan.tile_size:
         _log.warning(
@@ -92,6 +92,13 @@ def plan_job(views: Sequence[View], settings: DepthSettings) -> DepthJob:
         height=height,
         plan=plan,
     )
+
+
+def _most_at_once(settings: DepthSettings) -> int:
+    """Depth maps that may be computed at a time: as many as cores; by a cluster's worker or a graphics card one."""
+    if settings.scheduler or not is_processor(settings.provider):
+        return 1
+    return settings.threads or cores()
 
 
 def reduced_size(width: int, height: int, settings: DepthSettings) -> tuple[int, int]:

@@ -12,6 +12,7 @@ import platform
 from pathlib import Path
 
 from fsinfer.depth.manifest import ModelManifest
+from fsinfer.depth.session import is_processor
 from fsinfer.depth.settings import Precision
 from fsinfer.errors import InputError, ModelError
 
@@ -75,7 +76,7 @@ def choose_precision(wanted: str, manifest: ModelManifest, *, provider: str = "c
         raise ModelError(msg)
     if wanted != AUTO:
         return wanted
-    if manifest.int8_regularizer is None or provider.lower() not in ("cpu", "cpuexecutionprovider"):
+    if manifest.int8_regularizer is None or not is_processor(provider):
         return FLOAT32
     fast = _this_machine_is_fast() if fast is None else fast
     return INT8 if fast else FLOAT32

@@ -25,6 +25,11 @@ PROVIDERS = {
 }
 
 
+def is_processor(provider: str) -> bool:
+    """Whether this name of an execution provider, as :func:`find_providers` takes it, is the processor's."""
+    return provider.lower() in ("cpu", CPU.lower())
+
+
 # What onnxruntime says where an allocation fails.
 _NO_MEMORY = ("Failed to allocate memory", "bad allocation", "bad_alloc")
 

@@ -77,6 +77,13 @@ def test_two_threads_load_a_photograph_once(scene: Scene, monkeypatch: pytest.Mo
     assert loads == {view.name: 1 for view in scene.views}
 
 
+def test_a_graphics_card_and_a_worker_of_a_cluster_compute_one_at_a_time(scene: Scene) -> None:
+    assert plan_job(scene.views, SETTINGS).plan.at_once == 2
+    assert plan_job(scene.views, replace(SETTINGS, provider="CPUExecutionProvider")).plan.at_once == 2
+    assert plan_job(scene.views, replace(SETTINGS, provider="cuda")).plan.at_once == 1
+    assert plan_job(scene.views, replace(SETTINGS, scheduler="tcp://10.0.0.1:8786")).plan.at_once == 1
+
+
 @pytest.mark.parametrize(("at_once", "threads"), [(1, 5), (2, 3), (3, 2)])
 def test_the_cores_are_shared_out_among_the_maps(
     scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_once: int, threads: int
