@@ -85,6 +85,30 @@ def in_order(
                 future.cancel()
 
 
+@contextmanager
+def beside(work: Callable[[Callable[[], None]], _Result]) -> Iterator[Callable[[], _Result]]:
+    """Within it ``work`` goes on in a thread of its own; what is given waits for its result, or raises its error.
+
+    ``work`` is given a function to be called now and then, which ends it where the result is wanted no more.
+    """
+    over = threading.Event()
+
+    def go_on() -> None:
+        if over.is_set():
+            raise _OverError
+
+    with ThreadPoolExecutor(1) as pool:
+        future = pool.submit(work, go_on)
+        try:
+            yield future.result
+        finally:
+            over.set()
+
+
+class _OverError(Exception):
+    """Nobody waits for the result."""
+
+
 def blas_architecture() -> str:
     """What OpenBLAS calls the processor that NumPy's products are computed for; empty where it is another library."""
     from threadpoolctl import threadpool_info

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from fsinfer.errors import PosesError
-from fsinfer.poses.boards import boards_in, find_boards, tie_boards
+from fsinfer.poses.boards import BoardSighting, boards_in, find_boards, tie_boards
 from fsinfer.poses.colmap import extract_features, reconstruct, triangulate, with_calibration
 from fsinfer.poses.joining.parts import join_parts
 from fsinfer.poses.matches import is_walk, match_features
@@ -23,6 +23,7 @@ from fsinfer.poses.thorough import rematch, seams, torn
 from fsinfer.poses.verification.misplaced import drop
 from fsinfer.poses.verification.repair import placed_again, repair, repair_part
 from fsinfer.progress import Progress
+from fsinfer.threads import beside
 
 _log = logging.getLogger(__name__)
 
@@ -91,16 +92,22 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
     images, database = work / "images", work / "database.db"
     extract_features(database, images, walk.cameras, settings, progress)
     match_features(database, walk.files, settings, progress)
-    sightings = find_boards(
-        images,
-        walk.files,
-        dictionary=settings.dictionary,
-        longest_px=FEATURE_SIZE_PX,
-        progress=progress,
-        threads=settings.photo_threads,
-    )
-    sure = sure_pairs(database, walk.files, work, settings)
-    models = reconstruct(sure.database, images, work / "models", settings, progress, beginnings=sure.beginnings)
+
+    def look_for_boards(go_on: Callable[[], None]) -> list[BoardSighting]:
+        return find_boards(
+            images,
+            walk.files,
+            dictionary=settings.dictionary,
+            longest_px=FEATURE_SIZE_PX,
+            progress=lambda _done, _total, _what: go_on(),
+            threads=max(1, settings.photo_threads - 1),
+        )
+
+    # The mapper has one thread, and lets others work.
+    with beside(look_for_boards) as boards:
+        sure = sure_pairs(database, walk.files, work, settings)
+        models = reconstruct(sure.database, images, work / "models", settings, progress, beginnings=sure.beginnings)
+        sightings = boards()
     placed = models[0].num_reg_images() if models else 0
     model: Any = None
     misplaced: dict[str, list[str]] = {}
