@@ -81,6 +81,38 @@ def test_the_normal_of_a_plane_is_exact_wherever_it_leans(normal: tuple[float, f
     np.testing.assert_allclose(found, np.tile(unit, (len(rows), 1)), atol=4e-3)
 
 
+def test_the_normal_of_a_rough_surface_is_that_of_its_definition_at_every_pixel() -> None:
+    """Border, holes and edges among them; the neighbours one by one."""
+    rng = np.random.default_rng(3)
+    height, width = 17, 21
+    inverse = 0.4 + 0.05 * rng.random((height, width))
+    inverse[:, 12:] += 0.6
+    inverse[rng.random((height, width)) < 0.15] = 0
+    reference = map_of(inverse)
+    rows, columns = np.nonzero(reference.inverse_depth > 0)
+    found = pixel_normals(reference, rows, columns, noise=1e-3)
+    seen = reference.inverse_depth.astype(float)
+    for row, column, normal in zip(rows.tolist(), columns.tolist(), found, strict=True):
+        offsets, differences = [], []
+        for reach in (1, 2):
+            for down, right in AROUND:
+                other = (
+                    min(max(row + reach * down, 0), height - 1),
+                    min(max(column + reach * right, 0), width - 1),
+                )
+                limit = 5.7 / 140.0 * reach * np.hypot(down, right) + 1e-3
+                difference = seen[other] - seen[row, column]
+                if seen[other] > 0 and abs(difference) <= limit * min(seen[other], seen[row, column]):
+                    offsets.append((other[1] - column, other[0] - row))
+                    differences.append(difference)
+        ways = np.array(offsets, float).reshape(-1, 2)
+        slope = np.zeros(2)
+        if np.linalg.matrix_rank(ways) == 2:
+            slope = np.linalg.lstsq(ways, np.array(differences), rcond=None)[0]
+        plane = -np.array([*slope, seen[row, column] - slope @ (column, row)]) @ reference.intrinsic
+        np.testing.assert_allclose(normal, plane / np.linalg.norm(plane), atol=2e-4)
+
+
 def test_the_colour_of_a_point_is_the_mean_over_its_pixel(tmp_path: Path) -> None:
     scene = make_scene(tmp_path / "scene", tmp_path, cameras=3)
     rng = np.random.default_rng(0)
