@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from fsinfer.poses.adjustment import fit as fit_module
 from fsinfer.poses.adjustment.adjust import like, shutter_px
 from fsinfer.poses.adjustment.fit import Weighting, fit, noise_of, normal_equations, with_points_fitted
 from fsinfer.poses.adjustment.problem import Group, Observations, Unknowns
 from fsinfer.poses.adjustment.projection import FOCAL, LENS, OWN, TURN
-from fsinfer.poses.adjustment.reduced_system import Structure
+from fsinfer.poses.adjustment.reduced_system import Blocks, Structure
 from tests.support.phone_walk import PHONE, disturbed, phone_walk
 
 NOISE_PX = 0.2
@@ -124,3 +126,27 @@ def test_priors_stand_in_the_equations_as_in_the_cost() -> None:
         sides = [tight.cost(seen, replace(at, own=at.own + sign * step)) for sign in (1, -1)]
         slope_of_half_cost = (sides[0] - sides[1]) / 2e-4 / 2
         np.testing.assert_allclose(blocks[1].cameras_right[places[photo]], slope_of_half_cost, rtol=1e-4)
+
+
+def test_a_fit_that_foresees_the_next_step_s_gain_ends_before_it_and_loses_next_to_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    seen, truth = phone_walk(effects=PHONE * [1, 0, 0, 1, 1, 1, 0, 0, 0], noise_px=NOISE_PX)
+    start, weights = disturbed(truth), weighting(len(truth.rotations))
+    structure = Structure(seen, len(start.points))
+    steps: list[Unknowns] = []
+
+    def counted(*given: Any) -> Blocks:
+        steps.append(given[1])
+        return normal_equations(*given)
+
+    monkeypatch.setattr(fit_module, "normal_equations", counted)
+
+    def ended(*, foresee: bool) -> tuple[int, float]:
+        steps.clear()
+        found = fit(structure, start, (Group.turn, Group.focal), weights, steps=25, enough=1e-3, foresee=foresee)
+        return len(steps), weights.cost(seen, found)
+
+    plain, soon = ended(foresee=False), ended(foresee=True)
+    assert 1 < soon[0] < plain[0]
+    assert plain[1] <= soon[1] < 1.002 * plain[1]
