@@ -19,8 +19,9 @@ BASE_BYTES = 150 * MEGABYTE
 #: Source: numerics; measured, 7.3 to 7.9 times at 960x540 to 1920x1080 in float32, 3.8 to 4.1 in int8 at 960x540 to
 #: 2400x1800.
 _PEAK_OVER_VOLUME, _INT8_PEAK_OVER_VOLUME = 8.2, 4.4
-#: What a depth map holds while another one is in the regularizer, likewise: its volume, or feature maps and the narrow
-#: volume. Source: numerics; measured.
+#: What a depth map holds while another one is in the regularizer, likewise: its volume and what that is made with, or
+#: the narrow volume, and what onnxruntime keeps for it. Source: numerics; measured, two and four maps at a time take
+#: less.
 _BESIDE_OVER_VOLUME = 1.6
 #: Depth maps worked on at a time to one regularizer. Source: numerics; of a map in one thread it takes a fifth of the
 #: time in int8 and a third in float32, and two thirds of the memory.
@@ -90,7 +91,7 @@ def plan_depth(
         takes slabs.
     feature_channels, refine_channels: of the feature maps at a quarter and at half resolution.
     views: photographs compared at a time, the reference among them.
-    int8: the regularizer is in 8-bit integers; in tiles it never is.
+    int8: the graphs are in 8-bit integers; in tiles they never are.
     tile_halo: of the model's tiles, quarter pixels; None where it cannot be cut into tiles.
     most_at_once: depth maps that may be computed at a time.
 

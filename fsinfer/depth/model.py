@@ -105,6 +105,7 @@ class DepthModel:
         name_or_path: str | Path = DepthSettings.model,
         *,
         threads: int = 0,
+        graph_threads: int = 0,
         calibrate: bool = True,
         provider: str = "cpu",
         precision: str = AUTO,
@@ -113,8 +114,8 @@ class DepthModel:
     ) -> DepthModel:
         """Load a shipped model by name, or any model by the path of its manifest.
 
-        ``threads`` = 0 uses every core; ``calibrate`` = False leaves the network's confidence as it is; ``provider``
-        see :func:`fsinfer.depth.session.find_providers`; ``precision`` see
+        ``threads`` = 0 uses every core, ``graph_threads`` = 0 as many in onnxruntime; ``calibrate`` = False leaves the
+        network's confidence as it is; ``provider`` see :func:`fsinfer.depth.session.find_providers`; ``precision`` see
         :func:`fsinfer.depth.precision.choose_precision`; ``trust`` takes graphs whose hash is not the manifest's. Of
         threads that share the model so many ``regularizers`` run at a time, which takes most of a map's memory.
         Raises :class:`ModelError` where a file is missing, damaged or not ONNX, or the provider is not there, and
@@ -126,7 +127,8 @@ class DepthModel:
         threads = threads or os.cpu_count() or 1
         files = manifest.files_of(int8=precision == INT8)
         roles = ("features", "regularizer", "refiner")
-        sessions = {role: load_graph(file, threads, providers) for role, file in zip(roles, files, strict=False)}
+        graph_threads = graph_threads or threads
+        sessions = {role: load_graph(file, graph_threads, providers) for role, file in zip(roles, files, strict=False)}
         return cls(
             manifest,
             sessions,
@@ -195,6 +197,7 @@ class DepthModel:
         intrinsics, cam_from_world = np.asarray(intrinsics, np.float64), np.asarray(cam_from_world, np.float64)
         volume, weights = self.cost_volume(features, intrinsics, cam_from_world, depth_range)
         index, confidence = self.regularize(volume)
+        del volume  # a quarter of a map's memory
         return self.finish(features, intrinsics, cam_from_world, depth_range, index, confidence, weights)
 
     def finish(

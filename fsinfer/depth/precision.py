@@ -1,7 +1,7 @@
-"""Numbers the regularizer is computed with: float32, or 8-bit integers where the processor is fast at them.
+"""Numbers the depth network is computed with: float32, or 8-bit integers where the processor is fast at them.
 
 On x86 that is where it has AVX2. Without VNNI onnxruntime adds up two products of 8 bits each in 16 bits there, which
-weights of 8 bits could overflow; those of the int8 graph have 7 (:mod:`export.quantize`), so that every processor
+weights of 8 bits could overflow; those of the int8 graphs have 7 (:mod:`export.quantize`), so that every processor
 computes the same. ARM needs its dot products of 8-bit integers.
 """
 

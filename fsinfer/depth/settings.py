@@ -99,10 +99,11 @@ class DepthSettings:
     unsure: of the step in which unsure pixels follow their surroundings.
     subpixel: of the last step.
     threads: 0 uses every core. Source: option.
-    memory_gb: limit of the resident memory, 1e9 bytes; fewer feature maps are kept where it is tight, and depth is
-        computed in tiles where a whole map does not fit. Source: option; leaves a laptop of 8 GB usable.
+    memory_gb: limit of the resident memory, 1e9 bytes; fewer depth maps are computed at a time and fewer feature maps
+        kept where it is tight, and depth is computed in tiles where a whole map does not fit. Source: option; leaves a
+        laptop of 8 GB usable.
     provider: of onnxruntime, see :mod:`fsinfer.depth.session`. Source: option.
-    precision: of the regularizer, one of :class:`Precision`, see :mod:`fsinfer.depth.precision`. Source: option.
+    precision: of the network, one of :class:`Precision`, see :mod:`fsinfer.depth.precision`. Source: option.
     trust_model: a model is used though its files are not those that its manifest names by their hash. Source: option.
     scheduler: address of a Dask scheduler, whose workers compute the maps; empty for this computer. Each stays within
         ``memory_gb``; ``threads`` = 0 is a worker's share of its computer's cores. Source: option.

@@ -116,8 +116,15 @@ def _computed(job: DepthJob, scene: Scene, views: Sequence[View], tell: Callable
 def _here(job: DepthJob, scene: Scene, views: Sequence[View], tell: Callable[[View], None]) -> Computed:
     """On this computer, as many views at a time as memory allows; ``tell`` is told of each that is waited for."""
     # Threads that share out one view wait for each other in every layer of the network; views do not.
-    at_once = job.plan.at_once
-    maps = MapsOfViews(job, plan=job.plan, threads=-(-(job.settings.threads or cores()) // at_once))
+    at_once = max(1, min(job.plan.at_once, len(views)))
+    all_threads = job.settings.threads or cores()
+    maps = MapsOfViews(
+        job,
+        plan=job.plan,
+        threads=-(-all_threads // at_once),
+        # Those of onnxruntime are shared by all who ask it, and who asks works too.
+        graph_threads=max(1, all_threads - at_once + 1),
+    )
     threads_before = cv2.getNumThreads()
     cv2.setNumThreads(1)  # the volume is shared out over blocks of rows already
 

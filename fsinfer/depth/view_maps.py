@@ -1,4 +1,4 @@
-"""The depth and the confidence map of one view after the other, with the feature maps of the last ones at hand."""
+"""The depth and the confidence maps of views, several at a time, with the feature maps of the last ones at hand."""
 
 from __future__ import annotations
 
@@ -69,7 +69,8 @@ class MapsOfViews:
     Parameters
     ----------
     plan: of the job, or one for less memory that cuts depth into the same tiles.
-    threads: 0 uses every core.
+    threads: for one view; 0 uses every core.
+    graph_threads: of onnxruntime, which all views share that are computed at a time; 0 is as many as ``threads``.
 
     Raises
     ------
@@ -77,12 +78,13 @@ class MapsOfViews:
         The model cannot be loaded.
     """
 
-    def __init__(self, job: DepthJob, *, plan: DepthPlan, threads: int) -> None:
+    def __init__(self, job: DepthJob, *, plan: DepthPlan, threads: int, graph_threads: int = 0) -> None:
         self._settings = job.settings
         self._cached_views = plan.cached_views
         self._model = DepthModel.load(
             job.settings.model,
             threads=threads,
+            graph_threads=graph_threads,
             provider=job.settings.provider,
             precision=job.precision,
             trust=job.settings.trust_model,

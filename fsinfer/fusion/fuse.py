@@ -38,8 +38,6 @@ _SAMPLED_VIEWS, _PIXEL_STRIDE = 16, 7
 _NOISE_VIEWS, _NOISE_STRIDE = 8, 11
 #: Side of the cells in whose neighbourhood of three specks are looked for, voxels. Source: judgement.
 _SPECK_CELL = 4
-#: Views a thread may be ahead of the merging. Source: numerics; a batch is merged in the time of two, 15 MB each.
-_AHEAD = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,9 +147,8 @@ def fuse(
         return fuse_view(scene, maps, index, neighbours[index], min_confidence=min_confidence, settings=settings)
 
     # The order of the views stays, so that the sums of a voxel do.
-    threads = min(plan.at_once, cores())
     # While a batch is merged the threads go on.
-    in_turn = in_order(confirmed, maps.available, threads, ahead=_AHEAD * threads)
+    in_turn = in_order(confirmed, maps.available, min(plan.at_once, cores()), ahead=plan.ahead)
     for done, (index, samples) in enumerate(zip(maps.available, in_turn, strict=True)):
         progress(done, len(maps.available), scene.views[index].name)
         # The sides of a cube around the cameras: what lies beyond it is no forest, and its voxel keys would wrap.

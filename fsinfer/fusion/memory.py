@@ -10,9 +10,12 @@ from dataclasses import dataclass
 from fsinfer.depth.memory import BASE_BYTES, GIGABYTE
 from fsinfer.errors import InputError
 
-#: A point while it is merged: itself (68 bytes), its joined, sorted and averaged copies. Source: numerics; measured,
-#: 312 bytes for 5.5 million.
+#: A point where all are merged anew in larger voxels: itself (68 bytes), room for more, its sorted and averaged copies.
+#: Source: numerics; measured, 274 bytes for 5.5 million.
 _BYTES_PER_MERGED_POINT = 320
+#: The point itself, and views a thread may be ahead of the merging, of which each pixel may be a point. Source: format;
+#: numerics, a batch is merged in the time of two.
+_BYTES_PER_POINT, _AHEAD = 68, 2
 #: Points in a batch and of a cloud at least. Source: numerics.
 _LEAST_BATCH_POINTS = _LEAST_POINTS = 250_000
 #: A depth map and its confidence, bytes a pixel. Source: format; float32.
@@ -25,10 +28,19 @@ _SHARE_OF_MAPS, _LEAST_MAPS = 0.2, 4
 
 @dataclass(frozen=True, kw_only=True)
 class FusionPlan:
-    """Maps kept, views worked on at a time, points merged at a time and kept at most, and the peak memory, bytes."""
+    """How fusion keeps within the limit.
+
+    Attributes
+    ----------
+    cache_maps: depth maps kept.
+    at_once: views worked on at a time; ahead: so many more may wait to be merged.
+    batch_points, max_points: points merged at a time, and kept at most.
+    peak_bytes: memory expected.
+    """
 
     cache_maps: int
     at_once: int
+    ahead: int
     batch_points: int
     max_points: int
     peak_bytes: int
@@ -62,4 +74,14 @@ def plan_fusion(
     batch = min(batch_points, max(_LEAST_BATCH_POINTS, points - max_points))
     kept = min(max_points, points - batch)
     peak = BASE_BYTES + of_maps + (kept + batch) * _BYTES_PER_MERGED_POINT
-    return FusionPlan(cache_maps=maps, at_once=views, batch_points=batch, max_points=kept, peak_bytes=int(peak))
+    # Only what nothing else asks for.
+    of_waiting = _BYTES_PER_POINT * map_pixels
+    ahead = min(_AHEAD * views, int((memory_gb * GIGABYTE - peak) / of_waiting))
+    return FusionPlan(
+        cache_maps=maps,
+        at_once=views,
+        ahead=ahead,
+        batch_points=batch,
+        max_points=kept,
+        peak_bytes=int(peak + ahead * of_waiting),
+    )

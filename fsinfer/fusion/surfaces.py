@@ -17,7 +17,7 @@ from fsinfer.depth.maps import DepthMap
 MAX_SLOPE = 5.7
 #: Neighbours for normals: a square ring at distance 1 and one at distance 2 around the pixel. Source: numerics.
 _RING = tuple((du, dv) for r in (1, 2) for du in (-r, 0, r) for dv in (-r, 0, r) if (du, dv) != (0, 0))
-_REACH = 2
+_REACH = max(abs(du) for du, _ in _RING)
 #: Sums whose determinant is less have no plane; lengths that stand for none. Source: numerics.
 _LEAST_DETERMINANT, _LEAST_LENGTH = 1e-9, 1e-30
 
@@ -95,6 +95,8 @@ def pixel_normals(
     On a plane n.X = h, 1/z = (n/h)^T K^-1 (u, v, 1) is affine in the pixel; with its coefficients (a, b, c) from a
     least-squares fit to the neighbours on the same surface, n is parallel to K^T (a, b, c).
     """
+    if not len(rows):
+        return np.empty((0, 3), np.float32)
     here = reference.inverse_depth[rows, columns].astype(np.float64)
     xx, xy, yy, xq, yq = ring_sums(reference, noise)[:, rows, columns].astype(np.float64)
     determinant = xx * yy - xy * xy

@@ -103,11 +103,18 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
             threads=max(1, settings.photo_threads - 1),
         )
 
-    # The mapper has one thread, and lets others work.
-    with beside(look_for_boards) as boards:
-        sure = sure_pairs(database, walk.files, work, settings)
-        models = reconstruct(sure.database, images, work / "models", settings, progress, beginnings=sure.beginnings)
-        sightings = boards()
+    def map_all() -> list[Any]:
+        return reconstruct(sure.database, images, work / "models", settings, progress, beginnings=sure.beginnings)
+
+    sure = sure_pairs(database, walk.files, work, settings)
+    if settings.mapper == "incremental" and settings.photo_threads > 1:
+        # The incremental mapper has one thread, and lets others work.
+        with beside(look_for_boards) as boards:
+            models = map_all()
+            sightings = boards()
+    else:
+        sightings = look_for_boards(lambda: None)
+        models = map_all()
     placed = models[0].num_reg_images() if models else 0
     model: Any = None
     misplaced: dict[str, list[str]] = {}

@@ -27,7 +27,7 @@ def made_part(contents: Contents) -> Part:
     rows = [("Depth model", str(plot.get("model") or "not known"))]
     rows.append(("SHA-256 of the model", str(plot.get("model_sha256") or "not known")))
     if plot.get("model_precision"):
-        rows.append(("Numbers of the regularizer", str(plot["model_precision"])))
+        rows.append(("Numbers of the depth network", str(plot["model_precision"])))
     peak = number(plot.get("peak_rss_mb"))
     if peak is not None:
         rows.append(("Largest memory", f"{peak:,.0f} MB"))

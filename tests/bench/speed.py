@@ -7,7 +7,7 @@ Vanilla is MVSNet (variance volume of 32 channels, 192 planes, 3D U-Net, soft-ar
 written out with whole warped volumes (:mod:`tests.bench.vanilla_mvsnet`); ``chunked`` is our own training code, whose
 volume is made in chunks that stay in the cache. Weights do not matter for the time. Each side is a process of its own,
 so that its peak memory is its own; they work in turns, never at the same time. ``fsinfer`` takes part twice, with its
-regularizer in float32 and in int8 where the model has it. Beside the clock stand the processor seconds of all threads,
+graphs in float32 and in int8 where the model has them. Beside the clock stand the processor seconds of all threads,
 which other programs on the machine disturb less. The photographs are noise, the cameras stand 0.3 m apart in a row.
 """
 
@@ -37,7 +37,7 @@ from tests.bench.results import add_result_options, check_result_options, save_r
 GEMM_SIZE = 2048
 #: Variables that set threads from outside; no user has them.
 NOT_A_USERS = ("OMP_", "OPENBLAS_", "MKL_")
-OURS = ("float32", "int8")  # precisions of the regularizer
+OURS = ("float32", "int8")  # precisions of the graphs
 #: MVSNet in PyTorch: with its volume written out, and as the training code has it.
 VANILLA, CHUNKED = "vanilla", "chunked"
 

@@ -106,16 +106,17 @@ def test_the_command_fails_beyond_the_tolerances(
 
 @pytest.fixture
 def exported(tmp_path: Path) -> tuple[FSMVSNet, Path]:
-    """A small model with what is made of it afterwards: a calibration and an int8 regularizer."""
+    """A small model with what is made of it afterwards: a calibration, and its graphs in int8."""
     torch.manual_seed(0)
     model = FSMVSNet(PRESETS["mvsnet"]).eval()
     manifest = exported_into(model, tmp_path)
     data = json.loads(manifest.read_text(encoding="utf-8"))
     data["confidence_calibration"] = {"raw": [0.0, 1.0], "within_1pct": [0.0, 0.5]}
     manifest.write_text(json.dumps(data), encoding="utf-8")
-    int8 = tmp_path / "mvsnet_regularizer_int8.onnx"
-    shutil.copy(tmp_path / "mvsnet_regularizer.onnx", int8)
-    add_to_manifest(manifest, {"regularizer": int8}, QuantizeSettings(), ["scene"], 1)
+    int8 = {role: tmp_path / f"mvsnet_{role}_int8.onnx" for role in ("features", "regularizer")}
+    for role, file in int8.items():
+        shutil.copy(tmp_path / f"mvsnet_{role}.onnx", file)
+    add_to_manifest(manifest, int8, QuantizeSettings(), ["scene"], 1)
     read_manifest(manifest)
     return model, manifest
 
@@ -136,8 +137,18 @@ def test_exporting_the_same_weights_again_keeps_what_was_made_of_them(
     assert after.calibration is not None
     np.testing.assert_array_equal(after.calibration[1], [0.0, 0.5])
     assert after.int8_regularizer == before.int8_regularizer == "mvsnet_regularizer_int8.onnx"
+    assert after.int8_features == before.int8_features == "mvsnet_features_int8.onnx"
     assert DepthModel.load(path, precision="int8").precision == "int8"
     assert "is gone" not in caplog.text
+
+
+def test_a_model_that_lost_one_of_its_int8_graphs_is_float32_alone(exported: tuple[FSMVSNet, Path]) -> None:
+    model, path = exported
+    (path.parent / "mvsnet_features_int8.onnx").unlink()
+    exported_into(model, path.parent)
+    after = read_manifest(path)
+    assert after.int8_regularizer is after.int8_features is None
+    assert after.calibration is not None
 
 
 def test_exporting_other_weights_says_what_is_gone(
@@ -150,8 +161,8 @@ def test_exporting_other_weights_says_what_is_gone(
         exported_into(model, path.parent)
     after = read_manifest(path)
     assert after.calibration is None
-    assert after.int8_regularizer is None
-    assert not (path.parent / "mvsnet_regularizer_int8.onnx").exists()
+    assert after.int8_regularizer is after.int8_features is None
+    assert not [*path.parent.glob("*_int8.onnx")]
     for made, again in (("confidence_calibration", "training.calibration"), ("int8", "export.quantize")):
         assert f"mvsnet: {made} was made from other weights and is gone" in caplog.text
         assert again in caplog.text

@@ -98,13 +98,16 @@ def test_int8_gives_the_depth_of_float32(demo: DemoResult) -> None:
     planes, depths = [], []
     for view in scene.views[5:30:12]:
         group = [view, *(scene.views[i] for i in view.sources[:4])]
-        features = [models[0].features(read_image(v.image_path)) for v in group]
+        images = [read_image(v.image_path) for v in group]
+        features = [[model.features(image) for image in images] for model in models]
         cameras = np.stack([v.camera.intrinsic for v in group]), np.stack([v.camera.cam_from_world for v in group])
         depth_range = (view.camera.depth_min, view.camera.depth_max)
-        volume, _ = models[0].cost_volume(features, *cameras, depth_range)
-        exact_index, quick_index = (model.regularize(volume)[0] for model in models)
+        both = list(zip(models, features, strict=True))
+        exact_index, quick_index = (
+            model.regularize(model.cost_volume(own, *cameras, depth_range)[0])[0] for model, own in both
+        )
         planes.append(np.abs(quick_index - exact_index).ravel())
-        exact, quick = (model.predict_from_features(features, *cameras, depth_range) for model in models)
+        exact, quick = (model.predict_from_features(own, *cameras, depth_range) for model, own in both)
         depths.append(np.abs(quick.depth / exact.depth - 1)[exact.confidence > 0.5])
     index, depth = np.concatenate(planes), np.concatenate(depths)
     assert 0 < np.median(index) < 0.1

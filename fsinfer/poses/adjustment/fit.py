@@ -73,18 +73,19 @@ def fit(
     *,
     steps: int = _MOST_STEPS,
     enough: float = _ENOUGH,
-    foresee: bool = False,
+    foreseen: float = 0.0,
 ) -> Unknowns:
     """Adjust everything; of each photo's own unknowns those of ``groups``.
 
-    It ends after so many ``steps``, or with one that gains less than the share ``enough`` of the cost; with ``foresee``
-    with one after which the next would, were its gain to fall as the last one did.
+    It ends after so many ``steps``, with one that gains less than the share ``enough`` of the cost, or with one after
+    which the next would gain less than ``foreseen``, were its gain to fall as the last one did.
     """
     seen, best = structure.seen, start
     cost = weighting.cost(seen, best)
     damping = _DAMPING
     gain = 0.0
     for _ in range(steps):
+        damped = damping
         blocks = normal_equations(structure, best, groups, weighting)
         while damping <= _MOST_DAMPING:
             try:
@@ -101,9 +102,10 @@ def fit(
             return best
         before, gain = gain, 1 - cost_there / cost
         best, cost = tried, cost_there
-        damping *= _LESS
-        if gain < enough or (foresee and gain**2 < enough * before):
+        # After a step that had to be shortened the next may gain more.
+        if gain < enough or (damping == damped and gain**2 < foreseen * before):
             break
+        damping *= _LESS
     return best
 
 

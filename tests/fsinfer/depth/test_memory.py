@@ -179,10 +179,17 @@ def test_photos_that_do_not_fit_are_cut_into_the_largest_tiles_that_do() -> None
 
 def test_fusion_shrinks_its_batches_before_it_drops_points() -> None:
     assert _fusion(3.0) == FusionPlan(
-        cache_maps=40, at_once=4, batch_points=1_500_000, max_points=4_000_000, peak_bytes=_fusion(3.0).peak_bytes
+        cache_maps=40,
+        at_once=4,
+        ahead=8,
+        batch_points=1_500_000,
+        max_points=4_000_000,
+        peak_bytes=_fusion(3.0).peak_bytes,
     )
     smaller = _fusion(1.7)
     assert smaller.batch_points < 1_500_000
+    # Views wait to be merged in what nothing else asks for.
+    assert smaller.ahead == 0
     assert smaller.max_points == 4_000_000
     least = _fusion(0.8)
     assert least.max_points < 4_000_000
@@ -236,6 +243,34 @@ work = [threading.Thread(target=model.predict, args=(images, intrinsics, poses, 
 plan = plan_depth(3.0, width=960, height=512, **{FIELD}, views=3, most_cached=3, int8=True, most_at_once=2)
 assert plan.at_once == 2
 """
+_FOUR = f"""
+import threading
+from fsinfer.depth.model import DepthModel
+from fsinfer.depth.memory import plan_depth
+from tests.bench.speed import make_views
+images, intrinsics, poses, depth_range = make_views(3, 352, 640)
+plan = plan_depth(3.0, width=640, height=352, **{FIELD}, views=3, most_cached=3, int8=True, most_at_once=4)
+assert (plan.at_once, plan.regularizers) == (4, 2)
+model = DepthModel.load(threads=1, precision="int8", regularizers=plan.regularizers)
+for _ in range(2):
+    work = [threading.Thread(target=model.predict, args=(images, intrinsics, poses, depth_range)) for _ in range(4)]
+    [one.start() for one in work]
+    [one.join() for one in work]
+"""
+_TWO_FLOAT = f"""
+import threading
+from fsinfer.depth.model import DepthModel
+from fsinfer.depth.memory import plan_depth
+from tests.bench.speed import make_views
+images, intrinsics, poses, depth_range = make_views(3, 352, 640)
+model = DepthModel.load(threads=1, precision="float32")
+for _ in range(2):
+    work = [threading.Thread(target=model.predict, args=(images, intrinsics, poses, depth_range)) for _ in range(2)]
+    [one.start() for one in work]
+    [one.join() for one in work]
+plan = plan_depth(3.0, width=640, height=352, **{FIELD}, views=3, most_cached=3, most_at_once=2)
+assert (plan.at_once, plan.regularizers) == (2, 1)
+"""
 _TILED = f"""
 from fsinfer.depth.model import DepthModel
 from fsinfer.depth.memory import plan_depth
@@ -251,7 +286,7 @@ tiled.predict_from_features([model.features(image) for image in images], intrins
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-@pytest.mark.parametrize("program", [_WHOLE, _INT8, _TWO, _TILED])
+@pytest.mark.parametrize("program", [_WHOLE, _INT8, _TWO, _FOUR, _TWO_FLOAT, _TILED])
 def test_the_estimate_is_that_of_a_real_run(program: str) -> None:
     done = subprocess.run([sys.executable, "-c", program + _PEAK], capture_output=True, text=True, check=True)
     expected, found = (int(word) for word in done.stdout.split())

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import threading
+import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,6 +14,7 @@ import pytest
 
 from fsinfer.depth import stage, view_maps
 from fsinfer.depth.job import DepthJob, plan_job
+from fsinfer.depth.manifest import read_manifest
 from fsinfer.depth.model import DepthModel
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.stage import estimate_depth
@@ -84,9 +87,9 @@ def test_a_graphics_card_and_a_worker_of_a_cluster_compute_one_at_a_time(scene: 
     assert plan_job(scene.views, replace(SETTINGS, scheduler="tcp://10.0.0.1:8786")).plan.at_once == 1
 
 
-@pytest.mark.parametrize(("at_once", "threads"), [(1, 5), (2, 3), (3, 2)])
+@pytest.mark.parametrize(("at_once", "threads"), [(1, (5, 5)), (2, (3, 4)), (3, (2, 3)), (9, (2, 3))])
 def test_the_cores_are_shared_out_among_the_maps(
-    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_once: int, threads: int
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_once: int, threads: tuple[int, int]
 ) -> None:
     class AskedError(Exception):
         pass
@@ -95,10 +98,36 @@ def test_the_cores_are_shared_out_among_the_maps(
         job = plan_job(views, settings)
         return replace(job, plan=replace(job.plan, at_once=at_once))
 
-    def maps(_job: DepthJob, *, plan: object, threads: int) -> None:
-        raise AskedError(threads)
+    def maps(_job: DepthJob, *, plan: object, threads: int, graph_threads: int) -> None:
+        raise AskedError(threads, graph_threads)
 
     monkeypatch.setattr(stage, "plan_job", planned)
     monkeypatch.setattr(stage, "MapsOfViews", maps)
-    with pytest.raises(AskedError, match=f"^{threads}$"):
+    # Of nine at a time there are three views to share them out among.
+    with pytest.raises(AskedError, match=re.escape(str(threads))):
         estimate_depth(scene, tmp_path / "out", settings=replace(SETTINGS, threads=5))
+
+
+@pytest.mark.parametrize("regularizers", [1, 2])
+def test_no_more_maps_are_in_the_regularizer_than_are_let_in(regularizers: int) -> None:
+    inside, most = 0, 0
+    lock = threading.Lock()
+
+    class Regularizer:
+        def run_two(self, _feeds: object) -> tuple[int, int]:
+            nonlocal inside, most
+            with lock:
+                inside += 1
+                most = max(most, inside)
+            time.sleep(0.05)
+            with lock:
+                inside -= 1
+            return 0, 0
+
+    model = DepthModel(read_manifest("field"), {"regularizer": Regularizer()}, 1, "int8", regularizers=regularizers)
+    asking = [threading.Thread(target=model.regularize, args=(None,)) for _ in range(5)]
+    for one in asking:
+        one.start()
+    for one in asking:
+        one.join()
+    assert most == regularizers

@@ -25,7 +25,7 @@ def make_samples(
 
 
 def test_points_of_a_voxel_become_their_weighted_mean() -> None:
-    merged = merge_voxels(make_samples([[0.1, 0.1, 0.1], [0.9, 0.1, 0.1], [-0.1, 0.1, 0.1]], [1, 3, 5]), 1.0)
+    _, merged = merge_voxels(make_samples([[0.1, 0.1, 0.1], [0.9, 0.1, 0.1], [-0.1, 0.1, 0.1]], [1, 3, 5]), 1.0)
     order = np.argsort(merged.xyz[:, 0])
     np.testing.assert_allclose(merged.xyz[order], [[-0.1, 0.1, 0.1], [0.7, 0.1, 0.1]])
     assert merged.views[order].tolist() == [2, 1]
@@ -41,7 +41,7 @@ def test_batches_give_the_same_as_all_at_once() -> None:
     merger = VoxelMerger(0.7, max_points=10_000, batch_points=700)
     for part in parts:
         merger.add(part)
-    at_once, batched = merge_voxels(join(parts), 0.7), merger.result()
+    (_, at_once), batched = merge_voxels(join(parts), 0.7), merger.result()
     assert batched is not None
     np.testing.assert_allclose(batched.xyz, at_once.xyz, atol=1e-12)
     np.testing.assert_allclose(batched.weight, at_once.weight, rtol=1e-12)
@@ -69,13 +69,11 @@ def test_normals_of_two_batches_are_averaged_as_positions_are() -> None:
 def test_batches_are_merged_when_enough_has_come_and_not_before(monkeypatch: pytest.MonkeyPatch) -> None:
     sizes: list[int] = []
 
-    merged = voxels._merged
-
     def merge(samples: Samples, voxel: float) -> tuple[NDArray[np.int64], Samples]:
         sizes.append(len(samples))
-        return merged(samples, voxel)
+        return merge_voxels(samples, voxel)
 
-    monkeypatch.setattr(voxels, "_merged", merge)
+    monkeypatch.setattr(voxels, "merge_voxels", merge)
     merger = VoxelMerger(1.0, max_points=100, batch_points=50)
     for _ in range(12):
         merger.add(make_samples([[0.5, 0.5, 0.5]] * 10))
@@ -87,7 +85,7 @@ def test_batches_are_merged_when_enough_has_come_and_not_before(monkeypatch: pyt
 
 def test_voxels_beside_each_other_stay_apart_on_both_sides_of_the_origin() -> None:
     places = np.stack(np.meshgrid(*[[-1.5, -0.5, 0.5, 1.5]] * 3), axis=-1).reshape(-1, 3)
-    merged = merge_voxels(make_samples(np.concatenate([places, places + 0.1])), 1.0)
+    _, merged = merge_voxels(make_samples(np.concatenate([places, places + 0.1])), 1.0)
     assert len(merged) == 64
     assert set(merged.count.tolist()) == {2}
 
@@ -150,7 +148,7 @@ def test_colours_and_normals_are_averaged_as_positions_are() -> None:
         rgb=np.array([[0, 100, 200], [40, 20, 200]], np.float32),
         normals=np.array([[1, 0, 0], [0, 0.6, 0.8]], np.float32),
     )
-    merged = merge_voxels(samples, 1.0)
+    _, merged = merge_voxels(samples, 1.0)
     np.testing.assert_allclose(merged.rgb, [[30, 40, 200]])
     mean = np.array([0.25, 0.45, 0.6])
     np.testing.assert_allclose(merged.normals, [mean / np.linalg.norm(mean)], rtol=1e-6)

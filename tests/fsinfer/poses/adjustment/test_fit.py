@@ -142,11 +142,11 @@ def test_a_fit_that_foresees_the_next_step_s_gain_ends_before_it_and_loses_next_
 
     monkeypatch.setattr(fit_module, "normal_equations", counted)
 
-    def ended(*, foresee: bool) -> tuple[int, float]:
+    def ended(foreseen: float) -> tuple[int, float]:
         steps.clear()
-        found = fit(structure, start, (Group.turn, Group.focal), weights, steps=25, enough=1e-3, foresee=foresee)
+        found = fit(structure, start, (Group.turn, Group.focal), weights, steps=25, enough=1e-3, foreseen=foreseen)
         return len(steps), weights.cost(seen, found)
 
-    plain, soon = ended(foresee=False), ended(foresee=True)
+    plain, soon = ended(0.0), ended(1e-3)
     assert 1 < soon[0] < plain[0]
     assert plain[1] <= soon[1] < 1.002 * plain[1]
