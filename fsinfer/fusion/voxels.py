@@ -229,9 +229,10 @@ class _Voxels:
         at = np.searchsorted(self._keys, keys)
         known = self._keys[np.minimum(at, len(self._keys) - 1)] == keys
         self._average(self._place[at[known]], select(new, known))
-        gaps, added = at[~known], np.arange(self._count, self._count + int((~known).sum()))
+        gaps = at[~known]
+        self._place = np.insert(self._place, gaps, np.arange(self._count, self._count + len(gaps)))
+        self._keys = np.insert(self._keys, gaps, keys[~known])
         self._append(select(new, ~known))
-        self._keys, self._place = np.insert(self._keys, gaps, keys[~known]), np.insert(self._place, gaps, added)
 
     def _average(self, at: NDArray[np.intp], new: Samples) -> None:
         held = self._values

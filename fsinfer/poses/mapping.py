@@ -93,14 +93,14 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
     extract_features(database, images, walk.cameras, settings, progress)
     match_features(database, walk.files, settings, progress)
 
-    def look_for_boards(go_on: Callable[[], None]) -> list[BoardSighting]:
+    def look_for_boards(told: Progress, threads: int) -> list[BoardSighting]:
         return find_boards(
             images,
             walk.files,
             dictionary=settings.dictionary,
             longest_px=FEATURE_SIZE_PX,
-            progress=lambda _done, _total, _what: go_on(),
-            threads=max(1, settings.photo_threads - 1),
+            progress=told,
+            threads=threads,
         )
 
     def map_all() -> list[Any]:
@@ -108,12 +108,16 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
 
     sure = sure_pairs(database, walk.files, work, settings)
     if settings.mapper == "incremental" and settings.photo_threads > 1:
+
+        def quietly(go_on: Callable[[], None]) -> list[BoardSighting]:
+            return look_for_boards(lambda _done, _total, _what: go_on(), settings.photo_threads - 1)
+
         # The incremental mapper has one thread, and lets others work.
-        with beside(look_for_boards) as boards:
+        with beside(quietly) as boards:
             models = map_all()
             sightings = boards()
     else:
-        sightings = look_for_boards(lambda: None)
+        sightings = look_for_boards(progress, settings.photo_threads)
         models = map_all()
     placed = models[0].num_reg_images() if models else 0
     model: Any = None
