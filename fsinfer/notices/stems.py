@@ -33,6 +33,7 @@ class StemCode(StrEnum):
     points_alone = "points_alone"
     sources_disagree = "sources_disagree"
     parts_disagree = "parts_disagree"
+    boards_elsewhere = "boards_elsewhere"
     # What else is said of a tree.
     added_by_hand = "added_by_hand"
     merged_by_hand = "merged_by_hand"
@@ -121,6 +122,10 @@ SENTENCES: dict[StemCode, str] = {
     StemCode.points_alone: "only from its points: no photo shows its edges clearly",
     StemCode.sources_disagree: "the points say {points_cm:.1f} cm, the edges in the photos {edges_cm:.1f} cm",
     StemCode.parts_disagree: "another part of the walk says {other_cm:.1f} cm",
+    StemCode.boards_elsewhere: (
+        "boards {boards} stand at two places each, up to {apart_m:.1f} m apart: photos were placed wrongly, perhaps "
+        "those that show this stem"
+    ),
     StemCode.added_by_hand: "added by hand",
     StemCode.merged_by_hand: "{tree_id} and {other_id} merged by hand",
     StemCode.as_written: "{text}",
@@ -199,6 +204,7 @@ ADVICE: dict[StemCode, str] = {
     StemCode.edges_unsupported: "walk round it",
     StemCode.points_alone: "walk round it, nearer to it",
     StemCode.parts_disagree: "check with a tape",
+    StemCode.boards_elsewhere: "take more photos on the way between them",
     StemCode.sources_disagree: "look at its strips of photographs, or check with a tape",
     StemCode.none_at_stem_height: "check the scale, or photograph the stems as well as the ground",
     StemCode.none_round: "check the scale",

@@ -10,6 +10,7 @@ import numpy as np
 
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.stems import StemCode
 from fsinfer.scale.agreement import back_to_back, faces_of_boards
 from fsinfer.scale.printed_boards import DICTIONARY, board_lengths
 from fsinfer.scale.request import Point, ScaleRequest
@@ -20,6 +21,10 @@ LIKELY_HEIGHTS_M = (0.4, 3.5)
 #: Two places of one number that are nearer to each other than this are one board, seen from both sides or a little
 #: askew. Source: what boards are made of; cardboard to planks are up to three centimetres thick.
 LEAST_APART_M = 0.03
+#: Boards that stand so far apart speak of photos in a wrong place, and not of a walk that drifted a little; so many
+#: numbers, and this share of all, must. Source: judgement; one number may be that of two boards, and of a rendered walk
+#: that was put together wrongly all boards stood 3 to 13 m from themselves.
+_WRONG_APART_M, _WRONG_NUMBERS, _WRONG_SHARE = 0.3, 2, 1 / 3
 #: A given length that differs by more from the printed one is not that of a print which came out a little smaller, and
 #: was measured. Source: judgement; the three sizes differ by a quarter and more.
 _OTHER_LENGTH = 0.1
@@ -146,3 +151,19 @@ def boards_at_two_places(boards: Scale, m_per_unit: float) -> tuple[Notice, ...]
                 notice(CaptureCode.board_at_two_places, number=number, apart_m=apart_m, first=views[0], last=views[-1])
             )
     return tuple(found)
+
+
+def doubt_about_all(boards: Scale) -> Notice | None:
+    """Why no stem of the plot is sure, or None: several of its boards contradict the places of the photos."""
+    if not boards.markers:
+        return None
+    m_per_unit = boards.m_per_unit or float(np.median([marker.m_per_unit for marker in boards.markers]))
+    apart_m: dict[int, float] = {}
+    for told in boards_at_two_places(boards, m_per_unit):
+        number, apart = told.values["number"], told.values["apart_m"]
+        if isinstance(number, int) and isinstance(apart, float) and apart >= _WRONG_APART_M:
+            apart_m[number] = max(apart, apart_m.get(number, 0.0))
+    if len(apart_m) < max(_WRONG_NUMBERS, _WRONG_SHARE * len({marker.id for marker in boards.markers})):
+        return None
+    named = ", ".join(str(number) for number in sorted(apart_m))
+    return notice(StemCode.boards_elsewhere, boards=named, apart_m=max(apart_m.values()))

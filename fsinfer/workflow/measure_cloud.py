@@ -28,6 +28,7 @@ from fsinfer.placement.place import density_per_m2, transform_cloud
 from fsinfer.plot_border.request import BorderRequest
 from fsinfer.progress import Progress, silent
 from fsinfer.scale.clicks.file import read_clicks
+from fsinfer.scale.doubts import doubt_about_all
 from fsinfer.scale.find import FoundScale, find_scale
 from fsinfer.scale.request import ClickedLength, ScaleRequest
 from fsinfer.scale.scale import UNKNOWN, MarkerDetails, Scale, marker_centers
@@ -108,7 +109,7 @@ class _Opened:
     warnings: tuple[Notice, ...] = ()
 
 
-MEASURE = Stage(name="measure", version=16, result=MeasuredCloud, outputs=("trees.csv",))
+MEASURE = Stage(name="measure", version=17, result=MeasuredCloud, outputs=("trees.csv",))
 
 
 @one_blas_thread()
@@ -170,6 +171,7 @@ def measure_cloud_file(
             epsg=_epsg(cloud_path, found.scale),
             photos=photos,
             edits=corrections,
+            doubt=None if photos is None else doubt_about_all(origin.markers),
             write_labelled=opened.labelled,
         )
         trees, given, turned = _measure(given, out, settings.stage, progress)

@@ -22,6 +22,7 @@ from fsinfer.output.plot_json import write_plot
 from fsinfer.poses.estimate import PosesResult
 from fsinfer.progress import StageProgress, silent_stages
 from fsinfer.scale.clicks.file import read_clicks
+from fsinfer.scale.doubts import doubt_about_all
 from fsinfer.scale.find import FoundScale
 from fsinfer.scale.scale import marker_centers
 from fsinfer.threads import one_blas_thread
@@ -57,7 +58,7 @@ class ReportResult:
     path: Path
 
 
-TREES = Stage(name="trees", version=31, result=TreesResult, outputs=("trees.csv", "figures"))
+TREES = Stage(name="trees", version=32, result=TreesResult, outputs=("trees.csv", "figures"))
 REPORT = Stage(name="report", version=1, result=ReportResult, outputs=("report.html",))
 
 
@@ -212,6 +213,7 @@ def _measure_trees(
             photos=photos_of_run(out, scene_of(out), cloud.cloud_from_scene),
             edits=edits,
             parts=parts,
+            doubt=doubt_about_all(scale),
         )
         try:
             return measure_plot(given, out, settings=of_trees, progress=progress("trees"))

@@ -34,6 +34,7 @@ from fsinfer.trees.outputs.table import write_trees
 from fsinfer.trees.outputs.workbook import write_tables
 from fsinfer.trees.pattern.join import JoinedPart
 from fsinfer.trees.pattern.match import PatternSettings
+from fsinfer.trees.plot_doubt import all_doubtful
 from fsinfer.trees.posts import without_posts
 from fsinfer.trees.stem_curve import CurvePoint, CurveSettings, stem_curves, write_curves
 from fsinfer.workflow.joined_parts import JoinedParts, cameras_of, copy_figures, join_measured
@@ -97,6 +98,7 @@ class PlotCloudInput:
     edits: corrections by hand (:mod:`fsinfer.trees.edits`), applied to what was found.
     parts: folders of parts of the walk that were measured apart; their stems are put into this plot where their pattern
         tells how (metres only).
+    doubt: why no stem of this cloud is sure, if there is a reason.
     write_labelled: writes ``trees.laz`` instead, for a cloud of which only a part is in memory.
     """
 
@@ -110,6 +112,7 @@ class PlotCloudInput:
     photos: StemPhotos | None = None
     edits: Sequence[TreeEdit] = ()
     parts: Sequence[Path] = ()
+    doubt: Notice | None = None
     write_labelled: Callable[[Path, PlotResult], None] | None = None
 
 
@@ -148,6 +151,8 @@ def measure_plot(
     measured = _look_at_photos(edited, given, out, settings, found=found, progress=progress)
     if given.metric:
         measured = replace(measured, warnings=(*measured.warnings, *forks(measured.trees, measured.sections)))
+    if given.doubt is not None:
+        measured = all_doubtful(measured, given.doubt)
     curves = stem_curves(given.cloud.xyz, measured, settings=settings.stem_curve) if given.metric else {}
     whole, added = join_measured(
         measured,

@@ -11,10 +11,10 @@ from fsinfer.check.advice import marker_lines
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import notice
 from fsinfer.notices.sentences import sentence
-from fsinfer.scale.doubts import boards_at_two_places, doubt_boards, number_of_boards
+from fsinfer.scale.doubts import boards_at_two_places, doubt_about_all, doubt_boards, number_of_boards
 from fsinfer.scale.find import find_scale
 from fsinfer.scale.request import ScaleRequest
-from fsinfer.scale.scale import BoardVerdict
+from fsinfer.scale.scale import UNKNOWN, BoardVerdict
 from fsinfer.scene import Scene
 from tests.support.boards import board, scale_of_boards
 
@@ -111,3 +111,32 @@ def test_another_length_than_the_board_says_is_told(number: int, given_m: float,
         assert f"too {'large' if number == 21 else 'small'}" in sentence(found[0])
     # Where the numbers told the length there is nothing to compare.
     assert not doubt_boards(scale_of_boards(boards, length_m=None))
+
+
+@pytest.mark.parametrize(
+    ("twice", "apart_m", "doubted"),
+    [((1, 2), 4.0, "1, 2"), ((1,), 4.0, None), ((1, 2), 0.25, None), ((1, 2, 3), 0.35, "1, 2, 3"), ((), 4.0, None)],
+)
+def test_several_boards_metres_from_themselves_make_all_stems_doubtful(
+    twice: tuple[int, ...], apart_m: float, doubted: str | None
+) -> None:
+    boards = [board(number, (3.0 * number, 0.0, 0.0), "abc", m_per_unit=2.0) for number in (1, 2, 3, 4, 5, 6)]
+    boards += [board(number, (3.0 * number, apart_m / 2, 0.0), "pq", m_per_unit=2.0) for number in twice]
+    scale = scale_of_boards(boards, m_per_unit=2.0)
+    doubt = doubt_about_all(scale)
+    assert doubt_about_all(replace(scale, m_per_unit=None)) == doubt
+    if doubted is None:
+        assert doubt is None
+    else:
+        assert doubt is not None
+        assert doubt.values["boards"] == doubted
+        assert doubt.values["apart_m"] == pytest.approx(apart_m)
+        assert f"boards {doubted} stand at two places" in sentence(doubt)
+
+
+def test_two_boards_of_many_are_two_prints_of_one_number() -> None:
+    boards = [board(number, (3.0 * number, 0.0, 0.0), "abc") for number in range(1, 8)]
+    boards += [board(number, (3.0 * number, 4.0, 0.0), "pq") for number in (1, 2)]
+    scale = scale_of_boards(boards)
+    assert doubt_about_all(scale) is None
+    assert doubt_about_all(UNKNOWN) is None

@@ -41,6 +41,7 @@ from fsinfer.notices.notice import notice
 from fsinfer.output.plot_json import read_plot, write_plot
 from fsinfer.plot_border.request import BorderRequest
 from fsinfer.poses.estimate import PosesResult
+from fsinfer.scale.doubts import boards_at_two_places
 from fsinfer.scale.find import FoundScale
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scene import project, read_camera, read_scene, write_camera
@@ -703,3 +704,22 @@ def test_what_is_known_of_scale_cameras_and_boards_is_given_to_the_trees(
         assert row.dbh_lo95_cm is not None
         assert row.dbh_cm is not None
         assert row.dbh_hi95_cm - row.dbh_lo95_cm > 2 * 1.96 * 0.02 * row.dbh_cm
+
+
+def test_no_stem_is_ok_where_boards_stand_metres_from_themselves(
+    fakes: Fakes, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def find_scale(*_: Any, **__: Any) -> FoundScale:
+        boards = [board(n, (n, y, 1.0), "abc"[: 3 - y // 4]) for n in (40, 43) for y in (0, 4)]
+        scale = scale_of_boards(boards, m_per_unit=M_PER_UNIT, rel_std=0.02)
+        return FoundScale(scale=scale, warnings=boards_at_two_places(scale, M_PER_UNIT))
+
+    monkeypatch.setattr(cloud_stages, "find_scale", find_scale)
+    out = tmp_path / "out"
+    run(photos, out)
+    measure_cloud_file(out / "cloud.ply", tmp_path / "again", request=ScaleRequest())
+    for folder in (out, tmp_path / "again"):
+        rows = [row for row in read_trees(folder / "trees.csv") if row.dbh_cm is not None]
+        assert rows
+        assert {row.status for row in rows} == {"doubtful"}
+        assert all("boards 40, 43 stand at two places" in row.reason for row in rows)

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
+from fsinfer.io.cloud import PointCloud
 from fsinfer.notices.notice import notice
 from fsinfer.notices.sentences import is_remark
 from fsinfer.notices.stems import StemCode
 from fsinfer.scale.scale import UNKNOWN, marker_centers
 from fsinfer.trees import analyse_plot
 from fsinfer.trees.posts import without_posts
+from fsinfer.workflow.tree_stage import PlotCloudInput, measure_plot
 from tests.support.boards import board, scale_of_boards
 from tests.support.stem_clouds import stem_plot
 
@@ -45,3 +49,22 @@ def test_a_doubtful_stem_at_a_marker_is_taken_for_its_post() -> None:
     assert [given.code for given in kept.warnings] == [StemCode.post_of_marker]
     assert is_remark(kept.warnings[0])
     assert without_posts(changed, np.empty((0, 3))).trees == changed.trees
+
+
+def test_what_speaks_against_all_stems_leaves_none_that_is_ok(tmp_path: Path) -> None:
+    plot = stem_plot(trees=4, seed=3)
+    doubt = notice(StemCode.boards_elsewhere, boards="21, 22", apart_m=4.2)
+    rows = []
+    for name, why in (("sure", None), ("doubted", doubt)):
+        measure_plot(PlotCloudInput(cloud=PointCloud(xyz=plot.points), doubt=why), tmp_path / name)
+        with (tmp_path / name / "trees.csv").open(encoding="utf-8") as text:
+            rows.append(list(csv.DictReader(text)))
+    sure, doubted = rows
+    assert [row["dbh_cm"] for row in doubted] == [row["dbh_cm"] for row in sure]
+    assert "ok" in {row["status"] for row in sure}
+    for before, after in zip(sure, doubted, strict=True):
+        if before["dbh_cm"]:
+            assert after["status"] == "doubtful"
+            assert "boards 21, 22 stand at two places each, up to 4.2 m apart" in after["reason"]
+        else:
+            assert after == before
