@@ -166,13 +166,16 @@ def reconstruct(
     only: Sequence[str] = (),
     known_cameras: Sequence[int] = (),
     beginnings: Sequence[tuple[int, int]] = (),
+    least_points: int | None = None,
+    step: str = "placing photos",
 ) -> list[Any]:
     """Map the photos; returns the ``pycolmap.Reconstruction`` of each connected part, the largest first.
 
     With a model to ``start`` from, the incremental mapper goes on with the photos that it has not placed. ``only``:
     the files of the photos that are to be mapped; none = all. ``known_cameras``: ids of those whose calibration in the
     database stands. ``beginnings``: pairs, by COLMAP's numbers, to begin with, the best first; where none is given, or
-    the first that makes a model makes one of less than half of the photos, COLMAP looks for one.
+    the first that makes a model makes one of less than half of the photos, COLMAP looks for one. ``least_points``: that
+    must agree on the place of a photo; None: COLMAP's.
     """
     import pycolmap
 
@@ -182,7 +185,7 @@ def reconstruct(
         total = int(opened.num_images())
         if opened.num_verified_image_pairs() == 0:
             return []
-    progress(0, total, "placing photos")
+    progress(0, total, step)
     if settings.mapper == "global":
         options = pycolmap.GlobalPipelineOptions()
         options.num_threads = settings.thread_count
@@ -191,10 +194,10 @@ def reconstruct(
     elif settings.mapper == "incremental":
         before = placed = 0 if start is None else int(start.num_reg_images())
 
-        def step() -> None:
+        def next_photo() -> None:
             nonlocal placed
             placed = min(placed + 1, total)
-            progress(placed, total, "placing photos")
+            progress(placed, total, step)
 
         known = out / "start"
         if start is not None:
@@ -203,6 +206,8 @@ def reconstruct(
 
         def mapped(beginning: tuple[int, int] | None = None) -> Any:
             options = _incremental(settings, only, known_cameras)
+            if least_points is not None:
+                options.mapper.abs_pose_min_num_inliers = least_points
             options.multiple_models = start is None and beginning is None
             if beginning is not None:
                 options.init_image_id1, options.init_image_id2 = beginning
@@ -215,7 +220,7 @@ def reconstruct(
                 out,
                 options=options,
                 input_path="" if start is None else known,
-                next_image_callback=step,
+                next_image_callback=next_photo,
             )
 
         models = next(filter(None, map(mapped, beginnings if start is None else ())), {})
@@ -225,7 +230,7 @@ def reconstruct(
     else:
         msg = f"there is no mapper {settings.mapper!r}; choose incremental or global"
         raise PosesError(msg)
-    progress(total, total, "placing photos")
+    progress(total, total, step)
     return sorted(models.values(), key=lambda model: (-model.num_reg_images(), -model.num_points3D()))
 
 

@@ -106,7 +106,7 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
     def map_all() -> list[Any]:
         return reconstruct(sure.database, images, work / "models", settings, progress, beginnings=sure.beginnings)
 
-    sure = sure_pairs(database, walk.files, work, settings)
+    sure = sure_pairs(database, walk.files, work, settings, progress)
     if settings.mapper == "incremental" and settings.photo_threads > 1:
 
         def quietly(go_on: Callable[[], None]) -> list[BoardSighting]:
@@ -123,24 +123,24 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
     model: Any = None
     misplaced: dict[str, list[str]] = {}
     if placed >= settings.min_registered:
-        model, misplaced = repair(models[0], database, walk.files, work, settings, progress, sightings=sightings)
+        model, misplaced = repair(models[0], sure.matched, walk.files, work, settings, progress, sightings=sightings)
         put_back(model, sure.left_out, database, work)
     has_place = walk.has_place(model) if model is not None else [False] * len(walk.files)
-    matched = database
+    matched = sure.matched
     if torn(has_place, settings):
         richer = rematch(database, images, walk.cameras, walk.files, has_place, settings, progress)
         start = _beyond_the_tear(model, walk, seams(has_place, settings.thorough.beside), settings)
-        sure = sure_pairs(richer, walk.files, work, settings)
+        sure = sure_pairs(richer, walk.files, work, settings, progress)
         again = reconstruct(
             sure.database, images, work / "thorough", settings, progress, start=start, beginnings=sure.beginnings
         )
         if again and again[0].num_reg_images() >= max(sum(has_place), settings.min_registered):
-            better, wrong = repair(again[0], richer, walk.files, work, settings, progress, sightings=sightings)
+            better, wrong = repair(again[0], sure.matched, walk.files, work, settings, progress, sightings=sightings)
             put_back(better, sure.left_out, richer, work)
             if sum(walk.has_place(better)) > sum(has_place):
                 _log.info("thorough: %d instead of %d photos", better.num_reg_images(), sum(has_place))
                 model, misplaced, models = better, wrong, again
-                matched = richer
+                matched = sure.matched
         placed = max(placed, again[0].num_reg_images() if again else 0)
     if model is None:
         found = "no two photos" if placed == 0 else f"only {placed} photos"

@@ -8,14 +8,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from fsinfer.poses.chain import judge_pairs
 from fsinfer.poses.colmap_calls import SEED, call, database_cache, image_number, open_database
 from fsinfer.poses.matches import is_walk
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.verification.misplaced import without_pairs
-from fsinfer.poses.verification.pair_votes import pair_votes
+from fsinfer.poses.verification.point_votes import point_votes
 from fsinfer.poses.view_graph import beginnings, calibrate, configurations, contradicting, pair_turns
+from fsinfer.progress import Progress
 
 _log = logging.getLogger(__name__)
+
+
+#: Pairs that were left out come back where their points are seen within so many focal lengths. Source: as of common
+#: points of two parts, ``joining/common_points.py``.
+_AGREES = 0.008
+#: Fewer points tell nothing. Source: judgement.
+_FEWEST_POINTS = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,43 +34,60 @@ class SurePairs:
     Attributes
     ----------
     database: with the matches of the pairs that do not contradict each other.
-    left_out: the others, by COLMAP's numbers of their photos, the smaller first.
+    matched: with those of all pairs but the ones that are known to be false.
+    left_out: the pairs that are not in ``database``, by COLMAP's numbers of their photos, the smaller first.
     beginnings: pairs to begin with, the best first.
     """
 
     database: Path
+    matched: Path
     left_out: tuple[tuple[int, int], ...] = ()
     beginnings: tuple[tuple[int, int], ...] = ()
 
 
-def sure_pairs(database: Path, files: Sequence[str], work: Path, settings: PoseSettings) -> SurePairs:
+def sure_pairs(
+    database: Path, files: Sequence[str], work: Path, settings: PoseSettings, progress: Progress
+) -> SurePairs:
     """Calibrate the cameras of ``database`` by their pairs, and choose the pairs to map a walk with.
 
     Photos in no order, and those for the global mapper, which judges for itself, keep all their pairs.
 
     Parameters
     ----------
-    files: of all photos in the order of walking. work: folder for copies of the database.
+    files: of all photos in the order of walking. work: folder with the photos in ``images``, and for copies of the
+        database.
     """
     if settings.mapper != "incremental":
-        return SurePairs(database=database)
+        return SurePairs(database=database, matched=database)
     calibrate(database, work)
     if not is_walk(database, files, settings):
-        return SurePairs(database=database)
+        return SurePairs(database=database, matched=database)
     turns = pair_turns(database)
     with open_database(database) as opened:
         rank = {image_number(opened, file): place for place, file in enumerate(files)}
-    left_out = contradicting(turns, rank, settings.pairs.overlap)
-    _log.info("%d of %d pairs turn against all others", len(left_out), len(turns))
-    sure = without_pairs(database, left_out, work / f"{database.stem}_sure.db") if left_out else database
-    return SurePairs(database=sure, left_out=tuple(left_out), beginnings=tuple(beginnings(turns)))
+    begin = beginnings(turns)
+    judged = judge_pairs(database, rank, files, work, settings, progress, beginnings=begin)
+    matched = database
+    if judged.false:
+        matched = without_pairs(database, sorted(judged.false), work / f"{database.stem}_matched.db")
+        # Without them the others tell their directions better.
+        turns = pair_turns(matched)
+        begin = beginnings(turns)
+    known = judged.true | judged.false
+    doubted = contradicting([t for t in turns if (t.first, t.second) not in known], rank, settings.pairs.overlap)
+    sure = without_pairs(matched, doubted, work / f"{database.stem}_sure.db") if doubted else matched
+    left_out = sorted({*judged.false, *doubted})
+    _log.info(
+        "of %d pairs %d are true, %d false, %d doubted", len(turns), len(judged.true), len(judged.false), len(doubted)
+    )
+    return SurePairs(database=sure, matched=matched, left_out=tuple(left_out), beginnings=tuple(begin))
 
 
 def put_back(model: Any, left_out: Sequence[tuple[int, int]], database: Path, work: Path) -> int:
     """Observations of those pairs ``left_out`` that agree with the finished model; returns how many came.
 
-    A poor pair may tell a wrong turn and have true matches all the same: the end of a walk whose ties to its beginning
-    were such ones drifted by 3 cm without them.
+    A poor pair may tell a wrong turn and have true matches all the same, and a walk followed from photo to photo
+    drifts: the end of one whose ties to its beginning were such ones drifted by 3 cm without them.
 
     Parameters
     ----------
@@ -69,12 +95,10 @@ def put_back(model: Any, left_out: Sequence[tuple[int, int]], database: Path, wo
     """
     import pycolmap
 
-    image_ids, votes = pair_votes(model, database) if left_out else ([], [])
-    agreed = set(left_out) & {
-        _in_order(image_ids[vote.first], image_ids[vote.second])
-        for vote in votes
-        if vote.agrees and vote.telling_agrees
-    }
+    votes = point_votes(model, database) if left_out else []
+    agreed = {
+        (vote.first, vote.second) for vote in votes if vote.points >= _FEWEST_POINTS and vote.error < _AGREES
+    } & set(left_out)
     if not agreed:
         return 0
     with open_database(database) as opened:
@@ -90,8 +114,3 @@ def put_back(model: Any, left_out: Sequence[tuple[int, int]], database: Path, wo
     call(mapper.end_reconstruction, False)
     _log.info("%d of %d pairs left out agree, and bring %d observations", len(agreed), len(left_out), came)
     return int(came)
-
-
-def _in_order(first: int, second: int) -> tuple[int, int]:
-    """As COLMAP names a pair."""
-    return (first, second) if first < second else (second, first)

@@ -1,0 +1,124 @@
+"""A walk followed from photo to photo, and what it says of the pairs of photos that stand farther apart.
+
+Photos next to each other in a walk have hundreds of matches, and what looks alike a step away cannot outnumber them.
+Three or more steps away it does: litter and bark repeat, half of the pairs of neighbours of a rendered walk of 300 were
+false, and so were half of those that close loops. A map of the pairs next to each other alone drifts by centimetres,
+look-alikes are off by a step and more, and so it tells which of the others are true.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fsinfer.poses.colmap import reconstruct, with_calibration
+from fsinfer.poses.colmap_calls import open_database
+from fsinfer.poses.settings import PoseSettings
+from fsinfer.poses.verification.misplaced import without_pairs
+from fsinfer.poses.verification.point_votes import PointVote, point_votes
+from fsinfer.poses.view_graph import configurations
+from fsinfer.progress import Progress
+
+_log = logging.getLogger(__name__)
+
+#: Photos so many apart in the walk are next to each other. Source: a rendered walk of 300 photos, looked at afterwards:
+#: of 596 such pairs one is false, of 588 of the two numbers after it 148.
+_CLOSE = 2
+#: Points that must agree on the place of a photo, where only such pairs count. Source: judgement, as many as matches
+#: of a pair; COLMAP's 30 tore that walk where three photos in a row share 22 points, all of them true.
+_LEAST_POINTS = 15
+#: A pair is true where its points are seen within this many focal lengths: of neighbours, and of photos that the drift
+#: of a walk lies between. Source: that walk; true neighbours to 0.004, all but three of 543 false ones beyond 0.06, of
+#: those that close loops 573 true ones to 0.064 and four false ones below 0.13.
+_NEAR, _FAR = 0.016, 0.064
+#: Fewer points tell nothing. Source: judgement.
+_FEWEST_POINTS = 8
+#: A stretch is believed where this share of the matches of its other neighbours agrees with it. Source: judgement; of
+#: that walk 0.93 do, and 0.1 where it was mapped with a wrong focal length.
+_BELIEVED = 0.6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judged:
+    """Pairs by COLMAP's numbers of their photos, the smaller first, that a walk tells to be true, and false."""
+
+    true: frozenset[tuple[int, int]] = frozenset()
+    false: frozenset[tuple[int, int]] = frozenset()
+
+
+def judge_pairs(
+    database: Path,
+    rank: Mapping[int, int],
+    files: Sequence[str],
+    work: Path,
+    settings: PoseSettings,
+    progress: Progress,
+    *,
+    beginnings: Sequence[tuple[int, int]],
+) -> Judged:
+    """Which pairs of a walk are true and which false; what it cannot tell is in neither.
+
+    Parameters
+    ----------
+    database: of all matches, with calibrated cameras. rank: of each photo, by COLMAP's number, in the order of walking.
+    files: in that order. work: folder with the photos in ``images``, and for copies of the database.
+    beginnings: pairs to begin with, the best first.
+    """
+    true: set[tuple[int, int]] = set()
+    false: set[tuple[int, int]] = set()
+    for part in follow_walk(database, rank, files, work, settings, progress, beginnings=beginnings):
+        votes = [vote for vote in point_votes(part, database) if _apart(vote, rank) > _CLOSE]
+        share = believed_share(votes, rank, settings.pairs.overlap)
+        _log.info("followed %d photos; %.2f of their neighbours' matches agree", part.num_reg_images(), share)
+        if share < _BELIEVED:
+            continue
+        for vote in votes:
+            if vote.points >= _FEWEST_POINTS:
+                limit = _NEAR if _apart(vote, rank) <= settings.pairs.overlap else _FAR
+                (true if vote.error < limit else false).add((vote.first, vote.second))
+    return Judged(true=frozenset(true), false=frozenset(false))
+
+
+def follow_walk(
+    database: Path,
+    rank: Mapping[int, int],
+    files: Sequence[str],
+    work: Path,
+    settings: PoseSettings,
+    progress: Progress,
+    *,
+    beginnings: Sequence[tuple[int, int]],
+) -> list[Any]:
+    """A ``pycolmap.Reconstruction`` of each stretch that pairs next to each other hold together, the largest first."""
+    with open_database(database) as opened:
+        others = [pair for pair in configurations(opened) if abs(rank[pair[0]] - rank[pair[1]]) > _CLOSE]
+    close = without_pairs(database, others, work / f"{database.stem}_close.db")
+    begin = [pair for pair in beginnings if abs(rank[pair[0]] - rank[pair[1]]) <= _CLOSE]
+
+    def mapped(given: Path, **options: Any) -> list[Any]:
+        folder, images = work / "followed", work / "images"
+        step = "following the walk"
+        return reconstruct(given, images, folder, settings, progress, least_points=_LEAST_POINTS, step=step, **options)
+
+    parts = mapped(close, beginnings=begin)
+    placed = {str(part.images[i].name) for part in parts for i in part.reg_image_ids()}
+    rest = [file for file in files if file not in placed]
+    if parts and len(rest) >= settings.min_registered:
+        cameras = sorted({parts[0].images[i].camera_id for i in parts[0].reg_image_ids()})
+        calibrated = with_calibration(close, [parts[0].cameras[i] for i in cameras], work / "close_rest.db")
+        parts += mapped(calibrated, only=rest, known_cameras=cameras)
+    return parts
+
+
+def believed_share(votes: Sequence[PointVote], rank: Mapping[int, int], neighbours: int) -> float:
+    """Share of the matches of neighbours, beyond those next to each other, that agree; 0 where there are none."""
+    near = [vote for vote in votes if vote.points >= _FEWEST_POINTS and _apart(vote, rank) <= neighbours]
+    cast = sum(vote.matches for vote in near)
+    return sum(vote.matches for vote in near if vote.error < _NEAR) / cast if cast else 0.0
+
+
+def _apart(vote: PointVote, rank: Mapping[int, int]) -> int:
+    return abs(rank[vote.first] - rank[vote.second])

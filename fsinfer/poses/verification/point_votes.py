@@ -1,0 +1,96 @@
+"""What the points of a model say of the matches between its photos.
+
+Two photos that look at the same have matches whose points, as the model has them from one of them, lie where the other
+one sees them. That is more than agreeing with the epipolar lines: litter, bark and rows of stems repeat along them, and
+a photo is put metres on by matches that all lie on their lines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.poses.colmap_calls import open_database
+from fsinfer.poses.pairs import MIN_INLIERS
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointVote:
+    """Two photos by COLMAP's numbers, the smaller first, and their matches.
+
+    Attributes
+    ----------
+    points: how often a feature of a match has a point in the model, in either photo.
+    error: how far from the feature of the other photo those points are seen in it, median, in focal lengths; infinite
+        behind it, NaN without points.
+    """
+
+    first: int
+    second: int
+    matches: int
+    points: int
+    error: float
+
+
+def point_votes(model: Any, database: Path) -> list[PointVote]:
+    """The votes of all pairs of placed photos of a ``pycolmap.Reconstruction`` whose matches count in ``database``."""
+    return list(_votes(model, database))
+
+
+def _votes(model: Any, database: Path) -> Iterator[PointVote]:
+    import pycolmap
+
+    placed = set(model.reg_image_ids())
+    with open_database(database) as opened:
+        rays = {i: _rays(model, i, opened.read_keypoints(i)) for i in sorted(placed)}
+        points = _points_of_features(model, {i: len(found) for i, found in rays.items()})
+        poses = {i: np.asarray(model.images[i].cam_from_world().matrix(), np.float64) for i in placed}
+        for pair_id, count in zip(*opened.read_two_view_geometry_num_inliers(), strict=True):
+            first, second = pycolmap.pair_id_to_image_pair(pair_id)
+            if count < MIN_INLIERS or first not in placed or second not in placed:
+                continue
+            matches = np.asarray(opened.read_two_view_geometry(first, second).inlier_matches, np.intp)
+            errors = [
+                _errors(points[one][matches[:, k]], poses[other], rays[other][matches[:, 1 - k]])
+                for k, (one, other) in enumerate(((first, second), (second, first)))
+            ]
+            both = np.concatenate(errors)
+            yield PointVote(
+                first=first,
+                second=second,
+                matches=len(matches),
+                points=len(both),
+                error=float(np.median(both)) if len(both) else float("nan"),
+            )
+
+
+def _rays(model: Any, image_id: int, keypoints: Any) -> Floats:
+    """Of the features of a photo (N, 2), in focal lengths and without distortion."""
+    camera = model.cameras[model.images[image_id].camera_id]
+    return np.asarray(camera.cam_from_img(np.asarray(keypoints, np.float64)[:, :2]), np.float64).reshape(-1, 2)
+
+
+def _points_of_features(model: Any, count: dict[int, int]) -> dict[int, Floats]:
+    """Of each photo's features (N, 3) the point that it sees, NaN where it sees none."""
+    points = {image_id: np.full((features, 3), np.nan) for image_id, features in count.items()}
+    for point in model.points3D.values():
+        xyz = point.xyz
+        for element in point.track.elements:
+            points[element.image_id][element.point2D_idx] = xyz
+    return points
+
+
+def _errors(points: Floats, pose: Floats, rays: Floats) -> Floats:
+    """How far from the rays (N, 2) of a photo the points (N, 3) are seen in it, where there is one; (K,)."""
+    known = np.isfinite(points[:, 0])
+    at = points[known] @ pose[:, :3].T + pose[:, 3]
+    ahead = at[:, 2] > 0
+    seen = at[:, :2] / np.where(ahead, at[:, 2], 1.0)[:, None]
+    return np.where(ahead, np.linalg.norm(seen - rays[known], axis=1), np.inf)
