@@ -104,12 +104,15 @@ def follow_walk(
         return reconstruct(given, images, folder, settings, progress, least_points=_LEAST_POINTS, step=step, **options)
 
     parts = mapped(close, beginnings=begin)
+    given = [close]
     placed = {str(part.images[i].name) for part in parts for i in part.reg_image_ids()}
     rest = [file for file in files if file not in placed]
     if parts and len(rest) >= settings.min_registered:
         cameras = sorted({parts[0].images[i].camera_id for i in parts[0].reg_image_ids()})
-        calibrated = with_calibration(close, [parts[0].cameras[i] for i in cameras], work / "close_rest.db")
-        parts += mapped(calibrated, only=rest, known_cameras=cameras)
+        given.append(with_calibration(close, [parts[0].cameras[i] for i in cameras], work / "close_rest.db"))
+        parts += mapped(given[-1], only=rest, known_cameras=cameras)
+    for copy in given:
+        copy.unlink()  # of a thousand photos it has most of a gigabyte
     return parts
 
 

@@ -43,10 +43,15 @@ def cloud() -> NDArray[np.float64]:
     return np.random.default_rng(5).uniform(-1.5, 1.5, (POINTS, 3))
 
 
-def pixels(number: int) -> NDArray[np.float64]:
-    """(POINTS, 2) of the cloud in a photo."""
+def pixels(number: int, *, farther: tuple[int, float] | None = None) -> NDArray[np.float64]:
+    """(POINTS, 2) of the cloud in a photo; ``farther``: so many times as far from another photo as it is."""
     rotation, shift = pose(number)
-    inside = cloud() @ rotation.T + shift
+    points = cloud()
+    if farther is not None:
+        turn, moved = pose(farther[0])
+        center = -turn.T @ moved
+        points = center + farther[1] * (points - center)
+    inside = points @ rotation.T + shift
     noise = np.random.default_rng(100 + number).normal(0, NOISE_PX, (POINTS, 2))
     return np.asarray(FOCAL_PX * inside[:, :2] / inside[:, 2:] + [WIDTH / 2, HEIGHT / 2] + noise)
 
@@ -59,6 +64,8 @@ def pairs_of_walk(
     neighbours: int = 4,
     further: Sequence[tuple[int, int]] = (),
     false: Mapping[tuple[int, int], int] | None = None,
+    along: Mapping[tuple[int, int], float] | None = None,
+    few: Mapping[tuple[int, int], int] | None = None,
 ) -> Path:
     """The database: photos match their next ``neighbours`` and the ``further`` ones, and ``false`` pairs.
 
@@ -66,10 +73,13 @@ def pairs_of_walk(
     ----------
     focal_px: what the camera is said to have; ``known`` for sure.
     false: by pair of ranks the photo that the second one is taken for: it shows the same there, as look-alike trees do.
+    along: by pair of ranks how many times as far from the first photo everything is that the second one is taken to
+        show: on the same epipolar lines, as litter that repeats.
+    few: by pair of ranks how many points it has instead of all.
     """
     import pycolmap
 
-    false = false or {}
+    false, few = false or {}, few or {}
     camera = pycolmap.Camera(model="SIMPLE_RADIAL", width=WIDTH, height=HEIGHT, params=[focal_px, 600.0, 450.0, 0.0])
     camera.has_prior_focal_length = known
     places: dict[int, list[NDArray[np.float64]]] = {number: [pixels(number)] for number in range(PHOTOS)}
@@ -77,10 +87,14 @@ def pairs_of_walk(
     matches: dict[tuple[int, int], NDArray[Any]] = {}
     every = np.arange(POINTS)
     for pair in sorted(true):
-        matches[pair] = np.column_stack([every, every])
+        matches[pair] = np.column_stack([every, every])[: few.get(pair)]
     for (first, second), taken_for in false.items():
         begin = sum(len(part) for part in places[second])
         places[second].append(pixels(taken_for)[:60])
+        matches[first, second] = np.column_stack([every[:60], begin + every[:60]])
+    for (first, second), factor in (along or {}).items():
+        begin = sum(len(part) for part in places[second])
+        places[second].append(pixels(second, farther=(first, factor))[:60])
         matches[first, second] = np.column_stack([every[:60], begin + every[:60]])
     with open_database(path) as opened:
         number_of_camera = opened.write_camera(camera)

@@ -24,6 +24,12 @@ FURTHER = ((0, 9), (2, 11), (3, 12))
 SETTINGS = PoseSettings(threads=1, pairs=PairSettings(overlap=4, exhaustive_up_to=5))
 
 
+@pytest.fixture(autouse=True)
+def images(tmp_path: Path) -> None:
+    """COLMAP asks for the photos' folder and reads none of them."""
+    (tmp_path / "images").mkdir()
+
+
 def counting(database: Path) -> set[tuple[int, int]]:
     """Pairs of ranks that count."""
     return {pair for pair, found in inliers_by_rank(database, names()).items() if found >= MIN_INLIERS}
@@ -32,7 +38,7 @@ def counting(database: Path) -> set[tuple[int, int]]:
 def test_the_mapper_is_given_the_pairs_that_do_not_contradict_each_other(tmp_path: Path) -> None:
     database = pairs_of_walk(tmp_path / "pairs.db", focal_px=0.8 * FOCAL_PX, further=FURTHER, false=FALSE)
     every = counting(database)
-    sure = sure_pairs(database, names(), tmp_path, SETTINGS)
+    sure = sure_pairs(database, names(), tmp_path, SETTINGS, silent)
     assert set(sure.left_out) == {(1, 14), (2, 13)}
     assert counting(sure.database) == every - set(FALSE)
     assert counting(database) == every  # the others are kept for later
@@ -44,7 +50,7 @@ def test_photos_in_no_order_and_the_global_mapper_keep_all_pairs(settings: PoseS
     # Those that follow each other match no better than others: no walk.
     across = [(i, j) for i in range(PHOTOS) for j in range(i + 2, PHOTOS, 2)]
     database = pairs_of_walk(tmp_path / "pairs.db", neighbours=0, further=across)
-    assert sure_pairs(database, names(), tmp_path, settings) == SurePairs(database=database)
+    assert sure_pairs(database, names(), tmp_path, settings, silent) == SurePairs(database=database, matched=database)
 
 
 def mapped(sure: SurePairs, work: Path) -> Any:
@@ -54,7 +60,7 @@ def mapped(sure: SurePairs, work: Path) -> Any:
 
 def test_a_true_pair_that_was_left_out_brings_its_observations_and_a_false_one_none(tmp_path: Path) -> None:
     database = pairs_of_walk(tmp_path / "pairs.db", further=FURTHER, false=FALSE)
-    sure = sure_pairs(database, names(), tmp_path, SETTINGS)
+    sure = sure_pairs(database, names(), tmp_path, SETTINGS, silent)
     model = mapped(sure, tmp_path)
     assert model.num_reg_images() == PHOTOS
     before = model.compute_num_observations()
