@@ -57,7 +57,8 @@ STEPS = (
     Step(stage="poses", what="reading photos", cost=_each(0.01)),
     Step(stage="poses", what="finding features", cost=_each(0.14)),
     Step(stage="poses", what="matching photos", cost=lambda photos: 0.035 * _pairs_per_photo(photos)),
-    Step(stage="poses", what="placing photos", cost=_growing(0.28)),
+    Step(stage="poses", what="following the walk", cost=_growing(0.08)),
+    Step(stage="poses", what="placing photos", cost=_growing(0.15)),
     Step(stage="poses", what="adjusting", cost=_growing(0.25)),
     Step(stage="poses", what="undistorting", cost=_each(0.05)),
     Step(stage="depth", what="", cost=_each(1.55)),
@@ -111,7 +112,7 @@ class RemainingTime:
             self._part = 0.0
             self._began = (self._clock(), 0.0)
         self._ran.add(self._at)
-        if what in ("reading photos", "finding features", "placing photos") or stage == "depth":
+        if what in ("reading photos", "finding features", "following the walk", "placing photos") or stage == "depth":
             self._photos = total
         before, self._part = self._part, max(self._part, min(1.0, done / total))
         now = self._clock()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from fsinfer.poses.joining.parts import join_parts
 from fsinfer.poses.matches import is_walk, match_features
 from fsinfer.poses.refinement import FEATURE_SIZE_PX
 from fsinfer.poses.settings import PoseSettings
-from fsinfer.poses.sure_pairs import put_back, sure_pairs
+from fsinfer.poses.sure_pairs import SurePairs, put_back, sure_pairs
 from fsinfer.poses.thorough import rematch, seams, torn
 from fsinfer.poses.verification.misplaced import drop
 from fsinfer.poses.verification.repair import placed_again, repair, repair_part
@@ -32,6 +32,9 @@ _LEAST_START = 0.25
 #: Photos that look in directions so far apart tell the focal length. Source: judgement; a wrong one bends a walk that
 #: turns by so much visibly, and one straight ahead not at all.
 _LEAST_TURN_DEG = 60.0
+
+#: So many boards tell a part's place beyond doubt. Source: judgement; what matches alone tell may be look-alikes.
+_SURE_BOARDS = 2
 
 ADVICE = (
     "photos must overlap by two thirds or more, be sharp, and show bark, litter or other texture in good light, from "
@@ -76,6 +79,17 @@ class MappedWalk:
     apart: tuple[tuple[str, ...], ...] = field(default=())
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Placed:
+    """A look at the walk: its model, the matches it was made of, and what was taken out of it, joined to it, or not."""
+
+    model: Any
+    matched: Path
+    misplaced: dict[str, list[str]]
+    joined: tuple[str, ...] = ()
+    apart: tuple[Any, ...] = ()
+
+
 def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progress: Progress) -> MappedWalk:
     """Features, matches and the map of all photos in ``work/images``.
 
@@ -92,6 +106,55 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
     images, database = work / "images", work / "database.db"
     extract_features(database, images, walk.cameras, settings, progress)
     match_features(database, walk.files, settings, progress)
+    sure = sure_pairs(database, walk.files, work, settings, progress)
+    models, sightings = _map_and_find_boards(sure, walk, work, settings, progress)
+    most = models[0].num_reg_images() if models else 0
+    placed = _repaired(models, sure, database, walk, work, settings, progress, sightings)
+    if placed is not None:
+        # Where boards tell its place, what stands apart need not be looked at again.
+        placed = _with_parts(placed, models[1:], walk, work, settings, progress, sightings, least_boards=_SURE_BOARDS)
+    has_place = [False] * len(walk.files) if placed is None else walk.has_place(placed.model)
+    if torn(has_place, settings):
+        richer = rematch(database, images, walk.cameras, walk.files, has_place, settings, progress)
+        affected = seams(has_place, settings.thorough.beside)
+        start = None if placed is None else _beyond_the_tear(placed.model, walk, affected, settings)
+        sure = sure_pairs(richer, walk.files, work, settings, progress)
+        again = reconstruct(
+            sure.database, images, work / "thorough", settings, progress, start=start, beginnings=sure.beginnings
+        )
+        better = None
+        if again and again[0].num_reg_images() >= sum(has_place):
+            better = _repaired(again, sure, richer, walk, work, settings, progress, sightings)
+        if better is not None and sum(walk.has_place(better.model)) > sum(has_place):
+            _log.info("thorough: %d instead of %d photos", better.model.num_reg_images(), sum(has_place))
+            joined = () if placed is None or start is None else placed.joined
+            placed, models = replace(better, joined=joined), again
+        most = max(most, again[0].num_reg_images() if again else 0)
+    if placed is None:
+        found = "no two photos" if most == 0 else f"only {most} photos"
+        msg = f"{found} of the {len(walk.files)} in {given} could be placed together: {ADVICE}"
+        raise PosesError(msg)
+    model = placed.model
+    if model.num_reg_images() < settings.min_registered:
+        msg = f"the {len(walk.files)} photos in {given} match in ways that contradict each other: {ADVICE}"
+        raise PosesError(msg)
+    placed = _with_parts(placed, models[1:], walk, work, settings, progress, sightings)
+    model = placed.model
+    tied = tie_boards(model, boards_in(model, sightings))
+    in_model = {file for file, has in zip(walk.files, walk.has_place(model), strict=True) if has}
+    joined = tuple(sorted(set(placed.joined) & in_model))
+    _log.info("%d photos were joined; %d corners of boards tie all", len(joined), tied)
+    apart = tuple(tuple(sorted(str(part.images[i].name) for i in part.reg_image_ids())) for part in placed.apart)
+    named = {*joined, *(file for files in apart for file in files)}
+    misplaced = {how: [file for file in files if file not in named] for how, files in placed.misplaced.items()}
+    return MappedWalk(model=model, misplaced=misplaced, joined=joined, apart=apart)
+
+
+def _map_and_find_boards(
+    sure: SurePairs, walk: Walk, work: Path, settings: PoseSettings, progress: Progress
+) -> tuple[list[Any], list[BoardSighting]]:
+    """The first map's models, the largest first, and the boards that the photos show."""
+    images = work / "images"
 
     def look_for_boards(told: Progress, threads: int) -> list[BoardSighting]:
         return find_boards(
@@ -106,56 +169,71 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
     def map_all() -> list[Any]:
         return reconstruct(sure.database, images, work / "models", settings, progress, beginnings=sure.beginnings)
 
-    sure = sure_pairs(database, walk.files, work, settings, progress)
-    if settings.mapper == "incremental" and settings.photo_threads > 1:
-
-        def quietly(go_on: Callable[[], None]) -> list[BoardSighting]:
-            return look_for_boards(lambda _done, _total, _what: go_on(), settings.photo_threads - 1)
-
-        # The incremental mapper has one thread, and lets others work.
-        with beside(quietly) as boards:
-            models = map_all()
-            sightings = boards()
-    else:
+    if settings.mapper != "incremental" or settings.photo_threads == 1:
         sightings = look_for_boards(progress, settings.photo_threads)
+        return map_all(), sightings
+
+    def quietly(go_on: Callable[[], None]) -> list[BoardSighting]:
+        return look_for_boards(lambda _done, _total, _what: go_on(), settings.photo_threads - 1)
+
+    # The incremental mapper has one thread, and lets others work.
+    with beside(quietly) as boards:
         models = map_all()
-    placed = models[0].num_reg_images() if models else 0
-    model: Any = None
-    misplaced: dict[str, list[str]] = {}
-    if placed >= settings.min_registered:
-        model, misplaced = repair(models[0], sure.matched, walk.files, work, settings, progress, sightings=sightings)
-        put_back(model, sure.left_out, database, work)
-    has_place = walk.has_place(model) if model is not None else [False] * len(walk.files)
-    matched = sure.matched
-    if torn(has_place, settings):
-        richer = rematch(database, images, walk.cameras, walk.files, has_place, settings, progress)
-        start = _beyond_the_tear(model, walk, seams(has_place, settings.thorough.beside), settings)
-        sure = sure_pairs(richer, walk.files, work, settings, progress)
-        again = reconstruct(
-            sure.database, images, work / "thorough", settings, progress, start=start, beginnings=sure.beginnings
-        )
-        if again and again[0].num_reg_images() >= max(sum(has_place), settings.min_registered):
-            better, wrong = repair(again[0], sure.matched, walk.files, work, settings, progress, sightings=sightings)
-            put_back(better, sure.left_out, richer, work)
-            if sum(walk.has_place(better)) > sum(has_place):
-                _log.info("thorough: %d instead of %d photos", better.num_reg_images(), sum(has_place))
-                model, misplaced, models = better, wrong, again
-                matched = sure.matched
-        placed = max(placed, again[0].num_reg_images() if again else 0)
-    if model is None:
-        found = "no two photos" if placed == 0 else f"only {placed} photos"
-        msg = f"{found} of the {len(walk.files)} in {given} could be placed together: {ADVICE}"
-        raise PosesError(msg)
-    if model.num_reg_images() < settings.min_registered:
-        msg = f"the {len(walk.files)} photos in {given} match in ways that contradict each other: {ADVICE}"
-        raise PosesError(msg)
+        return models, boards()
+
+
+def _repaired(
+    models: Sequence[Any],
+    sure: SurePairs,
+    database: Path,
+    walk: Walk,
+    work: Path,
+    settings: PoseSettings,
+    progress: Progress,
+    sightings: Sequence[BoardSighting],
+) -> _Placed | None:
+    """The largest of the models without what is wrong in it, with the pairs that were left out; None where none is."""
+    if not models or models[0].num_reg_images() < settings.min_registered:
+        return None
+    model, misplaced = repair(models[0], sure.matched, walk.files, work, settings, progress, sightings=sightings)
+    put_back(model, sure.left_out, database, work)
+    return _Placed(model=model, matched=sure.matched, misplaced=misplaced)
+
+
+def _with_parts(
+    placed: _Placed,
+    others: Sequence[Any],
+    walk: Walk,
+    work: Path,
+    settings: PoseSettings,
+    progress: Progress,
+    sightings: Sequence[BoardSighting],
+    *,
+    least_boards: int = 0,
+) -> _Placed:
+    """With the parts that the photos without a place make among themselves, as far as something tells where they lie.
+
+    Parameters
+    ----------
+    others: what the global mapper made beside the model. least_boards: that must tell where a part lies.
+    """
+    model, matched, images = placed.model, placed.matched, work / "images"
+    if (
+        model.num_reg_images() < settings.min_registered
+        or len({sighting.number for sighting in sightings}) < least_boards
+    ):
+        return placed
     # What was taken out as misplaced hangs together, too: mapped alone, nothing false pulls at it.
     if settings.mapper == "incremental":
         parts = _alone(model, matched, walk, work, settings, progress)
     else:
-        parts = [part for part in models[1:] if part.num_reg_images() >= settings.min_registered]
+        had = set(model.reg_image_ids())
+        parts = [part for part in others if len(set(part.reg_image_ids()) - had) >= settings.min_registered]
+    if not parts:
+        return placed
     path = walk.files if is_walk(matched, walk.files, settings) else ()
-    joined, left = join_parts(model, parts, sightings, database=matched, walk=path)
+    joined, left = join_parts(model, parts, sightings, database=matched, walk=path, least_boards=least_boards)
+    misplaced = placed.misplaced
     if joined:
         # What both parts see of the wood was never compared while they stood apart.
         model = triangulate(model, matched, images, work / "joined")
@@ -164,14 +242,9 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
             return reconstruct(matched, images, work / "joined_again", settings, progress, start=start)
 
         model, astray = placed_again(model, path, matched, grown)
-        misplaced["astray"] = [*misplaced.get("astray", []), *astray]
+        misplaced = misplaced | {"astray": [*misplaced.get("astray", []), *astray]}
         joined = [file for file in joined if file not in astray]
-    tied = tie_boards(model, boards_in(model, sightings))
-    _log.info("%d photos were joined; %d corners of boards tie all", len(joined), tied)
-    apart = tuple(tuple(sorted(str(part.images[i].name) for i in part.reg_image_ids())) for part in left)
-    named = {*joined, *(file for files in apart for file in files)}
-    misplaced = {how: [file for file in files if file not in named] for how, files in misplaced.items()}
-    return MappedWalk(model=model, misplaced=misplaced, joined=tuple(sorted(joined)), apart=apart)
+    return replace(placed, model=model, misplaced=misplaced, joined=(*placed.joined, *joined), apart=tuple(left))
 
 
 def _beyond_the_tear(model: Any, walk: Walk, affected: Sequence[int], settings: PoseSettings) -> Any:
@@ -179,8 +252,6 @@ def _beyond_the_tear(model: Any, walk: Walk, affected: Sequence[int], settings: 
 
     Mapped from nothing, a walk with many features in one place and few in another may begin where it is worst.
     """
-    if model is None:
-        return None
     start = deepcopy(model)
     again = {walk.files[rank] for rank in affected}
     drop(start, [i for i in start.reg_image_ids() if start.images[i].name in again])

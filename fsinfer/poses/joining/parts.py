@@ -24,6 +24,7 @@ def join_parts(
     *,
     database: Path | None = None,
     walk: Sequence[str] = (),
+    least_boards: int = 0,
 ) -> tuple[list[str], list[Any]]:
     """Join to ``model`` each part that can be; returns the files of the photos that were gained, and the other parts.
 
@@ -34,6 +35,7 @@ def join_parts(
         the way for another, so that all are tried again after each.
     database: of the matches, if photos of two parts may share some.
     walk: files of all photos in the order of walking, if they have one.
+    least_boards: that must speak for the place of a part.
     """
     left = [(part, boards_in(part, sightings)) for part in parts]
     gained: list[str] = []
@@ -42,7 +44,9 @@ def join_parts(
         progress = False
         ours = boards_in(model, sightings)
         for number, (part, theirs) in enumerate(left):
-            where = find_place(model, part, ours, theirs, sightings, database=database, walk=walk)
+            where = find_place(
+                model, part, ours, theirs, sightings, database=database, walk=walk, least_boards=least_boards
+            )
             if where is not None:
                 gained += _take_over(model, part, where)
                 del left[number]

@@ -158,13 +158,14 @@ def find_place(
     *,
     database: Path | None = None,
     walk: Sequence[str] = (),
+    least_boards: int = 0,
 ) -> Floats | None:
     """The similarity (4, 4) that takes ``part`` to ``model``, or None where nothing trustworthy tells it.
 
     Parameters
     ----------
     model, part: ``pycolmap.Reconstruction``. ours, theirs: the boards in ``model`` and in ``part``.
-    database: of the matches. walk: files in the order of walking.
+    database: of the matches. walk: files in the order of walking. least_boards: that must speak for a place.
     """
     common = sorted(set(model.reg_image_ids()) & set(part.reg_image_ids()))
     if len(common) >= _COMMON_PHOTOS:
@@ -178,6 +179,7 @@ def find_place(
     proposed.sort(key=lambda entry: -entry[0].score)
     refined = [ties.refined(place) for _, place in _distinct(proposed, ties)]
     judged = sorted(((ties.evidence(place), place) for place in refined), key=lambda entry: -entry[0].balance)
+    judged = [(evidence, place) for evidence, place in judged if evidence.boards >= least_boards]
     believed = [(evidence, place) for evidence, place in judged if _believed(ties, evidence, place)]
     if not believed:
         if judged:

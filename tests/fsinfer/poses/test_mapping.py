@@ -80,6 +80,7 @@ def mapped_walk(
     *,
     mapper: str = "incremental",
     triangulated: Callable[[Any], Any] = as_it_is,
+    min_share: float = 0.0,
 ) -> MappedWalk:
     """The walk of these parts, the largest first, as if COLMAP had made them of photographs."""
     matched(work / "database.db", parts[0], {})
@@ -102,7 +103,7 @@ def mapped_walk(
     patch.setattr("fsinfer.poses.mapping.triangulate", lambda model, *_: triangulated(model))
     files = tuple(names(range(PHOTOS)))
     # Some photos belong to no part, and those are not looked at again: there are no pictures to look at.
-    settings = PoseSettings(mapper=mapper, thorough=ThoroughSettings(min_share=0.0), threads=1)
+    settings = PoseSettings(mapper=mapper, thorough=ThoroughSettings(min_share=min_share), threads=1)
     return map_walk(Walk(files=files, cameras={"phone": files}), work / "photos", work, settings, silent)
 
 
@@ -161,6 +162,28 @@ def test_a_part_that_boards_tie_ends_in_one_model_with_the_rest(
     assert not any(mapped.misplaced.values())
     # The boards are looked for once more in the joined model: their corners hold both parts together.
     assert_boards_tie(mapped.model, truth)
+
+
+@pytest.mark.parametrize("known", [2, 1])
+def test_only_a_part_that_boards_do_not_tie_is_looked_at_again(
+    known: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class LookedAgain(Exception):  # noqa: N818 - no error
+        pass
+
+    def rematch(*_: Any) -> Path:
+        raise LookedAgain
+
+    monkeypatch.setattr("fsinfer.poses.mapping.rematch", rematch)
+    truth = walked()
+    parts = [part_of(truth, FIRST), part_of(truth, SECOND, moved=True)]
+    seen = [sighting for sighting in sightings_of(truth, BOARDS, WITHIN) if sighting.number < known]
+    if known < 2:
+        with pytest.raises(LookedAgain):
+            mapped_walk(tmp_path, monkeypatch, parts, seen, min_share=len(WITHIN) / PHOTOS)
+    else:
+        mapped = mapped_walk(tmp_path, monkeypatch, parts, seen, min_share=len(WITHIN) / PHOTOS)
+        assert mapped.joined == tuple(names(SECOND))
 
 
 def test_a_part_that_nothing_ties_is_named_by_its_photos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

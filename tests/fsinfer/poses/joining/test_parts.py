@@ -123,6 +123,7 @@ def test_one_board_is_enough_only_where_the_points_agree() -> None:
     truth = walked()
     model, part = part_of(truth, FIRST), part_of(truth, SECOND, moved=True)
     seen = sightings_of(truth, boards((0.8, 0, 0)), WITHIN)
+    assert join_parts(model, [part], seen, least_boards=2)[0] == []
     assert len(join_parts(model, [part], seen)[0]) == 3
     # The same number on another board, seen by the part alone: the points of both lie elsewhere.
     model, part = part_of(truth, FIRST), part_of(truth, SECOND, moved=True)
