@@ -18,7 +18,7 @@ from fsinfer.poses.joining.parts import join_parts
 from fsinfer.poses.matches import is_walk, match_features
 from fsinfer.poses.refinement import FEATURE_SIZE_PX
 from fsinfer.poses.settings import PoseSettings
-from fsinfer.poses.sure_pairs import SurePairs, put_back, sure_pairs
+from fsinfer.poses.sure_pairs import SurePairs, put_back, sure_pairs, with_more
 from fsinfer.poses.thorough import rematch, seams, torn
 from fsinfer.poses.verification.misplaced import drop
 from fsinfer.poses.verification.repair import placed_again, repair, repair_part
@@ -108,6 +108,10 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
     match_features(database, walk.files, settings, progress)
     sure = sure_pairs(database, walk.files, work, settings, progress)
     models, sightings = _map_and_find_boards(sure, walk, work, settings, progress)
+    more = with_more(models[0], sure, database, work) if models else None
+    if more is not None:
+        sure = more
+        models = reconstruct(sure.database, images, work / "more", settings, progress, beginnings=sure.beginnings)
     most = models[0].num_reg_images() if models else 0
     placed = _repaired(models, sure, database, walk, work, settings, progress, sightings)
     if placed is not None:

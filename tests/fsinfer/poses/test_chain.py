@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from fsinfer.poses.chain import Judged, believed_share, follow_walk, judge_pairs
+from fsinfer.poses.chain import Judged, believed_share, follow_walk, judge_pairs, limit_of
 from fsinfer.poses.pairs import PairSettings
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.verification.point_votes import PointVote
@@ -81,3 +81,8 @@ def test_the_share_that_is_believed_counts_matches_of_neighbours_with_points() -
     assert believed_share([], RANK, 4) == 0.0
     votes = [vote(1, 4, matches=300), vote(2, 6, error=0.5), vote(1, 9, error=0.5), vote(3, 6, points=3, error=0.5)]
     assert believed_share(votes, RANK, 4) == 0.75
+
+
+def test_who_walked_farther_may_have_drifted_by_more() -> None:
+    assert limit_of(3, 8) == limit_of(8, 8) < limit_of(9, 8) == limit_of(100, 8) < limit_of(150, 8)
+    assert limit_of(1000, 8) == limit_of(500, 8) <= 0.1

@@ -168,7 +168,7 @@ def test_a_part_that_boards_tie_ends_in_one_model_with_the_rest(
 def test_only_a_part_that_boards_do_not_tie_is_looked_at_again(
     known: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class LookedAgain(Exception):  # noqa: N818 - no error
+    class LookedAgain(Exception):
         pass
 
     def rematch(*_: Any) -> Path:

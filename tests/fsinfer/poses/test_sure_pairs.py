@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,8 @@ from fsinfer.poses.colmap import reconstruct
 from fsinfer.poses.matches import inliers_by_rank
 from fsinfer.poses.pairs import MIN_INLIERS, PairSettings
 from fsinfer.poses.settings import PoseSettings
-from fsinfer.poses.sure_pairs import SurePairs, put_back, sure_pairs
+from fsinfer.poses.sure_pairs import SurePairs, put_back, sure_pairs, with_more
+from fsinfer.poses.verification.misplaced import without_pairs
 from fsinfer.progress import silent
 from tests.support.pairs_of_walk import FOCAL_PX, PHOTOS, names, pairs_of_walk, pose
 
@@ -92,3 +94,24 @@ def test_a_beginning_is_taken_and_a_bad_one_passed_over(tmp_path: Path) -> None:
         first = models[0].images[1].cam_from_world().rotation.matrix()
         true = pose(image_id - 1)[0] @ pose(0)[0].T
         np.testing.assert_allclose(turn @ first.T, true, atol=0.02)
+
+
+def test_a_walk_is_mapped_again_with_true_pairs_that_its_drift_hid_and_not_for_a_few(tmp_path: Path) -> None:
+    database = pairs_of_walk(tmp_path / "pairs.db", further=FURTHER, false=FALSE)
+    sure = sure_pairs(database, names(), tmp_path, SETTINGS, silent)
+    assert {(1, 14), (2, 13)} <= set(sure.left_out)
+    model = mapped(sure, tmp_path)
+    assert with_more(model, sure, database, tmp_path) is None
+    hidden = [(1, 10), (3, 12), (4, 13)]
+    narrow = SurePairs(
+        database=without_pairs(sure.database, hidden, tmp_path / "narrow.db"),
+        matched=sure.matched,
+        left_out=tuple(sorted([*sure.left_out, *hidden])),
+        beginnings=sure.beginnings,
+    )
+    assert with_more(model, replace(narrow, left_out=tuple(hidden[:1])), database, tmp_path) is None
+    more = with_more(model, narrow, database, tmp_path)
+    assert more is not None
+    assert more.left_out == sure.left_out
+    assert counting(more.database) == counting(sure.database) == counting(more.matched)
+    assert more.beginnings == sure.beginnings
