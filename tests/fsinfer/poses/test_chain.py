@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -59,8 +60,10 @@ def test_a_walk_is_followed_over_a_weak_link_of_true_points(tmp_path: Path) -> N
 def test_stretches_that_nothing_holds_together_are_followed_apart_and_judged_by_themselves(tmp_path: Path) -> None:
     few = {(i, j): 0 for i in range(PHOTOS) for j in range(i + 1, PHOTOS) if i < 7 <= j and j - i <= 2}
     database = pairs_of_walk(tmp_path / "pairs.db", known=True, few=few, further=((0, 9),), false={(0, 6): 9})
-    parts = follow_walk(database, RANK, names(), tmp_path, SETTINGS, silent, beginnings=[])
-    assert sorted(part.num_reg_images() for part in parts) == [7, 7]
+    # Begun with a pair that was given, COLMAP makes one stretch alone.
+    for begin in ([], [(1, 3)]):
+        parts = follow_walk(database, RANK, names(), tmp_path, SETTINGS, silent, beginnings=begin)
+        assert sorted(part.num_reg_images() for part in parts) == [7, 7]
     found = judged(database, tmp_path)
     assert found.false == numbers((0, 6))
     assert all((first <= 7) == (second <= 7) for first, second in found.true)
@@ -73,11 +76,39 @@ def test_a_map_that_most_neighbours_contradict_judges_nothing(tmp_path: Path) ->
     assert judged(database, tmp_path) == Judged()
 
 
-def test_the_share_that_is_believed_counts_matches_of_neighbours_with_points() -> None:
-    def vote(first: int, second: int, **changed: float) -> PointVote:
-        given = {"matches": 100, "points": 50, "error": 1.0 / FOCAL_PX} | changed
-        return PointVote(first=first, second=second, **given)  # type: ignore[arg-type]
+def vote(first: int, second: int, **changed: float) -> PointVote:
+    given = {"matches": 100, "points": 50, "error": 1.0 / FOCAL_PX} | changed
+    return PointVote(first=first, second=second, **given)  # type: ignore[arg-type]
 
+
+def test_what_few_points_say_is_neither_true_nor_false(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Part:
+        def num_reg_images(self) -> int:
+            return PHOTOS
+
+    votes = [vote(1, 4), vote(2, 5, error=0.5), vote(3, 6, points=3), vote(4, 7, points=3, error=0.5), vote(1, 2)]
+    monkeypatch.setattr("fsinfer.poses.chain.follow_walk", lambda *_, **__: [Part()])
+    monkeypatch.setattr("fsinfer.poses.chain.point_votes", lambda *_: [*votes, vote(1, 5, matches=200)])
+    found = judge_pairs(tmp_path / "pairs.db", RANK, names(), tmp_path, SETTINGS, silent, beginnings=[])
+    assert found == Judged(true=frozenset({(1, 4), (1, 5)}), false=frozenset({(2, 5)}))
+
+
+def test_a_walk_is_begun_with_a_pair_that_it_has(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[dict[str, Any]] = []
+
+    def reconstruct(*_: Any, **options: Any) -> list[Any]:
+        asked.append(options)
+        return []
+
+    monkeypatch.setattr("fsinfer.poses.chain.reconstruct", reconstruct)
+    database = pairs_of_walk(tmp_path / "pairs.db")
+    given = [(1, 4), (5, 7), (1, 10), (3, 4)]
+    assert follow_walk(database, RANK, names(), tmp_path, SETTINGS, silent, beginnings=given) == []
+    (only,) = asked
+    assert only["beginnings"] == [(5, 7), (3, 4)]
+
+
+def test_the_share_that_is_believed_counts_matches_of_neighbours_with_points() -> None:
     assert believed_share([], RANK, 4) == 0.0
     votes = [vote(1, 4, matches=300), vote(2, 6, error=0.5), vote(1, 9, error=0.5), vote(3, 6, points=3, error=0.5)]
     assert believed_share(votes, RANK, 4) == 0.75

@@ -17,6 +17,7 @@ from fsinfer.poses.boards import BoardSighting
 from fsinfer.poses.colmap import with_calibration
 from fsinfer.poses.mapping import MappedWalk, Walk, map_walk, tells_focal_length
 from fsinfer.poses.settings import PoseSettings, ThoroughSettings
+from fsinfer.poses.sure_pairs import SurePairs
 from fsinfer.progress import silent
 from tests.fsinfer.poses.joining.test_parts import (
     FIRST,
@@ -107,6 +108,15 @@ def mapped_walk(
     return map_walk(Walk(files=files, cameras={"phone": files}), work / "photos", work, settings, silent)
 
 
+def astray(model: Any, file: str) -> Any:
+    """The model with a photo kilometres away."""
+    left = deepcopy(model)
+    image = next(image for image in left.images.values() if image.name == file)
+    pose = pycolmap.Rigid3d(image.cam_from_world().rotation, np.array([0.0, 0.0, 1e6]))
+    image.frame.set_cam_from_world(image.camera_id, pose)
+    return left
+
+
 def files_of(model: Any) -> list[str]:
     return sorted(model.images[i].name for i in model.reg_image_ids())
 
@@ -186,6 +196,73 @@ def test_only_a_part_that_boards_do_not_tie_is_looked_at_again(
         assert mapped.joined == tuple(names(SECOND))
 
 
+def test_parts_that_two_boards_tie_and_one_that_points_tie_too_are_all_joined(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second of them when nothing was looked at again; a photo that it sends astray is joined no more."""
+    truth = walked()
+    third = range(10, 13)
+    parts = [part_of(truth, FIRST), part_of(truth, SECOND, moved=True), part_of(truth, third, moved=True)]
+    seen = sightings_of(truth, BOARDS, WITHIN) + sightings_of(truth, {0: BOARDS[0]}, third)
+    mapped = mapped_walk(tmp_path, monkeypatch, parts, seen)
+    assert mapped.joined == (*names(SECOND), *names(third))
+    assert errors(mapped.model, truth).max() < 1e-3
+
+    rounds: list[int] = []
+
+    def triangulated(model: Any) -> Any:
+        rounds.append(model.num_reg_images())
+        return astray(model, "08.jpg") if len(rounds) == 2 else model
+
+    parts = [part_of(truth, FIRST), part_of(truth, SECOND, moved=True), part_of(truth, third, moved=True)]
+    (tmp_path / "again").mkdir()
+    mapped = mapped_walk(tmp_path / "again", monkeypatch, parts, seen, triangulated=triangulated)
+    assert rounds == [7, 10]
+    assert mapped.joined == ("07.jpg", "09.jpg", *names(third))
+    assert mapped.misplaced["astray"] == ["08.jpg"]
+
+
+def test_a_walk_is_mapped_and_judged_by_the_pairs_that_are_sure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    truth = walked()
+    given = {name: tmp_path / f"{name}.db" for name in ("first", "first_matched", "more", "more_matched")}
+    first = SurePairs(database=given["first"], matched=given["first_matched"], left_out=((1, 2), (1, 3)))
+    for more in (None, SurePairs(database=given["more"], matched=given["more_matched"], left_out=((1, 2),))):
+        used: list[tuple[str, Any]] = []
+
+        def reconstruct(database: Path, *_: Any, used: list[tuple[str, Any]] = used, **__: Any) -> list[Any]:
+            used.append(("mapped", database))
+            return [part_of(truth, WITHIN)]
+
+        def repair(model: Any, database: Path, *_: Any, used: list[tuple[str, Any]] = used, **__: Any) -> Any:
+            used.append(("repaired", database))
+            return model, {}
+
+        def put_back(_model: Any, pairs: Any, database: Path, *_: Any, used: list[tuple[str, Any]] = used) -> int:
+            used.append(("put back", (pairs, database)))
+            return 0
+
+        with monkeypatch.context() as patch:
+            for step in ("extract_features", "match_features"):
+                patch.setattr(f"fsinfer.poses.mapping.{step}", lambda *_: None)
+            patch.setattr("fsinfer.poses.mapping.sure_pairs", lambda *_: first)
+            patch.setattr("fsinfer.poses.mapping.with_more", lambda *_, more=more: more)
+            patch.setattr("fsinfer.poses.mapping.find_boards", lambda *_, **__: [])
+            for step in (reconstruct, repair, put_back):
+                patch.setattr(f"fsinfer.poses.mapping.{step.__name__}", step)
+            files = tuple(names(WITHIN))
+            settings = PoseSettings(threads=1)
+            map_walk(Walk(files=files, cameras={"phone": files}), tmp_path, tmp_path, settings, silent)
+        last = more or first
+        assert used == [
+            ("mapped", first.database),
+            *([("mapped", more.database)] if more else []),
+            ("repaired", last.matched),
+            ("put back", (last.left_out, tmp_path / "database.db")),
+        ]
+
+
 def test_a_part_that_nothing_ties_is_named_by_its_photos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     truth = walked()
     parts = [part_of(truth, FIRST), part_of(truth, SECOND, moved=True)]
@@ -199,11 +276,7 @@ def test_a_photo_that_is_astray_in_the_joined_model_is_taken_out_and_told(
 ) -> None:
     def triangulated(model: Any) -> Any:
         """As the adjustment after joining may leave it: one photo kilometres away."""
-        left = deepcopy(model)
-        image = next(image for image in left.images.values() if image.name == "08.jpg")
-        pose = pycolmap.Rigid3d(image.cam_from_world().rotation, np.array([0.0, 0.0, 1e6]))
-        image.frame.set_cam_from_world(image.camera_id, pose)
-        return left
+        return astray(model, "08.jpg")
 
     truth = walked()
     parts = [part_of(truth, FIRST), part_of(truth, SECOND, moved=True)]

@@ -9,12 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fsinfer.poses.chain import Judged
 from fsinfer.poses.colmap import reconstruct
 from fsinfer.poses.matches import inliers_by_rank
 from fsinfer.poses.pairs import MIN_INLIERS, PairSettings
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.sure_pairs import SurePairs, put_back, sure_pairs, with_more
 from fsinfer.poses.verification.misplaced import without_pairs
+from fsinfer.poses.verification.point_votes import PointVote
+from fsinfer.poses.view_graph import pair_turns
 from fsinfer.progress import silent
 from tests.support.pairs_of_walk import FOCAL_PX, PHOTOS, names, pairs_of_walk, pose
 
@@ -45,6 +48,39 @@ def test_the_mapper_is_given_the_pairs_that_do_not_contradict_each_other(tmp_pat
     assert counting(sure.database) == every - set(FALSE)
     assert counting(database) == every  # the others are kept for later
     assert sure.beginnings
+
+
+def test_pairs_that_are_known_to_be_false_are_gone_for_good_and_the_doubted_at_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    database = pairs_of_walk(tmp_path / "pairs.db", further=FURTHER, false=FALSE)
+    every = counting(database)
+    asked: list[Path] = []
+
+    def turns(given: Path) -> Any:
+        asked.append(given)
+        return pair_turns(given)
+
+    monkeypatch.setattr("fsinfer.poses.sure_pairs.pair_turns", turns)
+    for known, matched, left_out in (
+        (Judged(), every, {(1, 14), (2, 13)}),
+        (Judged(false=frozenset({(1, 14)})), every - {(0, 13)}, {(1, 14), (2, 13)}),
+        (Judged(true=frozenset({(1, 14)})), every, {(2, 13)}),  # whatever it turns
+    ):
+        monkeypatch.setattr("fsinfer.poses.sure_pairs.judge_pairs", lambda *_, known=known, **__: known)
+        asked.clear()
+        sure = sure_pairs(database, names(), tmp_path, SETTINGS, silent)
+        assert set(sure.left_out) == left_out
+        assert counting(sure.matched) == matched
+        assert counting(sure.database) == every - {(first - 1, second - 1) for first, second in left_out}
+        # Directions are told anew without what is false.
+        assert asked == [database, *([sure.matched] if known.false else [])]
+
+
+def test_a_pair_with_few_points_brings_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    few = PointVote(first=1, second=10, matches=100, points=7, error=0.0)
+    monkeypatch.setattr("fsinfer.poses.sure_pairs.point_votes", lambda *_: [few])
+    assert put_back(None, [(1, 10)], tmp_path / "pairs.db", tmp_path) == 0
 
 
 @pytest.mark.parametrize("settings", [PoseSettings(threads=1, mapper="global"), PoseSettings(threads=1)])

@@ -24,7 +24,10 @@ FALSE, ALONG = {(1, 12): 2}, {(4, 9): 2.0}
 
 @pytest.fixture
 def database(tmp_path: Path) -> Path:
-    return pairs_of_walk(tmp_path / "pairs.db", known=True, further=((0, 9),), false=FALSE, along=ALONG)
+    few = {(0, 11): 14}  # too few to count
+    return pairs_of_walk(
+        tmp_path / "pairs.db", known=True, further=((0, 9), (0, 11)), false=FALSE, along=ALONG, few=few
+    )
 
 
 @pytest.fixture
