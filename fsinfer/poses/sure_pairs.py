@@ -102,7 +102,7 @@ def with_more(model: Any, sure: SurePairs, database: Path, work: Path) -> SurePa
     agreed = _agreeing(model, sure.left_out, database, _AGREES_AT_FIRST)
     with open_database(sure.database) as opened:
         counting = len(configurations(opened))
-    if len(agreed) < _WORTH * counting:
+    if not agreed or len(agreed) < _WORTH * counting:
         return None
     _log.info("%d of %d pairs left out agree with the first map", len(agreed), len(sure.left_out))
     left_out = sorted(set(sure.left_out) - agreed)

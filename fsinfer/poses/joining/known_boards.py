@@ -106,7 +106,9 @@ class KnownBoards:
                 corners, self._rays[k], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
             )
             for turn, shift in zip(turns, shifts, strict=True) if found else ():
-                yield np.column_stack([cv2.Rodrigues(turn)[0], np.ravel(shift)])
+                # Of a board seen from its edge OpenCV makes no numbers.
+                if np.isfinite(turn).all() and np.isfinite(shift).all():
+                    yield np.column_stack([cv2.Rodrigues(turn)[0], np.ravel(shift)])
 
 
 def _from_two(one: tuple[Floats, Floats], other: tuple[Floats, Floats]) -> Floats | None:

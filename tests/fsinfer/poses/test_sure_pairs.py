@@ -138,6 +138,7 @@ def test_a_walk_is_mapped_again_with_true_pairs_that_its_drift_hid_and_not_for_a
     assert {(1, 14), (2, 13)} <= set(sure.left_out)
     model = mapped(sure, tmp_path)
     assert with_more(model, sure, database, tmp_path) is None
+    assert with_more(model, replace(sure, left_out=()), database, tmp_path) is None
     hidden = [(1, 10), (3, 12), (4, 13)]
     narrow = SurePairs(
         database=without_pairs(sure.database, hidden, tmp_path / "narrow.db"),

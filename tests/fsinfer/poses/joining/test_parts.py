@@ -134,6 +134,16 @@ def test_one_board_is_enough_only_where_the_points_agree() -> None:
     assert (gained, left) == ([], [part])
 
 
+def test_a_board_that_photos_see_from_its_edge_ends_in_no_fault() -> None:
+    """Its corners lie on a line, and no place of the photo follows from them."""
+    truth = walked()
+    model, part = part_of(truth, WITHIN), part_of(truth, range(3), moved=True)
+    places = boards((0.8, 0, 0), (-0.7, 0.2, 0.3))
+    seen = sightings_of(truth, places, WITHIN) + sightings_of(truth, {1: places[1]}, range(3))
+    assert join_parts(model, [part], seen)[0] == names(range(3))
+    assert errors(model, truth).max() < 1e-3
+
+
 def test_of_boards_that_contradict_each_other_the_majority_counts() -> None:
     truth = walked()
     model, part = part_of(truth, FIRST), part_of(truth, SECOND, moved=True)
