@@ -250,8 +250,8 @@ def test_a_walk_is_mapped_and_judged_by_the_pairs_that_are_sure(
             patch.setattr("fsinfer.poses.mapping.sure_pairs", lambda *_: first)
             patch.setattr("fsinfer.poses.mapping.with_more", lambda *_, more=more: more)
             patch.setattr("fsinfer.poses.mapping.find_boards", lambda *_, **__: [])
-            for step in (reconstruct, repair, put_back):
-                patch.setattr(f"fsinfer.poses.mapping.{step.__name__}", step)
+            for name, stub in (("reconstruct", reconstruct), ("repair", repair), ("put_back", put_back)):
+                patch.setattr(f"fsinfer.poses.mapping.{name}", stub)
             files = tuple(names(WITHIN))
             settings = PoseSettings(threads=1)
             map_walk(Walk(files=files, cameras={"phone": files}), tmp_path, tmp_path, settings, silent)
