@@ -25,7 +25,7 @@ from fsinfer.progress import Progress
 _log = logging.getLogger(__name__)
 
 #: Photos so many apart in the walk are next to each other. Source: a rendered walk of 300 photos, looked at afterwards:
-#: of 596 such pairs one is false, of 588 of the two numbers after it 148.
+#: of 597 such pairs one is false, of 588 three and four apart 148.
 _CLOSE = 2
 #: Points that must agree on the place of a photo, where only such pairs count. Source: judgement, as many as matches
 #: of a pair; COLMAP's 30 tore that walk where three photos in a row share 22 points, all of them true.
@@ -39,8 +39,8 @@ _NEAR, _FAR, _MOST_FAR = 0.016, 0.064, 0.1
 _DRIFTS = 100
 #: Fewer points tell nothing. Source: judgement.
 _FEWEST_POINTS = 8
-#: A stretch is believed where this share of the matches of its other neighbours agrees with it. Source: judgement; of
-#: that walk 0.93 do, and 0.1 where it was mapped with a wrong focal length.
+#: A stretch is believed where this share of the matches of its other neighbours agrees with it. Source: judgement; 0.74
+#: to 1.00 of nine stretches of rendered and real photos that were followed rightly.
 _BELIEVED = 0.6
 
 
