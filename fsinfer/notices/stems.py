@@ -123,8 +123,8 @@ SENTENCES: dict[StemCode, str] = {
     StemCode.sources_disagree: "the points say {points_cm:.1f} cm, the edges in the photos {edges_cm:.1f} cm",
     StemCode.parts_disagree: "another part of the walk says {other_cm:.1f} cm",
     StemCode.boards_elsewhere: (
-        "boards {boards} stand at two places each, up to {apart_m:.1f} m apart: photos were placed wrongly, perhaps "
-        "those that show this stem"
+        "boards {boards} stand at two places each, up to {apart_m:.1f} m apart: unless two boards have each of these "
+        "numbers, photos were placed wrongly, perhaps those that show this stem"
     ),
     StemCode.added_by_hand: "added by hand",
     StemCode.merged_by_hand: "{tree_id} and {other_id} merged by hand",

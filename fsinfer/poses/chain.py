@@ -1,9 +1,9 @@
 """A walk followed from photo to photo, and what it says of the pairs of photos that stand farther apart.
 
 Photos next to each other in a walk have hundreds of matches, and what looks alike a step away cannot outnumber them.
-Three or more steps away it does: litter and bark repeat, half of the pairs of neighbours of a rendered walk of 300 were
-false, and so were half of those that close loops. A map of the pairs next to each other alone drifts by centimetres,
-look-alikes are off by a step and more, and so it tells which of the others are true.
+Three or more steps away it does: litter and bark repeat, a third of the pairs of neighbours of a rendered walk of 300
+were false, and half of those that close loops. A map of the pairs next to each other alone drifts, by 0.26 m in that
+walk, and look-alikes are off by a step and more, so that it tells which of the others are true.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ _LEAST_POINTS = 15
 #: of a walk lies between, which grows with the way. Source: that walk and an undergrown one of 200, their pairs judged
 #: by the finished maps: so 1,895 of 1,911 true neighbours are kept and 20 of 828 others, 1,143 of 1,170 true pairs that
 #: close loops and none of 1,625 others; renders only.
-_NEAR, _FAR, _MOST_FAR = 0.016, 0.064, 0.1
+NEAR, FAR, _MOST_FAR = 0.016, 0.064, 0.1
 #: Photos on, from which drift is allowed for. Source: judgement; the walk above drifted by 0.26 m in 180 photos.
 _DRIFTS = 100
 #: Fewer points tell nothing. Source: judgement.
-_FEWEST_POINTS = 8
+FEWEST_POINTS = 8
 #: A stretch is believed where this share of the matches of its other neighbours agrees with it. Source: judgement; 0.74
 #: to 1.00 of nine stretches of rendered and real photos that were followed rightly.
 _BELIEVED = 0.6
@@ -79,10 +79,11 @@ def judge_pairs(
         if share < _BELIEVED:
             continue
         for vote in votes:
-            if vote.points >= _FEWEST_POINTS:
+            if vote.points >= FEWEST_POINTS:
                 limit = limit_of(_apart(vote, rank), settings.pairs.overlap)
                 (true if vote.error < limit else false).add((vote.first, vote.second))
-    return Judged(true=frozenset(true), false=frozenset(false))
+    # Stretches may share photos, and see a pair in two ways.
+    return Judged(true=frozenset(true - false), false=frozenset(false - true))
 
 
 def follow_walk(
@@ -121,14 +122,14 @@ def follow_walk(
 
 def limit_of(apart: int, neighbours: int) -> float:
     """How far off the points of photos so many apart in the walk may be in a map of it, in focal lengths."""
-    return _NEAR if apart <= neighbours else min(_FAR * max(1.0, apart / _DRIFTS), _MOST_FAR)
+    return NEAR if apart <= neighbours else min(FAR * max(1.0, apart / _DRIFTS), _MOST_FAR)
 
 
 def believed_share(votes: Sequence[PointVote], rank: Mapping[int, int], neighbours: int) -> float:
     """Share of the matches of neighbours, beyond those next to each other, that agree; 0 where there are none."""
-    near = [vote for vote in votes if vote.points >= _FEWEST_POINTS and _apart(vote, rank) <= neighbours]
+    near = [vote for vote in votes if vote.points >= FEWEST_POINTS and _apart(vote, rank) <= neighbours]
     cast = sum(vote.matches for vote in near)
-    return sum(vote.matches for vote in near if vote.error < _NEAR) / cast if cast else 0.0
+    return sum(vote.matches for vote in near if vote.error < NEAR) / cast if cast else 0.0
 
 
 def _apart(vote: PointVote, rank: Mapping[int, int]) -> int:

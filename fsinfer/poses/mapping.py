@@ -108,10 +108,11 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
     match_features(database, walk.files, settings, progress)
     sure = sure_pairs(database, walk.files, work, settings, progress)
     models, sightings = _map_and_find_boards(sure, walk, work, settings, progress)
-    more = with_more(models[0], sure, database, work) if models else None
+    more = with_more(models[0], sure, database, walk.files, work, settings) if models else None
     if more is not None:
-        sure = more
-        models = reconstruct(sure.database, images, work / "more", settings, progress, beginnings=sure.beginnings)
+        again = reconstruct(more.database, images, work / "more", settings, progress, beginnings=more.beginnings)
+        if again and again[0].num_reg_images() >= models[0].num_reg_images():
+            sure, models = more, again
     most = models[0].num_reg_images() if models else 0
     placed = _repaired(models, sure, database, walk, work, settings, progress, sightings)
     if placed is not None:
@@ -131,7 +132,9 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
             better = _repaired(again, sure, richer, walk, work, settings, progress, sightings)
         if better is not None and sum(walk.has_place(better.model)) > sum(has_place):
             _log.info("thorough: %d instead of %d photos", better.model.num_reg_images(), sum(has_place))
-            joined = () if placed is None or start is None else placed.joined
+            # The global mapper begins anew.
+            went_on = placed is not None and start is not None and settings.mapper == "incremental"
+            joined = placed.joined if placed is not None and went_on else ()
             placed, models = replace(better, joined=joined), again
         most = max(most, again[0].num_reg_images() if again else 0)
     if placed is None:
@@ -234,7 +237,7 @@ def _with_parts(
         had = set(model.reg_image_ids())
         parts = [part for part in others if len(set(part.reg_image_ids()) - had) >= settings.min_registered]
     if not parts:
-        return placed
+        return replace(placed, apart=())
     path = walk.files if is_walk(matched, walk.files, settings) else ()
     joined, left = join_parts(model, parts, sightings, database=matched, walk=path, least_boards=least_boards)
     misplaced = placed.misplaced

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from fsinfer.poses.chain import judge_pairs
+from fsinfer.poses.chain import FAR, FEWEST_POINTS, NEAR, judge_pairs
 from fsinfer.poses.colmap_calls import SEED, call, database_cache, image_number, open_database
 from fsinfer.poses.matches import is_walk
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.verification.misplaced import without_pairs
-from fsinfer.poses.verification.point_votes import point_votes
+from fsinfer.poses.verification.point_votes import PointVote, point_votes
 from fsinfer.poses.view_graph import beginnings, calibrate, configurations, contradicting, pair_turns
 from fsinfer.progress import Progress
 
@@ -23,13 +23,9 @@ _log = logging.getLogger(__name__)
 #: Pairs that were left out come back where their points are seen within so many focal lengths. Source: as of common
 #: points of two parts, ``joining/common_points.py``.
 _AGREES = 0.008
-#: The same of a map that is not finished. Source: as in ``chain.py``, without drift.
-_AGREES_AT_FIRST = 0.064
 #: A walk is mapped again where so many pairs more agree, for each that it was made of. Source: judgement; of two walks
 #: of 300 and 200 photos, mapped rightly at once, 0.016 and less.
 _WORTH = 0.05
-#: Fewer points tell nothing. Source: judgement.
-_FEWEST_POINTS = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,14 +35,16 @@ class SurePairs:
     Attributes
     ----------
     database: with the matches of the pairs that do not contradict each other.
-    matched: with those of all pairs but the ones that are known to be false.
+    matched: with those of all pairs but the ``false`` ones.
     left_out: the pairs that are not in ``database``, by COLMAP's numbers of their photos, the smaller first.
+    false: those of them that the walk tells to be false.
     beginnings: pairs to begin with, the best first.
     """
 
     database: Path
     matched: Path
     left_out: tuple[tuple[int, int], ...] = ()
+    false: tuple[tuple[int, int], ...] = ()
     beginnings: tuple[tuple[int, int], ...] = ()
 
 
@@ -68,8 +66,7 @@ def sure_pairs(
     if not is_walk(database, files, settings):
         return SurePairs(database=database, matched=database)
     turns = pair_turns(database)
-    with open_database(database) as opened:
-        rank = {image_number(opened, file): place for place, file in enumerate(files)}
+    rank = _ranks(database, files)
     begin = beginnings(turns)
     judged = judge_pairs(database, rank, files, work, settings, progress, beginnings=begin)
     matched = database
@@ -79,16 +76,24 @@ def sure_pairs(
         turns = pair_turns(matched)
         begin = beginnings(turns)
     known = judged.true | judged.false
-    doubted = contradicting([t for t in turns if (t.first, t.second) not in known], rank, settings.pairs.overlap)
+    doubted = [pair for pair in contradicting(turns, rank, settings.pairs.overlap) if pair not in known]
     sure = without_pairs(matched, doubted, work / f"{database.stem}_sure.db") if doubted else matched
     left_out = sorted({*judged.false, *doubted})
     _log.info(
         "of %d pairs %d are true, %d false, %d doubted", len(turns), len(judged.true), len(judged.false), len(doubted)
     )
-    return SurePairs(database=sure, matched=matched, left_out=tuple(left_out), beginnings=tuple(begin))
+    return SurePairs(
+        database=sure,
+        matched=matched,
+        left_out=tuple(left_out),
+        false=tuple(sorted(judged.false)),
+        beginnings=tuple(begin),
+    )
 
 
-def with_more(model: Any, sure: SurePairs, database: Path, work: Path) -> SurePairs | None:
+def with_more(
+    model: Any, sure: SurePairs, database: Path, files: Sequence[str], work: Path, settings: PoseSettings
+) -> SurePairs | None:
     """The sure pairs with those ``left_out`` that agree with a first map made without them; None where they are few.
 
     A long walk that is followed from photo to photo drifts by more than a pair that closes a loop is allowed. Those
@@ -97,17 +102,31 @@ def with_more(model: Any, sure: SurePairs, database: Path, work: Path) -> SurePa
     Parameters
     ----------
     model: the ``pycolmap.Reconstruction`` that was made of ``sure``. database: with the matches of all pairs.
-    work: folder for copies of it.
+    files: of all photos in the order of walking. work: folder for copies of the database.
     """
-    agreed = _agreeing(model, sure.left_out, database, _AGREES_AT_FIRST)
+    if not sure.left_out:
+        return None
+    rank = _ranks(database, files)
+
+    def limit(vote: PointVote) -> float:
+        near = abs(rank[vote.first] - rank[vote.second]) <= settings.pairs.overlap
+        return NEAR if near else FAR
+
+    agreed = _agreeing(model, sure.left_out, database, limit)
     with open_database(sure.database) as opened:
         counting = len(configurations(opened))
     if not agreed or len(agreed) < _WORTH * counting:
         return None
     _log.info("%d of %d pairs left out agree with the first map", len(agreed), len(sure.left_out))
     left_out = sorted(set(sure.left_out) - agreed)
-    more = without_pairs(database, left_out, work / f"{database.stem}_more.db")
-    return replace(sure, database=more, matched=more, left_out=tuple(left_out))
+    false = sorted(set(sure.false) - agreed)
+    return replace(
+        sure,
+        database=without_pairs(database, left_out, work / f"{database.stem}_more.db"),
+        matched=without_pairs(database, false, work / f"{database.stem}_more_matched.db"),
+        left_out=tuple(left_out),
+        false=tuple(false),
+    )
 
 
 def put_back(model: Any, left_out: Sequence[tuple[int, int]], database: Path, work: Path) -> int:
@@ -122,7 +141,7 @@ def put_back(model: Any, left_out: Sequence[tuple[int, int]], database: Path, wo
     """
     import pycolmap
 
-    agreed = _agreeing(model, left_out, database, _AGREES)
+    agreed = _agreeing(model, left_out, database, lambda _vote: _AGREES)
     if not agreed:
         return 0
     with open_database(database) as opened:
@@ -140,8 +159,16 @@ def put_back(model: Any, left_out: Sequence[tuple[int, int]], database: Path, wo
     return int(came)
 
 
-def _agreeing(model: Any, pairs: Sequence[tuple[int, int]], database: Path, error: float) -> set[tuple[int, int]]:
-    """Those of the pairs whose points lie within ``error`` focal lengths of where the other photo sees them."""
+def _agreeing(
+    model: Any, pairs: Sequence[tuple[int, int]], database: Path, limit: Callable[[PointVote], float]
+) -> set[tuple[int, int]]:
+    """Those of the pairs whose points lie within ``limit`` focal lengths of where the other photo sees them."""
     votes = point_votes(model, database) if pairs else []
-    near = {(vote.first, vote.second) for vote in votes if vote.points >= _FEWEST_POINTS and vote.error < error}
+    near = {(vote.first, vote.second) for vote in votes if vote.points >= FEWEST_POINTS and vote.error < limit(vote)}
     return near & set(pairs)
+
+
+def _ranks(database: Path, files: Sequence[str]) -> dict[int, int]:
+    """Of each photo, by COLMAP's number, the place in the order of walking."""
+    with open_database(database) as opened:
+        return {image_number(opened, file): place for place, file in enumerate(files)}

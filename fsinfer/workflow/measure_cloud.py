@@ -171,7 +171,7 @@ def measure_cloud_file(
             epsg=_epsg(cloud_path, found.scale),
             photos=photos,
             edits=corrections,
-            doubt=None if photos is None else doubt_about_all(origin.markers),
+            doubt=doubt_about_all(origin.markers) if _is_of_run(cloud_path, origin) else None,
             write_labelled=opened.labelled,
         )
         trees, given, turned = _measure(given, out, settings.stage, progress)
@@ -305,13 +305,17 @@ def _epsg(cloud_path: Path, scale: Scale) -> int | None:
     return read_epsg(cloud_path) if in_frame else None
 
 
+def _is_of_run(cloud_path: Path, origin: _Origin) -> bool:
+    """Whether the cloud is the one that a run or an import wrote into this folder."""
+    return origin.cloud_from_scene is not None and cloud_path.name in ("cloud.ply", "cloud.laz")
+
+
 def _own_photos(cloud_path: Path, origin: _Origin, factor: float) -> StemPhotos | None:
     """The photographs of the run that made the cloud, if they still lie beside it."""
     folder = cloud_path.parent
     scene = (folder / "scene" / part for part in ("cams", "images", "pair.txt"))
     parts = (*scene, folder / "depth" / "depth.json", folder / "confidence")
-    known = origin.cloud_from_scene is not None and cloud_path.name in ("cloud.ply", "cloud.laz")
-    if not known or not all(part.exists() for part in parts):
+    if not _is_of_run(cloud_path, origin) or not all(part.exists() for part in parts):
         return None
     scaled = np.diag([factor, factor, factor, 1.0]) @ origin.cloud_from_scene
     return photos_of_run(folder, read_scene(folder / "scene"), scaled)

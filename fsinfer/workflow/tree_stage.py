@@ -151,8 +151,6 @@ def measure_plot(
     measured = _look_at_photos(edited, given, out, settings, found=found, progress=progress)
     if given.metric:
         measured = replace(measured, warnings=(*measured.warnings, *forks(measured.trees, measured.sections)))
-    if given.doubt is not None:
-        measured = all_doubtful(measured, given.doubt)
     curves = stem_curves(given.cloud.xyz, measured, settings=settings.stem_curve) if given.metric else {}
     whole, added = join_measured(
         measured,
@@ -161,6 +159,8 @@ def measure_plot(
         ground=settings.trees.ground,
         walk=settings.walk,
     )
+    if given.doubt is not None:
+        whole = all_doubtful(whole, given.doubt)
     bordered, plot = _draw_border(whole, given, settings, added, out)
     _write(bordered, given, out, curves, plot)
     copy_figures(out, bordered, added.numbers)

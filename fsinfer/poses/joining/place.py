@@ -168,7 +168,7 @@ def find_place(
     database: of the matches. walk: files in the order of walking. least_boards: that must speak for a place.
     """
     common = sorted(set(model.reg_image_ids()) & set(part.reg_image_ids()))
-    if len(common) >= _COMMON_PHOTOS:
+    if len(common) >= _COMMON_PHOTOS and not least_boards:
         found = _by_photos(model, part, common)
         if found is not None:
             return found
@@ -179,7 +179,6 @@ def find_place(
     proposed.sort(key=lambda entry: -entry[0].score)
     refined = [ties.refined(place) for _, place in _distinct(proposed, ties)]
     judged = sorted(((ties.evidence(place), place) for place in refined), key=lambda entry: -entry[0].balance)
-    judged = [(evidence, place) for evidence, place in judged if evidence.boards >= least_boards]
     believed = [(evidence, place) for evidence, place in judged if _believed(ties, evidence, place)]
     if not believed:
         if judged:
@@ -189,6 +188,9 @@ def find_place(
     rivals = [other for other, place in believed if ties.differ(best, place)]
     if rivals and rivals[0].rivals(evidence):
         _log.info("a part of %d photos could lie in two places: %s, %s", part.num_reg_images(), evidence, rivals[0])
+        return None
+    if evidence.boards < least_boards:
+        _log.info("a part of %d photos stays apart for now: %s", part.num_reg_images(), evidence)
         return None
     _log.info("a part of %d photos is joined: %s", part.num_reg_images(), evidence)
     return best

@@ -88,8 +88,11 @@ def _points_of_features(model: Any, count: dict[int, int]) -> dict[int, Floats]:
 
 
 def _errors(points: Floats, pose: Floats, rays: Floats) -> Floats:
-    """How far from the rays (N, 2) of a photo the points (N, 3) are seen in it, where there is one; (K,)."""
-    known = np.isfinite(points[:, 0])
+    """How far from the rays (N, 2) of a photo the points (N, 3) are seen in it, where there is one; (K,).
+
+    A ray that the lens model has no answer for is passed over.
+    """
+    known = np.isfinite(points[:, 0]) & np.isfinite(rays).all(axis=1)
     at = points[known] @ pose[:, :3].T + pose[:, 3]
     ahead = at[:, 2] > 0
     seen = at[:, :2] / np.where(ahead, at[:, 2], 1.0)[:, None]

@@ -93,6 +93,23 @@ def test_what_few_points_say_is_neither_true_nor_false(tmp_path: Path, monkeypat
     assert found == Judged(true=frozenset({(1, 4), (1, 5)}), false=frozenset({(2, 5)}))
 
 
+def test_a_pair_that_two_stretches_see_in_two_ways_is_not_judged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Part:
+        def __init__(self, *votes: PointVote) -> None:
+            self.votes = list(votes)
+
+        def num_reg_images(self) -> int:
+            return PHOTOS
+
+    parts = [Part(vote(1, 4), vote(2, 5)), Part(vote(1, 4, error=0.5), vote(1, 5, matches=500))]
+    monkeypatch.setattr("fsinfer.poses.chain.follow_walk", lambda *_, **__: parts)
+    monkeypatch.setattr("fsinfer.poses.chain.point_votes", lambda part, _database: part.votes)
+    found = judge_pairs(tmp_path / "pairs.db", RANK, names(), tmp_path, SETTINGS, silent, beginnings=[])
+    assert found == Judged(true=frozenset({(2, 5), (1, 5)}))
+
+
 def test_a_walk_is_begun_with_a_pair_that_it_has(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[dict[str, Any]] = []
 

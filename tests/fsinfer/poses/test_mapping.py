@@ -229,12 +229,17 @@ def test_a_walk_is_mapped_and_judged_by_the_pairs_that_are_sure(
     truth = walked()
     given = {name: tmp_path / f"{name}.db" for name in ("first", "first_matched", "more", "more_matched")}
     first = SurePairs(database=given["first"], matched=given["first_matched"], left_out=((1, 2), (1, 3)))
-    for more in (None, SurePairs(database=given["more"], matched=given["more_matched"], left_out=((1, 2),))):
+    second = SurePairs(database=given["more"], matched=given["more_matched"], left_out=((1, 2),))
+    # A second map that has fewer photos is none.
+    for more, photos in ((None, WITHIN), (second, WITHIN), (second, FIRST)):
         used: list[tuple[str, Any]] = []
+        maps = {first.database: WITHIN, second.database: photos}
 
-        def reconstruct(database: Path, *_: Any, used: list[tuple[str, Any]] = used, **__: Any) -> list[Any]:
+        def reconstruct(
+            database: Path, *_: Any, used: list[tuple[str, Any]] = used, maps: Any = maps, **__: Any
+        ) -> list[Any]:
             used.append(("mapped", database))
-            return [part_of(truth, WITHIN)]
+            return [part_of(truth, maps[database])]
 
         def repair(model: Any, database: Path, *_: Any, used: list[tuple[str, Any]] = used, **__: Any) -> Any:
             used.append(("repaired", database))
@@ -255,7 +260,7 @@ def test_a_walk_is_mapped_and_judged_by_the_pairs_that_are_sure(
             files = tuple(names(WITHIN))
             settings = PoseSettings(threads=1)
             map_walk(Walk(files=files, cameras={"phone": files}), tmp_path, tmp_path, settings, silent)
-        last = more or first
+        last = second if more is not None and photos == WITHIN else first
         assert used == [
             ("mapped", first.database),
             *([("mapped", more.database)] if more else []),

@@ -137,18 +137,42 @@ def test_a_walk_is_mapped_again_with_true_pairs_that_its_drift_hid_and_not_for_a
     sure = sure_pairs(database, names(), tmp_path, SETTINGS, silent)
     assert {(1, 14), (2, 13)} <= set(sure.left_out)
     model = mapped(sure, tmp_path)
-    assert with_more(model, sure, database, tmp_path) is None
-    assert with_more(model, replace(sure, left_out=()), database, tmp_path) is None
+
+    def more_of(given: SurePairs, settings: PoseSettings = SETTINGS) -> SurePairs | None:
+        return with_more(model, given, database, names(), tmp_path, settings)
+
+    assert more_of(sure) is None
+    assert more_of(replace(sure, left_out=())) is None
     hidden = [(1, 10), (3, 12), (4, 13)]
     narrow = SurePairs(
         database=without_pairs(sure.database, hidden, tmp_path / "narrow.db"),
         matched=sure.matched,
         left_out=tuple(sorted([*sure.left_out, *hidden])),
+        false=tuple(sorted([*sure.false, hidden[0]])),
         beginnings=sure.beginnings,
     )
-    assert with_more(model, replace(narrow, left_out=tuple(hidden[:1])), database, tmp_path) is None
-    more = with_more(model, narrow, database, tmp_path)
+    assert more_of(replace(narrow, left_out=tuple(hidden[:1]))) is None
+    more = more_of(narrow)
     assert more is not None
     assert more.left_out == sure.left_out
-    assert counting(more.database) == counting(sure.database) == counting(more.matched)
+    assert more.false == sure.false
+    assert counting(more.database) == counting(sure.database)
+    # What is doubted only is kept for later.
+    assert counting(more.matched) == counting(database) - {(first - 1, second - 1) for first, second in sure.false}
     assert more.beginnings == sure.beginnings
+
+
+def test_neighbours_come_back_by_the_narrower_limit_of_neighbours(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those that close loops may be off by what drift is left."""
+    database = pairs_of_walk(tmp_path / "pairs.db", further=FURTHER)
+    votes = [PointVote(first=i, second=i + 4, matches=90, points=90, error=0.03) for i in range(1, 11)]
+    monkeypatch.setattr("fsinfer.poses.sure_pairs.point_votes", lambda *_: votes)
+    left_out = tuple((vote.first, vote.second) for vote in votes)
+    sure = SurePairs(database=database, matched=database, left_out=left_out, false=left_out)
+    assert with_more(None, sure, database, names(), tmp_path, SETTINGS) is None
+    loose = replace(SETTINGS, pairs=PairSettings(overlap=3, exhaustive_up_to=5))
+    more = with_more(None, sure, database, names(), tmp_path, loose)
+    assert more is not None
+    assert more.left_out == more.false == ()

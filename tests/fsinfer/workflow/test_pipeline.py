@@ -718,7 +718,9 @@ def test_no_stem_is_ok_where_boards_stand_metres_from_themselves(
     out = tmp_path / "out"
     run(photos, out)
     measure_cloud_file(out / "cloud.ply", tmp_path / "again", request=ScaleRequest())
-    for folder in (out, tmp_path / "again"):
+    shutil.rmtree(out / "confidence")
+    measure_cloud_file(out / "cloud.ply", tmp_path / "alone", request=ScaleRequest())
+    for folder in (out, tmp_path / "again", tmp_path / "alone"):
         rows = [row for row in read_trees(folder / "trees.csv") if row.dbh_cm is not None]
         assert rows
         assert {row.status for row in rows} == {"doubtful"}

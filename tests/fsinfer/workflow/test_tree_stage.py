@@ -14,6 +14,7 @@ from fsinfer.notices.sentences import is_remark
 from fsinfer.notices.stems import StemCode
 from fsinfer.scale.scale import UNKNOWN, marker_centers
 from fsinfer.trees import analyse_plot
+from fsinfer.trees.plot_doubt import all_doubtful
 from fsinfer.trees.posts import without_posts
 from fsinfer.workflow.tree_stage import PlotCloudInput, measure_plot
 from tests.support.boards import board, scale_of_boards
@@ -68,3 +69,16 @@ def test_what_speaks_against_all_stems_leaves_none_that_is_ok(tmp_path: Path) ->
             assert "boards 21, 22 stand at two places each, up to 4.2 m apart" in after["reason"]
         else:
             assert after == before
+
+
+def test_stems_of_joined_parts_are_doubtful_too() -> None:
+    result = analyse_plot(stem_plot(trees=4, seed=3).points)
+    measured = next(tree for tree in result.trees if tree.dbh_cm is not None)
+    bare = replace(measured, dbh_cm=None, status="unmeasured", reasons=())
+    joined = (replace(measured, tree_id=90, part="part-2"), replace(bare, tree_id=91, part="part-2"))
+    doubt = notice(StemCode.boards_elsewhere, boards="21, 22", apart_m=4.2)
+    found = all_doubtful(replace(result, joined=joined), doubt)
+    assert found.joined[0].status == "doubtful"
+    assert found.joined[0].reasons[-1] == doubt
+    assert found.joined[1] == joined[1]
+    assert {section.status for section in found.sections if section.dbh_m is not None} == {"doubtful"}
