@@ -79,9 +79,7 @@ def sure_pairs(
     doubted = [pair for pair in contradicting(turns, rank, settings.pairs.overlap) if pair not in known]
     sure = without_pairs(matched, doubted, work / f"{database.stem}_sure.db") if doubted else matched
     left_out = sorted({*judged.false, *doubted})
-    _log.info(
-        "of %d pairs %d are true, %d false, %d doubted", len(turns), len(judged.true), len(judged.false), len(doubted)
-    )
+    _log.info("%d pairs are true, %d false, and %d doubted", len(judged.true), len(judged.false), len(doubted))
     return SurePairs(
         database=sure,
         matched=matched,
