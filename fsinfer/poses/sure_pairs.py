@@ -10,7 +10,8 @@ from typing import Any
 
 from fsinfer.poses.chain import FAR, FEWEST_POINTS, NEAR, judge_pairs
 from fsinfer.poses.colmap_calls import SEED, call, database_cache, image_number, open_database
-from fsinfer.poses.matches import is_walk
+from fsinfer.poses.matches import inliers_by_rank, is_walk
+from fsinfer.poses.pairs import MIN_INLIERS
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.verification.misplaced import without_pairs
 from fsinfer.poses.verification.point_votes import PointVote, point_votes
@@ -111,8 +112,7 @@ def with_more(
         return NEAR if near else FAR
 
     agreed = _agreeing(model, sure.left_out, database, limit)
-    with open_database(sure.database) as opened:
-        counting = len(configurations(opened))
+    counting = sum(found >= MIN_INLIERS for found in inliers_by_rank(sure.database, files).values())
     if not agreed or len(agreed) < _WORTH * counting:
         return None
     _log.info("%d of %d pairs left out agree with the first map", len(agreed), len(sure.left_out))
@@ -161,9 +161,8 @@ def _agreeing(
     model: Any, pairs: Sequence[tuple[int, int]], database: Path, limit: Callable[[PointVote], float]
 ) -> set[tuple[int, int]]:
     """Those of the pairs whose points lie within ``limit`` focal lengths of where the other photo sees them."""
-    votes = point_votes(model, database) if pairs else []
-    near = {(vote.first, vote.second) for vote in votes if vote.points >= FEWEST_POINTS and vote.error < limit(vote)}
-    return near & set(pairs)
+    votes = point_votes(model, database, frozenset(pairs)) if pairs else []
+    return {(vote.first, vote.second) for vote in votes if vote.points >= FEWEST_POINTS and vote.error < limit(vote)}
 
 
 def _ranks(database: Path, files: Sequence[str]) -> dict[int, int]:

@@ -79,7 +79,7 @@ def pairs_of_walk(
     """
     import pycolmap
 
-    false, few = false or {}, few or {}
+    false, along, few = false or {}, along or {}, few or {}
     camera = pycolmap.Camera(model="SIMPLE_RADIAL", width=WIDTH, height=HEIGHT, params=[focal_px, 600.0, 450.0, 0.0])
     camera.has_prior_focal_length = known
     places: dict[int, list[NDArray[np.float64]]] = {number: [pixels(number)] for number in range(PHOTOS)}
@@ -88,13 +88,11 @@ def pairs_of_walk(
     every = np.arange(POINTS)
     for pair in sorted(true):
         matches[pair] = np.column_stack([every, every])[: few.get(pair)]
-    for (first, second), taken_for in false.items():
+    shown = {pair: pixels(taken_for) for pair, taken_for in false.items()}
+    shown |= {(first, second): pixels(second, farther=(first, factor)) for (first, second), factor in along.items()}
+    for (first, second), there in shown.items():
         begin = sum(len(part) for part in places[second])
-        places[second].append(pixels(taken_for)[:60])
-        matches[first, second] = np.column_stack([every[:60], begin + every[:60]])
-    for (first, second), factor in (along or {}).items():
-        begin = sum(len(part) for part in places[second])
-        places[second].append(pixels(second, farther=(first, factor))[:60])
+        places[second].append(there[:60])
         matches[first, second] = np.column_stack([every[:60], begin + every[:60]])
     with open_database(path) as opened:
         number_of_camera = opened.write_camera(camera)

@@ -7,7 +7,7 @@ a photo is put metres on by matches that all lie on their lines.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -39,12 +39,15 @@ class PointVote:
     error: float
 
 
-def point_votes(model: Any, database: Path) -> list[PointVote]:
-    """The votes of all pairs of placed photos of a ``pycolmap.Reconstruction`` whose matches count in ``database``."""
-    return list(_votes(model, database))
+def point_votes(model: Any, database: Path, only: Collection[tuple[int, int]] | None = None) -> list[PointVote]:
+    """The votes of all pairs of placed photos of a ``pycolmap.Reconstruction`` whose matches count in ``database``.
+
+    ``only``: of these pairs, by COLMAP's numbers, the smaller first.
+    """
+    return list(_votes(model, database, only))
 
 
-def _votes(model: Any, database: Path) -> Iterator[PointVote]:
+def _votes(model: Any, database: Path, only: Collection[tuple[int, int]] | None) -> Iterator[PointVote]:
     import pycolmap
 
     placed = set(model.reg_image_ids())
@@ -55,6 +58,8 @@ def _votes(model: Any, database: Path) -> Iterator[PointVote]:
         for pair_id, count in zip(*opened.read_two_view_geometry_num_inliers(), strict=True):
             first, second = pycolmap.pair_id_to_image_pair(pair_id)
             if count < MIN_INLIERS or first not in placed or second not in placed:
+                continue
+            if only is not None and (first, second) not in only:
                 continue
             matches = np.asarray(opened.read_two_view_geometry(first, second).inlier_matches, np.intp)
             errors = [

@@ -56,6 +56,8 @@ def test_points_tell_true_pairs_from_false_ones(database: Path, model: Any) -> N
             assert vote.error < 1.0 / FOCAL_PX
             assert vote.points > 1.9 * POINTS
             assert vote.matches == POINTS
+    asked = {(5, 10), (1, 10), (1, 14)}
+    assert by_rank(point_votes(model, database, asked)) == {pair: votes[pair] for pair in ((4, 9), (0, 9))}
 
 
 def test_epipolar_lines_do_not_tell_what_lies_along_them(database: Path, model: Any) -> None:
