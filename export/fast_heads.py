@@ -20,6 +20,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from training.model.backbone import upsample_like
+from training.model.candidates import CandidateHead, read_candidates
 from training.model.config import DEPTH_PLANES
 from training.model.fsmvsnet import CONFIDENCE_RADIUS, REFINE_WINDOW_RADIUS, WINDOW_RADIUS, PlaneHead, RefineHead
 from training.model.packed import DepthMix, PackedRegularizer
@@ -147,6 +148,22 @@ class TilePlaneHead(FastPlaneHead):
 
         index, confidence = self.read(volume, excite)
         return index, confidence, *levels
+
+
+class FastCandidateHead(nn.Module):
+    """:class:`CandidateHead` with what is read off its scores.
+
+    forward: volume (K*G, h, w), features (C, h, w), hints (3, h, w), plane indices of the candidates (K, h, w) → index
+    and confidence (h, w).
+    """
+
+    def __init__(self, head: CandidateHead) -> None:
+        super().__init__()
+        self.head = head
+
+    def forward(self, volume: Tensor, features: Tensor, hints: Tensor, planes: Tensor) -> tuple[Tensor, Tensor]:
+        """Return index and confidence."""
+        return read_candidates(self.head.scores(volume, features, hints), planes)
 
 
 class FastRefineHead(nn.Module):

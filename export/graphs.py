@@ -10,9 +10,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from export.fast_heads import FastPlaneHead, FastRefineHead, TilePlaneHead
+from export.fast_heads import FastCandidateHead, FastPlaneHead, FastRefineHead, TilePlaneHead
 from export.volume_heads import TileVolumeHead, VolumeHead
 from training.model import FSMVSNet, ModelConfig
+from training.model.candidates import CANDIDATES, HINTS
 from training.model.config import DEPTH_PLANES
 from training.model.fsmvsnet import REFINE_GROUPS
 
@@ -98,6 +99,23 @@ def graphs(model: FSMVSNet) -> list[Graph]:
             free={"volume": free},
         )
     )
+    if model.candidate_head is not None:
+        planes = torch.randn(CANDIDATES, h, w) + torch.arange(CANDIDATES)[:, None, None]
+        inputs = {
+            "volume": torch.randn(CANDIDATES * config.groups, h, w),
+            "features": torch.randn(config.feature_channels, h, w),
+            "hints": torch.rand(HINTS, h, w),
+            "planes": planes,
+        }
+        result.append(
+            Graph(
+                role="candidates",
+                module=FastCandidateHead(fold_batch_norm(model.candidate_head)),
+                inputs=inputs,
+                outputs=["index", "confidence"],
+                free={name: {1: "rows", 2: "columns"} for name in inputs},
+            )
+        )
     if model.refine_head is not None:
         result.append(
             Graph(
@@ -132,8 +150,9 @@ def _example_volume(config: ModelConfig) -> tuple[Tensor, dict[int, str]]:
 #: packed one see 3, 9 and 29 of them far (a convolution of stride 2 and one or two more at each of the strides 2, 4 and
 #: 8); with the enlarged levels coming up and the head the result sees 49. The refiner sees 21 half-resolution pixels.
 #: The 3D one sees 51: 22 on the way down (two convolutions a level, at strides 1 to 8) and 29 on the way up.
-#: Source: these fields of view, rounded up.
-TILE_ALIGN, TILE_LEVEL_HALOS, TILE_HALO = 8, (8, 16, 32), 56
+#: Source: these fields of view, rounded up. Of a volume at an eighth the candidates of the cells beside and what looks
+#: at them, 21 quarter pixels, come on top.
+TILE_ALIGN, TILE_LEVEL_HALOS, TILE_HALO, TILE_HALO_OF_EIGHTHS = 8, (8, 16, 32), 56, 72
 
 
 def tile_graph(model: FSMVSNet) -> Graph | None:

@@ -16,6 +16,7 @@ import torch
 from export.graphs import (
     TILE_ALIGN,
     TILE_HALO,
+    TILE_HALO_OF_EIGHTHS,
     TILE_LEVEL_HALOS,
     Graph,
     graphs,
@@ -27,6 +28,7 @@ from export.parity import DEPTH_REL_P999, MASK_AGREEMENT
 from fsinfer.depth.manifest import hash_files
 from fsinfer.errors import ModelError
 from training.model import FSMVSNet
+from training.model.candidates import AROUND, STEP
 from training.model.config import DEPTH_PLANES
 
 _log = logging.getLogger(__name__)
@@ -72,12 +74,14 @@ def export_model(
         "opset": OPSET,
         "volume": {
             "kind": config.volume,
+            "stride": config.wide_stride,
             "planes": DEPTH_PLANES,
             "channels": volume_channels(config),
             "packed_planes": config.packed_planes if config.regularizer == "packed" else 0,
             "inverse_depth": config.inverse_depth,
         },
         "refine": {"planes": config.refine_planes, "span": config.refine_span},
+        **({"candidates": {"around": AROUND, "step": STEP}} if "candidates" in entries else {}),
         "parity_confidence_threshold": confidence_threshold,
         "tolerances": {"depth_rel_p999": DEPTH_REL_P999, "confidence_mask_agreement": MASK_AGREEMENT},
         "config": config.to_dict(),
@@ -139,7 +143,7 @@ def add_tiles(model: FSMVSNet, manifest: Path) -> None:
     inputs = {} if graph is None else graph.inputs
     data["tiles"] = {
         "regularizer": path.name,
-        "halo": TILE_HALO,
+        "halo": TILE_HALO if model.config.wide_stride == 4 else TILE_HALO_OF_EIGHTHS,
         "level_halos": list(TILE_LEVEL_HALOS) if "mean0" in inputs else [],
         "volume_mean": "volume_mean" in inputs,
         "align": TILE_ALIGN,

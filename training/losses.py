@@ -50,6 +50,19 @@ def cross_entropy_two_bins(scores_dhw: Tensor, index_hw: Tensor, mask: Tensor) -
     return (loss * mask).sum() / mask.sum().clamp_min(1)
 
 
+def cross_entropy_candidates(scores_dhw: Tensor, away_dhw: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+    """Cross-entropy against the candidates within a plane of the truth, by how near they are; and where there are any.
+
+    ``away_dhw`` is the distance of each candidate from the truth in planes. Several candidates may be of one plane:
+    the label is shared among them.
+    """
+    share = (1 - away_dhw).clamp_min(0)
+    total = share.sum(dim=0)
+    mask = mask & (total > 0.05)
+    loss = -(share / total.clamp_min(0.05) * torch.log_softmax(scores_dhw, dim=0)).sum(dim=0)
+    return (loss * mask).sum() / mask.sum().clamp_min(1), mask
+
+
 def plane_loss(output: DepthOutput, truths: dict[int, Tensor]) -> tuple[Tensor, dict[str, float]]:
     """Cross-entropy plus L1 below the plane, at the 192-plane volume and at the refinement."""
     total = torch.zeros((), device=output.depth.device)
@@ -57,7 +70,11 @@ def plane_loss(output: DepthOutput, truths: dict[int, Tensor]) -> tuple[Tensor, 
     for scale in output.scales:
         truth = truths[scale.stride]
         index, mask = target_index(truth, scale.inverse_depth_dhw)
-        entropy = cross_entropy_two_bins(scale.scores_dhw, index, mask)
+        if scale.candidates_dhw is None:
+            entropy = cross_entropy_two_bins(scale.scores_dhw, index, mask)
+        else:
+            away = (scale.candidates_dhw - index).abs()
+            entropy, mask = cross_entropy_candidates(scale.scores_dhw, away, mask)
         error = (scale.index_hw - index).abs()
         near = mask & (error.detach() < SUBPLANE_LIMIT)
         below = (error * near).sum() / near.sum().clamp_min(1)

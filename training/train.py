@@ -106,8 +106,12 @@ class Trainer:
             raise ModelError(msg) from error
 
     def _begin_with(self, state: dict[str, Any]) -> None:
-        self.model.load_state_dict(state["average"])
-        self.average.module.load_state_dict(state["average"])
+        for model in (self.model, self.average.module):
+            missing, unknown = model.load_state_dict(state["average"], strict=False)
+            # A network that has a head more may begin with the weights of one without it.
+            if unknown or any(not name.startswith("candidate_head.") for name in missing):
+                msg = f"it lacks {missing}, and has {unknown} which this network has not"
+                raise ValueError(msg)
         earlier = dict(state["training"])
         self.before = [*earlier.pop("before", []), {**earlier, "steps": state["step"], "spent_s": state["spent_s"]}]
 

@@ -46,6 +46,12 @@ class Features:
         """The (C, H, W) array that it was cut from."""
         return np.ascontiguousarray(np.concatenate(self.groups, axis=-1).transpose(2, 0, 1))
 
+    def every(self, step: int) -> Features:
+        """Those of every ``step``-th row and column."""
+        if step == 1:
+            return self
+        return Features(groups=tuple(np.ascontiguousarray(group[::step, ::step]) for group in self.groups))
+
     @property
     def shape(self) -> tuple[int, int]:
         """(H, W)."""

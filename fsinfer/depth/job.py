@@ -125,6 +125,7 @@ def plan_within(
         planes=manifest.planes,
         groups=manifest.groups,
         level_channels=manifest.level_channels,
+        wide_stride=manifest.wide_stride,
         feature_channels=manifest.feature_channels,
         refine_channels=manifest.refine_channels,
         views=settings.source_views + 1,

@@ -19,12 +19,15 @@ _log = logging.getLogger(__name__)
 #: Channels of the feature maps at a quarter and at half resolution, where a manifest does not tell. Source: format;
 #: those of the model that is shipped.
 _FEATURE_CHANNELS, _REFINE_CHANNELS = 16, 8
+#: Pixels of the image to one of the volume, where a manifest does not tell. Source: format; the features' own.
+_QUARTER = 4
 #: Channels of the first level of a 3D regularizer, where a manifest does not tell. Source: format; MVSNet.
 _LEVEL_CHANNELS = 8
 
 # Numbers of a manifest that count something.
 _COUNTS = (
     "packed_planes",
+    "wide_stride",
     "planes",
     "groups",
     "level_channels",
@@ -37,16 +40,32 @@ _MOST = 4096
 
 
 @dataclass(frozen=True, kw_only=True)
+class Candidates:
+    """Between a volume at an eighth of the resolution and what is refined, see :mod:`fsinfer.depth.candidates`.
+
+    Attributes
+    ----------
+    graph: ONNX file; int8_graph: the same in 8-bit integers, or ``None``.
+    around, step: candidates round each of a pixel's three indices, and how far they lie apart, planes.
+    """
+
+    graph: str
+    int8_graph: str | None
+    around: int
+    step: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class TileGraph:
     """The regularizer for parts of a volume.
 
     Attributes
     ----------
     regularizer: ONNX file.
-    halo: how far its result sees, quarter pixels, rounded up to ``align``; level_halos: the same of its levels, whose
-        means over the whole it is given.
+    halo: how far its result sees, pixels of the volume, rounded up to ``align``; level_halos: the same of its levels,
+        whose means over the whole it is given.
     volume_mean: whether it is given the mean of each channel over the whole volume.
-    align: parts begin at multiples of so many quarter pixels.
+    align: parts begin at multiples of so many pixels of the volume.
     """
 
     regularizer: str
@@ -66,12 +85,13 @@ class ModelManifest:
     features, regularizer: ONNX file names; refiner: the same, or ``None``.
     volume: ``correlation`` or ``variance``; packed_planes: planes of a slab
         that the regularizer takes as channels; 0 where it takes the whole volume.
+    wide_stride: pixels of the image to one of the volume: 4, or 8, of which ``candidates`` come between.
     planes: number of planes of the volume (192); inverse_depth: uniform in 1/depth.
     groups: values of the volume at each plane and pixel: groups of the correlation, or channels of the variance.
     level_channels: channels of the first level of a regularizer that takes the whole volume; 0 where it takes slabs.
     feature_channels: of a feature map at a quarter; refine_channels: at half resolution, 0 where nothing is refined.
     refine_planes, refine_span: the narrow volume at half resolution; span in plane intervals on each side.
-    sha256: over the graphs' bytes, in the order features, regularizer, refiner.
+    sha256: over the graphs' bytes, in the order features, regularizer, candidates, refiner.
     int8_regularizer, int8_features, int8_refiner: the graphs in 8-bit integers, and ``int8_sha256`` the hash with them
         in place of the others; ``None`` where the model has none. One with an int8 regularizer may lack the others.
     tiles: the float32 regularizer for parts of a volume, ``None`` where the model cannot be cut into tiles.
@@ -88,6 +108,8 @@ class ModelManifest:
     refiner: str | None
     volume: str
     packed_planes: int
+    wide_stride: int
+    candidates: Candidates | None
     planes: int
     groups: int
     level_channels: int
@@ -113,11 +135,22 @@ class ModelManifest:
 
     def files_of(self, *, int8: bool) -> list[Path]:
         """Paths of the graphs of that precision, in the order of the hash; in float32 where there is none in int8."""
-        names: list[str | None] = [self.features, self.regularizer, self.refiner]
-        if int8:
-            of_int8 = (self.int8_features, self.int8_regularizer, self.int8_refiner)
-            names = [quick or exact for quick, exact in zip(of_int8, names, strict=True)]
-        return [self.folder / name for name in names if name is not None]
+        return list(self.graphs_of(int8=int8).values())
+
+    def graphs_of(self, *, int8: bool) -> dict[str, Path]:
+        """The same by their roles."""
+        chooser = self.candidates
+        names = {
+            "features": (self.features, self.int8_features),
+            "regularizer": (self.regularizer, self.int8_regularizer),
+            "candidates": (None, None) if chooser is None else (chooser.graph, chooser.int8_graph),
+            "refiner": (self.refiner, self.int8_refiner),
+        }
+        return {
+            role: self.folder / (quick if int8 and quick else exact)
+            for role, (exact, quick) in names.items()
+            if exact is not None
+        }
 
     def sha256_of(self, *, int8: bool) -> str:
         """SHA-256 over the bytes of :meth:`files_of`, which tells results of the two precisions apart."""
@@ -167,6 +200,8 @@ def read_manifest(name_or_path: str | Path, *, trust: bool = False) -> ModelMani
             refiner=data["graphs"]["refiner"]["file"] if "refiner" in data["graphs"] else None,
             volume=data["volume"]["kind"],
             packed_planes=data["volume"]["packed_planes"],
+            wide_stride=data["volume"].get("stride", _QUARTER),
+            candidates=_candidates(data),
             planes=data["volume"]["planes"],
             groups=_groups(data),
             level_channels=0 if data["volume"]["packed_planes"] else _config(data, "width", _LEVEL_CHANNELS),
@@ -204,6 +239,15 @@ def _check(manifest: ModelManifest, data: dict[str, Any]) -> None:
     files: list[Any] = [manifest.features, manifest.regularizer]
     of_int8 = (manifest.int8_features, manifest.int8_regularizer, manifest.int8_refiner)
     files += [file for file in (manifest.refiner, *of_int8) if file is not None]
+    chooser = manifest.candidates
+    if (manifest.wide_stride, chooser is None) not in ((_QUARTER, True), (2 * _QUARTER, False)):
+        msg = f"stride is {manifest.wide_stride!r}, with {'no ' if chooser is None else ''}candidates"
+        raise ValueError(msg)
+    if chooser is not None:
+        files += [file for file in (chooser.graph, chooser.int8_graph) if file is not None]
+        if not 1 <= chooser.around <= _MOST or not 0 < chooser.step <= _MOST or manifest.volume != "correlation":
+            msg = f"candidates are {chooser.around} around, {chooser.step} apart, of a volume of {manifest.volume}"
+            raise ValueError(msg)
     hashes: list[Any] = [manifest.sha256]
     if manifest.int8_regularizer is not None:
         hashes.append(manifest.int8_sha256)
@@ -274,6 +318,17 @@ def _groups(data: dict[str, Any]) -> int:
         return int(volume["channels"])
     # fsinfer 0.1 wrote the groups of the correlation, whatever the kind of the volume.
     return int(volume["groups"] if volume["kind"] == "correlation" else data["config"]["feature_channels"])
+
+
+def _candidates(data: dict[str, Any]) -> Candidates | None:
+    if "candidates" not in data["graphs"]:
+        return None
+    return Candidates(
+        graph=data["graphs"]["candidates"]["file"],
+        int8_graph=data.get("int8", {}).get("candidates"),
+        around=int(data["candidates"]["around"]),
+        step=float(data["candidates"]["step"]),
+    )
 
 
 def _tiles(entry: dict[str, Any] | None) -> TileGraph | None:

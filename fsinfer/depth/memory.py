@@ -33,7 +33,11 @@ _PEAK_OVER_TILE, _FEATURES_BYTES = 9.2, 105
 #: volume, in tiles the copy of it, and what is held at once of the first level. Source: numerics; measured, ``paper``
 #: as a whole takes 0.77 GB at 640x352, 1.57 at 960x512 and 3.16 at 1280x720, there in two tiles 2.59.
 _VOLUMES_AT_PEAK, _LEVELS_AT_PEAK = 1.0, 4.6
-#: Sides of tiles that are tried, quarter pixels. Source: numerics; multiples of the network's coarsest level.
+#: The same of a volume at an eighth of the resolution, beside which what follows at a quarter and at half of it weighs
+#: more: as a whole in float32 and in int8, and in tiles. Each map worked on at a time takes all of it. Source:
+#: numerics; measured with ``cascade``, 12.1 to 12.5 and 7.7 to 8.8 times at 960x544 to 2400x1808.
+_PEAK_OVER_EIGHTHS, _INT8_PEAK_OVER_EIGHTHS, _PEAK_OVER_TILE_OF_EIGHTHS = 13.2, 9.4, 14.2
+#: Sides of tiles that are tried, pixels of the volume. Source: numerics; multiples of the network's coarsest level.
 _TILE_SIZES = range(512, 56, -8)
 #: Sizes that a message proposes: multiples of the one, none below the other, pixels. Source: layout; the least that
 #: --max-size takes.
@@ -49,7 +53,7 @@ class DepthPlan:
     cached_views: feature maps kept for the neighbouring photos.
     peak_bytes: memory expected with them.
     at_once: depth maps computed at a time; regularizers: how many of them are in the regularizer at a time.
-    tile_size: quarter pixels of a tile (:mod:`fsinfer.depth.tiles`); 0 where a depth map is computed as a whole.
+    tile_size: pixels of the volume of a tile (:mod:`fsinfer.depth.tiles`); 0 where a depth map is computed as a whole.
     keeps_volume: in tiles, whether the cost volume is kept as a whole.
     """
 
@@ -73,6 +77,7 @@ def plan_depth(
     feature_channels: int,
     refine_channels: int,
     level_channels: int = 0,
+    wide_stride: int = 4,
     int8: bool = False,
     tile_halo: int | None = None,
     most_at_once: int = 1,
@@ -86,13 +91,14 @@ def plan_depth(
     ----------
     memory_gb: limit, 1e9 bytes.
     width, height: of the image given to the network, pixels.
-    planes, groups: of the cost volume at a quarter of that; groups are values at each plane and pixel.
+    planes, groups: of the cost volume; groups are values at each plane and pixel.
+    wide_stride: pixels of the image to one of the volume, 4 or 8.
     level_channels: of the first level of a regularizer that takes the volume as it is (3D convolutions); 0 for one that
         takes slabs.
     feature_channels, refine_channels: of the feature maps at a quarter and at half resolution.
     views: photographs compared at a time, the reference among them.
     int8: the graphs are in 8-bit integers; in tiles they never are.
-    tile_halo: of the model's tiles, quarter pixels; None where it cannot be cut into tiles.
+    tile_halo: of the model's tiles, pixels of the volume; None where it cannot be cut into tiles.
     most_at_once: depth maps that may be computed at a time.
 
     Raises
@@ -103,8 +109,14 @@ def plan_depth(
     quarter = -(-width // 4) * -(-height // 4)
     # float32, at a quarter and at half resolution; grey values at full size in half as many bytes.
     of_view = 4 * quarter * (feature_channels + 4 * refine_channels) + 2 * width * height
-    of_volume = 4 * planes * groups
-    if level_channels:
+    share = (4 / wide_stride) ** 2  # pixels of the volume to a quarter pixel
+    of_volume = 4 * planes * groups * share
+    maps_to_one = _INT8_MAPS_TO_A_REGULARIZER if int8 else _MAPS_TO_A_REGULARIZER
+    if wide_stride > 4:
+        whole_peak = (_INT8_PEAK_OVER_EIGHTHS if int8 else _PEAK_OVER_EIGHTHS) * of_volume
+        tile_peak = _PEAK_OVER_TILE_OF_EIGHTHS * of_volume
+        maps_to_one = 1
+    elif level_channels:
         whole_peak = tile_peak = 4 * planes * (_VOLUMES_AT_PEAK * groups + _LEVELS_AT_PEAK * level_channels)
     else:
         whole_peak = (_INT8_PEAK_OVER_VOLUME if int8 else _PEAK_OVER_VOLUME) * of_volume
@@ -115,9 +127,9 @@ def plan_depth(
     if least > limit and tile_halo is not None:
         tiles = _largest_tiles(
             limit - BASE_BYTES - views * of_view - _FEATURES_BYTES * width * height,
-            shape=(-(-height // 4), -(-width // 4)),
-            volume_bytes=of_volume,
-            peak_bytes=tile_peak,
+            shape=(-(-height // wide_stride), -(-width // wide_stride)),
+            volume_bytes=of_volume / share,
+            peak_bytes=tile_peak / share,
             halo=tile_halo,
         )
         if tiles is not None:
@@ -126,15 +138,14 @@ def plan_depth(
                 cached_views=views, peak_bytes=int(limit - spare), tile_size=size, keeps_volume=keeps_volume
             )
     if least > limit:
-        share = max(0.0, (limit - BASE_BYTES) / (least - BASE_BYTES))
-        size = _SIZE_STEP_PX * int(max(width, height) * share**0.5 / _SIZE_STEP_PX)
+        fits = max(0.0, (limit - BASE_BYTES) / (least - BASE_BYTES))
+        size = _SIZE_STEP_PX * int(max(width, height) * fits**0.5 / _SIZE_STEP_PX)
         way_out = "give a larger --memory-gb" + (f", or --max-size {size}" if size >= _LEAST_SIZE_PX else "")
         msg = (
             f"depth of {width}x{height} photos takes about {least / GIGABYTE:.1f} GB, more than the "
             f"{memory_gb:g} GB of --memory-gb; {way_out}"
         )
         raise InputError(msg)
-    maps_to_one = _INT8_MAPS_TO_A_REGULARIZER if int8 else _MAPS_TO_A_REGULARIZER
     beside = _BESIDE_OVER_VOLUME * of_volume
     at_once = 1 if level_channels else most_at_once
     while True:
@@ -154,11 +165,11 @@ def plan_depth(
 
 
 def _largest_tiles(
-    left: float, *, shape: tuple[int, int], volume_bytes: int, peak_bytes: float, halo: int
+    left: float, *, shape: tuple[int, int], volume_bytes: float, peak_bytes: float, halo: int
 ) -> tuple[int, bool, float] | None:
     """Size of the largest tiles that fit into what is left, whether the volume does too, and the bytes to spare.
 
-    ``volume_bytes`` and ``peak_bytes`` are those of a quarter pixel: of the volume, and of all that a tile takes.
+    ``volume_bytes`` and ``peak_bytes`` are those of a pixel of the volume: its own, and of all that a tile takes.
     """
     for keeps_volume in (True, False):
         whole = volume_bytes * shape[0] * shape[1] if keeps_volume else 0

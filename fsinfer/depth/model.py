@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.depth.candidates import candidate_planes, hints
 from fsinfer.depth.cost_volume import (
     Features,
     correlation_volume,
@@ -125,10 +126,9 @@ class DepthModel:
         manifest = read_manifest(name_or_path, trust=trust)
         precision = choose_precision(precision, manifest, provider=provider)
         threads = threads or os.cpu_count() or 1
-        files = manifest.files_of(int8=precision == INT8)
-        roles = ("features", "regularizer", "refiner")
+        files = manifest.graphs_of(int8=precision == INT8)
         graph_threads = graph_threads or threads
-        sessions = {role: load_graph(file, graph_threads, providers) for role, file in zip(roles, files, strict=False)}
+        sessions = {role: load_graph(file, graph_threads, providers) for role, file in files.items()}
         return cls(
             manifest,
             sessions,
@@ -212,6 +212,10 @@ class DepthModel:
     ) -> DepthEstimate:
         """Refine what :meth:`regularize` gave where the model does so, and turn plane indices into depth."""
         near, far = depth_range
+        if self.manifest.candidates is not None and weights is not None:
+            index, confidence, weights = self.choose(
+                features, intrinsics, cam_from_world, depth_range, index, confidence, weights
+            )
         if features[0].half is None or weights is None:
             return DepthEstimate(depth=self._depth(index, near, far), confidence=self.calibrated(confidence), stride=4)
         return self._refine(features, intrinsics, cam_from_world, (near, far), index, confidence, weights)
@@ -224,7 +228,7 @@ class DepthModel:
         cam_from_world: Float64,
         depth_range: tuple[float, float],
     ) -> tuple[Float32, Float32 | None]:
-        """What the regularizer is given at a quarter of the resolution, and the weights (S, h, w) of the sources.
+        """What the regularizer is given, at the manifest's wide stride, and the weights (S, h, w) of the sources.
 
         The shape of the volume stands in the manifest; ``None`` for weights where the model knows none. Arguments and
         errors are those of :meth:`predict`.
@@ -239,12 +243,13 @@ class DepthModel:
             raise InputError(msg)
         manifest = self.manifest
         planes = plane_inverse_depths(near, far, manifest.planes, inverse=manifest.inverse_depth)[:, None, None]
-        quarter = [view.quarter for view in features]
-        projections = self._projections(intrinsics, cam_from_world, 4)
+        reference = features[0].quarter.every(manifest.wide_stride // 4)
+        sources = [view.quarter for view in features[1:]]
+        projections = self._projections(intrinsics, cam_from_world, 4, manifest.wide_stride)
         if manifest.volume == "variance":
-            return variance_volume(quarter[0], quarter[1:], projections, planes, threads=self.threads)[None], None
+            return variance_volume(reference, sources, projections, planes, threads=self.threads)[None], None
         volume, weights = plane_correlation_volume(
-            quarter[0], quarter[1:], projections, planes[:, 0, 0], threads=self.threads
+            reference, sources, projections, planes[:, 0, 0], threads=self.threads
         )
         if not manifest.packed_planes:
             return np.ascontiguousarray(volume.transpose(1, 0, 2, 3))[None], weights
@@ -257,6 +262,77 @@ class DepthModel:
         with self._turns:
             index, confidence = self._sessions["regularizer"].run_two({"volume": volume})
         return index, confidence
+
+    def choose(
+        self,
+        features: Sequence[ViewFeatures],
+        intrinsics: Float64,
+        cam_from_world: Float64,
+        depth_range: tuple[float, float],
+        index: Float32,
+        confidence: Float32,
+        weights: Float32,
+    ) -> tuple[Float32, Float32, Float32]:
+        """Plane index, confidence and weights at a quarter of the resolution, from those of a volume at an eighth.
+
+        Which of the surfaces round a pixel it lies on, its correlations at a quarter decide. The arguments are those of
+        :meth:`narrow_volume`.
+        """
+        inputs, weights = self.candidate_volume(
+            features, intrinsics, cam_from_world, depth_range, index, confidence, weights
+        )
+        index, mass = self._sessions["candidates"].run_two(inputs)
+        return index, upsample_twice(confidence, *index.shape) * mass, weights
+
+    @one_blas_thread()
+    def candidate_volume(
+        self,
+        features: Sequence[ViewFeatures],
+        intrinsics: Float64,
+        cam_from_world: Float64,
+        depth_range: tuple[float, float],
+        index: Float32,
+        confidence: Float32,
+        weights: Float32,
+    ) -> tuple[dict[str, Float32], Float32]:
+        """What the graph of the candidates is given, and the weights (S, H, W) of the sources at a quarter.
+
+        The inputs are by their names ``volume`` (candidates x groups, H, W), ``features`` (C, H, W), ``hints`` (3, H,
+        W) and ``planes`` (candidates, H, W); see :mod:`fsinfer.depth.candidates`. The arguments are those of
+        :meth:`narrow_volume`.
+        """
+        found = self.manifest.candidates
+        if found is None:
+            msg = f"model {self.manifest.name} has no candidates"
+            raise ModelError(msg)
+        quarter = [view.quarter for view in features]
+        height, width = quarter[0].shape
+        planes = candidate_planes(index, height, width, around=found.around, step=found.step)
+        weights = upsample_twice(weights, height, width)
+        volume, _ = correlation_volume(
+            quarter[0],
+            quarter[1:],
+            self._projections(intrinsics, cam_from_world, 4),
+            self._inverse_depth(planes, depth_range),
+            view_weights=weights,
+            threads=self.threads,
+        )
+        inputs = {
+            "volume": volume.reshape(-1, height, width),
+            "features": quarter[0].to_chw(),
+            "hints": hints(planes, confidence),
+            "planes": planes,
+        }
+        return inputs, weights
+
+    def _inverse_depth(self, planes_dhw: Float32, depth_range: tuple[float, float]) -> Float32:
+        """1/depth at plane indices, of a model whose planes are uniform in it."""
+        near, far = depth_range
+        interval = np.float32((1 / near - 1 / far) / (self.manifest.planes - 1))
+        inverse = planes_dhw * interval
+        inverse += np.float32(1 / far)
+        np.maximum(inverse, _LEAST_INVERSE, out=inverse)
+        return inverse
 
     def _refine(
         self,
@@ -299,13 +375,10 @@ class DepthModel:
         """
         manifest = self.manifest
         half = [view.half for view in features if view.half is not None]
-        near, far = depth_range
         height, width = half[0].shape
         centre = upsample_index(index, height, width)
         offsets = np.linspace(-manifest.refine_span, manifest.refine_span, manifest.refine_planes, dtype=np.float32)
-        interval = np.float32((1 / near - 1 / far) / (manifest.planes - 1))
-        narrow = np.float32(1 / far) + (centre[None] + offsets[:, None, None]) * interval
-        np.maximum(narrow, _LEAST_INVERSE, out=narrow)
+        narrow = self._inverse_depth(centre[None] + offsets[:, None, None], depth_range)
         fine_volume, _ = correlation_volume(
             half[0],
             half[1:],
@@ -323,9 +396,12 @@ class DepthModel:
         return np.interp(confidence, *self._calibration).astype(np.float32)
 
     @staticmethod
-    def _projections(intrinsics: Float64, cam_from_world: Float64, stride: int) -> list[Any]:
+    def _projections(
+        intrinsics: Float64, cam_from_world: Float64, stride: int, reference_stride: int | None = None
+    ) -> list[Any]:
+        reference = intrinsics[0], cam_from_world[0]
         return [
-            relative_projection(intrinsics[0], cam_from_world[0], intrinsics[i], cam_from_world[i], stride)
+            relative_projection(*reference, intrinsics[i], cam_from_world[i], stride, reference_stride)
             for i in range(1, len(intrinsics))
         ]
 

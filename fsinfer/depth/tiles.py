@@ -29,7 +29,7 @@ Float64 = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Span:
-    """Rows or columns at a quarter of the resolution: ``inner`` is the tile's own part of what is computed."""
+    """Rows or columns of the volume: ``inner`` is the tile's own part of what is computed."""
 
     outer_start: int
     outer_stop: int
@@ -42,12 +42,12 @@ class Span:
         return slice(self.outer_start, self.outer_stop)
 
     def own(self, stride: int) -> slice:
-        """The tile's own part in what is computed of it, at so many quarter pixels a pixel."""
+        """The tile's own part in what is computed of it, at so many pixels of the volume a pixel."""
         start = (self.inner_start - self.outer_start) // stride
         return slice(start, start + -(-self.inner_stop // stride) - self.inner_start // stride)
 
     def of_whole(self, finer: int, length: int) -> slice:
-        """The tile's own part in a map of so many pixels a quarter pixel and ``length`` in all."""
+        """The tile's own part in a map of so many pixels to one of the volume and ``length`` in all."""
         return slice(finer * self.inner_start, min(finer * self.inner_stop, length))
 
     def of_tile(self, finer: int, length: int) -> slice:
@@ -87,7 +87,7 @@ class TiledDepth:
     Parameters
     ----------
     model: in float32, with a graph for tiles.
-    size: of a tile's own part, pixels at a quarter of the resolution.
+    size: of a tile's own part, pixels of the volume.
     keeps_volume: the cost volume is there as a whole; without it tiles take less memory and much more time.
 
     Raises
@@ -118,7 +118,9 @@ class TiledDepth:
         """Depth of the first view; see :meth:`DepthModel.predict_from_features`."""
         model, rest = self._model, (np.asarray(cam_from_world, np.float64), depth_range)
         intrinsics = np.asarray(intrinsics, np.float64)
-        height, width = features[0].quarter.shape
+        wide = model.manifest.wide_stride
+        # Of the volume, whose pixels the tiles are counted in; it holds every second of the features where it is at 8.
+        height, width = (-(-length // (wide // 4)) for length in features[0].quarter.shape)
         whole = model.cost_volume(features, intrinsics, *rest) if self._keeps_volume else None
 
         def tiles(halo: int) -> Iterator[tuple[Span, Span, Float32, Float32 | None]]:
@@ -126,7 +128,7 @@ class TiledDepth:
             for rows in cut(height, size=self._size, halo=halo, align=self._graph.align):
                 for columns in cut(width, size=self._size, halo=halo, align=self._graph.align):
                     if whole is None:
-                        part = cropped(features, intrinsics, rows, columns)
+                        part = cropped(features, intrinsics, rows, columns, wide)
                         yield rows, columns, *model.cost_volume(*part, *rest)
                     else:
                         own = (..., rows.outer, columns.outer)
@@ -147,14 +149,15 @@ class TiledDepth:
                 total += volume[0].sum(axis=3, dtype=np.float64).sum(axis=(1, 2))
             means["volume_mean"] = (total / (model.manifest.planes * height * width)).astype(np.float32)
         half = features[0].half
-        shape, stride = ((height, width), 4) if half is None else (half.shape, 2)
+        shape, stride = (features[0].quarter.shape, 4) if half is None else (half.shape, 2)
         depth, confidence = np.empty(shape, np.float32), np.empty(shape, np.float32)
         for rows, columns, volume, weights in tiles(self._graph.halo):
             index, certainty = self._regularize(volume, means, "index", "confidence")
-            part = cropped(features, intrinsics, rows, columns)
+            part = cropped(features, intrinsics, rows, columns, wide)
             estimate = model.finish(*part, *rest, index, certainty, weights)
-            there = rows.of_whole(4 // stride, shape[0]), columns.of_whole(4 // stride, shape[1])
-            own = rows.of_tile(4 // stride, shape[0]), columns.of_tile(4 // stride, shape[1])
+            finer = wide // stride
+            there = rows.of_whole(finer, shape[0]), columns.of_whole(finer, shape[1])
+            own = rows.of_tile(finer, shape[0]), columns.of_tile(finer, shape[1])
             depth[there], confidence[there] = estimate.depth[own], estimate.confidence[own]
         return DepthEstimate(depth=depth, confidence=confidence, stride=stride)
 
@@ -164,17 +167,21 @@ class TiledDepth:
 
 
 def cropped(
-    features: Sequence[ViewFeatures], intrinsics: Float64, rows: Span, columns: Span
+    features: Sequence[ViewFeatures], intrinsics: Float64, rows: Span, columns: Span, wide_stride: int
 ) -> tuple[list[ViewFeatures], Float64]:
-    """The views with the reference cut to a tile, and their (N, 3, 3) intrinsics with its principal point moved."""
+    """The views with the reference cut to a tile, and their (N, 3, 3) intrinsics with its principal point moved.
+
+    ``wide_stride``: pixels of the image to one of the volume, in which the tile is counted.
+    """
     reference = features[0]
     half = reference.half
     cut_reference = ViewFeatures(
-        quarter=_part(reference.quarter, rows, columns, 1), half=None if half is None else _part(half, rows, columns, 2)
+        quarter=_part(reference.quarter, rows, columns, wide_stride // 4),
+        half=None if half is None else _part(half, rows, columns, wide_stride // 2),
     )
     moved = np.array(intrinsics, dtype=np.float64)
-    # Feature pixel i of stride 4 lies at image pixel 4 i.
-    moved[0, :2, 2] -= 4.0 * np.array([columns.outer_start, rows.outer_start])
+    # Pixel i of the volume lies at image pixel wide_stride i.
+    moved[0, :2, 2] -= float(wide_stride) * np.array([columns.outer_start, rows.outer_start])
     return [cut_reference, *features[1:]], moved
 
 

@@ -40,11 +40,17 @@ def relative_projection(
     source_intrinsic: NDArray[np.float64],
     source_cam_from_world: NDArray[np.float64],
     stride: float,
+    reference_stride: float | None = None,
 ) -> Projection:
-    """Projection between two views at a feature stride. Intrinsics (3, 3) in image pixels, poses (4, 4)."""
-    scale = np.diag([1 / stride, 1 / stride, 1.0])
+    """Projection between two views at a feature stride. Intrinsics (3, 3) in image pixels, poses (4, 4).
+
+    The reference's pixels are at ``reference_stride`` where that is another one.
+    """
+    source, reference = (
+        np.diag([1 / step, 1 / step, 1.0]) @ intrinsic
+        for step, intrinsic in ((stride, source_intrinsic), (reference_stride or stride, reference_intrinsic))
+    )
     relative = source_cam_from_world @ np.linalg.inv(reference_cam_from_world)
-    source, reference = scale @ source_intrinsic, scale @ reference_intrinsic
     return Projection(matrix=source @ relative[:3, :3] @ np.linalg.inv(reference), offset=source @ relative[:3, 3])
 
 

@@ -25,7 +25,7 @@ from training.checkpoint import load_checkpoint
 from training.model import PRESETS, FSMVSNet
 
 
-@pytest.fixture(scope="module", params=["mvsnet", "paper", "field"])
+@pytest.fixture(scope="module", params=["mvsnet", "paper", "field", "cascade"])
 def exported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[FSMVSNet, Path]:
     torch.manual_seed(0)
     model = FSMVSNet(PRESETS[request.param])
@@ -57,6 +57,7 @@ def test_the_graph_for_tiles_is_given_the_means_over_the_whole(exported: tuple[F
     graph = onnx.load(manifest.parent / tiles["regularizer"]).graph
     means, levels = {
         "field": (["mean0", "mean1", "mean2"], ["level0", "level1", "level2"]),
+        "cascade": (["mean0", "mean1", "mean2"], ["level0", "level1", "level2"]),
         "paper": (["volume_mean"], []),
         "mvsnet": ([], []),  # nothing in it is a mean: the regularizer itself serves for tiles
     }[model.config.name]
@@ -76,7 +77,10 @@ def test_the_manifest_says_what_the_volume_holds(exported: tuple[FSMVSNet, Path]
     assert data["volume"]["channels"] == manifest.groups == channels
     assert "groups" not in data["volume"]
     assert data["parity_confidence_threshold"] == manifest.parity_confidence_threshold == 0.3
-    assert manifest.level_channels == (0 if model.config.name == "field" else 8)
+    assert manifest.level_channels == (0 if model.config.regularizer == "packed" else 8)
+    assert manifest.wide_stride == data["volume"]["stride"] == model.config.wide_stride
+    assert (manifest.candidates is None) == (model.config.name != "cascade")
+    assert [*manifest.graphs_of(int8=False)] == [*data["graphs"]]
     assert data["tolerances"] == {"depth_rel_p999": 1e-3, "confidence_mask_agreement": 0.999}
 
 

@@ -26,6 +26,8 @@ class ModelConfig:
     width: channels of the regularizer's first level.
     refine_planes: hypotheses of the half-resolution refinement volume; 0 = no refinement.
     refine_span: half width of that volume, in intervals of the 192-plane volume.
+    wide_stride: image pixels from one pixel of the 192-plane volume to the next: 4, the features' own, or 8, where the
+        reference's features are taken at every second pixel and a volume of ``candidates`` at 4 follows.
     inverse_depth: planes uniform in 1/depth (R-MVSNet, Yao et al. 2019) instead of depth. The presets all have it: a
         forest reaches from half a metre to thirty, and planes uniform in depth are too far apart near the camera.
     lambda_smooth, lambda_multiscale, lambda_attention: weights of the three terms of ``hybrid``.
@@ -48,6 +50,7 @@ class ModelConfig:
     refine_planes: int = 0
     refine_span: float = 1.5
     refine_channels: int = 8
+    wide_stride: Literal[4, 8] = 4
     inverse_depth: bool = False
     lambda_smooth: float = 1.0
     lambda_multiscale: float = 0.5  # the text of the paper; its Table 4 says 0.8
@@ -80,6 +83,7 @@ PRESETS: dict[str, ModelConfig] = {
 }
 
 PAPER, FIELD = PRESETS["paper"], PRESETS["field"]
+PRESETS["cascade"] = replace(FIELD, name="cascade", wide_stride=8)
 #: One change each: the ablation of the paper (its Table 8) and ours of what ``field`` does differently.
 ABLATIONS: dict[str, ModelConfig] = {
     config.name: config

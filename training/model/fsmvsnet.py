@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from training.model.backbone import BFPN, PlainBackbone, upsample_like
+from training.model.candidates import CandidateHead, candidate_planes, hints, read_candidates
 from training.model.config import DEPTH_PLANES, ModelConfig
 from training.model.packed import PackedRegularizer, Refiner, pack
 from training.model.regression import peak_window, soft_argmin
@@ -35,12 +36,14 @@ class ScaleOutput:
     scores_dhw: (D, h, w) logits of the planes.
     index_hw: (h, w) sub-plane index into those planes.
     inverse_depth_dhw: (D, 1, 1) or (D, h, w) 1/depth of the planes.
+    candidates_dhw: (K, h, w) where the scores are those of candidates: their plane indices, as ``index_hw`` is one.
     """
 
     stride: int
     scores_dhw: Tensor
     index_hw: Tensor
     inverse_depth_dhw: Tensor
+    candidates_dhw: Tensor | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,6 +159,31 @@ def upsample_index(index_hw: Tensor, height: int, width: int) -> Tensor:
     return torch.where((bilinear - nearest).abs() > 1, nearest, bilinear)
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Views:
+    """Photographs (N, 3, H, W) with their cameras, the reference first."""
+
+    images: Tensor
+    intrinsics: Tensor
+    cam_from_world: Tensor
+
+    def projection(self, stride: int, reference_stride: int | None = None) -> tuple[Tensor, Tensor]:
+        """:func:`training.model.warping.relative_projection`, where the photographs are."""
+        found = relative_projection(self.intrinsics, self.cam_from_world, stride, reference_stride)
+        a, b = (part.to(self.images.device) for part in found)
+        return a, b
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Wide:
+    """What the volume of all planes gave; ``weights`` (S, h, w) of the sources where it knows them."""
+
+    index: Tensor
+    confidence: Tensor
+    weights: Tensor | None
+    scales: tuple[ScaleOutput, ...]
+
+
 class FSMVSNet(nn.Module):
     """The whole network for one reference view and its sources."""
 
@@ -165,6 +193,9 @@ class FSMVSNet(nn.Module):
         self.features = FeatureNetwork(config)
         self.plane_head = PlaneHead(config)
         self.refine_head = RefineHead(config) if config.refine_planes else None
+        self.candidate_head: CandidateHead | None = None
+        if config.wide_stride > 4:
+            self.candidate_head = CandidateHead(groups=config.groups, features=config.feature_channels)
 
     def forward(
         self,
@@ -183,60 +214,42 @@ class FSMVSNet(nn.Module):
         quarter, half = quarter.float(), None if half is None else half.float()
         if window is None:
             window = Window(x=0, y=0, width=quarter.shape[-1], height=quarter.shape[-2])
-        rows, columns = slice(window.y, window.y + window.height), slice(window.x, window.x + window.width)
         near, far = (torch.tensor(d, device=images.device, dtype=torch.float32) for d in depth_range)
         inverse = plane_inverse_depths(near, far, planes, inverse=config.inverse_depth)[:, None, None]
-        hypotheses = inverse.expand(-1, window.height, window.width)
-        a, b = (part.to(images.device) for part in relative_projection(intrinsics, cam_from_world, 4))
-        origin = (window.x, window.y)
-        reference, sources = quarter[0, :, rows, columns], list(quarter[1:])
-        weights: Tensor | None = None
-        with torch.autocast(images.device.type, enabled=False):
-            if config.volume == "variance":
-                volume = variance_volume(reference, sources, a, b, hypotheses, origin)[None]
-            else:
-                correlations, weights = correlation_volume(reference, sources, a, b, hypotheses, origin, config.groups)
-                volume = correlations.transpose(0, 1)[None]
-                if config.regularizer == "packed":
-                    volume = pack(correlations, config.packed_planes)
-        all_scores = [scores.float() for scores in self.plane_head.scores(volume)]
-        index, confidence = self.plane_head.read(all_scores[0])
-        scales = []
-        for level in range(len(all_scores) - 1, 0, -1):
-            step = 2**level
-            coarse_index, _ = self.plane_head.read(all_scores[level])
+        views = _Views(images=images, intrinsics=intrinsics, cam_from_world=cam_from_world)
+        wide = self._wide(views, quarter, inverse, window)
+        index, confidence, weights = wide.index, wide.confidence, wide.weights
+        scales = list(wide.scales)
+        interval = (1 / near - 1 / far) / (planes - 1)
+        if self.candidate_head is not None and weights is not None:
+            candidates = candidate_planes(index.detach(), window.height, window.width)
+            weights = upsample_like(weights.detach()[None], candidates)[0]
+            hypotheses = (1 / far + candidates * interval).clamp_min(1e-6)
+            volume, reference = self._narrow(views, quarter, hypotheses, window, 4, config.groups, weights)
+            scores = self.candidate_head.scores(volume, reference, hints(candidates, confidence.detach())).float()
+            index, mass = read_candidates(scores, candidates)
+            confidence = upsample_like(confidence[None, None], mass)[0, 0] * mass
             scales.append(
                 ScaleOutput(
-                    stride=4 * step,
-                    scores_dhw=all_scores[level],
-                    index_hw=coarse_index,
-                    inverse_depth_dhw=inverse[::step],
+                    stride=4, scores_dhw=scores, index_hw=index, inverse_depth_dhw=inverse, candidates_dhw=candidates
                 )
             )
-        scales.append(ScaleOutput(stride=4, scores_dhw=all_scores[0], index_hw=index, inverse_depth_dhw=inverse))
         if self.refine_head is None or half is None or weights is None:
             depth = self._depth(index / (planes - 1), near, far)
             return DepthOutput(depth=depth, confidence=confidence, stride=4, scales=tuple(scales))
 
-        height, width = (
-            min(2 * window.height, half.shape[-2] - 2 * window.y),
-            min(2 * window.width, half.shape[-1] - 2 * window.x),
+        fine = Window(
+            x=2 * window.x,
+            y=2 * window.y,
+            width=min(2 * window.width, half.shape[-1] - 2 * window.x),
+            height=min(2 * window.height, half.shape[-2] - 2 * window.y),
         )
-        centre = upsample_index(index.detach(), height, width)
+        centre = upsample_index(index.detach(), fine.height, fine.width)
         offsets = torch.linspace(-config.refine_span, config.refine_span, config.refine_planes, device=images.device)
-        interval = (1 / near - 1 / far) / (planes - 1)
-        narrow = 1 / far + (centre[None] + offsets[:, None, None]) * interval
-        narrow = narrow.clamp_min(1e-6)
-        a, b = (part.to(images.device) for part in relative_projection(intrinsics, cam_from_world, 2))
-        fine_rows = slice(2 * window.y, 2 * window.y + height)
-        fine_columns = slice(2 * window.x, 2 * window.x + width)
-        fine_reference = half[0, :, fine_rows, fine_columns]
+        narrow = (1 / far + (centre[None] + offsets[:, None, None]) * interval).clamp_min(1e-6)
         fine_weights = upsample_like(weights.detach()[None], centre)[0]
-        with torch.autocast(images.device.type, enabled=False):
-            fine_volume, _ = correlation_volume(
-                fine_reference, list(half[1:]), a, b, narrow, (2 * window.x, 2 * window.y), REFINE_GROUPS, fine_weights
-            )
-        scores = self.refine_head.scores(fine_volume.flatten(0, 1), fine_reference).float()
+        volume, reference = self._narrow(views, half, narrow, fine, 2, REFINE_GROUPS, fine_weights)
+        scores = self.refine_head.scores(volume, reference).float()
         fine_index, fine_confidence = self.refine_head.read(scores)
         scales.append(ScaleOutput(stride=2, scores_dhw=scores, index_hw=fine_index, inverse_depth_dhw=narrow.detach()))
         step = 2 * config.refine_span / (config.refine_planes - 1)
@@ -248,6 +261,67 @@ class FSMVSNet(nn.Module):
             stride=2,
             scales=tuple(scales),
         )
+
+    def _wide(self, views: _Views, quarter: Tensor, inverse: Tensor, window: Window) -> _Wide:
+        """The volume of all planes, and what is read off it, at the wide stride."""
+        config = self.config
+        step = config.wide_stride // 4
+        rows = slice(window.y, window.y + window.height, step)
+        columns = slice(window.x, window.x + window.width, step)
+        reference, sources = quarter[0, :, rows, columns], list(quarter[1:])
+        hypotheses = inverse.expand(-1, *reference.shape[-2:])
+        a, b = views.projection(4, config.wide_stride)
+        origin = (window.x // step, window.y // step)
+        weights: Tensor | None = None
+        with torch.autocast(quarter.device.type, enabled=False):
+            if config.volume == "variance":
+                volume = variance_volume(reference, sources, a, b, hypotheses, origin)[None]
+            else:
+                correlations, weights = correlation_volume(reference, sources, a, b, hypotheses, origin, config.groups)
+                volume = correlations.transpose(0, 1)[None]
+                if config.regularizer == "packed":
+                    volume = pack(correlations, config.packed_planes)
+        all_scores = [scores.float() for scores in self.plane_head.scores(volume)]
+        index, confidence = self.plane_head.read(all_scores[0])
+        scales = []
+        for level in range(len(all_scores) - 1, 0, -1):
+            coarser = 2**level
+            coarse_index, _ = self.plane_head.read(all_scores[level])
+            scales.append(
+                ScaleOutput(
+                    stride=4 * coarser,
+                    scores_dhw=all_scores[level],
+                    index_hw=coarse_index,
+                    inverse_depth_dhw=inverse[::coarser],
+                )
+            )
+        scales.append(
+            ScaleOutput(stride=config.wide_stride, scores_dhw=all_scores[0], index_hw=index, inverse_depth_dhw=inverse)
+        )
+        return _Wide(index=index, confidence=confidence, weights=weights, scales=tuple(scales))
+
+    @staticmethod
+    def _narrow(
+        views: _Views,
+        features: Tensor,
+        hypotheses_dhw: Tensor,
+        window: Window,
+        stride: int,
+        groups: int,
+        weights: Tensor,
+    ) -> tuple[Tensor, Tensor]:
+        """Correlations (D*G, h, w) at hypotheses of each pixel's own, and the reference's features (C, h, w).
+
+        ``weights`` (S, h, w) of the sources are those of the wide volume, interpolated.
+        """
+        a, b = views.projection(stride)
+        rows, columns = slice(window.y, window.y + window.height), slice(window.x, window.x + window.width)
+        reference = features[0, :, rows, columns]
+        with torch.autocast(features.device.type, enabled=False):
+            volume, _ = correlation_volume(
+                reference, list(features[1:]), a, b, hypotheses_dhw, (window.x, window.y), groups, weights
+            )
+        return volume.flatten(0, 1), reference
 
     def _depth(self, fraction_hw: Tensor, near: Tensor, far: Tensor) -> Tensor:
         """Depth at these shares of the way through the planes."""

@@ -12,17 +12,22 @@ import torch.nn.functional as F
 from torch import Tensor
 
 
-def relative_projection(intrinsics: Tensor, cam_from_world: Tensor, stride: int | float) -> tuple[Tensor, Tensor]:
+def relative_projection(
+    intrinsics: Tensor, cam_from_world: Tensor, stride: int, reference_stride: int | None = None
+) -> tuple[Tensor, Tensor]:
     """Return A (S, 3, 3) and b (S, 3) of every source view against view 0, at a feature stride.
 
     ``intrinsics`` (N, 3, 3) in pixels of the full image, ``cam_from_world`` (N, 4, 4). A source pixel at the
-    feature level is ``A [u, v, 1]^T + b / d``, before the perspective division.
+    feature level is ``A [u, v, 1]^T + b / d``, before the perspective division; u and v count pixels of the reference
+    at ``reference_stride``, which is the sources' where it is not given.
     """
-    scale = torch.diag(torch.tensor([1 / stride, 1 / stride, 1.0], dtype=torch.float64))
-    k = scale @ intrinsics.double().cpu()
     pose = cam_from_world.double().cpu()
+    k, own = (
+        torch.diag(torch.tensor([1 / s, 1 / s, 1.0], dtype=torch.float64)) @ intrinsics.double().cpu()
+        for s in (stride, reference_stride or stride)
+    )
     relative = pose[1:] @ torch.linalg.inv(pose[0])
-    a = k[1:] @ relative[:, :3, :3] @ torch.linalg.inv(k[0])
+    a = k[1:] @ relative[:, :3, :3] @ torch.linalg.inv(own[0])
     b = (k[1:] @ relative[:, :3, 3:])[..., 0]
     return a.float().to(intrinsics.device), b.float().to(intrinsics.device)
 
