@@ -202,6 +202,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--aruco-length-m", type=float, default=0.25)
     parser.add_argument("--source-views", type=int, default=DepthSettings().source_views)
     parser.add_argument("--halo-ratio", type=float, default=FusionSettings().halo_ratio, help="0 = no halo filter")
+    parser.add_argument("--model", default=DepthSettings.model, help="as of fsinfer run")
     parser.add_argument("--precision", choices=PRECISIONS, default=AUTO, help="of the depth network")
     parser.add_argument("--slow", action="store_true", help="spare no time: what the fast settings are held against")
     parser.add_argument(
@@ -215,7 +216,7 @@ def main(argv: list[str] | None = None) -> int:
     args = parser.parse_args(argv)
     check_result_options(parser, args)
     settings = RunSettings(
-        depth=DepthSettings(source_views=args.source_views, precision=args.precision),
+        depth=DepthSettings(model=args.model, source_views=args.source_views, precision=args.precision),
         fusion=FusionSettings(halo_ratio=args.halo_ratio or None),
         scale=ScaleRequest(aruco_length_m=args.aruco_length_m),
     )

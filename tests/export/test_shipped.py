@@ -27,7 +27,7 @@ from training.model import PRESETS, FSMVSNet
 CHECKPOINTS = ROOT / "training" / "checkpoints"
 CHECKPOINT = CHECKPOINTS / "field.pt"
 #: What ships, and the stride of its maps.
-SHIPPED = {"field": 2, "paper": 4}
+SHIPPED = {"cascade": 2, "field": 2, "paper": 4}
 
 pytestmark = pytest.mark.skipif(not CHECKPOINT.is_file(), reason="the checkpoint is not in this source tree")
 
@@ -70,9 +70,11 @@ def test_whole_maps_of_the_shipped_files_are_those_of_the_checkpoint(name: str, 
         assert parity.passes()
 
 
-def test_the_shipped_int8_file_gives_the_depth_of_the_checkpoint(checkpoint: FSMVSNet, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["cascade", "field"])
+def test_the_shipped_int8_file_gives_the_depth_of_the_checkpoint(name: str, tmp_path: Path) -> None:
     scene = read_scene(write_plane_scene(tmp_path, height=192, width=256))
-    parity = whole_parity(checkpoint, DepthModel.load("field", precision="int8"), scene, views=1)
+    checkpoint, _ = load_checkpoint(CHECKPOINTS / f"{name}.pt")
+    parity = whole_parity(checkpoint, DepthModel.load(name, precision="int8"), scene, views=1)
     # 8 bits are no exact copy: the middle of the differences is bounded, not their tail.
     assert parity.depth_rel_p50 < 1e-3
 
