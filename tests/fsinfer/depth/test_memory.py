@@ -115,6 +115,19 @@ def test_int8_takes_less() -> None:
         _depth(3.0, 1920, 1080)
 
 
+def test_a_volume_at_an_eighth_takes_less() -> None:
+    def plan(wide_stride: int, *, int8: bool, most: int = 8) -> DepthPlan:
+        sizes: dict[str, Any] = {"width": 1280, "height": 720, **FIELD, "views": 5, "most_cached": 10}
+        return plan_depth(3.0, **sizes, wide_stride=wide_stride, int8=int8, most_at_once=most)
+
+    for int8, factor in ((False, 0.5), (True, 0.7)):
+        of_one = [plan(stride, int8=int8, most=1).peak_bytes for stride in (8, 4)]
+        assert of_one[0] < factor * of_one[1]
+    # What follows the regularizer takes as much: no map waits for another's.
+    many = plan(8, int8=True)
+    assert many.regularizers == many.at_once >= plan(4, int8=True).at_once > 1
+
+
 def test_as_many_maps_are_computed_at_a_time_as_memory_allows() -> None:
     def plan(memory_gb: float, most: int, **options: Any) -> DepthPlan:
         sizes: dict[str, Any] = {"width": 1280, "height": 720, **FIELD, "views": 5, "most_cached": 24, "int8": True}
@@ -283,10 +296,25 @@ assert plan.tile_size and plan.keeps_volume
 tiled = TiledDepth(model, plan.tile_size)
 tiled.predict_from_features([model.features(image) for image in images], intrinsics, poses, depth_range)
 """
+# A volume at an eighth of the resolution: two maps at a time.
+_EIGHTHS = f"""
+import threading
+from fsinfer.depth.model import DepthModel
+from fsinfer.depth.memory import plan_depth
+from tests.bench.speed import make_views
+images, intrinsics, poses, depth_range = make_views(3, 512, 960)
+model = DepthModel.load("cascade", threads=1, precision="int8", regularizers=2)
+work = [threading.Thread(target=model.predict, args=(images, intrinsics, poses, depth_range)) for _ in range(2)]
+[one.start() for one in work]
+[one.join() for one in work]
+sizes = dict(width=960, height=512, **{FIELD}, wide_stride=8, views=3, most_cached=3)
+plan = plan_depth(3.0, **sizes, int8=True, most_at_once=2)
+assert (plan.at_once, plan.regularizers) == (2, 2)
+"""
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-@pytest.mark.parametrize("program", [_WHOLE, _INT8, _TWO, _FOUR, _TWO_FLOAT, _TILED])
+@pytest.mark.parametrize("program", [_WHOLE, _INT8, _TWO, _FOUR, _TWO_FLOAT, _TILED, _EIGHTHS])
 def test_the_estimate_is_that_of_a_real_run(program: str) -> None:
     done = subprocess.run([sys.executable, "-c", program + _PEAK], capture_output=True, text=True, check=True)
     expected, found = (int(word) for word in done.stdout.split())

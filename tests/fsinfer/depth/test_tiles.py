@@ -19,6 +19,7 @@ from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.stage import estimate_depth
 from fsinfer.depth.tiles import TiledDepth, cut
 from fsinfer.errors import ModelError
+from fsinfer.io.images import read_image
 from fsinfer.io.pfm import read_pfm
 from fsinfer.scene import read_scene
 from tests.bench.speed import make_views
@@ -57,11 +58,11 @@ def test_spans_are_aligned_or_refused() -> None:
 
 @pytest.fixture(scope="module")
 def whole() -> DepthEstimate:
-    return DepthModel.load(threads=2, precision="float32").predict(*make_views(3, 534, 618))
+    return DepthModel.load("field", threads=2, precision="float32").predict(*make_views(3, 534, 618))
 
 
 def in_tiles(*, keeps_volume: bool = True, halo: int | None = None) -> DepthEstimate:
-    model = DepthModel.load(threads=2, precision="float32")
+    model = DepthModel.load("field", threads=2, precision="float32")
     if halo is not None:
         assert model.manifest.tiles is not None
         model.manifest = replace(model.manifest, tiles=replace(model.manifest.tiles, halo=halo))
@@ -83,6 +84,30 @@ def test_tiles_give_the_depth_of_the_whole(whole: DepthEstimate, keeps_volume: b
     # Where two planes are as good as each other, rounding decides.
     assert differing(tiled, whole) < 1e-4
     assert np.quantile(np.abs(tiled.confidence - whole.confidence), 0.999) < 1e-4
+
+
+@pytest.mark.parametrize("keeps_volume", [True, False])
+def test_tiles_of_a_volume_at_an_eighth_give_the_depth_of_the_whole(tmp_path: Path, keeps_volume: bool) -> None:
+    # Not noise, in which two planes are as good as each other: one cell that rounding decides is seen all round it.
+    # Odd sizes: the last pixel of the volume stands for one at a quarter alone.
+    scene = read_scene(write_plane_scene(tmp_path, height=534, width=618))
+    group = [scene.views[0], *(scene.views[i] for i in scene.views[0].sources)]
+    model = DepthModel.load("cascade", threads=2, precision="float32")
+    features = [model.features(read_image(view.image_path)) for view in group]
+    cameras = [view.camera for view in group]
+    given = (
+        np.stack([camera.intrinsic for camera in cameras]),
+        np.stack([camera.cam_from_world for camera in cameras]),
+        (cameras[0].depth_min, cameras[0].depth_max),
+    )
+    whole = model.predict_from_features(features, *given)
+    tiled = TiledDepth(model, 24, keeps_volume=keeps_volume).predict_from_features(features, *given)
+    assert differing(tiled, whole) < 1e-4
+    assert np.quantile(np.abs(tiled.confidence - whole.confidence), 0.999) < 1e-4
+    assert model.manifest.tiles is not None
+    model.manifest = replace(model.manifest, tiles=replace(model.manifest.tiles, halo=8))
+    narrow = TiledDepth(model, 24, keeps_volume=keeps_volume).predict_from_features(features, *given)
+    assert differing(narrow, whole) > 1e-4
 
 
 def test_a_halo_narrower_than_what_the_network_sees_shows(whole: DepthEstimate) -> None:
