@@ -167,9 +167,9 @@ def inputs_of_graphs(
         if weights is not None and model.manifest.refiner is not None:
             index, confidence = model.regularize(volume)
             if model.manifest.candidates is not None:
-                given, _ = model.candidate_volume(*inputs, index, confidence, weights)
+                given, weights = model.candidate_volume(*inputs, index, confidence, weights)
                 feeds["candidates"] = {name: window_of(part, window_px) for name, part in given.items()}
-                index, _, weights = model.choose(*inputs, index, confidence, weights)
+                index, _ = model.choose(given, confidence)
             narrow, _ = model.narrow_volume(*inputs, index, weights)
             feeds["refiner"] = {name: window_of(part, (2 * rows, 2 * columns)) for name, part in narrow.items()}
         yield feeds

@@ -213,9 +213,11 @@ class DepthModel:
         """Refine what :meth:`regularize` gave where the model does so, and turn plane indices into depth."""
         near, far = depth_range
         if self.manifest.candidates is not None and weights is not None:
-            index, confidence, weights = self.choose(
+            inputs, weights = self.candidate_volume(
                 features, intrinsics, cam_from_world, depth_range, index, confidence, weights
             )
+            index, confidence = self.choose(inputs, confidence)
+            del inputs  # the narrow volume takes its place
         if features[0].half is None or weights is None:
             return DepthEstimate(depth=self._depth(index, near, far), confidence=self.calibrated(confidence), stride=4)
         return self._refine(features, intrinsics, cam_from_world, (near, far), index, confidence, weights)
@@ -263,26 +265,13 @@ class DepthModel:
             index, confidence = self._sessions["regularizer"].run_two({"volume": volume})
         return index, confidence
 
-    def choose(
-        self,
-        features: Sequence[ViewFeatures],
-        intrinsics: Float64,
-        cam_from_world: Float64,
-        depth_range: tuple[float, float],
-        index: Float32,
-        confidence: Float32,
-        weights: Float32,
-    ) -> tuple[Float32, Float32, Float32]:
-        """Plane index, confidence and weights at a quarter of the resolution, from those of a volume at an eighth.
+    def choose(self, inputs: dict[str, Float32], confidence: Float32) -> tuple[Float32, Float32]:
+        """Plane index and confidence at a quarter of the resolution, of the surface that the correlations speak for.
 
-        Which of the surfaces round a pixel it lies on, its correlations at a quarter decide. The arguments are those of
-        :meth:`narrow_volume`.
+        ``inputs`` are those of :meth:`candidate_volume`, ``confidence`` is that of :meth:`regularize`.
         """
-        inputs, weights = self.candidate_volume(
-            features, intrinsics, cam_from_world, depth_range, index, confidence, weights
-        )
         index, mass = self._sessions["candidates"].run_two(inputs)
-        return index, upsample_twice(confidence, *index.shape) * mass, weights
+        return index, upsample_twice(confidence, *index.shape) * mass
 
     @one_blas_thread()
     def candidate_volume(

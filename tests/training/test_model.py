@@ -14,8 +14,7 @@ from fsinfer.depth.cost_volume import Features, correlation_volume, upsample_ind
 from fsinfer.depth.cost_volume import plane_inverse_depths as numpy_planes
 from fsinfer.depth.warping import relative_projection as numpy_projection
 from training.losses import compute_loss, cross_entropy_two_bins, edge_attention, target_index
-from training.model import CONFIGS, PRESETS, DepthOutput, FSMVSNet
-from training.model import fsmvsnet as network
+from training.model import CONFIGS, PRESETS, DepthOutput, FSMVSNet, regression
 from training.model.attention import SqueezeExcitation
 from training.model.backbone import BFPN
 from training.model.config import DEPTH_PLANES
@@ -259,7 +258,7 @@ def test_a_window_is_a_cut_of_the_whole_volume() -> None:
 def test_upsampled_index_equals_the_deployed_one() -> None:
     index = torch.rand(9, 13) * 20
     np.testing.assert_allclose(
-        network.upsample_index(index, 17, 26).numpy(), upsample_index(index.numpy(), 17, 26), atol=1e-5
+        regression.upsample_index(index, 17, 26).numpy(), upsample_index(index.numpy(), 17, 26), atol=1e-5
     )
 
 

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 
 from training.model.backbone import upsample_like
 from training.model.packed import Refiner
+from training.model.regression import upsample_index
 
 #: Candidates round each of the three indices, and how far they lie apart, planes of the wide volume. Source: judgement;
 #: the wide volume's index is within 1.5 planes of the truth where it has the right surface.
@@ -31,20 +32,17 @@ READ_RADIUS = 1.6
 def spread_indices(index_hw: Tensor, height: int, width: int) -> tuple[Tensor, Tensor, Tensor]:
     """Own, least and greatest index (height, width) at twice the resolution, from (h, w).
 
-    Own is interpolated where that stays within a plane of the pixel's own cell, and the cell's where it does not; the
-    others are over the cell and its eight neighbours.
+    Own is :func:`training.model.regression.upsample_index`; the others are over the pixel's cell and its eight
+    neighbours.
     """
-    bilinear = upsample_like(index_hw[None, None], torch.empty(height, width, device=index_hw.device))[0, 0]
 
     def doubled(values_hw: Tensor) -> Tensor:
         return values_hw.repeat_interleave(2, dim=0).repeat_interleave(2, dim=1)[:height, :width]
 
-    cell = doubled(index_hw)
-    own = torch.where((bilinear - cell).abs() > 1, cell, bilinear)
     padded = F.pad(index_hw[None, None], (1, 1, 1, 1), mode="replicate")
     greatest = F.max_pool2d(padded, 3, stride=1)[0, 0]
     least = -F.max_pool2d(-padded, 3, stride=1)[0, 0]
-    return own, doubled(least), doubled(greatest)
+    return upsample_index(index_hw, height, width), doubled(least), doubled(greatest)
 
 
 def candidate_planes(index_hw: Tensor, height: int, width: int) -> Tensor:

@@ -11,7 +11,7 @@ from training.model.backbone import BFPN, PlainBackbone, upsample_like
 from training.model.candidates import CandidateHead, candidate_planes, hints, read_candidates
 from training.model.config import DEPTH_PLANES, ModelConfig
 from training.model.packed import PackedRegularizer, Refiner, pack
-from training.model.regression import peak_window, soft_argmin
+from training.model.regression import peak_window, soft_argmin, upsample_index
 from training.model.regularizer3d import Regularizer3D
 from training.model.volume import correlation_volume, plane_inverse_depths, variance_volume
 from training.model.warping import relative_projection
@@ -146,17 +146,6 @@ class RefineHead(nn.Module):
     def forward(self, volume_chw: Tensor, features_chw: Tensor) -> tuple[Tensor, Tensor]:
         """Return index and confidence."""
         return self.read(self.scores(volume_chw, features_chw))
-
-
-def upsample_index(index_hw: Tensor, height: int, width: int) -> Tensor:
-    """Quarter-resolution index to half resolution: bilinear, but a neighbour's value across a step.
-
-    Between two surfaces the bilinear value lies on neither; wherever it differs from the nearest value by more than
-    one plane the nearest one is kept, so that the narrow volume is centred on a real surface.
-    """
-    bilinear = upsample_like(index_hw[None, None], torch.empty(height, width, device=index_hw.device))[0, 0]
-    nearest = index_hw.repeat_interleave(2, dim=0).repeat_interleave(2, dim=1)[:height, :width]
-    return torch.where((bilinear - nearest).abs() > 1, nearest, bilinear)
 
 
 @dataclass(frozen=True, kw_only=True)

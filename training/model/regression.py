@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from training.model.backbone import upsample_like
+
 
 def soft_argmin(probability_dhw: Tensor, values: Tensor) -> Tensor:
     """Expectation over all planes (MVSNet, eq. 3); ``values`` (D,) or (D, h, w)."""
@@ -32,3 +34,14 @@ def peak_window(probability_dhw: Tensor, radius: int) -> tuple[Tensor, Tensor]:
     mass = inside.sum(dim=0)
     index = (inside * window).sum(dim=0) / (mass + 1e-6)
     return index, mass
+
+
+def upsample_index(index_hw: Tensor, height: int, width: int) -> Tensor:
+    """Plane index at twice the resolution: bilinear, but a neighbour's value across a step.
+
+    Between two surfaces the bilinear value lies on neither; wherever it differs from the nearest value by more than
+    one plane the nearest one is kept, so that the narrow volume is centred on a real surface.
+    """
+    bilinear = upsample_like(index_hw[None, None], torch.empty(height, width, device=index_hw.device))[0, 0]
+    nearest = index_hw.repeat_interleave(2, dim=0).repeat_interleave(2, dim=1)[:height, :width]
+    return torch.where((bilinear - nearest).abs() > 1, nearest, bilinear)
