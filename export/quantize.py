@@ -24,8 +24,10 @@ from onnxruntime.quantization import CalibrationDataReader, CalibrationMethod, Q
 from onnxruntime.quantization.shape_inference import quant_pre_process
 
 from fsinfer.depth.manifest import hash_files, read_manifest
-from fsinfer.depth.model import DepthEstimate, DepthModel, ViewFeatures, network_input
+from fsinfer.depth.model import DepthEstimate, DepthModel, network_input
+from fsinfer.depth.narrow_volumes import candidate_volume, refiner_volume
 from fsinfer.depth.settings import DepthSettings
+from fsinfer.depth.view_group import ViewGroup
 from fsinfer.depth.view_maps import load_view, reduced_image, search_range
 from fsinfer.errors import FsinferError, SceneError
 from fsinfer.scene import Scene, View, read_scene
@@ -158,8 +160,8 @@ def inputs_of_graphs(
     rows, columns = window_px
     for view in views:
         image, _, _ = reduced_image(view, DepthSettings())
-        inputs = _inputs(model, scene, view)
-        volume, weights = model.cost_volume(*inputs)
+        group = _group(model, scene, view)
+        volume, weights = model.cost_volume(group)
         feeds: dict[str, Feeds] = {
             "features": {"images": network_input(image)},
             "regularizer": {"volume": window_of(volume, window_px)},
@@ -167,10 +169,12 @@ def inputs_of_graphs(
         if weights is not None and model.manifest.refiner is not None:
             index, confidence = model.regularize(volume)
             if model.manifest.candidates is not None:
-                given, weights = model.candidate_volume(*inputs, index, confidence, weights)
+                given, weights = candidate_volume(
+                    model.manifest, group, index, confidence, weights, threads=model.threads
+                )
                 feeds["candidates"] = {name: window_of(part, window_px) for name, part in given.items()}
                 index, _ = model.choose(given, confidence)
-            narrow, _ = model.narrow_volume(*inputs, index, weights)
+            narrow, _ = refiner_volume(model.manifest, group, index, weights, threads=model.threads)
             feeds["refiner"] = {name: window_of(part, (2 * rows, 2 * columns)) for name, part in narrow.items()}
         yield feeds
 
@@ -183,10 +187,11 @@ def compare(manifest: Path, scenes: Sequence[Scene], count: int) -> Difference:
     views = 0
     for scene in scenes:
         for view in choose_views(scene, count, between=True):
-            inputs = [_inputs(model, scene, view) for model in models]
-            made = [model.regularize(model.cost_volume(*given)[0]) for model, given in zip(models, inputs, strict=True)]
+            groups = [_group(model, scene, view) for model in models]
+            both = list(zip(models, groups, strict=True))
+            made = [model.regularize(model.cost_volume(group)[0]) for model, group in both]
             index.append(np.abs(made[1][0] - made[0][0]).ravel())
-            exact, quick = (model.predict_from_features(*given) for model, given in zip(models, inputs, strict=True))
+            exact, quick = (model.estimate(group) for model, group in both)
             depth.append(_relative(exact, quick))
             views += 1
     all_index, all_depth = np.concatenate(index), np.concatenate(depth)
@@ -226,10 +231,8 @@ def drop_from_manifest(path: Path) -> None:
         path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
 
 
-def _inputs(
-    model: DepthModel, scene: Scene, view: View
-) -> tuple[list[ViewFeatures], NDArray[np.float64], NDArray[np.float64], tuple[float, float]]:
-    """Features, intrinsics, poses and depth range of a view and its sources, as in the depth stage."""
+def _group(model: DepthModel, scene: Scene, view: View) -> ViewGroup:
+    """A view and its sources, with the depth range that is searched, as in the depth stage."""
     settings = DepthSettings()
     group = [view, *(scene.views[i] for i in view.sources[: settings.source_views])]
     loaded = [load_view(model, v, settings) for v in group]
@@ -237,7 +240,8 @@ def _inputs(
         view.camera.depth_min, view.camera.depth_max, settings, inverse_depth=model.manifest.inverse_depth
     )
     intrinsics = np.stack([item.intrinsic for item in loaded])
-    return [item.features for item in loaded], intrinsics, np.stack([v.camera.cam_from_world for v in group]), searched
+    poses = np.stack([v.camera.cam_from_world for v in group])
+    return ViewGroup.of([item.features for item in loaded], intrinsics, poses, searched)
 
 
 def _relative(wanted: DepthEstimate, found: DepthEstimate) -> Float32:

@@ -11,15 +11,16 @@ is made anew each time.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.depth.cost_volume import Features
-from fsinfer.depth.model import DepthEstimate, DepthModel, ViewFeatures
+from fsinfer.depth.model import DepthEstimate, DepthModel
 from fsinfer.depth.precision import INT8
 from fsinfer.depth.session import load_graph, run_for
+from fsinfer.depth.view_group import ViewFeatures, ViewGroup
 from fsinfer.errors import ModelError
 from fsinfer.threads import one_blas_thread
 
@@ -116,20 +117,18 @@ class TiledDepth:
         depth_range: tuple[float, float],
     ) -> DepthEstimate:
         """Depth of the first view; see :meth:`DepthModel.predict_from_features`."""
-        model, rest = self._model, (np.asarray(cam_from_world, np.float64), depth_range)
-        intrinsics = np.asarray(intrinsics, np.float64)
+        model, group = self._model, ViewGroup.of(features, intrinsics, cam_from_world, depth_range)
         wide = model.manifest.wide_stride
         # Of the volume, whose pixels the tiles are counted in; it holds every second of the features where it is at 8.
         height, width = (-(-length // (wide // 4)) for length in features[0].quarter.shape)
-        whole = model.cost_volume(features, intrinsics, *rest) if self._keeps_volume else None
+        whole = model.cost_volume(group) if self._keeps_volume else None
 
         def tiles(halo: int) -> Iterator[tuple[Span, Span, Float32, Float32 | None]]:
             """Rows, columns, volume and weights of each tile."""
             for rows in cut(height, size=self._size, halo=halo, align=self._graph.align):
                 for columns in cut(width, size=self._size, halo=halo, align=self._graph.align):
                     if whole is None:
-                        part = cropped(features, intrinsics, rows, columns, wide)
-                        yield rows, columns, *model.cost_volume(*part, *rest)
+                        yield rows, columns, *model.cost_volume(cropped(group, rows, columns, wide))
                     else:
                         own = (..., rows.outer, columns.outer)
                         weights = None if whole[1] is None else whole[1][own]
@@ -153,8 +152,7 @@ class TiledDepth:
         depth, confidence = np.empty(shape, np.float32), np.empty(shape, np.float32)
         for rows, columns, volume, weights in tiles(self._graph.halo):
             index, certainty = self._regularize(volume, means, "index", "confidence")
-            part = cropped(features, intrinsics, rows, columns, wide)
-            estimate = model.finish(*part, *rest, index, certainty, weights)
+            estimate = model.finish(cropped(group, rows, columns, wide), index, certainty, weights)
             finer = wide // stride
             there = rows.of_whole(finer, shape[0]), columns.of_whole(finer, shape[1])
             own = rows.of_tile(finer, shape[0]), columns.of_tile(finer, shape[1])
@@ -166,23 +164,21 @@ class TiledDepth:
         return run_for(self._session, wanted, {"volume": volume, **means})
 
 
-def cropped(
-    features: Sequence[ViewFeatures], intrinsics: Float64, rows: Span, columns: Span, wide_stride: int
-) -> tuple[list[ViewFeatures], Float64]:
-    """The views with the reference cut to a tile, and their (N, 3, 3) intrinsics with its principal point moved.
+def cropped(group: ViewGroup, rows: Span, columns: Span, wide_stride: int) -> ViewGroup:
+    """The views with the reference cut to a tile, and its principal point moved.
 
     ``wide_stride``: pixels of the image to one of the volume, in which the tile is counted.
     """
-    reference = features[0]
+    reference = group.features[0]
     half = reference.half
     cut_reference = ViewFeatures(
         quarter=_part(reference.quarter, rows, columns, wide_stride // 4),
         half=None if half is None else _part(half, rows, columns, wide_stride // 2),
     )
-    moved = np.array(intrinsics, dtype=np.float64)
+    moved = group.intrinsics.copy()
     # Pixel i of the volume lies at image pixel wide_stride i.
     moved[0, :2, 2] -= float(wide_stride) * np.array([columns.outer_start, rows.outer_start])
-    return [cut_reference, *features[1:]], moved
+    return replace(group, features=[cut_reference, *group.features[1:]], intrinsics=moved)
 
 
 def _part(features: Features, rows: Span, columns: Span, finer: int) -> Features:

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from fsinfer.depth.job import DepthJob, reduced_size
 from fsinfer.depth.median_filter import settle_unsure
 from fsinfer.depth.memory import DepthPlan
-from fsinfer.depth.model import DepthEstimate, DepthModel, ViewFeatures
+from fsinfer.depth.model import DepthEstimate, DepthModel
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.subpixel import normalised, refine_depth
 from fsinfer.depth.tiles import TiledDepth
+from fsinfer.depth.view_group import ViewFeatures
 from fsinfer.scene import Scene, View, read_view_image
 
 

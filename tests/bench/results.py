@@ -38,6 +38,8 @@ PACKAGES = {
 }
 #: Whoever sets them changes the times of a run.
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+#: In the name of the library that :mod:`tests.bench.without_avx512` preloads.
+WITHOUT_AVX512 = "without_avx512"
 NAME = re.compile(r"[a-z0-9][a-z0-9-]*")
 FIGURE = re.compile(r"[a-z][a-z0-9_]*")
 #: Of the last minute, before the benchmark itself adds to it: this module is imported first.
@@ -217,10 +219,14 @@ def processor() -> dict[str, Any]:
         lines = []
     info = {key.strip(): value.strip() for key, _, value in (line.partition(":") for line in lines)}
     flags = set(info.get("flags", "").split())
+    name = info.get("model name", platform.processor() or platform.machine())
+    if WITHOUT_AVX512 in os.environ.get("LD_PRELOAD", ""):
+        flags = {flag for flag in flags if not flag.startswith(("avx512", "avx_vnni", "amx"))}
+        name += ", its AVX-512 hidden"
     wide = "avx512" if "avx512f" in flags else "avx2" if "avx2" in flags else platform.machine()
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return {
-        "model": info.get("model name", platform.processor() or platform.machine()),
+        "model": name,
         "cores": cores,
         "instructions": wide,
         "vnni": bool({"avx512_vnni", "avx_vnni"} & flags),

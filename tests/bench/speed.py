@@ -90,6 +90,7 @@ def ours(args: argparse.Namespace, precision: str) -> Callable[[], dict[str, flo
     import cv2
 
     from fsinfer.depth import model as depth_model
+    from fsinfer.depth import narrow_volumes
     from fsinfer.depth.subpixel import normalised
     from fsinfer.depth.view_maps import finish_depth
 
@@ -102,8 +103,9 @@ def ours(args: argparse.Namespace, precision: str) -> Callable[[], dict[str, flo
         for name, session in sessions.items()
     }
 
-    for work, name in ((plane_correlation_volume, "volume"), (correlation_volume, "narrow volume")):
-        patch.object(depth_model, work.__name__, Timed(work, seconds, name)).start()
+    timed = ((depth_model, plane_correlation_volume, "volume"), (narrow_volumes, correlation_volume, "narrow volume"))
+    for where, work, name in timed:
+        patch.object(where, work.__name__, Timed(work, seconds, name)).start()
     images, intrinsics, poses, depth_range = make_views(args.views, args.height, args.width)
 
     settings = DepthSettings()

@@ -15,6 +15,7 @@ from fsinfer.cli.tables import demo_rows
 from fsinfer.depth.manifest import models_folder, read_manifest
 from fsinfer.depth.model import DepthModel
 from fsinfer.depth.precision import choose_precision
+from fsinfer.depth.view_group import ViewGroup
 from fsinfer.evaluation.metrics import evaluate, read_measured
 from fsinfer.io.images import read_image
 from fsinfer.scene import read_scene
@@ -102,12 +103,10 @@ def test_int8_gives_the_depth_of_float32(demo: DemoResult) -> None:
         features = [[model.features(image) for image in images] for model in models]
         cameras = np.stack([v.camera.intrinsic for v in group]), np.stack([v.camera.cam_from_world for v in group])
         depth_range = (view.camera.depth_min, view.camera.depth_max)
-        both = list(zip(models, features, strict=True))
-        exact_index, quick_index = (
-            model.regularize(model.cost_volume(own, *cameras, depth_range)[0])[0] for model, own in both
-        )
+        both = [(model, ViewGroup.of(own, *cameras, depth_range)) for model, own in zip(models, features, strict=True)]
+        exact_index, quick_index = (model.regularize(model.cost_volume(group)[0])[0] for model, group in both)
         planes.append(np.abs(quick_index - exact_index).ravel())
-        exact, quick = (model.predict_from_features(own, *cameras, depth_range) for model, own in both)
+        exact, quick = (model.estimate(group) for model, group in both)
         depths.append(np.abs(quick.depth / exact.depth - 1)[exact.confidence > 0.5])
     index, depth = np.concatenate(planes), np.concatenate(depths)
     assert 0 < np.median(index) < 0.1

@@ -1,0 +1,106 @@
+"""Volumes of few hypotheses of each pixel's own: what the graphs after the regularizer are given.
+
+The indices of these hypotheses are those of the 192 planes, with fractions; the planes are uniform in 1/depth.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.depth.candidates import candidate_planes, hints
+from fsinfer.depth.cost_volume import correlation_volume, upsample_index, upsample_twice
+from fsinfer.depth.manifest import ModelManifest
+from fsinfer.depth.view_group import ViewGroup
+from fsinfer.errors import ModelError
+from fsinfer.threads import one_blas_thread
+
+Float32 = NDArray[np.float32]
+
+#: Least 1/depth of a hypothesis: what lies beyond infinity is nowhere. Source: numerics.
+_LEAST_INVERSE = np.float32(1e-6)
+
+
+@one_blas_thread()
+def candidate_volume(
+    manifest: ModelManifest,
+    group: ViewGroup,
+    index: Float32,
+    confidence: Float32,
+    weights: Float32,
+    *,
+    threads: int,
+) -> tuple[dict[str, Float32], Float32]:
+    """What the graph of the candidates is given, and the weights (S, H, W) of the sources at a quarter.
+
+    ``index``, ``confidence`` (h, w) are those of the regularizer, ``weights`` (S, h, w) those of the sources in its
+    volume. The inputs are by their names ``volume`` (candidates x groups, H, W), ``features`` (C, H, W), ``hints`` (3,
+    H, W) and ``planes`` (candidates, H, W); see :mod:`fsinfer.depth.candidates`.
+    """
+    found = manifest.candidates
+    if found is None:
+        msg = f"model {manifest.name} has no candidates"
+        raise ModelError(msg)
+    quarter = group.quarter
+    height, width = quarter[0].shape
+    planes = candidate_planes(index, height, width, around=found.around, step=found.step)
+    weights = upsample_twice(weights, height, width)
+    volume, _ = correlation_volume(
+        quarter[0],
+        quarter[1:],
+        group.projections(4),
+        _inverse_depth(planes, manifest, group.depth_range),
+        view_weights=weights,
+        threads=threads,
+    )
+    inputs = {
+        "volume": volume.reshape(-1, height, width),
+        "features": quarter[0].to_chw(),
+        "hints": hints(planes, confidence),
+        "planes": planes,
+    }
+    return inputs, weights
+
+
+@one_blas_thread()
+def refiner_volume(
+    manifest: ModelManifest, group: ViewGroup, index: Float32, weights: Float32, *, threads: int
+) -> tuple[dict[str, Float32], Float32]:
+    """What the refiner is given, and the plane index (H, W) at half resolution that its hypotheses lie round.
+
+    ``index`` (h, w) is that at a quarter, ``weights`` (S, h, w) those of the sources there. The inputs are ``volume``
+    (hypotheses x groups, H, W) and ``features`` (C, H, W) by their names.
+    """
+    half = group.half
+    height, width = half[0].shape
+    centre = upsample_index(index, height, width)
+    offsets = np.linspace(-manifest.refine_span, manifest.refine_span, manifest.refine_planes, dtype=np.float32)
+    volume, _ = correlation_volume(
+        half[0],
+        half[1:],
+        group.projections(2),
+        _inverse_depth(centre[None] + offsets[:, None, None], manifest, group.depth_range),
+        view_weights=upsample_twice(weights, height, width),
+        threads=threads,
+    )
+    return {"volume": volume.reshape(-1, height, width), "features": half[0].to_chw()}, centre
+
+
+def depth_of_index(index: Float32, manifest: ModelManifest, depth_range: tuple[float, float]) -> Float32:
+    """z depth at plane indices with fractions."""
+    near, far = depth_range
+    fraction = index / np.float32(manifest.planes - 1)
+    if manifest.inverse_depth:
+        inverse = np.float32(1 / far) + fraction * np.float32(1 / near - 1 / far)
+        return np.asarray(1 / np.maximum(inverse, _LEAST_INVERSE), np.float32)
+    return np.asarray(np.float32(near) + fraction * np.float32(far - near), np.float32)
+
+
+def _inverse_depth(planes_dhw: Float32, manifest: ModelManifest, depth_range: tuple[float, float]) -> Float32:
+    """1/depth at plane indices."""
+    near, far = depth_range
+    interval = np.float32((1 / near - 1 / far) / (manifest.planes - 1))
+    inverse = planes_dhw * interval
+    inverse += np.float32(1 / far)
+    np.maximum(inverse, _LEAST_INVERSE, out=inverse)
+    return inverse
