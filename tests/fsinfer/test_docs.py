@@ -32,8 +32,13 @@ def python_blocks(name: str) -> list[str]:
     )
 
 
-def test_the_example_without_fsinfer_computes_the_same_depth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("name", ["cascade", "field"])
+def test_the_example_without_fsinfer_computes_the_same_depth(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (block,) = python_blocks("docs/onnx.md")
+    assert '"cascade.json"' in block
+    block = block.replace('"cascade.json"', f'"{name}.json"')
     assert "fsinfer" not in block
     (tmp_path / "models").symlink_to(models_folder())
     monkeypatch.chdir(tmp_path)
@@ -44,7 +49,7 @@ def test_the_example_without_fsinfer_computes_the_same_depth(tmp_path: Path, mon
     intrinsics = np.stack([view.camera.intrinsic for view in views])
     poses = np.stack([view.camera.cam_from_world for view in views])
     depth, confidence = names["depth_of"](images, intrinsics, poses, 1.5, 12.0)  # type: ignore[operator]
-    model = DepthModel.load("field", threads=1, precision="float32")
+    model = DepthModel.load(name, threads=1, precision="float32")
     expected = model.predict(images, intrinsics, poses, (1.5, 12.0))
     assert depth.shape == expected.depth.shape == (38, 45)
     # Where two hypotheses are equally good, rounding decides between them.
