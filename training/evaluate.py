@@ -170,7 +170,7 @@ def main(arguments: list[str] | None = None) -> int:
         "scenes", type=Path, nargs="+", help="folders that are scenes or hold scenes; roots of DTU, BlendedMVS"
     )
     parser.add_argument("--split", choices=SPLITS, default="validation", help="scenes of DTU or BlendedMVS to take")
-    parser.add_argument("--model", default="field", help="name of a shipped model or path of a manifest")
+    parser.add_argument("--model", default=DepthSettings.model, help="name of a shipped model or path of a manifest")
     parser.add_argument("--precision", choices=PRECISIONS, default=FLOAT32, help="of the ONNX regularizer")
     parser.add_argument("--checkpoint", type=Path, help="evaluate this checkpoint in PyTorch instead")
     parser.add_argument("--source-views", type=int, default=4)

@@ -1,6 +1,6 @@
 """Whole depth maps of the ONNX model against PyTorch: ``python -m tests.bench.parity SCENE --views 2``.
 
-The same comparison as ``python -m export training/checkpoints/field.pt --only-parity --parity SCENE``, with a result
+The same comparison as ``python -m export training/checkpoints/cascade.pt --only-parity --parity SCENE``, with a result
 file.
 """
 
@@ -13,6 +13,7 @@ import cv2
 
 from export.parity import whole_parity
 from fsinfer.depth.model import DepthModel
+from fsinfer.depth.settings import DepthSettings
 from fsinfer.scene import read_scene
 from tests.bench.results import ROOT, add_result_options, check_result_options, save_result
 from training.checkpoint import load_checkpoint
@@ -22,7 +23,9 @@ def main(argv: list[str] | None = None) -> int:
     """Compare, print, write."""
     parser = argparse.ArgumentParser(prog="python -m tests.bench.parity", description=__doc__)
     parser.add_argument("scene", type=Path)
-    parser.add_argument("--checkpoint", type=Path, default=ROOT / "training" / "checkpoints" / "field.pt")
+    parser.add_argument(
+        "--checkpoint", type=Path, default=ROOT / "training" / "checkpoints" / f"{DepthSettings.model}.pt"
+    )
     parser.add_argument("--views", type=int, default=2)
     add_result_options(parser)
     args = parser.parse_args(argv)

@@ -26,6 +26,7 @@ from fsinfer.evaluation.metrics import Evaluation, evaluate, read_measured
 from fsinfer.fusion.fuse import FusionSettings
 from fsinfer.poses.pairs import PairSettings
 from fsinfer.poses.settings import PoseSettings
+from fsinfer.progress import silent_stages
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scene import read_scene
 from fsinfer.trees import Tree
@@ -34,6 +35,7 @@ from fsinfer.workflow.pipeline import run
 from fsinfer.workflow.settings import RunSettings
 from tests.bench.classes import MeasuredStem, class_figures, class_lines, nearest_m, truth_of_stems
 from tests.bench.results import add_result_options, check_result_options, save_result
+from tests.bench.steps import StepClock
 
 # Photos doubled before looking for features, as COLMAP does, and half as many neighbours again; six source views in
 # float32. (COLMAP's 8,192 features of doubled photos, 12,300 with their directions, match 1.4 pairs a second.)
@@ -222,9 +224,14 @@ def main(argv: list[str] | None = None) -> int:
     )
     if args.slow:
         settings = replace(settings, poses=SLOW_POSES, depth=SLOW_DEPTH)
+    steps: dict[str, float] = {}
     if not args.judge:
         photos = args.plot / "images"
-        run(torn(photos, args.out, args.stretches) if args.stretches else photos, args.out, settings=settings)
+        given = torn(photos, args.out, args.stretches) if args.stretches else photos
+        # A run that goes on tells of its last steps only.
+        clock = None if args.out.exists() else StepClock()
+        run(given, args.out, settings=settings, progress=clock or silent_stages)
+        steps = clock.figures() if clock else {}
     placed = placed_trees(args.plot, args.out)
     summary, trees, scale, residual, expected = (
         placed.summary, placed.trees, placed.scale, placed.residual_m, placed.true_cameras,
@@ -275,9 +282,11 @@ def main(argv: list[str] | None = None) -> int:
     print("\n".join(class_lines(by_class)))
     sources = source_errors(args.out / "dbh_sources.csv", {p.extracted_id: p.measured_cm for p in result.pairs})
     print("seconds", summary["seconds"], "peak MB", summary["peak_rss_mb"])
+    print("\n".join(f"{name:40s} {value:8.1f}" for name, value in steps.items()))
     plot_evaluation(result, args.out / "evaluation.png")
     figures = {
         **run_figures(summary),
+        **steps,
         "cameras_rms_mm": 1000 * float(np.sqrt((residual**2).mean())),
         "cameras_worst_mm": 1000 * float(residual.max()),
         "scale_error_percent": 100 * (1 / scale - 1),

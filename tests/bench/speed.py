@@ -309,7 +309,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--width", type=int, default=1280)
     parser.add_argument("--height", type=int, default=704)
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--model", default="field")
+    parser.add_argument("--model", default=DepthSettings.model)
     parser.add_argument("--worker", choices=(VANILLA, CHUNKED, *OURS), help=argparse.SUPPRESS)
     add_result_options(parser)
     args = parser.parse_args(argv)

@@ -152,6 +152,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--texture-names", help="as of training.synthesize")
     subpixel = DepthSettings().subpixel
     parser.add_argument("--rounds", type=int, default=subpixel.rounds, help="0 leaves the network's depth")
+    parser.add_argument("--model", default=DepthSettings.model, help="name of a shipped model")
     add_result_options(parser)
     args = parser.parse_args(argv)
     check_result_options(parser, args)
@@ -159,14 +160,14 @@ def main(argv: list[str] | None = None) -> int:
         f"--{name.replace('_', '-')}={v}" for name in ("textures", "texture_names") if (v := getattr(args, name))
     ]
     synthesis = parse(["unused", *options])
-    predict = onnx_predictor("field", settings=DepthSettings(subpixel=replace(subpixel, rounds=args.rounds)))
+    predict = onnx_predictor(args.model, settings=DepthSettings(subpixel=replace(subpixel, rounds=args.rounds)))
     errors: dict[str, dict[float, list[Float32]]] = {
-        side: {p: [] for p in BASELINES_PERCENT} for side in ("field", "sgbm")
+        side: {p: [] for p in BASELINES_PERCENT} for side in (args.model, "sgbm")
     }
     ratio = []
     for seed in range(args.first_seed, args.first_seed + args.pairs):
         for pair in pairs_of(seed, synthesis):
-            for side, found in (("field", ours(predict, pair)), ("sgbm", semi_global(pair))):
+            for side, found in ((args.model, ours(predict, pair)), ("sgbm", semi_global(pair))):
                 error = np.abs(found - pair.disparity)[pair.seen]
                 errors[side][pair.percent].append(error)
                 print(

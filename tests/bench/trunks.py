@@ -140,7 +140,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.bench.trunks", description=__doc__)
     parser.add_argument("trunks", type=Path)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--model", default="field")
+    parser.add_argument("--model", default=DepthSettings.model)
     add_result_options(parser)
     args = parser.parse_args(argv)
     check_result_options(parser, args)
