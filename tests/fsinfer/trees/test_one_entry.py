@@ -88,6 +88,28 @@ def test_a_doubtful_hazy_wall_beside_a_stem_whose_edges_are_seen_is_its_haze(
 
 
 @pytest.mark.parametrize(
+    ("apart_m", "status", "edges", "sides", "left"),
+    [
+        (0.386, "doubtful", False, 0.18, [1]),
+        (0.410, "doubtful", False, 0.18, [1, 2]),
+        (0.386, "ok", False, 0.18, [1, 2]),
+        (0.386, "doubtful", True, 0.18, [1, 2]),
+        (0.386, "doubtful", False, 0.5, [1, 2]),
+    ],
+)
+def test_a_smooth_wall_seen_from_one_side_that_stands_in_a_stem_is_that_stem_s(
+    apart_m: float, status: str, edges: bool, sides: float, left: list[int]
+) -> None:
+    """64 cm +- 14 cm and 0.9 cm rough, through the middle of a stem of 16 cm whose edges many photographs show."""
+    stem, wall = entry(1, 0.0, 0.155), entry(2, apart_m, 0.642, sd_m=0.07, status=status)
+    pairs = [
+        (stem[0], replace(stem[1], silhouette=EDGES)),
+        (wall[0], replace(wall[1], silhouette=EDGES if edges else None, coverage=sides, residual_m=0.0089)),
+    ]
+    assert numbers(one_entry_a_stem(pairs)[0]) == left
+
+
+@pytest.mark.parametrize(
     ("gap_m", "noise_m", "edges", "left"),
     [(0.02, 0.012, True, [1]), (0.05, 0.012, True, [1, 2]), (0.02, 0.005, True, [1, 2]), (0.02, 0.012, False, [1, 2])],
 )
