@@ -2,6 +2,7 @@
 // is replaced by UD2 (0F 0B), equally long, whose signal is answered here. Preloaded, so that it is there before any
 // library asks.
 #define _GNU_SOURCE
+#include <dlfcn.h>
 #include <signal.h>
 #include <stdint.h>
 #include <string.h>
@@ -23,12 +24,18 @@ static void hide(uint32_t leaf, uint32_t part, uint32_t *a, uint32_t *b, uint32_
     }
 }
 
+typedef int change_action(int, const struct sigaction *, struct sigaction *);
+static change_action *change;  // the C library's own sigaction
+
 static void answer(int signal_number, siginfo_t *info, void *context) {
     (void)info;
     greg_t *registers = ((ucontext_t *)context)->uc_mcontext.gregs;
     const uint8_t *at = (const uint8_t *)registers[REG_RIP];
     if (at[0] != 0x0f || at[1] != 0x0b) {
-        signal(signal_number, SIG_DFL);  // somebody's own illegal instruction: it comes again
+        struct sigaction usual;  // somebody's own illegal instruction: it comes again
+        memset(&usual, 0, sizeof usual);
+        usual.sa_handler = SIG_DFL;
+        change(signal_number, &usual, 0);
         return;
     }
     uint32_t leaf = (uint32_t)registers[REG_RAX], part = (uint32_t)registers[REG_RCX];
@@ -47,5 +54,12 @@ __attribute__((constructor)) static void listen(void) {
     memset(&action, 0, sizeof action);
     action.sa_sigaction = answer;
     action.sa_flags = SA_SIGINFO | SA_NODEFER | SA_ONSTACK;
-    sigaction(SIGILL, &action, 0);
+    change = (change_action *)dlsym(RTLD_NEXT, "sigaction");
+    change(SIGILL, &action, 0);
+}
+
+// Libraries that report crashes (COLMAP's) would take the signal for themselves.
+int sigaction(int signal_number, const struct sigaction *action, struct sigaction *before) {
+    if (!change) change = (change_action *)dlsym(RTLD_NEXT, "sigaction");
+    return change(signal_number, signal_number == SIGILL ? 0 : action, before);
 }
