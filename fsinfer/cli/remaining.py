@@ -39,7 +39,7 @@ def _growing(cost: float) -> Callable[[int], float]:
 
 
 def _besides(once: float, cost: float) -> Callable[[int], float]:
-    """Cost of each photo besides what is paid once: trees are no more for more photos."""
+    """Cost of each photo besides what is paid once."""
     return lambda photos: cost + once / photos
 
 
@@ -51,22 +51,22 @@ def _pairs_per_photo(photos: int) -> float:
 
 
 #: For each photo of 1280x720, about seconds on two cores; their proportions matter. Source: layout; measured, the runs
-#: in tests/fsinfer/cli/test_remaining.py.
+#: that tests/fsinfer/cli/test_remaining.py replays.
 STEPS = (
-    Step(stage="frames", what="", cost=_each(0.02)),
-    Step(stage="poses", what="reading photos", cost=_each(0.01)),
-    Step(stage="poses", what="finding features", cost=_each(0.14)),
-    Step(stage="poses", what="matching photos", cost=lambda photos: 0.035 * _pairs_per_photo(photos)),
-    Step(stage="poses", what="following the walk", cost=_growing(0.08)),
-    Step(stage="poses", what="placing photos", cost=_growing(0.15)),
-    Step(stage="poses", what="adjusting", cost=_growing(0.25)),
-    Step(stage="poses", what="undistorting", cost=_each(0.05)),
-    Step(stage="depth", what="", cost=_each(1.55)),
-    Step(stage="fuse", what="", cost=_each(0.24)),
-    Step(stage="scale", what="", cost=_each(0.035)),
-    Step(stage="cloud", what="", cost=_besides(3.5, 0.01)),
-    Step(stage="trees", what="", cost=_besides(8.5, 0.07)),
-    Step(stage="report", what="", cost=_besides(4.3, 0.015)),
+    Step(stage="frames", what="", cost=_each(0.01)),
+    Step(stage="poses", what="reading photos", cost=_each(0.015)),
+    Step(stage="poses", what="finding features", cost=_each(0.1)),
+    Step(stage="poses", what="matching photos", cost=lambda photos: 0.0045 * _pairs_per_photo(photos)),
+    Step(stage="poses", what="following the walk", cost=_growing(0.03)),
+    Step(stage="poses", what="placing photos", cost=_growing(0.065)),
+    Step(stage="poses", what="adjusting", cost=_growing(0.08)),
+    Step(stage="poses", what="undistorting", cost=_each(0.035)),
+    Step(stage="depth", what="", cost=_each(0.37)),
+    Step(stage="fuse", what="", cost=_each(0.095)),
+    Step(stage="scale", what="", cost=_each(0.023)),
+    Step(stage="cloud", what="", cost=_besides(2.0, 0.013)),
+    Step(stage="trees", what="", cost=lambda photos: _growing(0.15)(photos) + 2.0 / photos),
+    Step(stage="report", what="", cost=_besides(3.0, 0.018)),
 )
 #: What goes so many times faster than on the machine of the costs, which are about seconds there, was there already.
 #: Source: layout; judgement; no machine is so much faster.

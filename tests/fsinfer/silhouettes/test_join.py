@@ -611,6 +611,9 @@ def test_refused_by_the_cloud_and_hardly_seen_stays_doubtful() -> None:
     assert few.status == "doubtful"
     assert few.dbh_m == pytest.approx(0.30)
     assert few.reasons == (notice(StemCode.edges_alone, photos=5, refused=refused.reasons[0]),)
+    faint = joined(rough, replace(fit_of(0.15, 0.002, photos=37), contrast=1.23))
+    assert (faint.status, [why.code for why in faint.reasons]) == ("doubtful", [StemCode.edges_alone])
+    assert joined(section_of(0.30, 0.01), replace(fit_of(0.15, 0.002), contrast=1.23)).status == "ok"
     unsure = joined(refused, fit_of(0.15, 0.05))
     assert unsure.dbh_m is None
     assert [why.code for why in unsure.reasons] == [StemCode.too_uncertain]
