@@ -152,7 +152,7 @@ def main(argv: list[str] | None = None) -> int:
         estimate_depth(scene, args.out / name, settings=DepthSettings(model=args.model))
         found = DepthMaps(scene, args.out / name).get(0)
         depth, grid = np.float32(1) / found.inverse_depth, found.grid
-        mask = read_image(args.trunks / name / "mask.png")[..., 0] > 127
+        mask = read_image(args.trunks / name / "mask.png").max(axis=-1) > 127
         v, u = (
             np.rint(np.arange(n) * s + o).astype(int)
             for n, s, o in zip(

@@ -222,7 +222,7 @@ from fsinfer.depth.model import DepthModel
 from fsinfer.depth.memory import plan_depth
 from tests.bench.speed import make_views
 images, intrinsics, poses, depth_range = make_views(3, 256, 512)
-model = DepthModel.load(threads=2, precision="float32")
+model = DepthModel.load("field", threads=2, precision="float32")
 for _ in range(2):
     model.predict(images, intrinsics, poses, depth_range)
 plan = plan_depth(3.0, width=512, height=256, **{FIELD}, views=3, most_cached=3)
@@ -239,7 +239,7 @@ from fsinfer.depth.model import DepthModel
 from fsinfer.depth.memory import plan_depth
 from tests.bench.speed import make_views
 images, intrinsics, poses, depth_range = make_views(3, 512, 960)
-model = DepthModel.load(threads=2, precision="int8")
+model = DepthModel.load("field", threads=2, precision="int8")
 model.predict(images, intrinsics, poses, depth_range)
 plan = plan_depth(3.0, width=960, height=512, **{FIELD}, views=3, most_cached=3, int8=True)
 """
@@ -249,7 +249,7 @@ from fsinfer.depth.model import DepthModel
 from fsinfer.depth.memory import plan_depth
 from tests.bench.speed import make_views
 images, intrinsics, poses, depth_range = make_views(3, 512, 960)
-model = DepthModel.load(threads=1, precision="int8")
+model = DepthModel.load("field", threads=1, precision="int8")
 work = [threading.Thread(target=model.predict, args=(images, intrinsics, poses, depth_range)) for _ in range(2)]
 [one.start() for one in work]
 [one.join() for one in work]
@@ -264,7 +264,7 @@ from tests.bench.speed import make_views
 images, intrinsics, poses, depth_range = make_views(3, 352, 640)
 plan = plan_depth(3.0, width=640, height=352, **{FIELD}, views=3, most_cached=3, int8=True, most_at_once=4)
 assert (plan.at_once, plan.regularizers) == (4, 2)
-model = DepthModel.load(threads=1, precision="int8", regularizers=plan.regularizers)
+model = DepthModel.load("field", threads=1, precision="int8", regularizers=plan.regularizers)
 for _ in range(2):
     work = [threading.Thread(target=model.predict, args=(images, intrinsics, poses, depth_range)) for _ in range(4)]
     [one.start() for one in work]
@@ -276,7 +276,7 @@ from fsinfer.depth.model import DepthModel
 from fsinfer.depth.memory import plan_depth
 from tests.bench.speed import make_views
 images, intrinsics, poses, depth_range = make_views(3, 352, 640)
-model = DepthModel.load(threads=1, precision="float32")
+model = DepthModel.load("field", threads=1, precision="float32")
 for _ in range(2):
     work = [threading.Thread(target=model.predict, args=(images, intrinsics, poses, depth_range)) for _ in range(2)]
     [one.start() for one in work]
@@ -289,7 +289,7 @@ from fsinfer.depth.model import DepthModel
 from fsinfer.depth.memory import plan_depth
 from tests.bench.speed import make_views
 images, intrinsics, poses, depth_range = make_views(3, 800, 1280)
-model = DepthModel.load(threads=2, precision="float32")
+model = DepthModel.load("field", threads=2, precision="float32")
 plan = plan_depth(1.4, width=1280, height=800, **{FIELD}, views=3, most_cached=3, tile_halo=56)
 from fsinfer.depth.tiles import TiledDepth
 assert plan.tile_size and plan.keeps_volume
@@ -312,10 +312,23 @@ sizes = dict(width=960, height=512, **{FIELD}, wide_stride=8, views=3, most_cach
 plan = plan_depth(3.0, **sizes, int8=True, most_at_once=2)
 assert (plan.at_once, plan.regularizers) == (2, 2)
 """
+_EIGHTHS_FLOAT = f"""
+from fsinfer.depth.model import DepthModel
+from fsinfer.depth.memory import plan_depth
+from tests.bench.speed import make_views
+images, intrinsics, poses, depth_range = make_views(3, 512, 960)
+model = DepthModel.load("cascade", threads=2, precision="float32")
+for _ in range(2):
+    model.predict(images, intrinsics, poses, depth_range)
+plan = plan_depth(3.0, width=960, height=512, **{FIELD}, wide_stride=8, views=3, most_cached=3)
+"""
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-@pytest.mark.parametrize("program", [_WHOLE, _INT8, _TWO, _FOUR, _TWO_FLOAT, _TILED, _EIGHTHS])
+@pytest.mark.parametrize(
+    "program",
+    [_WHOLE, _INT8, _TWO, _FOUR, _TWO_FLOAT, _TILED, _EIGHTHS, _EIGHTHS_FLOAT],
+)
 def test_the_estimate_is_that_of_a_real_run(program: str) -> None:
     done = subprocess.run([sys.executable, "-c", program + _PEAK], capture_output=True, text=True, check=True)
     expected, found = (int(word) for word in done.stdout.split())

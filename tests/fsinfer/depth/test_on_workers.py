@@ -189,7 +189,7 @@ def test_a_worker_refuses_what_it_would_compute_otherwise(scene: Scene, monkeypa
         r"does not see .*0\.png; .* or give --copy": replace(task, view=gone),
         r"sees another file in the place of": replace(task, photo_bytes=(1, *task.photo_bytes[1:])),
         r"has fsinfer .*, not 0\.0\.1": replace(task, version="0.0.1"),
-        r"has another model 'field'": replace(task, job=replace(job, model_sha256="0" * 64)),
+        r"has another model 'cascade'": replace(task, job=replace(job, model_sha256="0" * 64)),
         r"cannot use the model: .*nonsense": replace(task, job=replace(job, settings=model)),
     }
     for why, wrong in refused.items():
@@ -199,10 +199,11 @@ def test_a_worker_refuses_what_it_would_compute_otherwise(scene: Scene, monkeypa
 
 
 def test_a_worker_stays_within_its_memory_or_says_so(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    job = plan_job(scene.views, replace(SETTINGS, precision="float32"))
+    settings = replace(SETTINGS, model="field", precision="float32")
+    job = plan_job(scene.views, settings)
     manifest = read_manifest("field")
     plan = plan_within(
-        SETTINGS.memory_gb, settings=SETTINGS, manifest=manifest, precision="float32", width=1280, height=720
+        settings.memory_gb, settings=settings, manifest=manifest, precision="float32", width=1280, height=720
     )
     job = replace(job, width=1280, height=720, plan=plan)
 

@@ -134,7 +134,7 @@ def test_the_depth_stage_cuts_what_does_not_fit(
         # Tiles are float32, whatever this processor would do otherwise, and the result says so.
         result = estimate_depth(scene, tmp_path / precision, settings=replace(settings, precision=precision))
         assert result.precision == "float32"
-        assert read_depth_index(tmp_path / precision)["model_sha256"] == read_manifest("field").sha256
+        assert read_depth_index(tmp_path / precision)["model_sha256"] == read_manifest(settings.model).sha256
         assert "computed in tiles" in caplog.text
         for view in scene.views:
             tiled, whole = (
