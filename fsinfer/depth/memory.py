@@ -35,7 +35,8 @@ _PEAK_OVER_TILE, _FEATURES_BYTES = 9.2, 105
 _VOLUMES_AT_PEAK, _LEVELS_AT_PEAK = 1.0, 4.6
 #: The same of a volume at an eighth of the resolution, beside which what follows at a quarter and at half of it weighs
 #: more: as a whole in float32 and in int8, and in tiles. Each map worked on at a time takes all of it. Source:
-#: numerics; measured with ``cascade``, 12.1 to 12.5 and 7.7 to 8.8 times at 960x544 to 2400x1808; tiles by analogy.
+#: numerics; measured with ``cascade``, 12.1 to 12.5 and 7.7 to 8.8 times at 960x544 to 2400x1808; 2560x1536 in tiles
+#: of 72 takes 2.37 GB where 2.54 are planned.
 _PEAK_OVER_EIGHTHS, _INT8_PEAK_OVER_EIGHTHS, _PEAK_OVER_TILE_OF_EIGHTHS = 13.2, 9.4, 14.2
 #: Sides of tiles that are tried, pixels of the volume. Source: numerics; multiples of the network's coarsest level.
 _TILE_SIZES = range(512, 56, -8)
