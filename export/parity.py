@@ -21,14 +21,16 @@ DEPTH_REL_P999, MASK_AGREEMENT = 1e-3, 0.999
 class Parity:
     """Differences over all pixels of some views.
 
-    depth_rel_p999: 99.9th percentile of |d_onnx - d_torch| / d_torch. mask_agreement: share of pixels on the same
-    side of the confidence threshold in both.
+    depth_rel_p999: 99.9th percentile of |d_onnx - d_torch| / d_torch; depth_rel_p999_sure: of the pixels above the
+    confidence threshold in both. Below it two hypotheses may be equally good, and rounding decides. mask_agreement:
+    share of pixels on the same side of the threshold in both.
     """
 
     views: int
     pixels: int
     depth_rel_p50: float
     depth_rel_p999: float
+    depth_rel_p999_sure: float
     mask_agreement: float
 
     def passes(self) -> bool:
@@ -42,7 +44,7 @@ def whole_parity(
 ) -> Parity:
     """Compare both paths on the first views of a scene at full image size."""
     model.eval()
-    relative, agree = [], []
+    relative, agree, sure = [], [], []
     threshold = deployed.manifest.parity_confidence_threshold
     chosen = [view for view in scene.views if view.sources][:views]
     for view in chosen:
@@ -56,14 +58,15 @@ def whole_parity(
         output = model(nchw, torch.from_numpy(intrinsics), torch.from_numpy(poses), depth_range)
         depth = output.depth.numpy()
         relative.append((np.abs(estimate.depth - depth) / depth).ravel())
-        agree.append(
-            ((estimate.confidence > threshold) == (deployed.calibrated(output.confidence.numpy()) > threshold)).ravel()
-        )
+        ours, trained = (c > threshold for c in (estimate.confidence, deployed.calibrated(output.confidence.numpy())))
+        agree.append((ours == trained).ravel())
+        sure.append((ours & trained).ravel())
     errors, agreement = np.concatenate(relative), np.concatenate(agree)
     return Parity(
         views=len(chosen),
         pixels=len(errors),
         depth_rel_p50=float(np.quantile(errors, 0.5)),
         depth_rel_p999=float(np.quantile(errors, 0.999)),
+        depth_rel_p999_sure=float(np.quantile(errors[np.concatenate(sure)], 0.999)),
         mask_agreement=float(agreement.mean()),
     )

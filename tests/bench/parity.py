@@ -39,6 +39,7 @@ def main(argv: list[str] | None = None) -> int:
         "pixels": found.pixels,
         "depth_rel_median": found.depth_rel_p50,
         "depth_rel_p999": found.depth_rel_p999,
+        "depth_rel_p999_sure": found.depth_rel_p999_sure,
         "mask_agreement_percent": 100 * found.mask_agreement,
     }
     for name, value in figures.items():

@@ -32,7 +32,9 @@ def test_parity_is_a_thousandth_of_the_depth_and_of_the_mask(
     off: float, agreement: float, code: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
-    found = Parity(views=3, pixels=9, depth_rel_p50=0.0, depth_rel_p999=off, mask_agreement=agreement)
+    found = Parity(
+        views=3, pixels=9, depth_rel_p50=0.0, depth_rel_p999=off, depth_rel_p999_sure=0.0, mask_agreement=agreement
+    )
     asked: dict[str, Any] = {}
 
     def load(manifest: Path, *, precision: str) -> str:

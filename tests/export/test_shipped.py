@@ -88,7 +88,7 @@ def test_parity_of_other_weights_does_not_pass(checkpoint: FSMVSNet, tmp_path: P
 
 
 def _parity(**changes: float) -> Parity:
-    given = {"depth_rel_p50": 0.0, "depth_rel_p999": 1e-3, "mask_agreement": 0.999}
+    given = {"depth_rel_p50": 0.0, "depth_rel_p999": 1e-3, "depth_rel_p999_sure": 0.0, "mask_agreement": 0.999}
     return Parity(views=1, pixels=9, **(given | changes))
 
 
