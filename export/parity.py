@@ -21,9 +21,9 @@ DEPTH_REL_P999, MASK_AGREEMENT = 1e-3, 0.999
 class Parity:
     """Differences over all pixels of some views.
 
-    depth_rel_p999: 99.9th percentile of |d_onnx - d_torch| / d_torch; depth_rel_p999_sure: of the pixels above the
-    confidence threshold in both. Below it two hypotheses may be equally good, and rounding decides. mask_agreement:
-    share of pixels on the same side of the threshold in both.
+    depth_rel_p999: 99.9th percentile of |d_onnx - d_torch| / d_torch. depth_rel_p999_sure: of the pixels above the
+    confidence threshold in both, 0 where there are none; below it two hypotheses may be equally good, and rounding
+    decides. mask_agreement: share of pixels on the same side of the threshold in both.
     """
 
     views: int
@@ -62,11 +62,12 @@ def whole_parity(
         agree.append((ours == trained).ravel())
         sure.append((ours & trained).ravel())
     errors, agreement = np.concatenate(relative), np.concatenate(agree)
+    above = errors[np.concatenate(sure)]
     return Parity(
         views=len(chosen),
         pixels=len(errors),
         depth_rel_p50=float(np.quantile(errors, 0.5)),
         depth_rel_p999=float(np.quantile(errors, 0.999)),
-        depth_rel_p999_sure=float(np.quantile(errors[np.concatenate(sure)], 0.999)),
+        depth_rel_p999_sure=float(np.quantile(above, 0.999)) if len(above) else 0.0,
         mask_agreement=float(agreement.mean()),
     )
