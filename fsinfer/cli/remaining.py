@@ -38,9 +38,9 @@ def _growing(cost: float) -> Callable[[int], float]:
     return lambda photos: cost * (photos / _AMONG_PHOTOS) ** _GROWTH
 
 
-def _besides(once: float, cost: float) -> Callable[[int], float]:
+def _besides(once: float, cost: Callable[[int], float]) -> Callable[[int], float]:
     """Cost of each photo besides what is paid once."""
-    return lambda photos: cost + once / photos
+    return lambda photos: cost(photos) + once / photos
 
 
 @lru_cache
@@ -64,15 +64,20 @@ STEPS = (
     Step(stage="depth", what="", cost=_each(0.37)),
     Step(stage="fuse", what="", cost=_each(0.095)),
     Step(stage="scale", what="", cost=_each(0.023)),
-    Step(stage="cloud", what="", cost=_besides(2.0, 0.013)),
-    Step(stage="trees", what="", cost=lambda photos: _growing(0.15)(photos) + 2.0 / photos),
-    Step(stage="report", what="", cost=_besides(3.0, 0.018)),
+    Step(stage="cloud", what="", cost=_besides(2.0, _each(0.013))),
+    Step(stage="trees", what="", cost=_besides(2.0, _growing(0.15))),
+    Step(stage="report", what="", cost=_besides(3.0, _each(0.018))),
 )
 #: What goes so many times faster than on the machine of the costs, which are about seconds there, was there already.
 #: Source: layout; judgement; no machine is so much faster.
 _SKIPPED = 50.0
 #: Before this share of the cost is done an estimate would be a guess. Source: layout; judgement.
 _LEAST_SHARE = 0.02
+
+
+def step_of(stage: str, what: str) -> int | None:
+    """Place in :data:`STEPS` of the step that a report of a stage's progress is of; None of what is no known step."""
+    return next((i for i, step in enumerate(STEPS) if step.stage == stage and what.startswith(step.what)), None)
 
 
 class RemainingTime:
@@ -103,12 +108,12 @@ class RemainingTime:
 
     def update(self, stage: str, done: int, total: int, what: str) -> None:
         """Take one report of a stage's progress callback; steps that are not known are passed over."""
-        found = [i for i, step in enumerate(STEPS) if step.stage == stage and what.startswith(step.what)]
-        if not found or total <= 0 or found[0] < self._at:
+        found = step_of(stage, what)
+        if found is None or total <= 0 or found < self._at:
             return
-        if found[0] != self._at:
+        if found != self._at:
             # The stage itself, or an earlier step of it, told how many photos there are.
-            self._at = found[0]
+            self._at = found
             self._part = 0.0
             self._began = (self._clock(), 0.0)
         self._ran.add(self._at)

@@ -108,12 +108,13 @@ def _same(worse: Pair, better: Pair, apart: NDArray[np.float64]) -> bool:
         sizeless = section.dbh_m is None or one_sided
     else:
         sizeless = section.cloud_dbh_m is None and other.cloud_dbh_m is not None
+    gap = float(np.hypot(*apart)) - other.dbh_m / 2.0
     # What one side tells of, and stands in such a stem at all, is its wall, however smooth. Source: development
     # plot, seed 900101: one of 64 +- 14 cm, 0.9 cm rough, through the middle of a stem of 16 cm.
-    if sizeless and section.silhouette is None and float(np.hypot(*apart)) < _radius_m(section) + other.dbh_m / 2.0:
+    if sizeless and section.silhouette is None and gap < _radius_m(section):
         return True
     hazy = section.residual_m > HAZE_NOISE_M and sizeless
-    return hazy and float(np.hypot(*apart)) < other.dbh_m / 2.0 + (1.0 + HAZE_SHARE) * _radius_m(section)
+    return hazy and gap < (1.0 + HAZE_SHARE) * _radius_m(section)
 
 
 def _radius_m(section: Section) -> float:

@@ -7,8 +7,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fsinfer.cli.remaining import STEPS, RemainingTime
+from fsinfer.cli.remaining import STEPS, RemainingTime, Step, step_of
 from fsinfer.progress import Progress
+
+
+def figure_of(step: Step) -> str:
+    """Name of the figure with the seconds of a step: ``step_STAGE_WHAT_s``."""
+    return "_".join(["step", step.stage, *step.what.split(), "s"])
 
 
 class StepClock:
@@ -34,9 +39,9 @@ class StepClock:
             now = self._clock()
             if left is not None:
                 self._told.append((now - self._begun, left))
-            known = [step.what for step in STEPS if step.stage == stage and what.startswith(step.what)]
-            if known:
-                self._enter(f"{stage} {known[0]}".strip(), now)
+            step = step_of(stage, what)
+            if step is not None:
+                self._enter(figure_of(STEPS[step]), now)
 
         return report
 
@@ -50,13 +55,13 @@ class StepClock:
     def figures(self) -> dict[str, float]:
         """To be asked when the run is done.
 
-        ``step_STAGE_WHAT_s`` of each step; of the remaining time, told between the first tenth of the run and the last,
-        the median and the greatest error (``remaining_median_percent``, ``remaining_worst_percent``).
+        Of each step its seconds (:func:`figure_of`); of the remaining time, told between the first tenth of the run and
+        the last, the median and the greatest error (``remaining_median_percent``, ``remaining_worst_percent``).
         """
         now = self._clock()
         self._enter("end", now)
         whole = now - self._begun
-        found = {f"step_{name.replace(' ', '_')}_s": seconds for name, seconds in self._seconds.items()}
+        found = dict(self._seconds)
         errors = [
             100 * abs(left / (whole - passed) - 1)
             for passed, left in self._told

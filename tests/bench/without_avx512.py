@@ -65,8 +65,11 @@ def compile_answer(out: Path) -> None:
 def libraries(folder: Path) -> Iterator[Path]:
     """Shared libraries in a folder, each once."""
     for path in sorted(folder.rglob("*.so*")):
-        if path.is_file() and not path.is_symlink() and path.read_bytes()[:4] == b"\x7fELF":
-            yield path
+        if path.is_file() and not path.is_symlink():
+            with path.open("rb") as stream:
+                is_library = stream.read(4) == b"\x7fELF"
+            if is_library:
+                yield path
 
 
 def hide_cpuid(library: Path) -> int:
@@ -77,15 +80,11 @@ def hide_cpuid(library: Path) -> int:
     ValueError
         An instruction is not where the list of sections says.
     """
-    if CPUID not in library.read_bytes():
-        return 0
-    listing = subprocess.run(
-        ["objdump", "-d", "--no-show-raw-insn", str(library)], check=True, capture_output=True, text=True
-    ).stdout
-    addresses = [int(found, 16) for found in _INSTRUCTION.findall(listing)]
-    headers = subprocess.run(["objdump", "-h", str(library)], check=True, capture_output=True, text=True).stdout
-    sections = [[int(part, 16) for part in found[1:]] for found in _SECTION.findall(headers)]
     content = bytearray(library.read_bytes())
+    if CPUID not in content:
+        return 0
+    addresses = [int(found, 16) for found in _INSTRUCTION.findall(_objdump(library, "-d", "--no-show-raw-insn"))]
+    sections = [[int(part, 16) for part in found[1:]] for found in _SECTION.findall(_objdump(library, "-h"))]
     for address in addresses:
         place = next(
             (offset + address - start for size, start, offset in sections if start <= address < start + size), -1
@@ -98,6 +97,10 @@ def hide_cpuid(library: Path) -> int:
         library.unlink()
         library.write_bytes(content)
     return len(addresses)
+
+
+def _objdump(library: Path, *options: str) -> str:
+    return subprocess.run(["objdump", *options, str(library)], check=True, capture_output=True, text=True).stdout
 
 
 def main(argv: list[str] | None = None) -> int:

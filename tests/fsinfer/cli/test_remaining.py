@@ -8,6 +8,7 @@ import pytest
 
 from fsinfer.cli.remaining import STEPS, RemainingTime, as_words
 from tests.bench.results import read_result
+from tests.bench.steps import figure_of
 
 #: Runs whose seconds of each step a benchmark wrote down: on a quiet machine, and beside another program.
 RECORDED = ("plot-300-955048", "plot-clean-cascade", "plot-300-avx2")
@@ -16,11 +17,7 @@ RECORDED = ("plot-300-955048", "plot-clean-cascade", "plot-300-avx2")
 def steps_of(name: str) -> list[tuple[str, str, float]]:
     """Stage, step and seconds of a recorded run, in order."""
     figures = read_result(name).figures
-    found = []
-    for step in STEPS:
-        key = "_".join(["step", step.stage, *step.what.split(), "s"])
-        found.append((step.stage, step.what or step.stage, figures[key]))
-    return found
+    return [(step.stage, step.what or step.stage, figures[figure_of(step)]) for step in STEPS]
 
 
 def seconds_of(name: str, stage: str) -> float:
