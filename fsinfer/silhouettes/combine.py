@@ -32,7 +32,7 @@ class CombineSettings:
         955017, 955019, 955020): 0.71 times (rms; 0.58 to 0.80 in each of five classes of what the fit says), and 99 %
         of the intervals held the truth (docs/trials-accuracy.md).
     fuller_factor: the same of a half-seen stem with single edges or sharp faces in its fit
-        (:func:`fsinfer.silhouettes.looks.fuller_look`). Source: renders only, 74 half-seen stems of six plots: 0.94
+        (:func:`fsinfer.silhouettes.one_look.fuller_look`). Source: renders only, 74 half-seen stems of six plots: 0.94
         times (docs/trials-accuracy.md, "Sharp faces").
     points_over_edges: variance of the points' unknown error over that of the edges'. Source: renders only, 41 stems of
         five plots photographed by a phone (docs/trials-accuracy.md): the edges' errors are 0.28 of half their 95 %

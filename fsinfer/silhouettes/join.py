@@ -108,6 +108,7 @@ def measure_silhouettes(
         edges=s.edges,
         fit=s.fit,
         settings=s.looks,
+        wider=s.wider,
         keep_strips=figures is not None,
         surface=None if cloud_xyz is None else partial(points_about, cloud_xyz, settings=s.fit.faces),
         progress=progress,

@@ -6,8 +6,9 @@ from dataclasses import dataclass, field
 
 from fsinfer.silhouettes.combine import CombineSettings
 from fsinfer.silhouettes.edge_settings import EdgeSettings
-from fsinfer.silhouettes.looks import LookSettings
+from fsinfer.silhouettes.one_look import LookSettings
 from fsinfer.silhouettes.support import SupportSettings
+from fsinfer.silhouettes.wide_look import WideLookSettings
 from fsinfer.trees.diameter.silhouette_settings import SilhouetteSettings
 
 
@@ -26,9 +27,6 @@ class SilhouetteJoinSettings:
         to 4 mm on renders, and what the depth maps have of a stem seen from far by 5 to 30.
     sure_photos: fewer, and a stem that the cloud could not measure stays doubtful. Source: renders only, three renders.
     sure_sectors: the same for the directions that they cover. Source: renders only, three renders.
-    sure_contrast: the same where its edges agree no better. Source: renders only, seed 955048, afterwards: far from the
-        walk, given as 19.6 +- 1.7 cm from 37 photographs, 23.1 in truth, has 1.23; nine right ones of three plots 1.58
-        and more.
     shrub_photos: so many photographs show the place, and ... Source: renders only, two undergrown plots (seeds 700013
         and 955023), afterwards: a shrub had 14.
     shrub_contrast: ... their edges agree no better than this on a stem: a shrub. Source: renders only, undergrown plot,
@@ -49,7 +47,7 @@ class SilhouetteJoinSettings:
         afterwards, 1.15 in eight; no stem within five plots has less than 1.25.
     many_contrast: ... and their edges agree no better: what so many do not know is no stem. Source: as before, 1.14; a
         half-hidden stem 1.18.
-    edges, looks, fit, support, combine: of the steps.
+    edges, looks, wider, fit, support, combine: of the steps.
     """
 
     cloud_floor_m: float = 0.0015
@@ -57,7 +55,6 @@ class SilhouetteJoinSettings:
     haze_m: float = 0.005
     sure_photos: int = 8
     sure_sectors: float = 0.3
-    sure_contrast: float = 1.4
     shrub_photos: int = 12
     shrub_contrast: float = 1.12
     sizeless_contrast: float = 1.2
@@ -69,6 +66,7 @@ class SilhouetteJoinSettings:
     many_contrast: float = 1.16
     edges: EdgeSettings = field(default_factory=EdgeSettings)
     looks: LookSettings = field(default_factory=LookSettings)
+    wider: WideLookSettings = field(default_factory=WideLookSettings)
     fit: SilhouetteSettings = field(default_factory=SilhouetteSettings)
     support: SupportSettings = field(default_factory=SupportSettings)
     combine: CombineSettings = field(default_factory=CombineSettings)

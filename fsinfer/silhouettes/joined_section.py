@@ -165,7 +165,7 @@ def _status(
     if uncertain:
         return "unmeasured", uncertain
     doubts = [why for why in section.reasons if why.code in NOT_LIFTED and section.dbh_m is not None]
-    few = fit.photos < s.sure_photos or fit.sectors < s.sure_sectors or fit.contrast < s.sure_contrast
+    few = fit.photos < s.sure_photos or fit.sectors < s.sure_sectors or fit.contrast < s.wider.sure_contrast
     # Two walls are poses that do not agree: the distance of two edges stands it, but somebody should look.
     if refused is not None and (few or refused.code == StemCode.double_wall):
         doubts.append(notice(StemCode.edges_alone, photos=fit.photos, refused=refused))

@@ -9,7 +9,7 @@ import numpy as np
 
 from fsinfer.notices.stems import StemCode
 from fsinfer.silhouettes.join_settings import SilhouetteJoinSettings
-from fsinfer.silhouettes.looks import Looked
+from fsinfer.silhouettes.one_look import Looked
 from fsinfer.trees import Tree
 from fsinfer.trees.diameter.silhouette import edge_contrast
 from fsinfer.trees.search.giants import LEAST_ARC, THICK_M

@@ -14,7 +14,7 @@ import numpy as np
 from fsinfer.notices.notice import Notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.silhouettes.combine import CombineSettings
-from fsinfer.silhouettes.looks import Looked
+from fsinfer.silhouettes.one_look import Looked
 from fsinfer.trees import Section
 from fsinfer.trees.diameter.second_pair import SecondPairSettings, second_pair
 from fsinfer.trees.diameter.silhouette import SilhouetteFit

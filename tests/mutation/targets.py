@@ -102,8 +102,18 @@ TARGETS: dict[str, Target] = {
         tests=(f"{_SILHOUETTES}test_join.py",),
     ),
     "silhouette-looks": Target(
-        files=("fsinfer/silhouettes/looks.py", "fsinfer/trees/diameter/second_pair.py"),
-        tests=(f"{_SILHOUETTES}test_looks.py", f"{_DIAMETER}test_second_pair.py", f"{_SILHOUETTES}test_join.py"),
+        files=(
+            "fsinfer/silhouettes/looks.py",
+            "fsinfer/silhouettes/one_look.py",
+            "fsinfer/silhouettes/wide_look.py",
+            "fsinfer/trees/diameter/second_pair.py",
+        ),
+        tests=(
+            f"{_SILHOUETTES}test_looks.py",
+            f"{_SILHOUETTES}test_wide_look.py",
+            f"{_DIAMETER}test_second_pair.py",
+            f"{_SILHOUETTES}test_join.py",
+        ),
     ),
     "silhouette-support": Target(
         files=("fsinfer/silhouettes/support.py",),

@@ -145,7 +145,9 @@ class EdgeProblem:
             return 0.0
         return float((((self.faces.support_m - self.face_design @ x) / self.faces.std_m) ** 2).sum())
 
-    def vote(self) -> tuple[list[Floats], float]:
+    def vote(
+        self, *, place_step_m: float = PLACE_STEP_M, radius_step_m: float = RADIUS_STEP_M
+    ) -> tuple[list[Floats], float]:
         """Radius and place (3,) where the most rays have a strong edge: the best few radii, each at its best place.
 
         Also the votes of the first over those of a typical radius.
@@ -153,13 +155,13 @@ class EdgeProblem:
         s, edges = self.s, self.edges
         level = edges.support_m - self.taper * edges.height_m
         std = np.hypot(TOLERANCES_M[0], self.pixel)
-        shifts = np.arange(-s.place_range_m, s.place_range_m + 1e-9, PLACE_STEP_M)
+        shifts = np.arange(-s.place_range_m, s.place_range_m + 1e-9, place_step_m)
         order = np.argsort(self.ray, kind="stable")
         first = np.searchsorted(self.ray[order], np.arange(self.rays))
         cosine, sine = np.cos(edges.angle_rad), np.sin(edges.angle_rad)
         low, high = s.radius_range
         most = max(high * self.radius_m, self.radius_m + s.beyond_m)
-        radii = np.arange(low * self.radius_m, most + 5 * RADIUS_STEP_M, RADIUS_STEP_M)
+        radii = np.arange(low * self.radius_m, most + 5 * radius_step_m, radius_step_m)
         tops, places = np.zeros(len(radii)), np.zeros((len(radii), 2))
         for i, radius in enumerate(radii):
             for a in shifts:

@@ -6,6 +6,7 @@ import csv
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,17 +14,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+import fsinfer.silhouettes.looks as looks
 from fsinfer.io.images import read_image, write_image
 from fsinfer.io.pfm import write_pfm
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.scene import read_scene
 from fsinfer.silhouettes.combine import combine
+from fsinfer.silhouettes.edge_settings import EdgeSettings
+from fsinfer.silhouettes.edges import find_edges
 from fsinfer.silhouettes.join import StemPhotos, measure_silhouettes, write_sources
 from fsinfer.silhouettes.join_settings import SilhouetteJoinSettings
 from fsinfer.silhouettes.joined_section import join
 from fsinfer.silhouettes.strips import GAP_PX, TILE_PX
 from fsinfer.silhouettes.support import SupportSettings
+from fsinfer.silhouettes.wide_look import WideLookSettings
 from fsinfer.trees import DbhSettings, PlotResult, Section, Tree
 from fsinfer.trees.diameter.budget import factor95
 from fsinfer.trees.diameter.edge_set import Edges
@@ -240,6 +245,33 @@ def test_a_stem_looked_at_again_stands_where_the_second_look_has_it(photos: Stem
     np.testing.assert_allclose([tree.x_m, tree.y_m], BREAST[:2], atol=0.004)
     np.testing.assert_allclose(found.circle_m[:2], [-0.03, 0.01], atol=0.004)
     np.testing.assert_allclose(found.silhouette.shift_m, [-0.03, 0.01], atol=0.004)
+
+
+def test_a_refused_stem_that_stands_beside_its_haze_is_found_there(
+    photos: StemPhotos, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Within 4 cm of the haze's axis nothing of it is seen; what the cloud measured is where it was measured."""
+    beside_m = np.array([0.18, -0.07])
+    refused = plot_of(section_of(None, 0.03, ROUGH))
+    at = {"x_m": BREAST[0] - beside_m[0], "y_m": BREAST[1] - beside_m[1]}
+    margins_m = []
+
+    def finding(*args: Any, **kwargs: Any) -> list[Edges]:
+        margins_m.append(kwargs["settings"].margin_m)
+        return find_edges(*args, **kwargs)
+
+    monkeypatch.setattr(looks, "find_edges", finding)
+    looked = measure_silhouettes(replace(refused, trees=(replace(refused.trees[0], **at),)), photos)
+    (tree,), (found,) = looked.trees, looked.sections
+    usual_m, reach_m = EdgeSettings().margin_m, WideLookSettings().reach_m
+    assert [margin_m for margin_m in margins_m if margin_m != usual_m] == [usual_m + reach_m]
+    assert found.silhouette is not None
+    assert tree.dbh_cm == pytest.approx(200 * RADIUS, abs=0.3)
+    np.testing.assert_allclose([tree.x_m, tree.y_m], BREAST[:2], atol=0.004)
+    np.testing.assert_allclose(found.silhouette.shift_m, beside_m, atol=0.004)
+    measured = plot_of(section_of(2 * RADIUS, 0.004))
+    (kept,) = measure_silhouettes(replace(measured, trees=(replace(measured.trees[0], **at),)), photos).sections
+    assert kept.silhouette is None or float(np.hypot(*(kept.silhouette.shift_m - beside_m))) > 0.05
 
 
 def without_stem(photos: StemPhotos, folder: Path) -> StemPhotos:

@@ -10,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from fsinfer.silhouettes.edges import Strip
-from fsinfer.silhouettes.looks import Looked, LookSettings, Surface, again, fitted_look, fuller_look
+from fsinfer.silhouettes.looks import again
+from fsinfer.silhouettes.one_look import Looked, LookSettings, Surface, fitted_look, fuller_look
 from fsinfer.silhouettes.stem_axis import StemAxis
 from fsinfer.trees.diameter.edge_set import Edges, chosen_edges
 from fsinfer.trees.diameter.silhouette import SilhouetteFit

@@ -9,7 +9,7 @@ import pytest
 
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
-from fsinfer.silhouettes.looks import Looked
+from fsinfer.silhouettes.one_look import Looked
 from fsinfer.silhouettes.support import SupportSettings, is_supported, points_support
 from fsinfer.trees import Section
 from fsinfer.trees.diameter.edge_set import Edges
