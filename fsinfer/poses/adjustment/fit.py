@@ -129,6 +129,7 @@ def normal_equations(structure: Structure, at: Unknowns, groups: Sequence[Group]
     by_photo[:, :, 3:6] = by_x
     if columns:
         by_photo[:, :, 6:] = by_own[:, :, columns] * (weighting.own_std[:, columns][seen.photo][:, None, :] * root)
+    del by_own  # of hundreds of photos this and the next are most of a run's memory
     by_lens *= root
     rows = Rows(
         residuals=residuals * root[:, :, 0],
@@ -136,6 +137,7 @@ def normal_equations(structure: Structure, at: Unknowns, groups: Sequence[Group]
         by_point=by_x @ at.rotations[seen.photo],
         by_lens=_bordered(by_lens, lens_number, weighting.lens_free),
     )
+    del by_lens
     blocks = blocks_of(structure, rows)
     size = by_photo.shape[2]
     photos = len(seen.camera)

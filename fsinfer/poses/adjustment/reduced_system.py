@@ -181,14 +181,14 @@ def reduce_points(structure: Structure, blocks: Blocks, damping: float) -> Reduc
 
 
 def solve(structure: Structure, reduced: Reduced) -> tuple[Floats, Floats]:
-    """The step: (q,) of photos and lenses, (P, 3) of the points.
+    """The step: (q,) of photos and lenses, (P, 3) of the points; ``reduced.matrix`` is overwritten.
 
     Raises
     ------
     numpy.linalg.LinAlgError
         The damped matrix is not positive definite.
     """
-    factor = cho_factor(reduced.matrix, lower=False, check_finite=False)
+    factor = cho_factor(reduced.matrix.T, lower=True, overwrite_a=True, check_finite=False)
     cameras: Floats = -cho_solve(factor, reduced.right, check_finite=False)
     size, lenses = reduced.half.shape[2], reduced.half_lens.shape[2]
     photos = cameras[: len(cameras) - lenses].reshape(-1, size)
