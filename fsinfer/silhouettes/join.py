@@ -4,7 +4,8 @@ A cloud knows a stem's surface as well as depth maps do: to millimetres from two
 edges between stem and background in the same photographs are sharp at any distance. So each stem of the cloud is looked
 up in all photographs that show it (:mod:`fsinfer.silhouettes.edges`), its silhouette is fitted
 (:mod:`fsinfer.trees.diameter.silhouette`), both again where it turns out to be another than the cloud thought
-(:mod:`fsinfer.silhouettes.looks`), and the two diameters are averaged by their precision. Where they contradict
+(:mod:`fsinfer.silhouettes.looks`) or not to stand there (:mod:`fsinfer.silhouettes.wide_look`), and the two diameters
+are averaged by their precision. Where they contradict
 each other the silhouette's stands, doubtful, the contradiction in its interval (:mod:`fsinfer.silhouettes.combine`).
 Edges alone are no measurement: where the points refused, something else has to have the same size
 (:mod:`fsinfer.silhouettes.support`).
@@ -190,8 +191,7 @@ def _axis(tree: Tree, section: Section) -> StemAxis:
 
 
 def _tree(tree: Tree, section: Section, stem: StemAxis, fit: SilhouetteFit) -> Tree:
-    first, second = stem.across
-    moved = stem.breast + fit.shift_m[0] * first + fit.shift_m[1] * second
+    moved = stem.moved(fit.shift_m, fit.radius_m).breast
     return with_diameter(replace(tree, x_m=float(moved[0]), y_m=float(moved[1])), section)
 
 

@@ -6,7 +6,8 @@ bark then has the stem's own edges in it, and some photographs show something el
 stem that turns out to have another radius is looked at once more about what was found. A true edge is found again; what
 only lay where the haze ended is not.
 
-What the cloud refused and no look finds where it should be is looked for wider (:mod:`fsinfer.silhouettes.wide_look`).
+What the cloud refused, and whose edges agree little or not at all, is looked for wider
+(:mod:`fsinfer.silhouettes.wide_look`).
 """
 
 from __future__ import annotations
@@ -27,7 +28,6 @@ from fsinfer.silhouettes.stem_axis import StemAxis
 from fsinfer.silhouettes.strips import keep_strip
 from fsinfer.silhouettes.visibility import BOTH_SIDES
 from fsinfer.silhouettes.wide_look import WideLookSettings, look_wider
-from fsinfer.trees.cylinder.axis import LEAST_RADIUS_M
 from fsinfer.trees.diameter.edge_set import Edges
 from fsinfer.trees.diameter.silhouette import SilhouetteFit
 from fsinfer.trees.diameter.silhouette_settings import SilhouetteSettings
@@ -52,7 +52,8 @@ def look_at_stems(
 ) -> list[Looked]:
     """Find each stem in the photographs and fit its silhouette; ``points`` are the cloud's radii and their deviations.
 
-    ``surface`` gives the points of the cloud round a stem, None where there are none.
+    Stems without a radius by their points are looked for ``wider``. ``surface`` gives the points of the cloud round a
+    stem, None where there are none.
     Raises :class:`~fsinfer.errors.FsinferError` where a photograph or a depth map cannot be read.
     """
     s, of_wide = settings or LookSettings(), wider or WideLookSettings()
@@ -88,6 +89,7 @@ def look_at_stems(
         fit=fit,
         looks=s,
         settings=of_wide,
+        measured=[stem for stem, of_points in zip(stems, points, strict=True) if of_points is not None],
     )
     moved = {number: new for number, new in zip(refused, found_wider, strict=True) if new is not looked[number]}
     surest = again(list(moved.values()), [None] * len(moved), look, fit=fit, settings=s)
@@ -133,11 +135,7 @@ def _other_than_thought(looked: Looked, s: LookSettings) -> bool:
 
 def _axis_found(looked: Looked, fit: SilhouetteFit) -> tuple[StemAxis, Floats]:
     """The axis where the fit has it, and how far that is from the one that was asked for."""
-    stem = looked.stem
-    first, second = stem.across
-    breast = stem.breast + fit.shift_m[0] * first + fit.shift_m[1] * second
-    found = replace(stem, breast=breast, radius_m=max(fit.radius_m, LEAST_RADIUS_M))
-    return found, np.asarray(looked.moved_m + fit.shift_m)
+    return looked.stem.moved(fit.shift_m, fit.radius_m), np.asarray(looked.moved_m + fit.shift_m)
 
 
 def _counts(new: Looked, old: Looked, s: LookSettings) -> bool:

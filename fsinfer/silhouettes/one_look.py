@@ -36,7 +36,7 @@ class LookSettings:
         out 0.2 to 0.4 cm too thick where those of 3 pixels are fitted with the others.
     again_rel: share by which a radius has to differ from the one before to be looked at again. Source: renders only,
         five plots: at 0.10 a stem of 8.1 cm stays at 12.2 cm, which the second look finds at 7.9 cm.
-    looks: at a stem at most. Source: renders only, five plots: nothing changed after the third.
+    looks: about one axis at most. Source: renders only, five plots: nothing changed after the third.
     contradict_std: standard deviations between two looks beyond which the later counts though it is less sure. Source:
         statistics, 95 %.
     against_std: standard deviations of the fit of both edges within which single edges and faces have to leave the

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.scene import Camera
+from fsinfer.trees.cylinder.axis import LEAST_RADIUS_M
 
 Floats = NDArray[np.float64]
 
@@ -34,6 +35,12 @@ class StemAxis:
         first = np.array([1.0, 0.0, 0.0]) - self.along[0] * self.along
         first /= np.linalg.norm(first)
         return first, np.cross(self.along, first)
+
+    def moved(self, shift_m: Floats, radius_m: float) -> StemAxis:
+        """The axis ``shift_m`` (2,) from this one, along its two directions across, of a stem of ``radius_m``."""
+        first, second = self.across
+        breast = self.breast + shift_m[0] * first + shift_m[1] * second
+        return replace(self, breast=breast, radius_m=max(float(radius_m), LEAST_RADIUS_M))
 
 
 def facing(stem: StemAxis, camera: Camera) -> tuple[Floats, Floats, float]:

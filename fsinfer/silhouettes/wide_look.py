@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from fsinfer.silhouettes.one_look import Look, Looked, LookSettings, fitted_look
 from fsinfer.silhouettes.stem_axis import StemAxis
-from fsinfer.trees.cylinder.axis import LEAST_RADIUS_M
 from fsinfer.trees.diameter.edge_problem import EdgeProblem
 from fsinfer.trees.diameter.edge_set import Edges, chosen_edges, two_sided
 from fsinfer.trees.diameter.silhouette_settings import SilhouetteSettings
@@ -33,7 +32,7 @@ class WideLookSettings:
     ----------
     sure_contrast: a stem that the cloud could not measure, and whose edges agree no better, is looked for wider, and
         stays doubtful where that finds none. Source: renders only, seed 955048, afterwards: edges beside the stem have
-        1.21 to 1.28 (given as 19.6, 20.4 and 29.8 cm, 23.1, 23.1 and 12.6 in truth), its own 1.54 to 1.83; nine right
+        1.21 to 1.28 (fitted as 19.6, 20.4 and 29.8 cm, 23.1, 23.1 and 12.6 in truth), its own 1.54 to 1.83; nine right
         ones of three plots 1.58 and more.
     reach_m: to either side of the haze's axis. Source: renders only, as before: stems stand 8 to 18 cm beside it.
     radius_range: of the haze's radius; the greatest is :attr:`SilhouetteSettings.beyond_m` more at least. Source:
@@ -57,20 +56,25 @@ def look_wider(
     fit: SilhouetteSettings,
     looks: LookSettings,
     settings: WideLookSettings,
+    measured: Sequence[StemAxis] = (),
 ) -> list[Looked]:
     """Look wider about ``stems``, which the cloud refused; ``looked`` is what they showed there.
 
-    ``wide`` finds edges as ``look`` does, in strips that reach :attr:`WideLookSettings.reach_m` farther.
+    ``wide`` finds edges as ``look`` does, in strips that reach :attr:`WideLookSettings.reach_m` farther. Where
+    they are those of a neighbour that the cloud ``measured``, the look before stays.
     """
     best = list(looked)
     lost = [number for number, one in enumerate(looked) if _contrast(one, looks) < settings.sure_contrast]
     if not lost:
         return best
-    axes = [
-        (number, axis, moved)
-        for number, edges in zip(lost, wide([stems[number] for number in lost]), strict=True)
-        for axis, moved in axes_beside(stems[number], edges, fit, settings)
-    ]
+    axes = []
+    for number, edges in zip(lost, wide([stems[number] for number in lost]), strict=True):
+        beside = axes_beside(stems[number], edges, fit, settings)
+        # Where the most edges are a neighbour's, the other places are chance: a haze beside one was given 15 cm so.
+        if beside and not any(_stands_in(beside[0][0], other) for other in measured):
+            axes += [(number, axis, moved) for axis, moved in beside]
+    if not axes:
+        return best
     seen = look([axis for _, axis, _ in axes])
     for (number, axis, moved), edges, strips in zip(axes, *seen, strict=True):
         new = fitted_look(axis, moved, edges, strips, None, fit, looks)
@@ -92,14 +96,12 @@ def axes_beside(
     wide = replace(fit, place_range_m=s.reach_m, radius_range=s.radius_range)
     problem = EdgeProblem(edges, stem.radius_m, stem.taper, wide)
     peaks, _ = problem.vote(place_step_m=s.place_step_m, radius_step_m=s.radius_step_m)
-    first, second = stem.across
-    return [
-        (
-            replace(stem, breast=stem.breast + a * first + b * second, radius_m=max(float(radius), LEAST_RADIUS_M)),
-            np.array([a, b]),
-        )
-        for radius, a, b in peaks
-    ]
+    return [(stem.moved(place, radius), place) for radius, place in ((peak[0], peak[1:]) for peak in peaks)]
+
+
+def _stands_in(axis: StemAxis, other: StemAxis) -> bool:
+    """Whether the axis passes through the other stem at breast height."""
+    return float(np.linalg.norm((axis.breast - other.breast)[:2])) < other.radius_m
 
 
 def _contrast(looked: Looked, s: LookSettings) -> float:

@@ -129,7 +129,8 @@ def normal_equations(structure: Structure, at: Unknowns, groups: Sequence[Group]
     by_photo[:, :, 3:6] = by_x
     if columns:
         by_photo[:, :, 6:] = by_own[:, :, columns] * (weighting.own_std[:, columns][seen.photo][:, None, :] * root)
-    del by_own  # of hundreds of photos this and the next are most of a run's memory
+    # Of 300 photos (400,000 observations) these take 54 and 72 MB, and the blocks come on top of the rows.
+    del by_own
     by_lens *= root
     rows = Rows(
         residuals=residuals * root[:, :, 0],

@@ -150,7 +150,8 @@ class EdgeProblem:
     ) -> tuple[list[Floats], float]:
         """Radius and place (3,) where the most rays have a strong edge: the best few radii, each at its best place.
 
-        Also the votes of the first over those of a typical radius.
+        Also the votes of the first over those of a typical radius. Places are ``place_step_m`` apart, radii
+        ``radius_step_m``.
         """
         s, edges = self.s, self.edges
         level = edges.support_m - self.taper * edges.height_m

@@ -261,8 +261,13 @@ def test_a_refused_stem_that_stands_beside_its_haze_is_found_there(
         return find_edges(*args, **kwargs)
 
     monkeypatch.setattr(looks, "find_edges", finding)
-    looked = measure_silhouettes(replace(refused, trees=(replace(refused.trees[0], **at),)), photos)
-    (tree,), (found,) = looked.trees, looked.sections
+    # A stem that no photograph shows comes first, so that numbers among the refused are not those of the plot.
+    other = replace(refused.trees[0], tree_id=9, x_m=BREAST[0] + 40.0)
+    haze = replace(refused.trees[0], **at)
+    both = replace(refused, trees=(other, haze), sections=(section_of(0.3, 0.004), refused.sections[0]))
+    looked = measure_silhouettes(both, photos)
+    (unseen, tree), (_, found) = looked.trees, looked.sections
+    assert (unseen.tree_id, unseen.x_m) == (9, other.x_m)
     usual_m, reach_m = EdgeSettings().margin_m, WideLookSettings().reach_m
     assert [margin_m for margin_m in margins_m if margin_m != usual_m] == [usual_m + reach_m]
     assert found.silhouette is not None

@@ -102,16 +102,17 @@ def test_a_haze_may_be_much_thicker_than_its_stem() -> None:
 
 def test_photographs_of_one_edge_have_no_say_in_where_a_stem_is() -> None:
     some, more = (axes_beside(HAZE, Photos(single=n).edges(HAZE, WIDE.reach_m), FIT, WIDE) for n in (0, 40))
+    assert some
     for (_, before), (_, after) in zip(some, more, strict=True):
         np.testing.assert_array_equal(before, after)
 
 
-def test_what_is_found_lies_along_the_directions_across_a_leaning_axis() -> None:
-    along = np.array([0.1, 0.05, 1.0])
-    leaning = replace(HAZE, along=along / np.linalg.norm(along))
-    for axis, moved in axes_beside(leaning, Photos().edges(leaning, WIDE.reach_m), FIT, WIDE):
-        first, second = leaning.across
-        np.testing.assert_allclose(axis.breast - leaning.breast, moved[0] * first + moved[1] * second, atol=1e-12)
+def test_an_axis_is_moved_along_its_directions_across() -> None:
+    along = np.array([0.6, 0.0, 0.8])  # leaning to x, so that the first direction falls off
+    moved = replace(HAZE, along=along).moved(np.array([0.1, 0.2]), 0.3)
+    np.testing.assert_allclose(moved.breast - HAZE.breast, [0.08, 0.2, -0.06], atol=1e-12)
+    assert moved.radius_m == 0.3
+    assert HAZE.moved(np.zeros(2), 0.0).radius_m > 0.0
 
 
 def test_only_what_agrees_as_stems_seldom_do_is_looked_for_wider() -> None:
@@ -130,24 +131,40 @@ def test_only_what_agrees_as_stems_seldom_do_is_looked_for_wider() -> None:
 
 
 def test_a_wider_look_that_shows_no_better_stem_does_not_count() -> None:
-    """Nor one beyond the reach."""
     shown = Photos(photos=2)  # too few for any stem
     before, after = looked_wider(shown)
     assert after is before
-    far = Photos(beside_m=np.array([0.5, 0.3]))
-    before, after = looked_wider(far)
-    assert after.fit is None or np.hypot(*(after.stem.breast[:2] - far.place)) > 0.2
-    nothing = Photos(photos=0)
+    # Nor one beyond the reach.
+    before, after = looked_wider(Photos(beside_m=np.array([0.5, 0.3]), stray=0))
+    assert after is before
     nothing_seen = edges_from_rows([(0.1, 0.0, 0.0, 8.0, 0.01, 0, 0)])
     assert axes_beside(HAZE, nothing_seen, FIT, WIDE) == []
-    assert look_wider([], [], nothing, nothing.wide, fit=FIT, looks=LOOKS, settings=WIDE) == []
+    assert look_wider([], [], shown, shown.wide, fit=FIT, looks=LOOKS, settings=WIDE) == []
+
+
+@pytest.mark.parametrize(("apart_m", "found"), [(0.0, False), (0.3, True)])
+def test_a_neighbour_that_the_cloud_measured_is_not_the_stem_that_it_refused(apart_m: float, found: bool) -> None:
+    photos = Photos()
+    place = np.array([photos.place[0] + apart_m, photos.place[1], 1.3])
+    neighbour = replace(HAZE, breast=place, radius_m=TRUE_RADIUS_M)
+    before = first_look(photos)
+    wider = look_wider([HAZE], [before], photos, photos.wide, fit=FIT, looks=LOOKS, settings=WIDE, measured=[neighbour])
+    fit = wider[0].fit
+    there = fit is not None and bool(np.hypot(*(wider[0].moved_m + fit.shift_m - BESIDE_M)) < 0.01)
+    assert there == found
 
 
 def test_each_stem_keeps_its_own_look() -> None:
-    photos, sure = Photos(), replace(HAZE, breast=np.array([*(HAZE.breast[:2] + BESIDE_M), 1.3]), radius_m=0.115)
-    looks = [first_look(photos, sure), first_look(photos, HAZE), first_look(photos, sure)]
-    after = look_wider([sure, HAZE, sure], looks, photos, photos.wide, fit=FIT, looks=LOOKS, settings=WIDE)
+    """Of four, two are lost, each with several places to look at."""
+    photos = Photos()
+    sure = replace(HAZE, breast=np.array([*photos.place, 1.3]), radius_m=TRUE_RADIUS_M)
+    other = replace(HAZE, breast=HAZE.breast + np.array([0.03, 0.02, 0.0]))
+    stems = [sure, HAZE, sure, other]
+    looks = [first_look(photos, stem) for stem in stems]
+    after = look_wider(stems, looks, photos, photos.wide, fit=FIT, looks=LOOKS, settings=WIDE)
     assert after[0] is looks[0]
     assert after[2] is looks[2]
-    assert after[1].fit is not None
-    assert after[1].fit.radius_m == pytest.approx(TRUE_RADIUS_M, abs=0.002)
+    for one, stem in zip(after, stems, strict=True):
+        assert one.fit is not None
+        assert one.fit.radius_m == pytest.approx(TRUE_RADIUS_M, abs=0.002)
+        np.testing.assert_allclose(stem.breast[:2] + one.moved_m + one.fit.shift_m, photos.place, atol=0.003)
