@@ -5,10 +5,9 @@ edges between stem and background in the same photographs are sharp at any dista
 up in all photographs that show it (:mod:`fsinfer.silhouettes.edges`), its silhouette is fitted
 (:mod:`fsinfer.trees.diameter.silhouette`), both again where it turns out to be another than the cloud thought
 (:mod:`fsinfer.silhouettes.looks`) or not to stand there (:mod:`fsinfer.silhouettes.wide_look`), and the two diameters
-are averaged by their precision. Where they contradict
-each other the silhouette's stands, doubtful, the contradiction in its interval (:mod:`fsinfer.silhouettes.combine`).
-Edges alone are no measurement: where the points refused, something else has to have the same size
-(:mod:`fsinfer.silhouettes.support`).
+are averaged by their precision. Where they contradict each other the silhouette's stands, doubtful, the contradiction
+in its interval (:mod:`fsinfer.silhouettes.combine`). Edges alone are no measurement: where the
+points refused, something else has to have the same size (:mod:`fsinfer.silhouettes.support`).
 """
 
 from __future__ import annotations

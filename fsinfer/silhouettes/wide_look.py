@@ -96,7 +96,7 @@ def axes_beside(
     wide = replace(fit, place_range_m=s.reach_m, radius_range=s.radius_range)
     problem = EdgeProblem(edges, stem.radius_m, stem.taper, wide)
     peaks, _ = problem.vote(place_step_m=s.place_step_m, radius_step_m=s.radius_step_m)
-    return [(stem.moved(place, radius), place) for radius, place in ((peak[0], peak[1:]) for peak in peaks)]
+    return [(stem.moved(peak[1:], peak[0]), peak[1:]) for peak in peaks]
 
 
 def _stands_in(axis: StemAxis, other: StemAxis) -> bool:

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_solve
 
 from fsinfer.errors import SceneError
 from fsinfer.io.json_text import read_json
 from fsinfer.poses.adjustment.fit import Weighting, columns_of, normal_equations
 from fsinfer.poses.adjustment.problem import Group, Unknowns
 from fsinfer.poses.adjustment.projection import Floats
-from fsinfer.poses.adjustment.reduced_system import Structure, reduce_points
+from fsinfer.poses.adjustment.reduced_system import Structure, factored, reduce_points
 
 #: Photos that share the most points with one, beside which its place is told. Source: MVSNet's ten source views.
 _NEIGHBOURS = 10
@@ -56,8 +56,7 @@ def camera_precisions(
         gauge[photo * size + 3 : photo * size + 6] = -rotation @ moves[photo, 3:]
     gauge = np.linalg.qr(gauge)[0]
     matrix += np.diag(matrix).mean() * gauge @ gauge.T
-    # Of 300 photos the matrix takes 160 MB, and its inverse's columns half of that: one of each is enough.
-    factor = cho_factor(matrix.T, lower=True, overwrite_a=True, check_finite=False)
+    factor = factored(matrix)
     poses = (np.arange(photos)[:, None] * size + np.arange(6)).ravel()
     unit = np.zeros((len(matrix), len(poses)), order="F")
     unit[poses, np.arange(len(poses))] = 1

@@ -180,6 +180,21 @@ def reduce_points(structure: Structure, blocks: Blocks, damping: float) -> Reduc
     return Reduced(matrix=matrix, right=right, inverse=inverse, half=half, half_lens=half_lens, half_right=half_right)
 
 
+def factored(upper: Floats) -> tuple[Floats, bool]:
+    """Cholesky's factor for :func:`scipy.linalg.cho_solve`, in the place of a matrix (q, q) of which the upper triangle
+    counts.
+
+    Of 300 photos it takes 160 MB. LAPACK works in place on columns, which are the rows of what it is given here.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The matrix is not positive definite.
+    """
+    factor: tuple[Floats, bool] = cho_factor(upper.T, lower=True, overwrite_a=True, check_finite=False)
+    return factor
+
+
 def solve(structure: Structure, reduced: Reduced) -> tuple[Floats, Floats]:
     """The step: (q,) of photos and lenses, (P, 3) of the points; ``reduced.matrix`` is overwritten.
 
@@ -188,7 +203,7 @@ def solve(structure: Structure, reduced: Reduced) -> tuple[Floats, Floats]:
     numpy.linalg.LinAlgError
         The damped matrix is not positive definite.
     """
-    factor = cho_factor(reduced.matrix.T, lower=True, overwrite_a=True, check_finite=False)
+    factor = factored(reduced.matrix)
     cameras: Floats = -cho_solve(factor, reduced.right, check_finite=False)
     size, lenses = reduced.half.shape[2], reduced.half_lens.shape[2]
     photos = cameras[: len(cameras) - lenses].reshape(-1, size)
