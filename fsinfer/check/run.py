@@ -36,6 +36,7 @@ from fsinfer.progress import Progress, StageProgress, silent_stages
 from fsinfer.scale.aruco import scale_from_aruco
 from fsinfer.scale.doubts import boards_at_two_places, doubt_boards
 from fsinfer.scale.find import find_scale, scale_from_printed_boards
+from fsinfer.scale.marker_search import look_for_markers
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scale.scale import (
     CAMERA_HEIGHT_M,
@@ -265,15 +266,18 @@ def _beyond(entry: StemCoverage, sides: Sequence[OpenSide]) -> StemCoverage:
 
 def _scale(request: ScaleRequest, scene: Scene, progress: Progress) -> tuple[Scale, Scale, tuple[RejectedMarker, ...]]:
     """The metric scale, how the boards are seen where it is not theirs, and those seen where none can be used."""
+    seen = None
     if request.given:
         scale = find_scale(request, scene=scene, progress=progress).scale
     else:
-        scale = scale_from_printed_boards(scene, progress) or UNKNOWN
+        seen = look_for_markers(scene, progress=progress)
+        scale = scale_from_printed_boards(scene, seen) or UNKNOWN
     if scale.source == "aruco":
         return scale, scale, ()
     try:
         # The length does not matter for how well a board is seen.
-        return scale, scale_from_aruco(scene, 1.0, dictionary=request.aruco_dictionary, progress=progress), ()
+        dictionary = request.aruco_dictionary
+        return scale, scale_from_aruco(scene, 1.0, dictionary=dictionary, progress=progress, seen=seen), ()
     except NoUsableMarkersError as error:
         return scale, UNKNOWN, error.rejected
 

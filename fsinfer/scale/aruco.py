@@ -9,11 +9,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.io.images import luminance
 from fsinfer.progress import Progress, silent
 from fsinfer.scale.agreement import agreement, faces_of_boards
-from fsinfer.scale.blooming import bloom_of, common_blooming, without_blooming
-from fsinfer.scale.detection import detect_markers, make_detector, predefined_dictionary
+from fsinfer.scale.blooming import common_blooming, without_blooming
+from fsinfer.scale.marker_search import SeenMarkers, look_for_markers
 from fsinfer.scale.printed_boards import DICTIONARY
 from fsinfer.scale.scale import (
     BoardVerdict,
@@ -25,8 +24,7 @@ from fsinfer.scale.scale import (
     check_length,
 )
 from fsinfer.scale.square_fit import FittedMarker, MarkerSettings, Sighting, find_markers
-from fsinfer.scene import Scene, read_view_image
-from fsinfer.threads import in_order, photo_threads
+from fsinfer.scene import Scene
 
 _log = logging.getLogger(__name__)
 
@@ -44,6 +42,7 @@ def scale_from_aruco(
     dictionary: str = DICTIONARY,
     settings: MarkerSettings | None = None,
     progress: Progress = silent,
+    seen: SeenMarkers | None = None,
 ) -> Scale:
     """Find markers in the images of ``scene`` and the scale that gives their sides the length ``length_m``.
 
@@ -56,6 +55,7 @@ def scale_from_aruco(
     length_m: side of the black square, metres, the same for all markers, whose numbers then do not matter; or the
         side of each number, and markers of other numbers are left alone.
     dictionary: such as ``4X4_50``; see :func:`dictionary_names`.
+    seen: the markers of that dictionary in these images, where they were looked for before.
 
     Returns
     -------
@@ -73,28 +73,9 @@ def scale_from_aruco(
     for length in length_m.values() if isinstance(length_m, Mapping) else (length_m,):
         check_length(length, "the side of the markers")
     settings = settings or MarkerSettings()
-    printed = predefined_dictionary(dictionary)
-
-    def look(index: int) -> list[Sighting]:
-        pixels = read_view_image(scene.views[index])
-        grey = luminance(pixels)
-        # OpenCV does not say that a detector may be shared between threads; making one takes no time.
-        found = detect_markers(pixels, make_detector(dictionary), min_side_px=settings.min_side_px)
-        return [
-            Sighting(
-                marker_id=number,
-                view=index,
-                corners_px=corners_px,
-                bloom_px=bloom_of(grey, corners_px, number, printed),
-            )
-            for number, corners_px in found
-            if not isinstance(length_m, Mapping) or number in length_m
-        ]
-
-    sightings: list[Sighting] = []
-    for done, seen in enumerate(in_order(look, range(len(scene.views)), photo_threads())):
-        progress(done, len(scene.views), "looking for markers")
-        sightings += seen
+    if seen is None or seen.dictionary != dictionary:
+        seen = look_for_markers(scene, dictionary=dictionary, settings=settings, progress=progress)
+    sightings = [one for one in seen.sightings if not isinstance(length_m, Mapping) or one.marker_id in length_m]
     blooming = common_blooming(
         [sighting.bloom_px for sighting in sightings],
         fewest=settings.min_blooming,
@@ -104,7 +85,6 @@ def scale_from_aruco(
     if blooming is not None:
         shift_px = blooming.shift_px
         sightings = [replace(one, corners_px=without_blooming(one.corners_px, shift_px)) for one in sightings]
-    progress(len(scene.views), len(scene.views), "looking for markers")
     projections = [view.camera.intrinsic @ view.camera.cam_from_world[:3] for view in scene.views]
     centers = np.array([view.camera.center for view in scene.views])
     markers: list[FittedMarker] = []

@@ -11,6 +11,7 @@ from fsinfer.notices.notice import Notice, notice
 from fsinfer.progress import Progress, silent
 from fsinfer.scale.aruco import scale_from_aruco
 from fsinfer.scale.doubts import boards_at_two_places, doubt_boards
+from fsinfer.scale.marker_search import SeenMarkers, look_for_markers
 from fsinfer.scale.printed_boards import DICTIONARY, board_lengths
 from fsinfer.scale.request import ClickedLength, ScaleRequest
 from fsinfer.scale.scale import UNKNOWN, Scale, scale_from_factor
@@ -55,10 +56,11 @@ def find_scale(
     if request.aruco_length_m is None:
         if scene is None or not request.printed_boards:
             return FoundScale(scale=UNKNOWN, warnings=(notice(CaptureCode.no_scale_given),))
-        boards = scale_from_printed_boards(scene, progress, settings=settings)
+        seen = look_for_markers(scene, dictionary=DICTIONARY, settings=settings, progress=progress)
+        boards = scale_from_printed_boards(scene, seen, settings=settings)
         if boards is not None:
             return FoundScale(scale=boards, warnings=(*doubt_boards(boards), *_twice(boards)))
-        return FoundScale(scale=UNKNOWN, warnings=(_of_unknown_length(request, scene, settings, progress),))
+        return FoundScale(scale=UNKNOWN, warnings=(_of_unknown_length(request, scene, seen, settings, progress),))
     if scene is None:
         msg = (
             "--aruco-length-m looks for the markers in the photographs, and there is no scene here; use it with "
@@ -87,11 +89,11 @@ def _by_clicks(
 
 
 def scale_from_printed_boards(
-    scene: Scene, progress: Progress, *, settings: MarkerSettings | None = None
+    scene: Scene, seen: SeenMarkers, *, settings: MarkerSettings | None = None
 ) -> Scale | None:
-    """The scale by boards that tell their length, or None where no such board can be used."""
+    """The scale by boards that tell their length among the markers ``seen``, None where no such board can be used."""
     try:
-        return scale_from_aruco(scene, board_lengths(), dictionary=DICTIONARY, settings=settings, progress=progress)
+        return scale_from_aruco(scene, board_lengths(), dictionary=DICTIONARY, settings=settings, seen=seen)
     except ScaleError as error:
         # No board, or none that is seen well enough: nobody asked for boards, so that this is no warning of its own.
         _log.info("no scale from printed boards: %s", error)
@@ -99,12 +101,14 @@ def scale_from_printed_boards(
 
 
 def _of_unknown_length(
-    request: ScaleRequest, scene: Scene, settings: MarkerSettings | None, progress: Progress
+    request: ScaleRequest, scene: Scene, looked: SeenMarkers, settings: MarkerSettings | None, progress: Progress
 ) -> Notice:
     """What to say without a scale: the numbers of markers where some are seen that do not tell their length."""
     try:
         # Which ones are seen does not depend on the length.
-        seen = scale_from_aruco(scene, 1.0, dictionary=request.aruco_dictionary, settings=settings, progress=progress)
+        seen = scale_from_aruco(
+            scene, 1.0, dictionary=request.aruco_dictionary, settings=settings, progress=progress, seen=looked
+        )
     except ScaleError:
         return notice(CaptureCode.no_scale_given)
     numbers = tuple(str(marker.id) for marker in seen.markers)

@@ -9,15 +9,21 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from fsinfer.check.run import _scale as boards_seen
 from fsinfer.errors import ScaleError
 from fsinfer.io.images import write_image
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.sentences import sentences
+from fsinfer.progress import silent
+from fsinfer.scale import marker_search
 from fsinfer.scale.aruco import scale_from_aruco
 from fsinfer.scale.detection import detect_markers, make_detector
+from fsinfer.scale.find import find_scale
+from fsinfer.scale.marker_search import look_for_markers
+from fsinfer.scale.request import ScaleRequest
 from fsinfer.scale.scale import UNKNOWN, BoardVerdict, NoUsableMarkersError
 from fsinfer.scale.square_fit import MarkerSettings, Sighting, find_markers
-from fsinfer.scene import Camera, Scene, View
+from fsinfer.scene import Camera, Scene, View, read_view_image
 from tests.support.rendered_room import SIZE, WALL, draw, intrinsic, poses, texture
 
 SIDE = 0.30  # scene units
@@ -142,6 +148,34 @@ def test_no_marker_says_where_it_looked_and_the_way_out(tmp_path: Path) -> None:
     scene = make_scene(tmp_path, {}, views=3)
     with pytest.raises(ScaleError, match=r"v0 to v2.*--endpoints"):
         scale_from_aruco(scene, 0.25)
+
+
+def test_photographs_are_searched_once_whatever_the_boards_tell(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read: list[str] = []
+
+    def counted(view: View) -> NDArray[np.uint8]:
+        read.append(view.name)
+        return read_view_image(view)
+
+    monkeypatch.setattr(marker_search, "read_view_image", counted)
+    # Numbers below 20 tell no length.
+    scene = make_scene(tmp_path, {0: 5, 1: 6, 2: 7})
+    once = [view.name for view in scene.views]
+    (told,) = find_scale(ScaleRequest(), scene=scene).warnings
+    assert told.code == CaptureCode.markers_of_unknown_length
+    assert sorted(read) == once
+    read.clear()
+    scale, boards, _ = boards_seen(ScaleRequest(), scene, silent)
+    assert scale is UNKNOWN
+    assert sorted(marker.id for marker in boards.markers) == [5, 6, 7]
+    assert sorted(read) == once
+    read.clear()
+    # What was seen of another dictionary does not count.
+    seen = look_for_markers(scene, dictionary="5X5_50")
+    assert scale_from_aruco(scene, 0.25, seen=seen).m_per_unit == pytest.approx(0.25 / SIDE, rel=0.0025)
+    assert sorted(read) == sorted([*once, *once])
 
 
 def test_wrong_options(scene: Scene) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fsinfer.scale import aruco
+from fsinfer.scale import aruco, marker_search
 from fsinfer.scale.scale import MarkerDetails, Scale
 from fsinfer.scale.square_fit import FittedMarker, Sighting
 from fsinfer.scene import Camera, Scene, View
@@ -71,10 +71,10 @@ def test_scales_are_off_by_what_they_say(
             for view in scene.views
         }
         noise = {path: [(n, c + rng.normal(0.0, 0.1, (4, 2))) for n, c in found] for path, found in seen.items()}
-        monkeypatch.setattr(aruco, "read_view_image", lambda view: view.image_path)
-        monkeypatch.setattr(aruco, "luminance", lambda path: path)
-        monkeypatch.setattr(aruco, "bloom_of", lambda *_, heard=heard: heard)
-        monkeypatch.setattr(aruco, "detect_markers", lambda path, *_, noise=noise, **__: noise[path])
+        monkeypatch.setattr(marker_search, "read_view_image", lambda view: view.image_path)
+        monkeypatch.setattr(marker_search, "luminance", lambda path: path)
+        monkeypatch.setattr(marker_search, "bloom_of", lambda *_, heard=heard: heard)
+        monkeypatch.setattr(marker_search, "detect_markers", lambda path, *_, noise=noise, **__: noise[path])
         scale = aruco.scale_from_aruco(scene, side)
         assert scale.m_per_unit is not None
         assert scale.rel_std is not None
@@ -101,10 +101,10 @@ def scale_of_warped(
         )
         return [one], []
 
-    monkeypatch.setattr(aruco, "read_view_image", lambda view: view.image_path)
-    monkeypatch.setattr(aruco, "luminance", lambda path: path)
-    monkeypatch.setattr(aruco, "bloom_of", lambda *_: None)
-    monkeypatch.setattr(aruco, "detect_markers", lambda *_, **__: list(seen.items()))
+    monkeypatch.setattr(marker_search, "read_view_image", lambda view: view.image_path)
+    monkeypatch.setattr(marker_search, "luminance", lambda path: path)
+    monkeypatch.setattr(marker_search, "bloom_of", lambda *_: None)
+    monkeypatch.setattr(marker_search, "detect_markers", lambda *_, **__: list(seen.items()))
     monkeypatch.setattr(aruco, "find_markers", fitted)
     return aruco.scale_from_aruco(scene, 1.0)
 
