@@ -20,7 +20,7 @@ from fsinfer.depth.job import DepthJob, plan_job, plan_within
 from fsinfer.depth.manifest import models_folder, read_manifest
 from fsinfer.depth.memory import DepthPlan
 from fsinfer.depth.settings import DepthSettings
-from fsinfer.depth.stage import estimate_depth
+from fsinfer.depth.stage import _write_index, estimate_depth
 from fsinfer.depth.view_maps import MapsOfViews, sources_of
 from fsinfer.depth.worker import UnfitWorkerError, ViewTask, compute
 from fsinfer.errors import ClusterError, ImageError, InputError, WorkerLostError
@@ -116,6 +116,24 @@ def test_a_view_that_loses_worker_after_worker_ends_it_with_one_message(
     again = employ(no_strike, "b")
     estimate_depth(scene, tmp_path, settings=SETTINGS, resume=True)
     assert set(again.tries) == {"4", "5"}
+
+
+def test_the_index_is_written_now_and_then(
+    scene: Scene, tmp_path: Path, employ: Callable[..., FakeWorkers], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written = []
+
+    def counted(out: Path, index: dict[str, Any]) -> None:
+        written.append(len(index["views"]))
+        _write_index(out, index)
+
+    monkeypatch.setattr("fsinfer.depth.stage._write_index", counted)
+    for seconds, sizes in ((0.0, [1, 2, 3, 4, 5, 6, 6]), (1e9, [6])):
+        monkeypatch.setattr("fsinfer.depth.stage._INDEX_EVERY_S", seconds)
+        employ(no_strike, "a")
+        estimate_depth(scene, tmp_path, settings=SETTINGS)
+        assert written == sizes
+        written.clear()
 
 
 def test_memory_that_runs_out_once_is_tried_again(
