@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from fsinfer.poses.chain import FAR, FEWEST_POINTS, NEAR, judge_pairs
-from fsinfer.poses.colmap_calls import SEED, call, database_cache, image_number, open_database
+from fsinfer.poses.colmap_calls import image_number, open_database
 from fsinfer.poses.matches import inliers_by_rank, is_walk
 from fsinfer.poses.pairs import MIN_INLIERS
 from fsinfer.poses.settings import PoseSettings
+from fsinfer.poses.thinning import add_points
 from fsinfer.poses.verification.misplaced import without_pairs
 from fsinfer.poses.verification.point_votes import PointVote, point_votes
 from fsinfer.poses.view_graph import beginnings, calibrate, configurations, contradicting, pair_turns
@@ -137,24 +138,15 @@ def put_back(model: Any, left_out: Sequence[tuple[int, int]], database: Path, wo
     ----------
     model: ``pycolmap.Reconstruction``; it is changed. database: with the matches of all pairs. work: folder for a copy.
     """
-    import pycolmap
-
     agreed = _agreeing(model, left_out, database, lambda _vote: _AGREES)
     if not agreed:
         return 0
     with open_database(database) as opened:
         others = [pair for pair in configurations(opened) if pair not in agreed]
     copy = without_pairs(database, others, work / f"{database.stem}_agreed.db")
-    mapper = pycolmap.IncrementalMapper(database_cache(copy, all_photos=True))
-    rules = pycolmap.IncrementalTriangulatorOptions()
-    rules.random_seed = SEED
-    call(mapper.begin_reconstruction, model)
-    placed = set(model.reg_image_ids())
-    came = sum(call(mapper.triangulate_image, rules, i) for i in sorted({i for p in agreed for i in p} & placed))
-    call(mapper.merge_tracks, rules)
-    call(mapper.end_reconstruction, False)
+    came = add_points(model, copy, {photo for pair in agreed for photo in pair})
     _log.info("%d of %d pairs left out agree, and bring %d observations", len(agreed), len(left_out), came)
-    return int(came)
+    return came
 
 
 def _agreeing(

@@ -7,13 +7,15 @@ from typing import Any
 
 import pytest
 
+from fsinfer.poses import colmap
 from fsinfer.poses.chain import Judged, believed_share, follow_walk, judge_pairs, limit_of
+from fsinfer.poses.colmap_calls import open_database
 from fsinfer.poses.pairs import PairSettings
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.verification.point_votes import PointVote
 from fsinfer.poses.view_graph import beginnings, pair_turns
 from fsinfer.progress import silent
-from tests.support.pairs_of_walk import FOCAL_PX, PHOTOS, names, pairs_of_walk
+from tests.support.pairs_of_walk import FOCAL_PX, PHOTOS, POINTS, names, pairs_of_walk
 
 pytest.importorskip("pycolmap")
 
@@ -37,8 +39,16 @@ def numbers(*pairs: tuple[int, int]) -> set[tuple[int, int]]:
     return {(first + 1, second + 1) for first, second in pairs}
 
 
-def test_pairs_farther_apart_are_true_or_false_by_their_points(tmp_path: Path) -> None:
-    """Of look-alikes elsewhere, and of litter that repeats along the epipolar lines, among neighbours too."""
+@pytest.mark.parametrize("most", [None, 60])
+def test_pairs_farther_apart_are_true_or_false_by_their_points(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, most: int | None
+) -> None:
+    """Of look-alikes elsewhere, and of litter that repeats along the epipolar lines, among neighbours too.
+
+    The look-alikes have the first 60 points; a walk that is followed by few others must know those as well.
+    """
+    if most is not None:
+        monkeypatch.setattr("fsinfer.poses.chain._MOST_MATCHES", most)
     along = {(0, 13): 2.0, (6, 10): 1.7}
     database = pairs_of_walk(tmp_path / "pairs.db", further=FURTHER, false={(1, 12): 2}, along=along)
     found = judged(database, tmp_path)
@@ -55,6 +65,25 @@ def test_a_walk_is_followed_over_a_weak_link_of_true_points(tmp_path: Path) -> N
     database = pairs_of_walk(tmp_path / "pairs.db", known=True, few=few)
     parts = follow_walk(database, RANK, names(), tmp_path, SETTINGS, silent, beginnings=[])
     assert [part.num_reg_images() for part in parts] == [PHOTOS]
+
+
+def test_a_walk_is_followed_by_few_matches_and_has_the_points_of_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[int] = []
+
+    def reconstruct(database: Path, *arguments: Any, **options: Any) -> list[Any]:
+        with open_database(database) as opened:
+            given.append(max(len(geometry.inlier_matches) for geometry in opened.read_two_view_geometries()[1]))
+        return list(colmap.reconstruct(database, *arguments, **options))
+
+    monkeypatch.setattr("fsinfer.poses.chain.reconstruct", reconstruct)
+    monkeypatch.setattr("fsinfer.poses.chain._MOST_MATCHES", 60)
+    database = pairs_of_walk(tmp_path / "pairs.db", known=True)
+    (part,) = follow_walk(database, RANK, names(), tmp_path, SETTINGS, silent, beginnings=[])
+    assert given == [60]
+    assert part.num_points3D() > 0.95 * POINTS
+    assert [path.name for path in tmp_path.glob("*.db")] == ["pairs.db"]
 
 
 def test_stretches_that_nothing_holds_together_are_followed_apart_and_judged_by_themselves(tmp_path: Path) -> None:

@@ -1,0 +1,71 @@
+"""Mapping with fewer matches, and the points of all of them afterwards.
+
+The time that the incremental mapper takes goes with the observations of its points, and some hundred matches of a pair
+tell where its photos stand. What the others see is placed by the finished map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Set as AbstractSet
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.poses.colmap_calls import SEED, call, copy_database, database_cache, open_database
+from fsinfer.poses.pairs import MIN_INLIERS
+
+
+def thinned(database: Path, most: int, copy: Path) -> Path:
+    """A copy of the database in which no pair has more than ``most`` matches; returns ``copy``.
+
+    Kept are those whose features other pairs see as well, pairs of few matches above all: a photo finds its place by
+    features that have a point already, and one that a weak pair alone ties to the rest has no others.
+    """
+    import pycolmap
+
+    copy_database(database, copy)
+    with open_database(copy) as opened:
+        worth = {
+            image.image_id: np.zeros(int(opened.num_keypoints_for_image(image.image_id)))
+            for image in opened.read_all_images()
+        }
+        pairs: list[tuple[int, int, Any, NDArray[np.intp]]] = []
+        for pair_id, geometry in zip(*opened.read_two_view_geometries(), strict=True):
+            first, second = pycolmap.pair_id_to_image_pair(pair_id)
+            matches = np.asarray(geometry.inlier_matches, np.intp).reshape(-1, 2)
+            if len(matches) < MIN_INLIERS:
+                continue
+            pairs.append((first, second, geometry, matches))
+            for side, photo in enumerate((first, second)):
+                np.add.at(worth[photo], matches[:, side], 1 / len(matches))
+        for first, second, geometry, matches in pairs:
+            if len(matches) > most:
+                value = worth[first][matches[:, 0]] + worth[second][matches[:, 1]]
+                kept = np.sort(np.argsort(-value, kind="stable")[:most])
+                geometry.inlier_matches = matches[kept].astype(np.uint32)
+                opened.delete_two_view_geometry(first, second)
+                opened.write_two_view_geometry(first, second, geometry)
+    return copy
+
+
+def add_points(model: Any, database: Path, photos: AbstractSet[int] | None = None) -> int:
+    """The points, and the observations of its points, that matches in ``database`` tell; returns how many came.
+
+    Parameters
+    ----------
+    model: ``pycolmap.Reconstruction``; it is changed, and nothing in it is adjusted. photos: by COLMAP's numbers, those
+        whose features are placed; None: of all.
+    """
+    import pycolmap
+
+    mapper = pycolmap.IncrementalMapper(database_cache(database, all_photos=True))
+    rules = pycolmap.IncrementalTriangulatorOptions()
+    rules.random_seed = SEED
+    call(mapper.begin_reconstruction, model)
+    placed = set(model.reg_image_ids())
+    came = sum(call(mapper.triangulate_image, rules, i) for i in sorted(placed if photos is None else placed & photos))
+    call(mapper.merge_tracks, rules)
+    call(mapper.end_reconstruction, False)
+    return int(came)
