@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from fsinfer.errors import PosesError
-from fsinfer.poses.colmap_calls import SEED, ColmapError, call, copy_database, open_database, require_pycolmap
+from fsinfer.poses.colmap_calls import SEED, ColmapError, call, copy_for_mapping, open_database, require_pycolmap
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.progress import Progress
 
@@ -263,7 +263,7 @@ def with_calibration(database: Path, cameras: Sequence[Any], copy: Path) -> Path
     """A copy of the database in which these ``pycolmap.Camera`` have their calibration; returns its path."""
     import pycolmap
 
-    copy_database(database, copy)
+    copy_for_mapping(database, copy)
     with open_database(copy) as opened:
         for camera in cameras:
             calibrated = pycolmap.Camera(camera.todict())

@@ -101,3 +101,27 @@ def copy_database(database: Path, copy: Path) -> None:
     copy.unlink(missing_ok=True)
     with closing(sqlite3.connect(database)) as source, closing(sqlite3.connect(copy)) as target:
         source.backup(target)
+
+
+def copy_for_mapping(database: Path, copy: Path) -> None:
+    """Copy a database without its descriptors, which nothing but matching reads; a file ``copy`` of before goes.
+
+    They are three quarters of it, and a walk is mapped from half a dozen copies, each with other pairs.
+    """
+    copy.unlink(missing_ok=True)
+    with closing(sqlite3.connect(copy)) as target:
+        # Nobody goes on with a copy that was not finished.
+        target.execute("PRAGMA journal_mode = OFF")
+        target.execute("PRAGMA synchronous = OFF")
+        target.execute("ATTACH DATABASE ? AS source", (str(database),))
+        made = target.execute("SELECT type, name, sql FROM source.sqlite_master WHERE sql IS NOT NULL").fetchall()
+        # Indices after what they are of; SQLite makes its own tables itself.
+        for kind, name, sql in sorted(made, key=lambda one: one[0] != "table"):
+            if name.startswith("sqlite_"):
+                continue
+            target.execute(sql)
+            if kind == "table" and name != "descriptors":
+                target.execute(f'INSERT INTO main."{name}" SELECT * FROM source."{name}"')
+        (version,) = target.execute("PRAGMA source.user_version").fetchone()
+        target.execute(f"PRAGMA main.user_version = {version}")
+        target.commit()

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.poses.colmap_calls import SEED, call, copy_database, database_cache, open_database
+from fsinfer.poses.colmap_calls import SEED, call, copy_for_mapping, database_cache, open_database
 from fsinfer.poses.pairs import MIN_INLIERS
 
 
@@ -25,7 +25,7 @@ def thinned(database: Path, most: int, copy: Path) -> Path:
     """
     import pycolmap
 
-    copy_database(database, copy)
+    copy_for_mapping(database, copy)
     with open_database(copy) as opened:
         worth = {
             image.image_id: np.zeros(int(opened.num_keypoints_for_image(image.image_id)))

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.geometry.rotation import turn_deg
-from fsinfer.poses.colmap_calls import SEED, call, copy_database, database_cache, open_database
+from fsinfer.poses.colmap_calls import SEED, call, copy_for_mapping, database_cache, open_database
 from fsinfer.poses.pairs import MIN_INLIERS
 
 _log = logging.getLogger(__name__)
@@ -79,7 +79,7 @@ def calibrate(database: Path, work: Path) -> None:
     if not unknown or not before:
         return
     told = work / "calibrated.db"
-    copy_database(database, told)
+    copy_for_mapping(database, told)
     options = pycolmap.ViewGraphCalibrationOptions()
     options.random_seed = SEED
     options.reestimate_relative_pose = False

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.notices.capture import CaptureCode
-from fsinfer.poses.colmap_calls import copy_database, open_database
+from fsinfer.poses.colmap_calls import copy_for_mapping, open_database
 from fsinfer.poses.verification.loose_parts import loose_parts
 from fsinfer.poses.verification.pair_votes import (
     MIN_SHARE,
@@ -126,7 +126,7 @@ def agreeing_matches(model: Any, database: Path, neighbours: int = 0) -> float:
 
 def without_pairs(database: Path, pairs: Sequence[tuple[int, int]], copy: Path) -> Path:
     """A copy of the database that has forgotten what matches these pairs of images have; returns ``copy``."""
-    copy_database(database, copy)
+    copy_for_mapping(database, copy)
     with open_database(copy) as opened:
         for first, second in pairs:
             opened.delete_two_view_geometry(first, second)

@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from fsinfer.errors import PosesError
 from fsinfer.poses.colmap import colmap_errors, extract_features
-from fsinfer.poses.colmap_calls import ColmapError, call, open_database
+from fsinfer.poses.colmap_calls import ColmapError, call, copy_for_mapping, open_database
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.progress import silent
 
@@ -74,3 +75,26 @@ def test_what_is_called_gets_its_arguments() -> None:
         return arguments, options
 
     assert call(work, 1, 2, three=3) == ((1, 2), {"three": 3})
+
+
+def test_a_copy_for_mapping_is_mapped_alike_and_has_no_descriptors(synthetic: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "a 'copy'.db"
+    copy.write_text("of before")
+    with open_database(synthetic) as opened:
+        numbers = [image.image_id for image in opened.read_all_images()]
+        opened.delete_two_view_geometry(*numbers[:2])
+        # What is still in its log is copied, too.
+        copy_for_mapping(synthetic, copy)
+        assert opened.num_descriptors() > 0
+    with open_database(synthetic) as opened, open_database(copy) as copied:
+        assert copied.num_descriptors() == 0
+        for what in ("num_rigs", "num_cameras", "num_frames", "num_images", "num_keypoints", "num_inlier_matches"):
+            assert getattr(copied, what)() == getattr(opened, what)() > 0
+        assert copied.read_all_cameras() == opened.read_all_cameras()
+        assert [image.name for image in copied.read_all_images()] == [image.name for image in opened.read_all_images()]
+    models = []
+    for database in (synthetic, copy):
+        options = pycolmap.IncrementalPipelineOptions(num_threads=1, random_seed=1)
+        (model,) = pycolmap.incremental_mapping(database, tmp_path, tmp_path, options=options).values()
+        models.append([model.images[i].cam_from_world().matrix() for i in sorted(model.reg_image_ids())])
+    assert np.array_equal(models[0], models[1])
