@@ -17,7 +17,7 @@ from typing import Any
 from fsinfer.poses.colmap import reconstruct, with_calibration
 from fsinfer.poses.colmap_calls import open_database
 from fsinfer.poses.settings import PoseSettings
-from fsinfer.poses.thinning import add_points, thinned
+from fsinfer.poses.thinning import MOST_MATCHES, add_points, thinned
 from fsinfer.poses.verification.misplaced import without_pairs
 from fsinfer.poses.verification.point_votes import PointVote, point_votes
 from fsinfer.poses.view_graph import configurations
@@ -36,10 +36,6 @@ _LEAST_POINTS = 15
 #: by the finished maps: so 1,895 of 1,911 true neighbours are kept and 20 of 828 others, 1,143 of 1,170 true pairs that
 #: close loops and none of 1,625 others; renders only.
 NEAR, FAR, _MOST_FAR = 0.016, 0.064, 0.1
-#: Matches of a pair with which the walk is followed. Source: numerics; of 300 rendered photos of 700 matches a pair it
-#: takes 11 instead of 18 s, and of 3,433 verdicts 5 change; with 200 matches the same, with 120 the walk tears; renders
-#: only.
-_MOST_MATCHES = 300
 #: Photos on, from which drift is allowed for. Source: judgement; the walk above drifted by 0.26 m in 180 photos.
 _DRIFTS = 100
 #: Fewer points tell nothing. Source: judgement.
@@ -108,7 +104,7 @@ def follow_walk(
     with open_database(database) as opened:
         others = [pair for pair in configurations(opened) if abs(rank[pair[0]] - rank[pair[1]]) > _CLOSE]
     every = without_pairs(database, others, work / f"{database.stem}_close.db")
-    close = thinned(every, _MOST_MATCHES, work / f"{database.stem}_close_thinned.db")
+    close = thinned(every, MOST_MATCHES, work / f"{database.stem}_close_thinned.db")
     begin = [pair for pair in beginnings if abs(rank[pair[0]] - rank[pair[1]]) <= _CLOSE]
 
     def mapped(given: Path, **options: Any) -> list[Any]:

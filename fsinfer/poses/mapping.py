@@ -18,7 +18,7 @@ from fsinfer.poses.joining.parts import join_parts
 from fsinfer.poses.matches import is_walk, match_features
 from fsinfer.poses.refinement import FEATURE_SIZE_PX
 from fsinfer.poses.settings import PoseSettings
-from fsinfer.poses.sure_pairs import SurePairs, put_back, sure_pairs, with_more
+from fsinfer.poses.sure_pairs import SurePairs, map_sure, put_back, sure_pairs, with_more
 from fsinfer.poses.thorough import rematch, seams, torn
 from fsinfer.poses.verification.misplaced import drop
 from fsinfer.poses.verification.repair import placed_again, repair, repair_part
@@ -110,7 +110,7 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
     models, sightings = _map_and_find_boards(sure, walk, work, settings, progress)
     more = with_more(models[0], sure, database, walk.files, work, settings) if models else None
     if more is not None:
-        again = reconstruct(more.database, images, work / "more", settings, progress, beginnings=more.beginnings)
+        again = map_sure(more, images, work / "more", settings, progress)
         if again and again[0].num_reg_images() >= models[0].num_reg_images():
             sure, models = more, again
     most = models[0].num_reg_images() if models else 0
@@ -124,9 +124,7 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
         affected = seams(has_place, settings.thorough.beside)
         start = None if placed is None else _beyond_the_tear(placed.model, walk, affected, settings)
         sure = sure_pairs(richer, walk.files, work, settings, progress)
-        again = reconstruct(
-            sure.database, images, work / "thorough", settings, progress, start=start, beginnings=sure.beginnings
-        )
+        again = map_sure(sure, images, work / "thorough", settings, progress, start=start)
         better = None
         if again and again[0].num_reg_images() >= sum(has_place):
             better = _repaired(again, sure, richer, walk, work, settings, progress, sightings)
@@ -174,7 +172,7 @@ def _map_and_find_boards(
         )
 
     def map_all() -> list[Any]:
-        return reconstruct(sure.database, images, work / "models", settings, progress, beginnings=sure.beginnings)
+        return map_sure(sure, images, work / "models", settings, progress)
 
     if settings.mapper != "incremental" or settings.photo_threads == 1:
         sightings = look_for_boards(progress, settings.photo_threads)

@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from fsinfer.poses.chain import FAR, FEWEST_POINTS, NEAR, judge_pairs
+from fsinfer.poses.colmap import reconstruct
 from fsinfer.poses.colmap_calls import image_number, open_database
 from fsinfer.poses.matches import inliers_by_rank, is_walk
 from fsinfer.poses.pairs import MIN_INLIERS
 from fsinfer.poses.settings import PoseSettings
-from fsinfer.poses.thinning import add_points
+from fsinfer.poses.thinning import MOST_MATCHES, add_points, thinned
 from fsinfer.poses.verification.misplaced import without_pairs
 from fsinfer.poses.verification.point_votes import PointVote, point_votes
 from fsinfer.poses.view_graph import beginnings, calibrate, configurations, contradicting, pair_turns
@@ -126,6 +127,27 @@ def with_more(
         left_out=tuple(left_out),
         false=tuple(false),
     )
+
+
+def map_sure(
+    sure: SurePairs, images: Path, folder: Path, settings: PoseSettings, progress: Progress, start: Any = None
+) -> list[Any]:
+    """The models of the sure pairs, made by some of their matches and with the points of all, the largest first.
+
+    Parameters
+    ----------
+    images: folder of the photos. folder: for the models, and beside it for a copy of the database. start: a model to go
+        on from. See :func:`fsinfer.poses.colmap.reconstruct`.
+    """
+    given = sure.database
+    if settings.mapper == "incremental":
+        given = thinned(sure.database, MOST_MATCHES, folder.with_name(f"{folder.name}_thinned.db"))
+    models = reconstruct(given, images, folder, settings, progress, start=start, beginnings=sure.beginnings)
+    if given != sure.database:
+        for model in models:
+            add_points(model, sure.database)
+        given.unlink()
+    return models
 
 
 def put_back(model: Any, left_out: Sequence[tuple[int, int]], database: Path, work: Path) -> int:

@@ -48,7 +48,7 @@ def test_pairs_farther_apart_are_true_or_false_by_their_points(
     The look-alikes have the first 60 points; a walk that is followed by few others must know those as well.
     """
     if most is not None:
-        monkeypatch.setattr("fsinfer.poses.chain._MOST_MATCHES", most)
+        monkeypatch.setattr("fsinfer.poses.chain.MOST_MATCHES", most)
     along = {(0, 13): 2.0, (6, 10): 1.7}
     database = pairs_of_walk(tmp_path / "pairs.db", further=FURTHER, false={(1, 12): 2}, along=along)
     found = judged(database, tmp_path)
@@ -78,7 +78,7 @@ def test_a_walk_is_followed_by_few_matches_and_has_the_points_of_all(
         return list(colmap.reconstruct(database, *arguments, **options))
 
     monkeypatch.setattr("fsinfer.poses.chain.reconstruct", reconstruct)
-    monkeypatch.setattr("fsinfer.poses.chain._MOST_MATCHES", 60)
+    monkeypatch.setattr("fsinfer.poses.chain.MOST_MATCHES", 60)
     database = pairs_of_walk(tmp_path / "pairs.db", known=True)
     (part,) = follow_walk(database, RANK, names(), tmp_path, SETTINGS, silent, beginnings=[])
     assert given == [60]

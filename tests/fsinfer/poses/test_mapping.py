@@ -101,6 +101,7 @@ def mapped_walk(
         patch.setattr(f"fsinfer.poses.mapping.{step}", lambda *_: None)
     patch.setattr("fsinfer.poses.mapping.find_boards", find_boards)
     patch.setattr("fsinfer.poses.mapping.reconstruct", reconstruct)
+    patch.setattr("fsinfer.poses.mapping.map_sure", lambda _sure, *_, start=None: reconstruct(start=start))
     patch.setattr("fsinfer.poses.mapping.triangulate", lambda model, *_: triangulated(model))
     files = tuple(names(range(PHOTOS)))
     # Some photos belong to no part, and those are not looked at again: there are no pictures to look at.
@@ -235,11 +236,11 @@ def test_a_walk_is_mapped_and_judged_by_the_pairs_that_are_sure(
         used: list[tuple[str, Any]] = []
         maps = {first.database: WITHIN, second.database: photos}
 
-        def reconstruct(
-            database: Path, *_: Any, used: list[tuple[str, Any]] = used, maps: Any = maps, **__: Any
+        def map_sure(
+            sure: SurePairs, *_: Any, used: list[tuple[str, Any]] = used, maps: Any = maps, **__: Any
         ) -> list[Any]:
-            used.append(("mapped", database))
-            return [part_of(truth, maps[database])]
+            used.append(("mapped", sure.database))
+            return [part_of(truth, maps[sure.database])]
 
         def repair(model: Any, database: Path, *_: Any, used: list[tuple[str, Any]] = used, **__: Any) -> Any:
             used.append(("repaired", database))
@@ -255,7 +256,7 @@ def test_a_walk_is_mapped_and_judged_by_the_pairs_that_are_sure(
             patch.setattr("fsinfer.poses.mapping.sure_pairs", lambda *_: first)
             patch.setattr("fsinfer.poses.mapping.with_more", lambda *_, more=more: more)
             patch.setattr("fsinfer.poses.mapping.find_boards", lambda *_, **__: [])
-            for name, stub in (("reconstruct", reconstruct), ("repair", repair), ("put_back", put_back)):
+            for name, stub in (("map_sure", map_sure), ("repair", repair), ("put_back", put_back)):
                 patch.setattr(f"fsinfer.poses.mapping.{name}", stub)
             files = tuple(names(WITHIN))
             settings = PoseSettings(threads=1)

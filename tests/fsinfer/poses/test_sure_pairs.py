@@ -11,15 +11,16 @@ import pytest
 
 from fsinfer.poses.chain import Judged
 from fsinfer.poses.colmap import reconstruct
+from fsinfer.poses.colmap_calls import open_database
 from fsinfer.poses.matches import inliers_by_rank
 from fsinfer.poses.pairs import MIN_INLIERS, PairSettings
 from fsinfer.poses.settings import PoseSettings
-from fsinfer.poses.sure_pairs import SurePairs, put_back, sure_pairs, with_more
+from fsinfer.poses.sure_pairs import SurePairs, map_sure, put_back, sure_pairs, with_more
 from fsinfer.poses.verification.misplaced import without_pairs
 from fsinfer.poses.verification.point_votes import PointVote
 from fsinfer.poses.view_graph import pair_turns
 from fsinfer.progress import silent
-from tests.support.pairs_of_walk import FOCAL_PX, PHOTOS, names, pairs_of_walk, pose
+from tests.support.pairs_of_walk import FOCAL_PX, PHOTOS, names, pairs_of_walk, pixels, pose
 
 pytest.importorskip("pycolmap")
 
@@ -94,6 +95,31 @@ def test_photos_in_no_order_and_the_global_mapper_keep_all_pairs(settings: PoseS
 def mapped(sure: SurePairs, work: Path) -> Any:
     (model,) = reconstruct(sure.database, work, work / "models", SETTINGS, silent, beginnings=sure.beginnings)
     return model
+
+
+@pytest.mark.parametrize("mapper", ["incremental", "global"])
+def test_sure_pairs_are_mapped_by_some_matches_and_have_the_points_of_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mapper: str
+) -> None:
+    """The global mapper is given all of them."""
+    given: list[int] = []
+
+    def counted(database: Path, *arguments: Any, **options: Any) -> list[Any]:
+        with open_database(database) as opened:
+            given.append(max(len(geometry.inlier_matches) for geometry in opened.read_two_view_geometries()[1]))
+        return reconstruct(database, *arguments, **options)
+
+    monkeypatch.setattr("fsinfer.poses.sure_pairs.reconstruct", counted)
+    monkeypatch.setattr("fsinfer.poses.sure_pairs.MOST_MATCHES", 60)
+    database = pairs_of_walk(tmp_path / "pairs.db", known=True)
+    every = len(pixels(0))
+    settings = replace(SETTINGS, mapper=mapper)
+    sure = SurePairs(database=database, matched=database)
+    (model,) = map_sure(sure, tmp_path / "images", tmp_path / "models", settings, silent)
+    assert model.num_reg_images() == PHOTOS
+    assert model.num_points3D() > 0.95 * every
+    assert given == [60] if mapper == "incremental" else given[0] > 200
+    assert [path.name for path in tmp_path.glob("*.db")] == ["pairs.db"]
 
 
 def test_a_true_pair_that_was_left_out_brings_its_observations_and_a_false_one_none(tmp_path: Path) -> None:
