@@ -1,4 +1,4 @@
-"""The last adjustment of a model: a lens that fits, and points that are worth keeping.
+"""The adjustment of a finished map: a lens that fits, and points that are worth keeping.
 
 Phone cameras straighten their pictures themselves and leave a wavy rest that one radial coefficient cannot follow:
 on 23 photos of a phone a rational model took the median reprojection error from 0.73 to 0.60 pixels. A model with
@@ -60,19 +60,21 @@ _MOST_GROWTH = 2.0
 
 
 def refine(model: Any, settings: RefinementSettings, progress: Progress) -> Any:
-    """Return the adjusted copy of a ``pycolmap.Reconstruction`` whose cameras are SIMPLE_RADIAL.
+    """Return a copy of a ``pycolmap.Reconstruction`` whose cameras are SIMPLE_RADIAL, with a lens that fits.
 
-    In one thread, so that two runs give the same to the last bit: 32 instead of 23 s for 300 photos on two cores.
+    It is adjusted, its points are those worth keeping, and it is yet to be adjusted to them: by :func:`settle`, or by
+    what follows. In one thread, so that two runs give the same to the last bit: 32 instead of 23 s for 300 photos on
+    two cores.
     """
     import copy
 
     import pycolmap
 
-    progress(0, 3, "adjusting")
+    progress(0, 2, "adjusting")
     best = copy.deepcopy(model)
     _enrich(best, "RADIAL", settings)
     _adjust(best, _ENOUGH_TO_JUDGE)
-    progress(1, 3, "adjusting")
+    progress(1, 2, "adjusting")
     rich = copy.deepcopy(best)
     if _enrich(rich, "FULL_OPENCV", settings):
         _adjust(rich, _ENOUGH_TO_JUDGE)
@@ -80,12 +82,15 @@ def refine(model: Any, settings: RefinementSettings, progress: Progress) -> Any:
         _log.info("rational lens: mean error falls by %.1f %%", 100 * gain)
         if gain >= settings.min_gain and all(is_monotone(camera) for camera in rich.cameras.values()):
             best = rich
-    progress(2, 3, "adjusting")
+    progress(2, 2, "adjusting")
     manager = pycolmap.ObservationManager(best)
     manager.filter_all_points3D(settings.max_error_px * larger_than_usual(best), settings.min_angle_deg)
-    _adjust(best)
-    progress(3, 3, "adjusting")
     return best
+
+
+def settle(model: Any) -> None:
+    """Adjust a model of :func:`refine` to the points that were kept; in place, and in one thread as well."""
+    _adjust(model)
 
 
 def larger_than_usual(model: Any) -> float:

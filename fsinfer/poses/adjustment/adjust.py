@@ -28,6 +28,7 @@ from fsinfer.poses.adjustment.problem import (
 from fsinfer.poses.adjustment.projection import DRIFT, FOCAL, LENS, OWN, PRINCIPAL, TURN, Floats, project, rows_axis
 from fsinfer.poses.adjustment.reduced_system import Structure
 from fsinfer.poses.adjustment.settings import AdjustmentSettings
+from fsinfer.poses.refinement import settle
 from fsinfer.progress import Progress, silent
 
 _log = logging.getLogger(__name__)
@@ -88,29 +89,33 @@ def adjust_photos(
 
     Parameters
     ----------
-    model: a ``pycolmap.Reconstruction`` adjusted as usual; not changed.
+    model: a ``pycolmap.Reconstruction`` of :func:`fsinfer.poses.refinement.refine`.
     larger: how many times more pixels the longer side of the photos has than that at which features are found, 1 or
         more; losses widen with it.
 
     Returns
     -------
-    The model: the one given where nothing is borne out. Else its poses are those of the middle row's time, and
-    its observations lie where the camera's shared lens would have shown them, standing still.
+    The model: the one given, settled, where nothing is borne out. Else a copy, whose poses are those of the middle
+    row's time, and whose observations lie where the camera's shared lens would have shown them, standing still.
     """
     progress(0, 2, "adjusting photo by photo")
     if model.num_reg_images() < settings.min_photos or not all(is_known(camera) for camera in model.cameras.values()):
+        settle(model)
         return model, PhotoAdjustment()
     seen, start, numbers = from_model(model)
     weighting = weighting_of(model, seen, start, numbers, settings, larger)
     evidence = groups_borne_out(seen, start, weighting, settings)
     groups, trials, weighting = evidence.groups, evidence.trials, evidence.weighting
     progress(1, 2, "adjusting photo by photo")
-    structure = Structure(seen, len(start.points))
-    found = start
     if groups:
+        structure = Structure(seen, len(start.points))
         # The cameras are nearly where they belong, and the points come after.
         near = with_points_fitted(seen, evidence.cameras, weighting.loss_px)
         found = like(fit(structure, near, groups, weighting), start)
+    else:
+        settle(model)
+        seen, found, numbers = from_model(model)
+        structure = Structure(seen, len(found.points))
     precisions = dict(zip(numbers.images, camera_precisions(structure, found, groups, weighting), strict=True))
     if not groups:
         return model, PhotoAdjustment(precisions=precisions, trials=trials)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fsinfer.poses.refinement import RefinementSettings, is_monotone, refine
+from fsinfer.poses.refinement import RefinementSettings, is_monotone, refine, settle
 from fsinfer.progress import silent
 
 pycolmap = pytest.importorskip("pycolmap")
@@ -89,4 +89,7 @@ def test_observations_far_off_are_dropped() -> None:
     given.images[element.image_id].points2D[element.point2D_idx].xy += np.array([40.0, 0.0])
     found = refine(given, RefinementSettings(), silent)
     assert sum(len(point.track.elements) for point in found.points3D.values()) == observed - 1
+    before = found.compute_mean_reprojection_error()
+    settle(found)
+    assert found.compute_mean_reprojection_error() < before
     assert found.compute_mean_reprojection_error() < 1.5 * NOISE_PX

@@ -45,7 +45,27 @@ def test_a_camera_that_stood_still_is_left_as_it_is(photos: int) -> None:
     assert len(adjustment.precisions) == (0 if photos == 7 else photos)
 
 
-def test_a_phone_becomes_a_camera_that_stood_still() -> None:
+@pytest.mark.parametrize("photos", [7, 16], ids=["too few photos", "nothing to find"])
+def test_a_model_that_is_not_adjusted_photo_by_photo_is_settled(photos: int) -> None:
+    seen, truth = phone_walk(photos=photos, noise_px=0.2)
+    model = model_of(seen, disturbed(truth))
+    best = model_of(seen, truth).compute_mean_reprojection_error()
+    assert model.compute_mean_reprojection_error() > 3 * best
+    adjusted, adjustment = adjust_photos(model, AdjustmentSettings())
+    assert adjusted is model
+    assert model.compute_mean_reprojection_error() < 1.01 * best
+    # Precisions are those of the settled model.
+    _, again = adjust_photos(model, AdjustmentSettings())
+    told = [[found.center_std for found in each.precisions.values()] for each in (adjustment, again)]
+    assert len(told[0]) == (photos if photos == 16 else 0)
+    assert told[0] == pytest.approx(told[1], rel=0.05)
+
+
+def test_a_phone_becomes_a_camera_that_stood_still(monkeypatch: pytest.MonkeyPatch) -> None:
+    def settle(_model: object) -> None:
+        raise AssertionError("what is adjusted photo by photo need not be adjusted before")
+
+    monkeypatch.setattr("fsinfer.poses.adjustment.adjust.settle", settle)
     seen, truth = phone_walk(effects=EFFECTS, noise_px=0.2)
     start = fit(Structure(seen, len(truth.points)), disturbed(truth), (), weighting(len(truth.rotations)))
     model = model_of(seen, start)
