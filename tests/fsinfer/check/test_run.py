@@ -352,7 +352,7 @@ def test_a_check_that_was_stopped_goes_on(tmp_path: Path, calls: Counter[str], m
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("fsinfer.poses.mapping.reconstruct", stop)
+        patch.setattr("fsinfer.poses.mapping.map_sure", stop)
         with pytest.raises(KeyboardInterrupt):
             check_capture(folder, out, settings=settings)
     database = out / "scene" / "work" / "database.db"
