@@ -27,11 +27,11 @@ from fsinfer.frames.settings import FrameSettings
 from fsinfer.io.images import read_image, write_image
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import notice
-from fsinfer.poses.colmap import reconstruct
 from fsinfer.poses.estimate import PosesResult, estimate_poses
 from fsinfer.poses.mapping import MappedWalk, Walk
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.sparse import SparseModel
+from fsinfer.poses.sure_pairs import SurePairs, map_sure
 from fsinfer.progress import silent
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scale.scale import MarkerScale, NoUsableMarkersError, RejectedMarker, Scale
@@ -359,11 +359,11 @@ def test_a_check_that_was_stopped_goes_on(tmp_path: Path, calls: Counter[str], m
     inode, size = database.stat().st_ino, database.stat().st_size
     seen: list[tuple[int, int]] = []
 
-    def look(path: Path, *args: Any, **options: Any) -> Any:
-        seen.append((path.stat().st_ino, path.stat().st_size))
-        return reconstruct(path, *args, **options)
+    def look(sure: SurePairs, *args: Any, **options: Any) -> Any:
+        seen.append((sure.database.stat().st_ino, sure.database.stat().st_size))
+        return map_sure(sure, *args, **options)
 
-    monkeypatch.setattr("fsinfer.poses.mapping.reconstruct", look)
+    monkeypatch.setattr("fsinfer.poses.mapping.map_sure", look)
     assert check_capture(folder, out, settings=settings).registered == 8
     # Features and matches of the first attempt were kept.
     assert seen == [(inode, size)]
