@@ -21,8 +21,8 @@ _log = logging.getLogger(__name__)
 #: An adjustment of all photos ends where a step gains less than this share; COLMAP goes on to its limit of steps.
 #: Source: numerics; three adjustments of 300 photos take 36 instead of 85 s, to the same places.
 _ENOUGH = 1e-5
-#: And one after which observations are only judged, and the lens chosen, less. Source: numerics; it takes 300 photos
-#: from 20 to 16 s, and moves their cameras by 0.0003 of a step.
+#: One after which observations are only judged, and the lens chosen, ends at this share already. Source: numerics; it
+#: takes 300 photos from 20 to 16 s, and moves their cameras by 0.0003 of a step.
 _ENOUGH_TO_JUDGE = 1e-4
 #: Longer side at which features are found and errors are told, pixels. Source: 23 phone photos of 2016x1512, all of
 #: which are registered at it.
