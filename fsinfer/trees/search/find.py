@@ -10,8 +10,8 @@ bands. All counts are of cells, whose size follows the measured spacing, never o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -23,16 +23,15 @@ from fsinfer.notices.stems import StemCode
 from fsinfer.progress import Progress, silent
 from fsinfer.trees.cylinder.axis import axis_coordinates
 from fsinfer.trees.points.cells import PlanIndex, measured_spacing, rows, thin
-from fsinfer.trees.search.blurred import find_blurred
+from fsinfer.trees.search.blurred import with_blurred
 from fsinfer.trees.search.giants import find_giants
 from fsinfer.trees.search.hough import hough_seeds
 from fsinfer.trees.search.stem import Stem, StemSettings
-from fsinfer.trees.search.verify import BESIDE_M, INDEX_CELL_M, Candidate, verify
+from fsinfer.trees.search.verify import BESIDE_M, INDEX_CELL_M, Gradient, candidates_at, verify
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-Gradient = Callable[[Floats], Floats]
 #: Least points between the heights of the search. Source: not recorded.
 LEAST_POINTS = 20
 #: Candidates looked at at once: bounds the memory, and fills the batches of the fits. Source: numerics.
@@ -85,9 +84,8 @@ def find_stems(
     index = PlanIndex(thinned, INDEX_CELL_M)
     accepted, rejected = _search(seeds, index, cell_m, s, progress, gradient_at)
     stems = _resolve_overlaps(accepted, index, cell_m, bh_m, s, gradient_at)
-    stems += find_giants(slab, stems, spacing, s)
-    stems += find_blurred(thinned, stems, cell_m, s)
-    stems = _in_order(stems, bh_m)
+    stems += find_giants(slab, stems, spacing, s, gradient_at)
+    stems = _in_order(with_blurred(thinned, stems, cell_m, s, gradient_at), bh_m)
     return StemSearch(stems=tuple(stems), candidates=len(seeds), rejected=rejected, spacing_m=spacing)
 
 
@@ -122,22 +120,13 @@ def _search(
     first_turn = int(np.count_nonzero(turn == 0))
     bounds = [*range(0, first_turn, TOGETHER), *range(first_turn, len(order), TOGETHER), len(order)]
     places = seeds[order]
-    slopes = gradient_at(places[:, :2])
     covered = np.full(len(order), len(rounds))  # the first turn after which a stem stands there
     rejected: dict[StemCode, int] = {}
     accepted: list[Stem] = []
     for first, last in pairwise(bounds):
         progress(first, len(seeds), "looking for stems")
         ahead = [row for row in range(first, last) if covered[row] >= turn[row]]
-        candidates = [
-            Candidate(
-                near=index.near(seed[:2], s.radius_m[1] + BESIDE_M),
-                xy=seed[:2],
-                height_m=float(seed[2]),
-                gradient=(float(slope[0]), float(slope[1])),
-            )
-            for seed, slope in zip(places[ahead], slopes[ahead], strict=True)
-        ]
+        candidates = candidates_at(places[ahead], index, s, gradient_at)
         for row, found in zip(ahead, verify(candidates, cell_m, s), strict=True):
             if covered[row] < turn[row]:
                 continue
@@ -177,13 +166,13 @@ def _resolve_overlaps(
         reach = stem.axis.radius_m + BESIDE_M
         rivals = [o for o in kept if np.linalg.norm(o.axis.center_at(bh_m) - center) < reach + o.axis.radius_m]
         if rivals:
-            near = index.near(center, s.radius_m[1] + BESIDE_M)
+            (alone,) = candidates_at(np.append(center, bh_m)[None], index, s, gradient_at)
+            near = alone.near
             for other in rivals:
                 offset, _ = axis_coordinates(near, other.axis.parameters, other.axis.height_m)
                 own = other.axis.radius_m + max(OWN_SIGMAS * other.axis.sigma_m, OWN_CELLS * cell_m)
                 near = near[np.hypot(offset[:, 0], offset[:, 1]) > own]
-            along_x, along_y = gradient_at(center[None])[0].tolist()
-            (again,) = verify([Candidate(near=near, xy=center, height_m=bh_m, gradient=(along_x, along_y))], cell_m, s)
+            (again,) = verify([replace(alone, near=near)], cell_m, s)
             if isinstance(again, StemCode) or again.quality < KEPT_QUALITY * stem.quality:
                 continue
             shift = float(np.linalg.norm(again.axis.center_at(bh_m) - center))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from fsinfer.trees.points.cells import thin
 from fsinfer.trees.search.remaining import search_again
 from fsinfer.trees.search.stem import Stem, StemSettings
+from fsinfer.trees.search.verify import Gradient
 
 Floats = NDArray[np.float64]
 #: Cells of the search, metres, and of its index: the wall of a stem of more than a metre is straight over several of
@@ -35,10 +36,13 @@ THICK_M = 0.3
 MOST = 200
 
 
-def find_giants(slab: Floats, stems: Sequence[Stem], spacing_m: float, s: StemSettings) -> tuple[Stem, ...]:
+def find_giants(
+    slab: Floats, stems: Sequence[Stem], spacing_m: float, s: StemSettings, gradient_at: Gradient = np.zeros_like
+) -> tuple[Stem, ...]:
     """Stems of more than the first search's radius among points (N, 3) of x, y, height above ground, metres.
 
-    ``stems`` are those found; ``spacing_m`` that of the points. None overlaps another or a stem.
+    ``stems`` are those found; ``spacing_m`` is that of the points; ``gradient_at`` gives the slope of the ground. None
+    overlaps another or a stem.
     """
     if s.giant_radius_m <= s.radius_m[1] or len(slab) < s.min_points:
         return ()
@@ -53,7 +57,9 @@ def find_giants(slab: Floats, stems: Sequence[Stem], spacing_m: float, s: StemSe
         max_filled=min(MOST_FILLED, s.max_filled),
     )
     cell_m = max(CELL_M, spacing_m)
-    return search_again(thin(slab, 0.5 * cell_m), stems, cell_m, own, index_cell_m=INDEX_CELL_M, most=MOST)
+    return search_again(
+        thin(slab, 0.5 * cell_m), stems, cell_m, own, index_cell_m=INDEX_CELL_M, gradient_at=gradient_at, most=MOST
+    )
 
 
 def is_no_giant(stem: Stem, coverage: float, s: StemSettings) -> bool:

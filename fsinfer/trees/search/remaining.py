@@ -13,7 +13,7 @@ from fsinfer.trees.points.cells import PlanIndex, rows
 from fsinfer.trees.points.sums import lengths
 from fsinfer.trees.search.hough import hough_seeds
 from fsinfer.trees.search.stem import Stem, StemSettings
-from fsinfer.trees.search.verify import BESIDE_M, Candidate, verify
+from fsinfer.trees.search.verify import Gradient, candidates_at, verify
 
 Floats = NDArray[np.float64]
 #: Points this near to the wall of a stem that was found are its own, metres. Source: judgement; bark, moss, twigs.
@@ -27,6 +27,7 @@ def search_again(
     s: StemSettings,
     *,
     index_cell_m: float,
+    gradient_at: Gradient = np.zeros_like,
     most: int | None = None,
     apart_m: float = 0.0,
     axis: AxisSettings | None = None,
@@ -35,20 +36,17 @@ def search_again(
     ``stems`` owns.
 
     None has its axis within ``apart_m`` of the wall of another or one of ``stems``. Of the candidates the ``most``
-    strongest are looked at; ``axis`` are the constants of their fits.
+    strongest are looked at; ``axis`` are the constants of their fits, ``gradient_at`` gives the slope of the ground.
     """
     left = _without(points, stems)
     if len(left) < s.min_points:
         return ()
     index = PlanIndex(left, index_cell_m)
-    candidates = [
-        Candidate(near=index.near(seed[:2], s.radius_m[1] + BESIDE_M), xy=seed[:2], height_m=float(seed[2]))
-        for seed in hough_seeds(left, cell_m, s)[:most]
-    ]
+    candidates = candidates_at(hough_seeds(left, cell_m, s)[:most], index, s, gradient_at)
     found = [stem for stem in verify(candidates, cell_m, s, axis=axis) if not isinstance(stem, StemCode)]
     kept: list[Stem] = []
     for stem in sorted(found, key=lambda item: -item.quality):
-        if all(_apart(stem, other, apart_m) for other in (*stems, *kept)):
+        if all(apart(stem, other, apart_m) for other in (*stems, *kept)):
             kept.append(stem)
     return tuple(kept)
 
@@ -66,7 +64,7 @@ def _without(points: Floats, stems: Sequence[Stem]) -> Floats:
     return rows(points, free)
 
 
-def _apart(stem: Stem, other: Stem, apart_m: float) -> bool:
+def apart(stem: Stem, other: Stem, apart_m: float) -> bool:
     """Whether the axis of neither stands within the other or so near to it, at the first one's middle height."""
     height = stem.axis.height_m
     gap = float(np.linalg.norm(stem.axis.center_at(height) - other.axis.center_at(height)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees.cylinder.axis import START_SIGMA_M, STEPS, TOLERANCE, Axis, AxisSettings, axis_coordinates
 from fsinfer.trees.cylinder.batch import fit_axes
-from fsinfer.trees.points.cells import rows
+from fsinfer.trees.points.cells import PlanIndex, rows
 from fsinfer.trees.points.sums import lengths
 from fsinfer.trees.points.surface import (
     LAYER_M,
@@ -25,6 +25,8 @@ from fsinfer.trees.points.surface import (
 from fsinfer.trees.search.stem import Stem, StemSettings
 
 Floats = NDArray[np.float64]
+#: The slopes (N, 2), dz/dx and dz/dy, of the ground that heights count from at places (N, 2).
+Gradient = Callable[[Floats], Floats]
 #: Cell of the index, metres, half of the reach of a look around. Source: numerics.
 INDEX_CELL_M = 0.375
 #: Points this far outside the widest stem are looked at, metres: what it has to stand out from. Source: not recorded.
@@ -72,6 +74,19 @@ class Candidate:
     xy: Floats
     height_m: float
     gradient: tuple[float, float] = (0.0, 0.0)
+
+
+def candidates_at(seeds: Floats, index: PlanIndex, s: StemSettings, gradient_at: Gradient) -> list[Candidate]:
+    """The candidates at seeds (K, 3) of x, y, height above ground, metres, with the points of the index near them."""
+    return [
+        Candidate(
+            near=index.near(seed[:2], s.radius_m[1] + BESIDE_M),
+            xy=seed[:2],
+            height_m=float(seed[2]),
+            gradient=(float(slope[0]), float(slope[1])),
+        )
+        for seed, slope in zip(seeds, gradient_at(seeds[:, :2]), strict=True)
+    ]
 
 
 def verify(

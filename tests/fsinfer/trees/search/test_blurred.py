@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 
 from fsinfer.trees import StemSettings, Tree, TreeSettings, analyse_plot
+from fsinfer.trees.cylinder.axis import Axis
+from fsinfer.trees.points.cells import thin
+from fsinfer.trees.search.blurred import with_blurred
+from fsinfer.trees.search.stem import Stem
 from tests.support.stem_clouds import Floats, stem_plot, wall
 
 AT = np.array([14.0, 3.0])
+CELL_M = 0.02
 ONLY_CLEAR = TreeSettings(stems=StemSettings(blurred_sigma_m=0.0))
 
 
@@ -57,3 +62,48 @@ def test_a_ghost_beside_a_stem_is_no_second_one() -> None:
     result = analyse_plot(np.concatenate([others, clear + rng.normal(0, 0.004, clear.shape), ghost, ground(rng)]))
     (stem,) = near(result.trees)
     assert stem.dbh_cm == pytest.approx(30.0, abs=1.0)
+
+
+def haze(seed: int, *, radius: float, sigma_m: float) -> Floats:
+    """Points of a stem at the origin with so much noise, thinned as the search does."""
+    rng = np.random.default_rng(seed)
+    points = wall(rng, radius=radius, top_m=2.5, spacing_m=0.012)
+    return thin(points + rng.normal(0, sigma_m, points.shape), CELL_M / 2)
+
+
+def rough_stem(x: float, *, quality: float) -> Stem:
+    axis = Axis(parameters=np.array([x, 0.0, 0.0, 0.0, 0.07, 0.0]), height_m=1.5, sigma_m=0.025)
+    return Stem(axis=axis, bottom_m=0.5, top_m=2.5, length_m=2.0, arc_coverage=1.0, quality=quality)
+
+
+def test_what_the_first_search_has_missed_is_found_however_blurred() -> None:
+    """Its fits on few points may all end beside a stem that is rough, but not beyond its limit."""
+    (stem,) = with_blurred(haze(44005, radius=0.12, sigma_m=0.02), [], CELL_M, StemSettings())
+    assert stem.axis.sigma_m < StemSettings().max_sigma_m
+    assert np.hypot(*stem.axis.center_at(1.3)) < 0.02
+    assert stem.axis.radius_m == pytest.approx(0.12, abs=0.02)
+
+
+def test_a_rough_stem_gives_way_to_a_better_one_in_its_place_only() -> None:
+    points = haze(44006, radius=0.12, sigma_m=0.02)
+    beside, better, elsewhere = (
+        rough_stem(0.09, quality=0.1),
+        rough_stem(0.09, quality=9.0),
+        rough_stem(1.5, quality=0.1),
+    )
+    (stem, other) = with_blurred(points, [beside, elsewhere], CELL_M, StemSettings())
+    assert np.hypot(*stem.axis.center_at(1.3)) < 0.02
+    assert other is elsewhere
+    assert with_blurred(points, [better], CELL_M, StemSettings()) == [better]
+
+
+def test_two_rough_stems_are_not_made_one() -> None:
+    points = haze(44007, radius=0.12, sigma_m=0.02)
+    pair = [rough_stem(-0.08, quality=0.1), rough_stem(0.08, quality=0.1)]
+    assert with_blurred(points, pair, CELL_M, StemSettings()) == pair
+
+
+def test_beside_a_rough_stem_stands_no_second_one() -> None:
+    points = haze(44008, radius=0.12, sigma_m=0.02)
+    neighbour = rough_stem(0.3, quality=0.1)
+    assert with_blurred(points, [neighbour], CELL_M, StemSettings()) == [neighbour]

@@ -9,15 +9,16 @@ from fsinfer.trees import analyse_plot
 from tests.support.stem_clouds import wall
 
 
+@pytest.mark.parametrize("radius", [0.15, 0.8])
 @pytest.mark.parametrize(("lean_deg", "found"), [(20.0, 4), (-20.0, 4), (30.0, 0), (-30.0, 0)])
-def test_stems_may_lean_as_far_uphill_as_downhill(lean_deg: float, found: int) -> None:
+def test_stems_may_lean_as_far_uphill_as_downhill(lean_deg: float, found: int, radius: float) -> None:
     rng = np.random.default_rng(5)
     rise = np.tan(np.radians(35.0))
     ground = np.column_stack([rng.uniform(-6.0, 6.0, (30_000, 2)), rng.normal(0.0, 0.01, 30_000)])
     ground[:, 2] += rise * ground[:, 1]
     parts = [ground]
     for x, y in ((-4.0, -3.0), (-4.0, 1.0), (4.0, -3.0), (4.0, 1.0)):
-        stem = wall(rng, radius=0.15, spacing_m=0.012)
+        stem = wall(rng, radius=radius, spacing_m=0.08 * radius)
         stem[:, 1] += np.tan(np.radians(lean_deg)) * stem[:, 2]
         parts.append(stem + rng.normal(0.0, 0.003, stem.shape) + [x, y, rise * y])
     trees = analyse_plot(np.concatenate(parts), turned=True).trees
