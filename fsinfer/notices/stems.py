@@ -30,6 +30,7 @@ class StemCode(StrEnum):
     rougher_than_others = "rougher_than_others"
     forks_here = "forks_here"
     edges_alone = "edges_alone"
+    faint_edges = "faint_edges"
     points_alone = "points_alone"
     sources_disagree = "sources_disagree"
     parts_disagree = "parts_disagree"
@@ -119,6 +120,7 @@ SENTENCES: dict[StemCode, str] = {
     ),
     StemCode.forks_here: "it forks at breast height: a second stem, of {dbh_cm:.0f} cm, stands in it there",
     StemCode.edges_alone: "only from its edges in {photos} photos ({refused})",
+    StemCode.faint_edges: "mostly from its edges in {photos} photos, which agree on it only a little",
     StemCode.points_alone: "only from its points: no photo shows its edges clearly",
     StemCode.sources_disagree: "the points say {points_cm:.1f} cm, the edges in the photos {edges_cm:.1f} cm",
     StemCode.parts_disagree: "another part of the walk says {other_cm:.1f} cm",
@@ -202,6 +204,7 @@ ADVICE: dict[StemCode, str] = {
     StemCode.too_rough: "undergrowth or bad depth at breast height",
     StemCode.too_uncertain: "walk round the stem",
     StemCode.edges_unsupported: "walk round it",
+    StemCode.faint_edges: "look at its strips of photographs, or check with a tape",
     StemCode.points_alone: "walk round it, nearer to it",
     StemCode.parts_disagree: "check with a tape",
     StemCode.boards_elsewhere: "take more photos on the way between them",

@@ -22,9 +22,13 @@ from fsinfer.trees.diameter.dbh import too_uncertain, wide_interval
 from fsinfer.trees.diameter.outline import Outline
 from fsinfer.trees.diameter.roundness import oval_factor, oval_share
 from fsinfer.trees.diameter.silhouette import SilhouetteFit
+from fsinfer.trees.one_entry import HAZE_NOISE_M
 
 #: Doubts of the cloud that photographs do not lift.
 NOT_LIFTED = frozenset({StemCode.above_breast_height, StemCode.below_breast_height, StemCode.forks_here})
+#: Points that weigh less than this leave the diameter to the edges, and where they are a haze they do not vouch for
+#: those. Source: definition, the half.
+MOST_BY_EDGES = 0.5
 #: Directions in which an outline is drawn. Source: numerics.
 DIRECTIONS = 180
 
@@ -169,6 +173,8 @@ def _status(
     # Two walls are poses that do not agree: the distance of two edges stands it, but somebody should look.
     if refused is not None and (few or refused.code == StemCode.double_wall):
         doubts.append(notice(StemCode.edges_alone, photos=fit.photos, refused=refused))
+    elif found.weight < MOST_BY_EDGES and fit.contrast < s.wider.sure_contrast and section.residual_m > HAZE_NOISE_M:
+        doubts.append(notice(StemCode.faint_edges, photos=fit.photos))
     if found.contradict and section.dbh_m is not None:
         points_cm, edges_cm = 100.0 * section.dbh_m, 200.0 * fit.radius_m
         doubts.append(notice(StemCode.sources_disagree, points_cm=points_cm, edges_cm=edges_cm))

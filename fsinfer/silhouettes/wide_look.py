@@ -19,6 +19,7 @@ from fsinfer.silhouettes.one_look import Look, Looked, LookSettings, fitted_look
 from fsinfer.silhouettes.stem_axis import StemAxis
 from fsinfer.trees.diameter.edge_problem import EdgeProblem
 from fsinfer.trees.diameter.edge_set import Edges, chosen_edges, two_sided
+from fsinfer.trees.diameter.silhouette import FAINT_CONTRAST
 from fsinfer.trees.diameter.silhouette_settings import SilhouetteSettings
 
 Floats = NDArray[np.float64]
@@ -40,7 +41,7 @@ class WideLookSettings:
     place_step_m, radius_step_m: of the vote. Source: numerics, its tolerance.
     """
 
-    sure_contrast: float = 1.4
+    sure_contrast: float = FAINT_CONTRAST
     reach_m: float = 0.2
     radius_range: tuple[float, float] = (0.4, 1.5)
     place_step_m: float = 0.015

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees.diameter.section import Section
+from fsinfer.trees.diameter.silhouette import FAINT_CONTRAST
 from fsinfer.trees.forks import fork_height
 from fsinfer.trees.tree import Tree
 
@@ -45,8 +46,9 @@ def one_entry_a_stem(pairs: Sequence[Pair], kept: Collection[int] = ()) -> tuple
 
     A stem whose tree forks at breast height, by the one that stands in it, is doubtful.
 
-    The better one is what a person put there (``kept``, numbers of trees), then the surer one by its status, by its
-    relative interval, by the share of the stem that was seen. Positions and radii are in metres.
+    The better one is what a person put there (``kept``, numbers of trees), then the surer one by its status, by
+    edges that stand out, by its relative interval, by the share of the stem that was seen. Positions and radii are in
+    metres.
     """
     order = sorted(range(len(pairs)), key=lambda i: _rank(pairs[i], kept))
     places = np.array([[tree.x_m, tree.y_m] for tree, _ in pairs]).reshape(-1, 2)
@@ -90,10 +92,15 @@ def trust_rank(tree: Tree) -> int:
     return TRUST.index(tree.status) if tree.status in TRUST else len(TRUST)
 
 
-def _rank(pair: Pair, kept: Collection[int]) -> tuple[bool, int, float, float]:
+def _rank(pair: Pair, kept: Collection[int]) -> tuple[bool, int, bool, float, float]:
     tree, section = pair
     width = float("inf") if section.dbh_m is None else section.half95_m / section.dbh_m
-    return tree.tree_id not in kept, trust_rank(tree), width, -tree.arc_coverage
+    return tree.tree_id not in kept, trust_rank(tree), _is_faint(section), width, -tree.arc_coverage
+
+
+def _is_faint(section: Section) -> bool:
+    """Whether its edges stand out only a little."""
+    return section.silhouette is not None and section.silhouette.contrast < FAINT_CONTRAST
 
 
 def _same(worse: Pair, better: Pair, apart: NDArray[np.float64]) -> bool:
@@ -107,7 +114,8 @@ def _same(worse: Pair, better: Pair, apart: NDArray[np.float64]) -> bool:
         one_sided = section.coverage < HAZE_COVERAGE and worse[0].status == "doubtful"
         sizeless = section.dbh_m is None or one_sided
     else:
-        sizeless = section.cloud_dbh_m is None and other.cloud_dbh_m is not None
+        by_edges_alone = section.cloud_dbh_m is None and other.cloud_dbh_m is not None
+        sizeless = by_edges_alone or (_is_faint(section) and not _is_faint(other))
     gap = float(np.hypot(*apart)) - other.dbh_m / 2.0
     # What one side tells of, and stands in such a stem at all, is its wall, however smooth. Source: development
     # plot, seed 900101: one of 64 +- 14 cm, 0.9 cm rough, through the middle of a stem of 16 cm.

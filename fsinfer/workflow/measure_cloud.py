@@ -109,7 +109,7 @@ class _Opened:
     warnings: tuple[Notice, ...] = ()
 
 
-MEASURE = Stage(name="measure", version=22, result=MeasuredCloud, outputs=("trees.csv",))
+MEASURE = Stage(name="measure", version=23, result=MeasuredCloud, outputs=("trees.csv",))
 
 
 @one_blas_thread()

@@ -650,10 +650,22 @@ def test_refused_by_the_cloud_and_hardly_seen_stays_doubtful() -> None:
     assert few.reasons == (notice(StemCode.edges_alone, photos=5, refused=refused.reasons[0]),)
     faint = joined(rough, replace(fit_of(0.15, 0.002, photos=37), contrast=1.23))
     assert (faint.status, [why.code for why in faint.reasons]) == ("doubtful", [StemCode.edges_alone])
-    assert joined(section_of(0.30, 0.01), replace(fit_of(0.15, 0.002), contrast=1.23)).status == "ok"
+    smooth = replace(section_of(0.30, 0.01), residual_m=0.004)
+    assert joined(smooth, replace(fit_of(0.15, 0.002), contrast=1.23)).status == "ok"
     unsure = joined(refused, fit_of(0.15, 0.05))
     assert unsure.dbh_m is None
     assert [why.code for why in unsure.reasons] == [StemCode.too_uncertain]
+
+
+def test_a_haze_does_not_vouch_for_faint_edges() -> None:
+    haze = replace(section_of(0.30, 0.01), residual_m=0.02)
+    clear, faint = (replace(fit_of(0.15, 0.002, photos=37), contrast=contrast) for contrast in (1.5, 1.3))
+    assert joined(haze, clear).status == "ok"
+    doubted = joined(haze, faint)
+    assert (doubted.status, doubted.reasons) == ("doubtful", (notice(StemCode.faint_edges, photos=37),))
+    assert joined(replace(haze, residual_m=0.004), faint).status == "ok"
+    # Here the points carry the diameter.
+    assert joined(replace(section_of(0.30, 0.002), residual_m=0.02), replace(faint, std_m=0.01)).status == "ok"
 
 
 def test_photographs_lift_the_doubts_of_the_cloud_but_not_that_of_its_height() -> None:

@@ -140,6 +140,27 @@ def test_a_haze_with_the_edges_of_the_stem_beside_it_is_no_stem(
     assert numbers(one_entry_a_stem(pairs)[0]) == left
 
 
+@pytest.mark.parametrize(
+    ("contrast", "other_contrast", "noise_m", "x_m", "left"),
+    [
+        (1.37, 1.73, 0.015, 0.19, [1]),
+        (1.45, 1.73, 0.015, 0.19, [1, 2]),  # edges of its own
+        (1.37, 1.38, 0.015, 0.19, [1, 2]),  # neither is the surer one
+        (1.37, 1.73, 0.005, 0.19, [1, 2]),  # no haze
+        (1.37, 1.73, 0.015, 0.23, [1, 2]),  # beyond its reach
+    ],
+)
+def test_a_haze_with_faint_edges_beside_a_stem_with_clear_ones_is_its_haze(
+    contrast: float, other_contrast: float, noise_m: float, x_m: float, left: list[int]
+) -> None:
+    # The stem's interval is the wider one: its points and edges contradict each other.
+    stem, clear = entry(1, 0.0, 0.172, sd_m=0.014, status="doubtful")
+    wall, faint = entry(2, x_m, 0.177, sd_m=0.004, status="doubtful")
+    clear = replace(clear, silhouette=replace(EDGES, contrast=other_contrast), cloud_dbh_m=0.15, residual_m=noise_m)
+    faint = replace(faint, silhouette=replace(EDGES, contrast=contrast), cloud_dbh_m=0.147, residual_m=noise_m)
+    assert numbers(one_entry_a_stem([(stem, clear), (wall, faint)])[0]) == left
+
+
 def test_what_a_person_put_there_stays() -> None:
     pairs = [entry(1, 0.0, 0.30), entry(2, 0.02, None)]
     assert numbers(one_entry_a_stem(pairs, kept={2})[0]) == [2]
