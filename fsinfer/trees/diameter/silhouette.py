@@ -41,7 +41,7 @@ Ints = NDArray[np.int64]
 #: that is not 11, and the points parted these; renders only.
 OVAL_GAIN, OVAL_POINTS_STD = 5.0, 3.0
 #: Edges that stand out by no more than this, :attr:`SilhouetteFit.contrast`, may be others than the stem's. Source:
-#: renders only, twelve runs of seven plots: of 550 diameters four `ok` ones were wrong by 3.5 cm and more, or those of
+#: renders only, eleven runs of seven plots: of 558 diameters four `ok` ones were wrong by 3.5 cm and more, or those of
 #: a second entry beside a stem, and had 1.23 to 1.37; the least of a right one is 1.38, the next 1.41.
 FAINT_CONTRAST = 1.4
 #: Fits whose radii are nearer than this, metres, stand on the same summit. Source: numerics, the vote's step.
