@@ -169,11 +169,12 @@ def _status(
     if uncertain:
         return "unmeasured", uncertain
     doubts = [why for why in section.reasons if why.code in NOT_LIFTED and section.dbh_m is not None]
-    few = fit.photos < s.sure_photos or fit.sectors < s.sure_sectors or fit.contrast < s.wider.sure_contrast
+    faint = fit.contrast < s.wider.sure_contrast
+    few = fit.photos < s.sure_photos or fit.sectors < s.sure_sectors or faint
     # Two walls are poses that do not agree: the distance of two edges stands it, but somebody should look.
     if refused is not None and (few or refused.code == StemCode.double_wall):
         doubts.append(notice(StemCode.edges_alone, photos=fit.photos, refused=refused))
-    elif found.weight < MOST_BY_EDGES and fit.contrast < s.wider.sure_contrast and section.residual_m > HAZE_NOISE_M:
+    elif faint and found.weight < MOST_BY_EDGES and section.residual_m > HAZE_NOISE_M:
         doubts.append(notice(StemCode.faint_edges, photos=fit.photos))
     if found.contradict and section.dbh_m is not None:
         points_cm, edges_cm = 100.0 * section.dbh_m, 200.0 * fit.radius_m
