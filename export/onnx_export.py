@@ -38,6 +38,7 @@ OPSET = 18
 #: What a manifest holds that was made from the weights afterwards, and the command that makes it.
 _MADE_AFTERWARDS = {
     "confidence_calibration": "python -m training.calibration",
+    "photo_confidence": "python -m training.photo_confidence",
     "int8": "python -m export.quantize",
 }
 

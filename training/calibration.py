@@ -77,6 +77,10 @@ def main(arguments: list[str] | None = None) -> int:
         "scenes": len(scenes),
         "pixels": len(confidence),
     }
+    if data.pop("photo_confidence", None) is not None:
+        print(
+            "photo_confidence was fitted on another calibration and is gone; again: python -m training.photo_confidence"
+        )
     write_text(path, json.dumps(data, indent=1) + "\n")
     calibrated = np.interp(confidence, raw, share).astype(np.float32)
     print("\n".join(confidence_curve(calibrated, pooled.relative)[0]))

@@ -65,11 +65,19 @@ def onnx_predictor(
     ) -> tuple[Float32, Float32, int]:
         searched = search_range(*depth_range, settings, inverse_depth=loaded.manifest.inverse_depth)
         estimate = loaded.predict(images, intrinsics, cam_from_world, searched)
-        depth = estimate.depth
+        depth, confidence = estimate.depth, estimate.confidence
         if calibrate:
             greys = [normalised(image, settings.subpixel) for image in images]
-            depth = finish_depth(estimate, greys, intrinsics, cam_from_world, settings=settings, threads=loaded.threads)
-        return depth, estimate.confidence, estimate.stride
+            depth, confidence = finish_depth(
+                estimate,
+                greys,
+                intrinsics,
+                cam_from_world,
+                curves=loaded.manifest.photo_confidence,
+                settings=settings,
+                threads=loaded.threads,
+            )
+        return depth, confidence, estimate.stride
 
     return predict
 

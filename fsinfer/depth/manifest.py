@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.depth.photo_confidence import QUANTITIES, ConfidenceCurves
 from fsinfer.errors import ModelError
 from fsinfer.io.json_text import read_json
 
@@ -99,6 +100,7 @@ class ModelManifest:
         threshold for each plot.
     calibration: raw confidences and the share of pixels within 1 % of the true depth at each of them, both rising;
         ``None`` where the model was not calibrated.
+    photo_confidence: curves of :mod:`fsinfer.depth.photo_confidence`; ``None`` where the network's word is all.
     """
 
     name: str
@@ -126,6 +128,7 @@ class ModelManifest:
     tiles: TileGraph | None
     parity_confidence_threshold: float
     calibration: tuple[NDArray[np.float32], NDArray[np.float32]] | None
+    photo_confidence: ConfidenceCurves | None
     details: dict[str, Any]
 
     @property
@@ -218,6 +221,7 @@ def read_manifest(name_or_path: str | Path, *, trust: bool = False) -> ModelMani
             tiles=_tiles(data.get("tiles")),
             parity_confidence_threshold=_either(data, "parity_confidence_threshold", "confidence_threshold"),
             calibration=_calibration(data.get("confidence_calibration")),
+            photo_confidence=_curves(data.get("photo_confidence")),
             details=data,
         )
         _check(manifest, data)
@@ -351,3 +355,16 @@ def _calibration(entry: dict[str, list[float]] | None) -> tuple[NDArray[np.float
         msg = f"confidence_calibration needs two equally long rising lists, has {raw.shape=}, {share.shape=}"
         raise ValueError(msg)
     return raw, share
+
+
+def _curves(entry: dict[str, Any] | None) -> ConfidenceCurves | None:
+    if entry is None:
+        return None
+    places, values = ({name: np.array(entry[name][key], np.float32) for name in QUANTITIES} for key in ("at", "adds"))
+    for name in QUANTITIES:
+        at, adds = places[name], values[name]
+        finite = np.isfinite(np.r_[at.ravel(), adds.ravel()]).all()
+        if at.shape != adds.shape or at.ndim != 1 or len(at) < 2 or not (finite and (np.diff(at) > 0).all()):
+            msg = f"photo_confidence needs two equally long lists of numbers of {name}, the first rising"
+            raise ValueError(msg)
+    return ConfidenceCurves(places=places, values=values, constant=float(entry["constant"]))

@@ -20,14 +20,16 @@ the size of the map.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.depth.blocks import over_blocks
+from fsinfer.depth.photo_confidence import LEAST_SEEN, NO_MISFIT, LastStep
 from fsinfer.depth.settings import SubpixelSettings
 from fsinfer.depth.warping import Projection, relative_projection
 
@@ -56,6 +58,14 @@ def normalised(image: NDArray[np.uint8], settings: SubpixelSettings | None = Non
     return np.asarray((grey - mean) / np.sqrt(np.maximum(variance, 0) + np.float32(s.least_contrast**2)), np.float16)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Refinement:
+    """Depth map (h, w) in the units of the poses, 0 where nothing is known, and what the last step saw, if any."""
+
+    depth: Float32
+    last: LastStep | None
+
+
 def refine_depth(
     depth: Float32,
     confidence: Float32,
@@ -65,8 +75,8 @@ def refine_depth(
     *,
     settings: SubpixelSettings | None = None,
     threads: int = 1,
-) -> Float32:
-    """Depth map (h, w) at a tenth of a pixel, in the units of the poses; 0 stays 0.
+) -> Refinement:
+    """Depth at a tenth of a pixel; 0 stays 0.
 
     Parameters
     ----------
@@ -75,6 +85,8 @@ def refine_depth(
     intrinsics, cam_from_world: (N, 3, 3) pixels and (N, 4, 4).
     """
     s = settings or SubpixelSettings()
+    if s.rounds == 0:
+        return Refinement(depth=depth, last=None)
     images = [grey.astype(np.float32) for grey in greys]
     stride = round(images[0].shape[1] / depth.shape[1])
     projections = [
@@ -86,12 +98,13 @@ def refine_depth(
     weight = np.where(known, confidence, 0).astype(np.float32)
     parts = _cut(images[0], stride, depth.shape)
     for _ in range(s.rounds):
-        moved = _step(inverse, weight, parts, images[1:], projections, s, stride=stride, threads=threads)
+        before = inverse
+        moved, seen = _step(before, weight, parts, images[1:], projections, s, stride=stride, threads=threads)
         # Of a map at half size three pixels reach as far as five of the photograph.
         side = 2 * (s.median_px // 2 // min(stride, 2)) + 1
         inverse = np.asarray(cv2.medianBlur(moved, side), np.float32) if s.median_px else moved
     refined = np.divide(1.0, inverse, out=np.zeros_like(depth), where=known & (inverse > 0))
-    return np.asarray(refined, np.float32)
+    return Refinement(depth=np.asarray(refined, np.float32), last=_last_step(seen, before, parts))
 
 
 @dataclass(frozen=True)
@@ -131,6 +144,21 @@ class _Sums:
     seen: Float32
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Seen:
+    """What a step saw: of each source (S, h, w) the share that it shows and the misfit; the sums of the least squares,
+    the shift and how fast the fastest source moves (h, w); and the window in which all are means.
+    """
+
+    share: Float32
+    misfit: Float32
+    known: Float32
+    sure: Float32
+    shift: Float32
+    fastest: Float32
+    window: Callable[[Float32], Float32]
+
+
 def _step(
     inverse: Float32,
     weight: Float32,
@@ -141,8 +169,8 @@ def _step(
     *,
     stride: int,
     threads: int,
-) -> Float32:
-    """One Gauss-Newton step: inverse depth (h, w)."""
+) -> tuple[Float32, _Seen]:
+    """One Gauss-Newton step: inverse depth (h, w), and what was seen before it."""
     height, width = inverse.shape
     surfaces = [_inverse_at(inverse, part.down / stride, part.right / stride) for part in parts]
     sums = _Sums(*(np.empty((len(sources), height, width), np.float32) for _ in range(5)))
@@ -154,18 +182,17 @@ def _step(
             _sum_parts(sums, i, rows, surfaces, parts, source, projection, s, stride=stride)
 
     over_blocks(fill, height, block_rows, threads)
-    kernel = _window_kernel(s.window_px, stride)
-
-    def window(values: Float32) -> Float32:
-        return np.asarray(cv2.sepFilter2D(values, -1, kernel, kernel, borderType=cv2.BORDER_REPLICATE), np.float32)
-
+    window = partial(_mean_about, kernel=_window_kernel(s.window_px, stride))
     each = np.float32(1 / len(parts))
     fastest = np.maximum(sums.speed.max(axis=0), _TINY)
     normal, right = sums.normal, sums.right
+    seen, misfit = sums.seen, sums.squares  # in their places
 
     def weigh(i: int) -> None:
+        seen[i] = window(seen[i])
         # Of two signals of variance 1 the mean squared difference is 2 - 2 r, r their correlation.
-        correlation = 1 - np.float32(0.5) * each * window(sums.squares[i]) / (window(sums.seen[i]) + _TINY)
+        misfit[i] = np.float32(0.5) * each * window(sums.squares[i]) / (seen[i] + _TINY)
+        correlation = 1 - misfit[i]
         agrees = np.clip((correlation - s.least_correlation) / (s.full_correlation - s.least_correlation), 0, 1) ** 2
         slower = sums.speed[i] / fastest * np.float32(0.5 / s.difference_px)
         part = each * agrees * weight * slower
@@ -174,12 +201,44 @@ def _step(
         normal[i] *= part
 
     over_blocks(weigh, len(sources), 1, threads)
-    held = window(normal.sum(axis=0)) + np.float32(s.damping) * window(weight)
+    known, sure = window(normal.sum(axis=0)), window(weight)
+    held = known + np.float32(s.damping) * sure
     shift = window(right.sum(axis=0)) / (held + _TINY)
     np.clip(shift, -s.most_px, s.most_px, out=shift)
     moved = inverse + shift / fastest
     # Nothing is moved beyond infinity, and what has no depth keeps none.
-    return np.where((moved > 0) & (inverse > 0), moved, inverse)
+    moved = np.where((moved > 0) & (inverse > 0), moved, inverse)
+    return moved, _Seen(
+        share=seen,
+        misfit=misfit,
+        known=known,
+        sure=sure,
+        shift=np.asarray(shift, np.float32),
+        fastest=fastest,
+        window=window,
+    )
+
+
+def _last_step(seen: _Seen, inverse: Float32, parts: Sequence[_Part]) -> LastStep:
+    """What is told of the last step, which was made from ``inverse`` (h, w)."""
+    shown = seen.share > LEAST_SEEN
+    squares = np.zeros_like(inverse)
+    for part in parts:
+        squares += part.grey**2
+    cv2.patchNaNs(squares, 0.0)
+    return LastStep(
+        sources=np.count_nonzero(shown, axis=0).astype(np.float32),
+        misfit=np.where(shown, seen.misfit, np.float32(NO_MISFIT)).min(axis=0),
+        variance=seen.window(squares / np.float32(len(parts))),
+        texture=seen.known / (seen.sure + _TINY),
+        shift_px=seen.shift,
+        px_per_percent=np.float32(0.01) * seen.fastest * inverse,
+    )
+
+
+def _mean_about(values: Float32, kernel: Float32) -> Float32:
+    """Mean (h, w) of the ``values`` (h, w) about each pixel, weighted with ``kernel`` in both directions."""
+    return np.asarray(cv2.sepFilter2D(values, -1, kernel, kernel, borderType=cv2.BORDER_REPLICATE), np.float32)
 
 
 def _window_kernel(window_px: float, stride: int) -> Float32:

@@ -15,6 +15,7 @@ from fsinfer.depth.job import DepthJob, reduced_size
 from fsinfer.depth.median_filter import settle_unsure
 from fsinfer.depth.memory import DepthPlan
 from fsinfer.depth.model import DepthEstimate, DepthModel
+from fsinfer.depth.photo_confidence import ConfidenceCurves, probability, quantities
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.subpixel import normalised, refine_depth
 from fsinfer.depth.tiles import TiledDepth
@@ -111,12 +112,18 @@ class MapsOfViews:
             [item.features for item in loaded], intrinsics, cam_from_world, depth_range
         )
         greys = [item.grey for item in loaded]
-        depth = finish_depth(
-            estimate, greys, intrinsics, cam_from_world, settings=settings, threads=self._model.threads
+        depth, confidence = finish_depth(
+            estimate,
+            greys,
+            intrinsics,
+            cam_from_world,
+            curves=self._model.manifest.photo_confidence,
+            settings=settings,
+            threads=self._model.threads,
         )
         return ViewMaps(
             depth=depth,
-            confidence=estimate.confidence,
+            confidence=confidence,
             stride=estimate.stride,
             scale_x=loaded[0].scale_x,
             scale_y=loaded[0].scale_y,
@@ -168,19 +175,22 @@ def finish_depth(
     intrinsics: NDArray[np.float64],
     cam_from_world: NDArray[np.float64],
     *,
+    curves: ConfidenceCurves | None,
     settings: DepthSettings,
     threads: int = 1,
-) -> NDArray[np.float32]:
-    """Depth (h, w) of the network with its unsure pixels settled, and that at a tenth of a pixel.
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Depth (h, w) of the network with its unsure pixels settled, and that at a tenth of a pixel; and the confidence.
 
-    ``greys`` (N, H, W), ``intrinsics`` (N, 3, 3) and ``cam_from_world`` (N, 4, 4) of reference and sources.
+    ``greys`` (N, H, W), ``intrinsics`` (N, 3, 3) and ``cam_from_world`` (N, 4, 4) of reference and sources. Without
+    ``curves`` of the model, or a sub-pixel step, the confidence (h, w) is the network's.
     """
-    depth = settle_unsure(estimate.depth, estimate.confidence, settings=settings.unsure, threads=threads)
-    if settings.subpixel.rounds == 0:
-        return depth
-    return refine_depth(
-        depth, estimate.confidence, greys, intrinsics, cam_from_world, settings=settings.subpixel, threads=threads
-    )
+    own = estimate.confidence
+    depth = settle_unsure(estimate.depth, own, settings=settings.unsure, threads=threads)
+    refined = refine_depth(depth, own, greys, intrinsics, cam_from_world, settings=settings.subpixel, threads=threads)
+    if curves is None or refined.last is None:
+        return refined.depth, own
+    inverse = np.divide(1.0, refined.depth, out=np.zeros_like(refined.depth), where=refined.depth > 0)
+    return refined.depth, probability(quantities(own, inverse, refined.last), curves)
 
 
 def search_range(near: float, far: float, settings: DepthSettings, *, inverse_depth: bool) -> tuple[float, float]:

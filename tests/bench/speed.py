@@ -120,7 +120,8 @@ def ours(args: argparse.Namespace, precision: str) -> Callable[[], dict[str, flo
         features, greys = zip(*loaded, strict=True)
         estimate = model.predict_from_features(features, intrinsics, poses, depth_range)
         finish = Timed(finish_depth, seconds, "finish")
-        finish(estimate, greys, intrinsics, poses, settings=settings, threads=model.threads)
+        curves = model.manifest.photo_confidence
+        finish(estimate, greys, intrinsics, poses, curves=curves, settings=settings, threads=model.threads)
         whole, busy = time.perf_counter() - started, time.process_time() - busy
         split = dict(seconds)
         one_view = split["features"] / len(images)

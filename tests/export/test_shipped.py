@@ -18,6 +18,7 @@ from export.parity import Parity, whole_parity
 from export.quantize import QuantizeSettings, add_to_manifest
 from fsinfer.depth.manifest import models_folder, read_manifest
 from fsinfer.depth.model import DepthModel
+from fsinfer.depth.photo_confidence import QUANTITIES
 from fsinfer.scene import read_scene
 from tests.support.places import ROOT
 from tests.support.plane_scene import write_plane_scene
@@ -114,6 +115,7 @@ def exported(tmp_path: Path) -> tuple[FSMVSNet, Path]:
     manifest = exported_into(model, tmp_path)
     data = json.loads(manifest.read_text(encoding="utf-8"))
     data["confidence_calibration"] = {"raw": [0.0, 1.0], "within_1pct": [0.0, 0.5]}
+    data["photo_confidence"] = {"constant": 0.5} | {name: {"at": [0.0, 1.0], "adds": [0.0, 2.0]} for name in QUANTITIES}
     manifest.write_text(json.dumps(data), encoding="utf-8")
     int8 = {role: tmp_path / f"mvsnet_{role}_int8.onnx" for role in ("features", "regularizer")}
     for role, file in int8.items():
@@ -138,6 +140,8 @@ def test_exporting_the_same_weights_again_keeps_what_was_made_of_them(
     after = read_manifest(path)  # the hashes hold, too
     assert after.calibration is not None
     np.testing.assert_array_equal(after.calibration[1], [0.0, 0.5])
+    assert after.photo_confidence is not None
+    assert after.photo_confidence.constant == 0.5
     assert after.int8_regularizer == before.int8_regularizer == "mvsnet_regularizer_int8.onnx"
     assert after.int8_features == before.int8_features == "mvsnet_features_int8.onnx"
     assert DepthModel.load(path, precision="int8").precision == "int8"
@@ -165,6 +169,11 @@ def test_exporting_other_weights_says_what_is_gone(
     assert after.calibration is None
     assert after.int8_regularizer is after.int8_features is None
     assert not [*path.parent.glob("*_int8.onnx")]
-    for made, again in (("confidence_calibration", "training.calibration"), ("int8", "export.quantize")):
+    assert after.photo_confidence is None
+    for made, again in (
+        ("confidence_calibration", "training.calibration"),
+        ("photo_confidence", "training.photo_confidence"),
+        ("int8", "export.quantize"),
+    ):
         assert f"mvsnet: {made} was made from other weights and is gone" in caplog.text
         assert again in caplog.text

@@ -23,6 +23,7 @@ from fsinfer.cli.app import app
 from fsinfer.depth.manifest import models_folder, read_manifest
 from fsinfer.depth.maps import DepthMaps
 from fsinfer.depth.model import DepthModel
+from fsinfer.depth.photo_confidence import QUANTITIES
 from fsinfer.depth.session import Graph
 from fsinfer.errors import (
     CloudError,
@@ -410,6 +411,12 @@ def changed(model: Path, tmp_path: Path, **entries: object) -> Path:
     return path
 
 
+def curves(**adds: list[float]) -> dict[str, object]:
+    """Of the confidence, with so much added at 0 and 1."""
+    flat = {name: {"at": [0.0, 1.0], "adds": adds.get(name, [0.0, 0.0])} for name in QUANTITIES}
+    return {"constant": 0.0, **flat}
+
+
 @pytest.mark.parametrize(
     "entry",
     [
@@ -426,6 +433,9 @@ def changed(model: Path, tmp_path: Path, **entries: object) -> Path:
         {"refine__planes": 1},
         {"refine__span": "wide"},
         {"confidence_calibration": {"raw": [0.0, float("nan")], "within_1pct": [0, 1]}},
+        {"photo_confidence": {"constant": 0.0}},
+        {"photo_confidence": curves(network=[0.0, float("nan")])},
+        {"photo_confidence": curves(network=[0.0, 1.0, 2.0])},
         {"config": []},
     ],
     ids=str,

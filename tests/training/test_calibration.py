@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from fsinfer.depth.manifest import models_folder, read_manifest
 from fsinfer.depth.model import DepthModel
+from fsinfer.depth.photo_confidence import QUANTITIES
 from fsinfer.errors import ModelError
 from fsinfer.io.images import read_image
 from fsinfer.scene import read_scene
@@ -47,6 +48,7 @@ def model(tmp_path: Path) -> Path:
         shutil.copy(file, tmp_path)
     data = json.loads((models_folder() / "field.json").read_text(encoding="utf-8"))
     data.pop("confidence_calibration", None)
+    data["photo_confidence"] = {"constant": 0.0} | {name: {"at": [0, 1], "adds": [0, 1]} for name in QUANTITIES}
     path = tmp_path / "field.json"
     path.write_text(json.dumps(data), encoding="utf-8")
     return path
@@ -66,7 +68,11 @@ def test_the_command_calibrates_the_deployed_model(
     )
     raw = DepthModel.load(model).predict(*inputs)
     assert main([str(model), str(folder)]) == 0
-    assert "mean distance of confidence and share" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "mean distance of confidence and share" in said
+    # Curves of the sub-pixel step have the network's calibrated word in them.
+    assert "training.photo_confidence" in said
+    assert read_manifest(model).photo_confidence is None
     calibration = read_manifest(model).calibration
     assert calibration is not None
     calibrated = DepthModel.load(model).predict(*inputs)

@@ -1,6 +1,7 @@
-"""Command line: ``python -m training.synthesize OUT --seed S --scenes N --kind cluster|walk|plot``.
+"""Command line: ``python -m training.synthesize OUT --seed S --scenes N --kind cluster|burst|walk|plot``.
 
-``cluster``: a few small views of one stem or object, for training. ``walk``: some photographs in a row of a walk
+``cluster``: a few small views of one stem or object, for training. ``burst``: some photographs at full size from beside
+each other, a few per cent of the depth apart, for calibration. ``walk``: some photographs in a row of a walk
 through a plot drawn at random, for validation and test at full size. ``plot``: all photographs of a plot, for the
 pipeline.
 """
@@ -16,9 +17,10 @@ import cv2
 import numpy as np
 
 from fsinfer.io.files import write_text
+from training.synthesize.cameras.burst import burst_cameras
 from training.synthesize.cameras.cluster import cluster_cameras
 from training.synthesize.cameras.phone import PHONE, PHONE_VIDEO, PhoneEffects, with_overrides
-from training.synthesize.cameras.photo import expose
+from training.synthesize.cameras.photo import expose, random_sensor
 from training.synthesize.cameras.plot import plot_cameras
 from training.synthesize.forest.world import WorldSettings, build_world
 from training.synthesize.photographs import Photographs, for_training, with_effects
@@ -40,9 +42,9 @@ def parse(argv: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("out", type=Path, metavar="OUT")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--scenes", type=int, default=1, help="seeds S .. S+N-1, one world each")
-    parser.add_argument("--kind", choices=("cluster", "walk", "plot"), default="cluster")
+    parser.add_argument("--kind", choices=("cluster", "burst", "walk", "plot"), default="cluster")
     parser.add_argument("--clusters-per-scene", type=int, default=2)
-    parser.add_argument("--views", type=int, default=5, help="views of a cluster or walk")
+    parser.add_argument("--views", type=int, default=5, help="views of a cluster, burst or walk")
     parser.add_argument("--wide-share", type=float, default=0.0, help="share of clusters with views all round")
     parser.add_argument("--width", type=int)
     parser.add_argument("--height", type=int)
@@ -164,6 +166,33 @@ def synthesize_clusters(args: argparse.Namespace, seed: int, photos: tuple[Path,
             },
         )
     print(f"s{seed:05d}: built in {built:.1f} s, all in {time.perf_counter() - start:.1f} s", flush=True)
+
+
+def synthesize_burst(args: argparse.Namespace, seed: int, photos: tuple[Path, ...]) -> None:
+    """Render ``args.views`` photographs from beside each other in the small world of one seed."""
+    folder = args.out / f"n{seed:05d}"
+    if finished(folder):
+        return
+    width, height = args.width or 1280, args.height or 720
+    start = time.perf_counter()
+    rng = np.random.default_rng([seed, 1])
+    settings = cluster_settings(rng, photos, args)
+    world = build_world(rng, settings)
+    caster = Caster.of(world)
+    rng = np.random.default_rng([seed, 2])
+    camera = cluster_cameras(rng, world, caster, views=1, width=width, height=height)[0]
+    there = caster.depth(camera, width, height)
+    cameras = burst_cameras(rng, camera, float(np.median(there[there > 0])), args.views)
+    depths = [caster.depth(one, width, height) for one in cameras]
+    pictures = [caster.picture(one, width, height, args.supersample) for one in cameras]
+    sensor = random_sensor(rng, pictures[len(pictures) // 2])
+    cameras = [with_depth_range(one, depth, 30.0) for one, depth in zip(cameras, depths, strict=True)]
+    for i, (one, depth, picture) in enumerate(zip(cameras, depths, pictures, strict=True)):
+        write_view(folder, i, expose(rng, sensor, picture), depth, one, sensor.quality)
+    finish_scene(folder, cameras, depths)
+    drawn = vars(settings) | {"photos": [p.name for p in photos]}
+    write_record(folder, {"seed": seed, "kind": "burst", "settings": drawn, "sensor": vars(sensor)})
+    print(f"n{seed:05d}: {len(cameras)} views in {time.perf_counter() - start:.0f} s", flush=True)
 
 
 def walk_settings(rng: np.random.Generator, photos: tuple[Path, ...], args: argparse.Namespace) -> WorldSettings:
@@ -326,6 +355,8 @@ def main(argv: list[str] | None = None) -> None:
     for seed in range(args.seed, args.seed + args.scenes):
         if args.kind == "cluster":
             synthesize_clusters(args, seed, photos)
+        elif args.kind == "burst":
+            synthesize_burst(args, seed, photos)
         elif args.kind == "walk":
             synthesize_walk(args, seed, photos)
         else:

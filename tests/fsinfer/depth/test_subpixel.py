@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from fsinfer.depth import subpixel
+from fsinfer.depth.photo_confidence import LastStep
 from fsinfer.depth.settings import SubpixelSettings
 from fsinfer.depth.subpixel import normalised, refine_depth
 
@@ -85,7 +86,7 @@ def refined(
 ) -> NDArray[np.float32]:
     greys = [normalised(image, settings) for image in images]
     sure = np.ones_like(depth) if confidence is None else confidence
-    return refine_depth(depth, sure, greys, *cameras(), settings=settings, threads=threads)
+    return refine_depth(depth, sure, greys, *cameras(), settings=settings, threads=threads).depth
 
 
 @pytest.mark.parametrize("stride", [1, 2, 4])
@@ -118,6 +119,60 @@ def test_a_smaller_map_moves_as_one_at_full_size_does(stride: int) -> None:
     px = FOCAL * np.hypot(*BASELINES_M[0])
     assert np.percentile(px * np.abs(expected - 1 / start), 90) > 0.1
     assert px * np.abs(moved - expected)[inner, inner].max() < 0.03
+
+
+def last_step(
+    plane: Plane, px: float, images: list[NDArray[np.uint8]] | None = None, settings: SubpixelSettings | None = None
+) -> LastStep:
+    truth = true_depth(plane, 2)
+    greys = [normalised(image) for image in images or views(plane)]
+    found = refine_depth(
+        shifted(truth, px), np.ones_like(truth), greys, *cameras(), settings=settings or ONE_STEP, threads=1
+    )
+    assert found.last is not None
+    return found.last
+
+
+INNER = np.s_[12:-12, 16:-16]
+
+
+def test_one_per_cent_of_the_depth_moves_what_the_widest_baseline_says() -> None:
+    told = last_step(Plane(3.0), 0.0).px_per_percent
+    assert told[INNER] == pytest.approx(0.01 * FOCAL * np.hypot(*BASELINES_M[0]) / 3.0, rel=1e-3)
+
+
+def test_the_last_step_tells_how_far_it_was() -> None:
+    told = last_step(Plane(3.0), 0.2).shift_px
+    assert np.median(told[INNER]) == pytest.approx(-0.2, abs=0.04)
+
+
+def test_the_misfit_is_small_where_a_source_looks_the_same_and_grows_beside() -> None:
+    right, beside = (last_step(Plane(3.0), px).misfit[INNER] for px in (0.0, 1.0))
+    assert np.percentile(right, 95) < 0.02
+    assert np.median(beside) > 4 * np.median(right)
+
+
+def test_the_most_alike_source_is_the_one_that_tells() -> None:
+    images = views(Plane(3.0))
+    other = [*images[:2], np.full_like(images[2], 255), images[3]]
+    assert np.percentile(last_step(Plane(3.0), 0.0, other).misfit[INNER], 95) < 0.02
+
+
+def test_sources_that_show_the_place_are_counted() -> None:
+    """A camera 25 cm to the right does not show what the reference sees at its left border, 12.5 pixels wide."""
+    sources = last_step(Plane(3.0), 0.0).sources
+    assert (sources[INNER] == len(BASELINES_M)).all()
+    assert (sources[12:-12, 0] == 1).all()
+
+
+def test_what_has_more_texture_has_more_information() -> None:
+    flat = [
+        np.asarray(np.clip(128 + 0.02 * (image.astype(np.float64) - 128), 0, 255), np.uint8)
+        for image in views(Plane(3.0))
+    ]
+    rough, smooth = last_step(Plane(3.0), 0.0), last_step(Plane(3.0), 0.0, flat)
+    assert np.median(smooth.texture[INNER]) < 0.5 * np.median(rough.texture[INNER])
+    assert np.median(smooth.variance[INNER]) < 0.5 * np.median(rough.variance[INNER])
 
 
 def test_what_is_right_stays() -> None:

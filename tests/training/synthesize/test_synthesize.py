@@ -174,6 +174,19 @@ def test_a_walk_is_photographs_in_a_row_of_a_plot(tmp_path: Path) -> None:
     assert (tmp_path / "w00007" / "images" / "00000000.jpg").stat().st_mtime_ns == before
 
 
+def test_a_burst_stands_a_few_per_cent_of_the_depth_apart_on_a_line(tmp_path: Path) -> None:
+    main([str(tmp_path), "--kind", "burst", "--seed", "5", *SMALL])
+    scene = read_scene(tmp_path / "n00005")
+    centers = np.array([view.camera.center for view in scene.views])
+    depth = read_pfm(tmp_path / "n00005" / "depths" / "00000001.pfm")
+    steps = np.linalg.norm(np.diff(centers, axis=0), axis=1) / np.median(depth[depth > 0])
+    assert ((steps > 0.004) & (steps < 0.1)).all()
+    ends = centers[-1] - centers[0]
+    assert (np.diff(centers @ ends) > 0).all()
+    facing = np.array([view.camera.cam_from_world[2, :3] for view in scene.views])
+    assert (facing @ facing[0] > np.cos(np.radians(6.0))).all()
+
+
 def test_plot_writes_truth_markers_and_walks_clear_of_stems(tmp_path: Path) -> None:
     small = ["--texture-px", "256", "--width", "96", "--height", "54", "--supersample", "1"]
     main([str(tmp_path), "--seed", "4", "--kind", "plot", "--photos", "10", "--trees", "5", "--radius-m", "4", *small])
