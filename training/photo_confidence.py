@@ -103,8 +103,7 @@ def quantities_of(
     if refined.last is None:
         msg = "the curves are of what the sub-pixel step sees, and the settings have none"
         raise ValueError(msg)
-    inverse = np.divide(1.0, refined.depth, out=np.zeros_like(refined.depth), where=refined.depth > 0)
-    return quantities(estimate.confidence, inverse, refined.last), refined.depth, estimate.stride
+    return quantities(estimate.confidence, refined.last), refined.depth, estimate.stride
 
 
 def pixels_of(

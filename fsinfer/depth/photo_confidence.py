@@ -2,13 +2,13 @@
 
 The network judges features at half of the resolution. At the full size it shows whether a source looks the same there,
 whether a depth 1 % beside would look different at all, whether the step was still on its way, and how many sources
-show the place; and the depth map itself shows where surfaces end. Each of these quantities has a curve, and the sum of
-the curves is the logit of the probability that the depth is within 1 %: a generalised additive model (Hastie and
-Tibshirani, Statistical Science 1, 1986), which keeps the network's confidence as one of its terms.
-``python -m training.photo_confidence`` fits it.
+show the place. Each of these quantities has a curve, and the sum of the curves is the logit of the probability that the
+depth is within 1 %: a generalised additive model (Hastie and Tibshirani, Statistical Science 1, 1986), which keeps the
+network's confidence as one of its terms. ``python -m training.photo_confidence`` fits it.
 
 That a source looks the same says little where every depth does: at baselines of a few per cent of the depth, on flat
-surfaces. So the curves are fitted on scenes with such baselines too (docs/trials-accuracy.md, "How sure a pixel is").
+surfaces. So the curves are fitted on scenes with such baselines too. How far the depth leaps about a pixel is left out:
+it tells something, but all of a thin stem lies beside a leap (docs/trials-accuracy.md, "How sure a pixel is").
 """
 
 from __future__ import annotations
@@ -24,18 +24,15 @@ Float32 = NDArray[np.float32]
 
 #: A source shows the surroundings of a pixel where it shows this share of them. Source: judgement.
 LEAST_SEEN = 0.5
-#: The step of the depth is that within a square of so many pixels of the map. Source: development walks and saharov32,
-#: compared with 5, 9 and 13.
-STEP_WINDOW_PX = 3
 #: Misfit where no source shows the place: more than that of any two signals. Source: definition.
 NO_MISFIT = 9.0
 #: Added before logarithms: far below what tells anything. Source: numerics.
-LEAST_INFORMATION, LEAST_SHIFT, LEAST_STEP, LEAST_MISFIT, LEAST_VARIANCE = 1e-6, 1e-3, 1e-5, 1e-3, 1e-2
-#: What is looked at, in the order of the fit. ``network``: its confidence. ``step``: logarithm of the greatest relative
-#: step of the depth about a pixel. ``sources``: how many show it. ``information``: logarithm of what the least squares
-#: know of a shift by 1 % of the depth. ``shift``: logarithm of the last step, per cent of the depth. ``misfit``:
-#: logarithm of half the mean squared difference to the most alike source over the variance.
-QUANTITIES = ("network", "step", "sources", "information", "shift", "misfit")
+LEAST_INFORMATION, LEAST_SHIFT, LEAST_MISFIT, LEAST_VARIANCE = 1e-6, 1e-3, 1e-3, 1e-2
+#: What is looked at, in the order of the fit. ``network``: its confidence. ``sources``: how many show the place.
+#: ``information``: logarithm of what the least squares know of a shift by 1 % of the depth. ``shift``: logarithm of the
+#: last step, per cent of the depth. ``misfit``: logarithm of half the mean squared difference to the most alike source
+#: over the variance.
+QUANTITIES = ("network", "sources", "information", "shift", "misfit")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,15 +62,11 @@ class ConfidenceCurves:
     constant: float
 
 
-def quantities(network: Float32, inverse_depth: Float32, last: LastStep) -> dict[str, Float32]:
-    """Maps (h, w) of :data:`QUANTITIES`; ``network`` (h, w) is its confidence, ``inverse_depth`` (h, w) the result."""
-    window = np.ones((STEP_WINDOW_PX, STEP_WINDOW_PX), np.uint8)
-    apart = np.asarray(cv2.dilate(inverse_depth, window) - cv2.erode(inverse_depth, window), np.float32)
-    step = np.divide(apart, inverse_depth, out=np.ones_like(apart), where=inverse_depth > 0)
+def quantities(network: Float32, last: LastStep) -> dict[str, Float32]:
+    """Maps (h, w) of :data:`QUANTITIES`; ``network`` (h, w) is its confidence."""
     moves = np.maximum(last.px_per_percent, np.float32(LEAST_SHIFT))
     return {
         "network": network,
-        "step": _log(step, LEAST_STEP),
         "sources": last.sources,
         "information": _log(np.maximum(last.texture, 0) * moves**2, LEAST_INFORMATION),
         "shift": _log(np.abs(last.shift_px) / moves, LEAST_SHIFT),

