@@ -17,13 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.depth.manifest import read_manifest
-from fsinfer.depth.median_filter import settle_unsure
 from fsinfer.depth.model import DepthModel
 from fsinfer.depth.photo_confidence import QUANTITIES, ConfidenceCurves, probability, quantities
 from fsinfer.depth.precision import FLOAT32
 from fsinfer.depth.settings import DepthSettings
-from fsinfer.depth.subpixel import normalised, refine_depth
-from fsinfer.depth.view_maps import search_range
+from fsinfer.depth.subpixel import normalised
+from fsinfer.depth.view_maps import search_range, settled_and_refined
 from fsinfer.errors import FsinferError, SceneError
 from fsinfer.io.files import write_text
 from fsinfer.io.images import read_image
@@ -32,7 +31,6 @@ from training.data.find import find_true_scenes
 from training.data.true_scene import TrueScene
 
 Float32 = NDArray[np.float32]
-Floats = NDArray[np.float64]
 
 #: Places of a curve, at quantiles of what was seen, and the quantiles of the first and the last.
 PLACES, ENDS = 9, (0.005, 0.995)
@@ -95,11 +93,8 @@ def quantities_of(
     near, far = view.camera.depth_min, view.camera.depth_max
     searched = search_range(near, far, settings, inverse_depth=model.manifest.inverse_depth)
     estimate = model.predict(images, intrinsics, poses, searched)
-    settled = settle_unsure(estimate.depth, estimate.confidence, settings=settings.unsure, threads=model.threads)
     greys = [normalised(image, settings.subpixel) for image in images]
-    refined = refine_depth(
-        settled, estimate.confidence, greys, intrinsics, poses, settings=settings.subpixel, threads=model.threads
-    )
+    refined = settled_and_refined(estimate, greys, intrinsics, poses, settings=settings, threads=model.threads)
     if refined.last is None:
         msg = "the curves are of what the sub-pixel step sees, and the settings have none"
         raise ValueError(msg)

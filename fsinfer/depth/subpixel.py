@@ -35,6 +35,8 @@ from fsinfer.depth.warping import Projection, relative_projection
 
 Float16 = NDArray[np.float16]
 Float32 = NDArray[np.float32]
+#: Mean of values (h, w) about each pixel.
+_Window = Callable[[Float32], Float32]
 
 #: Pixels of the depth map at a time: some share for each of a few threads. Source: numerics; a quarter of a map of
 #: 640x352 at a time takes three quarters of the processor seconds of a tenth (docs/trials-speed.md).
@@ -97,14 +99,15 @@ def refine_depth(
     inverse = np.divide(1.0, depth, out=np.zeros_like(depth), where=known)
     weight = np.where(known, confidence, 0).astype(np.float32)
     parts = _cut(images[0], stride, depth.shape)
+    window = partial(_mean_about, kernel=_window_kernel(s.window_px, stride))
     for _ in range(s.rounds):
         before = inverse
-        moved, seen = _step(before, weight, parts, images[1:], projections, s, stride=stride, threads=threads)
+        moved, seen = _step(before, weight, parts, images[1:], projections, window, s, stride=stride, threads=threads)
         # Of a map at half size three pixels reach as far as five of the photograph.
         side = 2 * (s.median_px // 2 // min(stride, 2)) + 1
         inverse = np.asarray(cv2.medianBlur(moved, side), np.float32) if s.median_px else moved
     refined = np.divide(1.0, inverse, out=np.zeros_like(depth), where=known & (inverse > 0))
-    return Refinement(depth=np.asarray(refined, np.float32), last=_last_step(seen, before, parts))
+    return Refinement(depth=np.asarray(refined, np.float32), last=_last_step(seen, before, parts, window))
 
 
 @dataclass(frozen=True)
@@ -147,7 +150,7 @@ class _Sums:
 @dataclass(frozen=True, kw_only=True)
 class _Seen:
     """What a step saw: of each source (S, h, w) the share that it shows and the misfit; the sums of the least squares,
-    the shift and how fast the fastest source moves (h, w); and the window in which all are means.
+    the shift and how fast the fastest source moves (h, w). All but the last are means in the window.
     """
 
     share: Float32
@@ -156,7 +159,6 @@ class _Seen:
     sure: Float32
     shift: Float32
     fastest: Float32
-    window: Callable[[Float32], Float32]
 
 
 def _step(
@@ -165,6 +167,7 @@ def _step(
     parts: Sequence[_Part],
     sources: Sequence[Float32],
     projections: Sequence[Projection],
+    window: _Window,
     s: SubpixelSettings,
     *,
     stride: int,
@@ -182,7 +185,6 @@ def _step(
             _sum_parts(sums, i, rows, surfaces, parts, source, projection, s, stride=stride)
 
     over_blocks(fill, height, block_rows, threads)
-    window = partial(_mean_about, kernel=_window_kernel(s.window_px, stride))
     each = np.float32(1 / len(parts))
     fastest = np.maximum(sums.speed.max(axis=0), _TINY)
     normal, right = sums.normal, sums.right
@@ -215,11 +217,10 @@ def _step(
         sure=sure,
         shift=np.asarray(shift, np.float32),
         fastest=fastest,
-        window=window,
     )
 
 
-def _last_step(seen: _Seen, inverse: Float32, parts: Sequence[_Part]) -> LastStep:
+def _last_step(seen: _Seen, inverse: Float32, parts: Sequence[_Part], window: _Window) -> LastStep:
     """What is told of the last step, which was made from ``inverse`` (h, w)."""
     shown = seen.share > LEAST_SEEN
     squares = np.zeros_like(inverse)
@@ -229,7 +230,7 @@ def _last_step(seen: _Seen, inverse: Float32, parts: Sequence[_Part]) -> LastSte
     return LastStep(
         sources=np.count_nonzero(shown, axis=0).astype(np.float32),
         misfit=np.where(shown, seen.misfit, np.float32(NO_MISFIT)).min(axis=0),
-        variance=seen.window(squares / np.float32(len(parts))),
+        variance=window(squares / np.float32(len(parts))),
         texture=seen.known / (seen.sure + _TINY),
         shift_px=seen.shift,
         px_per_percent=np.float32(0.01) * seen.fastest * inverse,

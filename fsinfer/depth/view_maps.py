@@ -17,7 +17,7 @@ from fsinfer.depth.memory import DepthPlan
 from fsinfer.depth.model import DepthEstimate, DepthModel
 from fsinfer.depth.photo_confidence import ConfidenceCurves, probability, quantities
 from fsinfer.depth.settings import DepthSettings
-from fsinfer.depth.subpixel import normalised, refine_depth
+from fsinfer.depth.subpixel import Refinement, normalised, refine_depth
 from fsinfer.depth.tiles import TiledDepth
 from fsinfer.depth.view_group import ViewFeatures
 from fsinfer.scene import Scene, View, read_view_image
@@ -184,12 +184,25 @@ def finish_depth(
     ``greys`` (N, H, W), ``intrinsics`` (N, 3, 3) and ``cam_from_world`` (N, 4, 4) of reference and sources. Without
     ``curves`` of the model, or a sub-pixel step, the confidence (h, w) is the network's.
     """
+    refined = settled_and_refined(estimate, greys, intrinsics, cam_from_world, settings=settings, threads=threads)
+    if curves is None or refined.last is None:
+        return refined.depth, estimate.confidence
+    return refined.depth, probability(quantities(estimate.confidence, refined.last), curves)
+
+
+def settled_and_refined(
+    estimate: DepthEstimate,
+    greys: Sequence[NDArray[np.float16]],
+    intrinsics: NDArray[np.float64],
+    cam_from_world: NDArray[np.float64],
+    *,
+    settings: DepthSettings,
+    threads: int = 1,
+) -> Refinement:
+    """The depth of :func:`finish_depth`, and what the sub-pixel step saw: what the curves are fitted on."""
     own = estimate.confidence
     depth = settle_unsure(estimate.depth, own, settings=settings.unsure, threads=threads)
-    refined = refine_depth(depth, own, greys, intrinsics, cam_from_world, settings=settings.subpixel, threads=threads)
-    if curves is None or refined.last is None:
-        return refined.depth, own
-    return refined.depth, probability(quantities(own, refined.last), curves)
+    return refine_depth(depth, own, greys, intrinsics, cam_from_world, settings=settings.subpixel, threads=threads)
 
 
 def search_range(near: float, far: float, settings: DepthSettings, *, inverse_depth: bool) -> tuple[float, float]:
