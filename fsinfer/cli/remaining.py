@@ -65,7 +65,13 @@ STEPS = (
     Step(stage="fuse", what="", cost=_each(0.095)),
     Step(stage="scale", what="", cost=_each(0.023)),
     Step(stage="cloud", what="", cost=_besides(2.0, _each(0.013))),
-    Step(stage="trees", what="", cost=_besides(2.0, _growing(0.15))),
+    Step(stage="trees", what="finding the ground", cost=_each(0.01)),
+    Step(stage="trees", what="looking for stems", cost=_growing(0.02)),
+    Step(stage="trees", what="measuring stems", cost=_growing(0.02)),
+    Step(stage="trees", what="edges of stems", cost=_each(0.06)),
+    Step(stage="trees", what="looking again", cost=_growing(0.04)),
+    Step(stage="trees", what="drawing sections", cost=_besides(2.0, _growing(0.03))),
+    Step(stage="trees", what="writing trees", cost=_each(0.01)),
     Step(stage="report", what="", cost=_besides(3.0, _each(0.018))),
 )
 #: What goes so many times faster than on the machine of the costs, which are about seconds there, was there already.

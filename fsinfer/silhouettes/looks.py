@@ -75,11 +75,14 @@ def look_at_stems(
 
     first = look(stems, progress)
     here = np.zeros(2)
+    progress(0, 4, "looking again")
     looked = [
         fitted_look(stem, here, found, strips, radius, fit, s)
         for stem, found, strips, radius in zip(stems, *first, points, strict=True)
     ]
+    progress(1, 4, "looking again")
     looked = again(looked, points, look, fit=fit, settings=s)
+    progress(2, 4, "looking again")
     refused = [number for number, of_points in enumerate(points) if of_points is None]
     found_wider = look_wider(
         [stems[number] for number in refused],
@@ -91,6 +94,7 @@ def look_at_stems(
         settings=of_wide,
         measured=[stem for stem, of_points in zip(stems, points, strict=True) if of_points is not None],
     )
+    progress(3, 4, "looking again")
     moved = {number: new for number, new in zip(refused, found_wider, strict=True) if new is not looked[number]}
     surest = again(list(moved.values()), [None] * len(moved), look, fit=fit, settings=s)
     for number, new in zip(moved, surest, strict=True):

@@ -154,13 +154,12 @@ def analyse_plot(
     local = columns.T
     extent = box + origin[:2]
     plan_m2 = float(np.prod(box[1] - box[0]))
-    progress(0, 3, "finding the ground")
+    progress(0, 1, "finding the ground")
     ground = find_ground(local, settings=settings.ground, seed=settings.seed)
     check_upside_down(local, ground, settings.ground, settings.sanity, seed=settings.seed)
     if ground.share < settings.sanity.min_ground:
         warnings.append(notice(StemCode.ground_in_part, percent=100.0 * ground.share))
     stand = np.stack([*columns[:2], columns[2] - ground.height_at(local[:, :2])]).T
-    progress(1, 3, "looking for stems")
     search = find_stems(
         stand,
         bh_m=settings.bh_m,
@@ -175,8 +174,8 @@ def analyse_plot(
     low = rows(low, shows_ground(low, feet, np.array([stem.axis.radius_m for stem in search.stems])))
     if seen_cells(low, close=False).area(np.zeros((0, 2))) < settings.sanity.little_ground * plan_m2:
         warnings.append(notice(StemCode.little_ground))
-    progress(2, 3, "measuring stems")
-    pairs, same = one_entry_a_stem(measure_stems(stand, search, ground, settings, scale_rel_std, origin))
+    measured = measure_stems(stand, search, ground, settings, scale_rel_std, origin, progress=progress)
+    pairs, same = one_entry_a_stem(measured)
     warnings += same
     pairs = doubt_the_rough(allow_for_shape(pairs, settings=settings))
     warnings += common_lean([tree for tree, _ in pairs], [section for _, section in pairs], settings=settings.lean)

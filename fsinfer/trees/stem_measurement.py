@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from fsinfer.conventions.breast_height import BhRule
 from fsinfer.notices.notice import notice
 from fsinfer.notices.stems import StemCode
+from fsinfer.progress import Progress, silent
 from fsinfer.trees.diameter.dbh import measure_together
 from fsinfer.trees.diameter.section import Section
 from fsinfer.trees.ground.at_stems import level_std
@@ -52,6 +53,8 @@ def measure_stems(
     settings: TreeSettings,
     scale_rel_std: float,
     origin: Floats,
+    *,
+    progress: Progress = silent,
 ) -> list[tuple[Tree, Section]]:
     """Measure the stems of a search in points (N, 3) of x, y, height above ``ground``, metres about ``origin`` (3,)."""
     low, high = settings.stems.heights_m
@@ -62,6 +65,7 @@ def measure_stems(
     feet = np.array([stem.axis.center_at(0.0) for stem in search.stems]).reshape(-1, 2)
     unsure = level_std(ground, feet, np.array([stem.axis.radius_m for stem in search.stems]))
     for first in range(0, len(search.stems), TOGETHER):
+        progress(first, len(search.stems), "measuring stems")
         numbers = range(first, min(first + TOGETHER, len(search.stems)))
         own, stems, levels = [], [], []
         for number in numbers:

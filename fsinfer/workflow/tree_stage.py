@@ -162,7 +162,7 @@ def measure_plot(
     if given.doubt is not None:
         whole = all_doubtful(whole, given.doubt)
     bordered, plot = _draw_border(whole, given, settings, added, out)
-    _write(bordered, given, out, curves, plot)
+    _write(bordered, given, out, curves, plot, progress)
     copy_figures(out, bordered, added.numbers)
     return replace(_summary(bordered, plot), joined=added.parts)
 
@@ -311,6 +311,7 @@ def _write(
     out: Path,
     curves: dict[int, tuple[CurvePoint, ...]],
     plot: PlotFigures | None,
+    progress: Progress,
 ) -> None:
     """Tables, figures, maps and labelled points."""
     from fsinfer.trees.outputs.figures import write_figures  # loads matplotlib
@@ -318,7 +319,8 @@ def _write(
     write_trees(out / "trees.csv", result.all_trees)
     write_reasons(out / "trees.json", result.all_trees)
     border = None if plot is None else plot.border.outline
-    write_figures(out / "figures", result, curves=curves, border=border)
+    write_figures(out / "figures", result, curves=curves, border=border, progress=progress)
+    progress(0, 1, "writing trees")
     if not given.metric:
         return
     write_curves(out / "stem_curve.csv", curves.values())
