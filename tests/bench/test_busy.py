@@ -12,10 +12,21 @@ from tests.bench.busy import BY_HAND, depth_seconds, figures_of
 
 
 def test_installed_is_held_against_the_best_environment_and_the_hog_against_installed() -> None:
-    figures = figures_of({"installed": 10.0, "one_blas_thread": 8.0, "all_blas_threads": 12.0, "hog": 21.0})
+    taken = {"installed": [13.0, 10.0, 12.0], "one_blas_thread": [12.5, 14.0, 8.0], "hog": [21.0, 40.0, 30.0]}
+    figures = figures_of(taken)
     assert figures["installed_to_best"] == pytest.approx(1.25)
     assert figures["hog_ratio"] == pytest.approx(2.1)
-    assert figures_of({"installed": 7.0, "one_blas_thread": 8.0, "hog": 7.0})["installed_to_best"] == 1
+    assert (figures["installed_s"], figures["installed_most_s"]) == (10, 13)
+    assert figures_of({"installed": [7.0], "one_blas_thread": [8.0], "hog": [7.0]})["installed_to_best"] == 1
+
+
+def test_one_lucky_run_of_another_way_does_not_move_the_ratio_of_the_medians() -> None:
+    quiet = {"installed": [10.0, 10.2, 10.1], "one_blas_thread": [10.1, 10.2, 10.3], "hog": [13.0, 13.0, 13.0]}
+    lucky = quiet | {"one_blas_thread": [10.1, 8.0, 10.3]}
+    assert figures_of(quiet)["medians_to_best"] == figures_of(lucky)["medians_to_best"] == 1
+    assert figures_of(lucky)["installed_to_best"] == pytest.approx(1.25)
+    slow = quiet | {"installed": [11.0, 12.0, 11.5]}
+    assert figures_of(slow)["medians_to_best"] == pytest.approx(11.5 / 10.2)
 
 
 def test_a_run_gets_its_variables_and_no_developers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
