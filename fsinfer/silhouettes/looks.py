@@ -23,11 +23,12 @@ from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene
 from fsinfer.silhouettes.edge_settings import EdgeSettings
 from fsinfer.silhouettes.edges import Strip, find_edges
-from fsinfer.silhouettes.one_look import Look, Looked, LookSettings, Surface, fitted_look, fuller_look
+from fsinfer.silhouettes.one_look import Look, Looked, LookSettings, Surface, fitted_looks, fuller_look
 from fsinfer.silhouettes.stem_axis import StemAxis
 from fsinfer.silhouettes.strips import keep_strip
 from fsinfer.silhouettes.visibility import BOTH_SIDES
 from fsinfer.silhouettes.wide_look import WideLookSettings, look_wider
+from fsinfer.threads import in_order, photo_threads
 from fsinfer.trees.diameter.edge_set import Edges
 from fsinfer.trees.diameter.silhouette import SilhouetteFit
 from fsinfer.trees.diameter.silhouette_settings import SilhouetteSettings
@@ -76,10 +77,8 @@ def look_at_stems(
     first = look(stems, progress)
     here = np.zeros(2)
     progress(0, 4, "looking again")
-    looked = [
-        fitted_look(stem, here, found, strips, radius, fit, s)
-        for stem, found, strips, radius in zip(stems, *first, points, strict=True)
-    ]
+    seen = zip(stems, *first, points, strict=True)
+    looked = fitted_looks([(stem, here, found, strips, radius) for stem, found, strips, radius in seen], fit, s)
     progress(1, 4, "looking again")
     looked = again(looked, points, look, fit=fit, settings=s)
     progress(2, 4, "looking again")
@@ -99,11 +98,12 @@ def look_at_stems(
     surest = again(list(moved.values()), [None] * len(moved), look, fit=fit, settings=s)
     for number, new in zip(moved, surest, strict=True):
         looked[number] = new
-    return [
+
+    def fuller(number: int) -> Looked:
         # Points that gave no radius have no say in what the edges have to agree with.
-        fuller_look(one, of_points, fit, s, None if of_points is None else surface)
-        for one, of_points in zip(looked, points, strict=True)
-    ]
+        return fuller_look(looked[number], points[number], fit, s, None if points[number] is None else surface)
+
+    return list(in_order(fuller, range(len(stems)), photo_threads()))
 
 
 def again(
@@ -123,8 +123,9 @@ def again(
             break
         counted = []
         axes = [_axis_found(best[number], fitted) for number in moving if (fitted := best[number].fit) is not None]
-        for number, (stem, moved), edges, strips in zip(moving, axes, *look([stem for stem, _ in axes]), strict=True):
-            new = fitted_look(stem, moved, edges, strips, points[number], fit, s)
+        seen = zip(moving, axes, *look([stem for stem, _ in axes]), strict=True)
+        asked = [(stem, moved, edges, strips, points[number]) for number, (stem, moved), edges, strips in seen]
+        for number, new in zip(moving, fitted_looks(asked, fit, s), strict=True):
             if _counts(new, best[number], s):
                 best[number] = new
                 counted.append(number)

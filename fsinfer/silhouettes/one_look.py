@@ -6,7 +6,7 @@ sides to know its section, photographs that show one edge are asked too, and the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,6 +15,7 @@ from scipy.special import gammaincinv
 
 from fsinfer.silhouettes.edges import Strip
 from fsinfer.silhouettes.stem_axis import StemAxis
+from fsinfer.threads import in_order, photo_threads
 from fsinfer.trees.diameter.edge_set import Edges, chosen_edges, joined_edges, two_sided
 from fsinfer.trees.diameter.faces import Faces, sector_of_angle, sharp_faces
 from fsinfer.trees.diameter.sides import NOISE_SECTORS
@@ -120,6 +121,18 @@ def fitted_look(
         if one.clear(s):
             return one
     return tries[0]  # what is no stem in the large pictures is asked of them, too, whether it is a shrub
+
+
+def fitted_looks(
+    asked: Iterable[tuple[StemAxis, Floats, Edges, list[Strip], tuple[float, float] | None]],
+    fit: SilhouetteSettings,
+    s: LookSettings,
+) -> list[Looked]:
+    """:func:`fitted_look` of each: axis, how far it is from the one asked for, edges, strips and the points' radius.
+
+    As many stems at a time as there are cores; the vote, which takes most of a fit, is long rows.
+    """
+    return list(in_order(lambda one: fitted_look(*one, fit, s), asked, photo_threads()))
 
 
 def fuller_look(

@@ -15,8 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.silhouettes.one_look import Look, Looked, LookSettings, fitted_look
+from fsinfer.silhouettes.one_look import Look, Looked, LookSettings, fitted_looks
 from fsinfer.silhouettes.stem_axis import StemAxis
+from fsinfer.threads import in_order, photo_threads
 from fsinfer.trees.diameter.edge_problem import EdgeProblem
 from fsinfer.trees.diameter.edge_set import Edges, chosen_edges, two_sided
 from fsinfer.trees.diameter.silhouette import FAINT_CONTRAST
@@ -69,16 +70,20 @@ def look_wider(
     if not lost:
         return best
     axes = []
-    for number, edges in zip(lost, wide([stems[number] for number in lost]), strict=True):
-        beside = axes_beside(stems[number], edges, fit, settings)
+    strips = wide([stems[number] for number in lost])
+
+    def of_strip(at: int) -> list[tuple[StemAxis, Floats]]:
+        return axes_beside(stems[lost[at]], strips[at], fit, settings)
+
+    for number, beside in zip(lost, in_order(of_strip, range(len(lost)), photo_threads()), strict=True):
         # Where the most edges are a neighbour's, the other places are chance: a haze beside one was given 15 cm so.
         if beside and not any(_stands_in(beside[0][0], other) for other in measured):
             axes += [(number, axis, moved) for axis, moved in beside]
     if not axes:
         return best
-    seen = look([axis for _, axis, _ in axes])
-    for (number, axis, moved), edges, strips in zip(axes, *seen, strict=True):
-        new = fitted_look(axis, moved, edges, strips, None, fit, looks)
+    seen = zip(axes, *look([axis for _, axis, _ in axes]), strict=True)
+    asked = [(axis, moved, edges, strips, None) for (_, axis, moved), edges, strips in seen]
+    for (number, _, _), new in zip(axes, fitted_looks(asked, fit, looks), strict=True):
         if _contrast(new, looks) > _contrast(best[number], looks):
             best[number] = new
     return best
