@@ -43,13 +43,14 @@ def write_figures(
     corners of the plot's border, which the map shows.
     """
     paths = [Path(folder) / "stem_map.png"]
+    progress(0, len(result.trees), "drawing sections")
     plot_stem_map(result, paths[0], border=border)
     for number, (tree, section) in enumerate(zip(result.trees, result.sections, strict=True), start=1):
-        progress(number - 1, len(result.trees), "drawing sections")
         path = Path(folder) / f"tree_{tree.tree_id:03d}.png"
         curve = (curves or {}).get(tree.tree_id, ())
         plot_section(tree, section, path, curve=curve, guessed=result.units_per_m is not None)
         paths.append(path)
+        progress(number, len(result.trees), "drawing sections")
     return paths
 
 

@@ -25,6 +25,7 @@ import fsinfer.workflow.cloud_stages as cloud_stages
 import fsinfer.workflow.photo_stages as photo_stages
 import fsinfer.workflow.pipeline as pipeline
 import fsinfer.workflow.tree_stage as tree_stage
+from fsinfer.cli.remaining import STEPS, step_of
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.sfm_check import DepthCheck
 from fsinfer.depth.stage import DepthResult
@@ -48,6 +49,7 @@ from fsinfer.scene import project, read_camera, read_scene, write_camera
 from fsinfer.silhouettes.edges import find_edges
 from fsinfer.silhouettes.join import measure_silhouettes
 from fsinfer.trees import TreeSettings
+from fsinfer.trees.outputs.figures import write_figures as real_figures
 from fsinfer.trees.outputs.table import read_trees
 from fsinfer.trees.pattern.match import PatternSettings
 from fsinfer.workflow.clicked_scale import click_scale
@@ -435,6 +437,25 @@ def test_cloud_without_a_plot_is_reported_not_lost(
     assert "no trees measured: no ground was seen" in result.plot["warnings"]
     assert dbh_cm(tmp_path / "out") == []
     assert (tmp_path / "out" / "report.html").is_file()
+
+
+def test_the_trees_tell_their_steps_as_they_come(
+    fakes: Fakes, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fsinfer.trees.outputs.figures.write_figures", real_figures)
+    told: list[tuple[str, float]] = []
+
+    def progress(stage: str) -> Any:
+        return lambda done, total, what: told.append((what, done / total)) if stage == "trees" else None
+
+    run(photos, tmp_path / "out", settings=METRIC, progress=progress)
+    steps = [step_of("trees", what) for what, _ in told]
+    of_trees = [number for number, step in enumerate(STEPS) if step.stage == "trees"]
+    # One after the other, all of them: what is left of a run is told by them.
+    assert list(dict.fromkeys(steps)) == of_trees
+    assert steps == sorted(steps, key=lambda step: -1 if step is None else step)
+    begun = dict(reversed(told))
+    assert max(begun.values()) == 0
 
 
 def test_progress_names_the_stages(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
