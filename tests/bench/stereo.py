@@ -20,13 +20,15 @@ from fsinfer.depth.settings import DepthSettings
 from tests.bench.results import add_result_options, check_result_options, save_result
 from training.evaluate import Predict, onnx_predictor
 from training.full_size import at_full_size
-from training.synthesize.__main__ import parse, texture_photos, walk_settings
+from training.synthesize.__main__ import parse
+from training.synthesize.asked import texture_photos
 from training.synthesize.cameras.camera_path import make_camera
 from training.synthesize.cameras.photo import expose, random_sensor
 from training.synthesize.cameras.plot import plot_cameras
 from training.synthesize.forest.world import build_world
 from training.synthesize.render import Caster
 from training.synthesize.scene_writer import with_depth_range
+from training.synthesize.small_scenes import walk_settings
 
 Float32 = NDArray[np.float32]
 WIDTH, HEIGHT = 1280, 720

@@ -187,6 +187,19 @@ def test_a_burst_stands_a_few_per_cent_of_the_depth_apart_on_a_line(tmp_path: Pa
     assert (facing @ facing[0] > np.cos(np.radians(6.0))).all()
 
 
+def test_two_workers_write_the_plot_of_one(tmp_path: Path) -> None:
+    small = ["--texture-px", "256", "--width", "96", "--height", "72", "--supersample", "1", "--trees", "4"]
+    asked = ["--seed", "5", "--kind", "plot", "--photos", "5", "--radius-m", "4", "--phone", *small]
+    alone, shared = tmp_path / "alone", tmp_path / "shared"
+    main([str(alone), *asked])
+    main([str(shared), *asked, "--workers", "2"])
+    files = sorted(path.relative_to(alone) for path in alone.rglob("*") if path.is_file())
+    assert files == sorted(path.relative_to(shared) for path in shared.rglob("*") if path.is_file())
+    assert len([path for path in files if path.suffix == ".jpg"]) == 5
+    for path in files:
+        assert (shared / path).read_bytes() == (alone / path).read_bytes(), path
+
+
 def test_plot_writes_truth_markers_and_walks_clear_of_stems(tmp_path: Path) -> None:
     small = ["--texture-px", "256", "--width", "96", "--height", "54", "--supersample", "1"]
     main([str(tmp_path), "--seed", "4", "--kind", "plot", "--photos", "10", "--trees", "5", "--radius-m", "4", *small])
