@@ -1,8 +1,9 @@
 """How long a run will still take, from the progress of its stages and what each step costs beside the others.
 
 Each step has a cost for each photo. What the steps done so far took, over what they should cost, is the speed of the
-machine on these photos; the cost of what is left, at this speed, is the remaining time. Steps that were done in an
-earlier run report nothing and count for nothing.
+machine on these photos; the cost of what is left, at this speed, is the remaining time. What matching and placing
+photos take goes by what is on them more than by the machine, so that it tells less of the rest. Steps that were done in
+an earlier run report nothing and count for nothing.
 """
 
 from __future__ import annotations
@@ -15,11 +16,15 @@ from functools import lru_cache
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """One step of a stage; ``what`` is how its progress begins ("" takes all of the stage's progress)."""
+    """One step of a stage; ``what`` is how its progress begins ("" takes all of the stage's progress).
+
+    ``weight``: how much the time that it takes tells of the speed at which the others will go.
+    """
 
     stage: str
     what: str
     cost: Callable[[int], float]
+    weight: float = 1.0
 
 
 #: Photos among which costs that grow hold, and the power of the photos with which they do. Source: layout; measured, 50
@@ -50,20 +55,22 @@ def _pairs_per_photo(photos: int) -> float:
     return most_pairs(photos, PairSettings()) / photos
 
 
+#: Weight of steps that take by the photos what they take. Source: layout; measured, the runs below.
+_BY_PHOTOS = 0.1
 #: For each photo of 1280x720, about seconds on two cores; their proportions matter. Source: layout; measured, the runs
 #: that tests/fsinfer/cli/test_remaining.py replays.
 STEPS = (
     Step(stage="frames", what="", cost=_each(0.01)),
     Step(stage="poses", what="reading photos", cost=_each(0.015)),
-    Step(stage="poses", what="finding features", cost=_each(0.1)),
-    Step(stage="poses", what="matching photos", cost=lambda photos: 0.0045 * _pairs_per_photo(photos)),
-    Step(stage="poses", what="following the walk", cost=_growing(0.03)),
-    Step(stage="poses", what="placing photos", cost=_growing(0.065)),
-    Step(stage="poses", what="adjusting", cost=_growing(0.08)),
-    Step(stage="poses", what="undistorting", cost=_each(0.035)),
-    Step(stage="depth", what="", cost=_each(0.37)),
-    Step(stage="fuse", what="", cost=_each(0.095)),
-    Step(stage="scale", what="", cost=_each(0.023)),
+    Step(stage="poses", what="finding features", cost=_each(0.11)),
+    Step(stage="poses", what="matching photos", cost=lambda n: 0.0065 * _pairs_per_photo(n), weight=_BY_PHOTOS),
+    Step(stage="poses", what="following the walk", cost=_growing(0.03), weight=_BY_PHOTOS),
+    Step(stage="poses", what="placing photos", cost=_growing(0.08), weight=_BY_PHOTOS),
+    Step(stage="poses", what="adjusting", cost=_growing(0.11), weight=_BY_PHOTOS),
+    Step(stage="poses", what="undistorting", cost=_each(0.04)),
+    Step(stage="depth", what="", cost=_each(0.40)),
+    Step(stage="fuse", what="", cost=_each(0.105)),
+    Step(stage="scale", what="", cost=_each(0.022)),
     Step(stage="cloud", what="", cost=_besides(2.0, _each(0.013))),
     Step(stage="trees", what="finding the ground", cost=_each(0.01)),
     Step(stage="trees", what="looking for stems", cost=_growing(0.02)),
@@ -72,7 +79,7 @@ STEPS = (
     Step(stage="trees", what="looking again", cost=_growing(0.04)),
     Step(stage="trees", what="drawing sections", cost=_besides(2.0, _growing(0.03))),
     Step(stage="trees", what="writing trees", cost=_each(0.01)),
-    Step(stage="report", what="", cost=_besides(3.0, _each(0.018))),
+    Step(stage="report", what="", cost=_besides(3.0, _each(0.02))),
 )
 #: What goes so many times faster than on the machine of the costs, which are about seconds there, was there already.
 #: Source: layout; judgement; no machine is so much faster.
@@ -102,38 +109,37 @@ class RemainingTime:
         self._photos = photos
         self._clock = clock
         self._elsewhere = frozenset(i for i, step in enumerate(STEPS) if step.stage in elsewhere)
-        self._started = clock()
-        self._seconds_elsewhere = 0.0
         # Of the step at hand: when it had counted what was there before, and how far it was then.
-        self._began = (self._started, 0.0)
-        self._ran: set[int] = set()
+        self._began = (clock(), 0.0)
         self._at = -1
         self._part = 0.0
-        self._reported = self._started
-        self._there_before = 0.0
+        self._reported = self._counted = clock()
+        # Of each step here: seconds that it took, and the part of it that was there before.
+        self._took: dict[int, float] = {}
+        self._there_before: dict[int, float] = {}
 
     def update(self, stage: str, done: int, total: int, what: str) -> None:
         """Take one report of a stage's progress callback; steps that are not known are passed over."""
         found = step_of(stage, what)
         if found is None or total <= 0 or found < self._at:
             return
+        now = self._clock()
+        # What passed since the last report belongs to the step that it was of.
+        self._count(now)
         if found != self._at:
             # The stage itself, or an earlier step of it, told how many photos there are.
             self._at = found
             self._part = 0.0
-            self._began = (self._clock(), 0.0)
-        self._ran.add(self._at)
+            self._began = (now, 0.0)
+            self._took.setdefault(found, 0.0)
         if what in ("reading photos", "finding features", "following the walk", "placing photos") or stage == "depth":
             self._photos = total
         before, self._part = self._part, max(self._part, min(1.0, done / total))
-        now = self._clock()
-        if self._at in self._elsewhere:
-            self._seconds_elsewhere += now - self._reported
         photos = max(2, self._photos)
-        cost = (self._part - before) * STEPS[self._at].cost(photos)
-        if cost * photos > _SKIPPED * (now - self._reported):
+        gained = self._part - before
+        if gained * STEPS[self._at].cost(photos) * photos > _SKIPPED * (now - self._reported):
             # A stage that goes on after a stop counts quickly through what it did before.
-            self._there_before += cost if self._at not in self._elsewhere else 0.0
+            self._there_before[self._at] = self._there_before.get(self._at, 0.0) + gained
             self._began = (now, self._part)
         self._reported = now
 
@@ -144,21 +150,31 @@ class RemainingTime:
         photos = max(2, self._photos)
         # What other computers have done says nothing of this one.
         costs = [0.0 if i in self._elsewhere and i <= self._at else s.cost(photos) for i, s in enumerate(STEPS)]
-        done = sum(costs[i] for i in self._ran if i < self._at) + self._part * costs[self._at] - self._there_before
         left = (1 - self._part) * costs[self._at] + sum(costs[self._at + 1 :])
         now = self._clock()
-        spent = now - self._started - self._seconds_elsewhere
         there = 0.0
         if self._at in self._elsewhere and self._part < 1:
             since, part = self._began
             if self._part - part < _LEAST_SHARE * (1 - part):
                 return None
             there = (now - since) * (1 - self._part) / (self._part - part)
-            spent -= now - self._reported
-        if done >= _LEAST_SHARE * (done + left):
-            return there + spent * left / done
+        else:
+            self._count(now)
+        done = {
+            i: costs[i] * ((self._part if i == self._at else 1.0) - self._there_before.get(i, 0.0)) for i in self._took
+        }
+        if sum(done.values()) >= _LEAST_SHARE * (sum(done.values()) + left):
+            told = sum(STEPS[i].weight * cost for i, cost in done.items())
+            spent = sum(STEPS[i].weight * took for i, took in self._took.items() if i not in self._elsewhere)
+            return there + spent * left / told
         # With all before done in an earlier run, the costs themselves are the best guess.
         return there + photos * left if there else None
+
+    def _count(self, now: float) -> None:
+        """Add what passed since it was last asked to the step at hand; the first step has what passed before it."""
+        at = max(self._at, 0)
+        self._took[at] = self._took.get(at, 0.0) + now - self._counted
+        self._counted = now
 
 
 def as_words(seconds: float) -> str:

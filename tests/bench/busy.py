@@ -52,7 +52,7 @@ def main(argv: list[str] | None = None) -> int:
             taken.append(depth_seconds(few, args.work / "out", BY_HAND.get(name, {}), hogs=int(name == "hog")))
             print(f"round {number + 1}, {name}: {taken[-1]:.1f} s", flush=True)
     figures = figures_of(seconds)
-    figures["views"] = args.views
+    figures |= {"views": args.views, "rounds": args.rounds}
     for name, value in figures.items():
         print(f"{name:24s} {value:.3f}")
     save_result(args, figures, module="tests.bench.busy", arguments=argv)
