@@ -10,8 +10,9 @@ from fsinfer.cli.remaining import STEPS, RemainingTime, as_words
 from tests.bench.results import read_result
 from tests.bench.steps import figure_of
 
-#: Runs whose seconds of each step a benchmark wrote down: on a quiet machine, and beside another program.
-RECORDED = ("plot-300-955048", "plot-clean-cascade", "plot-300-avx2")
+#: Runs whose seconds of each step a benchmark wrote down: quick machines and a slow one that others share, thin stems
+#: and thick ones, 120 to 300 photographs. None beside a program that ended halfway: nobody can tell that beforehand.
+RECORDED = ("plot-300-955048", "plot-clean-900111", "plot-300-avx2", "plot-300-955055", "plot-phone-955052")
 
 
 def steps_of(name: str) -> list[tuple[str, str, float]]:
