@@ -95,7 +95,7 @@ class _Plot:
 
 
 def write_share(args: argparse.Namespace, seed: int, photos: tuple[Path, ...], folder: Path, share: int) -> None:
-    """What worker ``share`` of ``args.workers`` does: every photograph whose number leaves it over, of a plot that it builds itself."""
+    """What worker ``share`` does: every ``args.workers``-th photograph from there, of a plot that it builds itself."""
     plot = _Plot(args, seed, photos)
     for i in range(share, len(plot.taken.cameras), args.workers):
         plot.write(folder, i)
