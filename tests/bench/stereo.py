@@ -24,11 +24,10 @@ from training.synthesize.__main__ import parse
 from training.synthesize.asked import texture_photos
 from training.synthesize.cameras.camera_path import make_camera
 from training.synthesize.cameras.photo import expose, random_sensor
-from training.synthesize.cameras.plot import plot_cameras
 from training.synthesize.forest.world import build_world
 from training.synthesize.render import Caster
 from training.synthesize.scene_writer import with_depth_range
-from training.synthesize.small_scenes import walk_settings
+from training.synthesize.small_scenes import walk_cameras, walk_settings
 
 Float32 = NDArray[np.float32]
 WIDTH, HEIGHT = 1280, 720
@@ -65,16 +64,7 @@ def pairs_of(seed: int, synthesis: argparse.Namespace) -> list[Pair]:
     world = build_world(rng, settings)
     caster = Caster.of(world)
     rng = np.random.default_rng([seed, 2])
-    cameras = plot_cameras(
-        rng,
-        world.terrain,
-        world.obstacles,
-        radius_m=settings.radius_m,
-        photos=60,
-        width=WIDTH,
-        height=HEIGHT,
-        hfov_deg=float(rng.uniform(52, 76)),
-    )
+    cameras = walk_cameras(rng, world, settings.radius_m, photos=60, size=(WIDTH, HEIGHT))
     camera = cameras[int(rng.integers(len(cameras)))]
     depth = caster.depth(camera, WIDTH, HEIGHT)
     picture = caster.picture(camera, WIDTH, HEIGHT, 2)

@@ -66,6 +66,12 @@ class Photographs:
         )
         return depth, picture
 
+    def all(self, rng: np.random.Generator) -> tuple[list[NDArray[np.float32]], list[NDArray[np.float32]], Sensor]:
+        """True depths and linear pictures of all cameras, and the sensor exposed for the middle one."""
+        taken = [self.depth_and_picture(i) for i in range(len(self.cameras))]
+        pictures = [picture for _, picture in taken]
+        return [depth for depth, _ in taken], pictures, self.sensor(rng, pictures[len(pictures) // 2])
+
     def sensor(self, rng: np.random.Generator, picture: NDArray[np.float32]) -> Sensor:
         """The phone's sensor, exposed for ``picture``."""
         sensor = random_sensor(rng, picture)

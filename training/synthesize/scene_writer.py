@@ -93,11 +93,14 @@ def write_truth(path: Path, stems: Sequence[Stem], sections: Sequence[Section]) 
     write_text(path, "\n".join(rows) + "\n")
 
 
-def read_view_depth(folder: Path, index: int) -> NDArray[np.float32] | None:
-    """Depth of a view written by an earlier, interrupted run; None where the view is not complete."""
-    name = f"{index:08d}"
-    # write_view writes the camera last.
-    return read_pfm(folder / "depths" / f"{name}.pfm") if (folder / "cams" / f"{name}_cam.txt").is_file() else None
+def view_written(folder: Path, index: int) -> bool:
+    """Whether a view is complete, by this run or an earlier, interrupted one."""
+    return (folder / "cams" / f"{index:08d}_cam.txt").is_file()  # write_view writes the camera last
+
+
+def read_view_depth(folder: Path, index: int) -> NDArray[np.float32]:
+    """Depth of a view that was written."""
+    return read_pfm(folder / "depths" / f"{index:08d}.pfm")
 
 
 def write_record(folder: Path, record: dict[str, Any]) -> None:

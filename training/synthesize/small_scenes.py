@@ -14,9 +14,9 @@ from fsinfer.scene import Camera
 from training.synthesize.asked import phone_effects
 from training.synthesize.cameras.burst import burst_cameras
 from training.synthesize.cameras.cluster import cluster_cameras
-from training.synthesize.cameras.photo import Sensor, expose, random_sensor
+from training.synthesize.cameras.photo import Sensor, expose
 from training.synthesize.cameras.plot import plot_cameras
-from training.synthesize.forest.world import WorldSettings, build_world
+from training.synthesize.forest.world import World, WorldSettings, build_world
 from training.synthesize.photographs import Photographs, for_training, with_effects
 from training.synthesize.render import Caster
 from training.synthesize.scene_writer import (
@@ -72,11 +72,9 @@ def synthesize_clusters(args: argparse.Namespace, seed: int, photos: tuple[Path,
         wide = bool(args.wide_share) and bool(rng.random() < args.wide_share)
         cameras = cluster_cameras(rng, world, caster, views=args.views, width=width, height=height, wide=wide)
         taken = Photographs(caster, world, cameras, effects, (seed, 2, number), (width, height), args.supersample)
-        cameras = taken.cameras
-        depths, pictures = zip(*(taken.depth_and_picture(i) for i in range(len(cameras))), strict=True)
-        sensor = taken.sensor(rng, pictures[len(pictures) // 2])
+        depths, pictures, sensor = taken.all(rng)
         cap = float(rng.uniform(20, 30))
-        write_views(folder, rng, sensor, cameras, depths, pictures, cap_m=cap)
+        write_views(folder, rng, sensor, taken.cameras, depths, pictures, cap_m=cap)
         write_truth(folder / "truth.csv", world.stems[: world.in_plot], world.sections[: world.in_plot])
         write_record(
             folder,
@@ -111,9 +109,8 @@ def synthesize_burst(args: argparse.Namespace, seed: int, photos: tuple[Path, ..
     camera = cluster_cameras(rng, world, caster, views=1, width=width, height=height)[0]
     there = caster.depth(camera, width, height)
     cameras = burst_cameras(rng, camera, float(np.median(there[there > 0])), args.views)
-    depths = [caster.depth(one, width, height) for one in cameras]
-    pictures = [caster.picture(one, width, height, args.supersample) for one in cameras]
-    sensor = random_sensor(rng, pictures[len(pictures) // 2])
+    taken = Photographs(caster, world, cameras, None, (seed,), (width, height), args.supersample)
+    depths, pictures, sensor = taken.all(rng)
     write_views(folder, rng, sensor, cameras, depths, pictures, cap_m=30.0)
     drawn = vars(settings) | {"photos": [p.name for p in photos]}
     write_record(folder, {"seed": seed, "kind": "burst", "settings": drawn, "sensor": vars(sensor)})
@@ -147,6 +144,22 @@ def walk_settings(rng: np.random.Generator, photos: tuple[Path, ...], args: argp
     )
 
 
+def walk_cameras(
+    rng: np.random.Generator, world: World, radius_m: float, *, photos: int, size: tuple[int, int]
+) -> list[Camera]:
+    """The cameras of a walk through a plot, with a lens drawn at random; ``size`` is that of its photographs."""
+    return plot_cameras(
+        rng,
+        world.terrain,
+        world.obstacles,
+        radius_m=radius_m,
+        photos=photos,
+        width=size[0],
+        height=size[1],
+        hfov_deg=float(rng.uniform(52, 76)),
+    )
+
+
 def synthesize_walk(args: argparse.Namespace, seed: int, photos: tuple[Path, ...]) -> None:
     """Render ``args.views`` photographs in a row of a walk through the plot of one seed."""
     folder = args.out / f"w{seed:05d}"
@@ -160,23 +173,13 @@ def synthesize_walk(args: argparse.Namespace, seed: int, photos: tuple[Path, ...
     world = build_world(rng, settings)
     caster = Caster.of(world)
     rng = np.random.default_rng([seed, 2])
-    cameras = plot_cameras(
-        rng,
-        world.terrain,
-        world.obstacles,
-        radius_m=settings.radius_m,
-        photos=int(settings.radius_m * rng.uniform(15, 32)),  # 0.25 to 0.6 m from one to the next
-        width=width,
-        height=height,
-        hfov_deg=float(rng.uniform(52, 76)),
-    )
+    photos_of_walk = int(settings.radius_m * rng.uniform(15, 32))  # 0.25 to 0.6 m from one to the next
+    cameras = walk_cameras(rng, world, settings.radius_m, photos=photos_of_walk, size=(width, height))
     first = int(rng.integers(len(cameras) - args.views))
     cameras = cameras[first : first + args.views]
     taken = Photographs(caster, world, cameras, effects, (seed,), (width, height), args.supersample)
-    cameras = taken.cameras
-    depths, pictures = zip(*(taken.depth_and_picture(i) for i in range(len(cameras))), strict=True)
-    sensor = taken.sensor(rng, pictures[len(pictures) // 2])
-    write_views(folder, rng, sensor, cameras, depths, pictures, cap_m=25.0)
+    depths, pictures, sensor = taken.all(rng)
+    write_views(folder, rng, sensor, taken.cameras, depths, pictures, cap_m=25.0)
     drawn = vars(settings) | {"photos": [p.name for p in photos]}
     record = {"seed": seed, "kind": "walk", "first": first, "settings": drawn, "sensor": vars(sensor)}
     write_record(folder, record | {"effects": None if effects is None else vars(effects)})

@@ -13,6 +13,7 @@ import numpy as np
 
 from fsinfer.io.files import write_text
 from training.synthesize.asked import phone_effects
+from training.synthesize.cameras.phone import PhoneEffects
 from training.synthesize.cameras.photo import expose
 from training.synthesize.cameras.plot import plot_cameras
 from training.synthesize.forest.world import World, WorldSettings, build_world
@@ -22,6 +23,7 @@ from training.synthesize.scene_writer import (
     finish_scene,
     finished,
     read_view_depth,
+    view_written,
     with_depth_range,
     write_record,
     write_truth,
@@ -29,7 +31,7 @@ from training.synthesize.scene_writer import (
 )
 
 
-def plot_settings(args: argparse.Namespace, photos: tuple[Path, ...]) -> WorldSettings:
+def plot_settings(args: argparse.Namespace, photos: tuple[Path, ...], effects: PhoneEffects | None) -> WorldSettings:
     """The world that the options ask for."""
     settings = WorldSettings(
         radius_m=args.radius_m,
@@ -54,18 +56,17 @@ def plot_settings(args: argparse.Namespace, photos: tuple[Path, ...]) -> WorldSe
         max_dbh_m=args.max_dbh_cm / 100,
         double_faced=args.double_faced,
     )
-    return with_effects(settings, phone_effects(args))
+    return with_effects(settings, effects)
 
 
 class _Plot:
     """The plot of a seed, ready to be photographed: the same in every process."""
 
     def __init__(self, args: argparse.Namespace, seed: int, photos: tuple[Path, ...]) -> None:
-        cv2.setNumThreads(1)
         self._args, self._seed = args, seed
         width, height = args.width or 1280, args.height or 720
         self.effects = phone_effects(args)
-        self.settings = plot_settings(args, photos)
+        self.settings = plot_settings(args, photos, self.effects)
         self.world: World = build_world(np.random.default_rng([seed, 1]), self.settings)
         caster = Caster.of(self.world)
         rng = np.random.default_rng([seed, 2])
@@ -86,7 +87,7 @@ class _Plot:
 
     def write(self, folder: Path, i: int) -> None:
         """Photograph ``i``, unless it is there."""
-        if read_view_depth(folder, i) is not None:
+        if view_written(folder, i):
             return
         depth, picture = self.taken.depth_and_picture(i, self._args.distortion)
         photo = expose(np.random.default_rng([self._seed, 3, i]), self.sensor, picture)
@@ -96,6 +97,7 @@ class _Plot:
 
 def write_share(args: argparse.Namespace, seed: int, photos: tuple[Path, ...], folder: Path, share: int) -> None:
     """What worker ``share`` does: every ``args.workers``-th photograph from there, of a plot that it builds itself."""
+    cv2.setNumThreads(1)
     plot = _Plot(args, seed, photos)
     for i in range(share, len(plot.taken.cameras), args.workers):
         plot.write(folder, i)
@@ -131,12 +133,7 @@ def synthesize_plot(args: argparse.Namespace, seed: int, photos: tuple[Path, ...
         helper.join()
         if helper.exitcode:
             raise SystemExit(f"a worker ended with exit code {helper.exitcode}; run it again, what is there is kept")
-    depths = []
-    for i in range(len(cameras)):
-        depth = read_view_depth(folder, i)
-        assert depth is not None, f"view {i} was to be written"
-        depths.append(depth)
-    finish_scene(folder, cameras, depths)
+    finish_scene(folder, cameras, [read_view_depth(folder, i) for i in range(len(cameras))])
     options = {k: str(v) for k, v in vars(args).items() if k not in ("out", "textures", "workers")}
     drawn = vars(plot.settings) | {"photos": [p.name for p in photos]}
     if plot.effects is not None:
