@@ -70,12 +70,10 @@ def look_wider(
     if not lost:
         return best
     axes = []
-    strips = wide([stems[number] for number in lost])
-
-    def of_strip(at: int) -> list[tuple[StemAxis, Floats]]:
-        return axes_beside(stems[lost[at]], strips[at], fit, settings)
-
-    for number, beside in zip(lost, in_order(of_strip, range(len(lost)), photo_threads()), strict=True):
+    asked_wide = [stems[number] for number in lost]
+    seen_wide = zip(asked_wide, wide(asked_wide), strict=True)
+    found = in_order(lambda one: axes_beside(*one, fit, settings), seen_wide, photo_threads())
+    for number, beside in zip(lost, found, strict=True):
         # Where the most edges are a neighbour's, the other places are chance: a haze beside one was given 15 cm so.
         if beside and not any(_stands_in(beside[0][0], other) for other in measured):
             axes += [(number, axis, moved) for axis, moved in beside]
