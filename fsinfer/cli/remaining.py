@@ -71,15 +71,15 @@ STEPS = (
     Step(stage="depth", what="", cost=_each(0.40)),
     Step(stage="fuse", what="", cost=_each(0.105)),
     Step(stage="scale", what="", cost=_each(0.022)),
-    Step(stage="cloud", what="", cost=_besides(2.0, _each(0.013))),
+    Step(stage="cloud", what="", cost=_besides(0.6, _each(0.018))),
     Step(stage="trees", what="finding the ground", cost=_each(0.01)),
     Step(stage="trees", what="looking for stems", cost=_each(0.009)),
     Step(stage="trees", what="measuring stems", cost=_each(0.006)),
     Step(stage="trees", what="edges of stems", cost=_each(0.025)),
     Step(stage="trees", what="looking again", cost=_each(0.085)),
-    Step(stage="trees", what="drawing sections", cost=_besides(2.0, _each(0.035))),
+    Step(stage="trees", what="drawing sections", cost=_besides(1.0, _each(0.035))),
     Step(stage="trees", what="writing trees", cost=_each(0.008)),
-    Step(stage="report", what="", cost=_besides(3.0, _each(0.02))),
+    Step(stage="report", what="", cost=_besides(1.0, _each(0.028))),
 )
 #: What goes so many times faster than on the machine of the costs, which are about seconds there, was there already.
 #: Source: layout; judgement; no machine is so much faster.
@@ -113,8 +113,8 @@ class RemainingTime:
         self._began = (clock(), 0.0)
         self._at = -1
         self._part = 0.0
-        self._reported = self._counted = clock()
-        # Of each step here: seconds that it took, and the part of it that was there before.
+        self._reported = clock()
+        # Of each step: seconds that it took up to the last report, and the part of it that was there before.
         self._took: dict[int, float] = {}
         self._there_before: dict[int, float] = {}
 
@@ -124,8 +124,9 @@ class RemainingTime:
         if found is None or total <= 0 or found < self._at:
             return
         now = self._clock()
-        # What passed since the last report belongs to the step that it was of.
-        self._count(now)
+        # What passed since the last report belongs to the step that it was of; before the first there was none.
+        reported = found if self._at < 0 else self._at
+        self._took[reported] = self._took.get(reported, 0.0) + now - self._reported
         if found != self._at:
             # The stage itself, or an earlier step of it, told how many photos there are.
             self._at = found
@@ -158,23 +159,16 @@ class RemainingTime:
             if self._part - part < _LEAST_SHARE * (1 - part):
                 return None
             there = (now - since) * (1 - self._part) / (self._part - part)
-        else:
-            self._count(now)
         done = {
             i: costs[i] * ((self._part if i == self._at else 1.0) - self._there_before.get(i, 0.0)) for i in self._took
         }
         if sum(done.values()) >= _LEAST_SHARE * (sum(done.values()) + left):
+            took = self._took | {self._at: self._took[self._at] + now - self._reported}
             told = sum(STEPS[i].weight * cost for i, cost in done.items())
-            spent = sum(STEPS[i].weight * took for i, took in self._took.items() if i not in self._elsewhere)
+            spent = sum(STEPS[i].weight * seconds for i, seconds in took.items() if i not in self._elsewhere)
             return there + spent * left / told
         # With all before done in an earlier run, the costs themselves are the best guess.
         return there + photos * left if there else None
-
-    def _count(self, now: float) -> None:
-        """Add what passed since it was last asked to the step at hand; the first step has what passed before it."""
-        at = max(self._at, 0)
-        self._took[at] = self._took.get(at, 0.0) + now - self._counted
-        self._counted = now
 
 
 def as_words(seconds: float) -> str:

@@ -136,6 +136,20 @@ def test_steps_done_in_an_earlier_run_do_not_count() -> None:
     assert 100 < left < 150
 
 
+def test_a_run_that_goes_on_at_its_costs_is_told_to_the_second_however_often_it_is_asked() -> None:
+    clock, photos = Clock(), 100
+    remaining = RemainingTime(clock=clock)
+    first = next(i for i, step in enumerate(STEPS) if step.stage == "depth")
+    each = STEPS[first].cost(photos)
+    for done in range(51):
+        remaining.update("depth", done, photos, f"depth of {done}")
+        clock.now += each
+    # The photo at work counts once it is done: its seconds are spent, and still told as left.
+    after = photos * sum(step.cost(photos) for step in STEPS[first + 1 :])
+    expected = 51 / 50 * (50 * each + after)
+    assert [remaining.seconds() for _ in range(3)] == pytest.approx([expected] * 3, rel=1e-9)
+
+
 def test_what_a_stopped_stage_had_done_does_not_make_it_look_fast() -> None:
     clock = Clock()
     remaining = RemainingTime(clock=clock)
