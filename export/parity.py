@@ -1,7 +1,13 @@
-"""Parity of the whole depth map: PyTorch against ONNX with the NumPy volume, on real or rendered views."""
+"""Parity of the whole depth map: PyTorch against ONNX with the NumPy volume, on real or rendered views.
+
+The network in PyTorch computes in float64, with the weights as they are. In float32 its own rounding (coordinates of
+samples as shares of the picture's width) decides between hypotheses that are equally good in more pixels than the
+deployed path's does.
+"""
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,10 +46,17 @@ class Parity:
 
 @torch.no_grad()
 def whole_parity(
-    model: FSMVSNet, deployed: DepthModel, scene: Scene, *, views: int = 3, source_views: int = 4
+    model: FSMVSNet,
+    deployed: DepthModel,
+    scene: Scene,
+    *,
+    views: int = 3,
+    source_views: int = 4,
+    dtype: torch.dtype = torch.float64,
 ) -> Parity:
-    """Compare both paths on the first views of a scene at full image size."""
-    model.eval()
+    """Compare both paths on the first views of a scene at full image size; ``dtype`` is what PyTorch computes in."""
+    network = copy.deepcopy(model).to(dtype)
+    network.eval()
     relative, agree, sure = [], [], []
     threshold = deployed.manifest.parity_confidence_threshold
     chosen = [view for view in scene.views if view.sources][:views]
@@ -54,8 +67,8 @@ def whole_parity(
         poses = np.stack([v.camera.cam_from_world for v in group])
         depth_range = (view.camera.depth_min, view.camera.depth_max)
         estimate = deployed.predict(images, intrinsics, poses, depth_range)
-        nchw = torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2).float()
-        output = model(nchw, torch.from_numpy(intrinsics), torch.from_numpy(poses), depth_range)
+        nchw = torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2).to(dtype)
+        output = network(nchw, torch.from_numpy(intrinsics), torch.from_numpy(poses), depth_range)
         depth = output.depth.numpy()
         relative.append((np.abs(estimate.depth - depth) / depth).ravel())
         ours, trained = (c > threshold for c in (estimate.confidence, deployed.calibrated(output.confidence.numpy())))

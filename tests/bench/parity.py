@@ -1,5 +1,7 @@
 """Whole depth maps of the ONNX model against PyTorch: ``python -m tests.bench.parity SCENE --views 2``.
 
+PyTorch computes in float64, and once more in float32, whose own rounding is in that figure (``single``).
+
 The same comparison as ``python -m export training/checkpoints/cascade.pt --only-parity --parity SCENE``, with a result
 file.
 """
@@ -10,6 +12,7 @@ import argparse
 from pathlib import Path
 
 import cv2
+import torch
 
 from export.parity import whole_parity
 from fsinfer.depth.model import DepthModel
@@ -33,13 +36,16 @@ def main(argv: list[str] | None = None) -> int:
     cv2.setNumThreads(1)
     model, _ = load_checkpoint(args.checkpoint)
     deployed = DepthModel.load(model.config.name, precision="float32")
-    found = whole_parity(model, deployed, read_scene(args.scene), views=args.views)
+    scene = read_scene(args.scene)
+    found = whole_parity(model, deployed, scene, views=args.views)
+    single = whole_parity(model, deployed, scene, views=args.views, dtype=torch.float32)
     figures = {
         "views": found.views,
         "pixels": found.pixels,
         "depth_rel_median": found.depth_rel_p50,
         "depth_rel_p999": found.depth_rel_p999,
         "depth_rel_p999_sure": found.depth_rel_p999_sure,
+        "depth_rel_p999_single": single.depth_rel_p999,
         "mask_agreement_percent": 100 * found.mask_agreement,
     }
     for name, value in figures.items():

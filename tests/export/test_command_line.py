@@ -111,11 +111,20 @@ class Trained:
     """Stands for the network: the same depth and confidence for every view."""
 
     seen: list[tuple[int, ...]] = field(default_factory=list)
+    dtype: torch.dtype = torch.float32
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Trained:
+        return self
+
+    def to(self, dtype: torch.dtype) -> Trained:
+        self.dtype = dtype
+        return self
 
     def eval(self) -> None:
         self.seen.append(())
 
     def __call__(self, images: Any, intrinsics: Any, poses: Any, depth_range: Any) -> SimpleNamespace:
+        assert images.dtype == self.dtype == torch.float64
         self.seen.append((*images.shape, len(intrinsics), len(poses)))
         return SimpleNamespace(depth=torch.full(SHAPE, 2.0), confidence=torch.linspace(0, 1, 1000).reshape(SHAPE))
 

@@ -26,6 +26,11 @@ REFINE_GROUPS = 2
 CONFIDENCE_RADIUS = 1
 
 
+def at_least_single(values: Tensor) -> Tensor:
+    """``values`` in float32 where they have fewer digits; float64 stays."""
+    return values if values.dtype == torch.float64 else values.float()
+
+
 @dataclass(frozen=True, kw_only=True)
 class ScaleOutput:
     """Plane scores at one scale and what was read off them.
@@ -158,7 +163,8 @@ class _Views:
 
     def projection(self, stride: int, reference_stride: int | None = None) -> tuple[Tensor, Tensor]:
         """:func:`training.model.warping.relative_projection`, where the photographs are."""
-        found = relative_projection(self.intrinsics, self.cam_from_world, stride, reference_stride)
+        dtype = self.images.dtype
+        found = relative_projection(self.intrinsics, self.cam_from_world, stride, reference_stride, dtype)
         a, b = (part.to(self.images.device) for part in found)
         return a, b
 
@@ -188,7 +194,7 @@ class FSMVSNet(nn.Module):
 
     def forward(
         self,
-        images: Tensor,  # (N, 3, H, W) RGB 0..255, view 0 is the reference
+        images: Tensor,  # (N, 3, H, W) RGB 0..255, view 0 is the reference; float64 with the weights in float64
         intrinsics: Tensor,  # (N, 3, 3) pixels
         cam_from_world: Tensor,  # (N, 4, 4)
         depth_range: tuple[float, float],
@@ -200,10 +206,10 @@ class FSMVSNet(nn.Module):
         quarter, half = self.features(images)
         # Under autocast the networks may compute in 16 bits; where features meet coordinates, and where a depth is read
         # off 192 planes, three digits are too few.
-        quarter, half = quarter.float(), None if half is None else half.float()
+        quarter, half = at_least_single(quarter), None if half is None else at_least_single(half)
         if window is None:
             window = Window(x=0, y=0, width=quarter.shape[-1], height=quarter.shape[-2])
-        near, far = (torch.tensor(d, device=images.device, dtype=torch.float32) for d in depth_range)
+        near, far = (torch.tensor(d, device=images.device, dtype=images.dtype) for d in depth_range)
         inverse = plane_inverse_depths(near, far, planes, inverse=config.inverse_depth)[:, None, None]
         views = _Views(images=images, intrinsics=intrinsics, cam_from_world=cam_from_world)
         wide = self._wide(views, quarter, inverse, window)
@@ -215,7 +221,9 @@ class FSMVSNet(nn.Module):
             weights = upsample_like(weights.detach()[None], candidates)[0]
             hypotheses = (1 / far + candidates * interval).clamp_min(1e-6)
             volume, reference = self._narrow(views, quarter, hypotheses, window, 4, config.groups, weights)
-            scores = self.candidate_head.scores(volume, reference, hints(candidates, confidence.detach())).float()
+            scores = at_least_single(
+                self.candidate_head.scores(volume, reference, hints(candidates, confidence.detach()))
+            )
             index, mass = read_candidates(scores, candidates)
             confidence = upsample_like(confidence[None, None], mass)[0, 0] * mass
             scales.append(
@@ -234,11 +242,12 @@ class FSMVSNet(nn.Module):
             height=min(2 * window.height, half.shape[-2] - 2 * window.y),
         )
         centre = upsample_index(index.detach(), fine.height, fine.width)
-        offsets = torch.linspace(-config.refine_span, config.refine_span, config.refine_planes, device=images.device)
+        span, count = config.refine_span, config.refine_planes
+        offsets = torch.linspace(-span, span, count, device=images.device, dtype=images.dtype)
         narrow = (1 / far + (centre[None] + offsets[:, None, None]) * interval).clamp_min(1e-6)
         fine_weights = upsample_like(weights.detach()[None], centre)[0]
         volume, reference = self._narrow(views, half, narrow, fine, 2, REFINE_GROUPS, fine_weights)
-        scores = self.refine_head.scores(volume, reference).float()
+        scores = at_least_single(self.refine_head.scores(volume, reference))
         fine_index, fine_confidence = self.refine_head.read(scores)
         scales.append(ScaleOutput(stride=2, scores_dhw=scores, index_hw=fine_index, inverse_depth_dhw=narrow.detach()))
         step = 2 * config.refine_span / (config.refine_planes - 1)
@@ -270,7 +279,7 @@ class FSMVSNet(nn.Module):
                 volume = correlations.transpose(0, 1)[None]
                 if config.regularizer == "packed":
                     volume = pack(correlations, config.packed_planes)
-        all_scores = [scores.float() for scores in self.plane_head.scores(volume)]
+        all_scores = [at_least_single(scores) for scores in self.plane_head.scores(volume)]
         index, confidence = self.plane_head.read(all_scores[0])
         scales = []
         for level in range(len(all_scores) - 1, 0, -1):

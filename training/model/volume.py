@@ -16,7 +16,7 @@ CHUNK_BYTES = 2**21
 
 def plane_inverse_depths(depth_min: Tensor, depth_max: Tensor, planes: int, *, inverse: bool) -> Tensor:
     """(D,) 1/depth of the planes: uniform in 1/depth from far to near, or uniform in depth from near to far."""
-    steps = torch.linspace(0, 1, planes, device=depth_min.device)
+    steps = torch.linspace(0, 1, planes, device=depth_min.device, dtype=depth_min.dtype)
     if inverse:
         return 1 / depth_max + steps * (1 / depth_min - 1 / depth_max)
     return 1 / (depth_min + steps * (depth_max - depth_min))

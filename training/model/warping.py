@@ -13,9 +13,13 @@ from torch import Tensor
 
 
 def relative_projection(
-    intrinsics: Tensor, cam_from_world: Tensor, stride: int, reference_stride: int | None = None
+    intrinsics: Tensor,
+    cam_from_world: Tensor,
+    stride: int,
+    reference_stride: int | None = None,
+    dtype: torch.dtype = torch.float32,
 ) -> tuple[Tensor, Tensor]:
-    """Return A (S, 3, 3) and b (S, 3) of every source view against view 0, at a feature stride.
+    """Return A (S, 3, 3) and b (S, 3) of every source view against view 0, at a feature stride, made in float64.
 
     ``intrinsics`` (N, 3, 3) in pixels of the full image, ``cam_from_world`` (N, 4, 4). A source pixel at the
     feature level is ``A [u, v, 1]^T + b / d``, before the perspective division; u and v count pixels of the reference
@@ -29,7 +33,7 @@ def relative_projection(
     relative = pose[1:] @ torch.linalg.inv(pose[0])
     a = k[1:] @ relative[:, :3, :3] @ torch.linalg.inv(own[0])
     b = (k[1:] @ relative[:, :3, 3:])[..., 0]
-    return a.float().to(intrinsics.device), b.float().to(intrinsics.device)
+    return a.to(intrinsics.device, dtype), b.to(intrinsics.device, dtype)
 
 
 def project(a: Tensor, b: Tensor, inverse_depth_dhw: Tensor, origin_xy: tuple[int, int]) -> tuple[Tensor, Tensor]:
@@ -37,8 +41,8 @@ def project(a: Tensor, b: Tensor, inverse_depth_dhw: Tensor, origin_xy: tuple[in
     _, h, w = inverse_depth_dhw.shape
     device = inverse_depth_dhw.device
     v, u = torch.meshgrid(
-        torch.arange(h, device=device, dtype=torch.float32) + origin_xy[1],
-        torch.arange(w, device=device, dtype=torch.float32) + origin_xy[0],
+        torch.arange(h, device=device, dtype=a.dtype) + origin_xy[1],
+        torch.arange(w, device=device, dtype=a.dtype) + origin_xy[0],
         indexing="ij",
     )
     far = a[:, 0, None, None] * u + a[:, 1, None, None] * v + a[:, 2, None, None]
