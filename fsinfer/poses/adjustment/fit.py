@@ -10,7 +10,7 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from fsinfer.poses.adjustment.problem import Group, Ints, Observations, Unknowns
-from fsinfer.poses.adjustment.projection import OWN, Floats, project_with_jacobians
+from fsinfer.poses.adjustment.projection import OWN, Floats
 from fsinfer.poses.adjustment.reduced_system import Blocks, Rows, Structure, blocks_of, reduce_points, solve
 
 #: Damping at the start, and its factor after a step that failed or won. Source: numerics.
@@ -117,30 +117,8 @@ def normal_equations(structure: Structure, at: Unknowns, groups: Sequence[Group]
     """
     seen = structure.seen
     columns = columns_of(groups)
-    inside = at.in_cameras(seen)
-    lens_number = seen.camera[seen.photo]
-    pixels, by_x, by_own, by_lens = project_with_jacobians(inside, seen.tau, at.lenses[lens_number], at.own[seen.photo])
-    residuals = pixels - seen.xy
-    # Iteratively reweighted least squares; the Cauchy loss's derivative by the squared error is the weight.
-    root = 1 / np.sqrt(1 + (residuals**2).sum(1) / weighting.loss_px**2)[:, None, None]
-    by_x *= root
-    by_photo = np.empty((len(residuals), 2, 6 + len(columns)))
-    by_photo[:, :, :3] = np.cross(inside[:, None, :], by_x)
-    by_photo[:, :, 3:6] = by_x
-    if columns:
-        by_photo[:, :, 6:] = by_own[:, :, columns] * (weighting.own_std[:, columns][seen.photo][:, None, :] * root)
-    # Of 300 photos (400,000 observations) these take 54 and 72 MB, and the blocks come on top of the rows.
-    del by_own
-    by_lens *= root
-    rows = Rows(
-        residuals=residuals * root[:, :, 0],
-        by_photo=by_photo,
-        by_point=by_x @ at.rotations[seen.photo],
-        by_lens=_bordered(by_lens, lens_number, weighting.lens_free),
-    )
-    del by_lens
-    blocks = blocks_of(structure, rows)
-    size = by_photo.shape[2]
+    size = 6 + len(columns)
+    blocks = blocks_of(structure, _rows(seen, at, columns, weighting))
     photos = len(seen.camera)
     means = weighting.means(at)
     for place, column in enumerate(columns):
@@ -154,6 +132,33 @@ def normal_equations(structure: Structure, at: Unknowns, groups: Sequence[Group]
         blocks.cameras[own, own] += weighting.noise_px**2
         blocks.cameras_right[own] += weighting.noise_px**2 * (at.own[photo] / weighting.own_std[photo])[columns]
     return blocks
+
+
+def _rows(seen: Observations, at: Unknowns, columns: Sequence[int], weighting: Weighting) -> Rows:
+    """The weighted rows of the Jacobian; ``columns`` of each photo's own unknowns."""
+    count, size = len(seen.photo), 6 + len(columns)
+    border = sum(directions.shape[1] for directions in weighting.lens_free)
+    found = Rows(
+        residuals=np.empty((count, 2)),
+        by_photo=np.empty((count, 2, size)),
+        by_point=np.empty((count, 2, 3)),
+        by_lens=np.empty((count, 2, border)),
+    )
+    for rows, part in seen.parts():
+        residuals, by_x, by_own, by_lens = at.derivatives(part)
+        # Iteratively reweighted least squares; the Cauchy loss's derivative by the squared error is the weight.
+        root = 1 / np.sqrt(1 + (residuals**2).sum(1) / weighting.loss_px**2)[:, None, None]
+        by_x *= root
+        by_photo = found.by_photo[rows]
+        by_photo[:, :, :3] = np.cross(at.in_cameras(part)[:, None, :], by_x)
+        by_photo[:, :, 3:6] = by_x
+        if columns:
+            by_photo[:, :, 6:] = by_own[:, :, columns] * (weighting.own_std[:, columns][part.photo][:, None, :] * root)
+        by_lens *= root
+        found.residuals[rows] = residuals * root[:, :, 0]
+        found.by_point[rows] = by_x @ at.rotations[part.photo]
+        found.by_lens[rows] = _bordered(by_lens, seen.camera[part.photo], weighting.lens_free)
+    return found
 
 
 def _bordered(by_lens: Floats, lens_number: Ints, free: Sequence[Floats]) -> Floats:
@@ -188,7 +193,6 @@ def _stepped(at: Unknowns, cameras: Floats, points: Floats, groups: Sequence[Gro
 
 def with_points_fitted(seen: Observations, at: Unknowns, loss_px: float) -> Unknowns:
     """Move the points alone to where the photos that see them, as they stand, see them best; each step must gain."""
-    lens_number = seen.camera[seen.photo]
     count = len(at.points)
     damping = np.full(count, _DAMPING)
 
@@ -198,16 +202,16 @@ def with_points_fitted(seen: Observations, at: Unknowns, loss_px: float) -> Unkn
 
     cost = costs(at)
     for _ in range(_POINT_STEPS):
-        pixels, by_x, _, _ = project_with_jacobians(
-            at.in_cameras(seen), seen.tau, at.lenses[lens_number], at.own[seen.photo]
-        )
-        residuals = pixels - seen.xy
-        weights = 1 / (1 + (residuals**2).sum(1) / loss_px**2)
-        rows = by_x @ at.rotations[seen.photo]
-        turned = rows.transpose(0, 2, 1) * weights[:, None, None]
-        matrix = np.stack([np.bincount(seen.point, v, count) for v in (turned @ rows).reshape(-1, 9).T], axis=1)
-        right = np.stack([np.bincount(seen.point, v, count) for v in (turned @ residuals[:, :, None])[:, :, 0].T], 1)
-        matrix = matrix.reshape(-1, 3, 3)
+        terms = np.empty((len(seen.photo), 12))
+        for which, part in seen.parts():
+            residuals, by_x, _, _ = at.derivatives(part)
+            weights = 1 / (1 + (residuals**2).sum(1) / loss_px**2)
+            rows = by_x @ at.rotations[part.photo]
+            turned = rows.transpose(0, 2, 1) * weights[:, None, None]
+            terms[which, :9] = (turned @ rows).reshape(-1, 9)
+            terms[which, 9:] = (turned @ residuals[:, :, None])[:, :, 0]
+        summed = np.stack([np.bincount(seen.point, term, count) for term in terms.T], axis=1)
+        matrix, right = summed[:, :9].reshape(-1, 3, 3), summed[:, 9:]
         size = np.trace(matrix, axis1=1, axis2=2)
         matrix += np.eye(3) * (damping * size + np.finfo(float).tiny)[:, None, None]
         tried = replace(at, points=at.points - np.linalg.solve(matrix, right[:, :, None])[:, :, 0])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any
@@ -10,7 +10,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.poses.adjustment.projection import DRIFT, FOCAL, LENS, OWN, PRINCIPAL, TURN, Floats, project, read_at
+from fsinfer.poses.adjustment.projection import (
+    DRIFT,
+    FOCAL,
+    LENS,
+    OWN,
+    PRINCIPAL,
+    TURN,
+    Floats,
+    project,
+    project_with_jacobians,
+    read_at,
+)
 from fsinfer.poses.order import in_order_of_walking
 
 Ints = NDArray[np.int64]
@@ -26,6 +37,9 @@ _PLACES: dict[str, Sequence[Sequence[int]]] = {
 }
 #: Of the twelve, the shared principal point stays: each photo's turning takes it up. Source: COLMAP's adjustment.
 _FIXED = (2, 3)
+#: Observations looked at together: their derivatives stay in a core's cache. Source: numerics; of 450,000 they take 0.4
+#: instead of 0.9 s to 1.2 s all at once.
+_TOGETHER = 8192
 
 
 class Group(Enum):
@@ -53,6 +67,15 @@ class Observations:
     xy: Floats
     tau: Floats
     camera: Ints
+
+    def parts(self) -> Iterator[tuple[slice, Observations]]:
+        """All of them, some thousands at a time, and which they are."""
+        for first in range(0, len(self.photo), _TOGETHER):
+            part = slice(first, first + _TOGETHER)
+            yield (
+                part,
+                replace(self, photo=self.photo[part], point=self.point[part], xy=self.xy[part], tau=self.tau[part]),
+            )
 
     def of_points(self, chosen: NDArray[np.bool_]) -> tuple[Observations, Ints]:
         """Those of the points that a (P,) mask chooses, numbered anew; and the old numbers of these points."""
@@ -94,8 +117,17 @@ class Unknowns:
 
     def residuals(self, seen: Observations) -> Floats:
         """(n, 2) pixels, predicted less observed."""
+        found = np.empty((len(seen.photo), 2))
+        for rows, part in seen.parts():
+            lens, own = self.lenses[part.camera[part.photo]], self.own[part.photo]
+            found[rows] = project(self.in_cameras(part), part.tau, lens, own) - part.xy
+        return found
+
+    def derivatives(self, seen: Observations) -> tuple[Floats, Floats, Floats, Floats]:
+        """:meth:`residuals`, and :func:`~fsinfer.poses.adjustment.projection.project_with_jacobians` of them."""
         lens, own = self.lenses[seen.camera[seen.photo]], self.own[seen.photo]
-        return project(self.in_cameras(seen), seen.tau, lens, own) - seen.xy
+        pixels, by_point, by_own, by_lens = project_with_jacobians(self.in_cameras(seen), seen.tau, lens, own)
+        return pixels - seen.xy, by_point, by_own, by_lens
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,8 +156,9 @@ def from_model(model: Any) -> tuple[Observations, Unknowns, Numbers]:
         image = model.images[image_id]
         size = (int(model.cameras[image.camera_id].width), int(model.cameras[image.camera_id].height))
         before = len(xy)
-        for number, observed in enumerate(image.points2D):
-            if observed.has_point3D() and observed.point3D_id in rank:
+        for number in image.get_observation_point2D_idxs():
+            observed = image.point2D(number)
+            if observed.point3D_id in rank:
                 photo.append(index)
                 point.append(rank[observed.point3D_id])
                 feature.append(number)
