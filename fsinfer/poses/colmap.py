@@ -77,7 +77,6 @@ def extract_features(
     options.use_gpu = False
     options.num_threads = settings.thread_count
     options.max_image_size = settings.max_image_size
-    options.sift.upright = settings.upright
     total = sum(len(names) for names in cameras.values())
     done = 0
     for names in cameras.values():

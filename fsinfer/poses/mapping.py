@@ -20,7 +20,6 @@ from fsinfer.poses.refinement import FEATURE_SIZE_PX
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.sure_pairs import SurePairs, map_sure, put_back, sure_pairs, with_more
 from fsinfer.poses.thorough import rematch, seams, torn
-from fsinfer.poses.upright import as_the_photos_stand
 from fsinfer.poses.verification.misplaced import drop
 from fsinfer.poses.verification.repair import placed_again, repair, repair_part
 from fsinfer.progress import Progress
@@ -105,7 +104,6 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
         Fewer than ``settings.min_registered`` photos could be placed together.
     """
     images, database = work / "images", work / "database.db"
-    settings = as_the_photos_stand(settings, images, walk.files, work, progress)
     extract_features(database, images, walk.cameras, settings, progress)
     match_features(database, walk.files, settings, progress)
     sure = sure_pairs(database, walk.files, work, settings, progress)

@@ -52,11 +52,6 @@ class PoseSettings:
         a phone's, a rolling shutter, a video's, and twice the noise and tone mapping: all are placed with 3,000 as with
         6,000, cameras 1.3 instead of 0.9, 7.5 instead of 8.0, 3.5 instead of 2.0, 6.1 instead of 4.8, 2.8 instead of
         2.7 mm off, in two thirds of the time; renders only.
-    upright: features keep the picture's own up, see :mod:`fsinfer.poses.upright`; photos turned against each other by
-        more than some 20 degrees do not match then. Source: option; a long walk's photos are asked.
-    upright_pairs: so many pairs of neighbours of a long walk tell whether its features may be upright; 0 asks none.
-        Source: judgement; of a rendered walk of 300 photos features and matching take 125 instead of 170 s, and the
-        cameras are 3.5 instead of 4.1 mm off.
     pairs: which photos are matched with which.
     default_focal_factor: focal length over longer side where the photo does not tell; it is refined from the photos.
         Source: a phone's main camera of 26-28 mm equivalent has 0.72-0.78, and video is cropped.
@@ -78,8 +73,6 @@ class PoseSettings:
     double_below_px: int = 1000
     max_features: int = 6000
     max_doubled_features: int = 3000
-    upright: bool = False
-    upright_pairs: int = 6
     pairs: PairSettings = field(default_factory=PairSettings)
     default_focal_factor: float = 0.9
     mapper: str = "incremental"

@@ -82,9 +82,7 @@ def parse_settings(pairs: list[str]) -> PoseSettings:
 
 def changed(settings: Settings, name: str, value: str) -> Settings:
     """A copy of a dataclass with one field read from a string."""
-    kind = type(getattr(settings, name))
-    read: Any = value == "True" if kind is bool else kind(value)
-    return replace(settings, **{name: read})
+    return replace(settings, **{name: type(getattr(settings, name))(value)})
 
 
 def main(argv: list[str] | None = None) -> None:
