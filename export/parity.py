@@ -1,8 +1,7 @@
 """Parity of the whole depth map: PyTorch against ONNX with the NumPy volume, on real or rendered views.
 
-The network in PyTorch computes in float64, with the weights as they are. In float32 its own rounding (coordinates of
-samples as shares of the picture's width) decides between hypotheses that are equally good in more pixels than the
-deployed path's does.
+The network in PyTorch computes in float64, with the weights as they are: what differs is what the deployed path rounds.
+In float32 PyTorch rounds, too, and where hypotheses are equally good (sky) either decides by itself.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Whole depth maps of the ONNX model against PyTorch: ``python -m tests.bench.parity SCENE --views 2``.
 
-PyTorch computes in float64, and once more in float32, whose own rounding is in that figure (``single``).
+PyTorch computes in float64, and once more in float32, whose rounding adds to that of ONNX in that figure (``single``).
 
 The same comparison as ``python -m export training/checkpoints/cascade.pt --only-parity --parity SCENE``, with a result
 file.
