@@ -26,7 +26,7 @@ REFINE_GROUPS = 2
 CONFIDENCE_RADIUS = 1
 
 
-def at_least_single(values: Tensor) -> Tensor:
+def _at_least_single(values: Tensor) -> Tensor:
     """``values`` in float32 where they have fewer digits; float64 stays."""
     return values if values.dtype == torch.float64 else values.float()
 
@@ -206,7 +206,7 @@ class FSMVSNet(nn.Module):
         quarter, half = self.features(images)
         # Under autocast the networks may compute in 16 bits; where features meet coordinates, and where a depth is read
         # off 192 planes, three digits are too few.
-        quarter, half = at_least_single(quarter), None if half is None else at_least_single(half)
+        quarter, half = _at_least_single(quarter), None if half is None else _at_least_single(half)
         if window is None:
             window = Window(x=0, y=0, width=quarter.shape[-1], height=quarter.shape[-2])
         near, far = (torch.tensor(d, device=images.device, dtype=images.dtype) for d in depth_range)
@@ -221,7 +221,7 @@ class FSMVSNet(nn.Module):
             weights = upsample_like(weights.detach()[None], candidates)[0]
             hypotheses = (1 / far + candidates * interval).clamp_min(1e-6)
             volume, reference = self._narrow(views, quarter, hypotheses, window, 4, config.groups, weights)
-            scores = at_least_single(
+            scores = _at_least_single(
                 self.candidate_head.scores(volume, reference, hints(candidates, confidence.detach()))
             )
             index, mass = read_candidates(scores, candidates)
@@ -247,7 +247,7 @@ class FSMVSNet(nn.Module):
         narrow = (1 / far + (centre[None] + offsets[:, None, None]) * interval).clamp_min(1e-6)
         fine_weights = upsample_like(weights.detach()[None], centre)[0]
         volume, reference = self._narrow(views, half, narrow, fine, 2, REFINE_GROUPS, fine_weights)
-        scores = at_least_single(self.refine_head.scores(volume, reference))
+        scores = _at_least_single(self.refine_head.scores(volume, reference))
         fine_index, fine_confidence = self.refine_head.read(scores)
         scales.append(ScaleOutput(stride=2, scores_dhw=scores, index_hw=fine_index, inverse_depth_dhw=narrow.detach()))
         step = 2 * config.refine_span / (config.refine_planes - 1)
@@ -279,7 +279,7 @@ class FSMVSNet(nn.Module):
                 volume = correlations.transpose(0, 1)[None]
                 if config.regularizer == "packed":
                     volume = pack(correlations, config.packed_planes)
-        all_scores = [at_least_single(scores) for scores in self.plane_head.scores(volume)]
+        all_scores = [_at_least_single(scores) for scores in self.plane_head.scores(volume)]
         index, confidence = self.plane_head.read(all_scores[0])
         scales = []
         for level in range(len(all_scores) - 1, 0, -1):

@@ -145,12 +145,13 @@ def _rows(seen: Observations, at: Unknowns, columns: Sequence[int], weighting: W
         by_lens=np.empty((count, 2, border)),
     )
     for rows, part in seen.parts():
-        residuals, by_x, by_own, by_lens = at.derivatives(part)
+        inside = at.in_cameras(part)
+        residuals, by_x, by_own, by_lens = at.derivatives(part, inside)
         # Iteratively reweighted least squares; the Cauchy loss's derivative by the squared error is the weight.
         root = 1 / np.sqrt(1 + (residuals**2).sum(1) / weighting.loss_px**2)[:, None, None]
         by_x *= root
         by_photo = found.by_photo[rows]
-        by_photo[:, :, :3] = np.cross(at.in_cameras(part)[:, None, :], by_x)
+        by_photo[:, :, :3] = np.cross(inside[:, None, :], by_x)
         by_photo[:, :, 3:6] = by_x
         if columns:
             by_photo[:, :, 6:] = by_own[:, :, columns] * (weighting.own_std[:, columns][part.photo][:, None, :] * root)
@@ -204,7 +205,7 @@ def with_points_fitted(seen: Observations, at: Unknowns, loss_px: float) -> Unkn
     for _ in range(_POINT_STEPS):
         terms = np.empty((len(seen.photo), 12))
         for which, part in seen.parts():
-            residuals, by_x, _, _ = at.derivatives(part)
+            residuals, by_x, _, _ = at.derivatives(part, at.in_cameras(part))
             weights = 1 / (1 + (residuals**2).sum(1) / loss_px**2)
             rows = by_x @ at.rotations[part.photo]
             turned = rows.transpose(0, 2, 1) * weights[:, None, None]

@@ -123,10 +123,13 @@ class Unknowns:
             found[rows] = project(self.in_cameras(part), part.tau, lens, own) - part.xy
         return found
 
-    def derivatives(self, seen: Observations) -> tuple[Floats, Floats, Floats, Floats]:
-        """:meth:`residuals`, and :func:`~fsinfer.poses.adjustment.projection.project_with_jacobians` of them."""
+    def derivatives(self, seen: Observations, inside: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """:meth:`residuals`, and :func:`~fsinfer.poses.adjustment.projection.project_with_jacobians` of them.
+
+        ``inside`` are :meth:`in_cameras`.
+        """
         lens, own = self.lenses[seen.camera[seen.photo]], self.own[seen.photo]
-        pixels, by_point, by_own, by_lens = project_with_jacobians(self.in_cameras(seen), seen.tau, lens, own)
+        pixels, by_point, by_own, by_lens = project_with_jacobians(inside, seen.tau, lens, own)
         return pixels - seen.xy, by_point, by_own, by_lens
 
 
@@ -156,8 +159,8 @@ def from_model(model: Any) -> tuple[Observations, Unknowns, Numbers]:
         image = model.images[image_id]
         size = (int(model.cameras[image.camera_id].width), int(model.cameras[image.camera_id].height))
         before = len(xy)
-        for number in image.get_observation_point2D_idxs():
-            observed = image.point2D(number)
+        numbers = image.get_observation_point2D_idxs()
+        for number, observed in zip(numbers, image.get_observation_points2D(), strict=True):
             if observed.point3D_id in rank:
                 photo.append(index)
                 point.append(rank[observed.point3D_id])

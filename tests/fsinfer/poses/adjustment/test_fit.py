@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from fsinfer.poses.adjustment import fit as fit_module
+from fsinfer.poses.adjustment import problem as problem_module
 from fsinfer.poses.adjustment.adjust import like, shutter_px
 from fsinfer.poses.adjustment.fit import Weighting, fit, noise_of, normal_equations, with_points_fitted
 from fsinfer.poses.adjustment.problem import Group, Observations, Unknowns
@@ -126,6 +127,24 @@ def test_priors_stand_in_the_equations_as_in_the_cost() -> None:
         sides = [tight.cost(seen, replace(at, own=at.own + sign * step)) for sign in (1, -1)]
         slope_of_half_cost = (sides[0] - sides[1]) / 2e-4 / 2
         np.testing.assert_allclose(blocks[1].cameras_right[places[photo]], slope_of_half_cost, rtol=1e-4)
+
+
+@pytest.mark.parametrize("groups", [(), (Group.turn, Group.focal)], ids=["shared", "own"])
+def test_part_by_part_the_sums_are_those_of_all_at_once(
+    groups: tuple[Group, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen, truth = phone_walk(photos=8, points=300, effects=PHONE, noise_px=NOISE_PX)
+    at, weights = disturbed(truth), weighting(len(truth.rotations))
+    structure = Structure(seen, len(at.points))
+    told = []
+    for together in (len(seen.photo), 97):
+        monkeypatch.setattr(problem_module, "_TOGETHER", together)
+        parts = [part for part, _ in seen.parts()]
+        assert len(parts) == -(-len(seen.photo) // together)
+        blocks = normal_equations(structure, at, groups, weights)
+        told.append([at.residuals(seen), with_points_fitted(seen, at, 1.0).points, *vars(blocks).values()])
+    for whole, in_parts in zip(*told, strict=True):
+        np.testing.assert_array_equal(in_parts, whole)
 
 
 def test_a_fit_that_foresees_the_next_step_s_gain_ends_before_it_and_loses_next_to_nothing(
