@@ -13,11 +13,14 @@ from typing import Any
 
 from fsinfer.errors import PosesError
 from fsinfer.poses.colmap_calls import SEED, ColmapError, call, copy_for_mapping, open_database, require_pycolmap
+from fsinfer.poses.enlarged import find_in_enlarged
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.progress import Progress
 
 #: Photos handed to COLMAP at a time. Source: numerics.
 _PHOTOS_PER_BATCH = 16
+#: The enlargement that COLMAP does itself. Source: format.
+_DOUBLED = 2.0
 #: All photos are adjusted together when so many times more have come, not at every tenth (COLMAP: 1.1). Source:
 #: numerics; renders only, docs/trials-speed.md: with what follows two walks of 200 photos were mapped in half of the
 #: time of 1.6 and COLMAP's own ends, all photos placed and as exactly.
@@ -94,14 +97,16 @@ def extract_features(
                 options=_reader(settings),
             )
         camera_id = _camera_of(database, names)
-        doubled = camera_id is not None and _longer_side_px(database, camera_id, settings) < settings.double_below_px
-        options.sift.first_octave = -1 if doubled else 0
-        options.sift.max_num_features = settings.max_doubled_features if doubled else settings.max_features
+        small = camera_id is not None and _longer_side_px(database, camera_id, settings) < settings.enlarge_below_px
+        options.sift.first_octave = -1 if small and settings.enlargement == _DOUBLED else 0
+        options.sift.max_num_features = settings.max_enlarged_features if small else settings.max_features
         for start in range(0, len(names), _PHOTOS_PER_BATCH):
             batch = list(names[start : start + _PHOTOS_PER_BATCH])
             progress(done, total, step)
             missing = [name for name in batch if not _has_features(database, name)]
-            if missing:
+            if missing and small and settings.enlargement != _DOUBLED:
+                find_in_enlarged(database, images, missing, settings.enlargement, options, settings.thread_count)
+            elif missing:
                 reader = _reader(settings)
                 if camera_id is not None:
                     reader.existing_camera_id = camera_id

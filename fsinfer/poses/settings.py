@@ -43,15 +43,16 @@ class PoseSettings:
     ----------
     max_image_size: longer side at which features are found, pixels. Source: 23 phone photos of 2016x1512, all of which
         are registered at it.
-    double_below_px: photos whose longer side is shorter are doubled before looking for features, as COLMAP does with
+    enlarge_below_px: photos whose longer side is shorter are enlarged before looking for features, as COLMAP does with
         all. Source: the rendered video of 1280x720; doubled, its photos give four times the features, the smallest of
         them, matching takes 15 times as long, and the walk tore in two places, which it did not without; renders only.
+    enlargement: of these, 2 as COLMAP's. Source: numerics, docs/trials-speed.md; of 26 rendered photos of 960x540 each
+        with no effects, a rolling shutter, a phone's, a video's, and twice the noise and tone mapping as many matches
+        agree as doubled, in half of the time for features; more are placed; renders only.
     max_features: per photo, about; the smallest features go first. Source: judgement; COLMAP's default is
         8192, and matching grows with its square.
-    max_doubled_features: per photo that is doubled, about. Source: 26 rendered photos of 960x540 without effects, with
-        a phone's, a rolling shutter, a video's, and twice the noise and tone mapping: all are placed with 3,000 as with
-        6,000, cameras 1.3 instead of 0.9, 7.5 instead of 8.0, 3.5 instead of 2.0, 6.1 instead of 4.8, 2.8 instead of
-        2.7 mm off, in two thirds of the time; renders only.
+    max_enlarged_features: per photo that is enlarged, about; what fewer have is kept. Source: as above; those have
+        3,400 to 5,000.
     pairs: which photos are matched with which.
     default_focal_factor: focal length over longer side where the photo does not tell; it is refined from the photos.
         Source: a phone's main camera of 26-28 mm equivalent has 0.72-0.78, and video is cropped.
@@ -70,9 +71,10 @@ class PoseSettings:
     """
 
     max_image_size: int = FEATURE_SIZE_PX
-    double_below_px: int = 1000
+    enlarge_below_px: int = 1000
+    enlargement: float = 1.45
     max_features: int = 6000
-    max_doubled_features: int = 3000
+    max_enlarged_features: int = 4500
     pairs: PairSettings = field(default_factory=PairSettings)
     default_focal_factor: float = 0.9
     mapper: str = "incremental"

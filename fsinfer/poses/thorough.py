@@ -95,7 +95,12 @@ def rematch(
         begun.rename(target)
     _log.info("the walk tore: %d of %d photos are looked at again", len(files), len(walk))
     again = set(files)
-    rich = replace(settings, double_below_px=_DOUBLE_ALL_PX, max_doubled_features=settings.thorough.max_features)
+    rich = replace(
+        settings,
+        enlarge_below_px=_DOUBLE_ALL_PX,
+        enlargement=2.0,
+        max_enlarged_features=settings.thorough.max_features,
+    )
     group = {camera: [file for file in members if file in again] for camera, members in cameras.items()}
     step = "looking again where the walk tore"
     extract_features(target, images, {k: v for k, v in group.items() if v}, rich, progress, step=step)

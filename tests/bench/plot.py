@@ -39,7 +39,7 @@ from tests.bench.steps import StepClock
 
 # Photos doubled before looking for features, as COLMAP does, and half as many neighbours again; six source views in
 # float32. (COLMAP's 8,192 features of doubled photos, 12,300 with their directions, match 1.4 pairs a second.)
-SLOW_POSES = PoseSettings(double_below_px=100_000, max_features=4096, pairs=PairSettings(overlap=12))
+SLOW_POSES = PoseSettings(enlarge_below_px=100_000, enlargement=2.0, max_features=4096, pairs=PairSettings(overlap=12))
 SLOW_DEPTH = DepthSettings(source_views=6, precision=FLOAT32)
 
 

@@ -18,7 +18,7 @@ from tests.support.rendered_room import photographs
 pycolmap = pytest.importorskip("pycolmap")
 
 #: So few features that three of the eight photos hold together.
-POOR = PoseSettings(max_features=60, double_below_px=10, threads=1, thorough=ThoroughSettings(max_features=1000))
+POOR = PoseSettings(max_features=60, enlarge_below_px=10, threads=1, thorough=ThoroughSettings(max_features=1000))
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def test_photos_beyond_the_tear_keep_their_features(room: Path, tmp_path: Path) 
     match_pairs(database, walk, [(0, 1), (1, 2), (6, 7)], POOR, silent)
     settings = PoseSettings(
         max_features=60,
-        double_below_px=10,
+        enlarge_below_px=10,
         threads=1,
         thorough=ThoroughSettings(max_features=1000, beside=1, overlap=1, net_stride=9),
     )
@@ -82,7 +82,7 @@ def test_photos_beyond_the_tear_keep_their_features(room: Path, tmp_path: Path) 
 def test_photos_that_are_doubled_have_a_limit_of_their_own(room: Path, tmp_path: Path) -> None:
     counts = {}
     for name, below in (("as it is", 10), ("doubled", 10_000)):
-        settings = PoseSettings(max_features=400, max_doubled_features=100, double_below_px=below, threads=1)
+        settings = PoseSettings(max_features=400, max_enlarged_features=100, enlarge_below_px=below, threads=1)
         extract_features(tmp_path / f"{name}.db", room, {"camera": ["0.png"]}, settings, silent)
         with pycolmap.Database.open(tmp_path / f"{name}.db") as opened:
             counts[name] = opened.num_keypoints()
