@@ -14,13 +14,11 @@ from typing import Any
 from fsinfer.errors import PosesError
 from fsinfer.poses.colmap_calls import SEED, ColmapError, call, copy_for_mapping, open_database, require_pycolmap
 from fsinfer.poses.enlarged import find_in_enlarged
-from fsinfer.poses.settings import PoseSettings
+from fsinfer.poses.settings import DOUBLED, PoseSettings
 from fsinfer.progress import Progress
 
 #: Photos handed to COLMAP at a time. Source: numerics.
 _PHOTOS_PER_BATCH = 16
-#: The enlargement that COLMAP does itself. Source: format.
-_DOUBLED = 2.0
 #: All photos are adjusted together when so many times more have come, not at every tenth (COLMAP: 1.1). Source:
 #: numerics; renders only, docs/trials-speed.md: with what follows two walks of 200 photos were mapped in half of the
 #: time of 1.6 and COLMAP's own ends, all photos placed and as exactly.
@@ -79,7 +77,6 @@ def extract_features(
     options = pycolmap.FeatureExtractionOptions()
     options.use_gpu = False
     options.num_threads = settings.thread_count
-    options.max_image_size = settings.max_image_size
     total = sum(len(names) for names in cameras.values())
     done = 0
     for names in cameras.values():
@@ -98,13 +95,15 @@ def extract_features(
             )
         camera_id = _camera_of(database, names)
         small = camera_id is not None and _longer_side_px(database, camera_id, settings) < settings.enlarge_below_px
-        options.sift.first_octave = -1 if small and settings.enlargement == _DOUBLED else 0
+        copied = small and settings.enlargement != DOUBLED
+        options.max_image_size = round(settings.max_image_size * (settings.enlargement if copied else 1))
+        options.sift.first_octave = -1 if small and not copied else 0
         options.sift.max_num_features = settings.max_enlarged_features if small else settings.max_features
         for start in range(0, len(names), _PHOTOS_PER_BATCH):
             batch = list(names[start : start + _PHOTOS_PER_BATCH])
             progress(done, total, step)
             missing = [name for name in batch if not _has_features(database, name)]
-            if missing and small and settings.enlargement != _DOUBLED:
+            if missing and copied:
                 find_in_enlarged(database, images, missing, settings.enlargement, options, settings.thread_count)
             elif missing:
                 reader = _reader(settings)

@@ -25,8 +25,8 @@ def find_in_enlarged(
 ) -> None:
     """Find features of the photos ``names``, which ``database`` has none of, in copies ``enlargement`` times as large.
 
-    ``options`` are ``pycolmap.FeatureExtractionOptions`` for the copies; what the database gets are the features in the
-    photos' own pixels.
+    ``options`` are ``pycolmap.FeatureExtractionOptions`` for the copies, ``max_image_size`` in their pixels; what the
+    database gets are the features in the photos' own.
     """
     import pycolmap
 
@@ -35,8 +35,6 @@ def find_in_enlarged(
         scales = dict(
             zip(names, in_order(lambda name: _enlarge(images / name, copies, enlargement), names, threads), strict=True)
         )
-        with open_database(found):
-            pass  # makes the file
         call(
             pycolmap.extract_features,
             found,
@@ -60,6 +58,7 @@ def find_in_enlarged(
 
 
 def _copy_of(name: str) -> str:
+    # Written and read in no time; nobody keeps it.
     return f"{name}.bmp"
 
 

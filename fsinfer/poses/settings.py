@@ -12,6 +12,9 @@ from fsinfer.poses.view_selection import SelectionSettings
 from fsinfer.scale.printed_boards import DICTIONARY
 from fsinfer.threads import MOST_AT_ONCE
 
+#: The enlargement of small photos that COLMAP does itself. Source: format.
+DOUBLED = 2.0
+
 
 @dataclass(frozen=True, kw_only=True)
 class ThoroughSettings:
@@ -46,13 +49,13 @@ class PoseSettings:
     enlarge_below_px: photos whose longer side is shorter are enlarged before looking for features, as COLMAP does with
         all. Source: the rendered video of 1280x720; doubled, its photos give four times the features, the smallest of
         them, matching takes 15 times as long, and the walk tore in two places, which it did not without; renders only.
-    enlargement: of these, 2 as COLMAP's. Source: numerics, docs/trials-speed.md; of 26 rendered photos of 960x540 each
-        with no effects, a rolling shutter, a phone's, a video's, and twice the noise and tone mapping as many matches
-        agree as doubled, in half of the time for features; more are placed; renders only.
+    enlargement: of these; with :data:`DOUBLED` COLMAP does it itself. Source: docs/trials-speed.md; 26 rendered photos
+        of 960x540 in five cases: with 1.4 as many are placed as doubled, in two of the cases more, in two
+        thirds of the time for features, cameras in some less exact; renders only.
     max_features: per photo, about; the smallest features go first. Source: judgement; COLMAP's default is
         8192, and matching grows with its square.
-    max_enlarged_features: per photo that is enlarged, about; what fewer have is kept. Source: as above; those have
-        3,400 to 5,000.
+    max_enlarged_features: per photo that is enlarged, about. Source: judgement; those of the trials have 3,800 to 5,300
+        on average, so that few lose any.
     pairs: which photos are matched with which.
     default_focal_factor: focal length over longer side where the photo does not tell; it is refined from the photos.
         Source: a phone's main camera of 26-28 mm equivalent has 0.72-0.78, and video is cropped.

@@ -18,7 +18,7 @@ from fsinfer.poses.colmap import extract_features
 from fsinfer.poses.colmap_calls import copy_database, open_database
 from fsinfer.poses.matches import inliers_by_rank, match_pairs
 from fsinfer.poses.pairs import MIN_INLIERS, Pair
-from fsinfer.poses.settings import PoseSettings
+from fsinfer.poses.settings import DOUBLED, PoseSettings
 from fsinfer.progress import Progress
 
 _log = logging.getLogger(__name__)
@@ -98,7 +98,7 @@ def rematch(
     rich = replace(
         settings,
         enlarge_below_px=_DOUBLE_ALL_PX,
-        enlargement=2.0,
+        enlargement=DOUBLED,
         max_enlarged_features=settings.thorough.max_features,
     )
     group = {camera: [file for file in members if file in again] for camera, members in cameras.items()}

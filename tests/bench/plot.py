@@ -25,7 +25,7 @@ from fsinfer.evaluation.figure import plot_evaluation
 from fsinfer.evaluation.metrics import Evaluation, evaluate, read_measured
 from fsinfer.fusion.fuse import FusionSettings
 from fsinfer.poses.pairs import PairSettings
-from fsinfer.poses.settings import PoseSettings
+from fsinfer.poses.settings import DOUBLED, PoseSettings
 from fsinfer.progress import silent_stages
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scene import read_scene
@@ -39,7 +39,13 @@ from tests.bench.steps import StepClock
 
 # Photos doubled before looking for features, as COLMAP does, and half as many neighbours again; six source views in
 # float32. (COLMAP's 8,192 features of doubled photos, 12,300 with their directions, match 1.4 pairs a second.)
-SLOW_POSES = PoseSettings(enlarge_below_px=100_000, enlargement=2.0, max_features=4096, pairs=PairSettings(overlap=12))
+SLOW_POSES = PoseSettings(
+    enlarge_below_px=100_000,
+    enlargement=DOUBLED,
+    max_enlarged_features=3000,
+    max_features=4096,
+    pairs=PairSettings(overlap=12),
+)
 SLOW_DEPTH = DepthSettings(source_views=6, precision=FLOAT32)
 
 

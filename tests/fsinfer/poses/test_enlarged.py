@@ -70,6 +70,15 @@ def test_there_are_more_than_in_the_photo_and_fewer_than_in_the_doubled_one(room
     assert 1.3 * len(plain) < len(enlarged) < len(doubled) / 1.3
 
 
+def test_large_photos_are_reduced_before_they_count_as_small(room: Path, tmp_path: Path) -> None:
+    counts = {}
+    for name, below in (("reduced", 10), ("enlarged again", 10_000)):
+        settings = PoseSettings(max_image_size=240, enlarge_below_px=below, threads=1)
+        extract_features(tmp_path / f"{name}.db", room, {"camera": NAMES}, settings, silent)
+        counts[name] = len(features(tmp_path / f"{name}.db", "0.png")[0])
+    assert counts["enlarged again"] > 1.3 * counts["reduced"]
+
+
 def test_the_camera_is_that_of_the_photo(room: Path, tmp_path: Path) -> None:
     with pycolmap.Database.open(found(room, tmp_path / "enlarged.db", 1.45)) as opened:
         cameras = opened.read_all_cameras()
@@ -105,3 +114,10 @@ def test_they_do_not_depend_on_threads(room: Path, tmp_path: Path) -> None:
     for one, other in zip(*kept, strict=True):
         np.testing.assert_array_equal(one[0], other[0])
         np.testing.assert_array_equal(one[1], other[1])
+
+
+def test_a_photo_of_nothing_has_no_features(tmp_path: Path) -> None:
+    write_image(tmp_path / "photos" / "0.png", np.full_like(photographs()[0], 130))
+    write_image(tmp_path / "photos" / "1.png", photographs()[0])
+    database = found(tmp_path / "photos", tmp_path / "enlarged.db", 1.45)
+    assert len(features(database, "0.png")[0]) == 0 < len(features(database, "1.png")[0])

@@ -79,15 +79,15 @@ def test_photos_beyond_the_tear_keep_their_features(room: Path, tmp_path: Path) 
         assert pair.max() > max(counts[0])
 
 
-def test_photos_that_are_doubled_have_a_limit_of_their_own(room: Path, tmp_path: Path) -> None:
+def test_photos_that_are_enlarged_have_a_limit_of_their_own(room: Path, tmp_path: Path) -> None:
     counts = {}
-    for name, below in (("as it is", 10), ("doubled", 10_000)):
+    for name, below in (("as it is", 10), ("enlarged", 10_000)):
         settings = PoseSettings(max_features=400, max_enlarged_features=100, enlarge_below_px=below, threads=1)
         extract_features(tmp_path / f"{name}.db", room, {"camera": ["0.png"]}, settings, silent)
         with pycolmap.Database.open(tmp_path / f"{name}.db") as opened:
             counts[name] = opened.num_keypoints()
     # COLMAP stops after the scale at which there are enough.
-    assert 100 <= counts["doubled"] < 300 < counts["as it is"]
+    assert 100 <= counts["enlarged"] < 300 < counts["as it is"]
 
 
 def test_a_torn_walk_is_held_together_by_looking_again(room: Path, tmp_path: Path) -> None:
