@@ -191,8 +191,8 @@ def run(
     from fsinfer.workflow.settings import RunSettings
 
     settings = RunSettings(
-        frames=frame_settings(interval_s=interval_s, equalize=equalize),
-        poses=pose_settings(request, threads=threads),
+        frames=frame_settings(interval_s=interval_s, equalize=equalize, max_size=max_size),
+        poses=pose_settings(request, threads=threads, max_size=max_size),
         depth=depth_settings(
             model=model,
             views=views,

@@ -11,6 +11,7 @@ import typer
 from fsinfer.conventions.breast_height import BhRule
 from fsinfer.depth.settings import DepthSettings, Precision
 from fsinfer.frames.settings import Equalize, FrameSettings
+from fsinfer.io.photo_size import PHOTO_SIZE_PX
 from fsinfer.plot_border.request import BorderRequest, border_request
 from fsinfer.scale.request import ScaleRequest, parse_point
 
@@ -211,19 +212,19 @@ def scale_request(
     )
 
 
-def pose_settings(scale: ScaleRequest, *, threads: int = 0) -> PoseSettings:
+def pose_settings(scale: ScaleRequest, *, threads: int = 0, max_size: int = 0) -> PoseSettings:
     """Settings of the poses: markers tie the photos that tell the scale, so that both look for the same ones.
 
     ``check`` and ``run`` make them alike, and a run goes on with the poses of a check.
     """
     from fsinfer.poses.settings import PoseSettings
 
-    return PoseSettings(threads=threads, dictionary=scale.aruco_dictionary)
+    return PoseSettings(threads=threads, dictionary=scale.aruco_dictionary, longest_px=max(PHOTO_SIZE_PX, max_size))
 
 
-def frame_settings(*, interval_s: float, equalize: Equalize) -> FrameSettings:
-    """Settings of the choice of frames."""
-    return FrameSettings(interval_s=interval_s, equalize=equalize.value)
+def frame_settings(*, interval_s: float, equalize: Equalize, max_size: int = 0) -> FrameSettings:
+    """Settings of the choice of frames, which stay as large as depth is to be computed of."""
+    return FrameSettings(interval_s=interval_s, equalize=equalize.value, longest_px=max(PHOTO_SIZE_PX, max_size))
 
 
 def depth_settings(

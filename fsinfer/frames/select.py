@@ -10,14 +10,23 @@ from pathlib import Path
 
 from fsinfer.errors import ImageError, OutputError
 from fsinfer.frames.contact_sheet import Tile, thumbnail, write_contact_sheet
-from fsinfer.frames.quality import EQUALIZERS, FrameScore, equalize, reasons_to_drop, score_frame
+from fsinfer.frames.quality import EQUALIZERS, SCORE_SIZE_PX, FrameScore, equalize, reasons_to_drop, score_frame
 from fsinfer.frames.settings import FrameSettings, VideoSettings
 from fsinfer.frames.table import FrameRow, frames_csv
 from fsinfer.frames.times import names_against_times
 from fsinfer.frames.video import VIDEO_SUFFIXES, is_live_photo, sharpest_frames
 from fsinfer.io.exif import camera_exif, camera_key, named_camera_exif
 from fsinfer.io.files import copy_file, write_text
-from fsinfer.io.images import PHOTO_SUFFIXES, is_upright_jpeg_or_png, list_images, read_image, write_image
+from fsinfer.io.images import (
+    PHOTO_SUFFIXES,
+    image_size,
+    is_upright_jpeg_or_png,
+    list_images,
+    read_image,
+    read_reduced,
+    reduce_image,
+    write_image,
+)
 from fsinfer.io.names import by_number, sortable
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
@@ -169,7 +178,7 @@ def _from_photos(
 
     def look(path: Path) -> FrameScore | ImageError:
         try:
-            return score_frame(read_image(path))
+            return score_frame(read_image(path, at_least_px=SCORE_SIZE_PX))
         except ImageError as error:
             return error
 
@@ -197,7 +206,11 @@ def _from_photos(
         if reason is None:
             _write_photo(path, folder / f"{stems[path]}.jpg", settings)
         else:
-            small = None if reason.code == CaptureCode.unreadable else thumbnail(read_image(path))
+            small = (
+                None
+                if reason.code == CaptureCode.unreadable
+                else thumbnail(read_image(path, at_least_px=SCORE_SIZE_PX))
+            )
             tiles.append(Tile(image=small, name=path.name, reason=sentence(reason)))
     progress(2 * len(paths), 2 * len(paths), "writing frames")
     return [_row(stems[path], path.name, None, scores.get(path), reasons[path]) for path in paths]
@@ -209,11 +222,12 @@ def _camera(path: Path) -> tuple[str, ...]:
 
 
 def _write_photo(path: Path, target: Path, settings: FrameSettings) -> None:
-    copied = settings.equalize == "none" and path.suffix.lower() in _JPEG_SUFFIXES and is_upright_jpeg_or_png(path)
-    if copied:
+    small = max(image_size(path)) <= settings.longest_px
+    plain = path.suffix.lower() in _JPEG_SUFFIXES and is_upright_jpeg_or_png(path)
+    if settings.equalize == "none" and small and plain:
         copy_file(path, target)
         return
-    image = equalize(read_image(path), settings.equalize)
+    image = equalize(read_reduced(path, settings.longest_px), settings.equalize)
     write_image(target, image, quality=settings.jpeg_quality, exif=camera_exif(path))
 
 
@@ -237,7 +251,7 @@ def _from_video(
     for frame in frames:
         name = f"{stem}_{frame.index:06d}"
         score = score_frame(frame.image)
-        image = equalize(frame.image, settings.equalize)
+        image = equalize(reduce_image(frame.image, settings.longest_px), settings.equalize)
         write_image(folder / f"{name}.jpg", image, quality=settings.jpeg_quality, exif=exif)
         found.append((name, frame.time_s, score))
     reasons = reasons_to_drop([score for _, _, score in found], settings.limits)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from fsinfer.io.photo_size import PHOTO_SIZE_PX
+
 
 class Equalize(StrEnum):
     """How the brightness of the frames is evened out."""
@@ -70,10 +72,12 @@ class FrameSettings(VideoSettings):
         the cloud stay those of the photos. Source: option; cameras of 40 photos of a rendered plot, 0.73 mm off as they
         are, 0.76 and 1.78 mm evened out; renders only.
     limits: when a frame is dropped.
+    longest_px: larger photos and frames of a video are written reduced, pixels. Source: PHOTO_SIZE_PX.
     jpeg_quality: of frames that are written anew; upright JPEG photos are copied as they are. Source: numerics;
         above 95 coding is not seen.
     """
 
     equalize: str = Equalize.none.value
     limits: QualityLimits = field(default_factory=QualityLimits)
+    longest_px: int = PHOTO_SIZE_PX
     jpeg_quality: int = 97

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from fsinfer.errors import ImageError, OutputError, PosesError
 from fsinfer.io.exif import camera_exif, camera_key, gravity_exif
 from fsinfer.io.files import copy_file, make_folder, write_text
-from fsinfer.io.images import is_upright_jpeg_or_png, list_images, read_image, write_image
+from fsinfer.io.images import image_size, is_upright_jpeg_or_png, list_images, read_image, read_reduced, write_image
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.sentences import sentences
@@ -86,7 +86,8 @@ def estimate_poses(
     """Find where each photo was taken and write ``out`` as a scene.
 
     Photos of different cameras or sizes may be mixed: each camera and size gets a calibration of its own. Photos
-    that cannot be read or have no place in the largest model are left out with a warning.
+    that cannot be read or have no place in the largest model are left out with a warning; those larger than
+    ``settings.longest_px`` are reduced before anything else, and the scene's images are as large as that.
 
     Parameters
     ----------
@@ -120,7 +121,7 @@ def estimate_poses(
         raise PosesError(msg)
     work = _work_folder(out, resume=resume)
     warnings: list[Notice] = []
-    photos = _prepare(paths, work / "images", warnings, progress, settings.photo_threads)
+    photos = _prepare(paths, work / "images", settings, warnings, progress)
     if len(photos) < settings.min_registered:
         msg = f"{given} holds {len(photos)} photos that can be used, {settings.min_registered} are needed: {ADVICE}"
         raise PosesError(msg)
@@ -183,15 +184,16 @@ def _work_folder(out: Path, *, resume: bool) -> Path:
 
 
 def _prepare(
-    paths: Sequence[Path], folder: Path, warnings: list[Notice], progress: Progress, threads: int
+    paths: Sequence[Path], folder: Path, settings: PoseSettings, warnings: list[Notice], progress: Progress
 ) -> list[_Photo]:
-    """Put every usable photo into ``folder``, upright and under a name that COLMAP's lists can hold."""
+    """Put every usable photo into ``folder``, upright, not too large, under a name that COLMAP's lists can hold."""
     make_folder(folder)
     photos: list[_Photo] = []
     names: dict[str, Path] = {}
     first_error: ImageError | None = None
     progress(0, len(paths), "reading photos")
-    for done, (path, usable) in enumerate(zip(paths, in_order(_usable, paths, threads), strict=True)):
+    looked_at = in_order(lambda path: _usable(path, settings.longest_px), paths, settings.photo_threads)
+    for done, (path, usable) in enumerate(zip(paths, looked_at, strict=True)):
         progress(done, len(paths), "reading photos")
         # Many phones write IMG_1.HEIC and IMG_1.JPG of the same moment.
         if path.stem in names:
@@ -201,24 +203,27 @@ def _prepare(
             first_error = first_error or usable
             warnings.append(notice(CaptureCode.photo_unreadable, error=str(usable)))
             continue
-        pixels, plain = usable
         names[path.stem] = path
-        file = f"{done:05d}{path.suffix.lower() if plain else '.jpg'}"
+        file = f"{done:05d}{path.suffix.lower() if usable is None else '.jpg'}"
         if not (folder / file).is_file():
-            if plain:
+            if usable is None:
                 copy_file(path, folder / file)
             else:
-                write_image(folder / file, pixels, exif=camera_exif(path))
+                write_image(folder / file, usable, quality=settings.jpeg_quality, exif=camera_exif(path))
         photos.append(_Photo(name=path.stem, source=path, file=file))
     if not photos and first_error is not None:
         raise first_error
     return photos
 
 
-def _usable(path: Path) -> tuple[NDArray[np.uint8], bool] | ImageError:
-    """A photo's pixels, and whether COLMAP reads its file as it is; or what is wrong with it."""
+def _usable(path: Path, longest_px: int) -> NDArray[np.uint8] | ImageError | None:
+    """A photo's pixels, upright and reduced; None where its file is read as it is; or what is wrong with it."""
     try:
-        return read_image(path), is_upright_jpeg_or_png(path)
+        if is_upright_jpeg_or_png(path) and max(image_size(path)) <= longest_px:
+            # Decoded at an eighth a cut file is an error, too.
+            read_image(path, at_least_px=1)
+            return None
+        return read_reduced(path, longest_px)
     except ImageError as error:
         return error
 
@@ -254,7 +259,7 @@ def _write_scene(
         if image_ids[name] in adjustment.effects:
             lens, pinhole = lenses[image.camera_id], model.cameras[image.camera_id]
             map_of = maps_of_photo(map_of, lens, pinhole, adjustment.effects[image_ids[name]])
-        pixels = undistort(read_image(source), map_of)
+        pixels = undistort(read_reduced(source, settings.longest_px), map_of)
         write_image(out / "images" / f"{name}.jpg", pixels, quality=settings.jpeg_quality, exif=gravity_exif(source))
 
     progress(0, len(image_ids), "undistorting")

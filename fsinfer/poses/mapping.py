@@ -16,7 +16,6 @@ from fsinfer.poses.boards import BoardSighting, boards_in, find_boards, tie_boar
 from fsinfer.poses.colmap import extract_features, reconstruct, triangulate, with_calibration
 from fsinfer.poses.joining.parts import join_parts
 from fsinfer.poses.matches import is_walk, match_features
-from fsinfer.poses.refinement import FEATURE_SIZE_PX
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.sure_pairs import SurePairs, map_sure, put_back, sure_pairs, with_more
 from fsinfer.poses.thorough import rematch, seams, torn
@@ -27,6 +26,9 @@ from fsinfer.threads import beside
 
 _log = logging.getLogger(__name__)
 
+#: Longer side at which boards are looked for, pixels. Source: judgement; more than features need, so that a board is
+#: found from farther away.
+_BOARD_SIZE_PX = 1600
 #: Share of the photos that must be left to go on from. Source: judgement.
 _LEAST_START = 0.25
 #: Photos that look in directions so far apart tell the focal length. Source: judgement; a wrong one bends a walk that
@@ -166,7 +168,7 @@ def _map_and_find_boards(
             images,
             walk.files,
             dictionary=settings.dictionary,
-            longest_px=FEATURE_SIZE_PX,
+            longest_px=_BOARD_SIZE_PX,
             progress=told,
             threads=threads,
         )

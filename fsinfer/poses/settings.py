@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, field
 
+from fsinfer.io.photo_size import PHOTO_SIZE_PX
 from fsinfer.poses.adjustment.settings import AdjustmentSettings
 from fsinfer.poses.pairs import PairSettings
 from fsinfer.poses.refinement import FEATURE_SIZE_PX, RefinementSettings
@@ -44,8 +45,8 @@ class PoseSettings:
 
     Attributes
     ----------
-    max_image_size: longer side at which features are found, pixels. Source: 23 phone photos of 2016x1512, all of which
-        are registered at it.
+    longest_px: photos whose longer side is longer are reduced, pixels. Source: PHOTO_SIZE_PX.
+    max_image_size: longer side at which features are found, pixels. Source: FEATURE_SIZE_PX.
     enlarge_below_px: photos whose longer side is shorter are enlarged before looking for features, as COLMAP does with
         all. Source: the rendered video of 1280x720; doubled, its photos give four times the features, the smallest of
         them, matching takes 15 times as long, and the walk tore in two places, which it did not without; renders only.
@@ -73,6 +74,7 @@ class PoseSettings:
     threads: 0 for one per core. Source: option.
     """
 
+    longest_px: int = PHOTO_SIZE_PX
     max_image_size: int = FEATURE_SIZE_PX
     enlarge_below_px: int = 1000
     enlargement: float = 1.45

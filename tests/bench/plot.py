@@ -16,19 +16,24 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from fsinfer.depth.precision import AUTO, FLOAT32, PRECISIONS
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.evaluation.figure import plot_evaluation
 from fsinfer.evaluation.metrics import Evaluation, evaluate, read_measured
 from fsinfer.fusion.fuse import FusionSettings
+from fsinfer.io.exif import camera_exif
+from fsinfer.io.images import list_images, read_image
 from fsinfer.poses.pairs import PairSettings
 from fsinfer.poses.settings import DOUBLED, PoseSettings
 from fsinfer.progress import silent_stages
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scene import read_scene
+from fsinfer.threads import in_order, photo_threads
 from fsinfer.trees import Tree
 from fsinfer.trees.outputs.table import read_trees
 from fsinfer.workflow.pipeline import run
@@ -47,6 +52,8 @@ SLOW_POSES = PoseSettings(
     pairs=PairSettings(overlap=12),
 )
 SLOW_DEPTH = DepthSettings(source_views=6, precision=FLOAT32)
+#: Of the JPEG that a phone writes, about.
+_PHONE_QUALITY = 92
 
 
 def similarity(
@@ -136,6 +143,29 @@ def torn(photos: Path, out: Path, stretches: Sequence[str]) -> Path:
     return folder
 
 
+def enlarged(photos: Path, out: Path, side_px: int) -> Path:
+    """A folder beside ``out`` with the photographs made ``side_px`` on their longer side: files as large as a phone's.
+
+    They show no more than before: what they tell is what such photographs cost.
+    """
+    folder = out.with_name(f"{out.name}-photos")
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+
+    def write(path: Path) -> None:
+        pixels = read_image(path)
+        factor = side_px / max(pixels.shape[:2])
+        size = (round(pixels.shape[1] * factor), round(pixels.shape[0] * factor))
+        large = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_CUBIC), np.uint8)
+        Image.fromarray(large).save(
+            folder / f"{path.stem}.jpg", quality=_PHONE_QUALITY, subsampling=2, exif=camera_exif(path) or b""
+        )
+
+    for _ in in_order(write, list_images(photos), photo_threads()):
+        pass
+    return folder
+
+
 @dataclass(frozen=True, kw_only=True)
 class PlacedTrees:
     """What a run found, in the frame of the truth.
@@ -219,10 +249,15 @@ def main(argv: list[str] | None = None) -> int:
         metavar="FIRST:LAST",
         help="only these photographs, by number: a walk torn on purpose; they are copied to OUT-photos",
     )
+    parser.add_argument(
+        "--enlarged-px", type=int, metavar="PX", help="photographs enlarged to this longer side, for what they cost"
+    )
     parser.add_argument("--judge", action="store_true", help="compare what OUT holds, and run nothing")
     add_result_options(parser)
     args = parser.parse_args(argv)
     check_result_options(parser, args)
+    if args.enlarged_px and args.stretches:
+        parser.error("give --enlarged-px or --stretches")
     settings = RunSettings(
         depth=DepthSettings(model=args.model, source_views=args.source_views, precision=args.precision),
         fusion=FusionSettings(halo_ratio=args.halo_ratio or None),
@@ -234,6 +269,8 @@ def main(argv: list[str] | None = None) -> int:
     if not args.judge:
         photos = args.plot / "images"
         given = torn(photos, args.out, args.stretches) if args.stretches else photos
+        if args.enlarged_px:
+            given = enlarged(photos, args.out, args.enlarged_px)
         # A run that goes on tells of its last steps only.
         clock = None if args.out.exists() else StepClock()
         run(given, args.out, settings=settings, progress=clock or silent_stages)

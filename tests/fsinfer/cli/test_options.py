@@ -56,6 +56,8 @@ RUN: dict[str, dict[str, Any]] = {
     **DEPTH,
     **FRAMES,
     "--jobs 2": {"poses.threads": 2},
+    "--max-size 2400": {"frames.longest_px": 2400, "poses.longest_px": 2400},
+    "--max-size 3000": {"frames.longest_px": 3000, "poses.longest_px": 3000},
     "--memory-gb 2.5": {"fusion.memory_gb": 2.5},
 }
 #: What each command calls to do its work, and its options.

@@ -155,6 +155,25 @@ def test_sizes_may_be_mixed_and_png_becomes_jpg(photos: Path, tmp_path: Path) ->
     assert read_image(tmp_path / "out" / "images" / "tall.jpg").shape == (180, 120, 3)
 
 
+@pytest.mark.parametrize("suffix", [".jpg", ".png"])
+@pytest.mark.parametrize("turned", [False, True])
+def test_large_photos_are_written_reduced_with_the_focal_length(tmp_path: Path, suffix: str, turned: bool) -> None:
+    exif = Image.Exif()
+    exif[0x0112] = 6 if turned else 1
+    exif.get_ifd(0x8769)[0xA405] = 27
+    large = cv2.resize(photo(0), (800, 600), interpolation=cv2.INTER_NEAREST)
+    stored = np.ascontiguousarray(np.rot90(large, 1) if turned else large)
+    (tmp_path / "photos").mkdir()
+    Image.fromarray(np.asarray(stored, np.uint8)).save(tmp_path / "photos" / f"p{suffix}", exif=exif, quality=95)
+    write_image(tmp_path / "photos" / "small.jpg", photo(1))
+    result = select_frames(tmp_path / "photos", tmp_path / "out", settings=FrameSettings(longest_px=240))
+    assert [path.name for path in result.images] == ["p.jpg", "small.jpg"]
+    assert result.images[1].read_bytes() == (tmp_path / "photos" / "small.jpg").read_bytes()
+    assert np.abs(read_image(result.images[0]).astype(int) - photo(0)).mean() < 4
+    with Image.open(result.images[0]) as image:
+        assert image.getexif().get_ifd(0x8769)[0xA405] == 27
+
+
 @pytest.mark.parametrize("method", ["clahe", "hist"])
 def test_equalization_widens_the_luminance_and_keeps_the_tone(method: str) -> None:
     image = (90 + 0.2 * (photo(1).astype(float) - 128)).astype(np.uint8)
@@ -246,6 +265,14 @@ def test_video_gives_the_sharpest_frame_of_every_interval(tmp_path: Path, sharp:
     assert [path.name for path in result.images] == [f"my_walk_{i:06d}.jpg" for i in sorted(sharp)]
     assert [row.time_s for row in result.rows] == pytest.approx([i / 10 for i in sorted(sharp)], abs=0.06)
     assert np.abs(read_image(result.images[1]).astype(int) - frames[22]).mean() < 6
+
+
+def test_large_frames_of_a_video_are_written_reduced(tmp_path: Path) -> None:
+    write_video(tmp_path / "wide.avi", [photo(index, 240, 160) for index in range(2)], 1.0)
+    result = select_frames(
+        tmp_path / "wide.avi", tmp_path / "out", settings=FrameSettings(interval_s=1.0, longest_px=120)
+    )
+    assert {read_image(path).shape for path in result.images} == {(80, 120, 3)}
 
 
 def test_standing_still_gives_one_frame(tmp_path: Path) -> None:

@@ -14,7 +14,14 @@ from PIL import Image
 
 from fsinfer.errors import ImageError
 from fsinfer.io.exif import camera_exif, camera_key
-from fsinfer.io.images import image_size, is_upright_jpeg_or_png, list_images, read_image, write_image
+from fsinfer.io.images import (
+    image_size,
+    is_upright_jpeg_or_png,
+    list_images,
+    read_image,
+    read_reduced,
+    write_image,
+)
 
 
 def picture(width: int = 60, height: int = 40) -> NDArray[np.uint8]:
@@ -55,6 +62,80 @@ def test_orientation_is_applied(tmp_path: Path, orientation: int) -> None:
     assert read.shape == upright.shape
     assert np.abs(read.astype(int) - upright).max() <= 6
     assert image_size(path) == (60, 40)
+
+
+def waves(width: int, height: int) -> NDArray[np.uint8]:
+    """A picture that is not even anywhere, of waves ten pixels long and longer, without an axis of symmetry."""
+    x, y = np.arange(width)[None, :], np.arange(height)[:, None]
+    channels = [np.sin(x / 1.7 + 0.01 * y), np.sin(y / 2.3 - 0.02 * x), np.cos((x + 2 * y) / 5)]
+    return np.stack([(128 + 90 * channel).round().astype(np.uint8) for channel in channels], axis=-1)
+
+
+def means(image: NDArray[np.uint8], step: int) -> NDArray[np.float64]:
+    """Of squares of ``step`` pixels, from the upper left corner, whole ones alone."""
+    height, width = (side // step * step for side in image.shape[:2])
+    squares = image[:height, :width].reshape(height // step, step, width // step, step, 3)
+    return np.asarray(squares.mean(axis=(1, 3)))
+
+
+@pytest.mark.parametrize(("size", "at_least", "step"), [((160, 120), 40, 4), ((163, 126), 75, 2), ((160, 120), 81, 1)])
+@pytest.mark.parametrize("orientation", [1, 6])
+def test_a_jpeg_that_may_be_smaller_is_the_means_of_its_pixels(
+    tmp_path: Path, size: tuple[int, int], at_least: int, step: int, orientation: int
+) -> None:
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    Image.fromarray(waves(*size)).save(tmp_path / "a.jpg", quality=98, subsampling=0, exif=exif.tobytes())
+    small = read_image(tmp_path / "a.jpg", at_least_px=at_least)
+    expected = means(waves(*size), step)
+    if orientation == 6:
+        expected = np.rot90(expected, -1)
+    assert small.shape == expected.shape
+    assert np.abs(small - expected).mean() < 2
+    # Half a pixel off would be ten times as much.
+    assert np.abs(small[1:] - expected[:-1]).mean() > 5
+
+
+def test_other_files_are_read_as_they_are(tmp_path: Path) -> None:
+    write_image(tmp_path / "a.png", picture(160, 120))
+    assert np.array_equal(read_image(tmp_path / "a.png", at_least_px=20), picture(160, 120))
+
+
+@pytest.mark.parametrize("share", [0.3, 0.9])
+def test_a_cut_jpeg_is_an_error_at_a_quarter_too(tmp_path: Path, share: float) -> None:
+    Image.fromarray(waves(160, 120)).save(tmp_path / "whole.jpg")
+    content = (tmp_path / "whole.jpg").read_bytes()
+    (tmp_path / "cut.jpg").write_bytes(content[: int(share * len(content))])
+    with pytest.raises(ImageError, match=r"cut\.jpg is damaged or cut short"):
+        read_image(tmp_path / "cut.jpg", at_least_px=40)
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "expected"),
+    [
+        ("half.jpg", (336, 252), (168, 126)),
+        ("half.png", (337, 253), (168, 126)),
+        ("little-more.jpg", (300, 200), (198, 132)),
+        ("upright.jpg", (200, 300), (132, 198)),
+        ("third.png", (505, 334), (168, 111)),
+        # 200 to 132.9 would be reduced by other factors, 191 to 126.91 is nearer.
+        ("odd.png", (301, 200), (191, 127)),
+        ("small.jpg", (160, 120), (160, 120)),
+        ("enough.jpg", (200, 150), (200, 150)),
+    ],
+)
+def test_large_photos_are_reduced_by_one_factor(
+    tmp_path: Path, name: str, size: tuple[int, int], expected: tuple[int, int]
+) -> None:
+    Image.fromarray(waves(*size)).save(tmp_path / name, quality=98)
+    reduced = read_reduced(tmp_path / name, 200)
+    assert reduced.shape[1::-1] == expected
+    # What is left over of a whole part is cut off; at the farther end the rest is no more than a tenth of a pixel.
+    part = round(max(size) / max(expected))
+    if max(size) // part == max(expected) and size != expected:
+        assert np.abs(reduced - means(waves(*size), part)).mean() < 2
+    else:
+        assert abs((expected[0] / size[0]) / (expected[1] / size[1]) - 1) < 0.001
 
 
 def test_camera_metadata_goes_into_upright_copies_without_place_and_orientation(tmp_path: Path) -> None:

@@ -81,7 +81,7 @@ def test_the_scene_keeps_which_way_gravity_pulled(room: Path, scene: Scene) -> N
         np.testing.assert_allclose(kept, given, atol=1e-4)
 
 
-def test_cameras_agree_with_the_truth_up_to_a_similarity(scene: Scene) -> None:
+def assert_cameras_agree_with_the_truth(scene: Scene) -> None:
     truth = np.array([-pose[:3, :3].T @ pose[:3, 3] for pose in poses()])
     found = np.array([view.camera.center for view in scene.views])
     a, b = found - found.mean(0), truth - truth.mean(0)
@@ -93,6 +93,28 @@ def test_cameras_agree_with_the_truth_up_to_a_similarity(scene: Scene) -> None:
     for view, pose in zip(scene.views, poses(), strict=True):
         between = view.camera.cam_from_world[:3, :3] @ rotation.T @ pose[:3, :3].T
         assert np.degrees(np.arccos(np.clip((np.trace(between) - 1) / 2, -1, 1))) < 0.6
+
+
+def test_cameras_agree_with_the_truth_up_to_a_similarity(scene: Scene) -> None:
+    assert_cameras_agree_with_the_truth(scene)
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png"])
+def test_large_photos_are_reduced_before_anything_else(tmp_path: Path, suffix: str) -> None:
+    for index, image in enumerate(photographs()):
+        large = cv2.resize(image, (3 * SIZE[0], 3 * SIZE[1]), interpolation=cv2.INTER_CUBIC)
+        write_image(tmp_path / "photos" / f"{index}{suffix}", np.asarray(large, np.uint8))
+    result = estimate_poses(
+        tmp_path / "photos", tmp_path / "scene", settings=replace(SETTINGS, longest_px=round(1.1 * SIZE[0]))
+    )
+    scene = read_scene(result.scene)
+    assert result.registered == len(photographs())
+    assert_cameras_agree_with_the_truth(scene)
+    for view in scene.views:
+        width, height = image_size(view.image_path)
+        assert 0.85 * SIZE[0] < width < 1.15 * SIZE[0]
+        assert abs(view.camera.intrinsic[0, 0] / FOCAL_PX / (width / SIZE[0]) - 1) < 0.05
+        assert abs(view.camera.intrinsic[1, 2] - (height - 1) / 2) < 1
 
 
 def test_intrinsics_belong_to_the_images_written(scene: Scene) -> None:
