@@ -31,6 +31,7 @@ class StemCode(StrEnum):
     forks_here = "forks_here"
     edges_alone = "edges_alone"
     faint_edges = "faint_edges"
+    few_edges = "few_edges"
     points_alone = "points_alone"
     sources_disagree = "sources_disagree"
     parts_disagree = "parts_disagree"
@@ -121,6 +122,7 @@ SENTENCES: dict[StemCode, str] = {
     StemCode.forks_here: "it forks at breast height: a second stem, of {dbh_cm:.0f} cm, stands in it there",
     StemCode.edges_alone: "only from its edges in {photos} photos ({refused})",
     StemCode.faint_edges: "mostly from its edges in {photos} photos, which agree on it only a little",
+    StemCode.few_edges: "mostly from its edges in {photos} photos, which show little of it",
     StemCode.points_alone: "only from its points: no photo shows its edges clearly",
     StemCode.sources_disagree: "the points say {points_cm:.1f} cm, the edges in the photos {edges_cm:.1f} cm",
     StemCode.parts_disagree: "another part of the walk says {other_cm:.1f} cm",
@@ -205,6 +207,7 @@ ADVICE: dict[StemCode, str] = {
     StemCode.too_uncertain: "walk round the stem",
     StemCode.edges_unsupported: "walk round it",
     StemCode.faint_edges: "look at its strips of photographs, or check with a tape",
+    StemCode.few_edges: "walk round it",
     StemCode.points_alone: "walk round it, nearer to it",
     StemCode.parts_disagree: "check with a tape",
     StemCode.boards_elsewhere: "take more photos on the way between them",

@@ -25,7 +25,8 @@ class SilhouetteJoinSettings:
         times, 15 of them inside their intervals, RMSE 5.2 cm; those with edges there 1.0 times.
     haze_m: scatter of the points beyond which they lie in a haze. Source: judgement, bark seen from near scatters by 1
         to 4 mm on renders, and what the depth maps have of a stem seen from far by 5 to 30.
-    sure_photos: fewer, and a stem that the cloud could not measure stays doubtful. Source: renders only, three renders.
+    sure_photos: fewer, and a stem that the cloud could not measure, or has as a haze, stays doubtful. Source: renders
+        only, three renders.
     sure_sectors: the same for the directions that they cover. Source: renders only, three renders.
     shrub_photos: so many photographs show the place, and ... Source: renders only, two undergrown plots (seeds 700013
         and 955023), afterwards: a shrub had 14.

@@ -668,6 +668,19 @@ def test_a_haze_does_not_vouch_for_faint_edges() -> None:
     assert joined(replace(section_of(0.30, 0.002), residual_m=0.02), replace(faint, std_m=0.01)).status == "ok"
 
 
+def test_a_haze_does_not_vouch_for_few_edges() -> None:
+    haze = replace(section_of(0.30, 0.01), residual_m=0.02)
+    many = fit_of(0.15, 0.002)
+    assert joined(haze, many).status == "ok"
+    few, quarter = replace(many, photos=6), replace(many, sectors=0.25)
+    for fit in (few, quarter):
+        doubted = joined(haze, fit)
+        assert (doubted.status, doubted.reasons) == ("doubtful", (notice(StemCode.few_edges, photos=fit.photos),))
+        assert joined(replace(haze, residual_m=0.004), fit).status == "ok"
+        # Here the points carry the diameter.
+        assert joined(replace(section_of(0.30, 0.002), residual_m=0.02), replace(fit, std_m=0.01)).status == "ok"
+
+
 def test_photographs_lift_the_doubts_of_the_cloud_but_not_that_of_its_height() -> None:
     high, unsure = notice(StemCode.above_breast_height, off_cm=22.0), notice(StemCode.little_seen, seen_deg=90.0)
     found = joined(replace(section_of(0.300, 0.002, high, unsure), status="doubtful"), fit_of(0.15, 0.002))
