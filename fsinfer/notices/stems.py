@@ -231,5 +231,11 @@ REMARKS: frozenset[StemCode] = frozenset(
 )
 #: The sentence says already that the stem has to be walked round again.
 ADVISES_REVISIT: frozenset[StemCode] = frozenset(
-    {StemCode.too_little_seen, StemCode.too_uncertain, StemCode.edges_unsupported, StemCode.points_alone}
+    {
+        StemCode.too_little_seen,
+        StemCode.too_uncertain,
+        StemCode.edges_unsupported,
+        StemCode.few_edges,
+        StemCode.points_alone,
+    }
 )
