@@ -1,8 +1,9 @@
 """How long a run will still take, from the progress of its stages and what each step costs beside the others.
 
 Each step has a cost for each photo. What the steps done so far took, over what they should cost, is the speed of the
-machine on these photos; the cost of what is left, at this speed, is the remaining time. What matching and placing
-photos take goes by what is on them more than by the machine, so that it tells less of the rest. Steps that were done in
+machine on these photos; the cost of what is left, at this speed, is the remaining time. What reading photos takes goes
+by how large they are, and what matching and placing them takes by what is on them, more than by the machine: it tells
+less of the rest. Steps that were done in
 an earlier run report nothing and count for nothing.
 """
 
@@ -60,8 +61,8 @@ _BY_PHOTOS = 0.1
 #: For each photo of 1280x720, about seconds on two cores; their proportions matter. Source: layout; measured, the runs
 #: that tests/fsinfer/cli/test_remaining.py replays.
 STEPS = (
-    Step(stage="frames", what="", cost=_each(0.01)),
-    Step(stage="poses", what="reading photos", cost=_each(0.015)),
+    Step(stage="frames", what="", cost=_each(0.01), weight=_BY_PHOTOS),
+    Step(stage="poses", what="reading photos", cost=_each(0.015), weight=_BY_PHOTOS),
     Step(stage="poses", what="finding features", cost=_each(0.11)),
     Step(stage="poses", what="matching photos", cost=lambda n: 0.008 * _pairs_per_photo(n), weight=_BY_PHOTOS),
     Step(stage="poses", what="following the walk", cost=_growing(0.03), weight=_BY_PHOTOS),

@@ -36,6 +36,8 @@ _HEIF_BRANDS = frozenset({b"heic", b"heix", b"heim", b"heis", b"mif1"})
 _ORIENTATION = 0x0112
 #: JPEG from this quality on keeps colours at full resolution. Source: judgement; those who ask for more want them.
 _FULL_COLOUR_QUALITY = 90
+#: Formats of Pillow that are JPEG; a phone's with a second picture in it is MPO. Source: format.
+_JPEG_FORMATS = frozenset({"JPEG", "MPO"})
 #: Parts of its size that a JPEG is decoded at without being decoded as a whole. Source: format; libjpeg.
 _JPEG_SHRINKS = (8, 4, 2)
 #: Share of the longest side wanted that is enough where decoding at a part of the size gives it. Source: judgement.
@@ -95,7 +97,7 @@ def read_image(path: Path | str, *, upright: bool = True, at_least_px: int | Non
 
     with open_header(path) as image, _told(path):
         width, height = image.size
-        if at_least_px is not None and image.format == "JPEG" and image.mode == "RGB":
+        if at_least_px is not None and image.format in _JPEG_FORMATS and image.mode == "RGB":
             shrink = next((n for n in _JPEG_SHRINKS if max(width, height) >= n * at_least_px), 1)
             image.draft("RGB", (width // shrink, height // shrink))
             if image.width < width:

@@ -11,8 +11,17 @@ from tests.bench.results import read_result
 from tests.bench.steps import figure_of
 
 #: Runs whose seconds of each step a benchmark wrote down: quick machines and a slow one that others share, thin stems
-#: and thick ones, 120 to 300 photographs. None beside a program that ended halfway: nobody can tell that beforehand.
-RECORDED = ("plot-300-955048", "plot-clean-900111", "plot-300-avx2", "plot-300-955055", "plot-phone-955052")
+#: and thick ones, 120 to 300 photographs, some of 12 megapixels. None beside a program that ended halfway: nobody can
+#: tell that beforehand.
+RECORDED = (
+    "plot-300-955048",
+    "plot-clean-900111",
+    "plot-300-avx2",
+    "plot-300-955055",
+    "plot-300-955057",
+    "plot-300-955057-large",
+    "plot-phone-955052",
+)
 
 
 def steps_of(name: str) -> list[tuple[str, str, float]]:

@@ -96,6 +96,16 @@ def test_a_jpeg_that_may_be_smaller_is_the_means_of_its_pixels(
     assert np.abs(small[1:] - expected[:-1]).mean() > 5
 
 
+def test_a_jpeg_with_a_second_picture_may_be_smaller_too(tmp_path: Path) -> None:
+    second = Image.fromarray(waves(80, 60))
+    Image.fromarray(waves(160, 120)).save(
+        tmp_path / "a.jpg", format="MPO", save_all=True, append_images=[second], quality=98
+    )
+    small = read_image(tmp_path / "a.jpg", at_least_px=40)
+    assert small.shape == (30, 40, 3)
+    assert np.abs(small - means(waves(160, 120), 4)).mean() < 3
+
+
 def test_other_files_are_read_as_they_are(tmp_path: Path) -> None:
     write_image(tmp_path / "a.png", picture(160, 120))
     assert np.array_equal(read_image(tmp_path / "a.png", at_least_px=20), picture(160, 120))
