@@ -200,18 +200,20 @@ def _from_photos(
     found = reasons_to_drop([scores[path] for path in usable], settings.limits, [_camera(path) for path in usable])
     for path, reason in zip(usable, found, strict=True):
         reasons[path] = reason
-    for done, path in enumerate(paths):
-        progress(len(paths) + done, 2 * len(paths), "writing frames")
+
+    def write(path: Path) -> Tile | None:
         reason = reasons[path]
         if reason is None:
             _write_photo(path, folder / f"{stems[path]}.jpg", settings)
-        else:
-            small = (
-                None
-                if reason.code == CaptureCode.unreadable
-                else thumbnail(read_image(path, at_least_px=SCORE_SIZE_PX))
-            )
-            tiles.append(Tile(image=small, name=path.name, reason=sentence(reason)))
+            return None
+        unreadable = reason.code == CaptureCode.unreadable
+        small = None if unreadable else thumbnail(read_image(path, at_least_px=SCORE_SIZE_PX))
+        return Tile(image=small, name=path.name, reason=sentence(reason))
+
+    for done, tile in enumerate(in_order(write, paths, photo_threads())):
+        progress(len(paths) + done, 2 * len(paths), "writing frames")
+        if tile is not None:
+            tiles.append(tile)
     progress(2 * len(paths), 2 * len(paths), "writing frames")
     return [_row(stems[path], path.name, None, scores.get(path), reasons[path]) for path in paths]
 

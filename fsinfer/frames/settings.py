@@ -68,13 +68,13 @@ class FrameSettings(VideoSettings):
     Attributes
     ----------
     equalize: one of :class:`Equalize`; ``hist`` is the paper's. None by default: SIFT and the depth network take out
-        brightness and contrast themselves, upright photos are copied without coding them again, and the colours of
-        the cloud stay those of the photos. Source: option; cameras of 40 photos of a rendered plot, 0.73 mm off as they
-        are, 0.76 and 1.78 mm evened out; renders only.
+        brightness and contrast themselves, upright photos that are not larger than ``longest_px`` are copied without
+        coding them again, and the colours of the cloud stay those of the photos. Source: option; cameras of 40 photos
+        of a rendered plot, 0.73 mm off as they are, 0.76 and 1.78 mm evened out; renders only.
     limits: when a frame is dropped.
     longest_px: larger photos and frames of a video are written reduced, pixels. Source: PHOTO_SIZE_PX.
-    jpeg_quality: of frames that are written anew; upright JPEG photos are copied as they are. Source: numerics;
-        above 95 coding is not seen.
+    jpeg_quality: of frames that are written anew; upright JPEG photos that are not larger are copied as they are.
+        Source: numerics; above 95 coding is not seen.
     """
 
     equalize: str = Equalize.none.value

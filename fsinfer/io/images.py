@@ -99,6 +99,7 @@ def read_image(path: Path | str, *, upright: bool = True, at_least_px: int | Non
         width, height = image.size
         if at_least_px is not None and image.format in _JPEG_FORMATS and image.mode == "RGB":
             shrink = next((n for n in _JPEG_SHRINKS if max(width, height) >= n * at_least_px), 1)
+            shrink = shrink if min(width, height) >= shrink else 1
             image.draft("RGB", (width // shrink, height // shrink))
             if image.width < width:
                 width, height = width // shrink, height // shrink
@@ -112,8 +113,18 @@ def read_image(path: Path | str, *, upright: bool = True, at_least_px: int | Non
 
 
 def read_reduced(path: Path | str, longest_px: int, *, upright: bool = True) -> NDArray[np.uint8]:
-    """:func:`read_image`, then :func:`reduce_image`; a large JPEG is mostly decoded at a part of its size."""
-    return reduce_image(read_image(path, upright=upright, at_least_px=math.ceil(_ENOUGH * longest_px)), longest_px)
+    """:func:`read_image`, then :func:`reduce_image`; a JPEG that comes to a half is decoded at that size."""
+    longer = max(image_size(path))
+    part = _whole_part(longer, longest_px)
+    # Every format comes to the same size, so that photos of one camera share a calibration.
+    at_least = longer // part if part in _JPEG_SHRINKS else None
+    return reduce_image(read_image(path, upright=upright, at_least_px=at_least), longest_px)
+
+
+def _whole_part(longer: int, longest_px: int) -> int | None:
+    """The part of its size to which a picture is reduced; None where no whole one comes near enough."""
+    part = math.ceil(longer / longest_px)
+    return part if longer // part >= _ENOUGH * longest_px else None
 
 
 def reduce_image(image: NDArray[np.uint8], longest_px: int) -> NDArray[np.uint8]:
@@ -127,8 +138,8 @@ def reduce_image(image: NDArray[np.uint8], longest_px: int) -> NDArray[np.uint8]
     longer, shorter = max(height, width), min(height, width)
     if longer <= longest_px:
         return image
-    part = math.ceil(longer / longest_px)
-    if longer // part >= _ENOUGH * longest_px:
+    part = _whole_part(longer, longest_px)
+    if part is not None and shorter >= part:
         image = image[: height // part * part, : width // part * part]
         size = (width // part, height // part)
     else:

@@ -122,7 +122,7 @@ SENTENCES: dict[StemCode, str] = {
     StemCode.forks_here: "it forks at breast height: a second stem, of {dbh_cm:.0f} cm, stands in it there",
     StemCode.edges_alone: "only from its edges in {photos} photos ({refused})",
     StemCode.faint_edges: "mostly from its edges in {photos} photos, which agree on it only a little",
-    StemCode.few_edges: "mostly from its edges in {photos} photos, which show little of it",
+    StemCode.few_edges: "mostly from its edges in {photos} photos: few, or from few of its sides",
     StemCode.points_alone: "only from its points: no photo shows its edges clearly",
     StemCode.sources_disagree: "the points say {points_cm:.1f} cm, the edges in the photos {edges_cm:.1f} cm",
     StemCode.parts_disagree: "another part of the walk says {other_cm:.1f} cm",

@@ -148,6 +148,20 @@ def test_large_photos_are_reduced_by_one_factor(
         assert abs((expected[0] / size[0]) / (expected[1] / size[1]) - 1) < 0.001
 
 
+@pytest.mark.parametrize(
+    "size", [(600, 400), (301, 200), (500, 375), (960, 540), (640, 480), (4032, 1), (12000, 4), (60, 7)]
+)
+def test_photos_of_one_size_stay_of_one_size_whatever_their_format(tmp_path: Path, size: tuple[int, int]) -> None:
+    picture = Image.fromarray(waves(*size))
+    picture.save(tmp_path / "a.jpg")
+    picture.save(tmp_path / "a.png")
+    picture.convert("L").save(tmp_path / "grey.jpg")
+    found = {read_reduced(path, 240).shape for path in tmp_path.iterdir()}
+    assert len(found) == 1
+    assert max(found.pop()) <= 240
+    assert max(read_image(tmp_path / "a.jpg", at_least_px=1).shape) >= 1
+
+
 def test_camera_metadata_goes_into_upright_copies_without_place_and_orientation(tmp_path: Path) -> None:
     exif = Image.Exif()
     exif[0x010F], exif[0x0110], exif[0x0112] = "Maker", "Phone 1", 6
