@@ -3,8 +3,7 @@
 Each step has a cost for each photo. What the steps done so far took, over what they should cost, is the speed of the
 machine on these photos; the cost of what is left, at this speed, is the remaining time. What reading photos takes goes
 by how large they are, and what matching and placing them takes by what is on them, more than by the machine: it tells
-less of the rest. Steps that were done in
-an earlier run report nothing and count for nothing.
+less of the rest. Steps that were done in an earlier run report nothing and count for nothing.
 """
 
 from __future__ import annotations

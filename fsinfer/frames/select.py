@@ -19,7 +19,6 @@ from fsinfer.io.exif import camera_exif, camera_key, named_camera_exif
 from fsinfer.io.files import copy_file, write_text
 from fsinfer.io.images import (
     PHOTO_SUFFIXES,
-    image_size,
     is_upright_jpeg_or_png,
     list_images,
     read_image,
@@ -224,9 +223,8 @@ def _camera(path: Path) -> tuple[str, ...]:
 
 
 def _write_photo(path: Path, target: Path, settings: FrameSettings) -> None:
-    small = max(image_size(path)) <= settings.longest_px
-    plain = path.suffix.lower() in _JPEG_SUFFIXES and is_upright_jpeg_or_png(path)
-    if settings.equalize == "none" and small and plain:
+    jpeg = settings.equalize == "none" and path.suffix.lower() in _JPEG_SUFFIXES
+    if jpeg and is_upright_jpeg_or_png(path, longest_px=settings.longest_px):
         copy_file(path, target)
         return
     image = equalize(read_reduced(path, settings.longest_px), settings.equalize)

@@ -98,8 +98,8 @@ def read_image(path: Path | str, *, upright: bool = True, at_least_px: int | Non
     with open_header(path) as image, _told(path):
         width, height = image.size
         if at_least_px is not None and image.format in _JPEG_FORMATS and image.mode == "RGB":
-            shrink = next((n for n in _JPEG_SHRINKS if max(width, height) >= n * at_least_px), 1)
-            shrink = shrink if min(width, height) >= shrink else 1
+            longer, shorter = max(width, height), min(width, height)
+            shrink = next((n for n in _JPEG_SHRINKS if longer >= n * at_least_px and shorter >= n), 1)
             image.draft("RGB", (width // shrink, height // shrink))
             if image.width < width:
                 width, height = width // shrink, height // shrink
@@ -205,11 +205,15 @@ def is_turned(path: Path | str) -> bool:
         return False
 
 
-def is_upright_jpeg_or_png(path: Path | str) -> bool:
-    """Whether every reader sees the same pixels: JPEG or PNG in 8 bits, without an orientation to apply."""
+def is_upright_jpeg_or_png(path: Path | str, *, longest_px: int | None = None) -> bool:
+    """Whether every reader sees the same pixels: JPEG or PNG in 8 bits, without an orientation to apply.
+
+    With ``longest_px`` also whether its longer side is no longer than that.
+    """
     with open_header(Path(path)) as image:
         plain = image.format in ("JPEG", "PNG") and image.mode in ("RGB", "L")
-        return plain and orientation_of(image) in (0, 1)
+        small = longest_px is None or max(image.size) <= longest_px
+        return plain and small and orientation_of(image) in (0, 1)
 
 
 def open_header(path: Path) -> Image:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from fsinfer.errors import ImageError, OutputError, PosesError
 from fsinfer.io.exif import camera_exif, camera_key, gravity_exif
 from fsinfer.io.files import copy_file, make_folder, write_text
-from fsinfer.io.images import image_size, is_upright_jpeg_or_png, list_images, read_image, read_reduced, write_image
+from fsinfer.io.images import is_upright_jpeg_or_png, list_images, read_image, read_reduced, write_image
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.sentences import sentences
@@ -219,7 +219,7 @@ def _prepare(
 def _usable(path: Path, longest_px: int) -> NDArray[np.uint8] | ImageError | None:
     """A photo's pixels, upright and reduced; None where its file is read as it is; or what is wrong with it."""
     try:
-        if is_upright_jpeg_or_png(path) and max(image_size(path)) <= longest_px:
+        if is_upright_jpeg_or_png(path, longest_px=longest_px):
             # Decoded at an eighth a cut file is an error, too.
             read_image(path, at_least_px=1)
             return None

@@ -130,11 +130,17 @@ def plot_settings(plot: Path) -> dict[str, Any]:
     return dict(json.loads(path.read_text(encoding="utf-8"))["options"]) if path.is_file() else {}
 
 
-def torn(photos: Path, out: Path, stretches: Sequence[str]) -> Path:
-    """A folder beside ``out`` with the photographs of these stretches, both ends included."""
+def _photos_beside(out: Path) -> Path:
+    """An empty folder beside ``out``."""
     folder = out.with_name(f"{out.name}-photos")
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
+    return folder
+
+
+def torn(photos: Path, out: Path, stretches: Sequence[str]) -> Path:
+    """A folder beside ``out`` with the photographs of these stretches, both ends included."""
+    folder = _photos_beside(out)
     found = sorted(photos.iterdir())
     for stretch in stretches:
         first, last = (int(number) for number in stretch.split(":"))
@@ -148,9 +154,7 @@ def enlarged(photos: Path, out: Path, side_px: int) -> Path:
 
     They show no more than before: what they tell is what such photographs cost.
     """
-    folder = out.with_name(f"{out.name}-photos")
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
+    folder = _photos_beside(out)
 
     def write(path: Path) -> None:
         pixels = read_image(path)
