@@ -10,6 +10,7 @@ from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.progress import Progress, silent
 from fsinfer.scale.aruco import scale_from_aruco
+from fsinfer.scale.clicks.sizes import fit_clicks, picture_sizes
 from fsinfer.scale.doubts import boards_at_two_places, doubt_boards
 from fsinfer.scale.marker_search import SeenMarkers, look_for_markers
 from fsinfer.scale.printed_boards import DICTIONARY, board_lengths
@@ -81,7 +82,8 @@ def _by_clicks(
 ) -> FoundScale:
     """By the clicks; where they do not fit the scene, which may have been registered anew, as if there were none."""
     try:
-        return FoundScale(scale=scale_from_clicks(scene, clicked.by_view, clicked.length_m, settings=settings))
+        fitted = fit_clicks(clicked, picture_sizes(scene))
+        return FoundScale(scale=scale_from_clicks(scene, fitted.by_view, fitted.length_m, settings=settings))
     except ScaleError as error:
         told = notice(CaptureCode.clicks_do_not_fit, error=str(error))
         other = find_scale(replace(request, clicks=None), scene=scene, settings=settings, progress=progress)

@@ -13,17 +13,23 @@ _log = logging.getLogger(__name__)
 
 Point = tuple[float, float, float]
 Pixel = tuple[float, float]
+#: Width and height of a picture, pixels.
+Size = tuple[int, int]
 #: Larger squares than this are a length in centimetres or millimetres. Source: format; no printer makes them.
 LONGEST_BOARD_M = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class ClickedEnds:
-    """Both ends of a known length in one photograph: pixels (u, v) of the scene image, top left centre (0, 0)."""
+    """Both ends of a known length in one photograph: pixels (u, v) of the scene image, top left centre (0, 0).
+
+    ``size`` is that of the picture they were clicked in, which may have another size by now; None where nothing says.
+    """
 
     view: str
     first: Pixel
     second: Pixel
+    size: Size | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,13 +14,14 @@ from fsinfer.errors import InputError
 from fsinfer.output.json_values import of_json
 from fsinfer.output.plot_json import read_plot
 from fsinfer.progress import StageProgress, silent_stages
-from fsinfer.scale.clicks.file import read_clicks, write_clicks
+from fsinfer.scale.clicks.file import write_clicks
 from fsinfer.scale.clicks.server import Clicked, ClickServer
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scale.scale import check_length
 from fsinfer.scene import read_scene
 from fsinfer.trees.edits import find_edits
 from fsinfer.workflow.given_edits import last_edits
+from fsinfer.workflow.kept_clicks import kept_clicks
 from fsinfer.workflow.ledger import Ledger
 from fsinfer.workflow.photo_stages import FRAMES, POSES
 from fsinfer.workflow.pipeline import RunResult, run_from_scene
@@ -61,7 +62,7 @@ def click_scale(
         raise InputError(msg)
     edits = last_edits(out)
     find_edits(out, edits)  # what cannot be read must not show after the clicks
-    with ClickServer(scene, length_m, read_clicks(out), lambda saved: write_clicks(out, saved)) as server:
+    with ClickServer(scene, length_m, kept_clicks(out), lambda saved: write_clicks(out, saved)) as server:
         show(server.url)
         clicked = server.wait()
     return ClickedScale(clicked=clicked, run=_run_again(out, clicked, edits, progress))

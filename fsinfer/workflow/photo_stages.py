@@ -19,6 +19,7 @@ from fsinfer.poses.colmap_calls import require_pycolmap
 from fsinfer.poses.estimate import PosesResult
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.progress import StageProgress, silent_stages
+from fsinfer.workflow.kept_clicks import kept_clicks
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
 from fsinfer.workflow.poses_apart import estimate_poses_apart
 from fsinfer.workflow.settings import speedless
@@ -95,6 +96,7 @@ def register_photos(
     ``origin`` is what messages call the photos in ``images``.
     """
     target = folder or ledger.out / "scene"
+    kept_clicks(ledger.out)  # pixels in the pictures of the scene that is replaced
     return ledger.run(
         replace(POSES, outputs=outputs),
         lambda resume: estimate_poses_apart(

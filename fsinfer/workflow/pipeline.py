@@ -21,7 +21,6 @@ from fsinfer.output.json_values import as_json
 from fsinfer.output.plot_json import write_plot
 from fsinfer.poses.estimate import PosesResult
 from fsinfer.progress import StageProgress, silent_stages
-from fsinfer.scale.clicks.file import read_clicks
 from fsinfer.scale.doubts import doubt_about_all
 from fsinfer.scale.find import FoundScale
 from fsinfer.scale.scale import marker_centers
@@ -41,6 +40,7 @@ from fsinfer.workflow.cloud_stages import (
 from fsinfer.workflow.folder_lock import alone_in
 from fsinfer.workflow.given_edits import note_edits
 from fsinfer.workflow.joined_parts import digests_of
+from fsinfer.workflow.kept_clicks import kept_clicks
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
 from fsinfer.workflow.own_files import refuse_files_of_others
 from fsinfer.workflow.parts import PartResult, measure_parts
@@ -184,7 +184,7 @@ def _with_clicks(settings: RunSettings, out: Path) -> RunSettings:
     """The settings with the ends that were clicked for this folder, where nothing else gives the scale."""
     if settings.scale.given or settings.scale.clicks is not None:
         return settings
-    used = read_clicks(out).used
+    used = kept_clicks(out).used
     return settings if used is None else replace(settings, scale=replace(settings.scale, clicks=used))
 
 

@@ -12,7 +12,7 @@ from typing import Any
 from fsinfer.errors import InputError
 from fsinfer.io.files import write_text
 from fsinfer.io.json_text import read_json
-from fsinfer.scale.request import ClickedEnds, ClickedLength, Pixel
+from fsinfer.scale.request import ClickedEnds, ClickedLength, Pixel, Size
 
 CLICKS_FILE = "scale_clicks.json"
 #: Clicks of a page: by the name of the view the pixels of both ends, None where one was not clicked yet.
@@ -21,10 +21,14 @@ Draft = Mapping[str, tuple[Pixel | None, Pixel | None]]
 
 @dataclass(frozen=True, kw_only=True)
 class SavedClicks:
-    """What the file holds: ``used`` gives the scale of the folder, ``draft`` is what the page showed last."""
+    """What the file holds: ``used`` gives the scale of the folder, ``draft`` is what the page showed last.
+
+    ``sizes`` are those of the pictures that the draft was clicked in; files of earlier versions hold none.
+    """
 
     used: ClickedLength | None = None
     draft: Draft = field(default_factory=dict)
+    sizes: Mapping[str, Size] = field(default_factory=dict)
 
 
 def read_clicks(out: Path) -> SavedClicks:
@@ -38,10 +42,11 @@ def read_clicks(out: Path) -> SavedClicks:
         msg = f"{path} cannot be read ({error}); delete it, and click the ends again with fsinfer scale"
         raise InputError(msg) from error
     try:
-        draft = read_draft(content["draft"])
-        used = content["used"]
-        return SavedClicks(draft=draft, used=None if used is None else clicked_length(used["clicks"], used["length_m"]))
-    except (KeyError, TypeError, InputError) as error:
+        used, length = content["used"], None
+        if used is not None:
+            length = clicked_length(used["clicks"], used["length_m"], _read_sizes(used.get("sizes", {})))
+        return SavedClicks(used=length, draft=read_draft(content["draft"]), sizes=_read_sizes(content.get("sizes", {})))
+    except (KeyError, TypeError, AttributeError, InputError) as error:
         msg = f"{path} holds no clicks ({error}); delete it, and click the ends again with fsinfer scale"
         raise InputError(msg) from error
 
@@ -52,18 +57,26 @@ def write_clicks(out: Path, saved: SavedClicks) -> Path:
     content = {
         "used": None
         if used is None
-        else {"length_m": used.length_m, "clicks": {ends.view: [ends.first, ends.second] for ends in used.views}},
+        else {
+            "length_m": used.length_m,
+            "clicks": {ends.view: [ends.first, ends.second] for ends in used.views},
+            "sizes": {ends.view: ends.size for ends in used.views if ends.size is not None},
+        },
         "draft": saved.draft,
+        "sizes": {name: saved.sizes[name] for name in saved.draft if name in saved.sizes},
     }
     path = out / CLICKS_FILE
     write_text(path, json.dumps(content, indent=1) + "\n")
     return path
 
 
-def clicked_length(clicks: object, length_m: float) -> ClickedLength:
-    """The views in which both ends were clicked; :class:`InputError` for what holds no clicks."""
+def clicked_length(clicks: object, length_m: float, sizes: Mapping[str, Size]) -> ClickedLength:
+    """The views in which both ends were clicked; :class:`InputError` for what holds no clicks.
+
+    ``sizes``: of the pictures that were clicked in, by the view's name.
+    """
     views = tuple(
-        ClickedEnds(view=name, first=first, second=second)
+        ClickedEnds(view=name, first=first, second=second, size=sizes.get(name))
         for name, (first, second) in sorted(read_draft(clicks).items())
         if first is not None and second is not None
     )
@@ -76,6 +89,22 @@ def read_draft(clicks: object) -> dict[str, tuple[Pixel | None, Pixel | None]]:
         msg = "the clicks are no object"
         raise InputError(msg)
     return {str(name): _two_ends(name, ends) for name, ends in clicks.items()}
+
+
+def _read_sizes(sizes: object) -> dict[str, Size]:
+    if not isinstance(sizes, Mapping):
+        msg = "the sizes are no object"
+        raise InputError(msg)
+    return {str(name): _size(name, size) for name, size in sizes.items()}
+
+
+def _size(name: object, size: object) -> Size:
+    numbers = size if isinstance(size, (list, tuple)) else ()
+    sound = [n for n in numbers if isinstance(n, int) and not isinstance(n, bool) and n > 0]
+    if len(sound) != 2 or len(numbers) != 2:
+        msg = f"{name}: {size!r} is no size of a picture"
+        raise InputError(msg)
+    return sound[0], sound[1]
 
 
 def _two_ends(name: object, ends: Any) -> tuple[Pixel | None, Pixel | None]:

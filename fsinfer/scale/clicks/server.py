@@ -22,6 +22,7 @@ from fsinfer.errors import FsinferError, ImageError, InputError
 from fsinfer.io.images import is_turned
 from fsinfer.scale.clicks.file import SavedClicks, clicked_length, read_draft
 from fsinfer.scale.clicks.page import click_page, render_click_page
+from fsinfer.scale.clicks.sizes import fit_draft, picture_sizes
 from fsinfer.scale.request import ClickedLength
 from fsinfer.scale.scale import EndpointDetails, Scale
 from fsinfer.scale.two_ends import scale_from_clicks
@@ -53,7 +54,7 @@ class ClickServer:
     ----------
     scene: registered photographs.
     length_m: real distance of the two ends, metres.
-    saved: clicks of an earlier page.
+    saved: clicks of an earlier page, whose pictures may have had other sizes.
     keep: is given the clicks whenever they change, so that nothing is lost when the program is stopped.
     """
 
@@ -61,7 +62,8 @@ class ClickServer:
         self.scene, self.length_m = scene, length_m
         self.token = secrets.token_urlsafe(TOKEN_BYTES)
         self._nonce = secrets.token_urlsafe(TOKEN_BYTES)
-        self._saved, self._keep = saved, keep
+        self._sizes = picture_sizes(scene)
+        self._saved, self._keep = fit_draft(saved, self._sizes), keep
         self._lock, self._done = threading.Lock(), threading.Event()
         self._clicked: Clicked | None = None
         self._server = _Server((HOST, 0), _Handler)
@@ -114,7 +116,7 @@ class ClickServer:
     def draft(self, clicks: object) -> dict[str, Any]:
         """Keep clicks that may not be complete."""
         with self._lock:
-            self._saved = SavedClicks(used=self._saved.used, draft=read_draft(clicks))
+            self._saved = SavedClicks(used=self._saved.used, draft=read_draft(clicks), sizes=self._sizes)
             self._keep(self._saved)
         return {}
 
@@ -126,7 +128,7 @@ class ClickServer:
         """The same, and the end of the waiting."""
         clicked = self._by(clicks)
         with self._lock:
-            self._saved = SavedClicks(used=clicked.clicks, draft=read_draft(clicks))
+            self._saved = SavedClicks(used=clicked.clicks, draft=read_draft(clicks), sizes=self._sizes)
             self._keep(self._saved)
             self._clicked = clicked
         return _told(clicked.scale)
@@ -136,7 +138,7 @@ class ClickServer:
         self._done.set()
 
     def _by(self, clicks: object) -> Clicked:
-        length = clicked_length(clicks, self.length_m)
+        length = clicked_length(clicks, self.length_m, self._sizes)
         return Clicked(clicks=length, scale=scale_from_clicks(self.scene, length.by_view, length.length_m))
 
 

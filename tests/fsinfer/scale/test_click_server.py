@@ -17,10 +17,11 @@ from fsinfer.errors import InputError
 from fsinfer.scale.clicks.file import CLICKS_FILE, SavedClicks, clicked_length, read_clicks, write_clicks
 from fsinfer.scale.clicks.page import click_page
 from fsinfer.scale.clicks.server import MOST_BYTES, ClickServer
+from fsinfer.scale.clicks.sizes import picture_sizes
 from fsinfer.scale.find import find_scale
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scene import Scene, project, read_scene
-from tests.support.synthetic_plot import _TURN, M_PER_UNIT, write_scene_folder
+from tests.support.synthetic_plot import _TURN, M_PER_UNIT, SIZE, write_scene_folder
 
 # A stick of a metre, upright between the stems: its ends in metres.
 ENDS_M = np.array([[0.2, 0.1, 0.3], [0.2, 0.1, 1.3]])
@@ -144,7 +145,7 @@ def test_clicks_are_measured_and_used(scene: Scene, client: Client) -> None:
     assert client.ask("POST", client.at("use"), {"clicks": clicks})[0] == 200
     clicked = client.server.wait()
     assert clicked.scale.m_per_unit == told["m_per_unit"]
-    assert client.kept[-1].used == clicked.clicks == clicked_length(clicks, 1.0)
+    assert client.kept[-1].used == clicked.clicks == clicked_length(clicks, 1.0, picture_sizes(scene))
 
 
 def test_a_click_beside_shows_as_residual_and_uncertainty(scene: Scene, client: Client) -> None:
@@ -211,23 +212,34 @@ def test_drafts_are_kept_and_shown_again(scene: Scene, client: Client) -> None:
 
 def test_the_file_round_trip(tmp_path: Path, scene: Scene) -> None:
     assert read_clicks(tmp_path) == SavedClicks()
-    used = clicked_length(true_clicks(scene, 0, 3), 1.0)
-    saved = SavedClicks(used=used, draft={"view_00": ((1.0, 2.0), None)})
+    used = clicked_length(true_clicks(scene, 0, 3), 1.0, picture_sizes(scene))
+    assert used.views[0].size == SIZE
+    saved = SavedClicks(used=used, draft={"view_00": ((1.0, 2.0), None)}, sizes={"view_00": SIZE})
     write_clicks(tmp_path, saved)
     assert read_clicks(tmp_path) == saved
-    for text in ("{", "[]", "{}", '{"used": null, "draft": {"a": 1}}', '{"used": 3, "draft": {}}'):
+    for text in (
+        "{",
+        "[]",
+        "{}",
+        '{"used": null, "draft": {"a": 1}}',
+        '{"used": 3, "draft": {}}',
+        '{"used": null, "draft": {}, "sizes": [1]}',
+        '{"used": null, "draft": {}, "sizes": {"a": [160]}}',
+        '{"used": null, "draft": {}, "sizes": {"a": [160, 0]}}',
+        '{"used": null, "draft": {}, "sizes": {"a": [160.5, 120]}}',
+    ):
         (tmp_path / CLICKS_FILE).write_text(text, encoding="utf-8")
         with pytest.raises(InputError, match="click the ends again"):
             read_clicks(tmp_path)
 
 
 def test_find_scale_takes_clicks_and_says_when_they_do_not_fit(scene: Scene) -> None:
-    fitting = ScaleRequest(clicks=clicked_length(true_clicks(scene, 0, 3), 1.0), printed_boards=False)
+    fitting = ScaleRequest(clicks=clicked_length(true_clicks(scene, 0, 3), 1.0, {}), printed_boards=False)
     found = find_scale(fitting, scene=scene)
     assert found.scale.m_per_unit == pytest.approx(M_PER_UNIT, rel=1e-6)
     assert (found.scale.source, found.warnings) == ("endpoints", ())
     crossed = {"view_00": [[0, 0], [159, 119]], "view_03": [[159, 119], [0, 0]]}
-    lost = find_scale(ScaleRequest(clicks=clicked_length(crossed, 1.0), printed_boards=False), scene=scene)
+    lost = find_scale(ScaleRequest(clicks=clicked_length(crossed, 1.0, {}), printed_boards=False), scene=scene)
     assert lost.scale.m_per_unit is None
     assert [told.code for told in lost.warnings] == ["clicks_do_not_fit", "no_scale_given"]
     with pytest.raises(InputError, match="clicks"):
