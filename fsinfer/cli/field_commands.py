@@ -9,7 +9,19 @@ import typer
 
 from fsinfer.check.settings import CoverageSettings
 from fsinfer.cli.console import Debug, Quiet, reports_errors, stage_progress
-from fsinfer.cli.options import ArucoDictionary, ArucoLength, IntervalS, Out, decimal, pose_settings, scale_request
+from fsinfer.cli.options import (
+    DEFAULT_EQUALIZE,
+    ArucoDictionary,
+    ArucoLength,
+    IntervalS,
+    Out,
+    SizeForDepth,
+    decimal,
+    frame_settings,
+    pose_settings,
+    scale_request,
+)
+from fsinfer.depth.settings import DepthSettings
 from fsinfer.frames.settings import FrameSettings
 from fsinfer.scale.printed_boards import BOARDS, DICTIONARY, Paper
 from fsinfer.scale.request import ScaleRequest
@@ -79,6 +91,7 @@ def check(
     margin_m: Annotated[
         float, typer.Option("--margin-m", min=0.0, help="Judge stems up to so many metres outside your walk.")
     ] = CoverageSettings.margin_m,
+    max_size: SizeForDepth = DepthSettings.max_size_px,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
@@ -93,8 +106,8 @@ def check(
     settings = CheckSettings(
         scale=request,
         coverage=CoverageSettings(margin_m=margin_m),
-        frames=FrameSettings(interval_s=interval_s),
-        poses=pose_settings(request),
+        frames=frame_settings(interval_s=interval_s, equalize=DEFAULT_EQUALIZE, max_size=max_size),
+        poses=pose_settings(request, max_size=max_size),
     )
     with stage_progress(quiet=quiet) as progress:
         result = check_capture(source, out, settings=settings, progress=progress)

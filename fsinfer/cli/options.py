@@ -134,6 +134,15 @@ Views = Annotated[
 MaxSize = Annotated[
     int, typer.Option("--max-size", min=160, help="Longer side of the photos for depth, in pixels; smaller is faster.")
 ]
+SizeForDepth = Annotated[
+    int,
+    typer.Option(
+        "--max-size",
+        min=160,
+        help=f"The --max-size that depth will be given: photos are reduced to {PHOTO_SIZE_PX} pixels, or to so many "
+        "where that is more.",
+    ),
+]
 BreastHeight = Annotated[
     float, typer.Option("--bh", min=0.3, max=3.0, help="Breast height above the ground, in metres (US: 1.37).")
 ]

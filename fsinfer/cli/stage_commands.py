@@ -35,12 +35,14 @@ from fsinfer.cli.options import (
     PrecisionHow,
     Provider,
     ScaleFactor,
+    SizeForDepth,
     Threads,
     TrustModel,
     Views,
     depth_settings,
     frame_settings,
     plot_border,
+    pose_settings,
     scale_request,
     tree_settings,
 )
@@ -74,11 +76,12 @@ def frames(
     out: Out,
     interval_s: IntervalS = FrameSettings.interval_s,
     equalize: EqualizeHow = DEFAULT_EQUALIZE,
+    max_size: SizeForDepth = DepthSettings.max_size_px,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
     """Choose sharp, well exposed photos or video frames and even out their brightness."""
-    settings = frame_settings(interval_s=interval_s, equalize=equalize)
+    settings = frame_settings(interval_s=interval_s, equalize=equalize, max_size=max_size)
     from fsinfer.notices.sentences import sentences
     from fsinfer.workflow.single_stages import frames_of
 
@@ -92,17 +95,18 @@ def frames(
 def poses(
     images: Annotated[Path, typer.Argument(help="Folder of photos.", show_default=False)],
     out: Out,
+    max_size: SizeForDepth = DepthSettings.max_size_px,
     threads: Threads = DepthSettings.threads,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
     """Find where each photo was taken; writes a scene in MVSNet format and the COLMAP model."""
     from fsinfer.notices.sentences import sentences
-    from fsinfer.poses.settings import PoseSettings
     from fsinfer.workflow.single_stages import poses_of
 
+    settings = pose_settings(ScaleRequest(), threads=threads, max_size=max_size)
     with stage_progress(quiet=quiet) as progress:
-        result = poses_of(images, out, settings=PoseSettings(threads=threads), progress=progress).result
+        result = poses_of(images, out, settings=settings, progress=progress).result
     warn(sentences(result.warnings))
     typer.echo(f"{result.registered} of {result.photos} photos placed; scene in {result.scene}")
 

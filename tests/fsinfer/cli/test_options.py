@@ -49,6 +49,8 @@ DEPTH: dict[str, dict[str, Any]] = {
 FRAMES: dict[str, dict[str, Any]] = {
     "--interval-s 0.5": {"frames.interval_s": 0.5},
     "--equalize clahe": {"frames.equalize": "clahe"},
+    "--max-size 3000": {"frames.longest_px": 3000},
+    "--max-size 960": {"frames.longest_px": 2400},
 }
 RUN: dict[str, dict[str, Any]] = {
     **SCALE,
@@ -66,7 +68,10 @@ COMMANDS: dict[str, tuple[str, dict[str, dict[str, Any]]]] = {
     "trees": ("fsinfer.workflow.measure_cloud.measure_cloud_file", {**SCALE, **TREES}),
     "depth": ("fsinfer.workflow.single_stages.depth_of", {**DEPTH, "--images photos": {"images": Path("photos")}}),
     "frames": ("fsinfer.workflow.single_stages.frames_of", FRAMES),
-    "poses": ("fsinfer.workflow.single_stages.poses_of", {"--jobs 2": {"poses.threads": 2}}),
+    "poses": (
+        "fsinfer.workflow.single_stages.poses_of",
+        {"--jobs 2": {"poses.threads": 2}, "--max-size 3000": {"poses.longest_px": 3000}},
+    ),
     "evaluate": (
         "fsinfer.evaluation.metrics.evaluate",
         {
@@ -83,6 +88,7 @@ COMMANDS: dict[str, tuple[str, dict[str, dict[str, Any]]]] = {
             "--aruco-dictionary 5X5_100": {"scale.aruco_dictionary": "5X5_100", "poses.dictionary": "5X5_100"},
             "--interval-s 0.5": {"frames.interval_s": 0.5},
             "--margin-m 2.5": {"coverage.margin_m": 2.5},
+            "--max-size 3000": {"frames.longest_px": 3000, "poses.longest_px": 3000},
         },
     ),
 }

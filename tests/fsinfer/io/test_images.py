@@ -20,6 +20,7 @@ from fsinfer.io.images import (
     list_images,
     read_image,
     read_reduced,
+    reduce_image,
     write_image,
 )
 
@@ -69,6 +70,12 @@ def waves(width: int, height: int) -> NDArray[np.uint8]:
     x, y = np.arange(width)[None, :], np.arange(height)[:, None]
     channels = [np.sin(x / 1.7 + 0.01 * y), np.sin(y / 2.3 - 0.02 * x), np.cos((x + 2 * y) / 5)]
     return np.stack([(128 + 90 * channel).round().astype(np.uint8) for channel in channels], axis=-1)
+
+
+def long_waves(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Grey of waves 60 pixels long and longer at these places, pixels."""
+    channels = [np.sin(x / 9.5 + 0.01 * y), np.sin(y / 11.3 - 0.02 * x), np.cos((x + 2 * y) / 31)]
+    return np.stack([128 + 90 * channel for channel in channels], axis=-1)
 
 
 def means(image: NDArray[np.uint8], step: int) -> NDArray[np.float64]:
@@ -146,6 +153,18 @@ def test_large_photos_are_reduced_by_one_factor(
         assert np.abs(reduced - means(waves(*size), part)).mean() < 2
     else:
         assert abs((expected[0] / size[0]) / (expected[1] / size[1]) - 1) < 0.001
+
+
+@pytest.mark.parametrize(
+    ("size", "expected"), [((300, 200), (198, 132)), ((200, 300), (132, 198)), ((301, 200), (191, 127))]
+)
+def test_reduced_photos_show_the_same_at_the_same_place(size: tuple[int, int], expected: tuple[int, int]) -> None:
+    place_x, place_y = np.meshgrid(np.arange(float(size[0])), np.arange(float(size[1])))
+    reduced = reduce_image(long_waves(place_x, place_y).round().astype(np.uint8), 200)
+    u, v = np.meshgrid(np.arange(float(expected[0])), np.arange(float(expected[1])))
+    same_x, same_y = ((u + 0.5) * size[0] / expected[0] - 0.5, (v + 0.5) * size[1] / expected[1] - 0.5)
+    # Half a pixel beside it would be 4 grey levels.
+    assert np.abs(reduced - long_waves(same_x, same_y)).mean() < 0.6
 
 
 @pytest.mark.parametrize(
