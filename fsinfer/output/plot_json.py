@@ -18,6 +18,9 @@ from fsinfer.io.json_text import read_json
 from fsinfer.output.json_values import as_json
 from fsinfer.output.layout import OutputFolder
 
+#: Where ``plot.json`` keeps unit and scale of the cloud's file, when the trees were measured at another scale. Source:
+#: format; ours.
+OF_FILE = "cloud"
 _PACKAGES = ("fsinfer", "numpy", "scipy", "onnxruntime", "opencv-python-headless", "pycolmap", "laspy")
 
 
@@ -47,6 +50,12 @@ def read_plot(out: Path) -> dict[str, Any]:
         msg = f"{path} is no plot summary; delete it and run the command that wrote it again"
         raise InputError(msg)
     return plot
+
+
+def of_file(plot: dict[str, Any]) -> dict[str, Any]:
+    """A ``plot.json`` in which unit and scale are those of the cloud's file, where the trees have others."""
+    own = plot.get(OF_FILE)
+    return plot | own if isinstance(own, dict) else plot
 
 
 @cache

@@ -112,7 +112,8 @@ def _cloud_facts(contents: Contents) -> list[tuple[str, str]]:
             ("Scale", known + (f", ± {100 * spread:.2f} % (one standard deviation)" if spread is not None else ""))
         )
     elif plot:
-        rows.append(("Scale", "none: lengths are in model units"))
+        unknown = "none: lengths are in model units"
+        rows.append(("Scale", "none was given: the cloud was taken to be in metres" if contents.metric else unknown))
     difference = number(plot.get("depth_vs_sfm_median_rel"))
     if difference is not None:
         rows.append(("Depth against tie points (median)", f"{100 * difference:.2f} %"))

@@ -19,7 +19,7 @@ from fsinfer.errors import InputError
 from fsinfer.fusion.fuse import FusionSettings, fuse, most_points
 from fsinfer.io.cloud import read_cloud, write_cloud
 from fsinfer.notices.notice import Notice
-from fsinfer.output.plot_json import read_plot
+from fsinfer.output.plot_json import of_file, read_plot
 from fsinfer.placement.place import density_per_m2, place_cloud
 from fsinfer.placement.settings import LevelSettings
 from fsinfer.poses.sparse import read_sparse
@@ -190,7 +190,7 @@ def place_plot(
 def earlier_scale(out: Path) -> EarlierScale:
     """What ``plot.json`` of an earlier run says of the scale; nothing where there is none, or a damaged one."""
     try:
-        plot = read_plot(out)
+        plot = of_file(read_plot(out))
     except InputError:
         return EarlierScale()
     details = plot.get("scale_details")

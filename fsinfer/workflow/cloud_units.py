@@ -2,10 +2,14 @@
 
 ``plot.json`` is written at the end of a run. A run that was stopped before leaves a cloud that ``plot.json`` does not
 know, or knows in another unit; the records of the stages that made the cloud are always those of the cloud.
+
+Trees may be measured at another scale than that of the cloud's file (``fsinfer trees --scale``). Then ``plot.json`` has
+the unit and scale of the trees, as its reader expects, and under ``cloud`` those of the file.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +17,9 @@ import numpy as np
 
 from fsinfer.errors import InputError
 from fsinfer.output.json_values import as_json
-from fsinfer.output.plot_json import read_plot
+from fsinfer.output.layout import OutputFolder
+from fsinfer.output.plot_json import OF_FILE, of_file, read_plot
+from fsinfer.scale.scale import Scale
 from fsinfer.workflow.cloud_stages import CLOUD, SCALE, PlotCloud
 from fsinfer.workflow.ledger import Ledger, StageRecord
 from fsinfer.workflow.single_stages import FUSE_SCENE, SceneCloud
@@ -36,7 +42,7 @@ def plot_of_cloud(folder: Path) -> dict[str, Any]:
     InputError
         fsinfer was stopped while it wrote the cloud, and its unit cannot be told; or ``plot.json`` is damaged.
     """
-    plot, ledger = read_plot(folder), Ledger(folder)
+    plot, ledger = of_file(read_plot(folder)), Ledger(folder)
     placed = ledger.recall(CLOUD)
     if placed is not None:
         inputs = ledger.inputs_of(CLOUD.name) or {}
@@ -50,6 +56,29 @@ def plot_of_cloud(folder: Path) -> dict[str, Any]:
     if not known:
         raise _unknown(folder)
     return plot
+
+
+def scale_of_trees(
+    scale: Scale, before: Mapping[str, Any], out: Path, *, own_cloud: bool, density_per_m2: float | None
+) -> dict[str, Any]:
+    """What ``plot.json`` tells of trees that were measured at a ``scale`` of their own, or in another folder's cloud.
+
+    Metres a unit are those of the scene, or of a cloud that came from none. ``before`` is what is known of the cloud's
+    file in ``out``, which is kept under ``OF_FILE``. Nothing changes for trees of that cloud as it is.
+    """
+    if own_cloud and scale.m_per_unit is None:
+        return {OF_FILE: None}
+    of_cloud = (before.get("scale_m_per_unit") if own_cloud else None) or 1.0
+    told: dict[str, Any] = {
+        "scale_m_per_unit": None if scale.m_per_unit is None else of_cloud * scale.m_per_unit,
+        "scale_source": scale.source,
+        "scale_rel_std": scale.rel_std,
+        "scale_details": None if scale.details is None else as_json(scale.details),
+    }
+    if scale.m_per_unit is not None:
+        told |= {"units": "m", "density_per_m2": density_per_m2}
+    there = own_cloud or OutputFolder(out).cloud_ply.exists() or OutputFolder(out).cloud_laz.exists()
+    return told | {OF_FILE: {key: before.get(key) for key in CLOUD_KEYS} if there else None}
 
 
 def _tells_of(plot: dict[str, Any], made: StageRecord[PlotCloud] | StageRecord[SceneCloud]) -> bool:

@@ -20,15 +20,15 @@ from fsinfer.io.cloud import PointCloud, read_cloud
 from fsinfer.io.digest import file_digest
 from fsinfer.io.files import make_folder
 from fsinfer.io.las import LAS_SUFFIXES, read_epsg
-from fsinfer.notices.capture import CaptureCode
+from fsinfer.notices.capture import NO_SCALE, REMARKS, CaptureCode
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.output.json_values import as_json, of_json
-from fsinfer.output.plot_json import package_versions, read_plot
+from fsinfer.output.plot_json import OF_FILE, of_file, package_versions, read_plot
 from fsinfer.placement.place import density_per_m2, transform_cloud
 from fsinfer.plot_border.request import BorderRequest
 from fsinfer.progress import Progress, silent
 from fsinfer.scale.clicks.file import read_clicks
-from fsinfer.scale.doubts import doubt_about_all
+from fsinfer.scale.doubts import doubt_about_all, unknown_error
 from fsinfer.scale.find import FoundScale, find_scale
 from fsinfer.scale.request import ClickedLength, ScaleRequest
 from fsinfer.scale.scale import UNKNOWN, MarkerDetails, Scale, marker_centers
@@ -40,7 +40,7 @@ from fsinfer.trees.edits import find_edits
 from fsinfer.trees.outputs.labels import write_labelled
 from fsinfer.trees.sanity import TurnedCloudError
 from fsinfer.trees.thinning import ThinningSettings, thin_while_reading
-from fsinfer.workflow.cloud_units import CLOUD_KEYS, plot_of_cloud
+from fsinfer.workflow.cloud_units import CLOUD_KEYS, plot_of_cloud, scale_of_trees
 from fsinfer.workflow.given_edits import note_edits
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
 from fsinfer.workflow.measurable import refuse_fused, refuse_other_units
@@ -109,7 +109,7 @@ class _Opened:
     warnings: tuple[Notice, ...] = ()
 
 
-MEASURE = Stage(name="measure", version=23, result=MeasuredCloud, outputs=("trees.csv",))
+MEASURE = Stage(name="measure", version=24, result=MeasuredCloud, outputs=("trees.csv",))
 
 
 @one_blas_thread()
@@ -175,7 +175,7 @@ def measure_cloud_file(
             write_labelled=opened.labelled,
         )
         trees, given, turned = _measure(given, out, settings.stage, progress)
-        said = (*found.warnings, *opened.warnings, *turned)
+        said = (*found.warnings, *unknown_error(found.scale), *opened.warnings, *turned)
         trees = replace(trees, warnings=(*said, *no_scale_once(said, trees.warnings)))
         density = density_per_m2(given.cloud.xyz) if metric else None
         return MeasuredCloud(
@@ -260,12 +260,12 @@ def _tell(record: StageRecord[MeasuredCloud], cloud_path: Path, out: Path, setti
     values = tree_values(found.trees) | border_values(found.trees)
     values["trees_scale"] = {"m_per_unit": scale.m_per_unit, "source": scale.source, "rel_std": scale.rel_std}
     own_cloud = cloud_path.resolve().parent == out.resolve()
-    before = plot_of_cloud(out) if own_cloud else read_plot(out)
+    before = plot_of_cloud(out) if own_cloud else of_file(read_plot(out))
     if own_cloud:
         values = {key: before[key] for key in CLOUD_KEYS if key in before} | values
     # A cloud of unknown unit that was measured as it is was taken to be in metres.
     taken = before.get("units") == SCENE_UNITS and (scale.m_per_unit or 1.0) == 1.0
-    other = not own_cloud or "units" not in before or taken
+    other = not own_cloud or before.get("units") is None or taken
     if other:
         values |= {
             "units": "m" if found.metric else MODEL_UNITS,
@@ -273,7 +273,11 @@ def _tell(record: StageRecord[MeasuredCloud], cloud_path: Path, out: Path, setti
             "density_per_m2": found.density_per_m2,
             "versions": package_versions(),
         }
-    said = () if other else tuple(item for item in of_other_stages(before) if item not in found.trees.warnings)
+    values |= scale_of_trees(scale, before, out, own_cloud=own_cloud, density_per_m2=found.density_per_m2)
+    told = () if other else tuple(item for item in of_other_stages(before) if item not in found.trees.warnings)
+    # What an earlier measurement at a scale of its own said of that scale, and that there was none before this one.
+    past = (REMARKS if before.get(OF_FILE) else frozenset()) | (NO_SCALE if scale.m_per_unit else frozenset())
+    said = tuple(item for item in told if item.code not in past)
     values |= warning_values((*said, *no_scale_once(said, found.trees.warnings)))
     values["settings"] = (before.get("settings") or {}) | as_json(settings)
     update_plot(out, source=cloud_path.name, stage="trees", seconds=record.seconds, values=values)

@@ -17,7 +17,8 @@ from fsinfer.fusion.fuse import FusionSettings, fuse, most_points
 from fsinfer.importers.write import read_origin
 from fsinfer.io.cloud import write_cloud
 from fsinfer.io.files import make_folder
-from fsinfer.output.plot_json import package_versions
+from fsinfer.output.json_values import as_json
+from fsinfer.output.plot_json import OF_FILE, of_file, package_versions, read_plot
 from fsinfer.placement.place import PlacedCloud, place_cloud
 from fsinfer.poses.estimate import PosesResult
 from fsinfer.poses.settings import PoseSettings
@@ -156,13 +157,20 @@ def fuse_scene(
         "units": "m" if metric else MODEL_UNITS if ours or origin is not None else SCENE_UNITS,
         "scale_m_per_unit": 1.0 if metric else None,
         "scale_source": origin.program if origin is not None and metric else "none",
+        "scale_rel_std": None,
+        "scale_details": None,
+        OF_FILE: None,
         "points": record.result.points,
         "density_per_m2": None,
         "cloud_from_scene": record.result.cloud_from_scene,
         "camera_height": record.result.camera_height,
         "versions": package_versions(),
     }
-    update_plot(out, source=scene_folder.name, stage="fuse", seconds=record.seconds, values=values)
+    # What is told already, maybe of trees that were measured at a scale of their own, stays.
+    told = of_file(read_plot(out))
+    known = all(told.get(key) == as_json(values[key]) for key in ("units", "points", "cloud_from_scene"))
+    if record.ran or not known:
+        update_plot(out, source=scene_folder.name, stage="fuse", seconds=record.seconds, values=values)
     return record
 
 

@@ -525,7 +525,8 @@ def test_the_cloud_of_a_run_that_was_stopped_is_measured_in_its_own_unit(
     # A factor is metres per unit of the cloud, and makes no metric cloud of it.
     scaled = measure_cloud_file(out / "cloud.ply", out, request=ScaleRequest(factor=M_PER_UNIT))
     assert (scaled.result.metric, scaled.result.trees.trees_with_dbh) == (True, len(STEMS))
-    assert read_plot(out)["units"] == "model units"
+    assert (read_plot(out)["units"], read_plot(out)["cloud"]["units"]) == ("m", "model units")
+    assert not measure_cloud_file(out / "cloud.ply", out, request=ScaleRequest()).result.metric
     # The same folder with a scale, stopped again: the cloud is in metres now, and what the last command told is old.
     with pytest.raises(KeyboardInterrupt):
         run(photos, out, settings=METRIC)

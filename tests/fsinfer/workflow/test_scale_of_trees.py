@@ -1,0 +1,92 @@
+"""Trees measured at a scale that the cloud's file does not have: what plot.json and the report say of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fsinfer.output.plot_json import read_plot
+from fsinfer.report import make_report
+from fsinfer.scale.request import ScaleRequest
+from fsinfer.scene import read_scene
+from fsinfer.trees import TreeSettings
+from fsinfer.workflow.measure_cloud import MeasureSettings, measure_cloud_file
+from fsinfer.workflow.single_stages import fuse_scene
+from fsinfer.workflow.tree_stage import TreeStageSettings
+from tests.support.synthetic_plot import M_PER_UNIT, STEMS, write_depth_folder, write_scene_folder
+
+FACTOR = ScaleRequest(factor=M_PER_UNIT)
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    """A cloud in model units, by single commands."""
+    write_scene_folder(tmp_path / "scene")
+    (tmp_path / "scene" / "poses.json").write_text("{}", encoding="utf-8")  # of fsinfer poses: its unit means nothing
+    write_depth_folder(read_scene(tmp_path / "scene"), tmp_path / "out")
+    fuse_scene(tmp_path / "scene", tmp_path / "out", level=True)
+    return tmp_path / "out"
+
+
+def scale_told(plot: dict[str, Any]) -> tuple[Any, ...]:
+    return plot["units"], plot["scale_m_per_unit"], plot["scale_source"]
+
+
+def codes(plot: dict[str, Any]) -> set[str]:
+    return {str(told["code"]) for told in plot["warning_codes"]}
+
+
+def test_plot_json_and_report_tell_the_scale_that_the_trees_have(out: Path) -> None:
+    measure_cloud_file(out / "cloud.ply", out, request=FACTOR)
+    plot = read_plot(out)
+    assert scale_told(plot) == ("m", M_PER_UNIT, "factor")
+    assert plot["trees_with_dbh"] == len(STEMS)
+    assert plot["density_per_m2"] > 100
+    assert "scale_error_unknown" in codes(plot)
+    make_report(out)
+    report = (out / "report.html").read_text(encoding="utf-8")
+    assert "No scale is known" not in report
+    assert "model units" not in report.replace("per model unit", "")
+
+
+def test_the_unit_of_the_file_is_not_forgotten(out: Path) -> None:
+    before = read_plot(out)
+    measure_cloud_file(out / "cloud.ply", out, request=FACTOR)
+    at_scale = (out / "trees.csv").read_bytes()
+    # The same cloud once more, and at no scale: it is in model units as before.
+    assert not fuse_scene(out.parent / "scene", out, level=True).ran
+    assert scale_told(read_plot(out)) == ("m", M_PER_UNIT, "factor")
+    measure_cloud_file(out / "cloud.ply", out, request=ScaleRequest())
+    plot = read_plot(out)
+    assert scale_told(plot) == scale_told(before) == ("model units", None, "none")
+    assert (plot["trees_with_dbh"], plot["cloud"]) == (0, None)
+    assert "no_scale_given" in codes(plot)
+    assert "scale_error_unknown" not in codes(plot)
+    # And back: the factor is of the file, not of what the trees had last.
+    for _ in range(2):
+        measure_cloud_file(out / "cloud.ply", out, request=FACTOR)
+        plot = read_plot(out)
+        assert scale_told(plot) == ("m", M_PER_UNIT, "factor")
+        assert "no_scale_given" not in codes(plot)
+    assert (out / "trees.csv").read_bytes() == at_scale
+
+
+def test_a_cloud_of_other_origin_has_the_scale_that_was_given(out: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    measure_cloud_file(out / "cloud.ply", other, request=FACTOR)
+    assert scale_told(read_plot(other)) == ("m", M_PER_UNIT, "factor")
+    # Nothing was given: it is taken to be in metres, and the report does not call them model units.
+    (tmp_path / "apart").mkdir()
+    (out / "cloud.ply").rename(tmp_path / "apart" / "mine.ply")
+    measure_cloud_file(tmp_path / "apart" / "mine.ply", other, request=ScaleRequest())
+    assert scale_told(read_plot(other)) == ("m", None, "none")
+    make_report(other)
+    # In its own folder, twice.
+    for settings in (MeasureSettings(), MeasureSettings(stage=TreeStageSettings(trees=TreeSettings(bh_m=1.37)))):
+        measure_cloud_file(
+            tmp_path / "apart" / "mine.ply", tmp_path / "apart", request=ScaleRequest(factor=2.0), settings=settings
+        )
+        assert scale_told(read_plot(tmp_path / "apart")) == ("m", 2.0, "factor")
+    assert "model units" not in (other / "report.html").read_text(encoding="utf-8")
