@@ -1,4 +1,4 @@
-"""How far a stem may lean does not depend on the slope that it stands on."""
+"""How far a stem may lean, and that it does not depend on the slope that it stands on."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tests.support.stem_clouds import wall
 
 
 @pytest.mark.parametrize("radius", [0.15, 0.8])
-@pytest.mark.parametrize(("lean_deg", "found"), [(20.0, 4), (-20.0, 4), (30.0, 0), (-30.0, 0)])
+@pytest.mark.parametrize(("lean_deg", "found"), [(20.0, 4), (-20.0, 4), (52.0, 0), (-52.0, 0)])
 def test_stems_may_lean_as_far_uphill_as_downhill(lean_deg: float, found: int, radius: float) -> None:
     rng = np.random.default_rng(5)
     rise = np.tan(np.radians(35.0))
@@ -23,3 +23,22 @@ def test_stems_may_lean_as_far_uphill_as_downhill(lean_deg: float, found: int, r
         parts.append(stem + rng.normal(0.0, 0.003, stem.shape) + [x, y, rise * y])
     trees = analyse_plot(np.concatenate(parts), turned=True).trees
     assert len(trees) == found
+
+
+@pytest.mark.parametrize("lean_deg", [30.0, 40.0])
+def test_stems_that_lean_much_are_measured(lean_deg: float) -> None:
+    rng = np.random.default_rng(7)
+    ground = np.column_stack([rng.uniform(-6.0, 6.0, (30_000, 2)), rng.normal(0.0, 0.01, 30_000)])
+    parts = [ground]
+    cos, sin = np.cos(np.radians(lean_deg)), np.sin(np.radians(lean_deg))
+    for (x, y), radius in zip(
+        ((-4.0, -3.0), (-4.0, 1.0), (4.0, -3.0), (4.0, 1.0)), (0.08, 0.12, 0.18, 0.25), strict=True
+    ):
+        stem = wall(rng, radius=radius, spacing_m=0.012, taper=0.0)
+        stem[:, 1:] @= np.array([[cos, -sin], [sin, cos]])
+        stem += rng.normal(0.0, 0.003, stem.shape) + np.array([x, y, 0.0])
+        parts.append(stem[stem[:, 2] > 0.0])
+    trees = analyse_plot(np.concatenate(parts)).trees
+    assert sorted(round(tree.dbh_cm or 0.0) for tree in trees) == [16, 24, 36, 50]
+    for tree in trees:
+        assert tree.lean_deg == pytest.approx(lean_deg, abs=1.0)

@@ -86,7 +86,7 @@ def test_posts_and_boards_are_told_from_stems_by_their_end_below_two_metres() ->
 
 def test_a_stem_that_lies_rather_than_stands_is_none() -> None:
     points = noisy(wall(np.random.default_rng(4), radius=0.15, spacing_m=0.012))
-    points[:, 0] += 0.7 * (points[:, 2] - 1.3)
+    points[:, 0] += 1.3 * (points[:, 2] - 1.3)
     stem, why = judged(points)
     assert stem is None
     assert why in (
