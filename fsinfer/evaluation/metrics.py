@@ -38,6 +38,8 @@ ALIGNMENTS = tuple(align.value for align in Align)
 
 #: A measured diameter is below this, cm. Source: format; no tree is thicker, millimetres are.
 _MOST_DBH_CM = 1000.0
+#: A table without a thicker tree than this is not in centimetres. Source: judgement; a stem of 2 m has 2 in metres.
+_LEAST_DBH_CM = 2.0
 #: Status of a stem outside of the walk. Source: format; ``trees.csv``.
 _OUTSIDE = "outside"
 #: Frames are registered where fewer than this share of the trees match as given. Source: judgement.
@@ -120,7 +122,7 @@ class Evaluation:
 
 
 def read_measured(path: Path, *, need_dbh: bool = True, need_position: bool = True) -> list[MeasuredTree]:
-    """Read a CSV with ``tree_id, x_m, y_m, dbh_cm`` (other columns are ignored; comma or semicolon).
+    """Read a CSV with ``tree_id, x_m, y_m, dbh_cm`` (other columns are ignored; comma, semicolon or tab).
 
     With ``need_dbh=False`` empty DBH cells become None, as in a ``trees.csv``; with ``need_position=False`` empty or
     missing positions become NaN, for matching by id. Raises :class:`~fsinfer.errors.InputError` naming row and column.
@@ -159,6 +161,10 @@ def read_measured(path: Path, *, need_dbh: bool = True, need_position: bool = Tr
                 status=row.text("status"),
             )
         )
+    thickest = max((tree.dbh_cm or 0.0 for tree in trees), default=0.0)
+    if need_dbh and trees and thickest < _LEAST_DBH_CM:
+        msg = f"{path}: no dbh_cm is above {thickest:g} cm; give centimetres, not metres"
+        raise InputError(msg)
     if need_dbh and not trees:
         msg = f"{path} holds no measured trees, only a header; give at least one tree"
         raise InputError(msg)

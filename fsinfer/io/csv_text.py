@@ -24,6 +24,8 @@ FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n")
 # Put before such a text; reading takes it away again.
 _GUARD = "'"
 _DECIMAL_COMMA = re.compile(r"[+-]?(?:\d+,\d*|,\d+)(?:[eE][+-]?\d+)?")
+#: The line by which Excel names what parts the cells. Source: format; Excel.
+_SEPARATOR_LINE = re.compile(r"\"?sep=[,;\t]\"?", re.IGNORECASE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,24 +202,32 @@ def _is_number(text: str) -> bool:
 
 
 def _parse(path: Path) -> tuple[list[str], list[tuple[int, list[str]]], bool]:
-    """Names of the columns, number and cells of each row that holds any (as many as names), whether by semicolons."""
+    """Names of the columns, number and cells of each row that holds any (as many as names), whether commas are free.
+
+    Cells are parted by what the first line has most of; Excel's line ``sep=;`` before it is no part of the table.
+    """
     text = path.read_text(encoding="utf-8-sig")
-    first = next((line for line in text.splitlines() if line.strip()), "")
-    semicolons = first.count(";") > first.count(",")
-    delimiter = ";" if semicolons else ","
+    lines = [line for line in text.splitlines() if line.strip()]
+    named = bool(lines) and _SEPARATOR_LINE.fullmatch(lines[0].strip("\r\n")) is not None
+    first = next(iter(lines[1:] if named else lines), "")
+    delimiter = max((",", ";", "\t"), key=first.count)
     # Lines are not split beforehand: a quoted cell may hold line ends.
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, skipinitialspace=f"{delimiter} " in first)
     columns: list[str] | None = None
-    rows = []
+    rows: list[tuple[int, list[str]]] = []
     for number, record in enumerate(reader, start=1):
         if not any(cell.strip() for cell in record):
+            continue
+        if named:
+            named = False
             continue
         if columns is None:
             columns = [name.strip() for name in record]
             continue
         cells = (record + [""] * len(columns))[: len(columns)]
         rows.append((number, [_without_guard(cell) for cell in cells]))
-    return columns or [], rows, semicolons
+    # In numbers of other tables a comma is the decimal one.
+    return columns or [], rows, delimiter != ","
 
 
 def _without_guard(cell: str) -> str:

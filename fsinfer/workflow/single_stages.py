@@ -175,6 +175,9 @@ def fuse_scene(
 
 
 def _refuse_overwriting(source: Path, out: Path, what: str) -> None:
+    if source.resolve() == out.resolve():
+        msg = f"{what} would be written among the photos in {source}; give a folder of their own"
+        raise ImageError(msg)
     if source.resolve().is_relative_to((out / "images").resolve()):
         msg = f"{source} would be overwritten by {what}; choose another output folder than {out}"
         raise ImageError(msg)

@@ -213,3 +213,12 @@ def test_stems_beyond_the_measured_area_are_not_judged() -> None:
     result = evaluate(measured, [*measured, *extra], align="never", area_margin_m=1.0)
     assert (result.matched, result.false, result.outside) == (4, 2, 2)
     assert evaluate(measured, [*measured, *extra], align="never").false == 4
+
+
+def test_a_table_in_metres_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "measured.csv"
+    path.write_text("tree_id,x_m,y_m,dbh_cm\n1,0,0,0.205\n2,5,0,1.302\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"no dbh_cm is above 1\.302 cm; give centimetres"):
+        read_measured(path)
+    # A trees.csv is of ours.
+    assert len(read_measured(path, need_dbh=False)) == 2

@@ -10,16 +10,20 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fsinfer.errors import ImageError
+from fsinfer.frames.settings import FrameSettings
+from fsinfer.io.images import write_image
 from fsinfer.io.pfm import read_pfm, write_pfm
 from fsinfer.output.json_values import as_json
 from fsinfer.output.plot_json import read_plot
+from fsinfer.poses.settings import PoseSettings
 from fsinfer.scale.find import FoundScale
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scale.scale import Scale
 from fsinfer.scene import read_scene
 from fsinfer.workflow import measure_cloud
 from fsinfer.workflow.ledger import Ledger
-from fsinfer.workflow.single_stages import fuse_scene
+from fsinfer.workflow.single_stages import frames_of, fuse_scene, poses_of
 from fsinfer.workflow.summary import update_plot
 from tests.support.plane_scene import write_plane_scene
 from tests.support.synthetic_plot import write_depth_folder, write_scene_folder
@@ -99,3 +103,12 @@ def test_maps_that_were_edited_are_measured_again(tmp_path: Path, monkeypatch: p
     values[len(values) // 2] = 0
     write_pfm(path, values)
     assert inputs() != before
+
+
+def test_nothing_is_written_among_the_photos(tmp_path: Path) -> None:
+    write_image(tmp_path / "a.jpg", np.zeros((8, 8, 3), np.uint8))
+    with pytest.raises(ImageError, match="the chosen frames would be written among the photos"):
+        frames_of(tmp_path, tmp_path / "." / "", settings=FrameSettings())
+    with pytest.raises(ImageError, match="the scene would be written among the photos"):
+        poses_of(tmp_path, tmp_path, settings=PoseSettings())
+    assert [path.name for path in tmp_path.iterdir()] == ["a.jpg"]
