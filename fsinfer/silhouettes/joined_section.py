@@ -53,14 +53,14 @@ def join(
     points_m = None if section.dbh_m is None else section.dbh_m / 2.0
     # The edges are seen where the points were measured, which is not always at breast height.
     edges_m = fit.radius_m + section.by_taper_m
-    oval_m = _hidden_oval(section, fit, s)
+    oval_m, one_sided_m = _hidden_oval(section, fit, s), _one_sided(section, fit, s)
     found = combine(
         points_m,
         points_std(section, s),
         edges_m,
         float(np.sqrt(max(fit.std_m**2 - fit.one_sided_m**2, 0.0))),
         points_doubt_m=_shape_doubt(section),
-        edges_doubt_m=float(np.hypot(oval_m, fit.one_sided_m)),
+        edges_doubt_m=float(np.hypot(oval_m, one_sided_m)),
         oval=_misses_an_oval(section, fit, edges_m, s),
         hazy=section.residual_m > s.haze_m,
         counted=fit.faces > 0,
@@ -122,6 +122,16 @@ def _hidden_oval(section: Section, fit: SilhouetteFit, s: SilhouetteJoinSettings
     """
     more = oval_factor(section.roundness) / s.fit.hull_of_rough_bark
     return fit.left_open_m * float(np.sqrt(max(more**2 - 1.0, 0.0)))
+
+
+def _one_sided(section: Section, fit: SilhouetteFit, s: SilhouetteJoinSettings) -> float:
+    """Standard deviation of the edges' radius, metres, by sides unseen.
+
+    It is more where nothing is sharp: a haze does not tell which edges are the stem's, nor do edges that stand out
+    little.
+    """
+    sharp = section.residual_m <= s.haze_m or fit.contrast >= s.clear_contrast
+    return fit.one_sided_m * (1.0 if sharp else s.hazy_one_sided)
 
 
 def _misses_an_oval(section: Section, fit: SilhouetteFit, edges_m: float, s: SilhouetteJoinSettings) -> bool:

@@ -681,6 +681,19 @@ def test_a_haze_does_not_vouch_for_few_edges() -> None:
         assert joined(replace(section_of(0.30, 0.002), residual_m=0.02), replace(fit, std_m=0.01)).status == "ok"
 
 
+def test_sides_unseen_leave_more_open_where_neither_points_nor_edges_are_sharp() -> None:
+    faint = replace(fit_of(0.15, 0.005), one_sided_m=0.003, contrast=1.5)
+    clear = replace(faint, contrast=1.7)
+    haze, sharp = (replace(section_of(0.30, 0.02), residual_m=residual) for residual in (0.012, 0.003))
+    unsure = joined(haze, faint)
+    assert unsure.parts_m["silhouette"] > 1.15 * joined(haze, clear).parts_m["silhouette"]
+    assert joined(haze, clear).parts_m["silhouette"] == joined(sharp, clear).parts_m["silhouette"]
+    assert joined(sharp, faint).parts_m["silhouette"] == joined(sharp, clear).parts_m["silhouette"]
+    # Seen all round nothing is open.
+    round_it = replace(faint, one_sided_m=0.0)
+    assert joined(haze, round_it).parts_m["silhouette"] == joined(sharp, round_it).parts_m["silhouette"]
+
+
 def test_photographs_lift_the_doubts_of_the_cloud_but_not_that_of_its_height() -> None:
     high, unsure = notice(StemCode.above_breast_height, off_cm=22.0), notice(StemCode.little_seen, seen_deg=90.0)
     found = joined(replace(section_of(0.300, 0.002, high, unsure), status="doubtful"), fit_of(0.15, 0.002))
