@@ -128,14 +128,24 @@ def clean(points: ArrayLike, sanity: SanitySettings) -> tuple[Floats, list[Notic
         raise CloudError(msg)
     step = coordinate_step(xyz)
     if step >= sanity.coarse_step_m:
-        msg = (
-            f"the coordinates come in steps of {100 * step:.0f} cm: the cloud was stored in single precision far from "
-            "its origin; export it as LAS/LAZ or with double coordinates, or shift it to a local origin first"
-        )
+        msg = f"the coordinates come in steps of {100 * step:.0f} cm, as if they were metres: {_why_coarse(step)}"
         raise CloudError(msg)
     if step >= sanity.warn_step_m:
         warnings.append(notice(StemCode.coarse_steps, step_mm=1000.0 * step))
     return xyz, warnings
+
+
+def _why_coarse(step_m: float) -> str:
+    """What coordinates in such steps are, and the way out: steps of single precision are powers of two."""
+    if any(np.isclose(step_m, unit, rtol=1e-3) for unit in (0.1, 1.0, 10.0)):
+        return (
+            "are they millimetres or centimetres? Give the scale (--scale 0.001 or 0.01), or export the cloud with "
+            "more decimals"
+        )
+    return (
+        "the cloud was stored in single precision far from its origin; export it as LAS/LAZ or with double "
+        "coordinates, or shift it to a local origin first"
+    )
 
 
 def check_unit(extent: Floats, sanity: SanitySettings) -> None:
