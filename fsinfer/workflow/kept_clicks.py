@@ -6,7 +6,7 @@ from pathlib import Path
 
 from fsinfer.errors import FsinferError
 from fsinfer.scale.clicks.file import SavedClicks, read_clicks, write_clicks
-from fsinfer.scale.clicks.sizes import picture_sizes, with_sizes
+from fsinfer.scale.clicks.sizes import has_sizes, picture_sizes, with_sizes
 from fsinfer.scene import read_scene
 
 
@@ -16,7 +16,7 @@ def kept_clicks(out: Path) -> SavedClicks:
     To be called before another scene takes its place. :class:`InputError` where the file is damaged.
     """
     saved = read_clicks(out)
-    if saved == SavedClicks():
+    if has_sizes(saved):
         return saved
     try:
         scene = read_scene(out / "scene")

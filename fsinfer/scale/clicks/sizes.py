@@ -30,6 +30,12 @@ def picture_sizes(scene: Scene) -> dict[str, Size]:
     return sizes
 
 
+def has_sizes(saved: SavedClicks) -> bool:
+    """Whether all clicks are known to be of pictures of some size; true where there are none."""
+    used = saved.used is None or all(ends.size is not None for ends in saved.used.views)
+    return used and saved.draft.keys() <= saved.sizes.keys()
+
+
 def with_sizes(saved: SavedClicks, sizes: Mapping[str, Size]) -> SavedClicks:
     """Clicks of an earlier version, which kept no sizes, as clicked in pictures of ``sizes``; others as they are."""
     used = saved.used
