@@ -27,6 +27,7 @@ class StemCode(StrEnum):
     little_seen = "little_seen"
     wide_interval = "wide_interval"
     far_from_round = "far_from_round"
+    blurred_points = "blurred_points"
     rougher_than_others = "rougher_than_others"
     forks_here = "forks_here"
     edges_alone = "edges_alone"
@@ -116,6 +117,7 @@ SENTENCES: dict[StemCode, str] = {
     StemCode.far_from_round: (
         "its section is farther from round than stems are: it grew so, or parts of the cloud do not fit"
     ),
+    StemCode.blurred_points: "its points scatter by {residual_cm:.1f} cm about its surface",
     StemCode.rougher_than_others: (
         "residual {residual_cm:.1f} cm, far above the plot's other stems: perhaps a double wall"
     ),
@@ -203,6 +205,7 @@ ADVICE: dict[StemCode, str] = {
     StemCode.too_little_seen: "walk round it",
     StemCode.double_wall: "the poses or scans do not agree at this stem, or it forks there",
     StemCode.forks_here: "measure the narrowest place below the fork by hand, or with --bh 1.0",
+    StemCode.blurred_points: "check some of such stems with a tape",
     StemCode.too_rough: "undergrowth or bad depth at breast height",
     StemCode.too_uncertain: "walk round the stem",
     StemCode.edges_unsupported: "walk round it",

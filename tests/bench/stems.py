@@ -60,11 +60,15 @@ def match(seed: int, cloud: StemCloud, trees: tuple[Tree, ...], shared_sd_m: Seq
     return result + [Match(seed=seed, truth=None, tree=t) for j, t in enumerate(trees) if j not in links.values()]
 
 
-def run(kind: str, first_seed: int, plots: int, *, echo: bool = True) -> list[Match]:
-    """Simulate and measure ``plots`` plots."""
+def run(kind: str, first_seed: int, plots: int, *, noise_m: float | None = None, echo: bool = True) -> list[Match]:
+    """Simulate and measure ``plots`` plots; ``noise_m`` instead of the kind's noise, of those that are not walked."""
     matches: list[Match] = []
     for seed in range(first_seed, first_seed + plots):
-        cloud = simulate_walk(seed, WalkSpec(kind=kind)) if kind in WALKED else simulate(seed, CloudSpec(kind=kind))
+        cloud = (
+            simulate_walk(seed, WalkSpec(kind=kind))
+            if kind in WALKED
+            else simulate(seed, CloudSpec(kind=kind, noise_m=noise_m))
+        )
         start = time.perf_counter()
         result = analyse_plot(cloud.points)
         seconds = time.perf_counter() - start
@@ -246,12 +250,16 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--kind", choices=(*KINDS, *WALKED), default="lidar")
     parser.add_argument("--plots", type=int, default=22, help="of about 25 stems each")
     parser.add_argument("--first-seed", type=int, default=1000)
+    parser.add_argument("--noise-m", type=float, help="instead of the kind's, of those that are not walked")
     parser.add_argument("--rows", type=Path, help="CSV of all stems")
     add_result_options(parser)
     args = parser.parse_args(argv)
     check_result_options(parser, args)
-    matches = run(args.kind, args.first_seed, args.plots)
-    print(f"{args.kind}, seeds {args.first_seed} to {args.first_seed + args.plots - 1}")
+    if args.noise_m is not None and args.kind in WALKED:
+        parser.error("--noise-m is for clouds that are not walked")
+    matches = run(args.kind, args.first_seed, args.plots, noise_m=args.noise_m)
+    noise = "" if args.noise_m is None else f", noise {100.0 * args.noise_m:g} cm"
+    print(f"{args.kind}{noise}, seeds {args.first_seed} to {args.first_seed + args.plots - 1}")
     groups = groups_of(args.kind)
     figures = figures_of(matches, groups)
     print(summary(figures, groups))
@@ -260,7 +268,7 @@ def main(argv: list[str] | None = None) -> int:
         "plots": args.plots,
         "first_seed": args.first_seed,
         "last_seed": args.first_seed + args.plots - 1,
-    }
+    } | ({} if args.noise_m is None else {"noise_m": args.noise_m})
     save_result(args, figures, module="tests.bench.stems", arguments=argv, settings=settings)
     if args.rows:
         write_rows(args.rows, matches)

@@ -45,11 +45,13 @@ class CloudSpec:
     forked_low: float = 0.03  # share of trees that fork below breast height: two stems
     forked_high: float = 0.03
     double_wall: float = 0.02
+    noise_m: float | None = None  # instead of that of the kind: a scanner that is carried has 1 to 4 cm
 
     @property
     def sigma_m(self) -> float:
         """Standard deviation of each coordinate."""
-        return 0.003 if self.kind == "lidar" else 0.015
+        usual = 0.003 if self.kind == "lidar" else 0.015
+        return usual if self.noise_m is None else self.noise_m
 
     @property
     def outliers(self) -> float:

@@ -112,12 +112,42 @@ def test_a_leaning_stem_is_looked_for_where_it_is_at_that_height() -> None:
 
 
 @pytest.mark.parametrize(
-    ("radius", "sigma_m", "rough"), [(0.2, 0.019, False), (0.2, 0.04, True), (0.05, 0.012, False), (0.05, 0.023, True)]
+    ("radius", "sigma_m", "rough"), [(0.2, 0.019, False), (0.2, 0.06, True), (0.05, 0.012, False), (0.05, 0.023, True)]
 )
 def test_bark_that_is_no_surface_any_more_has_no_diameter(radius: float, sigma_m: float, rough: bool) -> None:
     section = measure(points_of(radius, sigma_m=sigma_m, spacing_m=0.01), radius)
     assert (StemCode.too_rough in codes(section)) == rough
     assert (section.dbh_m is None) == rough
+
+
+@pytest.mark.parametrize(("radius", "searched", "noise"), [(0.17, 0.17, 0.033), (0.12, 0.082, 0.031)])
+def test_a_stem_seen_all_round_through_much_noise_is_measured_and_doubtful(
+    radius: float, searched: float, noise: float
+) -> None:
+    points = points_of(radius, sigma_m=noise, spacing_m=0.01)
+    section = measure(points, searched, sigma_m=0.028)
+    assert codes(section) == {StemCode.blurred_points}
+    assert section.status == "doubtful"
+    assert 0.026 < section.residual_m < 0.034
+    assert section.dbh_m == pytest.approx(2 * radius, abs=0.008)
+    assert 0.008 < section.half95_m < 0.02
+    # From one side nothing tells where the middle of such a haze lies.
+    assert codes(measure(points[points[:, 0] > -0.05], searched, sigma_m=0.028)) == {StemCode.too_rough}
+
+
+def test_noise_is_taken_for_that_of_a_scan_where_it_is_large() -> None:
+    along = points_of(0.12, sigma_m=0.0, spacing_m=0.006)
+    angle = np.arctan2(along[:, 1], along[:, 0])
+    rng = np.random.default_rng(5)
+    across = along.copy()
+    along[:, :2] += np.column_stack([np.cos(angle), np.sin(angle)]) * rng.normal(0.0, 0.026, (len(along), 1))
+    across[:, :2] += rng.normal(0.0, 0.026, (len(across), 2))
+    thin, thick = measure(along, 0.12, sigma_m=0.026).dbh_m, measure(across, 0.12, sigma_m=0.026).dbh_m
+    assert thin is not None
+    assert thick is not None
+    # sigma^2 / R of the diameter is 0.56 cm: two thirds of it are taken off both.
+    assert 0.24 - thin == pytest.approx(0.0038, abs=0.0012)
+    assert thick - 0.24 == pytest.approx(0.0019, abs=0.0012)
 
 
 @pytest.mark.parametrize(
