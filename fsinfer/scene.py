@@ -12,6 +12,7 @@ images that they did not turn, so whoever looks into a scene's images reads them
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -212,11 +213,21 @@ def read_scene(folder: Path | str) -> Scene:
             raise SceneError(msg)
         sources = tuple(pairs.get(index, ()))
         if any(not 0 <= s < len(names) or s == index for s in sources):
-            msg = f"{pair_path}: view {index} names sources {sources}, but there are {len(names)} views"
+            msg = (
+                f"{pair_path}: view {index} names sources {sources}, but there are {len(names)} views, numbered from "
+                f"0 in the order of the camera files' names{_without_camera(images, names)}"
+            )
             raise SceneError(msg)
         camera = read_camera(folder / "cams" / f"{name}_cam.txt")
         views.append(View(name=name, image_path=image_path, camera=camera, sources=sources))
     return Scene(folder=folder, views=tuple(views))
+
+
+def _without_camera(images: Path, names: Sequence[str]) -> str:
+    """Images that have no camera, said behind an error that such a one explains; empty where there are none."""
+    alone = sorted({path.name for path in images.glob("*") if path.suffix in IMAGE_SUFFIXES and path.stem not in names})
+    shown = ", ".join(alone[:5]) + (", ..." if len(alone) > 5 else "")
+    return f"; images without a camera file: {shown}" if alone else ""
 
 
 def _either(usual: Path, of_blendedmvs: Path) -> Path:

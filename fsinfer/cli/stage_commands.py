@@ -152,10 +152,12 @@ def depth(
         scheduler=scheduler,
         copy=copy,
     )
+    from fsinfer.notices.sentences import sentences
     from fsinfer.workflow.single_stages import depth_of
 
     with stage_progress(quiet=quiet) as progress:
         record = depth_of(scene, out, settings=settings, images=images, progress=progress)
+    warn(sentences(record.result.warnings))
     typer.echo(f"{record.result.views} depth maps in {OutputFolder(out).depth}, {record.seconds:.0f} s")
 
 
@@ -271,7 +273,7 @@ def evaluate(
     if as_json:
         typer.echo(json.dumps(result.to_dict(), indent=2))
     else:
-        for row in evaluation_rows(result):
+        for row in evaluation_rows(result, by_id=by_id):
             typer.echo(row)
 
 

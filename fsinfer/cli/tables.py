@@ -17,10 +17,16 @@ if TYPE_CHECKING:
 
 #: Of more trees than this without a DBH, the table tells the rest. Source: layout.
 _MOST_REASONS = 8
+#: Why no tree of one table is one of the other, by position and by number. Source: layout.
+_NOT_THERE = (
+    "no extracted tree stands where a measured one does. See whether x_m and y_m are metres in both tables, and of the "
+    "same plot; give --max-distance-m where they are rough, or --by-id where the same tree has the same tree_id"
+)
+_OTHER_NUMBERS = "no extracted tree has the tree_id of a measured one; without --by-id they are matched by position"
 
 
-def evaluation_rows(evaluation: Evaluation) -> list[str]:
-    """The metrics, completeness first, one a line."""
+def evaluation_rows(evaluation: Evaluation, *, by_id: bool = False) -> list[str]:
+    """The metrics, completeness first, one a line; ``by_id`` is how the trees were matched."""
     unmeasured = evaluation.detected - evaluation.matched
     rows = [
         f"Measured trees      {evaluation.n}",
@@ -34,6 +40,9 @@ def evaluation_rows(evaluation: Evaluation) -> list[str]:
     if motion is not None:
         shift = f"({motion['shift_x_m']:+.2f}, {motion['shift_y_m']:+.2f}) m"
         rows.append(f"Positions aligned   turned {motion['rotation_deg']:+.1f} deg, moved {shift}")
+    if evaluation.detected == 0:
+        why = "there are no extracted trees" if evaluation.extracted == 0 else _OTHER_NUMBERS if by_id else _NOT_THERE
+        return [*rows, f"No accuracy can be given: {why}."]
     if evaluation.rmse_cm is None or evaluation.rrmse is None or evaluation.ae is None:
         return [*rows, "No matched tree has a DBH: no accuracy can be given."]
     return [

@@ -19,6 +19,8 @@ from fsinfer.depth.view_maps import MapsOfViews, ViewMaps, sources_of
 from fsinfer.errors import OutputError, SceneError
 from fsinfer.io.files import make_folder, write_text
 from fsinfer.io.pfm import read_pfm, write_pfm
+from fsinfer.notices.capture import CaptureCode
+from fsinfer.notices.notice import Notice, notice
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene, View
 from fsinfer.threads import cores, in_order, one_blas_thread
@@ -36,7 +38,8 @@ Computed = Generator[tuple[View, ViewMaps], None, None]
 class DepthResult:
     """What the stage wrote: ``depth_folder/depth/*.pfm`` and ``depth_folder/confidence/*.pfm``.
 
-    ``precision`` is the one that was used; ``model_sha256`` is over the graphs of that precision.
+    ``precision`` is the one that was used; ``model_sha256`` is over the graphs of that precision. ``warnings`` name the
+    views without a depth map.
     """
 
     depth_folder: Path
@@ -44,6 +47,7 @@ class DepthResult:
     model: str
     model_sha256: str
     precision: str
+    warnings: tuple[Notice, ...] = ()
 
 
 @one_blas_thread()
@@ -71,6 +75,7 @@ def estimate_depth(
     """
     settings = settings or DepthSettings()
     usable = [view for view in scene.views if view.sources]
+    alone = tuple(view.name for view in scene.views if not view.sources)
     if not usable:
         msg = f"{scene.folder / 'pair.txt'} gives no view a source view; the photos do not overlap"
         raise SceneError(msg)
@@ -115,6 +120,7 @@ def estimate_depth(
         model=job.model,
         model_sha256=job.model_sha256,
         precision=job.precision,
+        warnings=() if not alone else (notice(CaptureCode.views_without_sources, names=alone, views=len(scene.views)),),
     )
 
 

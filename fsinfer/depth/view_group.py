@@ -48,11 +48,14 @@ class ViewGroup:
         cam_from_world: Float64,
         depth_range: tuple[float, float],
     ) -> ViewGroup:
-        """The group of what was given; raises :class:`InputError` where shapes do not fit, or the range is empty."""
+        """The group of what was given; raises :class:`InputError` where shapes, numbers or the range do not fit."""
         intrinsics, cam_from_world = np.asarray(intrinsics, np.float64), np.asarray(cam_from_world, np.float64)
         near, far = depth_range
         if intrinsics.shape != (len(features), 3, 3) or cam_from_world.shape != (len(features), 4, 4):
             msg = f"{len(features)} views need (N,3,3) and (N,4,4), got {intrinsics.shape=}, {cam_from_world.shape=}"
+            raise InputError(msg)
+        if not (np.isfinite(intrinsics).all() and np.isfinite(cam_from_world).all()):
+            msg = "intrinsics and cam_from_world must be finite numbers"
             raise InputError(msg)
         if not 0 < near < far or not np.isfinite(far):
             msg = f"the depth range must be 0 < near < far, is {depth_range}"

@@ -19,6 +19,7 @@ from fsinfer.io.exif import camera_exif, camera_key, named_camera_exif
 from fsinfer.io.files import copy_file, write_text
 from fsinfer.io.images import (
     PHOTO_SUFFIXES,
+    folders_of_photos,
     is_upright_jpeg_or_png,
     list_images,
     read_image,
@@ -151,7 +152,7 @@ def select_frames(
     rows.sort(key=lambda row: row.name)
     write_contact_sheet(out / CONTACT_SHEET, tiles, total=len(rows))
     write_text(out / "frames.csv", frames_csv(rows))
-    warnings = (*_warnings(rows), *names_against_times(photos))
+    warnings = (*_warnings(rows), *names_against_times(photos), *_beside(source, out))
     result = FramesResult(folder=out, rows=tuple(rows), warnings=warnings)
     if not result.images:
         counts = "; ".join(sorted({row.reason for row in rows if row.reason}))
@@ -285,6 +286,21 @@ def _warnings(rows: Sequence[FrameRow]) -> tuple[Notice, ...]:
         return ()
     rejected = tuple(f"{row.source if row.time_s is None else row.name}: {row.reason}" for row in dropped)
     return (notice(CaptureCode.frames_not_used, frames=len(rows), rejected=rejected),)
+
+
+def _beside(source: Path, out: Path) -> tuple[Notice, ...]:
+    """What lies in folders within ``source``, which nobody looked at."""
+    if not source.is_dir():
+        return ()
+    own = {path.resolve() for path in (out, *out.parents)}
+    found = {
+        name: count
+        for name, count in folders_of_photos(source, PHOTO_SUFFIXES | VIDEO_SUFFIXES).items()
+        if (source / name).resolve() not in own
+    }
+    if not found:
+        return ()
+    return (notice(CaptureCode.photos_in_folders, names=tuple(found), photos=sum(found.values())),)
 
 
 def _clear(out: Path) -> None:

@@ -17,6 +17,8 @@ from fsinfer.io.text_cloud import read_text_cloud
 
 TEXT_SUFFIXES = (".xyz", ".txt", ".asc", ".csv", ".pts")
 SUFFIXES = (".ply", *LAS_SUFFIXES, *TEXT_SUFFIXES)
+#: Columns that a message names. Source: layout.
+_MOST_COLUMNS = 8
 #: PLY coordinates become double when the step of float32 at the largest coordinate exceeds this part of the extent:
 #: georeferenced clouds need it, local ones stay small and open everywhere. Source: numerics; 0.03 mm on a plot of 30 m.
 _FLOAT_STEP_PER_EXTENT = 1e-6
@@ -180,7 +182,8 @@ def cloud_of_columns(path: Path, columns: dict[str, NDArray[Any]]) -> PointCloud
     """A cloud of (N,) columns by name, as a file has them; ``path`` is for the message where x, y or z is missing."""
     lower = {name.lower(): name for name in columns}
     if not all(axis in lower for axis in "xyz"):
-        msg = f"{path} has no x, y and z for its points; export the cloud again"
+        names = ", ".join(list(columns)[:_MOST_COLUMNS]) + (", ..." if len(columns) > _MOST_COLUMNS else "")
+        msg = f"{path} has no x, y and z for its points (but {names or 'nothing'}); name them so, or export it again"
         raise CloudError(msg)
     columns = dict(columns)
 

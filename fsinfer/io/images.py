@@ -9,8 +9,8 @@ from __future__ import annotations
 import importlib.util
 import math
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -48,6 +48,9 @@ _SPARED, _DECIMALS = 20, 5
 #: Bits that sensors fill, of 8 in one file, 16 or 32 in others. Source: format; converters of cameras have 10 to 16.
 _SENSOR_BITS = (8, 10, 12, 14, 16, 32)
 
+#: Files by which a folder of results is known, whose pictures are no photographs. Source: format.
+_RESULTS = frozenset({"plot.json", "frames.csv", "report.html"})
+
 
 def list_images(folder: Path | str) -> list[Path]:
     """Return the photographs directly in ``folder``, sorted by name, 2 before 10; hidden files are not taken.
@@ -69,9 +72,24 @@ def list_images(folder: Path | str) -> list[Path]:
     )
     paths = sorted(found, key=lambda path: by_number(path.name))
     if not paths:
-        msg = f"{folder} holds no photos ({', '.join(sorted(PHOTO_SUFFIXES))}); give the folder that your photos lie in"
+        way_out = "give the folder that your photos lie in"
+        if within := folders_of_photos(folder):
+            way_out = f"give one of those within it that do ({', '.join(within)}), or put all photos into one"
+        msg = f"{folder} holds no photos ({', '.join(sorted(PHOTO_SUFFIXES))}); {way_out}"
         raise ImageError(msg)
     return paths
+
+
+def folders_of_photos(folder: Path, suffixes: Collection[str] = PHOTO_SUFFIXES) -> dict[str, int]:
+    """How many photographs lie in which folders within ``folder``, by name; hidden ones and results do not count."""
+    found = {}
+    for inner in sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith(".")):
+        with suppress(OSError):  # what may not be looked into tells nothing
+            paths = [path for path in inner.iterdir() if not path.name.startswith(".")]
+            count = sum(path.suffix.lower() in suffixes for path in paths)
+            if count and not _RESULTS.intersection(path.name for path in paths):
+                found[inner.name] = count
+    return found
 
 
 def read_image(path: Path | str, *, upright: bool = True, at_least_px: int | None = None) -> NDArray[np.uint8]:

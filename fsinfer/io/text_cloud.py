@@ -15,6 +15,22 @@ from fsinfer.errors import CloudError
 #: exports of CloudCompare and MeshLab.
 _COLUMNS_WITH_COLOUR = (6, 9)
 
+#: What surveyors call x, y and z; in a table that has these names instead. Source: format.
+_SURVEYED = {
+    "easting": "x",
+    "northing": "y",
+    "elevation": "z",
+    "height": "z",
+    "altitude": "z",
+    "e": "x",
+    "n": "y",
+    "h": "z",
+}
+#: A first column without a name that counts the rows, from 0 or 1, in a file of so many points. Source: judgement.
+_LEAST_COUNTED = 10
+
+#: Units behind the names of a header.
+_UNITS = re.compile(r"\([^)]*\)|\[[^\]]*\]")
 _SEPARATORS = re.compile(r"[\s,;]+")
 _QUOTED = re.compile(r'"([^"\n]*)"')
 # Something other than commas stands between columns.
@@ -28,8 +44,10 @@ _KEPT_COMMA = "\ue000"
 def read_text_cloud(path: Path) -> dict[str, NDArray[Any]]:
     """Read rows of x y z [red green blue] as (N,) float64 columns by name, with or without a header.
 
-    Blanks, tabs, semicolons or commas stand between columns. Where it is one of the first three, a comma in a number is
-    its decimal point. Numbers may be quoted. UTF-8, with or without a byte order mark.
+    A header may call them easting, northing and elevation, and have units in brackets. Without one a first column that
+    numbers the points is left out. Blanks, tabs, semicolons or commas stand between columns. Where it is one of the
+    first three, a comma in a number is its decimal point. Numbers may be quoted. UTF-8, with or without a byte order
+    mark.
 
     Raises
     ------
@@ -40,10 +58,10 @@ def read_text_cloud(path: Path) -> dict[str, NDArray[Any]]:
         text = path.read_text(encoding="utf-8-sig", errors="replace")
         rows = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith(("#", "//"))]
         names: list[str] = []
-        first = _SEPARATORS.split(rows[0].replace('"', "").strip(" \t,;")) if rows else []
+        first = _SEPARATORS.split(_UNITS.sub("", rows[0].replace('"', "")).strip(" \t,;")) if rows else []
         # A header has letters in its first column; a .pts file begins with the bare count of points.
         if rows and first[0].isidentifier() and first[0].lower() not in ("nan", "inf"):
-            names = [word.lower() for word in first]
+            names = _by_axes([word.lower() for word in first])
             rows.pop(0)
         elif len(rows) > 1 and len(first) == 1:
             rows.pop(0)
@@ -55,6 +73,8 @@ def read_text_cloud(path: Path) -> dict[str, NDArray[Any]]:
     if values.shape[1] < 3:
         msg = f"{path} has {values.shape[1]} columns, but needs x y z; export the cloud as PLY, LAS or LAZ"
         raise CloudError(msg)
+    if not names and _is_counted(values):
+        values = values[:, 1:]
     if not names:
         names = ["x", "y", "z", *(("red", "green", "blue") if values.shape[1] in _COLUMNS_WITH_COLOUR else ())]
         names += [f"column_{i + 1}" for i in range(len(names), values.shape[1])]
@@ -62,6 +82,20 @@ def read_text_cloud(path: Path) -> dict[str, NDArray[Any]]:
         msg = f"{path}: its header names {len(names)} columns, its rows have {values.shape[1]}; export it again"
         raise CloudError(msg)
     return {name: values[:, i] for i, name in enumerate(names)}
+
+
+def _by_axes(names: list[str]) -> list[str]:
+    """The names of a header, with x, y and z for what a surveyor calls otherwise; each once."""
+    axes = [_SURVEYED.get(name, name) for name in names]
+    known = bool({"x", "y"} & set(names))
+    clear = {"x", "y", "z"} <= set(axes) and all(axes.count(axis) == 1 for axis in "xyz")
+    return axes if clear and not known else names
+
+
+def _is_counted(values: NDArray[np.float64]) -> bool:
+    """Whether the first of four columns and more (N, C) numbers the points."""
+    counted = len(values) >= _LEAST_COUNTED and values.shape[1] >= 4 and values[0, 0] in (0.0, 1.0)
+    return bool(counted and (np.diff(values[:, 0]) == 1.0).all())
 
 
 def _with_points_and_blanks(path: Path, rows: list[str]) -> list[str]:

@@ -24,6 +24,7 @@ class CaptureCode(StrEnum):
     same_name = "same_name"
     frames_not_used = "frames_not_used"
     names_not_by_time = "names_not_by_time"
+    photos_in_folders = "photos_in_folders"
     # Poses
     photo_of_same_name = "photo_of_same_name"
     photo_unreadable = "photo_unreadable"
@@ -36,6 +37,8 @@ class CaptureCode(StrEnum):
     rolling_shutter = "rolling_shutter"
     focal_length_changes = "focal_length_changes"
     picture_shifts = "picture_shifts"
+    # Depth
+    views_without_sources = "views_without_sources"
     # Scale
     no_scale_given = "no_scale_given"
     no_scale_from_markers = "no_scale_from_markers"
@@ -58,6 +61,20 @@ def _frames_not_used(values: Mapping[str, Any]) -> str:
         f"{len(values['rejected'])} of {values['frames']} frames were not used "
         f"({listed}{f'; and {more} more' if more > 0 else ''})"
     )
+
+
+def _in_folders(values: Mapping[str, Any]) -> str:
+    names = ", ".join(values["names"][:MOST_NAMES]) + (", ..." if len(values["names"]) > MOST_NAMES else "")
+    return (
+        f"{values['photos']} photos and videos in folders within it ({names}) were not looked at: put what belongs to "
+        "the plot into one folder"
+    )
+
+
+def _without_sources(values: Mapping[str, Any]) -> str:
+    names = values["names"]
+    shown = ", ".join(names[:MOST_NAMES]) + (", ..." if len(names) > MOST_NAMES else "")
+    return f"{len(names)} of {values['views']} views have no source view in pair.txt, and no depth map ({shown})"
 
 
 def _left_out(why: str) -> Callable[[Mapping[str, Any]], str]:
@@ -147,6 +164,7 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
         "the names of the photos do not follow the walk: by name {backwards} of {photos} were taken before the one "
         "before them; photos with neighbouring names are matched first, so rename them in the order of their times"
     ),
+    CaptureCode.photos_in_folders: _in_folders,
     CaptureCode.photo_of_same_name: "{name} was left out: {other} has the same name",
     CaptureCode.photo_unreadable: "left out: {error}",
     CaptureCode.photos_unplaced: _left_out(
@@ -183,6 +201,7 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
         "the middle of the picture shifted by {shift_px:.1f} pixels from photo to photo, as a stabiliser does; that "
         "was undone, but switch digital stabilisation off (that of the lens cannot be, and does little harm)"
     ),
+    CaptureCode.views_without_sources: _without_sources,
     CaptureCode.no_scale_given: (
         "no scale was given: the cloud is in model units and no DBH is measured; photograph boards printed by fsinfer "
         "marker, or ArUco markers of your own and give --aruco-length-m, or give --endpoints with --length-m (two "

@@ -54,7 +54,9 @@ def make_report(out: Path | str) -> Path:
     title = f"Forest plot {out.resolve().name if plain else source}"
     versions = contents.plot.get("versions")
     version = versions.get("fsinfer") if isinstance(versions, dict) else None
-    subtitle = "Trees measured from photographs with fsinfer" + (f" {version}" if version else "")
+    photographed = contents.plot.get("photos") or any((out / name).is_dir() for name in ("scene", "depth"))
+    source_of_trees = "from photographs" if photographed else "in a point cloud"
+    subtitle = f"Trees measured {source_of_trees} with fsinfer" + (f" {version}" if version else "")
     stems, depth = stems_part(contents), render_part(depth_part(contents))
     rendered_stems = [] if stems is None else [render_part(stems)]
     # Eleven bytes a point, four characters for three bytes.

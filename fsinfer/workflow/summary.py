@@ -171,6 +171,7 @@ def all_warnings(records: PlotRecords, joined: Collection[str] = ()) -> tuple[No
     return (
         *records.frames.result.warnings,
         *(told for told in records.poses.result.warnings if apart.get(told) not in joined),
+        *records.depth.result.warnings,
         *found,
         *records.cloud.result.warnings,
         *no_scale_once(found, records.trees.result.warnings),

@@ -264,6 +264,26 @@ def test_evaluate(tmp_path: Path, call: Call) -> None:
     assert (tmp_path / "f.png").stat().st_size > 1000
 
 
+@pytest.mark.parametrize(
+    ("rows", "options", "says"),
+    [
+        ("8,40,0,31\n9,55,0.1,39\n", (), "given: no extracted tree stands where a measured one does. See whether x_m"),
+        ("8,0,0,31\n", ("--by-id",), "given: no extracted tree has the tree_id of a measured one; without --by-id"),
+        ("", (), "given: there are no extracted trees."),
+        ("1,0,0,\n", (), "No matched tree has a DBH"),
+    ],
+)
+def test_evaluate_says_why_there_is_no_accuracy(
+    tmp_path: Path, call: Call, rows: str, options: tuple[str, ...], says: str
+) -> None:
+    measured, extracted = tmp_path / "measured.csv", tmp_path / "extracted.csv"
+    measured.write_text("tree_id,x_m,y_m,dbh_cm\n1,0,0,30\n2,5,0,40\n3,0,5,20\n", encoding="utf-8")
+    extracted.write_text(f"tree_id,x_m,y_m,dbh_cm\n{rows}", encoding="utf-8")
+    code, out, err = call("evaluate", measured, extracted, *options)
+    assert code == 0, err
+    assert says in out.splitlines()[-1]
+
+
 def test_warnings_of_the_library_are_shown_once(call: Call, capfd: pytest.CaptureFixture[str]) -> None:
     call("--version")
     call("--version")

@@ -10,15 +10,20 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fsinfer.depth import stage, view_maps
+from fsinfer.depth.cost_volume import Features
 from fsinfer.depth.job import DepthJob, plan_job
 from fsinfer.depth.manifest import read_manifest
 from fsinfer.depth.model import DepthModel
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.stage import estimate_depth
+from fsinfer.depth.view_group import ViewFeatures, ViewGroup
 from fsinfer.depth.view_maps import LoadedView, MapsOfViews, ViewMaps, load_view, sources_of
+from fsinfer.errors import InputError
+from fsinfer.notices.sentences import sentence
 from fsinfer.scene import Scene, View, read_scene
 from tests.support.plane_scene import write_plane_scene
 
@@ -54,6 +59,25 @@ def test_maps_made_two_at_a_time_are_those_made_one_by_one(
             one, two = (tmp_path / times / kind / f"{view.name}.pfm" for times in ("one", "two"))
             assert one.read_bytes() == two.read_bytes()
     assert told == [*(f"depth of {view.name}" for view in scene.views), "depth"]
+
+
+def test_views_without_sources_are_told_of(scene: Scene, tmp_path: Path) -> None:
+    assert estimate_depth(scene, tmp_path / "all", settings=SETTINGS).warnings == ()
+    alone = replace(scene, views=(replace(scene.views[0], sources=()), *scene.views[1:]))
+    (told,) = estimate_depth(alone, tmp_path / "two", settings=SETTINGS).warnings
+    assert not (tmp_path / "two" / "depth" / f"{scene.views[0].name}.pfm").exists()
+    assert sentence(told) == (
+        f"1 of {len(scene.views)} views have no source view in pair.txt, and no depth map ({scene.views[0].name})"
+    )
+
+
+@pytest.mark.parametrize("which", ["intrinsics", "cam_from_world"])
+def test_cameras_that_are_no_numbers_are_refused(which: str) -> None:
+    cameras = {"intrinsics": np.stack([np.eye(3)] * 2), "cam_from_world": np.stack([np.eye(4)] * 2)}
+    cameras[which][1, 0, 0] = np.nan
+    features = [ViewFeatures(quarter=Features.from_chw(np.zeros((4, 4, 4), np.float32)), half=None)] * 2
+    with pytest.raises(InputError, match="must be finite"):
+        ViewGroup.of(features, **cameras, depth_range=(1.0, 2.0))
 
 
 def test_two_threads_load_a_photograph_once(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:

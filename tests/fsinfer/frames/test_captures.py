@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,6 +23,7 @@ from fsinfer.io.images import read_image, write_image
 from fsinfer.io.names import sortable
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import notice
+from fsinfer.notices.sentences import sentence
 from tests.support.rendered_room import texture
 
 
@@ -96,6 +98,34 @@ def test_a_folder_of_clips_alone_and_an_empty_one(tmp_path: Path) -> None:
     (tmp_path / "none").mkdir()
     with pytest.raises(ImageError, match="holds no photos"):
         select_frames(tmp_path / "none", tmp_path / "out2")
+
+
+def test_photos_in_folders_within_are_told_of(tmp_path: Path) -> None:
+    folder = tmp_path / "DCIM"
+    for name in ("100APPLE", "101APPLE", ".thumbnails", "results", "notes"):
+        (folder / name).mkdir(parents=True)
+    for number in range(3):
+        write_image(folder / "100APPLE" / f"a{number}.jpg", photo(number))
+    (folder / "101APPLE" / "walk.mov").write_bytes(b"")
+    (folder / "101APPLE" / "._walk.mov").write_bytes(b"")
+    (folder / ".thumbnails" / "a.jpg").write_bytes(b"")
+    for name in ("plot.json", "evaluation.png"):
+        (folder / "results" / name).write_bytes(b"")
+    with pytest.raises(ImageError, match=r"give one of those within it that do \(100APPLE\)"):
+        select_frames(folder, tmp_path / "out")
+    for number in range(3, 6):
+        write_image(folder / f"b{number}.jpg", photo(number))
+    # What is put beside the photos is no plot of its own.
+    (told,) = select_frames(folder, folder / "notes" / "out").warnings
+    assert (told.code, told.values["names"], told.values["photos"]) == (
+        CaptureCode.photos_in_folders,
+        ("100APPLE", "101APPLE"),
+        4,
+    )
+    assert sentence(told).startswith("4 photos and videos in folders within it (100APPLE, 101APPLE) were not looked at")
+    for name in ("100APPLE", "101APPLE"):
+        shutil.rmtree(folder / name)
+    assert select_frames(folder, tmp_path / "out").warnings == ()
 
 
 def test_portrait_flag_of_a_video_turns_its_frames(tmp_path: Path) -> None:

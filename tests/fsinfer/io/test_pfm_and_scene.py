@@ -107,7 +107,11 @@ def test_scene_without_its_parts(tmp_path: Path) -> None:
 def test_pairs_that_name_a_view_that_is_not_there(tmp_path: Path) -> None:
     folder = _scene(tmp_path)
     write_pairs(folder / "pair.txt", {0: [(7, 1.0)]})
-    with pytest.raises(SceneError, match="there are 3 views"):
+    with pytest.raises(SceneError, match=r"3 views, numbered from 0 in the order of the camera files' names$"):
+        read_scene(folder)
+    for name in "efghij":
+        (folder / "images" / f"{name}.jpg").write_bytes(b"")
+    with pytest.raises(SceneError, match=r"without a camera file: e\.jpg, f\.jpg, g\.jpg, h\.jpg, i\.jpg, \.\.\.$"):
         read_scene(folder)
     (folder / "pair.txt").write_text("1\n0\n3 1 2.0\n")
     with pytest.raises(SceneError, match="pair list"):

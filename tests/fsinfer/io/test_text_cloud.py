@@ -21,7 +21,7 @@ def written(folder: Path, text: str, name: str = "a.csv", *, encoding: str = "ut
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
-@pytest.mark.parametrize("header", ["", "X;Y;Z\n", '"x","y","z"\n', "//X Y Z\n", "2\n"])
+@pytest.mark.parametrize("header", ["", "X;Y;Z\n", '"x","y","z"\n', "//X Y Z\n", "2\n", "X (m), Y [m], Z (m)\n"])
 @pytest.mark.parametrize(
     "rows",
     [
@@ -43,6 +43,32 @@ def written(folder: Path, text: str, name: str = "a.csv", *, encoding: str = "ut
 )
 def test_separators_and_decimal_commas(tmp_path: Path, rows: str, header: str, encoding: str) -> None:
     np.testing.assert_array_equal(read_cloud(written(tmp_path, header + rows, encoding=encoding)).xyz, POINTS)
+
+
+@pytest.mark.parametrize("header", ["Easting,Northing,Elevation,id", "e,n,h,x0", "Easting (m),Northing (m),Height,no"])
+def test_what_surveyors_call_the_axes(tmp_path: Path, header: str) -> None:
+    rows = "1.25,2.50,0.75,7\n4.10,-5.20,130,8\n"
+    np.testing.assert_array_equal(read_cloud(written(tmp_path, f"{header}\n{rows}")).xyz, POINTS)
+    swapped = "Northing,Easting,Elevation\n2.50,1.25,0.75\n-5.20,4.10,130\n"
+    np.testing.assert_array_equal(read_cloud(written(tmp_path, swapped)).xyz, POINTS)
+    # Not where it says what x and y are, or has two heights.
+    for other in ("easting,y,z", "easting,northing,height,altitude"):
+        with pytest.raises(CloudError, match="no x, y and z"):
+            read_cloud(
+                written(tmp_path, f"{other}\n1.25,2.50,0.75,7\n".replace(",7", "" if other[-1] == "z" else ",7"))
+            )
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_first_column_that_numbers_the_points(tmp_path: Path, first: int) -> None:
+    rng = np.random.default_rng(0)
+    xyz, count = rng.normal(size=(12, 3)).round(3), np.arange(first, first + 12)
+    rows = [f"{n} {x:.3f} {y:.3f} {z:.3f}" for n, (x, y, z) in zip(count, xyz, strict=True)]
+    np.testing.assert_allclose(read_cloud(written(tmp_path, "\n".join(rows), "a.xyz")).xyz, xyz)
+    # Nine may be so by chance, and a step of two numbers nothing.
+    for other in (rows[:9], rows[::2] + rows[1::2]):
+        read = read_cloud(written(tmp_path, "\n".join(other), "a.xyz")).xyz
+        assert read[0, 0] == first
 
 
 @pytest.mark.parametrize(
