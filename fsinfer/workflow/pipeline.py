@@ -58,7 +58,7 @@ class ReportResult:
     path: Path
 
 
-TREES = Stage(name="trees", version=41, result=TreesResult, outputs=("trees.csv", "figures"))
+TREES = Stage(name="trees", version=42, result=TreesResult, outputs=("trees.csv", "figures"))
 REPORT = Stage(name="report", version=1, result=ReportResult, outputs=("report.html",))
 
 

@@ -93,6 +93,12 @@ def write_truth(path: Path, stems: Sequence[Stem], sections: Sequence[Section]) 
     write_text(path, "\n".join(rows) + "\n")
 
 
+def write_truth_curves(path: Path, curves: Sequence[Sequence[tuple[float, float]]]) -> None:
+    """Write the true stem curves of the trees 1, 2, ...: diameter_cm is what a tape shows."""
+    rows = [f"{number},{height:.2f},{cm:.3f}" for number, curve in enumerate(curves, 1) for height, cm in curve]
+    write_text(path, "\n".join(["tree_id,height_m,diameter_cm", *rows]) + "\n")
+
+
 def view_written(folder: Path, index: int) -> bool:
     """Whether a view is complete, by this run or an earlier, interrupted one."""
     return (folder / "cams" / f"{index:08d}_cam.txt").is_file()  # write_view writes the camera last

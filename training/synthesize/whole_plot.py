@@ -27,6 +27,7 @@ from training.synthesize.scene_writer import (
     with_depth_range,
     write_record,
     write_truth,
+    write_truth_curves,
     write_view,
 )
 
@@ -120,6 +121,7 @@ def synthesize_plot(args: argparse.Namespace, seed: int, photos: tuple[Path, ...
         write_text(folder / "shots.json", json.dumps([shot.record() for shot in plot.taken.shots], indent=1) + "\n")
     inside = world.in_plot
     write_truth(folder / "truth.csv", world.stems[:inside], world.sections[:inside])
+    write_truth_curves(folder / "truth_curve.csv", world.curves)
     write_truth(folder / "truth_outside.csv", world.stems[inside:], world.sections[inside:])
     write_text(folder / "markers.json", json.dumps(world.markers, indent=1) + "\n")
     print(

@@ -35,6 +35,11 @@ def shared_std(parts: Mapping[str, float]) -> float:
     return total_std({name: part for name, part in parts.items() if name in SHARED})
 
 
+def relative_scale_std(parts: Mapping[str, float], dbh_m: float) -> float:
+    """The relative standard deviation of the scale that is among the parts of a diameter's radius."""
+    return 2.0 * parts.get("scale", 0.0) / dbh_m if dbh_m > 0.0 else 0.0
+
+
 def effective_dof(parts: Mapping[str, float], dofs: Mapping[str, float]) -> float:
     """Degrees of freedom of the sum of ``parts``; a part that ``dofs`` does not name is known exactly.
 

@@ -121,7 +121,7 @@ def measure_together(
     points: Sequence[Floats],
     stems: Sequence[Stem],
     *,
-    bh_m: float = BREAST_HEIGHT_M,
+    bh_m: float | Sequence[float] = BREAST_HEIGHT_M,
     ground_noise_m: float | Sequence[float] = 0.0,
     scale_rel_std: float = 0.0,
     settings: DbhSettings | None = None,
@@ -130,14 +130,16 @@ def measure_together(
     """Measure each stem among its points (N, 3) of x, y, height above its own ground, in metres.
 
     Stems do not know of each other; they are taken together because their fits are faster at once.
-    ``ground_noise_m`` is the standard deviation of the level their heights count from, of all or of each.
+    ``bh_m`` is the height of the diameter, ``ground_noise_m`` the standard deviation of the level that their heights
+    count from, both of all or of each.
     """
     s = settings or DbhSettings()
     starts = np.zeros((len(stems), 6))
     heights = np.zeros(len(stems))
+    wanted = np.broadcast_to(np.asarray(bh_m, dtype=np.float64), len(stems)).tolist()
     for k, stem in enumerate(stems):
         lowest = stem.bottom_m + LAYER_M
-        height = float(np.clip(bh_m, lowest, max(stem.top_m - LAYER_M, lowest)))
+        height = float(np.clip(wanted[k], lowest, max(stem.top_m - LAYER_M, lowest)))
         start = stem.axis.parameters.copy()
         start[:2] = stem.axis.center_at(height)
         start[4] = max(stem.axis.radius_at(height), LEAST_RADIUS_M)
@@ -146,8 +148,8 @@ def measure_together(
     noises = np.broadcast_to(np.asarray(ground_noise_m, dtype=np.float64), len(stems)).tolist()
     fits = joint_fits(points, starts, heights, sigmas, half_windows_m=s.half_windows_m, seed=seed)
     return [
-        _section(own, stem, fit, used, bh_m, noise, scale_rel_std, s, seed)
-        for own, stem, (fit, used), noise in zip(points, stems, fits, noises, strict=True)
+        _section(own, stem, fit, used, height, noise, scale_rel_std, s, seed)
+        for own, stem, (fit, used), height, noise in zip(points, stems, fits, wanted, noises, strict=True)
     ]
 
 

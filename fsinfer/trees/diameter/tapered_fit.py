@@ -84,6 +84,8 @@ def joint_fits(
         return _window(points[k], starts[k], fit.height_m, halves[k], s, rngs[k], least_m=OUTSIDE_SIGMAS * fit.sigma_m)
 
     for _ in range(AGAIN):
+        if not blurred:
+            break
         # About a radius that the search had too small the outer half of a blurred wall is missing: of stems with 3 to 4
         # cm of noise diameters came out up to 5 cm too small.
         near = {k: window for k in blurred if len(window := about_fit(k)) >= LEAST_POINTS}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from fsinfer.notices.notice import notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees import PlotResult, analyse_plot
 from fsinfer.trees.outputs.table import COLUMNS as TREE_COLUMNS
-from fsinfer.trees.stem_curve import COLUMNS, stem_curves, write_curves
+from fsinfer.trees.stem_curve import COLUMNS, CurveSettings, stem_curves, write_curves
 from fsinfer.workflow.tree_stage import PlotCloudInput, measure_plot, no_trees
 from tests.support.stem_clouds import StemPlot, stem_plot
 from tests.support.workbook import read_sheets
@@ -45,6 +46,55 @@ def test_the_curve_follows_taper_and_swell(plot: StemPlot, result: PlotResult) -
         for height_m, diameter_cm in measured[1:]:
             assert diameter_cm == pytest.approx(expected_cm(truth, height_m), abs=0.35)
         assert measured[-1][1] < measured[1][1]
+
+
+def test_the_curve_follows_what_the_photographs_say_at_breast_height(plot: StemPlot, result: PlotResult) -> None:
+    def told(dbh_m: float, std_m: float) -> dict[float, float]:
+        sections = tuple(
+            replace(section, dbh_m=dbh_m, sd_m=std_m, dof=float("inf"), parts_m=section.parts_m | {"scale": 0.001})
+            if number == 0
+            else section
+            for number, section in enumerate(result.sections)
+        )
+        curve = stem_curves(plot.points, replace(result, sections=sections))[result.trees[0].tree_id]
+        assert all(point.std_cm is None or point.std_cm > 100.0 * 2.0 * 0.001 * 0.8 for point in curve)
+        return {point.height_m: point.diameter_cm for point in curve if point.diameter_cm is not None}
+
+    points_m = result.sections[0].dbh_m
+    assert points_m is not None
+    alone, surer, unsure = told(points_m, 0.002), told(points_m + 0.01, 0.0025), told(points_m + 0.01, 0.03)
+    for height in (1.0, 1.5):
+        assert 0.1 < surer[height] - alone[height] < 1.0
+        assert abs(unsure[height] - alone[height]) < 0.15
+
+
+def test_a_diameter_that_was_measured_elsewhere_counts_there(plot: StemPlot, result: PlotResult) -> None:
+    first = result.sections[0]
+    lower = replace(first, by_taper_m=-0.01, sd_m=0.0025, dof=float("inf"))
+    usual = stem_curves(plot.points, replace(result, sections=(replace(lower, by_taper_m=0.0), *result.sections[1:])))
+    moved = stem_curves(plot.points, replace(result, sections=(lower, *result.sections[1:])))
+    number = result.trees[0].tree_id
+    at = {point.height_m: point.diameter_cm or 0.0 for point in usual[number]}
+    assert all(0.1 < (p.diameter_cm or 0.0) - at[p.height_m] < 2.0 for p in moved[number] if p.height_m in (1.0, 1.5))
+
+
+def test_diameters_that_are_not_sure_or_do_not_follow_the_stem_are_refused(plot: StemPlot, result: PlotResult) -> None:
+    unsure = stem_curves(plot.points, result, settings=CurveSettings(max_std=1e-4))
+    assert {p.why.code for curve in unsure.values() for p in curve if p.why is not None} == {
+        StemCode.uncertain_at_height
+    }
+    assert not any(p.diameter_cm for curve in unsure.values() for p in curve)
+    tree = result.trees[0]
+    points = plot.points.copy()
+    away = points[:, :2] - [tree.x_m, tree.y_m]
+    height = points[:, 2] - tree.z_ground_m
+    burl = (np.hypot(*away.T) < 0.8) & (np.abs(height - 3.0) < 0.25)
+    middle = np.median(points[burl, :2], axis=0)
+    points[burl, :2] = middle + 1.25 * (points[burl, :2] - middle)
+    curve = {p.height_m: p for p in stem_curves(points, result)[tree.tree_id]}
+    why = curve[3.0].why
+    assert why is not None
+    assert why.code == StemCode.curvature_differs
 
 
 def test_where_too_little_is_seen_there_is_a_reason(plot: StemPlot, result: PlotResult) -> None:

@@ -26,7 +26,7 @@ from training.synthesize.forest.boards import SIDE_M, board_material, board_pair
 from training.synthesize.forest.light import random_light
 from training.synthesize.forest.material import Material, lookup, pyramid
 from training.synthesize.forest.mesh import make_mesh, merge
-from training.synthesize.forest.stem import Stem, measure_section, random_stem, stem_mesh
+from training.synthesize.forest.stem import Stem, measure_section, random_stem, stem_curve, stem_mesh
 from training.synthesize.forest.terrain import make_terrain, terrain_mesh
 from training.synthesize.forest.textures import bark
 from training.synthesize.render import Caster, pixel_rays
@@ -91,6 +91,16 @@ def test_a_round_stem_has_the_diameter_it_was_given() -> None:
     # An inscribed 128-gon has a perimeter smaller by 1e-4.
     assert section.dbh_cm == pytest.approx(200 * float(stem.radius(np.array([1.3]))[0]), rel=3e-4)
     assert section.dbh_area_cm == pytest.approx(section.dbh_cm, rel=3e-4)
+
+
+@pytest.mark.parametrize(("fork_at_m", "highest"), [(0.0, 6.5), (3.2, 2.5)])
+def test_true_stem_curves_go_as_high_as_the_mesh_is_fine(fork_at_m: float, highest: float) -> None:
+    stem, _, materials = stem_and_mesh(1)
+    zero = np.zeros(2)
+    stem = replace(stem, fourier=np.zeros(5), relief_m=0.0, swell=0.0, lean=zero, sweep_m=zero, fork_at_m=fork_at_m)
+    curve = np.array(stem_curve(stem, stem_mesh(stem, materials, sides=128, step_m=0.02)))
+    np.testing.assert_allclose(curve[:, 0], np.arange(0.5, highest + 0.1, 0.5))
+    np.testing.assert_allclose(curve[:, 1], 200 * stem.radius(curve[:, 0]), rtol=3e-4)
 
 
 def test_true_section_is_the_surface_that_rays_hit() -> None:

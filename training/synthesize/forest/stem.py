@@ -145,20 +145,20 @@ def lookup_field(field: NDArray[np.float32], uv: NDArray[np.float32]) -> NDArray
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """True section of a stem at breast height (see :func:`measure_section`)."""
+    """True section of a stem (see :func:`measure_section`)."""
 
     center: NDArray[np.float64]
     dbh_cm: float
     dbh_area_cm: float
 
 
-def measure_section(stem: Stem, mesh: Mesh) -> Section:
-    """Cut ``mesh`` by the plane across the axis at 1.30 m above the ground at the stem's base point.
+def measure_section(stem: Stem, mesh: Mesh, *, height_m: float = BREAST_HEIGHT_M) -> Section:
+    """Cut ``mesh`` by the plane across the axis at a height above the ground at the stem's base point, 7 m at most.
 
     ``dbh_cm`` is what a tape shows: the perimeter of the section's convex hull / pi. ``dbh_area_cm`` is the
     diameter of the circle of equal area. The height is taken vertically along the axis.
     """
-    below, center, above = stem.axis(np.array([1.2, BREAST_HEIGHT_M, 1.4]))
+    below, center, above = stem.axis(np.array([height_m - 0.1, height_m, height_m + 0.1]))
     normal = (above - below) / np.linalg.norm(above - below)
     vertices = mesh.vertices.astype(np.float64)
     signed = (vertices - center) @ normal
@@ -180,3 +180,13 @@ def measure_section(stem: Stem, mesh: Mesh) -> Section:
     x, y = plane.T
     area = 0.5 * abs(float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))))
     return Section(center=center, dbh_cm=100 * perimeter / np.pi, dbh_area_cm=200 * float(np.sqrt(area / np.pi)))
+
+
+def stem_curve(stem: Stem, mesh: Mesh) -> list[tuple[float, float]]:
+    """Heights in metres, every half metre, and what a tape shows there in cm (:func:`measure_section`).
+
+    Up to 6.5 m, above which the mesh is coarse, or half a metre below a fork and two below the top.
+    """
+    highest = min(6.5, stem.height_m - 2.0, stem.fork_at_m - 0.5 if stem.fork_at_m else np.inf)
+    heights = np.arange(0.5, highest + 1e-9, 0.5)
+    return [(float(h), measure_section(stem, mesh, height_m=float(h)).dbh_cm) for h in heights]

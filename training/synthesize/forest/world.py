@@ -17,7 +17,7 @@ from training.synthesize.forest.foliage import branches, fork, leaf_cards
 from training.synthesize.forest.light import Light, random_light
 from training.synthesize.forest.material import Material
 from training.synthesize.forest.mesh import Mesh, merge
-from training.synthesize.forest.stem import Section, Stem, measure_section, random_stem, stem_mesh
+from training.synthesize.forest.stem import Section, Stem, measure_section, random_stem, stem_curve, stem_mesh
 from training.synthesize.forest.terrain import Terrain, make_terrain, terrain_mesh
 from training.synthesize.forest.textures import make_material
 from training.synthesize.forest.undergrowth import litter, log, scatter, shrub, stones, tufts
@@ -68,6 +68,8 @@ class WorldSettings:
 class World:
     """A finished world; ``sections`` are the true breast-height sections of ``stems``, the first ``in_plot`` inside.
 
+    ``curves`` are the true stem curves of those inside.
+
     With wind, ``swaying`` holds thin stems and shrubs, which else are in ``opaque``; ``sway`` and ``flutter`` say how
     far each vertex of ``swaying`` and of ``cards`` moves (see :mod:`training.synthesize.forest.wind`).
     """
@@ -79,6 +81,7 @@ class World:
     light: Light
     stems: list[Stem]
     sections: list[Section]
+    curves: list[list[tuple[float, float]]]
     in_plot: int
     markers: dict[str, Any]
     obstacles: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
@@ -191,7 +194,7 @@ def build_world(rng: np.random.Generator, settings: WorldSettings) -> World:
     low_crown = rng.uniform(0.1, 0.45)
     lean_scale = rng.uniform(0.5, 1.6)
     leafless = settings.season == "winter" and not conifer
-    stems, sections, obstacles = [], [], []
+    stems, sections, curves, obstacles = [], [], [], []
     for number, (x, y) in enumerate([*inner, *outer]):
         dbh = float(np.clip(median * np.exp(rng.normal(0, 0.4)), settings.min_dbh_m, settings.max_dbh_m))
         z = float(terrain.height(np.float64(x), np.float64(y)))
@@ -211,6 +214,8 @@ def build_world(rng: np.random.Generator, settings: WorldSettings) -> World:
             parts.append(fork(stem, rng, tile))
         stems.append(stem)
         sections.append(measure_section(stem, mesh))
+        if near:
+            curves.append(stem_curve(stem, mesh))
         obstacles.append((x, y, dbh / 2))
         crown = stem.height_m * rng.uniform(low_crown, low_crown + 0.3)
         dead = int(rng.poisson(14 if conifer else 4)) if near else 2
@@ -265,6 +270,7 @@ def build_world(rng: np.random.Generator, settings: WorldSettings) -> World:
         light=light,
         stems=stems,
         sections=sections,
+        curves=curves,
         in_plot=len(inner),
         markers=markers,
         obstacles=np.array(obstacles).reshape(-1, 3),
