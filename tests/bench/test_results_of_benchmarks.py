@@ -41,6 +41,7 @@ ARGUMENTS = {
     "same": ["work"],
     "sfm_mvs": ["plot", "out"],
     "speed": [],
+    "stem_curve": ["plot", "out"],
     "stems": [],
     "stereo": [],
     "trunks": ["trunks", "out"],
