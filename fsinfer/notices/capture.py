@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
 from typing import Any
 
@@ -63,25 +63,28 @@ def _frames_not_used(values: Mapping[str, Any]) -> str:
     )
 
 
+def _shown(names: Sequence[str]) -> str:
+    return ", ".join(names[:MOST_NAMES]) + (", ..." if len(names) > MOST_NAMES else "")
+
+
 def _in_folders(values: Mapping[str, Any]) -> str:
-    names = ", ".join(values["names"][:MOST_NAMES]) + (", ..." if len(values["names"]) > MOST_NAMES else "")
     return (
-        f"{values['photos']} photos and videos in folders within it ({names}) were not looked at: put what belongs to "
-        "the plot into one folder"
+        f"{values['photos']} photos and videos in folders within it ({_shown(values['names'])}) were not looked at: "
+        "put what belongs to the plot into one folder"
     )
 
 
 def _without_sources(values: Mapping[str, Any]) -> str:
     names = values["names"]
-    shown = ", ".join(names[:MOST_NAMES]) + (", ..." if len(names) > MOST_NAMES else "")
-    return f"{len(names)} of {values['views']} views have no source view in pair.txt, and no depth map ({shown})"
+    return (
+        f"{len(names)} of {values['views']} views have no source view in pair.txt, and no depth map ({_shown(names)})"
+    )
 
 
 def _left_out(why: str) -> Callable[[Mapping[str, Any]], str]:
     def say(values: Mapping[str, Any]) -> str:
         names = sorted(values["names"])
-        shown = ", ".join(names[:MOST_NAMES]) + (", ..." if len(names) > MOST_NAMES else "")
-        return f"{len(names)} of {values['photos']} photos left out ({shown}): {why}"
+        return f"{len(names)} of {values['photos']} photos left out ({_shown(names)}): {why}"
 
     return say
 

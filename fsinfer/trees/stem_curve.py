@@ -212,8 +212,11 @@ def _follow(climbs: Sequence[_Climb], s: CurveSettings) -> None:
         going = []
         for n, (climb, height) in enumerate(those):
             section = measured.get(n)
-            why = notice(StemCode.few_at_height, points=len(windows[n])) if section is None else None
-            climb.found.append(_point(climb, height, section, why or _why_not(climb, height, section, s)))
+            if section is None:
+                why = notice(StemCode.few_at_height, points=len(windows[n]))
+            else:
+                why = _why_not(climb, height, section, s)
+            climb.found.append(_point(climb, height, section, why))
             if section is not None and climb.found[-1].diameter_cm is not None:
                 state = [*section.center, *section.slope, section.circle_m[2], section.taper]
                 climb.state, climb.at = np.array(state), height
@@ -233,10 +236,8 @@ def _stem_at(climb: _Climb, height: float, s: CurveSettings) -> Stem:
     )
 
 
-def _why_not(climb: _Climb, height: float, section: Section | None, s: CurveSettings) -> Notice | None:
+def _why_not(climb: _Climb, height: float, section: Section, s: CurveSettings) -> Notice | None:
     """Why a section is no diameter of the curve, None where it is one."""
-    if section is None:
-        return None
     if section.coverage and section.coverage < s.min_coverage:
         return notice(StemCode.little_seen, seen_deg=360.0 * section.coverage)
     times, slack = s.max_noise
