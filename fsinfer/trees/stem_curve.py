@@ -212,10 +212,8 @@ def _follow(climbs: Sequence[_Climb], s: CurveSettings) -> None:
         going = []
         for n, (climb, height) in enumerate(those):
             section = measured.get(n)
-            if section is None:
-                why = notice(StemCode.few_at_height, points=len(windows[n]))
-            else:
-                why = _why_not(climb, height, section, s)
+            few = notice(StemCode.few_at_height, points=len(windows[n]))
+            why = few if section is None else _why_not(climb, height, section, s)
             climb.found.append(_point(climb, height, section, why))
             if section is not None and climb.found[-1].diameter_cm is not None:
                 state = [*section.center, *section.slope, section.circle_m[2], section.taper]
