@@ -144,10 +144,13 @@ def _candidates(
                 yield straight, misplaced
             if straight.num_reg_images() >= enough:
                 return  # what is still missing is not worth mapping the walk three times more
+    tried: set[bytes] = set()
     for stretches, lenient in _WAYS if settings.mapper == "incremental" else ():
         wrong = contradicted(votes, len(image_ids), neighbours=neighbours, stretches=stretches, lenient=lenient)
-        if not wrong.any():
-            continue
+        judged = wrong.tobytes()
+        if not wrong.any() or judged in tried:
+            continue  # what is judged the same way is mapped the same way
+        tried.add(judged)
         start = deepcopy(model)
         drop(start, [image_id for image_id, is_wrong in zip(image_ids, wrong, strict=True) if is_wrong])
         if start.num_reg_images() < settings.min_registered:

@@ -11,18 +11,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.trees.cylinder.axis import AxisSettings
-from fsinfer.trees.diameter.edge_set import Edges, sides_in_photos
+from fsinfer.trees.diameter.edge_set import Edges, chosen_edges, sides_in_photos
 from fsinfer.trees.diameter.faces import Faces, sector_of_angle
 from fsinfer.trees.diameter.sides import NOISE_SECTORS
 from fsinfer.trees.diameter.silhouette_settings import SilhouetteSettings
 
 Floats = NDArray[np.float64]
-
+Ints = NDArray[np.int64]
 
 #: Steps of the vote over radius and place, metres. Source: numerics.
 RADIUS_STEP_M, PLACE_STEP_M = 0.004, 0.01
@@ -44,19 +45,24 @@ BANDS_TOGETHER = 6.0
 OFFSET_FIRST_M = 0.005
 #: An edge is never surer, metres. Source: numerics.
 LEAST_NOISE_M = 0.001
+#: Logarithm of the least share of a vote. Source: numerics; numbers below the least normal one cost five times as much.
+LEAST_LOG = np.float32(-50.0)
+#: What is less likely to be the stem's edge counts as none in the equations of a round. Source: numerics; two thirds of
+#: the candidates.
+LEAST_WEIGHT = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """Unknowns ``x`` (K,); of each edge its probability ``weight``, ``precision`` (N,), gradient ``scores`` (N, K).
+    """Unknowns ``x`` (K,); of each edge (N,), as given, its probability ``weight``, ``precision`` and ``residual``.
 
-    ``own`` (N, K) is the design without what the photographs' offsets take up.
+    ``by_offsets`` (P, K) is what the photographs' offsets take up of the design (:meth:`EdgeProblem.own_design`).
     """
 
     x: Floats
-    own: Floats
+    by_offsets: Floats
     weight: Floats
-    scores: Floats
+    residual: Floats
     information: Floats
     noise_m: float
     log_likelihood: float
@@ -70,7 +76,11 @@ class Solution:
 
 
 class EdgeProblem:
-    """The edges of one stem with what both steps of the fit need of them."""
+    """The edges of one stem with what both steps of the fit need of them.
+
+    Its own arrays are sorted by photograph and ray, so that sums over either are taken of rows in one piece; what a
+    solution tells of each edge is in the order that was given.
+    """
 
     def __init__(
         self,
@@ -81,9 +91,12 @@ class EdgeProblem:
         faces: Faces | None = None,
     ) -> None:
         s = self.s = settings
+        self.order = np.lexsort((edges.ray, edges.photo))
+        edges = chosen_edges(edges, self.order)
         self.edges, self.radius_m, self.taper = edges, radius_m, taper
-        self.ray = np.asarray(np.unique(edges.ray, return_inverse=True)[1], dtype=np.int64)
-        self.rays = int(self.ray.max()) + 1
+        begins = np.r_[True, np.diff(edges.ray) != 0]
+        self.ray, self.first_of_ray = np.cumsum(begins) - 1, np.flatnonzero(begins)
+        self.rays = len(self.first_of_ray)
         self.log_strength = np.log(np.maximum(edges.strength, 1.0))
         self.pixel = s.edge_std_px * edges.pixel_m
         names, self.photo = np.unique(edges.photo, return_inverse=True)
@@ -94,11 +107,9 @@ class EdgeProblem:
         self.of_sectors = slice(self.shape.stop, self.shape.stop + NOISE_SECTORS)
         self.sector = sector_of_angle(edges.angle_rad)
         own_sector = np.eye(NOISE_SECTORS)[self.sector]
+        self.support, self.sided_support = edges.support_m, self.side * edges.support_m
         self.design = np.hstack([design_matrix(edges.angle_rad, edges.height_m, len(shape_std)), own_sector])
-        # Sums over the edges of each photograph, which every round needs, are taken of its rows in one piece.
-        self.by_photo = np.argsort(self.photo, kind="stable")
-        self.first_of_photo = np.searchsorted(self.photo[self.by_photo], np.arange(self.photos))
-        self.design_by_photo = self.design[self.by_photo]
+        self.sided = self.side[:, None] * self.design
         shape = np.repeat(shape_std * radius_m, 2)
         sectors = np.full(NOISE_SECTORS, s.sector_m)
         self.prior = 1.0 / np.r_[np.inf, s.taper_std, [s.place_std_m] * 2, [s.slope_std] * 2, shape, sectors] ** 2
@@ -118,7 +129,7 @@ class EdgeProblem:
             alike += [np.cos(k * faces.angle_rad), np.sin(k * faces.angle_rad)]
         self.face_design = np.hstack([of_stem, np.zeros((count, NOISE_SECTORS)), np.column_stack(alike)])
         self.design = np.hstack([self.design, np.zeros((len(self.design), common))])
-        self.design_by_photo = self.design[self.by_photo]
+        self.sided = self.side[:, None] * self.design
         self.prior = np.r_[self.prior, np.array(s.alike_std_m) ** -2.0]
         self.prior_mean = np.r_[self.prior_mean, -s.hull_share * self.radius_m, np.zeros(common - 1)]
         weighed = self.face_design / faces.std_m[:, None] ** 2
@@ -154,28 +165,49 @@ class EdgeProblem:
         ``radius_step_m``.
         """
         s, edges = self.s, self.edges
-        level = edges.support_m - self.taper * edges.height_m
-        std = np.hypot(TOLERANCES_M[0], self.pixel)
-        shifts = np.arange(-s.place_range_m, s.place_range_m + 1e-9, place_step_m)
-        order = np.argsort(self.ray, kind="stable")
-        first = np.searchsorted(self.ray[order], np.arange(self.rays))
-        cosine, sine = np.cos(edges.angle_rad), np.sin(edges.angle_rad)
+        by_rank, ends = self._ranked()
+        level = (edges.support_m - self.taper * edges.height_m)[by_rank].astype(np.float32)
+        narrow = (-0.5 / (TOLERANCES_M[0] ** 2 + self.pixel[by_rank] ** 2)).astype(np.float32)
+        cosine, sine = (part(edges.angle_rad[by_rank]).astype(np.float32) for part in (np.cos, np.sin))
+        strength = self.log_strength[by_rank].astype(np.float32)
+        shifts = np.arange(-s.place_range_m, s.place_range_m + 1e-9, place_step_m, dtype=np.float32)
         low, high = s.radius_range
         most = max(high * self.radius_m, self.radius_m + s.beyond_m)
-        radii = np.arange(low * self.radius_m, most + 5 * radius_step_m, radius_step_m)
+        radii = np.arange(low * self.radius_m, most + 5 * radius_step_m, radius_step_m, dtype=np.float32)
         tops, places = np.zeros(len(radii)), np.zeros((len(radii), 2))
+        beside = shifts[:, None] * sine
         for i, radius in enumerate(radii):
+            away = level - radius
             for a in shifts:
                 # (len(shifts), N): all places along the second axis at once
-                residual = level - radius - a * cosine - shifts[:, None] * sine
-                score = self.log_strength * np.exp(-0.5 * (residual / std) ** 2)
-                votes = np.maximum.reduceat(score[:, order], first, axis=1).sum(axis=1)
+                score = np.square((away - a * cosine) - beside)
+                score *= narrow
+                np.maximum(score, LEAST_LOG, out=score)
+                np.exp(score, out=score)
+                score *= strength
+                best = score[:, : ends[0]]
+                for begin, end in pairwise(ends):
+                    of_these = best[:, : end - begin]
+                    np.maximum(of_these, score[:, begin:end], out=of_these)
+                votes = best.sum(axis=1)
                 if votes.max() > tops[i]:
                     tops[i], places[i] = votes.max(), (a, shifts[votes.argmax()])
         peaks = [i for i in range(len(radii)) if tops[i] >= max(tops[max(i - 1, 0) : i + 2])]
         peaks = sorted(peaks, key=lambda i: -tops[i])[:STARTS]
         contrast = float(tops.max()) / max(float(np.median(tops)), 1e-9)
         return [np.array([radii[i], *places[i]]) for i in peaks], contrast
+
+    def _ranked(self) -> tuple[Ints, list[int]]:
+        """The first edge of every ray, then the second of those with two, and so on; and where each lot ends.
+
+        Rays with more edges come first, so that the k-th edges are those of the first rays: whole rows are compared
+        instead of a few numbers at a time.
+        """
+        sizes = np.bincount(self.ray)
+        place = np.empty_like(sizes)
+        place[np.argsort(-sizes, kind="stable")] = np.arange(self.rays)
+        rank = np.arange(len(self.ray)) - self.first_of_ray[self.ray]
+        return np.lexsort((place[self.ray], rank)), np.cumsum(np.bincount(rank)).tolist()
 
     def ovals(self, start: Floats) -> Iterator[tuple[Floats, Floats]]:
         """A start with a second harmonic: an oval that lies in one of some directions.
@@ -188,7 +220,6 @@ class EdgeProblem:
 
     def refine(self, start: Floats, oval: Floats) -> Solution:
         """Expectation-maximisation from ``start`` (radius and place) and a second harmonic, then with all harmonics."""
-        edges, design = self.edges, self.design
         x = self.prior_mean.copy()
         x[[0, 2, 3]], x[AXIS : AXIS + 2] = start, oval
         start_shape = np.r_[self.prior_mean[:AXIS], x[AXIS:]]
@@ -205,13 +236,14 @@ class EdgeProblem:
                 expected = start_shape
             told = np.bincount(self.photo, precision, self.photos)
             held = told + offset_prior
-            own = self._without_offsets(precision, held)
-            information = (own * precision[:, None]).T @ design + np.diag(prior)
-            told_sum = own.T @ (precision * edges.support_m) + prior * expected
+            information, told_sum, by_offsets = self._without_offsets(weight, precision, held)
+            information += np.diag(prior)
+            told_sum += prior * expected
             if self.faces is not None:
-                information, told_sum = information + self.face_information, told_sum + self.face_sum
-            x = np.linalg.solve(information, told_sum)
-            residual = edges.support_m - design @ x
+                information += self.face_information
+                told_sum += self.face_sum
+            x = np.asarray(np.linalg.solve(information, told_sum), np.float64)
+            residual = self.support - self.design @ x
             offset = np.bincount(self.photo, precision * self.side * residual, self.photos) / held
             residual -= self.side * offset[self.photo]
             of_sector = np.bincount(self.sector, precision, NOISE_SECTORS)
@@ -226,25 +258,43 @@ class EdgeProblem:
         aside = float(np.log1p((offset / self.s.offset_m) ** 2).sum())
         return Solution(
             x=x,
-            own=own,
-            weight=weight,
-            scores=own * (precision * residual)[:, None],
+            by_offsets=by_offsets,
+            weight=self._as_given(weight),
+            residual=self._as_given(residual),
             information=information,
             noise_m=noise,
             # The offsets' prior goes with the edges; beside the shape's it lost (docs/trials-accuracy.md).
             log_likelihood=log_likelihood - aside,
             log_prior=self._log_prior(x),
-            precision=precision,
+            precision=self._as_given(precision),
         )
 
-    def _without_offsets(self, precision: Floats, held: Floats) -> Floats:
-        """The design (N, K) without what the photographs' offsets take up of it (Schur's complement).
+    def own_design(self, found: Solution) -> Floats:
+        """The design (N, K) of the edges, as given, without what the photographs' offsets take up of it."""
+        return self._as_given(self.design - self.side[:, None] * found.by_offsets[self.photo])
 
-        ``held`` (P,) is the precision of each photograph's offset, by its edges and its prior.
+    def _as_given(self, sorted_rows: Floats) -> Floats:
+        """Rows (N, ...) of the edges in the order in which they were given."""
+        rows = np.empty_like(sorted_rows)
+        rows[self.order] = sorted_rows
+        return rows
+
+    def _without_offsets(self, weight: Floats, precision: Floats, held: Floats) -> tuple[Floats, Floats, Floats]:
+        """Matrix (K, K) and right side (K,) of the edges' equations without the photographs' offsets, and their part.
+
+        That is Schur's complement: with the design D and the diagonal matrix W of ``precision`` (N,) it is D'WD less
+        T'T / ``held``, where T (P, K) are the sums of WD over the photographs, each side with its sign, and ``held``
+        (P,) the precision of each photograph's offset, by its edges and its prior. The part (P, K) is T / ``held``.
         """
-        sided = (precision * self.side)[self.by_photo, None] * self.design_by_photo
-        taken = np.add.reduceat(sided, self.first_of_photo, axis=0)
-        return np.asarray(self.design - self.side[:, None] * (taken / held[:, None])[self.photo])
+        counted = np.flatnonzero(weight > LEAST_WEIGHT)
+        photo, sided, support = self.photo[counted], self.sided[counted], self.sided_support[counted]
+        weighed = sided * precision[counted, None]  # a side's sign cancels where it comes twice
+        begins = np.flatnonzero(np.r_[True, np.diff(photo) != 0][: len(photo)])
+        taken, of_support = np.zeros((self.photos, sided.shape[1])), np.zeros(self.photos)
+        taken[photo[begins]] = np.add.reduceat(weighed, begins, axis=0)
+        of_support[photo[begins]] = np.add.reduceat(precision[counted] * support, begins)
+        part = taken / held[:, None]
+        return sided.T @ weighed - part.T @ taken, weighed.T @ support - part.T @ of_support, part
 
     def _log_prior(self, x: Floats) -> float:
         """Of the shape and what the edges do not tell, with the faces, which are as sure as they say."""
@@ -252,17 +302,15 @@ class EdgeProblem:
         return -0.5 * (float((self.prior[AXIS:] * away**2).sum()) + self._squares_of_faces(x))
 
     def _log_fit(self, x: Floats, offset: Floats, std: Floats) -> Floats:
-        residual = self.edges.support_m - self.design @ x - self.side * offset[self.photo]
+        residual = self.support - self.design @ x - self.side * offset[self.photo]
         return np.asarray(self.log_strength - 0.5 * (residual / std) ** 2)
 
     def _responsibility(self, log_fit: Floats) -> tuple[Floats, float]:
         """Probability (N,) that a candidate is the stem's edge, at most one on each ray or none; and the likelihood."""
         none = float(np.log(self.s.background))
-        top = np.full(self.rays, none)
-        np.maximum.at(top, self.ray, log_fit)
-        total = np.exp(none - top)
+        top = np.maximum(np.maximum.reduceat(log_fit, self.first_of_ray), none)
         part = np.exp(log_fit - top[self.ray])
-        np.add.at(total, self.ray, part)
+        total = np.exp(none - top) + np.add.reduceat(part, self.first_of_ray)
         return np.asarray(part / total[self.ray]), float((top + np.log(total)).sum())
 
 

@@ -35,8 +35,8 @@ class Edges:
     photo: Ints
 
 
-def chosen_edges(edges: Edges, chosen: NDArray[np.bool_]) -> Edges:
-    """The edges of which ``chosen`` (N,) is true."""
+def chosen_edges(edges: Edges, chosen: NDArray[np.bool_] | Ints) -> Edges:
+    """The edges of which ``chosen`` (N,) is true, or those that it numbers."""
     return Edges(
         support_m=edges.support_m[chosen],
         angle_rad=edges.angle_rad[chosen],

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from fsinfer.trees.diameter.budget import LEAST_DOF, effective_dof, total_std
 from fsinfer.trees.diameter.edge_problem import EdgeProblem, Solution
 from fsinfer.trees.diameter.edge_set import Edges
-from fsinfer.trees.diameter.faces import Faces, SupportFunction
+from fsinfer.trees.diameter.faces import Faces, SupportFunction, sector_of_angle
 from fsinfer.trees.diameter.roundness import left_open
 from fsinfer.trees.diameter.sides import NOISE_SECTORS
 from fsinfer.trees.diameter.silhouette_settings import SilhouetteSettings
@@ -137,10 +137,11 @@ def fit_silhouette(
     if used.sum() < s.min_edges or weight.sum() < s.min_share * problem.rays:
         return None
     # Edges seen under about the same angle err together: bark is no smooth curve.
-    sector = problem.sector[used]
+    sector, own = sector_of_angle(edges.angle_rad[used]), problem.own_design(best)
+    scores = own * (best.precision * best.residual)[:, None]
     covariance = np.asarray(np.linalg.inv(best.information), np.float64)
     by_faces = np.zeros_like(covariance) if faces is None else problem.face_information
-    variance, dof = _clustered_variance(covariance, best.scores[used], sector, problem.prior, by_faces)
+    variance, dof = _clustered_variance(covariance, scores[used], sector, problem.prior, by_faces)
     x = best.x
     sectors = len(np.unique(sector if faces is None else np.r_[sector, faces.sector])) / NOISE_SECTORS
     parts = {
@@ -168,7 +169,7 @@ def fit_silhouette(
         left_open_m=left_open(covariance[0, problem.shape], problem.prior[problem.shape]),
         common_m=float(np.hypot(np.hypot(parts["common"], parts["shape"]), problem.shared_by_faces(covariance[0]))),
         dof=effective_dof(parts, {"edges": dof}),
-        gain=np.asarray(np.linalg.solve(best.information, (best.own * best.precision[:, None]).T)[0]),
+        gain=np.asarray(np.linalg.solve(best.information, (own * best.precision[:, None]).T)[0]),
         faces=0 if faces is None else len(faces.angle_rad),
         faces_misfit=problem.misfit_of_faces(x),
     )
