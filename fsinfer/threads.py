@@ -61,12 +61,18 @@ def photo_threads() -> int:
 
 
 def in_order(
-    work: Callable[[_Item], _Result], items: Iterable[_Item], threads: int, *, ahead: int = 0
+    work: Callable[[_Item], _Result],
+    items: Iterable[_Item],
+    threads: int,
+    *,
+    ahead: int = 0,
+    on_interrupt: Callable[[], None] = lambda: None,
 ) -> Generator[_Result, None, None]:
     """The results of ``work`` on each item, in the items' order, worked out by so many threads at a time.
 
     At most so many items and ``ahead`` more are worked on ahead of what is taken, so that as many photos are held at
-    once. An error comes where its result would, and what was not begun by then is not begun any more.
+    once. An error comes where its result would, and what was not begun by then is not begun any more. At Ctrl-C
+    ``on_interrupt`` is called before what was begun is waited for.
     """
     if threads <= 1:
         yield from map(work, items)
@@ -80,6 +86,9 @@ def in_order(
                     yield waiting.popleft().result()
             while waiting:
                 yield waiting.popleft().result()
+        except KeyboardInterrupt:
+            on_interrupt()
+            raise
         finally:
             for future in waiting:
                 future.cancel()

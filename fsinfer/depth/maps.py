@@ -145,6 +145,10 @@ class DepthMaps:
         if missing:
             _log.warning("%d of %d views have no depth map and are left out", missing, len(scene.views))
 
+    def __reduce__(self) -> tuple[type[DepthMaps], tuple[Scene, Path]]:
+        """For another process, which reads the maps itself."""
+        return DepthMaps, (self.scene, self.folder)
+
     def keep(self, cache_maps: int) -> None:
         """Keep so many maps from now on, at least two."""
         self._cache_maps = max(2, cache_maps)

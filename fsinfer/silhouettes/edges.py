@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -17,12 +18,12 @@ from scipy.ndimage import gaussian_filter1d
 
 from fsinfer.depth.maps import DepthMaps
 from fsinfer.geometry.similarity import scale_of, scaling
+from fsinfer.processes import shared_out
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Camera, Scene, project, read_view_image
 from fsinfer.silhouettes.edge_settings import EdgeSettings
 from fsinfer.silhouettes.stem_axis import StemAxis, facing
 from fsinfer.silhouettes.visibility import BOTH_SIDES, in_reach, sides_shown
-from fsinfer.threads import in_order, photo_threads
 from fsinfer.trees.diameter.edge_set import Edges
 
 Floats = NDArray[np.float64]
@@ -84,18 +85,30 @@ def find_edges(
     s = settings or EdgeSettings()
     found: list[list[Floats]] = [[] for _ in stems]
 
-    def look(index: int) -> list[tuple[int, Strip, Floats]]:
-        strips = strips_of_photo(stems, index, scene, maps, cloud_from_scene, settings=s)
-        return [(number, strip, _candidates(strip, stems[number], s)) for number, strip in strips]
-
+    look = partial(_look_at, tuple(stems), scene, maps, cloud_from_scene, s, with_strips=on_strip is not None)
     progress(0, len(maps.available), "edges of stems")
-    for done, seen in enumerate(in_order(look, maps.available, photo_threads()), 1):
+    for done, seen in enumerate(shared_out(look, maps.available), 1):
         for number, strip, candidates in seen:
             found[number].append(candidates)
-            if on_strip is not None:
+            if on_strip is not None and strip is not None:
                 on_strip(number, strip)
         progress(done, len(maps.available), "edges of stems")
     return [_edges(rows) for rows in found]
+
+
+def _look_at(
+    stems: Sequence[StemAxis],
+    scene: Scene,
+    maps: DepthMaps,
+    cloud_from_scene: Floats,
+    s: EdgeSettings,
+    index: int,
+    *,
+    with_strips: bool,
+) -> list[tuple[int, Strip | None, Floats]]:
+    """Of photograph ``index`` the stems' numbers, their strips where those are wanted, and candidates."""
+    strips = strips_of_photo(stems, index, scene, maps, cloud_from_scene, settings=s)
+    return [(number, strip if with_strips else None, _candidates(strip, stems[number], s)) for number, strip in strips]
 
 
 def strips_of_photo(

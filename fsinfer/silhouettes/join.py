@@ -24,8 +24,10 @@ from fsinfer.depth.maps import DepthMaps
 from fsinfer.io.csv_text import write_table
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
+from fsinfer.processes import shared_out
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene
+from fsinfer.silhouettes.edges import Strip
 from fsinfer.silhouettes.join_settings import SilhouetteJoinSettings
 from fsinfer.silhouettes.joined_section import join, points_std
 from fsinfer.silhouettes.looks import look_at_stems
@@ -113,7 +115,7 @@ def measure_silhouettes(
         surface=None if cloud_xyz is None else partial(points_about, cloud_xyz, settings=s.fit.faces),
         progress=progress,
     )
-    pairs, shrubs = [], []
+    pairs, shrubs, sheets = [], [], []
     for tree, section, stem, looked in zip(result.trees, result.sections, stems, found, strict=True):
         fit = looked.fit
         if fit is None or not looked.clear(s.looks):
@@ -138,7 +140,8 @@ def measure_silhouettes(
             continue
         if figures is not None:
             names = [photos.scene.views[strip.photo].name for strip in looked.strips]
-            draw_strips(figures / f"tree_{tree.tree_id:03d}_edges.png", looked.strips, names, looked.stem, fit)
+            path = figures / f"tree_{tree.tree_id:03d}_edges.png"
+            sheets.append((path, looked.strips, names, looked.stem, fit))
         pose_std_m = 0.0
         if photos.ray_std_m is not None:
             pose_std_m = radius_std(looked.of_fit, fit, photos.ray_std_m(looked.stem.breast))
@@ -153,6 +156,8 @@ def measure_silhouettes(
             pose_std_m=pose_std_m,
         )
         pairs.append((_tree(tree, joined, stem, fit), joined))
+    for _ in shared_out(_draw, sheets):
+        pass
     pairs, same = one_entry_a_stem(pairs, kept)
     return replace(
         result,
@@ -161,6 +166,10 @@ def measure_silhouettes(
         diagnosis=_diagnosis([tree for tree, _ in pairs]),
         warnings=(*result.warnings, *_shrub_warning(shrubs), *same),
     )
+
+
+def _draw(sheet: tuple[Path, Sequence[Strip], Sequence[str], StemAxis, SilhouetteFit]) -> None:
+    draw_strips(*sheet)
 
 
 def write_sources(path: Path, result: PlotResult) -> None:

@@ -23,12 +23,11 @@ from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene
 from fsinfer.silhouettes.edge_settings import EdgeSettings
 from fsinfer.silhouettes.edges import Strip, find_edges
-from fsinfer.silhouettes.one_look import Look, Looked, LookSettings, Surface, fitted_looks, fuller_look
+from fsinfer.silhouettes.one_look import Look, Looked, LookSettings, Surface, fitted_looks, fuller_looks
 from fsinfer.silhouettes.stem_axis import StemAxis
 from fsinfer.silhouettes.strips import keep_strip
 from fsinfer.silhouettes.visibility import BOTH_SIDES
 from fsinfer.silhouettes.wide_look import WideLookSettings, look_wider
-from fsinfer.threads import in_order, photo_threads
 from fsinfer.trees.diameter.edge_set import Edges
 from fsinfer.trees.diameter.silhouette import SilhouetteFit
 from fsinfer.trees.diameter.silhouette_settings import SilhouetteSettings
@@ -99,11 +98,7 @@ def look_at_stems(
     for number, new in zip(moved, surest, strict=True):
         looked[number] = new
 
-    def fuller(number: int) -> Looked:
-        # Points that gave no radius have no say in what the edges have to agree with.
-        return fuller_look(looked[number], points[number], fit, s, None if points[number] is None else surface)
-
-    return list(in_order(fuller, range(len(stems)), photo_threads()))
+    return fuller_looks(looked, points, fit, s, surface)
 
 
 def again(

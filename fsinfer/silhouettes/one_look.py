@@ -6,16 +6,17 @@ sides to know its section, photographs that show one edge are asked too, and the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
+from fsinfer.processes import shared_out
 from fsinfer.silhouettes.edges import Strip
 from fsinfer.silhouettes.stem_axis import StemAxis
-from fsinfer.threads import in_order, photo_threads
 from fsinfer.trees.diameter.edge_set import Edges, chosen_edges, joined_edges, two_sided
 from fsinfer.trees.diameter.faces import Faces, sector_of_angle, sharp_faces
 from fsinfer.trees.diameter.sides import NOISE_SECTORS
@@ -128,11 +129,22 @@ def fitted_looks(
     fit: SilhouetteSettings,
     s: LookSettings,
 ) -> list[Looked]:
-    """:func:`fitted_look` of each: axis, how far it is from the one asked for, edges, strips and the points' radius.
+    """:func:`fitted_look` of each: axis, how far it is from the one asked for, edges, strips and the points' radius."""
+    asked = list(asked)
+    looked = shared_out(
+        partial(_fitted, fit, s), [(stem, moved, edges, points) for stem, moved, edges, _, points in asked]
+    )
+    return [replace(one, strips=strips) for one, (_, _, _, strips, _) in zip(looked, asked, strict=True)]
 
-    As many stems at a time as there are cores; the vote, which takes most of a fit, is long rows.
-    """
-    return list(in_order(lambda one: fitted_look(*one, fit, s), asked, photo_threads()))
+
+def _fitted(
+    fit: SilhouetteSettings,
+    s: LookSettings,
+    asked: tuple[StemAxis, Floats, Edges, tuple[float, float] | None],
+) -> Looked:
+    """:func:`fitted_look` without the strips, which only people look at."""
+    stem, moved, edges, points = asked
+    return fitted_look(stem, moved, edges, [], points, fit, s)
 
 
 def fuller_look(
@@ -146,8 +158,7 @@ def fuller_look(
 
     What contradicts both edges of the photographs that have them does not count.
     """
-    before = looked.fit
-    if before is None or not looked.clear(s) or before.sectors >= s.well_seen:
+    if not asks_for_more(looked, s):
         return looked
     best = looked
     large = _is_large(looked.single, looked.stem, s)
@@ -156,6 +167,42 @@ def fuller_look(
         best = _unless_against(looked, best, more, None, points, fit, s)
     faces = None if surface is None else _faces(best, *surface(looked.stem), fit)
     return best if faces is None else _unless_against(looked, best, best.of_fit, faces, points, fit, s)
+
+
+def fuller_looks(
+    looked: Sequence[Looked],
+    points: Sequence[tuple[float, float] | None],
+    fit: SilhouetteSettings,
+    s: LookSettings,
+    surface: Surface | None,
+) -> list[Looked]:
+    """:func:`fuller_look` of each; points that gave no radius have no say in what the edges have to agree with."""
+    best = list(looked)
+    asking = [number for number, one in enumerate(best) if asks_for_more(one, s)]
+
+    def asked() -> Iterator[tuple[Looked, tuple[float, float] | None, tuple[Floats, Floats] | None]]:
+        for number in asking:
+            one, radius = best[number], points[number]
+            about = None if surface is None or radius is None else surface(one.stem)
+            yield replace(one, strips=[]), radius, about
+
+    for number, found in zip(asking, shared_out(partial(_fuller, fit, s), asked()), strict=True):
+        best[number] = replace(found, strips=looked[number].strips)
+    return best
+
+
+def _fuller(
+    fit: SilhouetteSettings,
+    s: LookSettings,
+    asked: tuple[Looked, tuple[float, float] | None, tuple[Floats, Floats] | None],
+) -> Looked:
+    looked, points, about = asked
+    return fuller_look(looked, points, fit, s, None if about is None else lambda _: about)
+
+
+def asks_for_more(looked: Looked, s: LookSettings) -> bool:
+    """Whether there is a stem of which both edges are seen from too few sides to know its section."""
+    return looked.fit is not None and looked.clear(s) and looked.fit.sectors < s.well_seen
 
 
 def _unless_against(

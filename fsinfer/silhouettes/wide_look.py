@@ -11,13 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.processes import shared_out
 from fsinfer.silhouettes.one_look import Look, Looked, LookSettings, fitted_looks
 from fsinfer.silhouettes.stem_axis import StemAxis
-from fsinfer.threads import in_order, photo_threads
 from fsinfer.trees.diameter.edge_problem import EdgeProblem
 from fsinfer.trees.diameter.edge_set import Edges, chosen_edges, two_sided
 from fsinfer.trees.diameter.silhouette import FAINT_CONTRAST
@@ -72,7 +73,7 @@ def look_wider(
     axes = []
     asked_wide = [stems[number] for number in lost]
     seen_wide = zip(asked_wide, wide(asked_wide), strict=True)
-    found = in_order(lambda one: axes_beside(*one, fit, settings), seen_wide, photo_threads())
+    found = shared_out(partial(_beside, fit, settings), seen_wide)
     for number, beside in zip(lost, found, strict=True):
         # Where the most edges are a neighbour's, the other places are chance: a haze beside one was given 15 cm so.
         if beside and not any(_stands_in(beside[0][0], other) for other in measured):
@@ -85,6 +86,12 @@ def look_wider(
         if _contrast(new, looks) > _contrast(best[number], looks):
             best[number] = new
     return best
+
+
+def _beside(
+    fit: SilhouetteSettings, s: WideLookSettings, seen: tuple[StemAxis, Edges]
+) -> list[tuple[StemAxis, Floats]]:
+    return axes_beside(*seen, fit, s)
 
 
 def axes_beside(

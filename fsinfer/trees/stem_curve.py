@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from fsinfer.io.csv_text import write_table
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.sentences import sentence
 from fsinfer.notices.stems import StemCode
+from fsinfer.processes import shared_out
 from fsinfer.trees.cylinder.axis import Axis
 from fsinfer.trees.diameter.budget import relative_scale_std
 from fsinfer.trees.diameter.dbh import DbhSettings, measure_together
@@ -115,14 +117,26 @@ def stem_curves(
     index = PlanIndex(points - origin, 0.5 * s.reach_m)
     curves = {}
     trees = [(tree, section) for tree, section in zip(result.trees, result.sections, strict=True) if tree.dbh_cm]
-    for first in range(0, len(trees), TOGETHER):
-        some = trees[first : first + TOGETHER]
-        climbs = [climb for tree, section in some for climb in _climbs(index, tree, section, origin, s)]
-        _follow(climbs, s)
-        for number, (tree, section) in enumerate(some):
-            down, up = climbs[2 * number : 2 * number + 2]
-            curves[tree.tree_id] = _smooth([*reversed(down.found), *up.found], tree, section, s)
+
+    def asked() -> Iterator[list[tuple[Tree, Section, tuple[_Climb, _Climb]]]]:
+        for first in range(0, len(trees), TOGETHER):
+            some = trees[first : first + TOGETHER]
+            yield [(tree, section, _climbs(index, tree, section, origin, s)) for tree, section in some]
+
+    for found in shared_out(partial(_curves_of, s), asked()):
+        curves.update(found)
     return curves
+
+
+def _curves_of(
+    s: CurveSettings, some: list[tuple[Tree, Section, tuple[_Climb, _Climb]]]
+) -> dict[int, tuple[CurvePoint, ...]]:
+    """The curves of some stems by their ids; their climbs are measured together."""
+    _follow([climb for _, _, climbs in some for climb in climbs], s)
+    return {
+        tree.tree_id: _smooth([*reversed(down.found), *up.found], tree, section, s)
+        for tree, section, (down, up) in some
+    }
 
 
 def write_curves(path: Path, curves: Iterable[tuple[CurvePoint, ...]]) -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from fsinfer.conventions.breast_height import BhRule
 from fsinfer.notices.notice import notice
 from fsinfer.notices.stems import StemCode
+from fsinfer.processes import shared_out
 from fsinfer.progress import Progress, silent
 from fsinfer.trees.diameter.dbh import measure_together
 from fsinfer.trees.diameter.section import Section
@@ -46,6 +48,10 @@ GROUND_POINTS_STD = 3.0
 ROUGHER, ROUGHER_CM, LEAST_STEMS = 1.7, 0.3, 5
 
 
+#: Points, stems, and the noise of the ground below them, metres, of stems measured together.
+_Together = tuple[list[Floats], list[Stem], list[float]]
+
+
 def measure_stems(
     stand: Floats,
     search: StemSearch,
@@ -64,34 +70,33 @@ def measure_stems(
     measured = []
     feet = np.array([stem.axis.center_at(0.0) for stem in search.stems]).reshape(-1, 2)
     unsure = level_std(ground, feet, np.array([stem.axis.radius_m for stem in search.stems]))
-    for first in range(0, len(search.stems), TOGETHER):
-        progress(first, len(search.stems), "measuring stems")
-        numbers = range(first, min(first + TOGETHER, len(search.stems)))
-        own, stems, levels = [], [], []
-        for number in numbers:
-            stem = search.stems[number]
-            near, stem, level = _on_own_ground(
-                index.near(centers[number], stem.axis.radius_m + BESIDE_M), stem, ground, settings
-            )
-            own.append(_without_neighbours(near, stem, search.stems, settings.bh_m))
-            stems.append(stem)
-            levels.append(level)
-        sections = measure_together(
-            own,
-            stems,
-            bh_m=settings.bh_m,
-            ground_noise_m=[float(np.hypot(ground.noise_m / GROUND_POINTS_STD, unsure[number])) for number in numbers],
-            scale_rel_std=scale_rel_std,
-            settings=settings.dbh,
-            seed=settings.seed,
-        )
-        for number, stem, level, section in zip(numbers, stems, levels, sections, strict=True):
+    placed: list[tuple[Stem, float]] = []
+
+    def together() -> Iterator[_Together]:
+        for first in range(0, len(search.stems), TOGETHER):
+            own, noise = [], []
+            for number in range(first, min(first + TOGETHER, len(search.stems))):
+                stem = search.stems[number]
+                near, stem, level = _on_own_ground(
+                    index.near(centers[number], stem.axis.radius_m + BESIDE_M), stem, ground, settings
+                )
+                own.append(_without_neighbours(near, stem, search.stems, settings.bh_m))
+                noise.append(float(np.hypot(ground.noise_m / GROUND_POINTS_STD, unsure[number])))
+                placed.append((stem, level))
+            yield own, [stem for stem, _ in placed[first:]], noise
+
+    progress(0, len(search.stems), "measuring stems")
+    number = 0
+    for sections in shared_out(partial(_sections, settings, scale_rel_std), together()):
+        for section in sections:
             if section.dbh_m is None:
                 wanted = not is_no_giant(search.stems[number], section.coverage, settings.stems)
             else:
                 wanted = 100.0 * section.dbh_m >= settings.min_dbh_cm
             if wanted:
-                measured.append((number, stem, level, section))
+                measured.append((number, *placed[number], section))
+            number += 1
+        progress(number, len(search.stems), "measuring stems")
     highest = float(stand[:, 2].max(initial=0.0))
     highest_of = {n: highest + _rise_within_reach(stem, level, ground, settings) for n, stem, level, _ in measured}
     tall = [
@@ -118,6 +123,20 @@ def measure_stems(
         )
         pairs.append((tree_of(section, level, height, origin), section))
     return pairs
+
+
+def _sections(settings: TreeSettings, scale_rel_std: float, asked: _Together) -> list[Section]:
+    """The sections of some stems on their own ground."""
+    own, stems, ground_noise_m = asked
+    return measure_together(
+        own,
+        stems,
+        bh_m=settings.bh_m,
+        ground_noise_m=ground_noise_m,
+        scale_rel_std=scale_rel_std,
+        settings=settings.dbh,
+        seed=settings.seed,
+    )
 
 
 def _rise_within_reach(stem: Stem, level: float, ground: Ground, settings: TreeSettings) -> float:

@@ -7,6 +7,8 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
+from fsinfer.processes import workers_peak_mb
+
 _STATUS = Path("/proc") / "self" / "status"
 _CLEAR_REFS = Path("/proc") / "self" / "clear_refs"
 # Of this stretch; as the kernel's mark, one for the whole process.
@@ -18,7 +20,7 @@ class MemoryPeak:
 
     On Linux the kernel's high-water mark is reset at the start, so the figure belongs to the stretch. Elsewhere it
     is the peak of the whole process so far (macOS), or unknown (Windows). Of child processes the largest that told its
-    peak (:func:`child_ended`) is added.
+    peak (:func:`child_ended`) is added, and those that work for it now (:func:`fsinfer.processes.workers_peak_mb`).
     """
 
     def __init__(self) -> None:
@@ -35,7 +37,7 @@ class MemoryPeak:
         try:
             for line in _STATUS.read_text(encoding="ascii", errors="replace").splitlines():
                 if line.startswith("VmHWM:"):
-                    return round(int(line.split()[1]) / 1024 + _of_child_mb, 1)
+                    return round(int(line.split()[1]) / 1024 + _of_child_mb + workers_peak_mb(), 1)
         except OSError:
             pass
         if sys.platform == "win32":

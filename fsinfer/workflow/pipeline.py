@@ -48,7 +48,14 @@ from fsinfer.workflow.photo_stages import choose_frames, register_photos, requir
 from fsinfer.workflow.run_photos import photos_of_run
 from fsinfer.workflow.settings import RunSettings, speedless
 from fsinfer.workflow.summary import PlotRecords, summarize
-from fsinfer.workflow.tree_stage import PlotCloudInput, TreesResult, TreeStageSettings, measure_plot, no_trees
+from fsinfer.workflow.tree_stage import (
+    PlotCloudInput,
+    TreesResult,
+    TreeStageSettings,
+    measure_plot,
+    no_trees,
+    tree_workers,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +65,7 @@ class ReportResult:
     path: Path
 
 
-TREES = Stage(name="trees", version=42, result=TreesResult, outputs=("trees.csv", "figures"))
+TREES = Stage(name="trees", version=43, result=TreesResult, outputs=("trees.csv", "figures"))
 REPORT = Stage(name="report", version=1, result=ReportResult, outputs=("report.html",))
 
 
@@ -166,15 +173,17 @@ def run_from_scene(
 
         parts = measure_parts(out, out / "frames" / "images", poses.result, settings, run_part)
     folders = [out / part.folder for part in parts if not part.error]
-    trees = _measure_trees(
-        ledger, depth, scale, cloud, settings=settings, edits=corrections, parts=folders, progress=progress
-    )
-    note_edits(out, edits)
-    records = PlotRecords(
-        frames=frames, poses=poses, depth=depth, check=check, fuse=fused, scale=scale, cloud=cloud, trees=trees
-    )
-    settings_json = dict(as_json(settings))
-    report = _report(ledger, summarize(records, settings=settings_json, source=source, parts=parts), trees, progress)
+    with tree_workers(cloud.result.points):  # for both, since starting them takes a second
+        trees = _measure_trees(
+            ledger, depth, scale, cloud, settings=settings, edits=corrections, parts=folders, progress=progress
+        )
+        note_edits(out, edits)
+        records = PlotRecords(
+            frames=frames, poses=poses, depth=depth, check=check, fuse=fused, scale=scale, cloud=cloud, trees=trees
+        )
+        settings_json = dict(as_json(settings))
+        so_far = summarize(records, settings=settings_json, source=source, parts=parts)
+        report = _report(ledger, so_far, trees, progress)
     plot = summarize(records, settings=settings_json, source=source, parts=parts, report=report)
     write_plot(out, plot)
     return RunResult(out=out, plot=plot, records=records, report=report)

@@ -20,6 +20,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
+from fsinfer.child_process import python_command
 from fsinfer.errors import CRASHED, NOT_ENOUGH_MEMORY, PosesError
 from fsinfer.output.json_values import as_json, of_json
 from fsinfer.poses.estimate import PosesResult, estimate_poses
@@ -28,8 +29,6 @@ from fsinfer.progress import Progress, silent
 from fsinfer.workflow.error_json import TraceThereError, error_of_json
 from fsinfer.workflow.memory_peak import child_ended
 
-#: What is run; the search path of this process comes first, so that the same fsinfer is found.
-_START = "import json, sys; sys.path[:] = json.loads(sys.stdin.readline()); from {module} import main; main()"
 _MODULE = "fsinfer.workflow.poses_process"
 #: Between two looks at whether Ctrl-C was pressed, which Windows does not tell a thread that waits. Source: numerics.
 _LOOK_S = 0.1
@@ -63,8 +62,8 @@ def estimate_poses_apart(
     PosesError
         Also where the process came to an end by itself: what it was at, why, and what to do.
     """
-    python = _interpreter()
-    if python is None:
+    command = python_command(_MODULE)
+    if command is None:
         return estimate_poses(images, out, settings=settings, origin=origin, resume=resume, progress=progress)
     task = {
         "images": str(images),
@@ -76,7 +75,7 @@ def estimate_poses_apart(
         "log_level": logging.getLogger("fsinfer").getEffectiveLevel(),
     }
     step = "at its start"
-    with _started(python, task) as (process, messages, noise):
+    with _started(command, task) as (process, messages, noise):
         for message in messages:
             if "progress" in message:
                 done, total, what = message["progress"]
@@ -94,23 +93,16 @@ def estimate_poses_apart(
     raise _crash(code, step, noise, out / "work")
 
 
-def _interpreter() -> str | None:
-    """This Python; None where ``sys.executable`` is a program that would start itself once more."""
-    python = sys.executable or ""
-    return python if Path(python).stem.lower().startswith("python") and not getattr(sys, "frozen", False) else None
-
-
 @contextmanager
 def _started(
-    python: str, task: dict[str, Any]
+    command: list[str], task: dict[str, Any]
 ) -> Iterator[tuple[subprocess.Popen[bytes], Iterator[dict[str, Any]], deque[str]]]:
     """The process, what it tells until its end, and the last lines that its libraries print; killed at the end.
 
     COLMAP's database in the work folder outlives that, and the next attempt goes on with it.
     """
     process = subprocess.Popen(
-        # Without -P a file in the current folder would be taken for a module of Python's.
-        [python, "-P", "-c", _START.format(module=_MODULE)],
+        command,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

@@ -10,17 +10,13 @@ from __future__ import annotations
 import json
 import logging
 import os
-import signal
 import sys
 import threading
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-#: What ends a group of processes at once, by name, where the system has it.
-_FOR_THE_PARENT = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
-#: The call by which Linux tells a process that its parent has died. Source: format; prctl(2).
-_PR_SET_PDEATHSIG = 1
+from fsinfer.child_process import end_with_parent, leave_interrupts_to_parent, take_pipes
 
 
 class Teller:
@@ -51,13 +47,10 @@ class _ToldLines(logging.Handler):
 
 def main() -> None:
     """Do the task on standard input."""
-    for name in _FOR_THE_PARENT:
-        if hasattr(signal, name):
-            # Ctrl-C reaches both; the parent answers it, and kills this process at once.
-            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    leave_interrupts_to_parent()
     task = json.loads(sys.stdin.readline())
     teller = _take_pipes()
-    _end_with_parent(task["parent"])
+    end_with_parent(task["parent"])
     logging.basicConfig(level=task["log_level"], handlers=[_ToldLines(teller)])
     try:
         teller.tell(**_work(task, teller))
@@ -88,13 +81,8 @@ def _work(task: dict[str, Any], teller: Teller) -> dict[str, Any]:
 
 
 def _take_pipes() -> Teller:
-    """Keep the two pipes for ourselves: what libraries print goes to standard error, and they read nothing."""
-    heard, told = os.dup(sys.stdin.fileno()), os.dup(sys.stdout.fileno())
-    # On Windows a library that is loaded while a thread reads standard input would wait for it.
-    nothing = os.open(os.devnull, os.O_RDONLY)
-    os.dup2(nothing, sys.stdin.fileno())
-    os.close(nothing)
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    """Who tells the parent; when its pipe closes, this process ends."""
+    heard, told = take_pipes()
 
     def end_with_input() -> None:
         with suppress(OSError):
@@ -104,14 +92,3 @@ def _take_pipes() -> Teller:
 
     threading.Thread(target=end_with_input, daemon=True).start()
     return Teller(told)
-
-
-def _end_with_parent(parent: int) -> None:
-    """On Linux, end at the moment when the parent does, not when the closed pipe is read after a step of COLMAP."""
-    if sys.platform == "linux":
-        import ctypes
-
-        with suppress(OSError, AttributeError):
-            ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-        if os.getppid() != parent:
-            os._exit(1)  # it was gone before

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from fsinfer.errors import FsinferError
 from fsinfer.io.images import read_image
+from fsinfer.processes import shared_out
 from fsinfer.report.contents import Contents, number, tree_number
 from fsinfer.report.page import Part
 from fsinfer.report.picture import Picture, picture_of, shrink
@@ -79,7 +81,10 @@ def stems_part(contents: Contents) -> Part | None:
     small = len(trees) > MANY_TREES
     per_tree = min(max(MAX_PHOTOS // len(trees), 1), PHOTOS_PER_TREE)
     photos, missing = tree_photos(contents, per_tree=per_tree, height_px=330 if small else 480)
-    cards = tuple(_card(contents, tree_id, tree, photos, small=small) for tree_id, tree in trees)
+    drawings = shared_out(partial(_drawings, contents.out / "figures", small), [tree_id for tree_id, _ in trees])
+    cards = tuple(
+        _card(contents, tree_id, tree, photos, drawn) for (tree_id, tree), drawn in zip(trees, drawings, strict=True)
+    )
     view = StemsView(missing=missing, map=stem_map(contents), cards=cards)
     return Part(anchor="stems", title="Stem map and trees", view=view)
 
@@ -89,8 +94,7 @@ def _card(
     tree_id: int,
     tree: Mapping[str, str],
     photos: Mapping[int, Sequence[TreePhoto]],
-    *,
-    small: bool,
+    drawings: tuple[Drawing, ...],
 ) -> Card:
     status, dbh_cm, interval_cm = status_of(tree), number(tree.get("dbh_cm")), interval_of(tree)
     pictures = tuple(_crop(photo, tree_id, metric=contents.metric) for photo in photos.get(tree_id, ()))
@@ -100,13 +104,6 @@ def _card(
     elif photos:
         guess = "" if contents.metric else " (its height is guessed: no scale is known)"
         photo_note = f"No photo shows this stem unhidden at breast height{guess}."
-    folder = contents.out / "figures"
-    section = f"Section of tree {tree_id} at breast height, from above"
-    edges = f"Edges of tree {tree_id} at breast height, found in the photos (green)"
-    drawings = (
-        _drawing(folder / f"tree_{tree_id:03d}.png", section, small=small),
-        _drawing(folder / f"tree_{tree_id:03d}_edges.png", edges, small=small),
-    )
     return Card(
         tree_id=tree_id,
         status=status,
@@ -117,7 +114,7 @@ def _card(
         photos=pictures,
         photo_note=photo_note,
         facts=tuple(_facts(tree, "m" if contents.metric else "model units")),
-        drawings=tuple(drawing for drawing in drawings if drawing is not None),
+        drawings=drawings,
     )
 
 
@@ -142,6 +139,17 @@ def _facts(tree: Mapping[str, str], unit: str) -> list[tuple[str, str]]:
     if where(tree):
         rows.append(("In the plot", where(tree)))
     return rows
+
+
+def _drawings(folder: Path, small: bool, tree_id: int) -> tuple[Drawing, ...]:
+    """Those of a tree that are there: its section and its edges."""
+    section = f"Section of tree {tree_id} at breast height, from above"
+    edges = f"Edges of tree {tree_id} at breast height, found in the photos (green)"
+    drawings = (
+        _drawing(folder / f"tree_{tree_id:03d}.png", section, small=small),
+        _drawing(folder / f"tree_{tree_id:03d}_edges.png", edges, small=small),
+    )
+    return tuple(drawing for drawing in drawings if drawing is not None)
 
 
 def _drawing(path: Path, caption: str, *, small: bool) -> Drawing | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from fsinfer.depth.maps import DepthMaps
 from fsinfer.errors import FsinferError
+from fsinfer.processes import shared_out
 from fsinfer.report.contents import Contents, number
 from fsinfer.report.stems.views import (
     RatedView,
@@ -106,17 +108,26 @@ def _rate(
     except FsinferError:
         maps = None
     rated: dict[int, list[RatedView]] = defaultdict(list)
-    for index, view in enumerate(scene.views):
-        try:
-            size = view_image_size(view)
-            depth_map = maps.get(index) if maps is not None and index in maps.available else None
-        except FsinferError:
-            continue  # a damaged photograph or depth map is told elsewhere; the tree has other views
-        for tree in trees:
-            rating = rate_view(tree, index, view.camera, size, depth_map, settings=settings)
-            if rating is not None:
-                rated[tree.tree_id].append(rating)
+    for of_view in shared_out(partial(_rate_one, scene, maps, trees, settings), range(len(scene.views))):
+        for tree_id, rating in of_view:
+            rated[tree_id].append(rating)
     return rated
+
+
+def _rate_one(
+    scene: Scene, maps: DepthMaps | None, trees: Sequence[StandingTree], settings: ViewSettings, index: int
+) -> list[tuple[int, RatedView]]:
+    """What one view is worth for each tree's number that it may show."""
+    view = scene.views[index]
+    try:
+        size = view_image_size(view)
+        depth_map = maps.get(index) if maps is not None and index in maps.available else None
+    except FsinferError:
+        return []  # a damaged photograph or depth map is told elsewhere; the tree has other views
+    ratings = (
+        (tree.tree_id, rate_view(tree, index, view.camera, size, depth_map, settings=settings)) for tree in trees
+    )
+    return [(tree_id, rating) for tree_id, rating in ratings if rating is not None]
 
 
 def _crops(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from fsinfer.io.files import atomic_path
 from fsinfer.io.images import read_image
+from fsinfer.processes import shared_out
 from fsinfer.progress import Progress, silent
 from fsinfer.trees.measure import PlotResult
 from fsinfer.trees.points.sums import Z95
@@ -45,13 +47,21 @@ def write_figures(
     paths = [Path(folder) / "stem_map.png"]
     progress(0, len(result.trees), "drawing sections")
     plot_stem_map(result, paths[0], border=border)
-    for number, (tree, section) in enumerate(zip(result.trees, result.sections, strict=True), start=1):
-        path = Path(folder) / f"tree_{tree.tree_id:03d}.png"
-        curve = (curves or {}).get(tree.tree_id, ())
-        plot_section(tree, section, path, curve=curve, guessed=result.units_per_m is not None)
+    asked = [
+        (tree, section, Path(folder) / f"tree_{tree.tree_id:03d}.png", tuple((curves or {}).get(tree.tree_id, ())))
+        for tree, section in zip(result.trees, result.sections, strict=True)
+    ]
+    draw = partial(_plot_one, guessed=result.units_per_m is not None)
+    for number, path in enumerate(shared_out(draw, asked), start=1):
         paths.append(path)
         progress(number, len(result.trees), "drawing sections")
     return paths
+
+
+def _plot_one(asked: tuple[Tree, Section, Path, Sequence[CurvePoint]], *, guessed: bool) -> Path:
+    tree, section, path, curve = asked
+    plot_section(tree, section, path, curve=curve, guessed=guessed)
+    return path
 
 
 def plot_stem_map(result: PlotResult, path: Path, *, border: NDArray[np.float64] | None = None) -> None:

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fsinfer.child_process import python_command
 from fsinfer.errors import PosesError
 from fsinfer.io.images import write_image
 from fsinfer.output.json_values import as_json
@@ -255,7 +256,9 @@ def test_without_anybody_who_listens_the_process_ends(
         "parent": os.getpid(),
         "log_level": logging.WARNING,
     }
-    with poses_apart._started(sys.executable, json.loads(json.dumps(task))) as (process, messages, _):
+    command = python_command(poses_apart._MODULE)
+    assert command is not None
+    with poses_apart._started(command, json.loads(json.dumps(task))) as (process, messages, _):
         assert "progress" in next(messages)
         if sys.platform != "win32":
             for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # which are for whoever started it

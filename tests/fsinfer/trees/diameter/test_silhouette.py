@@ -123,8 +123,8 @@ def test_the_scatter_of_an_edge_is_found_by_few_of_them() -> None:
 def solution(radius_m: float, log_likelihood: float, log_prior: float = 0.0) -> Solution:
     none = np.zeros(0)
     return Solution(
-        x=np.array([radius_m]), by_offsets=none, weight=none, residual=none, information=none, noise_m=0.001, precision=none,
-        log_likelihood=log_likelihood, log_prior=log_prior,
+        x=np.array([radius_m]), by_offsets=none, weight=none, residual=none, information=none, noise_m=0.001,
+        precision=none, log_likelihood=log_likelihood, log_prior=log_prior,
     )  # fmt: skip
 
 
