@@ -68,7 +68,7 @@ def drop_far(model: Any) -> list[str]:
 def shrunk_photos(model: Any, walk: Sequence[str], database: Path) -> list[int]:
     """Image ids of the photos that stand in a stretch placed far too small; see :func:`scale_jumps.shrunk`."""
     number = {file: index for index, file in enumerate(walk)}
-    image_ids, votes = pair_votes(model, database)
+    image_ids, votes = pair_votes(model, database, within=1)
     if len(image_ids) < 2:
         return []
     order = np.array([number[model.images[i].name] for i in image_ids])

@@ -219,16 +219,17 @@ def _is_false(vote: PairVote, wrong: NDArray[np.bool_]) -> bool:
     return vote.agrees == bool(wrong[vote.first] or wrong[vote.second])
 
 
-def pair_votes(model: Any, database: Path) -> tuple[list[int], list[PairVote]]:
+def pair_votes(model: Any, database: Path, *, within: int | None = None) -> tuple[list[int], list[PairVote]]:
     """The placed photos' image ids in the order of walking, and the votes of all pairs; photos are numbered in it.
 
-    ``model`` is the ``pycolmap.Reconstruction`` that was made from ``database``.
+    ``model`` is the ``pycolmap.Reconstruction`` that was made from ``database``; of pairs farther apart than
+    ``within`` nothing is asked.
     """
     image_ids = in_order_of_walking(model)
-    return image_ids, list(_votes(model, database, image_ids))
+    return image_ids, list(_votes(model, database, image_ids, len(image_ids) if within is None else within))
 
 
-def _votes(model: Any, database: Path, image_ids: list[int]) -> Iterator[PairVote]:
+def _votes(model: Any, database: Path, image_ids: list[int], within: int) -> Iterator[PairVote]:
     import pycolmap
 
     number = {image_id: index for index, image_id in enumerate(image_ids)}
@@ -243,7 +244,7 @@ def _votes(model: Any, database: Path, image_ids: list[int]) -> Iterator[PairVot
             rays[image_id] = np.column_stack([plane, np.ones(len(plane))])
         for pair_id in opened.read_two_view_geometry_num_inliers()[0]:
             first, second = pycolmap.pair_id_to_image_pair(pair_id)
-            if first not in number or second not in number:
+            if first not in number or second not in number or abs(number[first] - number[second]) > within:
                 continue
             matches = opened.read_two_view_geometry(first, second).inlier_matches
             if len(matches) < MIN_INLIERS:
@@ -251,8 +252,8 @@ def _votes(model: Any, database: Path, image_ids: list[int]) -> Iterator[PairVot
             one, other = rays[first][matches[:, 0]], rays[second][matches[:, 1]]
             focal = 0.5 * sum(focal_px[model.images[i].camera_id] for i in (first, second))
             motion = poses[second] @ np.linalg.inv(poses[first])
-            fits, tells = telling(one, other, motion, MAX_ERROR_PX / focal, _LEAST_PARALLAX_PX / focal)
             moved = parallax(one, other, motion[:3, :3])
+            fits, tells = telling(one, other, motion, MAX_ERROR_PX / focal, moved > _LEAST_PARALLAX_PX / focal)
             yield PairVote(
                 first=number[first],
                 second=number[second],
@@ -278,7 +279,7 @@ def telling(
     other: NDArray[np.float64],
     other_from_one: NDArray[np.float64],
     max_error: float,
-    least_parallax: float,
+    moved: NDArray[np.bool_],
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Which matches (N,) fit a motion between two cameras, and which tell how these stand to each other.
 
@@ -288,11 +289,10 @@ def telling(
     ----------
     one, other: (N, 3) rays of the two cameras, third coordinate 1.
     other_from_one: (4, 4) motion between the camera frames.
-    max_error, least_parallax: in focal lengths.
+    max_error: in focal lengths. moved: (N,) whether they moved beside what the turn explains: :func:`parallax`.
     """
     fits = sampson_error(one, other, other_from_one) < max_error
-    tells = ~fits | (parallax(one, other, other_from_one[:3, :3]) > least_parallax)
-    return fits, tells
+    return fits, ~fits | moved
 
 
 def parallax(one: NDArray[np.float64], other: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -21,6 +21,7 @@ from fsinfer.poses.verification.pair_votes import (
     false_pairs,
     outvoted_stretch,
     pair_votes,
+    parallax,
     sampson_error,
     telling,
     telling_votes,
@@ -137,7 +138,8 @@ def test_what_is_far_away_does_not_vote() -> None:
         return points / points[:, 2:], moved / moved[:, 2:]
 
     def counts(points: NDArray[np.float64], assumed: NDArray[np.float64]) -> tuple[int, int, int]:
-        fits, tells = telling(*rays(points), assumed, 0.003, 0.006)
+        one, other = rays(points)
+        fits, tells = telling(one, other, assumed, 0.003, parallax(one, other, assumed[:3, :3]) > 0.006)
         return int(fits.sum()), int(tells.sum()), int((fits & tells).sum())
 
     both = np.concatenate([near, far])
