@@ -67,6 +67,25 @@ def test_a_moved_photo_finds_its_place_again(tmp_path: Path) -> None:
     assert np.ptp(ratio) / ratio.mean() < 0.01
 
 
+def test_what_is_judged_the_same_way_is_mapped_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    database = tmp_path / "database.db"
+    model = synthetic(database, 8, 200)
+    walk = [model.images[i].name for i in sorted(model.reg_image_ids())]
+    lost = str(moved_to(model, [0.0, 0.2, 0.1], [0.6, 0.0, 0.2]).name)
+    starts = []
+
+    def found_no_place(*_: Any, start: Any) -> list[Any]:
+        starts.append(start)
+        return [deepcopy(start)]
+
+    monkeypatch.setattr("fsinfer.poses.verification.repair.reconstruct", found_no_place)
+    repaired, _ = repair(model, database, walk, tmp_path, PoseSettings(threads=1), silent)
+    placed = {str(repaired.images[i].name) for i in repaired.reg_image_ids()}
+    assert placed == set(walk) - {lost}
+    # All three ways of judging take the same photo for a wrong one.
+    assert len(starts) == 1
+
+
 @pytest.mark.parametrize("found", ["all", "none"])
 def test_photos_that_a_part_lost_find_their_place_beside_what_is_right(tmp_path: Path, found: str) -> None:
     database = tmp_path / "database.db"
