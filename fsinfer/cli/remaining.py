@@ -75,11 +75,11 @@ STEPS = (
     Step(stage="trees", what="finding the ground", cost=_each(0.01)),
     Step(stage="trees", what="looking for stems", cost=_each(0.009)),
     Step(stage="trees", what="measuring stems", cost=_each(0.006)),
-    Step(stage="trees", what="edges of stems", cost=_each(0.025)),
-    Step(stage="trees", what="looking again", cost=_each(0.085)),
-    Step(stage="trees", what="drawing sections", cost=_besides(1.0, _each(0.035))),
+    Step(stage="trees", what="edges of stems", cost=_each(0.015)),
+    Step(stage="trees", what="looking again", cost=_each(0.043)),
+    Step(stage="trees", what="drawing sections", cost=_besides(0.7, _each(0.022))),
     Step(stage="trees", what="writing trees", cost=_each(0.008)),
-    Step(stage="report", what="", cost=_besides(1.0, _each(0.028))),
+    Step(stage="report", what="", cost=_besides(1.0, _each(0.022))),
 )
 #: What goes so many times faster than on the machine of the costs, which are about seconds there, was there already.
 #: Source: layout; judgement; no machine is so much faster.

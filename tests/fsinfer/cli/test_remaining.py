@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from fsinfer.cli.remaining import STEPS, RemainingTime, as_words
+from fsinfer.cli.remaining import STEPS, RemainingTime, Step, as_words
 from tests.bench.results import read_result
 from tests.bench.steps import figure_of
 
@@ -14,6 +14,7 @@ from tests.bench.steps import figure_of
 #: and thick ones, 120 to 300 photographs, some of 12 megapixels. None beside a program that ended halfway: nobody can
 #: tell that beforehand.
 RECORDED = (
+    "plot-300-955057-processes",
     "plot-300-955048",
     "plot-clean-900111",
     "plot-300-avx2",
@@ -24,17 +25,36 @@ RECORDED = (
 )
 
 
+#: The same photographs on the same machine before trees and report were shared out over processes, and since.
+BEFORE, SINCE = "plot-300-955057", "plot-300-955057-processes"
+SHARED_OUT = ("trees", "report")
+
+
+def quicker_since(steps: list[Step]) -> float:
+    """What some steps take since they are shared out over what they took before, the machine's pace (depth) aside."""
+    before, since = read_result(BEFORE).figures, read_result(SINCE).figures
+    taken = [sum(figures[figure_of(step)] for step in steps) for figures in (before, since)]
+    return taken[1] / taken[0] * before["step_depth_s"] / since["step_depth_s"]
+
+
 def steps_of(name: str) -> list[tuple[str, str, float]]:
-    """Stage, step and seconds of a recorded run, in order; older files have the trees as a whole, shared out here."""
+    """Stage, step and seconds of a recorded run, in order.
+
+    Older files have the trees as a whole, shared out here; of all but the newest trees and report are made as quick as
+    they are since.
+    """
     figures = read_result(name).figures
     photos = int(figures["photos"])
-    of_trees = sum(step.cost(photos) for step in STEPS if step.stage == "trees")
+    trees = [step for step in STEPS if step.stage == "trees"]
     found = []
     for step in STEPS:
         seconds = figures.get(figure_of(step))
         if seconds is None:
             assert step.stage == "trees"
-            seconds = figures["step_trees_s"] * step.cost(photos) / of_trees
+            share = step.cost(photos) / sum(other.cost(photos) for other in trees)
+            seconds = figures["step_trees_s"] * quicker_since(trees) * share
+        elif name != SINCE and step.stage in SHARED_OUT:
+            seconds *= quicker_since([step])
         found.append((step.stage, step.what or step.stage, seconds))
     return found
 
