@@ -34,6 +34,9 @@ _HEIF_BRANDS = frozenset({b"heic", b"heix", b"heim", b"heis", b"mif1"})
 
 #: Tag that says how to turn a photo upright. Source: format; Exif 2.32 (CIPA DC-008).
 _ORIENTATION = 0x0112
+#: How hard a PNG is packed. Source: numerics; a tenth more bytes than with the usual 6, in a quarter to two thirds of
+#: the time.
+PNG_LEVEL = 2
 #: JPEG from this quality on keeps colours at full resolution. Source: judgement; those who ask for more want them.
 _FULL_COLOUR_QUALITY = 90
 #: Formats of Pillow that are JPEG; a phone's with a second picture in it is MPO. Source: format.
@@ -126,7 +129,7 @@ def read_image(path: Path | str, *, upright: bool = True, at_least_px: int | Non
         # A decoder makes a pixel of what is left over, too, which is narrower than the others.
         whole = image if image.size == (width, height) else image.crop((0, 0, width, height))
         if upright:
-            whole = ImageOps.exif_transpose(whole)
+            ImageOps.exif_transpose(whole, in_place=True)  # it would copy what stands upright, too
         return _as_rgb(path, whole)
 
 
@@ -196,7 +199,9 @@ def write_image(path: Path | str, image: NDArray[np.uint8], quality: int = 95, *
     if image.dtype != np.uint8 or image.size == 0 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
         msg = f"cannot write {path}: needs (H, W, 3) uint8, has {image.shape=} {image.dtype=}"
         raise ImageError(msg)
-    options: dict[str, object] = {} if exif is None else {"exif": exif}
+    options: dict[str, object] = {"compress_level": PNG_LEVEL} if suffix == ".png" else {}
+    if exif is not None:
+        options["exif"] = exif
     if formats[suffix] == "JPEG":
         options |= {"quality": quality, "subsampling": 0 if quality >= _FULL_COLOUR_QUALITY else 2}
     with atomic_path(path) as temporary:
@@ -318,7 +323,7 @@ def _as_rgb(path: Path, image: Image) -> NDArray[np.uint8]:
         black, white = _range_of_floats(path, values) if image.mode == "F" else (0.0, _white(float(values.max())))
         grey = np.clip(np.nan_to_num((values - black) / (white - black), posinf=1.0), 0, 1)
         return np.repeat((255 * grey).round().astype(np.uint8)[:, :, None], 3, axis=2)
-    return np.array(image.convert("RGB"), dtype=np.uint8)
+    return np.array(image if image.mode == "RGB" else image.convert("RGB"), dtype=np.uint8)
 
 
 def _white(largest: float) -> float:

@@ -256,7 +256,7 @@ def _section(
         top_m=stem.top_m,
         status=status,
         reasons=reasons,
-        offsets_m=section.offsets_m,
+        offsets_m=section.seen_m,
         kept=section.kept,
         circle_m=circle,
         half_slice_m=section.half_m,

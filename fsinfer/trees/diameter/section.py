@@ -22,16 +22,16 @@ Bools = NDArray[np.bool_]
 class Section:
     """What one stem's breast-height section gave; lengths in metres, angles in degrees.
 
-    ``offsets_m`` (M, 2) are the slice's points about ``center`` in the plane perpendicular to the axis, ``kept`` (M,)
-    those the circle used, ``circle_m`` (x, y, radius) the fused circle in the same plane. ``dbh_m`` is at breast
-    height: ``by_taper_m`` was added to the radius measured at ``bh_m`` where the stem is not seen there. ``center``
-    (2,) is the axis position at ``bh_m`` above the level that the stem's heights count from (``Tree.z_ground_m``), in
-    the frame of the cloud, ``slope`` (2,) its dx/dh and dy/dh, ``taper`` the radius's dr/dh, ``top_m`` the height to
-    which the stem was seen (below the search's upper end). ``parts_m`` are the standard
-    deviations of the radius that make up the interval, by name, ``dof`` their degrees of freedom together
-    (:mod:`fsinfer.trees.diameter.budget`), ``tau_m`` the error that neighbouring points share. Of ``sd_m``, that of the
-    diameter, ``shared_sd_m`` is the part with one cause in all stems of a plot, without that of the scale.
-    ``dbh_m`` is None when ``reasons`` say why there is none. Where photographs were looked at too
+    ``offsets_m`` (M, 2) are the slice's points about ``center`` in the plane perpendicular to the axis, without the
+    taper and as far from round as the stem is, ``kept`` (M,) those the circle used, ``circle_m`` (x, y, radius) the
+    fused circle in the same plane. ``dbh_m`` is at breast height: ``by_taper_m`` was added to the radius measured at
+    ``bh_m`` where the stem is not seen there. ``center`` (2,) is the axis position at ``bh_m`` above the level that the
+    stem's heights count from (``Tree.z_ground_m``), in the frame of the cloud, ``slope`` (2,) its dx/dh and dy/dh,
+    ``taper`` the radius's dr/dh, ``top_m`` the height to which the stem was seen (below the search's upper end).
+    ``parts_m`` are the standard deviations of the radius that make up the interval, by name, ``dof`` their degrees of
+    freedom together (:mod:`fsinfer.trees.diameter.budget`), ``tau_m`` the error that neighbouring points share. Of
+    ``sd_m``, that of the diameter, ``shared_sd_m`` is the part with one cause in all stems of a plot, without that of
+    the scale. ``dbh_m`` is None when ``reasons`` say why there is none. Where photographs were looked at too
     (:mod:`fsinfer.silhouettes.join`), ``silhouette`` is what their edges say and ``cloud_dbh_m`` what the points alone
     gave. ``roundness`` is how far from round the points have it, None where no fit holds.
     """

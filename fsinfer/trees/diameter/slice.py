@@ -51,12 +51,14 @@ class SliceSettings:
 class Slice:
     """The points of a slice and the circle through them, in metres about the stem's axis.
 
-    ``offsets_m`` (M, 2) in the plane perpendicular to the axis, taper and harmonics taken out; ``kept`` (M,) those the
-    circle used; ``circle_m`` (3,) its x, y, radius; ``half_m`` half of the slice's thickness. ``radius_m`` is None, and
-    ``std_m`` NaN, where no circle could be fitted: then ``circle_m`` is that of the axis fit.
+    ``offsets_m`` (M, 2) in the plane perpendicular to the axis, taper and harmonics taken out; ``seen_m`` (M, 2) the
+    same with the harmonics, as the stem is; ``kept`` (M,) those the circle used; ``circle_m`` (3,) its x, y, radius;
+    ``half_m`` half of the slice's thickness. ``radius_m`` is None, and ``std_m`` NaN, where no circle could be fitted:
+    then ``circle_m`` is that of the axis fit.
     """
 
     offsets_m: Floats
+    seen_m: Floats
     kept: Bools
     circle_m: Floats
     half_m: float
@@ -89,11 +91,14 @@ def fit_slice(
     reach = np.abs(residual) <= AxisSettings().window_m
     offset, foot, distance, residual = rows(offset, reach), foot[reach], distance[reach], residual[reach]
     # Taper and shape are taken out, so that the circle meets a round section and only sees the local difference.
-    excess = taper * foot + shape[reach]
-    offset = offset * (1.0 - excess / np.maximum(distance, 1e-6))[:, None]
+    as_seen, offset = (
+        offset * (1.0 - excess / np.maximum(distance, 1e-6))[:, None]
+        for excess in (taper * foot, taper * foot + shape[reach])
+    )
     limit = _slice_limit(fit, s)
     plain = np.array([0.0, 0.0, fit.radius_m])
-    last = Slice(offsets_m=offset, kept=np.zeros(len(offset), dtype=bool), circle_m=plain, half_m=s.half_slices_m[-1])
+    none = np.zeros(len(offset), dtype=bool)
+    last = Slice(offsets_m=offset, seen_m=as_seen, kept=none, circle_m=plain, half_m=s.half_slices_m[-1])
     for half in s.half_slices_m:
         use = np.abs(foot) <= half
         # Symmetric about the stem's axis and blind to the tail: the joint fit already knows where bark can be.
@@ -102,7 +107,7 @@ def fit_slice(
         if count < LEAST_POINTS and half != s.half_slices_m[-1]:
             continue
         chosen = np.flatnonzero(candidate)
-        last = Slice(offsets_m=offset[use], kept=candidate[use], circle_m=plain, half_m=half)
+        last = Slice(offsets_m=offset[use], seen_m=as_seen[use], kept=candidate[use], circle_m=plain, half_m=half)
         if count < LEAST_POINTS:
             return last
         enough = fit.sigma_m / np.sqrt(count * max(coverage, LEAST_COVERAGE)) <= s.slice_error_m
@@ -121,6 +126,7 @@ def fit_slice(
         spread *= np.sqrt(max(1.0, count / max(patches, 1) * PATCH_M / (2.0 * half + PATCH_M)))
         return Slice(
             offsets_m=offset[use],
+            seen_m=as_seen[use],
             kept=kept[use],
             circle_m=fused,
             half_m=half,

@@ -159,6 +159,16 @@ def test_outline_of_an_oval_stem() -> None:
     assert tree.dbh_perimeter_cm == pytest.approx(30.0, abs=0.4)
 
 
+def test_the_points_to_be_drawn_lie_on_the_outline_of_an_oval_stem() -> None:
+    (section,) = analyse_plot(_single(ovality=0.08)).sections
+    assert section.outline is not None
+    seen, curve = section.offsets_m[section.kept], section.outline.curve_m
+    away = np.linalg.norm(seen[:, None] - curve, axis=2).min(axis=1)
+    assert np.sqrt(np.mean(away**2)) < 1.3 * 0.004
+    # Not on a circle, which is as far from them as the stem is from round.
+    assert np.linalg.norm(seen, axis=1).std() > 0.006
+
+
 def test_scale_uncertainty_widens_the_interval() -> None:
     points = _single()
     (sure,) = analyse_plot(points).trees
