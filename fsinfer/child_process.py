@@ -5,6 +5,7 @@ Only what is light is imported here: signals have to be turned off first.
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import sys
@@ -32,6 +33,12 @@ def python_command(module: str) -> list[str] | None:
         return None
     # Without -P a file in the current folder would be taken for a module of Python's.
     return [python, "-P", "-c", _START.format(module=module)]
+
+
+def search_path_line() -> bytes:
+    """The first line that such a process is told. Python passes over what is no text in its search path."""
+    entries: list[object] = list(sys.path)
+    return f"{json.dumps([entry for entry in entries if isinstance(entry, str)])}\n".encode("ascii")
 
 
 def leave_interrupts_to_parent() -> None:

@@ -1,7 +1,8 @@
 """The process that does what :class:`fsinfer.processes.Workers` tells it: a function, then items for it, one by one.
 
-Messages are pickled both ways. To it: ``("import", names of modules)``, ``("work", function)`` and ``("item", item)``.
-From it, for each item: ``(True, result)`` or ``(False, error)``. It ends when its standard input does.
+Messages are pickled both ways, each behind eight bytes with its length. To it: ``("import", names of modules)``,
+``("work", function)`` and ``("item", item)``. From it, for each item: :class:`Answer`, which has the result, the error
+of the work, or why this process cannot do it. It ends when its standard input does.
 """
 
 from __future__ import annotations
@@ -12,9 +13,22 @@ import sys
 import traceback
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
+from dataclasses import dataclass
 from typing import IO, Any
 
 from fsinfer.child_process import end_with_parent, leave_interrupts_to_parent, take_pipes
+
+#: Bytes of a message's length. Source: format.
+LENGTH_BYTES = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """Of one item: the result, or the error of the work, or why this process could not try it."""
+
+    result: Any = None
+    error: Exception | None = None
+    unfit: str = ""
 
 
 def main() -> None:
@@ -23,25 +37,52 @@ def main() -> None:
     heard, told = take_pipes()
     # Who starts it hears nothing until the first answer, so that nobody can wait for the other.
     with os.fdopen(heard, "rb") as messages, os.fdopen(told, "wb") as answers:
-        parent = pickle.load(messages)
-        end_with_parent(parent)
+        end_with_parent(pickle.loads(receive(messages)))
         with suppress(EOFError, OSError), ExitStack() as kept:
             _answer(messages, answers, kept)
     # Nothing is left to be put in order, and libraries that tidy up at the end may crash at it.
     os._exit(0)
 
 
+def send(stream: IO[bytes], message: bytes) -> None:
+    """Write a message behind its length."""
+    stream.write(len(message).to_bytes(LENGTH_BYTES, "little"))
+    stream.write(message)
+    stream.flush()
+
+
+def receive(stream: IO[bytes]) -> bytes:
+    """Read a message; :class:`EOFError` where the stream ends before it does."""
+    length = int.from_bytes(_exactly(stream, LENGTH_BYTES), "little")
+    return _exactly(stream, length)
+
+
+def _exactly(stream: IO[bytes], count: int) -> bytes:
+    found = stream.read(count)
+    if len(found) < count:
+        raise EOFError
+    return found
+
+
 def _answer(messages: IO[bytes], answers: IO[bytes], kept: ExitStack) -> None:
     work: Callable[[Any], Any] | None = None
+    unfit = ""
     while True:
-        kind, what = pickle.load(messages)
+        message = receive(messages)
+        try:
+            kind, what = pickle.loads(message)
+        except Exception as error:  # of a kind that is not known here
+            unfit = unfit or f"it cannot read what it is told: {error!r}"
+            kind, what = "item", None
         if kind == "import":
-            _import(what, kept)
+            try:
+                _import(what, kept)
+            except Exception as error:
+                unfit = f"it cannot load {', '.join(what)}: {error!r}"
         elif kind == "work":
             work = what
         else:
-            answers.write(_pickled(_done(work, what)))
-            answers.flush()
+            send(answers, _pickled(Answer(unfit=unfit) if unfit else _done(work, what)))
 
 
 def _import(names: tuple[str, ...], kept: ExitStack) -> None:
@@ -58,26 +99,26 @@ def _import(names: tuple[str, ...], kept: ExitStack) -> None:
     kept.enter_context(one_blas_thread())
 
 
-def _done(work: Callable[[Any], Any] | None, item: Any) -> tuple[bool, Any]:
+def _done(work: Callable[[Any], Any] | None, item: Any) -> Answer:
     try:
         if work is None:
-            msg = "an item came before the work"
-            raise RuntimeError(msg)
-        return True, work(item)
+            return Answer(unfit="it was told no work")
+        return Answer(result=work(item))
     except Exception as error:  # whatever it is, who asked gets it
         error.add_note("in a worker process:\n" + "".join(traceback.format_exception(error)))
-        return False, error
+        return Answer(error=error)
 
 
-def _pickled(answer: tuple[bool, Any]) -> bytes:
+def _pickled(answer: Answer) -> bytes:
     try:
         told = pickle.dumps(answer, protocol=pickle.HIGHEST_PROTOCOL)
-        if not answer[0]:
+        if answer.error is not None:
             pickle.loads(told)  # of an error with two words only one is sent, and nobody could read it
         return told
     except Exception as error:  # an error or a result of a kind that cannot be sent
-        unsent = RuntimeError(f"a worker process cannot send {answer[1]!r}: {error}")
-        return pickle.dumps((False, unsent), protocol=pickle.HIGHEST_PROTOCOL)
+        what = answer.result if answer.error is None else answer.error
+        unsent = RuntimeError(f"a worker process cannot send {what!r}: {error}")
+        return pickle.dumps(Answer(error=unsent), protocol=pickle.HIGHEST_PROTOCOL)
 
 
 if __name__ == "__main__":

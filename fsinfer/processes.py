@@ -8,21 +8,20 @@ own pools: those would run a user's script once more in each where it does not g
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 import pickle
 import queue
 import subprocess
-import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import IO, Any, TypeVar
 
-from fsinfer.child_process import python_command
+from fsinfer.child_process import python_command, search_path_line
+from fsinfer.process_worker import Answer, receive, send
 from fsinfer.threads import cores, in_order, photo_threads
 
 _Item = TypeVar("_Item")
@@ -37,11 +36,14 @@ _log = logging.getLogger(__name__)
 
 
 @contextmanager
-def worker_processes(modules: Sequence[str], *, count: int | None = None) -> Iterator[None]:
+def worker_processes(
+    modules: Sequence[str], *, count: int | None = None, ended: Callable[[float], None] = lambda _mb: None
+) -> Iterator[None]:
     """Within it, :func:`shared_out` gives work to ``count`` processes, as many as there are cores without it.
 
     They are started at once and load ``modules`` while other things are done. One process is as good as none: the work
-    is then done here. Within another it starts none, and the work goes to those that are there.
+    is then done here. Within another it starts none, and the work goes to those that are there. ``ended`` is told the
+    peak of their memory, see :func:`workers_peak_mb`, when they have done.
     """
     if _active.get() is not None:
         yield
@@ -56,8 +58,9 @@ def worker_processes(modules: Sequence[str], *, count: int | None = None) -> Ite
     try:
         yield
     finally:
-        _active.reset(token)
+        ended(workers.peak_mb())
         workers.end()
+        _active.reset(token)
 
 
 def shared_out(work: Callable[[_Item], _Result], items: Iterable[_Item]) -> Iterator[_Result]:
@@ -112,17 +115,17 @@ class Workers:
         try:
             if worker is not None:
                 try:
-                    right, found = worker.ask(work, item)
-                except _GoneError:
+                    answer = worker.ask(work, item)
+                except _GoneError as error:
                     if self._ended:
                         raise
-                    # The system may have ended it for want of memory; what it had to do is done here.
-                    _log.info("a worker process has ended; its work is done by the others")
+                    # The system may have ended it for want of memory. Its share is done in this process from here on.
+                    _log.warning("a worker process has ended (%s); its share is done by the run itself", error)
                     worker = None
                 else:
-                    if not right:
-                        raise found
-                    result: _Result = found
+                    if answer.error is not None:
+                        raise answer.error
+                    result: _Result = answer.result
                     return result
         finally:
             self._idle.put(worker)
@@ -133,7 +136,7 @@ _active: ContextVar[Workers | None] = ContextVar("workers", default=None)
 
 
 class _GoneError(Exception):
-    """The process has ended; nobody sees this error who has not ended it himself."""
+    """The process has ended, or cannot do its work; nobody sees this error who has not ended it himself."""
 
 
 class _Worker:
@@ -160,24 +163,31 @@ class _Worker:
             return None
         worker = cls(process)
         with suppress(_GoneError):  # found out when it is asked
-            worker._write(f"{json.dumps(sys.path)}\n".encode("ascii"))
+            worker._write(search_path_line())
             worker._send(os.getpid())
             worker._send(("import", tuple(modules)))
         return worker
 
-    def ask(self, work: Callable[[Any], Any], item: Any) -> tuple[bool, Any]:
-        """Whether it went well, and the result or the error."""
+    def ask(self, work: Callable[[Any], Any], item: Any) -> Answer:
+        """What comes of an item."""
         if work is not self._work:
             self._send(("work", work))
             self._work = work
         self._send(("item", item))
-        if self._process.stdout is None:
-            raise _GoneError
         try:
-            right, found = pickle.load(self._process.stdout)
-        except (EOFError, OSError, pickle.UnpicklingError) as error:
-            raise _GoneError from error
-        return bool(right), found
+            answer: Answer = pickle.loads(receive(self._told()))
+        except Exception as error:  # half an answer may be left in the pipe
+            self.end()
+            raise _GoneError(repr(error)) from error
+        if answer.unfit:
+            self.end()
+            raise _GoneError(answer.unfit)
+        return answer
+
+    def _told(self) -> IO[bytes]:
+        if self._process.stdout is None:
+            raise EOFError
+        return self._process.stdout
 
     def peak_mb(self) -> float:
         status = Path("/proc") / str(self._process.pid) / "status"
@@ -196,13 +206,17 @@ class _Worker:
                     stream.close()
 
     def _send(self, message: Any) -> None:
-        self._write(pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL))
-
-    def _write(self, told: bytes) -> None:
-        if self._process.stdin is None:
-            raise _GoneError
+        pickled = pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL)
         try:
-            self._process.stdin.write(told)
-            self._process.stdin.flush()
-        except OSError as error:
-            raise _GoneError from error
+            send(self._heard(), pickled)
+        except (OSError, ValueError) as error:  # its end of the pipe is closed, or ours
+            raise _GoneError(repr(error)) from error
+
+    def _write(self, line: bytes) -> None:
+        with suppress(OSError):  # found out when it is asked
+            self._heard().write(line)
+
+    def _heard(self) -> IO[bytes]:
+        if self._process.stdin is None:
+            raise ValueError
+        return self._process.stdin

@@ -42,7 +42,8 @@ class ThinningSettings:
 
     Attributes
     ----------
-    max_points: clouds up to this are measured whole; with it the measurement stays below 3 GB. Source: measured
+    max_points: clouds up to this are measured whole; with it the measurement stays below 3 GB, without the processes
+        that work for it, of 200 MB each. Source: measured
         (tests/bench/cloud_size.py).
     cell_m: over ten times the noise of bark in photogrammetric clouds. Source: chosen on simulated stems.
     fine_heights_m: stems are looked for between 0.5 and 2.5 m. Source: ``StemSettings.heights_m``.

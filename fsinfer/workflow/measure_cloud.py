@@ -109,7 +109,7 @@ class _Opened:
     warnings: tuple[Notice, ...] = ()
 
 
-MEASURE = Stage(name="measure", version=26, result=MeasuredCloud, outputs=("trees.csv",))
+MEASURE = Stage(name="measure", version=27, result=MeasuredCloud, outputs=("trees.csv",))
 
 
 @one_blas_thread()

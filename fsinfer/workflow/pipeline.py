@@ -173,7 +173,8 @@ def run_from_scene(
 
         parts = measure_parts(out, out / "frames" / "images", poses.result, settings, run_part)
     folders = [out / part.folder for part in parts if not part.error]
-    with tree_workers(cloud.result.points):  # for both, since starting them takes a second
+    # For both, since starting them takes a second.
+    with tree_workers(cloud.result.points, settings.depth.threads):
         trees = _measure_trees(
             ledger, depth, scale, cloud, settings=settings, edits=corrections, parts=folders, progress=progress
         )

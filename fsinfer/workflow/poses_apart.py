@@ -12,7 +12,6 @@ import queue
 import re
 import signal
 import subprocess
-import sys
 import threading
 from collections import deque
 from collections.abc import Iterator
@@ -20,7 +19,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
-from fsinfer.child_process import python_command
+from fsinfer.child_process import python_command, search_path_line
 from fsinfer.errors import CRASHED, NOT_ENOUGH_MEMORY, PosesError
 from fsinfer.output.json_values import as_json, of_json
 from fsinfer.poses.estimate import PosesResult, estimate_poses
@@ -120,7 +119,7 @@ def _started(
             reader.start()
         if process.stdin is not None:
             with suppress(OSError):  # it is gone already: its end says so
-                process.stdin.write(f"{json.dumps(sys.path)}\n{json.dumps(task)}\n".encode("ascii"))
+                process.stdin.write(search_path_line() + f"{json.dumps(task)}\n".encode("ascii"))
                 process.stdin.flush()
         yield process, _until_end(told), noise
     finally:

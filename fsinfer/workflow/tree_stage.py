@@ -19,13 +19,14 @@ from fsinfer.plot_border.plot import PlotFigures, Upright, plot_of, stem_circles
 from fsinfer.plot_border.request import BorderRequest
 from fsinfer.plot_border.rows import figure_rows
 from fsinfer.plot_border.sight import Cameras, seen_share
-from fsinfer.processes import worker_processes
+from fsinfer.processes import MOST_WORKERS, worker_processes
 from fsinfer.progress import Progress, silent
 from fsinfer.scale.scale import CAMERA_HEIGHT_M
 from fsinfer.silhouettes.join import StemPhotos, measure_silhouettes, write_sources
 from fsinfer.silhouettes.join_settings import SilhouetteJoinSettings
 from fsinfer.silhouettes.tops import TopViewSettings, heights_in_view
 from fsinfer.silhouettes.walk import WalkSettings, apart_from_walk, camera_places
+from fsinfer.threads import cores
 from fsinfer.trees import PlotResult, StandTable, TreeSettings, analyse_plot
 from fsinfer.trees.edits import TreeEdit, apply_edits
 from fsinfer.trees.forks import forks
@@ -40,6 +41,7 @@ from fsinfer.trees.plot_doubt import all_doubtful
 from fsinfer.trees.posts import without_posts
 from fsinfer.trees.stem_curve import CurvePoint, CurveSettings, stem_curves, write_curves
 from fsinfer.workflow.joined_parts import JoinedParts, cameras_of, copy_figures, join_measured
+from fsinfer.workflow.memory_peak import child_ended
 from fsinfer.workflow.own_files import clear_outputs
 
 #: Points of a cloud from which on processes save more than the second they take to start. Source: numerics; of the
@@ -180,9 +182,13 @@ def _measure_plot(given: PlotCloudInput, out: Path, settings: TreeStageSettings,
     return replace(_summary(bordered, plot), joined=added.parts)
 
 
-def tree_workers(points: int) -> AbstractContextManager[None]:
-    """Processes for what is done of the trees in a cloud of so many ``points``; none where they are few."""
-    return worker_processes(_WORKED_WITH, count=None if points >= _SHARED_FROM else 1)
+def tree_workers(points: int, threads: int = 0) -> AbstractContextManager[None]:
+    """Processes for what is done of the trees in a cloud of so many ``points``; none where they are few.
+
+    There are no more than ``threads`` of them; 0 is as many as there are cores, up to four.
+    """
+    count = min(threads or cores(), cores(), MOST_WORKERS) if points >= _SHARED_FROM else 1
+    return worker_processes(_WORKED_WITH, count=count, ended=child_ended)
 
 
 def no_trees(out: Path, *, reason: Notice) -> TreesResult:

@@ -7,22 +7,42 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 from threadpoolctl import threadpool_info
 
 from fsinfer import processes
 from fsinfer.errors import SceneError
+from fsinfer.process_worker import Answer
 from fsinfer.processes import shared_out, worker_processes, workers_peak_mb
 from fsinfer.trees.measure import analyse_plot
 from fsinfer.trees.stem_curve import stem_curves
+from fsinfer.workflow.memory_peak import MemoryPeak
+from fsinfer.workflow.tree_stage import tree_workers
 from tests.support.stem_clouds import stem_plot
 
 #: More than any of these takes on a busy machine.
 PATIENCE_S = 60.0
+
+
+@pytest.fixture
+def answered(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+    """How many items other processes did, by the work's name."""
+    found: Counter[str] = Counter()
+    ask = processes._Worker.ask
+
+    def noted(self: processes._Worker, work: Callable[[object], object], item: object) -> Answer:
+        answer = ask(self, work, item)
+        found[getattr(work, "func", work).__name__] += 1
+        return answer
+
+    monkeypatch.setattr(processes._Worker, "ask", noted)
+    return found
 
 
 def number_and_process(number: int) -> tuple[int, int]:
@@ -229,12 +249,71 @@ def test_processes_end_with_the_one_that_started_them(tmp_path: Path, number: si
     assert not any(is_there(child) for child in children)
 
 
-def test_trees_are_the_same_in_processes() -> None:
+def test_trees_are_the_same_in_processes(answered: Counter[str]) -> None:
     points = stem_plot(trees=4, seed=8, slope=0.1, lean_deg=4.0).points
     before = analyse_plot(points)
     curves = stem_curves(points, before)
+    assert not answered
     with worker_processes(("fsinfer.trees.stem_curve",), count=2):
         after = analyse_plot(points)
         assert stem_curves(points, after) == curves
     assert after.trees == before.trees
     assert len(before.trees) == 4
+    assert answered == {"_sections": 1, "_curves_of": 1}
+
+
+def test_what_the_trees_need_can_be_loaded(answered: Counter[str]) -> None:
+    with tree_workers(10**6, threads=2):
+        assert list(shared_out(refuse, (3, 4))) == [3, 4]
+        assert answered == {"refuse": 2}
+    with tree_workers(10**6, threads=1):
+        assert list(shared_out(refuse, (3, 4))) == [3, 4]
+    with tree_workers(1000):
+        assert list(shared_out(refuse, (3, 4))) == [3, 4]
+    assert answered == {"refuse": 2}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not tell")
+def test_their_memory_counts_when_they_have_ended() -> None:
+    peak = MemoryPeak()
+    with tree_workers(10**6, threads=2):
+        list(shared_out(refuse, (3, 4)))
+        there = peak.read_mb()
+        of_workers = workers_peak_mb()
+    after = peak.read_mb()
+    assert there is not None
+    assert after is not None
+    assert of_workers > 100.0
+    assert after >= there
+    assert after - MemoryPeak().read_mb() > 0.8 * of_workers  # type: ignore[operator]
+
+
+def test_who_cannot_load_what_is_needed_leaves_the_work_to_the_run(
+    answered: Counter[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    with worker_processes(("fsinfer.silhouettes.jion",), count=2):
+        assert {process for _, process in shared_out(number_and_process, range(4))} == {os.getpid()}
+    assert not answered
+    assert len(caplog.messages) == 2
+    assert "cannot load fsinfer.silhouettes.jion" in caplog.messages[0]
+
+
+def test_who_cannot_read_the_work_leaves_it_to_the_run(
+    answered: Counter[str], caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A module that is there for this process alone.
+    here = ModuleType("only_here")
+    here.__dict__["work"] = number_and_process
+    monkeypatch.setitem(sys.modules, "only_here", here)
+    monkeypatch.setattr(number_and_process, "__module__", "only_here")
+    monkeypatch.setattr(number_and_process, "__qualname__", "work")
+    with worker_processes((), count=2):
+        assert {process for _, process in shared_out(number_and_process, range(4))} == {os.getpid()}
+    assert not answered
+    assert "cannot read what it is told" in caplog.messages[0]
+
+
+def test_a_search_path_may_hold_anything(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(Path("somewhere"))
+    with worker_processes((), count=2):
+        assert os.getpid() not in {process for _, process in shared_out(number_and_process, range(4))}

@@ -47,8 +47,8 @@ OFFSET_FIRST_M = 0.005
 LEAST_NOISE_M = 0.001
 #: Logarithm of the least share of a vote. Source: numerics; numbers below the least normal one cost five times as much.
 LEAST_LOG = np.float32(-50.0)
-#: What is less likely to be the stem's edge counts as none in the equations of a round. Source: numerics; two thirds of
-#: the candidates.
+#: What is less likely to be the stem's edge, as a share of the likeliest, counts as none in the equations of a round.
+#: Source: numerics; two thirds of the candidates.
 LEAST_WEIGHT = 1e-9
 
 
@@ -286,7 +286,8 @@ class EdgeProblem:
         T'T / ``held``, where T (P, K) are the sums of WD over the photographs, each side with its sign, and ``held``
         (P,) the precision of each photograph's offset, by its edges and its prior. The part (P, K) is T / ``held``.
         """
-        counted = np.flatnonzero(weight > LEAST_WEIGHT)
+        # Far from every edge all are unlikely, and the likeliest show the way.
+        counted = np.flatnonzero(weight >= LEAST_WEIGHT * weight.max())
         photo, sided, support = self.photo[counted], self.sided[counted], self.sided_support[counted]
         weighed = sided * precision[counted, None]  # a side's sign cancels where it comes twice
         begins = np.flatnonzero(np.r_[True, np.diff(photo) != 0][: len(photo)])

@@ -8,6 +8,7 @@ import pytest
 from fsinfer.depth.maps import DepthMaps
 from fsinfer.io.images import read_image
 from fsinfer.io.pfm import read_pfm, write_pfm
+from fsinfer.processes import worker_processes
 from fsinfer.report.cloud.data import MAX_IN_MEMORY, encode_cloud, read_some
 from fsinfer.report.contents import read_contents
 from fsinfer.report.stems.photos import LINE_RGB, OUTSIDE_RGB, crop_tree, standing_trees, tree_photos
@@ -68,6 +69,17 @@ def test_chosen_views_look_from_different_sides() -> None:
     # Where all look from the same side, one that is a little apart is better than none.
     assert [one.view for one in choose_views([view(0, 0.9, 0), view(1, 0.8, 20), view(2, 0.8, 3)], 3)] == [0, 1]
     assert choose_views([], 3) == ()
+
+
+def test_processes_choose_the_same_photos(plot: Path) -> None:
+    contents = read_contents(plot)
+    before, _ = tree_photos(contents)
+    with worker_processes(("fsinfer.report.stems.photos",), count=2):
+        after, _ = tree_photos(contents)
+    assert {tree: [photo.name for photo in photos] for tree, photos in after.items()} == {
+        tree: [photo.name for photo in photos] for tree, photos in before.items()
+    }
+    assert any(before.values())
 
 
 def test_the_line_lies_on_the_stem_at_breast_height(plot: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from fsinfer.io.images import read_image, write_image
 from fsinfer.io.pfm import write_pfm
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
+from fsinfer.processes import shared_out, worker_processes, workers_peak_mb
 from fsinfer.scene import read_scene
 from fsinfer.silhouettes.combine import combine
 from fsinfer.silhouettes.edge_settings import EdgeSettings
@@ -703,6 +705,18 @@ def test_photographs_lift_the_doubts_of_the_cloud_but_not_that_of_its_height() -
     assert (found.status, found.reasons) == ("doubtful", (fork,))
     found = joined(replace(section_of(0.300, 0.002, unsure), status="doubtful"), fit_of(0.15, 0.002))
     assert (found.status, found.reasons) == ("ok", ())
+
+
+def test_processes_see_what_threads_see(photos: StemPhotos, tmp_path: Path) -> None:
+    plot = plot_of(section_of(0.30, 0.008))
+    before = measure_silhouettes(plot, photos, figures=tmp_path / "threads")
+    with worker_processes(("fsinfer.silhouettes.join",), count=2):
+        after = measure_silhouettes(plot, photos, figures=tmp_path / "processes")
+        list(shared_out(abs, [1]))
+        assert workers_peak_mb() > 50.0 or sys.platform != "linux"
+    assert after.trees == before.trees
+    one, other = (read_image(tmp_path / folder / "tree_001_edges.png") for folder in ("threads", "processes"))
+    np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize(("dbh", "sides"), [(0.285, 6), (0.30, 7)], ids=["as thought", "looked at again"])

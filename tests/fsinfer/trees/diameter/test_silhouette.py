@@ -47,6 +47,19 @@ def test_a_round_stem_is_not_made_oval() -> None:
     assert np.hypot(*fit.shape_m[:2]) < 0.01 * fit.radius_m
 
 
+@pytest.mark.parametrize(("asked_m", "true_m"), [(0.16, 0.25), (0.10, 0.20)])
+def test_edges_far_from_where_they_were_looked_for_are_found(asked_m: float, true_m: float) -> None:
+    """From there every edge is as good as impossible, and something has to show the way."""
+    rows = []
+    for number, direction in enumerate(np.arange(0.0, np.pi, np.pi / 8)):
+        for side in (0, 1):
+            angle = float(direction + (np.pi / 2 if side else -np.pi / 2))
+            rows.append((true_m, angle, 0.0, 8.0, 0.001, number * 2 + side, number))
+    fit = fit_silhouette(edges_from_rows(rows), asked_m, taper=TAPER)
+    assert fit is not None
+    assert fit.radius_m == pytest.approx(true_m, abs=0.001)
+
+
 @pytest.mark.parametrize("long_deg", [0.0, 40.0, 75.0, 130.0])
 def test_an_oval_stem_seen_from_some_sides_has_its_girth(long_deg: float) -> None:
     """A large beech, a tenth longer one way: where a fit begins with a circle, its long sides are 2 to 3 cm away."""
