@@ -26,6 +26,7 @@ from fsinfer.trees.sanity import (
     TURNED_POINTS,
     TURNS,
     TurnedCloudError,
+    as_numbers,
     check_unit,
     check_upside_down,
     clean,
@@ -253,7 +254,7 @@ def _diagnosis(trees: list[Tree], search: StemSearch, stand: Floats, settings: T
 def _without_scale(
     points: ArrayLike, settings: TreeSettings, units_per_m_hint: float | None, progress: Progress
 ) -> PlotResult:
-    xyz = np.asarray(points, dtype=np.float64)
+    xyz = as_numbers(points)
     units = 1.0 if units_per_m_hint is None else units_per_m_hint
     if not (np.isfinite(units) and units > 0):
         msg = f"units_per_m_hint must be a positive number, got {units_per_m_hint}"

@@ -110,9 +110,18 @@ def coordinate_step(xyz: Floats) -> float:
     return max((float(step.min()) for step in steps if len(step)), default=0.0)
 
 
+def as_numbers(points: ArrayLike) -> Floats:
+    """The points as float64; :class:`~fsinfer.errors.CloudError` where they are no numbers."""
+    try:
+        return np.asarray(points, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        msg = f"the cloud must be an array of numbers of shape (N, 3), got {type(points).__name__}: {error}"
+        raise CloudError(msg) from error
+
+
 def clean(points: ArrayLike, sanity: SanitySettings) -> tuple[Floats, list[Notice]]:
     """Finite points (N, 3) float64 with warnings; raises where too few are left or their steps are too coarse."""
-    xyz = np.asarray(points, dtype=np.float64)
+    xyz = as_numbers(points)
     if xyz.ndim != 2 or xyz.shape[1] != 3:
         msg = f"the cloud must be an array of shape (N, 3), got {xyz.shape=}"
         raise CloudError(msg)

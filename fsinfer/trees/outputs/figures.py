@@ -202,10 +202,10 @@ def plot_section(
     if section.half_slice_m > 0:
         details += f" · slice ± {100 * section.half_slice_m:.1f} cm"
     details += f" · {round(360 * tree.arc_coverage)}° of the stem seen"
-    if guessed:
-        details += "\nno scale is known: a metre is guessed from a phone held 1.5 m high"
     if tree.residual_cm is not None:
         details += f" · residual {tree.residual_cm:.1f} cm"
+    if guessed:
+        details += "\nno scale is known: a metre is guessed from a phone held 1.5 m high"
     if section.silhouette is not None:
         details += f"\n{_sources(section)}"
     if tree.reason and not guessed:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -97,3 +98,10 @@ def test_thin_stems_are_left_to_the_undergrowth(plot: StemPlot, result: PlotResu
     (kept,) = analyse_plot(plot.points, settings=limit).trees
     assert kept.dbh_cm == pytest.approx(sizes[1])
     assert kept.tree_id == 1
+
+
+@pytest.mark.parametrize("points", ["plot.laz", [[1.0, 2.0, "high"]], [[1.0, 2.0], [3.0]], None])
+@pytest.mark.parametrize("metric", [True, False])
+def test_what_is_no_array_of_numbers_is_refused(points: Any, metric: bool) -> None:
+    with pytest.raises(CloudError, match=r"\(N, 3\)"):
+        measure_trees(points, metric=metric)
