@@ -97,7 +97,7 @@ class Workers:
 
     def in_order(self, work: Callable[[_Item], _Result], items: Iterable[_Item]) -> Iterator[_Result]:
         """See :func:`shared_out`."""
-        # One item is on its way to each while it works, so that nobody waits for the pipe.
+        # One more is begun than there are processes, so that fewer wait for a slow one before them.
         yield from in_order(partial(self._ask, work), items, self._count, ahead=1, on_interrupt=self.end)
 
     def peak_mb(self) -> float:
