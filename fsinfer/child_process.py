@@ -1,4 +1,4 @@
-"""What a process that another of ours starts does first: take its pipes, and end when whoever started it is gone.
+"""Processes that one of ours starts: how, and what they do first: take their pipes, end when who started them is gone.
 
 Only what is light is imported here: signals have to be turned off first.
 """
@@ -9,8 +9,13 @@ import json
 import os
 import signal
 import sys
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import subprocess
 
 #: What ends a group of processes at once, by name, where the system has it.
 _FOR_THE_PARENT = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
@@ -33,6 +38,20 @@ def python_command(module: str) -> list[str] | None:
         return None
     # Without -P a file in the current folder would be taken for a module of Python's.
     return [python, "-P", "-c", _START.format(module=module)]
+
+
+def start(command: Sequence[str], *, stderr: int) -> subprocess.Popen[bytes]:
+    """Start it with pipes to and from it; ``stderr`` is as for :class:`subprocess.Popen`."""
+    import subprocess  # not for the process that is started, which turns off signals first
+
+    return subprocess.Popen(
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=stderr,
+        # On Windows neither a window of its own nor Ctrl-C from ours.
+        creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+    )
 
 
 def search_path_line() -> bytes:

@@ -18,9 +18,9 @@ from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import partial
 from pathlib import Path
-from typing import IO, Any, TypeVar
+from typing import IO, Any, Literal, TypeVar
 
-from fsinfer.child_process import python_command, search_path_line
+from fsinfer.child_process import python_command, search_path_line, start
 from fsinfer.process_worker import Answer, receive, send
 from fsinfer.threads import cores, in_order, photo_threads
 
@@ -74,6 +74,16 @@ def shared_out(work: Callable[[_Item], _Result], items: Iterable[_Item]) -> Iter
         yield from in_order(work, items, photo_threads())
     else:
         yield from workers.in_order(work, items)
+
+
+def peak_of_mb(process: int | Literal["self"]) -> float | None:
+    """The largest resident memory of a process so far, MiB; None where the system does not tell (it does on Linux)."""
+    with suppress(OSError):
+        status = (Path("/proc") / str(process) / "status").read_text(encoding="ascii", errors="replace")
+        for line in status.splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) / 1024
+    return None
 
 
 def workers_peak_mb() -> float:
@@ -150,14 +160,7 @@ class _Worker:
     def started(cls, command: Sequence[str], modules: Sequence[str]) -> _Worker | None:
         """A new process that loads ``modules``; None where the system allows no more."""
         try:
-            process = subprocess.Popen(
-                command,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                # On Windows neither a window of its own nor Ctrl-C from ours.
-                creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
-            )
+            process = start(command, stderr=subprocess.DEVNULL)
         except OSError as error:
             _log.info("no worker process could be started: %s", error)
             return None
@@ -190,12 +193,7 @@ class _Worker:
         return self._process.stdout
 
     def peak_mb(self) -> float:
-        status = Path("/proc") / str(self._process.pid) / "status"
-        with suppress(OSError):
-            for line in status.read_text(encoding="ascii", errors="replace").splitlines():
-                if line.startswith("VmHWM:"):
-                    return int(line.split()[1]) / 1024
-        return 0.0
+        return peak_of_mb(self._process.pid) or 0.0
 
     def end(self) -> None:
         self._process.kill()

@@ -7,9 +7,8 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-from fsinfer.processes import workers_peak_mb
+from fsinfer.processes import peak_of_mb, workers_peak_mb
 
-_STATUS = Path("/proc") / "self" / "status"
 _CLEAR_REFS = Path("/proc") / "self" / "clear_refs"
 # Of this stretch; as the kernel's mark, one for the whole process.
 _of_child_mb = 0.0
@@ -34,12 +33,9 @@ class MemoryPeak:
 
     def read_mb(self) -> float | None:
         """Peak resident memory, MiB; None where the system does not tell."""
-        try:
-            for line in _STATUS.read_text(encoding="ascii", errors="replace").splitlines():
-                if line.startswith("VmHWM:"):
-                    return round(int(line.split()[1]) / 1024 + _of_child_mb + workers_peak_mb(), 1)
-        except OSError:
-            pass
+        own = peak_of_mb("self")
+        if own is not None:
+            return round(own + _of_child_mb + workers_peak_mb(), 1)
         if sys.platform == "win32":
             return None
         import resource

@@ -19,7 +19,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
-from fsinfer.child_process import python_command, search_path_line
+from fsinfer.child_process import python_command, search_path_line, start
 from fsinfer.errors import CRASHED, NOT_ENOUGH_MEMORY, PosesError
 from fsinfer.output.json_values import as_json, of_json
 from fsinfer.poses.estimate import PosesResult, estimate_poses
@@ -100,14 +100,7 @@ def _started(
 
     COLMAP's database in the work folder outlives that, and the next attempt goes on with it.
     """
-    process = subprocess.Popen(
-        command,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        # On Windows neither a window of its own nor Ctrl-C from ours.
-        creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
-    )
+    process = start(command, stderr=subprocess.PIPE)
     told: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
     noise: deque[str] = deque(maxlen=_KEPT_LINES)
     readers = (

@@ -94,7 +94,7 @@ class EdgeProblem:
         self.order = np.lexsort((edges.ray, edges.photo))
         edges = chosen_edges(edges, self.order)
         self.edges, self.radius_m, self.taper = edges, radius_m, taper
-        begins = np.r_[True, np.diff(edges.ray) != 0]
+        begins = _begins(edges.ray)
         self.ray, self.first_of_ray = np.cumsum(begins) - 1, np.flatnonzero(begins)
         self.rays = len(self.first_of_ray)
         self.log_strength = np.log(np.maximum(edges.strength, 1.0))
@@ -290,7 +290,7 @@ class EdgeProblem:
         counted = np.flatnonzero(weight >= LEAST_WEIGHT * weight.max())
         photo, sided, support = self.photo[counted], self.sided[counted], self.sided_support[counted]
         weighed = sided * precision[counted, None]  # a side's sign cancels where it comes twice
-        begins = np.flatnonzero(np.r_[True, np.diff(photo) != 0][: len(photo)])
+        begins = np.flatnonzero(_begins(photo))
         taken, of_support = np.zeros((self.photos, sided.shape[1])), np.zeros(self.photos)
         taken[photo[begins]] = np.add.reduceat(weighed, begins, axis=0)
         of_support[photo[begins]] = np.add.reduceat(precision[counted] * support, begins)
@@ -313,6 +313,11 @@ class EdgeProblem:
         part = np.exp(log_fit - top[self.ray])
         total = np.exp(none - top) + np.add.reduceat(part, self.first_of_ray)
         return np.asarray(part / total[self.ray]), float((top + np.log(total)).sum())
+
+
+def _begins(numbers: Ints) -> NDArray[np.bool_]:
+    """Whether each of the numbers (N,), of which equal ones follow each other, is the first of its kind."""
+    return np.asarray(np.r_[True, np.diff(numbers) != 0], np.bool_)
 
 
 def design_matrix(angle: Floats, height: Floats, order: int) -> Floats:
