@@ -110,9 +110,10 @@ def _variance(structure: Structure, at: Unknowns, groups: Sequence[Group], weigh
 def _neighbours(structure: Structure, photos: int) -> list[list[int]]:
     """For each photo itself and those that share the most points with it, in order of their numbers."""
     shared = np.zeros((photos, photos), dtype=np.int64)
-    for one, other, rows, _ in structure.pairs():
-        if one != other:
-            shared[one, other] = shared[other, one] = len(rows)
+    for one, others, _, _, ends in structure.pairs_by_photo():
+        for other, count in zip(others, np.diff(ends, prepend=0).tolist(), strict=True):
+            if one != other:
+                shared[one, other] = shared[other, one] = count
     near = []
     for photo in range(photos):
         best = np.argsort(-shared[photo], kind="stable")[:_NEIGHBOURS]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,11 +44,19 @@ class Structure:
         for photo in range(len(self.ends) - 1):
             yield photo, slice(int(self.ends[photo]), int(self.ends[photo + 1]))
 
-    def pairs(self) -> Iterator[tuple[int, int, Ints, Ints]]:
-        """Two photos, and the rows of the points that both see."""
+    def pairs_by_photo(self) -> Iterator[tuple[int, list[int], Ints, Ints, list[int]]]:
+        """A photo, the others that share points with it, and the rows of these points in it and in the others.
+
+        The rows are those of the others one after the other; the list at the end says where those of each end.
+        """
+        photos = len(self.ends) - 1
         ends = np.append(self.pair_starts, len(self.first))
-        for key, start, end in zip(self.pair_keys, ends[:-1], ends[1:], strict=True):
-            yield (*divmod(int(key), len(self.ends) - 1), self.first[start:end], self.second[start:end])
+        of_photo = np.searchsorted(self.pair_keys, np.arange(photos + 1) * photos)
+        for photo, (first, last) in enumerate(pairwise(of_photo.tolist())):
+            rows = slice(int(ends[first]), int(ends[last]))
+            others = (self.pair_keys[first:last] - photo * photos).tolist()
+            of_each = (ends[first + 1 : last + 1] - ends[first]).tolist()
+            yield photo, others, self.first[rows], self.second[rows], of_each
 
 
 def _pairs(point: Ints) -> tuple[Ints, Ints]:
@@ -115,8 +124,11 @@ def blocks_of(structure: Structure, rows: Rows) -> Blocks:
         residuals = rows.residuals[part].ravel()
         right[at] = jacobian.T @ residuals
         right[border] += lens.T @ residuals
-    transposed = rows.by_point.transpose(0, 2, 1)
     sums = structure.sum_by_point
+
+    def by_point_times(values: Floats) -> Floats:
+        # Products of matrices as small as these take four times as long.
+        return np.asarray(np.einsum("nij,nik->njk", rows.by_point, values))
 
     def summed(values: Floats) -> Floats:
         return np.asarray(sums @ values.reshape(len(values), -1)).reshape(structure.points, *values.shape[1:])
@@ -124,10 +136,10 @@ def blocks_of(structure: Structure, rows: Rows) -> Blocks:
     return Blocks(
         cameras=cameras,
         cameras_right=right,
-        crossed=transposed @ rows.by_photo,
-        crossed_lens=summed(transposed @ rows.by_lens),
-        points=summed(transposed @ rows.by_point),
-        points_right=summed((transposed @ rows.residuals[:, :, None])[:, :, 0]),
+        crossed=by_point_times(rows.by_photo),
+        crossed_lens=summed(by_point_times(rows.by_lens)),
+        points=summed(by_point_times(rows.by_point)),
+        points_right=summed(by_point_times(rows.residuals[:, :, None])[:, :, 0]),
     )
 
 
@@ -172,11 +184,16 @@ def reduce_points(structure: Structure, blocks: Blocks, damping: float) -> Reduc
     flat = half_lens.reshape(-1, lenses)
     matrix[border, border] -= flat.T @ flat
     right[border] -= flat.T @ half_right.ravel()
-    for one, other, rows, columns in structure.pairs():
-        product = half[rows].reshape(-1, size).T @ half[columns].reshape(-1, size)
-        left, top = slice(other * size, (other + 1) * size), slice(one * size, (one + 1) * size)
-        # A point may be seen twice in one photo.
-        matrix[top, left] -= product + product.T if one == other else product
+    for one, others, rows, columns, ends in structure.pairs_by_photo():
+        top = slice(one * size, (one + 1) * size)
+        # Taken out of their places for all pairs of a photo at once: for each pair it took as long as the products.
+        of_one, of_others = half[rows].reshape(-1, size), half[columns].reshape(-1, size)
+        start = 0
+        for other, end in zip(others, ends, strict=True):
+            product = of_one[3 * start : 3 * end].T @ of_others[3 * start : 3 * end]
+            # A point may be seen twice in one photo.
+            matrix[top, other * size : (other + 1) * size] -= product + product.T if one == other else product
+            start = end
     return Reduced(matrix=matrix, right=right, inverse=inverse, half=half, half_lens=half_lens, half_right=half_right)
 
 
