@@ -26,6 +26,8 @@ class Material:
     tile_m: length in metres that one tile covers. height: levels of the (S, S) float32 relief, about 0..1, or none.
     modulation: (T, T, 3) uint8 periodic map, read ``modulation_scale`` times slower and multiplied (128 = 1), so
     that the repetition of the tile does not show; or None.
+    patched: laid in patches, each another part of the tile, mirrored and turned by chance: no place is like another.
+        Matching takes a ground whose tile repeats for the same ground a tile farther on.
     """
 
     levels: tuple[NDArray[np.uint8], ...]
@@ -34,6 +36,7 @@ class Material:
     modulation: NDArray[np.uint8] | None = None
     modulation_scale: float = 0.2137
     translucency: float = 0.0
+    patched: bool = False
 
 
 def pyramid(image: NDArray[PixelT]) -> tuple[NDArray[PixelT], ...]:
@@ -61,6 +64,27 @@ def lookup(image: NDArray[PixelT], uv: NDArray[np.float32]) -> NDArray[PixelT]:
     return np.asarray(values, image.dtype).reshape(rows * columns, *image.shape[2:])[:count]
 
 
+def in_patches(uv: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Where in a periodic tile places ``uv`` (n, 2), in tiles, look, so that nothing repeats.
+
+    Patches are two thirds of a tile wide with winding borders; each has its own shift, and one of the eight ways to lay
+    a square, both from a hash of its number.
+    """
+    u, v = uv.astype(np.float64).T
+    bent_u = 1.5 * u + 0.22 * np.sin(4.1 * v + 1.3 * u) + 0.09 * np.sin(13.7 * v)
+    bent_v = 1.5 * v + 0.22 * np.sin(3.7 * u - 1.1 * v) + 0.09 * np.sin(12.1 * u)
+    column, row = (np.floor(bent).astype(np.int64).astype(np.uint64) for bent in (bent_u, bent_v))
+    mixed = column * np.uint64(0x9E3779B97F4A7C15) ^ row * np.uint64(0xC2B2AE3D27D4EB4F)
+    mixed ^= mixed >> np.uint64(29)
+    mixed *= np.uint64(0xBF58476D1CE4E5B9)
+    mixed ^= mixed >> np.uint64(32)
+    shift_u, shift_v = ((mixed >> np.uint64(bits) & np.uint64(0xFFFF)) / 65536.0 for bits in (0, 16))
+    swapped, *mirrored = (mixed >> np.uint64(bit) & np.uint64(1) > 0 for bit in (32, 33, 34))
+    across, along = np.where(swapped, v, u), np.where(swapped, u, v)
+    across, along = (np.where(turned, -way, way) for turned, way in zip(mirrored, (across, along), strict=True))
+    return np.stack([across + shift_u, along + shift_v], -1).astype(np.float32)
+
+
 def sample(
     materials: list[Material], ids: NDArray[np.int32], uv: NDArray[np.float32], footprint_m: NDArray[np.float32]
 ) -> NDArray[np.float32]:
@@ -82,7 +106,7 @@ def sample(
         material = materials[k // 32]
         at = order[start:end]
         where = uv[at]
-        values = lookup(material.levels[k % 32], where)
+        values = lookup(material.levels[k % 32], in_patches(where) if material.patched else where)
         colour = TO_LINEAR[values[:, :3]]
         if material.modulation is not None:
             turned = np.stack([where[:, 0] + 0.31 * where[:, 1], where[:, 1] - 0.31 * where[:, 0]], -1)
