@@ -65,11 +65,12 @@ def sure_pairs(
     """
     if settings.mapper != "incremental":
         return SurePairs(database=database, matched=database)
-    calibrate(database, work)
-    if not is_walk(database, files, settings):
+    walk = is_walk(database, files, settings)
+    rank = _ranks(database, files)
+    calibrate(database, work, rank if walk else None)
+    if not walk:
         return SurePairs(database=database, matched=database)
     turns = pair_turns(database)
-    rank = _ranks(database, files)
     begin = beginnings(turns)
     judged = judge_pairs(database, rank, files, work, settings, progress, beginnings=begin)
     matched = database

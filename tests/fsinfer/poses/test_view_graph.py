@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fsinfer.poses.colmap_calls import open_database
-from fsinfer.poses.view_graph import PairTurn, beginnings, calibrate, contradicting, pair_turns
+from fsinfer.poses.view_graph import PairTurn, _Told, _told_focal, beginnings, calibrate, contradicting, pair_turns
 from tests.support.pairs_of_walk import FOCAL_PX, PHOTOS, pairs_of_walk, pose
 
 pytest.importorskip("pycolmap")
@@ -32,6 +34,48 @@ def test_the_pairs_tell_a_focal_length_that_nobody_knows(guess: float, tmp_path:
     found, known = focal_px(database)
     assert found == pytest.approx(FOCAL_PX, rel=0.02)
     assert known
+    assert sorted(tmp_path.iterdir()) == [database]
+
+
+@pytest.mark.parametrize(
+    ("by_all", "by_next", "taken"),
+    [
+        ((1.05, True), (1.0, True), 1.05),
+        ((1.3, True), (1.0, True), 1.0),
+        ((0.7, True), (1.0, True), 1.0),
+        ((1.3, False), (1.0, True), 1.0),
+        ((1.3, True), (1.0, False), 1.3),
+        ((1.3, False), (1.0, False), None),
+    ],
+)
+def test_photos_that_follow_each_other_are_believed_where_all_pairs_tell_another_focal_length(
+    by_all: tuple[float, bool],
+    by_next: tuple[float, bool],
+    taken: float | None,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    database = pairs_of_walk(tmp_path / "pairs.db", focal_px=2.0 * FOCAL_PX)
+    with open_database(database) as opened:
+        (camera,) = opened.read_all_cameras()
+
+    def told(_database: Path, _work: Path, counts: Callable[[tuple[int, int]], bool]) -> dict[int, _Told]:
+        share, believed = by_all if counts((1, 3)) else by_next
+        found = copy.deepcopy(camera)
+        found.params = [share * FOCAL_PX, *camera.params[1:]]
+        return {camera.camera_id: _Told(camera=found, believed=believed)}
+
+    monkeypatch.setattr("fsinfer.poses.view_graph._told_focal", told)
+    calibrate(database, tmp_path, RANK)
+    assert focal_px(database) == ((2.0 if taken is None else taken) * FOCAL_PX, taken is not None)
+
+
+def test_next_photos_alone_tell_the_focal_length_too(tmp_path: Path) -> None:
+    database = pairs_of_walk(tmp_path / "pairs.db", focal_px=0.8 * FOCAL_PX)
+    told = _told_focal(database, tmp_path, lambda pair: abs(RANK[pair[0]] - RANK[pair[1]]) == 1)
+    (found,) = told.values()
+    assert found.believed
+    assert found.camera.params[0] == pytest.approx(FOCAL_PX, rel=0.03)
     assert sorted(tmp_path.iterdir()) == [database]
 
 
