@@ -18,10 +18,10 @@ from fsinfer.silhouettes.points_alone import NOT_OF_POINTS, OF_SHAPE
 from fsinfer.silhouettes.support import refusal
 from fsinfer.trees import DbhSettings, Section
 from fsinfer.trees.diameter.budget import effective_dof, factor95, shared_std, total_std
-from fsinfer.trees.diameter.dbh import too_uncertain, wide_interval
 from fsinfer.trees.diameter.outline import Outline
 from fsinfer.trees.diameter.roundness import oval_factor, oval_share
 from fsinfer.trees.diameter.silhouette import SilhouetteFit
+from fsinfer.trees.diameter.verdict import too_uncertain, wide_interval
 from fsinfer.trees.one_entry import HAZE_NOISE_M
 
 #: Doubts of the cloud that photographs do not lift.

@@ -13,7 +13,7 @@ from fsinfer.notices.notice import notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees import DbhSettings, Section, Tree
 from fsinfer.trees.diameter.budget import shared_std, total_std
-from fsinfer.trees.diameter.dbh import too_uncertain, wide_interval
+from fsinfer.trees.diameter.verdict import too_uncertain, wide_interval
 from fsinfer.trees.stem_measurement import with_diameter
 
 #: Parts of the budget that are none of the points' own. Source: the names in the budget.

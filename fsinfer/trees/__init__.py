@@ -1,7 +1,7 @@
 """Dendrometry: from a metric point cloud to stem positions and diameters."""
 
 from fsinfer.trees.diameter.circle import CircleFit, CircleSettings, fit_circle
-from fsinfer.trees.diameter.dbh import DbhSettings
+from fsinfer.trees.diameter.dbh_settings import DbhSettings
 from fsinfer.trees.diameter.section import Section
 from fsinfer.trees.ground.ground import Ground, find_ground
 from fsinfer.trees.ground.settings import GroundSettings

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from fsinfer.conventions.breast_height import BREAST_HEIGHT_M, BhRule
 from fsinfer.trees.common_lean import CommonLeanSettings
 from fsinfer.trees.common_shape import CommonShapeSettings
-from fsinfer.trees.diameter.dbh import DbhSettings
+from fsinfer.trees.diameter.dbh_settings import DbhSettings
 from fsinfer.trees.diameter.roundness import RoundnessSettings
 from fsinfer.trees.ground.settings import GroundSettings
 from fsinfer.trees.height import TopSettings

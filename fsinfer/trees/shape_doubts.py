@@ -11,9 +11,10 @@ from fsinfer.notices.notice import notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees.common_shape import common_shape
 from fsinfer.trees.diameter.budget import shared_std, total_std
-from fsinfer.trees.diameter.dbh import DbhSettings, too_uncertain, wide_interval
+from fsinfer.trees.diameter.dbh_settings import DbhSettings
 from fsinfer.trees.diameter.roundness import misfit_std
 from fsinfer.trees.diameter.section import Section
+from fsinfer.trees.diameter.verdict import too_uncertain, wide_interval
 from fsinfer.trees.settings import TreeSettings
 from fsinfer.trees.stem_measurement import with_diameter
 from fsinfer.trees.tree import Tree

@@ -24,7 +24,8 @@ from fsinfer.notices.stems import StemCode
 from fsinfer.processes import shared_out
 from fsinfer.trees.cylinder.axis import Axis
 from fsinfer.trees.diameter.budget import relative_scale_std
-from fsinfer.trees.diameter.dbh import DbhSettings, measure_together
+from fsinfer.trees.diameter.dbh import measure_together
+from fsinfer.trees.diameter.dbh_settings import DbhSettings
 from fsinfer.trees.diameter.section import Section
 from fsinfer.trees.measure import PlotResult
 from fsinfer.trees.points.cells import PlanIndex, rows

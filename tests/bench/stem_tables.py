@@ -32,9 +32,9 @@ def stems(results: Sequence[Result]) -> Lines:
         ("partly hidden: stems with a DBH, RMSE, inside", "", lambda r: group(r, "hidden_")),
         ("thinner than 20 cm: stems with a DBH, RMSE, inside", "", lambda r: group(r, "thin_")),
         (
-            "double walls refused",
+            "double walls refused, doubtful, called sure",
             "",
-            lambda r: f"{r.figures['double_wall_refused']:g} of {r.figures['double_wall_stems']:g}",
+            double_walls,
         ),
         ("code, date", "", lambda r: f"{r.short_commit}, {r.date[:10]}"),
     ]
@@ -43,6 +43,12 @@ def stems(results: Sequence[Result]) -> Lines:
         ["", "asked for", *(f"{names[result.settings['kind']]}, `{result.name}`" for result in results)],
         [[label, asked, *(cell(result) for result in results)] for label, asked, cell in rows],
     )
+
+
+def double_walls(result: Result) -> str:
+    """How many have no diameter, a doubtful one and one that is called sure."""
+    refused, measured, sure = (int(result.figures[f"double_wall_{name}"]) for name in ("refused", "measured", "sure"))
+    return f"{refused}, {measured - sure}, {sure}"
 
 
 def classes(results: Sequence[Result]) -> Lines:

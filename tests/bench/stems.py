@@ -134,7 +134,12 @@ def figures_of(matches: list[Match], groups: Groups = GROUPS) -> dict[str, float
             for stem, tree in group
             if tree.dbh_cm is not None and tree.dbh_lo95_cm is not None and tree.dbh_hi95_cm is not None
         ]
-        figures |= {f"{prefix}measured": len(measured), f"{prefix}refused": len(group) - len(measured)}
+        sure = sum(1 for _, tree in group if tree.status == "ok")
+        figures |= {
+            f"{prefix}measured": len(measured),
+            f"{prefix}refused": len(group) - len(measured),
+            f"{prefix}sure": sure,
+        }
         if not measured:
             continue
         error, low, truth, high = np.array(measured).T

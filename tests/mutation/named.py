@@ -15,6 +15,7 @@ _CONSISTENCY = ("tests/fsinfer/fusion/test_consistency.py",)
 _SCALE = ("tests/fsinfer/scale/test_scale_interval.py",)
 _LOSSES = ("tests/training/test_losses.py", "tests/training/test_model.py::test_the_hybrid_loss_is_that_of_the_paper")
 _DBH = "fsinfer/trees/diameter/dbh.py"
+_DBH_SETTINGS = "fsinfer/trees/diameter/dbh_settings.py"
 
 
 def _interval(test: str) -> tuple[str, ...]:
@@ -102,12 +103,12 @@ NAMED: dict[str, Named] = {
         tests=_interval("test_a_radius_above_a_narrow_ring_is_as_unsure_as_the_taper_of_stems"),
     ),
     "common_share": _halved_and_doubled(
-        _DBH, "common_share", 1.5, _interval("test_what_fattens_blocks_of_bark_fattens_the_whole")
+        _DBH_SETTINGS, "common_share", 1.5, _interval("test_what_fattens_blocks_of_bark_fattens_the_whole")
     ),
     "spread_factor": _halved_and_doubled(
-        _DBH, "spread_factor", 1.15, _interval("test_the_fit_of_stems_as_unround_as_its_priors_say")
+        _DBH_SETTINGS, "spread_factor", 1.15, _interval("test_the_fit_of_stems_as_unround_as_its_priors_say")
     ),
-    "bark_std": _halved_and_doubled(_DBH, "bark_std", 0.005, _interval("test_a_tape_over_ridges_of_bark")),
+    "bark_std": _halved_and_doubled(_DBH_SETTINGS, "bark_std", 0.005, _interval("test_a_tape_over_ridges_of_bark")),
     "common_px": _halved_and_doubled(
         "fsinfer/trees/diameter/silhouette_settings.py",
         "common_px",

@@ -18,103 +18,30 @@ docs/trees.md and printed by ``python -m tests.bench.stems --kind walked-photo``
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.conventions.breast_height import BREAST_HEIGHT_M
-from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.notice import notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees.cylinder.axis import LEAST_CORE, LEAST_RADIUS_M, AxisFit, axis_coordinates
 from fsinfer.trees.diameter.budget import effective_dof, factor95, shared_std, total_std
 from fsinfer.trees.diameter.circle import LEAST_POINTS
-from fsinfer.trees.diameter.double_wall import blurred_gap, wall_gap
+from fsinfer.trees.diameter.dbh_settings import DbhSettings
+from fsinfer.trees.diameter.double_wall import TwoWalls, blurred_gap, two_walls
 from fsinfer.trees.diameter.outline import fit_outline
 from fsinfer.trees.diameter.roundness import roundness
 from fsinfer.trees.diameter.section import Section, as_searched, unmeasured_section
-from fsinfer.trees.diameter.slice import SliceSettings, fit_slice
-from fsinfer.trees.diameter.spread import Spread, SpreadSettings, fit_spread
+from fsinfer.trees.diameter.slice import fit_slice
+from fsinfer.trees.diameter.spread import Spread, fit_spread
 from fsinfer.trees.diameter.tapered_fit import joint_fits, wall_coverage
+from fsinfer.trees.diameter.verdict import doubts_about, may_be_measured, refused, walls_std_m
 from fsinfer.trees.points.sums import lengths
 from fsinfer.trees.points.surface import LAYER_M, WALL_SIGMAS
 from fsinfer.trees.search.stem import Stem
 
 Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True, kw_only=True)
-class DbhSettings:
-    """Constants of :func:`measure_together`.
-
-    Attributes
-    ----------
-    min_coverage: share of the circumference seen, below which the radius is left open. Source: chosen on simulated
-        stems.
-    doubtful_coverage: below it the diameter is doubtful. Source: chosen on simulated stems.
-    max_sigma_m: noise of bark beyond which there is no diameter, unless the stem is seen all round. Source: chosen on
-        simulated stems.
-    blurred_sigma_m: the same of those that are; beyond ``max_sigma_m`` it is doubtful. The fit finds 3.5 cm where there
-        are 4, and no more than 4.2 however many there are. Source: simulated stems (docs/trials-accuracy.md).
-    blurred_coverage: share of the circumference seen of a stem that is seen all round. Source: as ``blurred_sigma_m``.
-    even_noise_m: noise up to which its bias is that of noise in all directions; what is noisier is a scan, whose noise
-        lies along the views mostly. Source: as ``blurred_sigma_m``.
-    max_sigma_of_radius: the same as a share of the radius. Source: chosen on simulated stems.
-    max_interval: width of a 95 % interval, share of the DBH, beyond which there is no diameter. Source: one stem of the
-        rendered test plot and one simulated stem (docs/trees.md).
-    doubtful_interval: the same, beyond which it is doubtful. Source: not recorded.
-    doubtful_level_m: standard deviation of the ground's height at the foot beyond which it is doubtful. Source: twice
-        that on relief which the ground follows (``python -m tests.bench.relief``).
-    max_off_m: distance from breast height beyond which it is doubtful. Source: not recorded.
-    outline_coverage: share of the circumference seen, from which girth, least and greatest diameter are given.
-        Source: not recorded.
-    local_std: how far a slice departs from the smooth taper by whorls and scars, share of the radius. Source: chosen on
-        simulated stems, seeds 0-9.
-    bark_std: a tape spans furrows that a smooth curve averages, share of the radius. Source: simulated walks, seeds
-        43000-43029 (``walked-photo``) and 43000-43019 (``walked-lidar``), where bark has furrows; a tape on rendered
-        bark reads 0.8 % more.
-    hidden_std: what a stem may be off by the shape of sides that were not seen, share of the radius were none seen.
-        Source: simulated walks, as ``bark_std``.
-    common_share: where blocks of bark share more error than bark's own unevenness, the cause (edges fattened by a depth
-        map, moss, poses) moves the whole circumference by so many times that, which no residual shows. Source: renders
-        only, test plot (docs/trees.md).
-    uneven_std: what blocks of bark differ by nature, share of the radius. Source: renders only, test plot.
-    noise_share: noise is not quite a Gaussian with a tail, and it lies along the views; share of its standard
-        deviation. Source: simulated walks, as ``bark_std``.
-    spread_factor: of the fit's own standard deviation. Source: simulated stems, seeds 0-9, 1000-1021 and 2000-2021.
-    taper_std: what the taper near breast height may differ from the fitted one, radius per metre. Source: not recorded.
-    ground_std_m: where the ground is, between litter and mineral soil. Source: not recorded.
-    max_change: share and metres by which the radius may differ from the search's. Source: chosen on simulated stems.
-    half_windows_m: half of the piece of stem that is fitted; the next where the cloud is sparse. Source: chosen on
-        simulated stems.
-    slice, spread: of the steps.
-    """
-
-    min_coverage: float = 65.0 / 360.0
-    doubtful_coverage: float = 100.0 / 360.0
-    max_sigma_m: float = 0.026
-    blurred_sigma_m: float = 0.037
-    blurred_coverage: float = 0.8
-    even_noise_m: float = 0.0175
-    max_sigma_of_radius: float = 0.35
-    max_interval: float = 0.6
-    doubtful_interval: float = 0.22
-    doubtful_level_m: float = 0.1
-    max_off_m: float = 0.05
-    outline_coverage: float = 0.8
-    local_std: float = 0.0035
-    bark_std: float = 0.005
-    hidden_std: float = 0.042
-    common_share: float = 1.5
-    uneven_std: float = 0.006
-    noise_share: float = 0.1
-    spread_factor: float = 1.15
-    taper_std: float = 0.002
-    ground_std_m: float = 0.02
-    max_change: tuple[float, float] = (0.35, 0.03)
-    half_windows_m: tuple[float, ...] = (0.4, 0.6, 0.9)
-    slice: SliceSettings = field(default_factory=SliceSettings)
-    spread: SpreadSettings = field(default_factory=SpreadSettings)
 
 
 def measure_together(
@@ -207,6 +134,10 @@ def _section(
     level = (abs(taper) + s.taper_std) * float(np.hypot(s.ground_std_m, ground_noise_m))
     taper_var = s.taper_std**2 + s.spread_factor**2 * float(spread.covariance[5, 5])
     level = float(np.hypot(level, np.sqrt(taper_var) * off))
+    walls = two_walls(offset, lengths(offset) - (fit.radius_m + taper * foot), fit.sigma_m)
+    if walls.gap_m == 0.0:
+        blurred = blurred_gap(offset, fit.residuals_m, fit.sigma_m)
+        walls = TwoWalls(gap_m=blurred, shifted=blurred > 0.0, whole=blurred > 0.0)
     parts = {
         "fit": float(np.sqrt(joint_var)),
         "local": float(np.sqrt(local_var)),
@@ -217,28 +148,27 @@ def _section(
         "level": level,
         "scale": radius * scale_rel_std,
     }
+    if may_be_measured(walls, s):
+        parts["walls"] = walls_std_m(walls, radius, s)
     sd = 2.0 * total_std(parts)
     dof = effective_dof(parts, {"fit": spread.radius_dof, "common": spread.tau_dof})
     half = factor95(dof) * sd
     circle = np.array([section.circle_m[0], section.circle_m[1], at_measured])
     outline = None
-    if coverage >= s.outline_coverage:
+    if coverage >= s.outline_coverage and walls.gap_m == 0.0:
         scaled = offset * (1.0 - taper * foot / np.maximum(lengths(offset), 1e-6))[:, None]
         scaled *= radius / at_measured
         outline = fit_outline(scaled, fit.core, radius, fit.sigma_m)
-    gap = wall_gap(offset, lengths(offset) - (fit.radius_m + taper * foot), fit.sigma_m)
-    if gap == 0.0:
-        gap = blurred_gap(offset, fit.residuals_m, fit.sigma_m)
     share, metres = s.max_change
     most = share * stem.axis.radius_m + metres
     aside = float(np.linalg.norm(fit.center_at(height) - stem.axis.center_at(height)))
     astray = max(abs(fit.radius_m - stem.axis.radius_m), aside) > most
-    reasons = _refused(fit, coverage, 2.0 * radius, half, gap, int(wall.sum()), s)
+    reasons = refused(fit, coverage, 2.0 * radius, half, walls, int(wall.sum()), s)
     if astray and not reasons:
         reasons = (notice(StemCode.not_round),)
     status = "unmeasured" if reasons else "ok"
     if not reasons:
-        reasons = _doubts(fit, coverage, 2.0 * radius, half, off, ground_noise_m, s)
+        reasons = doubts_about(fit, coverage, 2.0 * radius, half, walls, off, ground_noise_m, s)
         status = "doubtful" if reasons else "ok"
     measured = Section(
         center=fit.center_at(height),
@@ -277,50 +207,3 @@ def _girth_factor(fit: AxisFit, spread: Spread) -> float:
     squares = fit.shape_m**2 + np.diag(spread.covariance)[6:]
     order = np.repeat(np.arange(2, 2 + len(squares) // 2), 2)
     return 1.0 + float((order**2 * squares).sum()) / (4.0 * fit.radius_m**2)
-
-
-def _refused(
-    fit: AxisFit, coverage: float, dbh_m: float, half_m: float, gap: float, count: int, s: DbhSettings
-) -> tuple[Notice, ...]:
-    """Why there is no diameter; empty where there is one."""
-    if count < LEAST_POINTS:
-        return (notice(StemCode.too_few_on_bark, points=count),)
-    if coverage < s.min_coverage:
-        return (notice(StemCode.too_little_seen, seen_deg=360.0 * coverage),)
-    if gap > 0.0:
-        return (notice(StemCode.double_wall, gap_cm=100.0 * gap),)
-    most = s.blurred_sigma_m if coverage >= s.blurred_coverage else s.max_sigma_m
-    if fit.sigma_m > min(most, 0.5 * s.max_sigma_of_radius * dbh_m):
-        return (notice(StemCode.too_rough, residual_cm=100.0 * fit.sigma_m),)
-    return too_uncertain(dbh_m, half_m, s)
-
-
-def too_uncertain(dbh_m: float, half_m: float, s: DbhSettings) -> tuple[Notice, ...]:
-    """Why a diameter is no measurement, ``half_m`` being half of its interval; both metres. Empty where it is one."""
-    if 2 * half_m > s.max_interval * dbh_m:
-        return (notice(StemCode.too_uncertain, dbh_cm=100.0 * dbh_m, half_width_cm=100.0 * half_m),)
-    return ()
-
-
-def wide_interval(dbh_m: float, half_m: float, s: DbhSettings) -> tuple[Notice, ...]:
-    """The doubt about a diameter, ``half_m`` being half of its interval, both metres, if there is one."""
-    if 2 * half_m > s.doubtful_interval * dbh_m:
-        return (notice(StemCode.wide_interval, half_width_cm=100.0 * half_m),)
-    return ()
-
-
-def _doubts(
-    fit: AxisFit, coverage: float, dbh_m: float, half_m: float, shift: float, level_std_m: float, s: DbhSettings
-) -> tuple[Notice, ...]:
-    doubts = []
-    if fit.sigma_m > s.max_sigma_m:
-        doubts.append(notice(StemCode.blurred_points, residual_cm=100.0 * fit.sigma_m))
-    if level_std_m > s.doubtful_level_m:
-        doubts.append(notice(StemCode.ground_unsure, std_cm=100.0 * level_std_m))
-    if shift > s.max_off_m:
-        doubts.append(notice(StemCode.above_breast_height, off_cm=100.0 * shift))
-    elif shift < -s.max_off_m:
-        doubts.append(notice(StemCode.below_breast_height, off_cm=-100.0 * shift))
-    if coverage < s.doubtful_coverage:
-        doubts.append(notice(StemCode.little_seen, seen_deg=360.0 * coverage))
-    return (*doubts, *wide_interval(dbh_m, half_m, s))

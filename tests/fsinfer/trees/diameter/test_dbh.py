@@ -9,6 +9,7 @@ from fsinfer.notices.notice import notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees import PlotResult, TreeSettings, analyse_plot
 from fsinfer.trees.diameter.dbh import measure_together
+from fsinfer.trees.diameter.dbh_settings import DbhSettings
 from fsinfer.trees.search.find import find_stems
 from fsinfer.trees.tree import Tree
 from tests.support.stem_clouds import StemPlot, stem_plot, wall
@@ -150,6 +151,40 @@ def test_double_wall_is_refused() -> None:
     assert tree.dbh_cm is None
     assert [why.code for why in tree.reasons] == [StemCode.double_wall]
     assert tree.reasons[0].values["gap_cm"] == pytest.approx(3.0, abs=0.5)
+
+
+def two_scans(shift_m: float, *, arc_deg: float = 360.0, dbh_m: float = 0.30) -> NDArray[np.float64]:
+    """A stem that was scanned twice, the second time ``shift_m`` along x; of each an arc."""
+
+    def second(rng: np.random.Generator) -> NDArray[np.float64]:
+        copy = wall(rng, radius=dbh_m / 2, arc_deg=arc_deg)
+        return copy + rng.normal(0.0, 0.004, copy.shape) + [shift_m, 0.0, 0.0]
+
+    return _single(radius=dbh_m / 2, arc_deg=arc_deg, extra=second)
+
+
+@pytest.mark.parametrize("shift_cm", [2.5, 3.0, 4.5])
+def test_a_stem_scanned_twice_a_shift_apart_has_a_doubtful_diameter(shift_cm: float) -> None:
+    (tree,) = analyse_plot(two_scans(shift_cm / 100.0)).trees
+    assert tree.status == "doubtful"
+    assert StemCode.double_wall in {why.code for why in tree.reasons}
+    assert tree.dbh_cm == pytest.approx(30.0, abs=0.3)
+    assert 0.5 * shift_cm < interval_cm(tree) < shift_cm
+    assert (tree.dbh_min_cm, tree.dbh_max_cm) == (None, None)
+
+
+def test_of_halves_a_shift_apart_less_is_known() -> None:
+    (half,) = analyse_plot(two_scans(0.03, arc_deg=230.0)).trees
+    assert half.status == "doubtful"
+    assert half.dbh_cm == pytest.approx(30.0, abs=2.0)
+    assert interval_cm(half) > 1.7 * 3.0
+
+
+@pytest.mark.parametrize("settings", [TreeSettings(dbh=DbhSettings(most_walls_m=0.0)), None])
+def test_walls_farther_apart_than_asked_are_refused(settings: TreeSettings | None) -> None:
+    (tree,) = analyse_plot(two_scans(0.03 if settings else 0.075, dbh_m=0.40), settings=settings).trees
+    assert tree.dbh_cm is None
+    assert [why.code for why in tree.reasons] == [StemCode.double_wall]
 
 
 def test_outline_of_an_oval_stem() -> None:

@@ -15,7 +15,8 @@ import pytest
 from numpy.typing import NDArray
 
 from fsinfer.trees.cylinder.axis import AxisSettings, fit_axis
-from fsinfer.trees.diameter.dbh import DbhSettings, measure_together
+from fsinfer.trees.diameter.dbh import measure_together
+from fsinfer.trees.diameter.dbh_settings import DbhSettings
 from fsinfer.trees.diameter.section import Section
 from tests.support.bark import BH, bark, stem_of, tape
 

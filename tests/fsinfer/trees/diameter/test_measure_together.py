@@ -8,8 +8,10 @@ from numpy.typing import NDArray
 
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees.cylinder.axis import Axis
-from fsinfer.trees.diameter.dbh import DbhSettings, measure_together, too_uncertain, wide_interval
+from fsinfer.trees.diameter.dbh import measure_together
+from fsinfer.trees.diameter.dbh_settings import DbhSettings
 from fsinfer.trees.diameter.section import Section
+from fsinfer.trees.diameter.verdict import too_uncertain, wide_interval
 from fsinfer.trees.search.stem import Stem
 from tests.support.stem_clouds import wall
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fsinfer.trees.cylinder.axis import AxisFit
 from fsinfer.trees.diameter.circle import LEAST_POINTS
-from fsinfer.trees.diameter.dbh import DbhSettings
+from fsinfer.trees.diameter.dbh_settings import DbhSettings
 from fsinfer.trees.diameter.tapered_fit import joint_fits
 from tests.support.stem_clouds import wall
 
