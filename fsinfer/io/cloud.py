@@ -112,11 +112,12 @@ def read_cloud(path: Path | str) -> PointCloud:
     return cloud
 
 
-def write_cloud(path: Path | str, cloud: PointCloud) -> None:
+def write_cloud(path: Path | str, cloud: PointCloud, *, frame_of: Path | None = None) -> None:
     """Write a cloud to .ply (binary), .las or .laz, atomically; the suffix decides.
 
     PLY coordinates are float, or double where float would lose precision (far from the origin). LAS and LAZ colours
-    are 16 bit; normals and ``extra`` become extra dimensions.
+    are 16 bit; normals and ``extra`` become extra dimensions. ``frame_of`` is a LAS or LAZ file whose header names the
+    frame that the coordinates are in; a LAS or LAZ gets what it says.
 
     Raises
     ------
@@ -149,7 +150,7 @@ def write_cloud(path: Path | str, cloud: PointCloud) -> None:
     else:
         if cloud.normals is not None:
             extra |= dict(zip(NORMAL_NAMES, cloud.normals.astype(np.float32).T, strict=True))
-        write_las(path, cloud.xyz, cloud.rgb, extra)
+        write_las(path, cloud.xyz, cloud.rgb, extra, frame_of=frame_of)
 
 
 def _ply_coordinates(xyz: NDArray[np.float64]) -> NDArray[Any]:

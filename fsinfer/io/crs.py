@@ -32,6 +32,12 @@ _WORTH_TELLING_M = 2.0
 VERTICAL_PART = re.compile(r"VERT(?:_CS|CRS|ICALCRS)\s*\[", flags=re.IGNORECASE)
 _LAST_CODE = re.compile(r'(?:AUTHORITY|ID)\s*\[\s*"EPSG"\s*,\s*"?(\d+)"?\s*\]\s*\]?[\s,\x00]*$', flags=re.IGNORECASE)
 
+#: Easting and northing in a UTM zone, metres: what lies beyond was moved, or has its axes the other way round. Source:
+#: format; zones are 6 degrees wide, 670 km at most, about an easting of 500 km.
+_UTM_LOW, _UTM_HIGH = (100_000.0, 0.0), (900_000.0, 10_000_000.0)
+#: What is told of positions that cannot be in their frame.
+_MOVED = "no longitude and latitude: the positions lie far from where EPSG:%d is used; has the cloud been moved?"
+
 _log = logging.getLogger(__name__)
 
 
@@ -49,6 +55,9 @@ def to_wgs84(xy: Floats, epsg: int | None) -> Floats | None:
         return np.array(xy, dtype=np.float64)
     zone = _utm_zone(epsg)
     if zone is not None:
+        if not (((xy >= _UTM_LOW) & (xy <= _UTM_HIGH)).all()):
+            _log.warning(_MOVED, epsg)
+            return None
         return np.array([utm_to_wgs84(x, y, *zone) for x, y in xy.tolist()]).reshape(-1, 2)
     return _by_pyproj(xy, epsg)
 
@@ -107,10 +116,7 @@ def _by_pyproj(xy: Floats, epsg: int) -> Floats | None:
         return None
     positions = np.column_stack([longitude, latitude]).astype(np.float64)
     if not _lie_in(positions, frame):
-        _log.warning(
-            "no longitude and latitude: the positions lie far from where EPSG:%d is used; has the cloud been moved?",
-            epsg,
-        )
+        _log.warning(_MOVED, epsg)
         return None
     if accuracy_m > _WORTH_TELLING_M:
         _log.warning("longitude and latitude from EPSG:%d are good to %.0f m only", epsg, accuracy_m)

@@ -113,7 +113,7 @@ def read_table(path: Path | str, *, what: str, required: Sequence[str], way_out:
     Raises
     ------
     InputError
-        The file cannot be read, is no UTF-8 text, or has no such column.
+        The file cannot be read, is no UTF-8 text, has no such column, or a row with something beyond the last one.
     """
     path = Path(path)
     try:
@@ -135,11 +135,16 @@ def read_table(path: Path | str, *, what: str, required: Sequence[str], way_out:
     if missing:
         msg = f"{path} has no column {', '.join(missing)}; {way_out}"
         raise InputError(msg)
+    for number, cells in rows:
+        if any(cell.strip() for cell in cells[len(names) :]):
+            commas = "" if semicolons else "; with decimal commas (12,62) part the cells by semicolons"
+            msg = f"{path}, row {number}: it has {len(cells)} cells, and the file {len(names)} columns{commas}"
+            raise InputError(msg)
     return CsvTable(
         path=path,
         columns=names,
         rows=tuple(
-            CsvRow(path=path, row=number, cells=dict(zip(names, cells, strict=True)), decimal_commas=semicolons)
+            CsvRow(path=path, row=number, cells=dict(zip(names, cells, strict=False)), decimal_commas=semicolons)
             for number, cells in rows
         ),
     )
@@ -156,7 +161,7 @@ def read_rows(path: Path | str) -> list[dict[str, str]]:
         The file is missing (FileNotFoundError), no UTF-8 text (UnicodeDecodeError), or no CSV.
     """
     columns, rows, semicolons = _parse(Path(path))
-    return [dict(zip(columns, map(_with_point, cells) if semicolons else cells, strict=True)) for _, cells in rows]
+    return [dict(zip(columns, map(_with_point, cells) if semicolons else cells, strict=False)) for _, cells in rows]
 
 
 def write_table(path: Path | str, columns: Sequence[str], rows: Iterable[Sequence[Cell]]) -> None:
@@ -202,7 +207,7 @@ def _is_number(text: str) -> bool:
 
 
 def _parse(path: Path) -> tuple[list[str], list[tuple[int, list[str]]], bool]:
-    """Names of the columns, number and cells of each row that holds any (as many as names), whether commas are free.
+    """Names of the columns, number and cells of each row that holds any (no fewer than names), whether commas are free.
 
     Cells are parted by what the first line has most of; Excel's line ``sep=;`` before it is no part of the table.
     """
@@ -224,7 +229,7 @@ def _parse(path: Path) -> tuple[list[str], list[tuple[int, list[str]]], bool]:
         if columns is None:
             columns = [name.strip() for name in record]
             continue
-        cells = (record + [""] * len(columns))[: len(columns)]
+        cells = record + [""] * (len(columns) - len(record))
         rows.append((number, [_without_guard(cell) for cell in cells]))
     # In numbers of other tables a comma is the decimal one.
     return columns or [], rows, delimiter != ","

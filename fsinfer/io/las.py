@@ -178,7 +178,14 @@ def _frame_records(path: Path) -> tuple[list[str], dict[int, int]]:
     return [text.rstrip("\x00") for text in texts if isinstance(text, str) and "[" in text], keys
 
 
-def write_las(path: Path, xyz: NDArray[np.float64], rgb: NDArray[np.uint8] | None, extra: dict[str, Any]) -> None:
+def write_las(
+    path: Path,
+    xyz: NDArray[np.float64],
+    rgb: NDArray[np.uint8] | None,
+    extra: dict[str, Any],
+    *,
+    frame_of: Path | None = None,
+) -> None:
     """Write LAS 1.4 (compressed when the suffix is .laz), atomically.
 
     The step of the stored integers is a power of ten between 1e-7 and 0.001 that follows from the extent (0.1 mm for
@@ -191,17 +198,24 @@ def write_las(path: Path, xyz: NDArray[np.float64], rgb: NDArray[np.uint8] | Non
     extra: name -> (N,) values in a LAS scalar type. ``intensity`` and ``classification`` go to the standard dimensions
         where they are whole numbers that fit. Others that are named like a standard dimension get a ``_`` at their end,
         and names of more than 32 bytes are cut.
+    frame_of: a LAS or LAZ file whose header names the frame that the coordinates are in.
     """
     extra = {name: _as_kept(name, values) for name, values in extra.items()}
     low, high = xyz.min(axis=0), xyz.max(axis=0)
     kinds = {name: values.dtype for name, values in extra.items()}
-    with las_writer(path, low, high, colour=rgb is not None, kinds=kinds) as append:
+    with las_writer(path, low, high, colour=rgb is not None, kinds=kinds, frame_of=frame_of) as append:
         append(xyz, rgb, extra)
 
 
 @contextmanager
 def las_writer(
-    path: Path, low: NDArray[np.float64], high: NDArray[np.float64], *, colour: bool, kinds: Mapping[str, np.dtype[Any]]
+    path: Path,
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
+    *,
+    colour: bool,
+    kinds: Mapping[str, np.dtype[Any]],
+    frame_of: Path | None = None,
 ) -> Iterator[Callable[[NDArray[np.float64], NDArray[np.uint8] | None, Mapping[str, Any]], None]]:
     """Write as :func:`write_las` does, in pieces: gives a function that appends xyz, rgb and extra.
 
@@ -218,6 +232,11 @@ def las_writer(
     header = laspy.LasHeader(point_format=7 if colour else 6, version="1.4")
     header.scales = np.full(3, step)
     header.offsets = np.floor(low)
+    if frame_of is not None:
+        with open_las(frame_of) as reader:
+            named = [one for one in (*reader.header.vlrs, *(reader.header.evlrs or [])) if _names_frame(one)]
+            header.global_encoding.wkt = reader.header.global_encoding.wkt
+        header.vlrs.extend(named)
     own = _own_names(kinds, laspy.ScaleAwarePointRecord.zeros(1, header=header))
     header.add_extra_dims([laspy.ExtraBytesParams(name=short, type=kinds[name]) for name, short in own.items()])
     reach = step * (np.iinfo(np.int32).max - 1)

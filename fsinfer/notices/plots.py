@@ -11,6 +11,8 @@ class PlotCode(StrEnum):
     border_cases = "border_cases"
     plot_partly_seen = "plot_partly_seen"
     plot_hardly_seen = "plot_hardly_seen"
+    border_elsewhere = "border_elsewhere"
+    outside_walk_in_plot = "outside_walk_in_plot"
     border_not_placed = "border_not_placed"
     # Why a border could not be placed.
     no_such_marker = "no_such_marker"
@@ -32,6 +34,14 @@ SENTENCES: dict[PlotCode, str] = {
     PlotCode.plot_hardly_seen: (
         "only {percent:.0f} % of the plot was seen, less than {least:.0f} %: no figures a hectare are given; look at "
         "the plot's centre and radius, or walk through the rest, too"
+    ),
+    PlotCode.border_elsewhere: (
+        "nothing of the cloud lies within the plot's border, whose middle is at ({x_m:.1f}, {y_m:.1f}): no figures a "
+        "hectare are given; give its place in metres of the cloud's own frame"
+    ),
+    PlotCode.outside_walk_in_plot: (
+        "{stems} stems outside of the walk stand in the plot: {trees}; they count there, with the mean section of the "
+        "others; go nearer, or measure them with --far-stems"
     ),
     PlotCode.border_not_placed: "the plot has no border ({why}): figures a hectare are of seen ground only",
     PlotCode.no_such_marker: (

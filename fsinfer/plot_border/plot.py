@@ -195,7 +195,7 @@ def plot_of(
         doubtful_basal_area_m2_per_ha=of_doubtful(np.nan_to_num(stems.sections_m2)),
         on_unseen=int((stems.inside & ~stems.on_seen).sum()),
     )
-    return Bordered(trees=sorted_trees, figures=figures, warnings=_warnings(sorted_trees, seen))
+    return Bordered(trees=sorted_trees, figures=figures, warnings=_warnings(sorted_trees, seen, border.middle))
 
 
 def stem_circles(trees: Sequence[Tree]) -> Floats:
@@ -203,7 +203,7 @@ def stem_circles(trees: Sequence[Tree]) -> Floats:
     return np.column_stack([_places(trees), _radii(trees)]).reshape(-1, 3)
 
 
-def _warnings(trees: Sequence[Tree], seen: SeenShare) -> tuple[Notice, ...]:
+def _warnings(trees: Sequence[Tree], seen: SeenShare, middle: Place) -> tuple[Notice, ...]:
     told = []
     cases = tuple(
         f"tree {tree.tree_id} ({abs(tree.border_m or 0.0):.2f} m {'in' if tree.in_plot else 'out'})"
@@ -212,8 +212,13 @@ def _warnings(trees: Sequence[Tree], seen: SeenShare) -> tuple[Notice, ...]:
     )
     if cases:
         told.append(notice(PlotCode.border_cases, trees=cases))
+    beyond = tuple(str(tree.tree_id) for tree in trees if tree.outside and tree.in_plot)
+    if beyond:
+        told.append(notice(PlotCode.outside_walk_in_plot, stems=len(beyond), trees=beyond))
     percent = 100.0 * seen.share
-    if seen.share < LEAST_SHARE:
+    if seen.share == 0.0:
+        told.append(notice(PlotCode.border_elsewhere, x_m=middle[0], y_m=middle[1]))
+    elif seen.share < LEAST_SHARE:
         told.append(notice(PlotCode.plot_hardly_seen, percent=percent, least=100.0 * LEAST_SHARE))
     elif seen.share < MOSTLY_SEEN:
         told.append(notice(PlotCode.plot_partly_seen, percent=percent))

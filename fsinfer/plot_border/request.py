@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -107,11 +108,15 @@ def read_polygon(path: Path) -> tuple[Place, ...]:
         The file cannot be read, holds another shape, more than one, or one with holes, or its sides cross.
     """
     corners = _read_csv(path) if path.suffix.lower() in {".csv", ".txt"} else _read_geojson(path)
+    # What was drawn by hand or walked has corners twice, one after the other.
+    corners = tuple(place for place, _ in groupby(corners))
     if len(corners) > 1 and corners[0] == corners[-1]:
         corners = corners[:-1]
     if len(set(corners)) < 3:
         msg = f"{path} has {len(set(corners))} different corners; a plot needs three"
         raise InputError(msg)
+    from fsinfer.plot_border.crossing import sides_cross  # loads NumPy
+
     if sides_cross(corners):
         msg = f"the sides of the polygon in {path} cross or touch; give its corners in their order round the plot"
         raise InputError(msg)
@@ -131,30 +136,6 @@ def area_m2(corners: tuple[Place, ...]) -> float:
         for (x, y), (next_x, next_y) in zip(corners, corners[1:] + corners[:1], strict=True)
     )  # fmt: skip
     return abs(twice) / 2.0
-
-
-def sides_cross(corners: tuple[Place, ...]) -> bool:
-    """Whether two sides of a polygon that are no neighbours have a point in common."""
-    sides = list(zip(corners, corners[1:] + corners[:1], strict=True))
-    count = len(sides)
-    return any(
-        _meet(*sides[i], *sides[j])
-        for i in range(count)
-        for j in range(i + 2, count)
-        if not (i == 0 and j == count - 1)
-    )
-
-
-def _meet(a: Place, b: Place, c: Place, d: Place) -> bool:
-    def turn(p: Place, q: Place, r: Place) -> float:
-        return (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
-
-    # Sides in one line lie on both sides of each other by every turn, however far apart they are.
-    beside = any(
-        max(a[axis], b[axis]) < min(c[axis], d[axis]) or max(c[axis], d[axis]) < min(a[axis], b[axis])
-        for axis in (0, 1)
-    )
-    return not beside and turn(a, b, c) * turn(a, b, d) <= 0 and turn(c, d, a) * turn(c, d, b) <= 0
 
 
 def _read_csv(path: Path) -> tuple[Place, ...]:

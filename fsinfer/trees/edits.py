@@ -40,6 +40,11 @@ REACH_M = 0.35
 AROUND_M = 1.5
 #: Radius in metres of the ring on the map where nothing is measured. Source: layout.
 LABEL_RADIUS_M = 0.1
+#: A tree may be added so far beyond the cloud, metres: a stem that nobody saw. Source: judgement; what is farther is a
+#: place in another frame, or a slip of the pen.
+BEYOND_M = 100.0
+#: Numbers of trees go no higher: tables of other programs hold them in 32 bits. Source: format.
+MOST_NUMBER = 999_999_999
 #: Two entries that are to be merged are one stem: they stand no farther apart than the sum of their radii and this,
 #: metres. Source: judgement; what a lean or a haze tears apart is less, the next stem of a dense stand farther.
 MERGE_REACH_M = 0.5
@@ -118,8 +123,8 @@ def apply_edits(
     Raises
     ------
     InputError
-        An edit names a tree that is not there (any more), adds one with a number that is taken or within another one,
-        or merges two that stand too far apart.
+        An edit names a tree that is not there (any more), adds one with a number that is taken, within another one or
+        far outside of the cloud, or merges two that stand too far apart.
     """
     trees = {tree.tree_id: (tree, section) for tree, section in zip(result.trees, result.sections, strict=True)}
     first_free = max([0, *trees, *(edit.tree_id or 0 for edit in edits if edit.action == "add")]) + 1
@@ -134,6 +139,7 @@ def apply_edits(
             place = np.array([_number(edit.x_m), _number(edit.y_m)])
             others = [tree for tree, _ in trees.values()] if metric else []
             _refuse_within(place, others, edit.row)
+            _refuse_beyond(place, result, edit.row)
             found = _measured_at(result, points, place[None], settings, scale_rel_std, others) if metric else None
             said = notice(StemCode.added_by_hand)
             trees[number] = _numbered(found, number, place, result, settings, said, metric=metric)
@@ -185,8 +191,20 @@ def _refuse_far(one: Tree, other: Tree, row: int) -> None:
         raise InputError(msg)
 
 
+def _refuse_beyond(place: Floats, result: PlotResult, row: int) -> None:
+    x_min, y_min, x_max, y_max = result.extent_m
+    reach = BEYOND_M * (result.units_per_m or 1.0)
+    if not (x_min - reach <= place[0] <= x_max + reach and y_min - reach <= place[1] <= y_max + reach):
+        msg = (
+            f"row {row} of the edits adds a tree at ({place[0]:.2f}, {place[1]:.2f}), far outside of the cloud, which "
+            f"reaches from ({x_min:.2f}, {y_min:.2f}) to ({x_max:.2f}, {y_max:.2f}); check its place"
+        )
+        raise InputError(msg)
+
+
 def _within(place: Floats, tree: Tree) -> bool:
-    return math.hypot(place[0] - tree.x_m, place[1] - tree.y_m) < tree.radius_m
+    """Whether a place lies in a tree; one without a diameter may be anything, and counts for a thin one."""
+    return math.hypot(place[0] - tree.x_m, place[1] - tree.y_m) < max(tree.radius_m, LABEL_RADIUS_M)
 
 
 def _measured_at(
@@ -270,6 +288,10 @@ def _number(value: float | None) -> float:
     return math.nan if value is None else value
 
 
+def _is_tree_number(value: float) -> bool:
+    return value == int(value) and 1 <= value <= MOST_NUMBER
+
+
 def _read_row(row: CsvRow, columns: Sequence[str]) -> TreeEdit:
     action = row.text("action").lower()
     if action not in ACTIONS:
@@ -286,8 +308,8 @@ def _read_row(row: CsvRow, columns: Sequence[str]) -> TreeEdit:
             numbers[name] = None
             continue
         whole = name.endswith("_id")
-        if value is None or not math.isfinite(value) or (whole and (value != int(value) or value < 1)):
-            kind = "the number of a tree" if whole else "a number"
+        if value is None or not math.isfinite(value) or (whole and not _is_tree_number(value)):
+            kind = f"the number of a tree, 1 to {MOST_NUMBER}," if whole else "a number"
             msg = f"{row.place}: '{action}' needs {kind} in the column {name}, not '{row.text(name)}'"
             raise InputError(msg)
         numbers[name] = value

@@ -5,12 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 
 from fsinfer.errors import CloudError
-from fsinfer.io.las import LAS_SUFFIXES, read_units_m
+from fsinfer.io.las import LAS_SUFFIXES, read_epsg, read_units_m
 from fsinfer.output.layout import RECORDS_FOLDER
 
 #: Lengths of two units that differ by less, metres, are the same: feet of the US survey are 0.6 micrometres longer than
 #: others. Source: numerics.
 _SAME_UNIT_M = 1e-6
+#: Frames whose metres are none on the ground, or whose z is not up, and why. Source: format; EPSG registry.
+_NO_METRES = {
+    3857: "whose metres are longer than those on the ground (Web Mercator, half as long again at 48 degrees)",
+    3785: "whose metres are longer than those on the ground (Web Mercator)",
+    900913: "whose metres are longer than those on the ground (Web Mercator)",
+    4978: "whose z is not up (coordinates from the middle of the earth)",
+}
 
 
 def refuse_fused(cloud_path: Path) -> None:
@@ -25,6 +32,10 @@ def refuse_other_units(cloud_path: Path) -> None:
     """Refuse a cloud whose header says that it is not in metres; many headers say nothing."""
     if cloud_path.suffix.lower() not in LAS_SUFFIXES:
         return
+    epsg = read_epsg(cloud_path)
+    if epsg in _NO_METRES:
+        msg = f"{cloud_path} is in EPSG:{epsg} by its header, {_NO_METRES[epsg]}; convert it to UTM or a national grid"
+        raise CloudError(msg)
     units = read_units_m(cloud_path)
     lengths = [unit for unit in (units.horizontal_m, units.vertical_m) if unit is not None]
     if all(abs(unit - 1.0) < _SAME_UNIT_M for unit in lengths):

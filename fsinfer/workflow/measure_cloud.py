@@ -109,7 +109,7 @@ class _Opened:
     warnings: tuple[Notice, ...] = ()
 
 
-MEASURE = Stage(name="measure", version=27, result=MeasuredCloud, outputs=("trees.csv",))
+MEASURE = Stage(name="measure", version=28, result=MeasuredCloud, outputs=("trees.csv",))
 
 
 @one_blas_thread()
@@ -168,7 +168,8 @@ def measure_cloud_file(
             camera_height=origin.camera_height,
             marker_xyz=None if photos is None else marker_centers(origin.markers, photos.cloud_from_scene),
             marker_numbers=() if photos is None else tuple(marker.id for marker in origin.markers.markers),
-            epsg=_epsg(cloud_path, found.scale),
+            epsg=read_epsg(cloud_path) if _in_frame(cloud_path, found.scale) else None,
+            frame_of=cloud_path if _in_frame(cloud_path, found.scale) else None,
             photos=photos,
             edits=corrections,
             doubt=doubt_about_all(origin.markers) if _is_of_run(cloud_path, origin) else None,
@@ -249,7 +250,7 @@ def _measure(
             raise
         turn = np.eye(4)
         turn[:3, :3] = error.turn
-        turned = replace(given, cloud=transform_cloud(given.cloud, turn), epsg=None)
+        turned = replace(given, cloud=transform_cloud(given.cloud, turn), epsg=None, frame_of=None)
         return measure_plot(turned, out, settings=settings, progress=progress), turned, (error.warning,)
 
 
@@ -303,10 +304,9 @@ def _markers(details: Any) -> Scale:
         return UNKNOWN
 
 
-def _epsg(cloud_path: Path, scale: Scale) -> int | None:
-    """Code of the frame that the header names; a cloud that had to be scaled is not in it."""
-    in_frame = cloud_path.suffix.lower() in LAS_SUFFIXES and (scale.m_per_unit or 1.0) == 1.0
-    return read_epsg(cloud_path) if in_frame else None
+def _in_frame(cloud_path: Path, scale: Scale) -> bool:
+    """Whether the cloud is in the frame that its header may name; one that had to be scaled is not."""
+    return cloud_path.suffix.lower() in LAS_SUFFIXES and (scale.m_per_unit or 1.0) == 1.0
 
 
 def _is_of_run(cloud_path: Path, origin: _Origin) -> bool:

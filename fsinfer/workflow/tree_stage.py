@@ -104,6 +104,7 @@ class PlotCloudInput:
     marker_xyz: (M, 3) centres of the markers that gave the scale: see :func:`fsinfer.trees.posts.without_posts`.
     marker_numbers: (M,) their numbers, for a border round one of them.
     epsg: code of the cloud's horizontal frame; None for local metres.
+    frame_of: the LAS or LAZ file whose header names the cloud's frame; None where it is in none, or was moved.
     photos: those the cloud was made of; the stems' edges in them make the diameters sharper (metres only).
     edits: corrections by hand (:mod:`fsinfer.trees.edits`), applied to what was found.
     parts: folders of parts of the walk that were measured apart; their stems are put into this plot where their pattern
@@ -119,6 +120,7 @@ class PlotCloudInput:
     marker_xyz: NDArray[np.float64] | None = None
     marker_numbers: tuple[int, ...] = ()
     epsg: int | None = None
+    frame_of: Path | None = None
     photos: StemPhotos | None = None
     edits: Sequence[TreeEdit] = ()
     parts: Sequence[Path] = ()
@@ -155,8 +157,13 @@ def measure_plot(
     CloudError
         The cloud holds no plot: too few points, no ground, or a size that cannot be in metres.
     """
+    settings = settings or TreeStageSettings()
+    if given.photos is not None and given.metric:
+        # Two walls of a cloud of photographs are poses that do not agree: then the edges tell more than the points.
+        trees = replace(settings.trees, dbh=replace(settings.trees.dbh, most_walls_m=0.0))
+        settings = replace(settings, trees=trees)
     with tree_workers(len(given.cloud.xyz)):
-        return _measure_plot(given, out, settings or TreeStageSettings(), progress)
+        return _measure_plot(given, out, settings, progress)
 
 
 def _measure_plot(given: PlotCloudInput, out: Path, settings: TreeStageSettings, progress: Progress) -> TreesResult:
@@ -354,7 +361,8 @@ def _write(
         given.write_labelled(out / "trees.laz", result)
         return
     labels = label_points(given.cloud.xyz, result)
-    write_cloud(out / "trees.laz", replace(given.cloud, extra=given.cloud.extra | {"TreeID": labels}))
+    labelled = replace(given.cloud, extra=given.cloud.extra | {"TreeID": labels})
+    write_cloud(out / "trees.laz", labelled, frame_of=given.frame_of)
 
 
 def _summary(result: PlotResult, plot: PlotFigures | None) -> TreesResult:

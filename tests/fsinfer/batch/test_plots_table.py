@@ -61,6 +61,8 @@ def test_every_column_is_an_option_of_run() -> None:
     ("text", "words"),
     [
         ("name,photos,radius\na,p,5\n", "'radius'; known are name, photos, latitude_deg"),
+        ("name;photos;;\na;p;;5\n", "that fsinfer does not know: ''"),
+        ("name,photos,plot_radius_m\na,p,12,62\n", "row 2: it has 4 cells, and the file 3 columns"),
         ("name\na\n", "no column photos"),
         ("name,photos\n", "holds no plot"),
         ("name,photos,bh,BH\na,p,1.3,1.3\n", "the column bh twice"),
@@ -90,3 +92,8 @@ def test_what_does_not_fit_is_told(tmp_path: Path, text: str, words: str) -> Non
         read_plots(path)
     assert words in str(caught.value)
     assert str(path) in str(caught.value)
+
+
+def test_columns_that_a_spreadsheet_leaves_empty_beside_the_table_are_none(tmp_path: Path) -> None:
+    (plot,) = read_plots(write(tmp_path, "name;photos;plot_radius_m;;\na;p;12,62;;\n;;;;\n"))
+    assert plot.options == ("--plot-radius-m=12.62",)

@@ -84,6 +84,12 @@ def test_gauss_krueger_tells_how_good_it_is(caplog: pytest.LogCaptureFixture) ->
     assert "EPSG:31468 are good to" in caplog.text
 
 
+@pytest.mark.parametrize("place", [(5.0, 7.0), (5_240_000.0, 500_000.0), (500_000.0, -3.0)])
+def test_places_that_no_utm_zone_has_were_moved(place: tuple[float, float], caplog: pytest.LogCaptureFixture) -> None:
+    assert to_wgs84(np.array([place]), 32632) is None
+    assert "has the cloud been moved?" in caplog.text
+
+
 def test_what_cannot_be_told_is_left_out_with_a_reason(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -174,6 +180,9 @@ def test_epsg_from_geotiff_keys(tmp_path: Path) -> None:
     cloud.x, cloud.y, cloud.z = np.zeros((3, 4))
     cloud.write(path)
     assert read_epsg(path) == 32632
+    again = tmp_path / "again.laz"
+    write_cloud(again, PointCloud(xyz=np.zeros((4, 3))), frame_of=path)
+    assert read_epsg(again) == 32632
 
 
 @pytest.mark.parametrize("with_pyproj", [True, False])
@@ -190,3 +199,8 @@ def test_epsg_from_a_text_in_the_header(tmp_path: Path, with_pyproj: bool, monke
     if not with_pyproj:
         monkeypatch.setitem(sys.modules, "pyproj", None)
     assert read_epsg(path) == 32632
+    again = tmp_path / "again.laz"
+    write_cloud(again, PointCloud(xyz=np.zeros((4, 3))), frame_of=path)
+    assert read_epsg(again) == 32632
+    with laspy.open(again) as reader:
+        assert reader.header.global_encoding.wkt

@@ -29,13 +29,20 @@ def table_of(tmp_path: Path, text: str, required: tuple[str, ...] = ("name", "x_
         "name\tx_m\tnote\noak\t-1,5\told\n",
         "sep=;\nname;x_m;note\noak;-1,5;old\n",
         '"sep=,"\r\nname,x_m,note\r\noak,-1.5,old\r\n',
-        "note,x_m,name,more\nold,-1.5,oak,,beyond\n",
+        "note,x_m,name,more\nold,-1.5,oak,, \n",
         "name,x_m,note\n,,\noak,-1.5,old\n\n",
     ],
 )
 def test_every_dialect_reads_the_same(tmp_path: Path, text: str) -> None:
     (row,) = table_of(tmp_path, text).rows
     assert (row.text("name"), row.number("x_m"), row.text("note"), row.text("height_m")) == ("oak", -1.5, "old", "")
+
+
+def test_a_row_with_more_cells_than_columns_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"row 3: it has 3 cells, and the file 2 columns; with decimal commas"):
+        table_of(tmp_path, "name,x_m\noak,3\nash,12,62\n")
+    with pytest.raises(InputError, match=r"row 2: it has 3 cells, and the file 2 columns$"):
+        table_of(tmp_path, "name;x_m\noak;3,5;beyond\n")
 
 
 def test_a_comma_is_a_point_only_in_numbers_between_semicolons(tmp_path: Path) -> None:

@@ -32,6 +32,17 @@ def test_a_polygon_that_is_not_convex(corners: tuple[tuple[float, float], ...]) 
     np.testing.assert_allclose(border.inside_m(places), [1.0, -1.0, -0.5, 0.5, -1.0, -np.sqrt(2), 1.0])
 
 
+def test_a_border_of_many_corners_is_looked_at_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    turn = np.linspace(0.0, 2.0 * np.pi, 300, endpoint=False)
+    ring = np.column_stack([np.cos(turn), np.sin(turn)]) * (10.0 + np.sin(7.0 * turn))[:, None]
+    border = Border(corners=tuple((x, y) for x, y in ring.tolist()), origin="polygon", moves_along=False)
+    places = np.random.default_rng(0).uniform(-12.0, 12.0, (500, 2))
+    whole = border.inside_m(places)
+    assert border.inside_m(np.zeros((0, 2))).shape == (0,)
+    monkeypatch.setattr("fsinfer.plot_border.border._AT_ONCE", 2_000)
+    np.testing.assert_array_equal(border.inside_m(places), whole)
+
+
 def test_the_walks_middle_is_not_where_most_photos_were_taken() -> None:
     turn = np.linspace(0, 2 * np.pi, 60, endpoint=False)
     ring = np.column_stack([5 + 8 * np.cos(turn), -3 + 8 * np.sin(turn)])

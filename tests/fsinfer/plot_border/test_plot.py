@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fsinfer.notices.notice import notice
 from fsinfer.notices.plots import PlotCode
 from fsinfer.notices.sentences import sentence
+from fsinfer.notices.stems import StemCode
 from fsinfer.plot_border.border import Border
 from fsinfer.plot_border.plot import Upright, plot_of, sort_trees, stem_circles
 from fsinfer.plot_border.rows import figure_rows
@@ -140,6 +142,24 @@ def test_what_was_not_seen_is_said(share: float, codes: list[PlotCode], given: b
         assert figures.stems_per_ha.value == pytest.approx(2 / share / (np.pi * 0.01))
         assert figures.stems_per_ha.hi95 > figures.stems_per_ha.value
         assert figures.doubtful_stems_per_ha == pytest.approx(figures.stems_per_ha.value / 2)
+
+
+def test_a_border_beside_the_cloud_is_said_to_be_elsewhere() -> None:
+    elsewhere = Border(center=(250.0, -3.0), radius_m=10.0, origin="coordinate", moves_along=False)
+    plot = plot_of([at(0.0)], elsewhere, SeenShare(share=0.0, method="none of it"), slope_deg=0.0)
+    (told,) = plot.warnings
+    assert told.code == PlotCode.border_elsewhere
+    assert "(250.0, -3.0)" in sentence(told)
+    assert plot.figures.stems_per_ha is None
+
+
+def test_stems_outside_of_the_walk_that_stand_in_the_plot_are_told() -> None:
+    beyond = (notice(StemCode.outside_walk, nearest_m=9.0),)
+    trees = [at(0.0), *(replace(unmeasured(x_m, n), reasons=beyond) for x_m, n in ((5.0, 2), (30.0, 3)))]
+    plot = plot_of(trees, CIRCLE, ALL, slope_deg=0.0)
+    (told,) = plot.warnings
+    assert (told.code, told.values["trees"]) == (PlotCode.outside_walk_in_plot, ("2",))
+    assert (plot.figures.stems, plot.figures.unmeasured) == (2, 1)
 
 
 def test_an_empty_plot_has_figures() -> None:

@@ -64,6 +64,8 @@ def test_polygons_are_read_from_all_usual_wrappings(tmp_path: Path) -> None:
         {"type": "MultiPolygon", "coordinates": [[ring]]},
     ):
         assert read_polygon(geojson(tmp_path, content)) == tuple(SQUARE)
+    twice = {"type": "Polygon", "coordinates": [[corner for corner in ring for _ in range(2)]]}
+    assert read_polygon(geojson(tmp_path, twice)) == tuple(SQUARE)
     for text in ("x_m,y_m\n0,0\n10,0\n10,10\n0,10\n", "x;y\n0;0\n10,0;0\n10,0;10\n0;10,0\n0;0\n"):
         path = tmp_path / "plot.csv"
         path.write_text(text, encoding="utf-8")

@@ -44,6 +44,12 @@ def edits_of(tmp_path: Path, text: str) -> tuple[TreeEdit, ...]:
     return read_edits(path)
 
 
+def extent_moved(result: PlotResult, moved: NDArray[np.float64]) -> tuple[float, float, float, float]:
+    """The extent of a plot's cloud after it was moved."""
+    x_min, y_min, x_max, y_max = (np.array(result.extent_m) + np.tile(moved[:2], 2)).tolist()
+    return x_min, y_min, x_max, y_max
+
+
 def test_a_deleted_tree_is_gone_and_the_others_keep_their_numbers(plot: StemPlot, result: PlotResult) -> None:
     edited = apply_edits(result, plot.points, [TreeEdit(action="delete", row=2, tree_id=2)], settings=SETTINGS)
     assert edited.trees == tuple(tree for tree in result.trees if tree.tree_id != 2)
@@ -69,6 +75,7 @@ def test_a_tree_the_search_missed_is_measured_where_it_was_set(
             origin=ground.origin + moved[:2],
             plane=ground.plane - np.array([0, 0, ground.plane[:2] @ moved[:2]]),
         ),
+        extent_m=extent_moved(result, moved),
     )
     add = TreeEdit(action="add", row=2, x_m=missing.x_m + 0.2 + moved[0], y_m=missing.y_m - 0.1 + moved[1])
     edited = apply_edits(rest, plot.points + moved, [add], settings=SETTINGS)
@@ -99,6 +106,7 @@ def test_a_tree_where_nothing_is_seen_stands_on_the_ground(result: PlotResult) -
         result,
         ground=replace(flat, plane=flat.plane - np.array([0.0, 0.0, flat.plane[:2] @ MOVED[:2]])),
         trees=tuple(replace(tree, x_m=tree.x_m + MOVED[0], y_m=tree.y_m + MOVED[1]) for tree in result.trees),
+        extent_m=extent_moved(result, MOVED),
     )
     first, second, *others = high.trees
     high = replace(high, trees=(first, replace(second, x_m=first.x_m + 0.3, y_m=first.y_m - 0.4), *others))
@@ -133,6 +141,21 @@ def test_a_tree_beside_one_that_is_known_is_not_that_one_again(plot: StemPlot, r
     deleted = TreeEdit(action="delete", row=2, tree_id=known.tree_id)
     again = apply_edits(result, plot.points, [deleted, inside], settings=SETTINGS)
     assert again.trees[-1].dbh_cm == pytest.approx(known.dbh_cm, abs=0.5)
+
+
+@pytest.mark.parametrize(("x_m", "y_m"), [(300.0, 2.0), (2.0, -1e12)])
+def test_a_tree_is_not_added_far_outside_of_the_cloud(
+    plot: StemPlot, result: PlotResult, x_m: float, y_m: float
+) -> None:
+    edit = TreeEdit(action="add", row=4, x_m=x_m, y_m=y_m)
+    with pytest.raises(InputError, match=r"row 4 of the edits adds a tree at .* far outside of the cloud"):
+        apply_edits(result, plot.points, [edit], settings=SETTINGS)
+
+
+def test_a_tree_without_a_diameter_is_not_added_twice(plot: StemPlot, result: PlotResult) -> None:
+    edits = [TreeEdit(action="add", row=row, x_m=50.0, y_m=50.0 + 0.05 * row) for row in (2, 3)]
+    with pytest.raises(InputError, match=r"row 3 of the edits adds a tree at .* lies in tree 5"):
+        apply_edits(result, plot.points, edits, settings=SETTINGS)
 
 
 def test_stems_metres_apart_are_not_merged(plot: StemPlot, result: PlotResult) -> None:
@@ -197,9 +220,11 @@ def test_reading(tmp_path: Path) -> None:
         ("action,tree_id\nremove,3\n", "row 2: the action is 'remove'; it must be delete, add, merge"),
         ("action,tree_id\nmerge,3\n", "row 2: 'merge' needs the column other_id"),
         ("action,tree_id\nadd,3\n", "row 2: 'add' needs the column x_m and y_m"),
-        ("action,tree_id\ndelete,\n", "row 2: 'delete' needs the number of a tree in the column tree_id, not ''"),
+        ("action,tree_id\ndelete,\n", "needs the number of a tree, 1 to 999999999, in the column tree_id, not ''"),
         ("action,tree_id\ndelete,2.5\n", "not '2.5'"),
         ("action,tree_id\ndelete,0\n", "not '0'"),
+        ("action,tree_id,x_m,y_m\nadd,1000000000,1,1\n", "not '1000000000'"),
+        ("action,x_m,y_m,note\nadd,5,35,4,80,behind tree 7\n", "row 2: it has 6 cells, and the file 4 columns"),
         ("action,x_m,y_m\nadd,1,nan\n", "row 2: 'add' needs a number in the column y_m, not 'nan'"),
         ("action,tree_id,other_id\nmerge,3,3\n", "cannot be merged with itself"),
         ("action,tree_id,x_m,y_m\nadd,8,1,1\nadd,8,2,2\n", "2 added trees have the tree_id 8"),

@@ -48,3 +48,13 @@ def test_two_units_are_no_matter_of_scale(tmp_path: Path) -> None:
     path = write_in_feet(tmp_path / "cloud.laz", plot, f'COMPD_CS["both",{FEET},{HEIGHTS_IN_METRES}]')
     with pytest.raises(CloudError, match=r"differ \(0\.304801 and 1 m\): convert it"):
         measure_cloud_file(path, tmp_path / "out", request=ScaleRequest())
+
+
+@pytest.mark.parametrize("code", [3857, 4978])
+def test_metres_that_are_none_on_the_ground_are_refused(code: int, tmp_path: Path) -> None:
+    plot = stem_plot(seed=1, trees=1, spacing_m=0.05, top_m=3.0)
+    frame = f'PROJCS["far",UNIT["metre",1],AUTHORITY["EPSG","{code}"]]'
+    path = write_in_feet(tmp_path / "cloud.laz", plot, frame)
+    with pytest.raises(CloudError, match=rf"is in EPSG:{code} by its header, .*; convert it to UTM"):
+        measure_cloud_file(path, tmp_path / "out", request=ScaleRequest())
+    assert not (tmp_path / "out").exists()
