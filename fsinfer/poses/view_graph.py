@@ -72,7 +72,7 @@ def calibrate(database: Path, work: Path, rank: Mapping[int, int] | None = None)
 
     Radial distortion is left out, so that it comes out some per cent too short of a phone's photos; the mapper goes on
     from there. Where photos that follow each other tell another than all pairs do, they are right: what looks alike is
-    taken for the same in the others, in those of a rendered ground whose leaves repeat in four fifths of them.
+    taken for the same in the others, of a rendered ground whose leaves repeat in three quarters of them.
 
     Parameters
     ----------
