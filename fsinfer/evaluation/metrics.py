@@ -40,6 +40,9 @@ ALIGNMENTS = tuple(align.value for align in Align)
 _MOST_DBH_CM = 1000.0
 #: A table without a thicker tree than this is not in centimetres. Source: judgement; a stem of 2 m has 2 in metres.
 _LEAST_DBH_CM = 2.0
+#: Two tables whose median diameters differ by so many times are in other units. Source: judgement; a centimetre has ten
+#: millimetres.
+_OTHER_UNIT = (7.0, 14.0)
 #: Status of a stem outside of the walk. Source: format; ``trees.csv``.
 _OUTSIDE = "outside"
 #: Frames are registered where fewer than this share of the trees match as given. Source: judgement.
@@ -171,6 +174,18 @@ def read_measured(path: Path, *, need_dbh: bool = True, need_position: bool = Tr
     return trees
 
 
+def _refuse_other_units(measured: Sequence[HasDbh], extracted: Sequence[HasDbh]) -> None:
+    """Refuse one of two tables that holds millimetres."""
+    ours, theirs = ([tree.dbh_cm for tree in trees if tree.dbh_cm is not None] for trees in (measured, extracted))
+    if not ours or not theirs:
+        return
+    times = float(np.median(ours) / np.median(theirs))
+    for name, larger in (("measured", times), ("extracted", 1.0 / times)):
+        if _OTHER_UNIT[0] <= larger <= _OTHER_UNIT[1]:
+            msg = f"the {name} diameters are {larger:.0f} times the others: give centimetres, not millimetres"
+            raise InputError(msg)
+
+
 def evaluate(
     measured: Sequence[HasDbh],
     extracted: Sequence[HasDbh],
@@ -199,6 +214,7 @@ def evaluate(
     if any(tree.dbh_cm is None for tree in measured):
         msg = "a measured tree has no DBH; leave it out or give its diameter"
         raise InputError(msg)
+    _refuse_other_units(measured, extracted)
     motion: dict[str, float] | None = None
     distances: list[float | None]
     if by_id:

@@ -222,3 +222,13 @@ def test_a_table_in_metres_is_told(tmp_path: Path) -> None:
         read_measured(path)
     # A trees.csv is of ours.
     assert len(read_measured(path, need_dbh=False)) == 2
+
+
+@pytest.mark.parametrize(("times", "name"), [(10.0, "measured"), (0.1, "extracted")])
+def test_a_table_in_millimetres_is_told(times: float, name: str) -> None:
+    ours = [Found(n, float(n), 0.0, times * dbh) for n, dbh in enumerate((12.0, 20.0, 31.0))]
+    theirs = [Found(n, float(n), 0.0, dbh) for n, dbh in enumerate((12.5, 21.0, 30.0))]
+    with pytest.raises(InputError, match=f"the {name} diameters are 10 times the others: give centimetres"):
+        evaluate(ours, theirs)
+    # What is wrong by so much may be wrong.
+    assert evaluate([Found(1, 0.0, 0.0, 60.0)], [Found(1, 0.0, 0.0, 10.0)]).matched == 1
