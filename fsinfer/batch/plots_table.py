@@ -86,10 +86,7 @@ def read_plots(path: Path) -> tuple[Plot, ...]:
     """
     table = read_table(path, what="the table of plots", required=REQUIRED, way_out=_WAY_OUT)
     known = (*REQUIRED, *PLACE, *OPTIONS)
-    # A column without a name is what a spreadsheet leaves beside a table; what stands in it would have none either.
     unknown = [name for name in table.columns if name and name not in known]
-    if any(row.text("") for row in table.rows):
-        unknown.append("")
     if unknown:
         told = ", ".join(repr(name) for name in unknown)
         msg = f"{path} has columns that fsinfer does not know: {told}; known are {', '.join(known)}"

@@ -40,7 +40,7 @@ ALIGNMENTS = tuple(align.value for align in Align)
 _MOST_DBH_CM = 1000.0
 #: A table without a thicker tree than this is not in centimetres. Source: judgement; a stem of 2 m has 2 in metres.
 _LEAST_DBH_CM = 2.0
-#: Two tables whose median diameters differ by so many times are in other units. Source: judgement; a centimetre has ten
+#: Diameters of the same trees that differ by so many times are in other units. Source: judgement; a centimetre has ten
 #: millimetres.
 _OTHER_UNIT = (7.0, 14.0)
 #: Status of a stem outside of the walk. Source: format; ``trees.csv``.
@@ -174,12 +174,12 @@ def read_measured(path: Path, *, need_dbh: bool = True, need_position: bool = Tr
     return trees
 
 
-def _refuse_other_units(measured: Sequence[HasDbh], extracted: Sequence[HasDbh]) -> None:
+def _refuse_other_units(pairs: Sequence[Pair]) -> None:
     """Refuse one of two tables that holds millimetres."""
-    ours, theirs = ([tree.dbh_cm for tree in trees if tree.dbh_cm is not None] for trees in (measured, extracted))
-    if not ours or not theirs:
+    ratios = [pair.measured_cm / pair.extracted_cm for pair in pairs if pair.extracted_cm and pair.measured_cm]
+    if len(ratios) < _LEAST_MATCHES:
         return
-    times = float(np.median(ours) / np.median(theirs))
+    times = float(np.median(ratios))
     for name, larger in (("measured", times), ("extracted", 1.0 / times)):
         if _OTHER_UNIT[0] <= larger <= _OTHER_UNIT[1]:
             msg = f"the {name} diameters are {larger:.0f} times the others: give centimetres, not millimetres"
@@ -214,7 +214,6 @@ def evaluate(
     if any(tree.dbh_cm is None for tree in measured):
         msg = "a measured tree has no DBH; leave it out or give its diameter"
         raise InputError(msg)
-    _refuse_other_units(measured, extracted)
     motion: dict[str, float] | None = None
     distances: list[float | None]
     if by_id:
@@ -247,6 +246,7 @@ def evaluate(
         )
         for (i, j), distance in zip(links, distances, strict=True)
     )
+    _refuse_other_units(pairs)
     partners = {j for _, j in links}
     lonely = [j for j in range(len(extracted)) if j not in partners]
     outside = np.array([getattr(extracted[j], "status", "") == _OUTSIDE for j in lonely], dtype=bool)

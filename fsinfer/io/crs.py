@@ -32,9 +32,12 @@ _WORTH_TELLING_M = 2.0
 VERTICAL_PART = re.compile(r"VERT(?:_CS|CRS|ICALCRS)\s*\[", flags=re.IGNORECASE)
 _LAST_CODE = re.compile(r'(?:AUTHORITY|ID)\s*\[\s*"EPSG"\s*,\s*"?(\d+)"?\s*\]\s*\]?[\s,\x00]*$', flags=re.IGNORECASE)
 
-#: Easting and northing in a UTM zone, metres: what lies beyond was moved, or has its axes the other way round. Source:
-#: format; zones are 6 degrees wide, 670 km at most, about an easting of 500 km.
-_UTM_LOW, _UTM_HIGH = (100_000.0, 0.0), (900_000.0, 10_000_000.0)
+#: Easting and northing in a UTM zone, metres: what lies beyond has its axes the other way round. Source: judgement;
+#: some countries use one zone for all, up to 800 km from its middle, which has an easting of 500 km.
+_UTM_LOW, _UTM_HIGH = (-500_000.0, 0.0), (1_500_000.0, 10_000_000.0)
+#: Of a cloud that was moved both are less, metres. Source: judgement; at the equator an easting of less lies 4 degrees
+#: and more outside of the zone.
+_LOCAL_M = 100_000.0
 #: What is told of positions that cannot be in their frame.
 _MOVED = "no longitude and latitude: the positions lie far from where EPSG:%d is used; has the cloud been moved?"
 
@@ -55,7 +58,8 @@ def to_wgs84(xy: Floats, epsg: int | None) -> Floats | None:
         return np.array(xy, dtype=np.float64)
     zone = _utm_zone(epsg)
     if zone is not None:
-        if not (((xy >= _UTM_LOW) & (xy <= _UTM_HIGH)).all()):
+        outside = (xy < _UTM_LOW) | (xy > _UTM_HIGH)
+        if outside.any() or (xy < _LOCAL_M).all(axis=1).any():
             _log.warning(_MOVED, epsg)
             return None
         return np.array([utm_to_wgs84(x, y, *zone) for x, y in xy.tolist()]).reshape(-1, 2)

@@ -135,8 +135,11 @@ def read_table(path: Path | str, *, what: str, required: Sequence[str], way_out:
     if missing:
         msg = f"{path} has no column {', '.join(missing)}; {way_out}"
         raise InputError(msg)
+    # A spreadsheet leaves columns without a name and without content beside a table.
+    own = max((place for place, name in enumerate(names, start=1) if name), default=0)
+    names = names[:own]
     for number, cells in rows:
-        if any(cell.strip() for cell in cells[len(names) :]):
+        if any(cell.strip() for place, cell in enumerate(cells) if place >= own or not names[place]):
             commas = "" if semicolons else "; with decimal commas (12,62) part the cells by semicolons"
             msg = f"{path}, row {number}: it has {len(cells)} cells, and the file {len(names)} columns{commas}"
             raise InputError(msg)

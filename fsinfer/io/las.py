@@ -32,6 +32,8 @@ _STEP_RANGE_M = (1e-7, 1e-3)
 _MOST_STEPS = 2e9
 #: Longest name of an extra dimension, bytes. Source: format; LAS 1.4.
 _NAME_BYTES = 32
+#: Most bytes of a record in the header. Source: format; LAS 1.4.
+_RECORD_BYTES = 65_535
 #: Factor from 8-bit colours to those of 16 bits. Source: format; LAS 1.4, 65535 over 255.
 _COLOUR_FACTOR = 257
 #: Points that are unpacked at once. Source: numerics; a header that lies costs no more memory than so many.
@@ -235,6 +237,8 @@ def las_writer(
     if frame_of is not None:
         with open_las(frame_of) as reader:
             named = [one for one in (*reader.header.vlrs, *(reader.header.evlrs or [])) if _names_frame(one)]
+            # Behind the points there is room for more; before them a record holds so many bytes.
+            named = [one for one in named if len(one.record_data_bytes()) <= _RECORD_BYTES]
             header.global_encoding.wkt = reader.header.global_encoding.wkt
         header.vlrs.extend(named)
     own = _own_names(kinds, laspy.ScaleAwarePointRecord.zeros(1, header=header))

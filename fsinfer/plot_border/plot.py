@@ -216,7 +216,7 @@ def _warnings(trees: Sequence[Tree], seen: SeenShare, middle: Place) -> tuple[No
     if beyond:
         told.append(notice(PlotCode.outside_walk_in_plot, stems=len(beyond), trees=beyond))
     percent = 100.0 * seen.share
-    if seen.share == 0.0:
+    if seen.ground_share == 0.0 and not any(tree.in_plot for tree in trees):
         told.append(notice(PlotCode.border_elsewhere, x_m=middle[0], y_m=middle[1]))
     elif seen.share < LEAST_SHARE:
         told.append(notice(PlotCode.plot_hardly_seen, percent=percent, least=100.0 * LEAST_SHARE))

@@ -59,6 +59,7 @@ class SeenShare:
     share: float
     method: str
     stems: Bools | None = None
+    ground_share: float = 1.0
 
 
 def seen_share(
@@ -80,11 +81,13 @@ def seen_share(
     near = np.abs(points[:, :2] - cells.mean(axis=0)).max(axis=1) <= np.ptp(cells, axis=0).max()
     around = rows(points, near)
     seen = seen_cells(near_ground(around, ground.height_at(around[:, :2]))).at(places)
+    ground_share = float(seen[: len(cells)].mean())
     if cameras:
         height_m = ground.height_at(places)
         seen &= np.sum([views_of(places, height_m, stems, part) for part in cameras], axis=0) >= LEAST_VIEWS
     method = BY_SIGHT if cameras else BY_GROUND
-    return SeenShare(share=float(seen[: len(cells)].mean()), method=method, stems=seen[len(cells) :])
+    share = float(seen[: len(cells)].mean())
+    return SeenShare(share=share, method=method, stems=seen[len(cells) :], ground_share=ground_share)
 
 
 def plot_cells(border: Border) -> Floats:

@@ -26,6 +26,9 @@ _log = logging.getLogger(__name__)
 #: Pairs that must tell a focal length, and their share of those that can. Source: judgement; on four rendered plots of
 #: 200 photos 1,800 to 2,100 pairs do, four fifths.
 _LEAST_PAIRS, _LEAST_SHARE = 10, 0.5
+#: Pairs that count, at least, for each photo but one. Source: judgement; a walk is held together by half of its steps
+#: at least.
+_LEAST_STEPS = 0.5
 #: Focal lengths over the longer side that are believed. Source: phones' widest and longest lenses have 0.36 and 3.3.
 _SHORTEST, _LONGEST = 0.3, 4.0
 #: The focal lengths that all pairs and photos that follow each other tell differ by no more than this factor. Source:
@@ -115,8 +118,10 @@ def _told_focal(database: Path, work: Path, counts: Callable[[tuple[int, int]], 
     told = work / "calibrated.db"
     copy_for_mapping(database, told)
     with open_database(told) as opened:
-        for pair in every.keys() - before.keys():
-            opened.delete_two_view_geometry(*pair)
+        for pair_id in opened.read_two_view_geometries()[0]:
+            pair = pycolmap.pair_id_to_image_pair(pair_id)
+            if pair not in before:
+                opened.delete_two_view_geometry(*pair)
     options = pycolmap.ViewGraphCalibrationOptions()
     options.random_seed = SEED
     options.reestimate_relative_pose = False
@@ -127,7 +132,9 @@ def _told_focal(database: Path, work: Path, counts: Callable[[tuple[int, int]], 
             after = configurations(opened)
         for number in unknown:
             pairs = [pair for pair in before if {camera_of[i] for i in pair} == {number}]
-            believed = _is_told(found[number], [(before[pair], after.get(pair)) for pair in pairs])
+            # Of photos that follow each other there is a pair fewer than there are photos.
+            few = len(pairs) < _LEAST_STEPS * (list(camera_of.values()).count(number) - 1)
+            believed = not few and _is_told(found[number], [(before[pair], after.get(pair)) for pair in pairs])
             result[number] = _Told(camera=found[number], believed=believed)
     told.unlink(missing_ok=True)
     return result

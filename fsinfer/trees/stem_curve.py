@@ -211,7 +211,8 @@ def _climbs(index: PlanIndex, tree: Tree, section: Section, origin: Floats, s: C
 
 def _follow(climbs: Sequence[_Climb], s: CurveSettings) -> None:
     """Measure height by height, all climbs at once, until each has lost its stem or come to its end."""
-    settings = replace(DbhSettings(), half_windows_m=(s.half_window_m,), max_interval=s.max_interval)
+    # A height has no place for a doubt: where there are two walls, it has no diameter.
+    settings = replace(DbhSettings(), half_windows_m=(s.half_window_m,), max_interval=s.max_interval, most_walls_m=0.0)
     going = list(climbs)
     while going:
         those = [(climb, height) for climb in going if (height := next(climb.heights, None)) is not None]

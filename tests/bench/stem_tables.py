@@ -32,7 +32,7 @@ def stems(results: Sequence[Result]) -> Lines:
         ("partly hidden: stems with a DBH, RMSE, inside", "", lambda r: group(r, "hidden_")),
         ("thinner than 20 cm: stems with a DBH, RMSE, inside", "", lambda r: group(r, "thin_")),
         (
-            "double walls refused, doubtful, called sure",
+            "double walls: refused, doubtful, called sure",
             "",
             double_walls,
         ),
@@ -48,7 +48,7 @@ def stems(results: Sequence[Result]) -> Lines:
 def double_walls(result: Result) -> str:
     """How many have no diameter, a doubtful one and one that is called sure."""
     refused, measured, sure = (int(result.figures[f"double_wall_{name}"]) for name in ("refused", "measured", "sure"))
-    return f"{refused}, {measured - sure}, {sure}"
+    return f"{refused}, {measured - sure}, {sure} of {int(result.figures['double_wall_stems'])}"
 
 
 def classes(results: Sequence[Result]) -> Lines:

@@ -25,7 +25,7 @@ OTHER_PEAKS = 3
 
 @dataclass(frozen=True, kw_only=True)
 class WallSettings:
-    """Constants of :func:`wall_gap` and :func:`blurred_gap`.
+    """Constants of :func:`two_walls` and :func:`blurred_gap`.
 
     Attributes
     ----------
@@ -42,9 +42,10 @@ class WallSettings:
     blur_over_haze: second harmonic over the first, which is haze on one side. Source: chosen on simulated stems.
     blur_gap_m: nearer walls cost less than a centimetre. Source: not recorded.
     blur_unseen: share of the circumference that may be unseen. Source: not recorded.
-    shift_misfit: of a shift, sum of squares over that of walls as far apart all round, up to which it is one. Source:
-        simulated stems, scanned twice 2 to 5 cm apart all round 0 to 0.4, from two sides each 0.3 to 1.7; walls one in
-        the other above 30.
+    shift_misfit: of a shift, sum of squares over that of walls as far apart everywhere, up to which it is one. Source:
+        simulated stems; scanned twice 2 to 5 cm apart all round 0 to 0.4, from two sides each 0 to 2.5; one wall in
+        the other, all round or in part, above 9.
+    shift_sectors: with a gap, that a shift must show in. Source: judgement; two or three have the same gap by chance.
     whole_share: of the sectors with a gap, those whose opposite has one, from which on both copies are whole. Source:
         judgement.
     """
@@ -61,7 +62,8 @@ class WallSettings:
     blur_over_haze: float = 1.5
     blur_gap_m: float = 0.02
     blur_unseen: float = 0.2
-    shift_misfit: float = 3.0
+    shift_misfit: float = 4.0
+    shift_sectors: int = 4
     whole_share: float = 0.75
 
 
@@ -107,15 +109,19 @@ def _is_shift(gaps: Floats, least: float, s: WallSettings) -> bool:
     seen = np.isfinite(gaps)
     middle = (np.arange(len(gaps)) + 0.5) / len(gaps) * 2.0 * np.pi
     found = gaps[seen]
-    same = float(((found - found.mean()) ** 2).sum())
+    shows = found > 0.0
+    if shows.sum() < s.shift_sectors:
+        return False
+    # Where there is one wall, only a shift has something to say. Gaps are told in whole bins.
+    same = float(((found[shows] - found[shows].mean()) ** 2).sum()) + shows.sum() * BIN_M**2
     best = np.inf
     for direction in np.arange(len(gaps)) / len(gaps) * np.pi:
         share = np.abs(np.cos(middle[seen] - direction))
-        shows = found > 0.0
         shift = float((share * found)[shows].sum() / (share[shows] ** 2).sum())
-        told = np.where(shift * share >= least, shift * share, 0.0)
+        # Two walls run together where they are nearer than twice what shows at best.
+        told = np.where(shows, shift * share, np.maximum(shift * share - 2.0 * least, 0.0))
         best = min(best, float(((found - told) ** 2).sum()))
-    return best <= s.shift_misfit * same
+    return bool(best <= s.shift_misfit * same)
 
 
 def _two_peaks(values: Floats, s: WallSettings) -> float:

@@ -61,7 +61,9 @@ def test_every_column_is_an_option_of_run() -> None:
     ("text", "words"),
     [
         ("name,photos,radius\na,p,5\n", "'radius'; known are name, photos, latitude_deg"),
-        ("name;photos;;\na;p;;5\n", "that fsinfer does not know: ''"),
+        ("name;photos;;\na;p;;5\n", "row 2: it has 4 cells, and the file 2 columns"),
+        ("name,photos,plot_radius_m,,\na,p,12,62,\n", "row 2: it has 5 cells, and the file 3 columns; with decimal"),
+        ("name;;photos\na;5;p\n", "row 2: it has 3 cells, and the file 3 columns"),
         ("name,photos,plot_radius_m\na,p,12,62\n", "row 2: it has 4 cells, and the file 3 columns"),
         ("name\na\n", "no column photos"),
         ("name,photos\n", "holds no plot"),

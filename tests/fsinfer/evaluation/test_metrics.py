@@ -230,5 +230,8 @@ def test_a_table_in_millimetres_is_told(times: float, name: str) -> None:
     theirs = [Found(n, float(n), 0.0, dbh) for n, dbh in enumerate((12.5, 21.0, 30.0))]
     with pytest.raises(InputError, match=f"the {name} diameters are 10 times the others: give centimetres"):
         evaluate(ours, theirs)
-    # What is wrong by so much may be wrong.
-    assert evaluate([Found(1, 0.0, 0.0, 60.0)], [Found(1, 0.0, 0.0, 10.0)]).matched == 1
+    # Stems that are wrong by so much may be wrong, and two tables may hold other trees.
+    assert evaluate(ours[:2], theirs[:2]).matched == 2
+    saplings = [Found(9 + n, 3.0 + n, 5.0, 7.0) for n in range(8)]
+    giants = [Found(n, float(n), 0.0, 65.0) for n in range(3)]
+    assert evaluate(giants, [*giants, *saplings]).matched == 3

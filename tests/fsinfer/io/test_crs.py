@@ -84,6 +84,11 @@ def test_gauss_krueger_tells_how_good_it_is(caplog: pytest.LogCaptureFixture) ->
     assert "EPSG:31468 are good to" in caplog.text
 
 
+@pytest.mark.parametrize("place", [(-32_000.0, 6_740_000.0), (1_265_000.0, 4_500_000.0)])
+def test_a_country_may_use_one_zone_beyond_its_border(place: tuple[float, float]) -> None:
+    assert to_wgs84(np.array([place]), 32632) is not None
+
+
 @pytest.mark.parametrize("place", [(5.0, 7.0), (5_240_000.0, 500_000.0), (500_000.0, -3.0)])
 def test_places_that_no_utm_zone_has_were_moved(place: tuple[float, float], caplog: pytest.LogCaptureFixture) -> None:
     assert to_wgs84(np.array([place]), 32632) is None

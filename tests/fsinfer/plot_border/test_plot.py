@@ -146,11 +146,14 @@ def test_what_was_not_seen_is_said(share: float, codes: list[PlotCode], given: b
 
 def test_a_border_beside_the_cloud_is_said_to_be_elsewhere() -> None:
     elsewhere = Border(center=(250.0, -3.0), radius_m=10.0, origin="coordinate", moves_along=False)
-    plot = plot_of([at(0.0)], elsewhere, SeenShare(share=0.0, method="none of it"), slope_deg=0.0)
+    plot = plot_of([at(0.0)], elsewhere, SeenShare(share=0.0, method="none of it", ground_share=0.0), slope_deg=0.0)
     (told,) = plot.warnings
     assert told.code == PlotCode.border_elsewhere
     assert "(250.0, -3.0)" in sentence(told)
     assert plot.figures.stems_per_ha is None
+    # Ground that no two photographs see is no border elsewhere.
+    (told,) = plot_of([at(0.0)], elsewhere, SeenShare(share=0.0, method="by sight"), slope_deg=0.0).warnings
+    assert told.code == PlotCode.plot_hardly_seen
 
 
 def test_stems_outside_of_the_walk_that_stand_in_the_plot_are_told() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from fsinfer.errors import CloudError
+from fsinfer.io.las import read_epsg
 from fsinfer.io.linear_units import US_FOOT_M
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.trees.outputs.table import read_trees
@@ -58,3 +59,19 @@ def test_metres_that_are_none_on_the_ground_are_refused(code: int, tmp_path: Pat
     with pytest.raises(CloudError, match=rf"is in EPSG:{code} by its header, .*; convert it to UTM"):
         measure_cloud_file(path, tmp_path / "out", request=ScaleRequest())
     assert not (tmp_path / "out").exists()
+
+
+def test_the_labelled_points_keep_the_frame_of_the_cloud(tmp_path: Path) -> None:
+    plot = stem_plot(seed=1, trees=1, spacing_m=0.03, top_m=3.0)
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.vlrs.append(
+        laspy.vlrs.known.WktCoordinateSystemVlr('PROJCS["utm",UNIT["metre",1],AUTHORITY["EPSG","32632"]]')
+    )
+    header.global_encoding.wkt = True
+    header.scales, header.offsets = np.full(3, 1e-4), np.array([600_000.0, 5_300_000.0, 0.0])
+    cloud = laspy.LasData(header)
+    cloud.x, cloud.y, cloud.z = plot.points.T + np.array([[600_000.0], [5_300_000.0], [0.0]])
+    path, out = tmp_path / "cloud.laz", tmp_path / "out"
+    cloud.write(path)
+    measure_cloud_file(path, out, request=ScaleRequest())
+    assert read_epsg(out / "trees.laz") == 32632

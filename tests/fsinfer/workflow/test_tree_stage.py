@@ -5,8 +5,10 @@ from __future__ import annotations
 import csv
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
+import pytest
 
 from fsinfer.io.cloud import PointCloud
 from fsinfer.notices.notice import notice
@@ -14,9 +16,10 @@ from fsinfer.notices.sentences import is_remark
 from fsinfer.notices.stems import StemCode
 from fsinfer.scale.scale import UNKNOWN, marker_centers
 from fsinfer.trees import analyse_plot
+from fsinfer.trees.diameter.dbh_settings import DbhSettings
 from fsinfer.trees.plot_doubt import all_doubtful
 from fsinfer.trees.posts import without_posts
-from fsinfer.workflow.tree_stage import PlotCloudInput, measure_plot
+from fsinfer.workflow.tree_stage import PlotCloudInput, TreeStageSettings, measure_plot
 from tests.support.boards import board, scale_of_boards
 from tests.support.stem_clouds import stem_plot
 
@@ -82,3 +85,18 @@ def test_stems_of_joined_parts_are_doubtful_too() -> None:
     assert found.joined[0].reasons[-1] == doubt
     assert found.joined[1] == joined[1]
     assert {section.status for section in found.sections if section.dbh_m is not None} == {"doubtful"}
+
+
+@pytest.mark.parametrize("with_photos", [True, False])
+def test_two_walls_of_a_cloud_of_photographs_are_refused(
+    with_photos: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[float] = []
+
+    def measured(_given: Any, _out: Path, settings: TreeStageSettings, _progress: Any) -> None:
+        asked.append(settings.trees.dbh.most_walls_m)
+
+    monkeypatch.setattr("fsinfer.workflow.tree_stage._measure_plot", measured)
+    cloud = PointCloud(xyz=np.zeros((1, 3)))
+    measure_plot(PlotCloudInput(cloud=cloud, photos=cast(Any, object()) if with_photos else None), tmp_path)
+    assert asked == [0.0 if with_photos else DbhSettings().most_walls_m]

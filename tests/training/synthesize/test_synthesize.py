@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
+from training.synthesize.forest.material import in_patches
 from training.synthesize.forest.mesh import Mesh
 
 pytest.importorskip("embreex")
@@ -272,3 +273,15 @@ def test_rays_of_a_distorted_picture_land_where_the_model_says() -> None:
     pixel = np.stack([x * scale, y * scale, np.ones_like(x)], -1) @ camera.intrinsic.T
     u, v = np.meshgrid(np.arange(64), np.arange(48))
     np.testing.assert_allclose(pixel[:, :2], np.stack([u.ravel(), v.ravel()], -1), atol=2e-3)
+
+
+def test_a_ground_in_patches_repeats_nowhere() -> None:
+    uv = np.random.default_rng(0).uniform(-30.0, 30.0, (20_000, 2)).astype(np.float32)
+    here = in_patches(uv) % 1.0
+    for tile in ((1, 0), (0, 1), (1, 1), (3, -2)):
+        there = in_patches(uv + np.array(tile, np.float32)) % 1.0
+        assert (np.abs(here - there).max(axis=1) < 1e-3).mean() < 0.01
+    # Within a patch it is the tile as it is: places a little apart look a little apart.
+    near = in_patches(uv + np.array([1e-3, 0.0], np.float32))
+    apart = np.linalg.norm(near - in_patches(uv), axis=1)
+    assert (np.abs(apart - 1e-3) < 1e-4).mean() > 0.98

@@ -180,6 +180,24 @@ def test_of_halves_a_shift_apart_less_is_known() -> None:
     assert interval_cm(half) > 1.7 * 3.0
 
 
+@pytest.mark.parametrize("arc_deg", [180.0, 230.0, 270.0, 300.0, 360.0])
+def test_bark_that_stands_off_is_no_second_scan(arc_deg: float) -> None:
+    def second(rng: np.random.Generator) -> NDArray[np.float64]:
+        copy = wall(rng, radius=0.18, arc_deg=arc_deg)
+        return copy + rng.normal(0.0, 0.004, copy.shape)
+
+    (tree,) = analyse_plot(_single(extra=second)).trees
+    assert (tree.dbh_cm, tree.status) == (None, "unmeasured")
+    assert tree.reasons[0].code == StemCode.double_wall
+
+
+def test_of_a_thin_stem_two_scans_tell_less() -> None:
+    (thin,) = analyse_plot(two_scans(0.03, dbh_m=0.12)).trees
+    assert thin.status == "doubtful"
+    assert thin.dbh_cm == pytest.approx(12.0, abs=0.5)
+    assert interval_cm(thin) > 1.7 * 2.0
+
+
 @pytest.mark.parametrize("settings", [TreeSettings(dbh=DbhSettings(most_walls_m=0.0)), None])
 def test_walls_farther_apart_than_asked_are_refused(settings: TreeSettings | None) -> None:
     (tree,) = analyse_plot(two_scans(0.03 if settings else 0.075, dbh_m=0.40), settings=settings).trees
