@@ -174,7 +174,7 @@ def read_units_m(path: Path) -> LinearUnits:
 def _frame_records(path: Path) -> tuple[list[str], dict[int, int]]:
     """The WKT texts of a header and its GeoTIFF keys with their short values."""
     with open_las(path) as reader:
-        records = [*reader.header.vlrs, *(reader.header.evlrs or [])]
+        records = _records(reader.header)
     texts = [getattr(record, "string", "") for record in records]
     keys = {int(key.id): int(key.value_offset) for record in records for key in getattr(record, "geo_keys", ())}
     return [text.rstrip("\x00") for text in texts if isinstance(text, str) and "[" in text], keys
@@ -236,11 +236,7 @@ def las_writer(
     header.offsets = np.floor(low)
     if frame_of is not None:
         with open_las(frame_of) as reader:
-            named = [one for one in (*reader.header.vlrs, *(reader.header.evlrs or [])) if _names_frame(one)]
-            # Behind the points there is room for more; before them a record holds so many bytes.
-            named = [one for one in named if len(one.record_data_bytes()) <= _RECORD_BYTES]
-            header.global_encoding.wkt = reader.header.global_encoding.wkt
-        header.vlrs.extend(named)
+            _take_frame(header, reader.header)
     own = _own_names(kinds, laspy.ScaleAwarePointRecord.zeros(1, header=header))
     header.add_extra_dims([laspy.ExtraBytesParams(name=short, type=kinds[name]) for name, short in own.items()])
     reach = step * (np.iinfo(np.int32).max - 1)
@@ -333,8 +329,7 @@ def copy_las(
             header.add_extra_dim(laspy.ExtraBytesParams(name=name, type=np.int32))
         header.scales, header.offsets = old.scales * factor, old.offsets * factor
         if factor == 1.0:
-            header.vlrs.extend(record for record in old.vlrs if _names_frame(record))
-            header.global_encoding.wkt = old.global_encoding.wkt
+            _take_frame(header, old)
     with atomic_path(target) as temporary, ExitStack() as open_file:
         with _writing(source, target):
             writer = open_file.enter_context(laspy.open(str(temporary), mode="w", header=header))
@@ -364,8 +359,17 @@ def _writing(source: Path, target: Path) -> Iterator[None]:
         raise _damaged(source, str(error)) from error
 
 
-def _names_frame(record: Any) -> bool:
-    return str(getattr(record, "user_id", "")) == "LASF_Projection"
+def _take_frame(header: Any, old: Any) -> None:
+    """Put what the header ``old`` says of its frame into ``header``, both of laspy."""
+    named = [record for record in _records(old) if str(getattr(record, "user_id", "")) == "LASF_Projection"]
+    # Behind the points there is room for more; before them a record holds so many bytes.
+    header.vlrs.extend(record for record in named if len(record.record_data_bytes()) <= _RECORD_BYTES)
+    header.global_encoding.wkt = old.global_encoding.wkt
+
+
+def _records(header: Any) -> list[Any]:
+    """All records of a laspy header, those behind the points too."""
+    return [*header.vlrs, *(header.evlrs or [])]
 
 
 def _damaged(path: Path, why: str) -> CloudError:

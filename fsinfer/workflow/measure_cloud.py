@@ -161,6 +161,9 @@ def measure_cloud_file(
         # Nothing said and nothing known to the contrary: other people's clouds are in metres.
         metric = found.scale.m_per_unit is not None or origin.units != MODEL_UNITS
         opened = _open(cloud_path, chunks, found.scale.m_per_unit or 1.0, settings.thinning, progress)
+        # A cloud that had to be scaled is not in the frame that its header may name.
+        in_frame = cloud_path.suffix.lower() in LAS_SUFFIXES and (found.scale.m_per_unit or 1.0) == 1.0
+        frame_of = cloud_path if in_frame else None
         given = PlotCloudInput(
             cloud=opened.cloud,
             metric=metric,
@@ -168,8 +171,8 @@ def measure_cloud_file(
             camera_height=origin.camera_height,
             marker_xyz=None if photos is None else marker_centers(origin.markers, photos.cloud_from_scene),
             marker_numbers=() if photos is None else tuple(marker.id for marker in origin.markers.markers),
-            epsg=read_epsg(cloud_path) if _in_frame(cloud_path, found.scale) else None,
-            frame_of=cloud_path if _in_frame(cloud_path, found.scale) else None,
+            epsg=None if frame_of is None else read_epsg(frame_of),
+            frame_of=frame_of,
             photos=photos,
             edits=corrections,
             doubt=doubt_about_all(origin.markers) if _is_of_run(cloud_path, origin) else None,
@@ -302,11 +305,6 @@ def _markers(details: Any) -> Scale:
         return replace(UNKNOWN, details=of_json(MarkerDetails, details))
     except (TypeError, ValueError, KeyError):
         return UNKNOWN
-
-
-def _in_frame(cloud_path: Path, scale: Scale) -> bool:
-    """Whether the cloud is in the frame that its header may name; one that had to be scaled is not."""
-    return cloud_path.suffix.lower() in LAS_SUFFIXES and (scale.m_per_unit or 1.0) == 1.0
 
 
 def _is_of_run(cloud_path: Path, origin: _Origin) -> bool:
