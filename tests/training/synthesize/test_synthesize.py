@@ -11,6 +11,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 from training.synthesize.forest.material import in_patches
 from training.synthesize.forest.mesh import Mesh
@@ -25,7 +27,7 @@ from training.synthesize.cameras.photo import expose, random_sensor
 from training.synthesize.cameras.plot import plot_cameras
 from training.synthesize.forest.boards import SIDE_M, board_material, board_pair
 from training.synthesize.forest.light import random_light
-from training.synthesize.forest.material import Material, lookup, pyramid
+from training.synthesize.forest.material import Material, lookup, pyramid, sample
 from training.synthesize.forest.mesh import make_mesh, merge
 from training.synthesize.forest.stem import Stem, measure_section, random_stem, stem_curve, stem_mesh
 from training.synthesize.forest.terrain import make_terrain, terrain_mesh
@@ -285,3 +287,38 @@ def test_a_ground_in_patches_repeats_nowhere() -> None:
     near = in_patches(uv + np.array([1e-3, 0.0], np.float32))
     apart = np.linalg.norm(near - in_patches(uv), axis=1)
     assert (np.abs(apart - 1e-3) < 1e-4).mean() > 0.98
+
+
+def test_relief_and_colour_of_patched_bark_are_of_one_place() -> None:
+    rng = np.random.default_rng(4)
+    grey = gaussian_filter(rng.uniform(0, 1, (128, 128)).astype(np.float32), 6, mode="wrap")
+    grey = (grey - grey.min()) / np.ptp(grey)
+    image = np.repeat((255 * grey).astype(np.uint8)[..., None], 3, axis=2)
+    material = Material(levels=pyramid(image), tile_m=0.5, height=pyramid(grey), patched=True, upright=True)
+    stem = replace(random_stem(rng, 2.3, -1.7, 0.0, dbh_m=0.3, material=0), relief_m=0.02, swell=0.0)
+    rough, smooth = (
+        stem_mesh(replace(stem, relief_m=relief), [material], sides=120, step_m=0.02) for relief in (0.02, 0.0)
+    )
+    out = (rough.vertices - smooth.vertices)[:, :2]
+    axis = stem.axis(smooth.vertices[:, 2].astype(np.float64))[:, :2]
+    raised = (out * (smooth.vertices[:, :2] - axis)).sum(axis=1)
+    corner = rough.faces[:, 0]
+    low = (smooth.vertices[corner, 2] > 0.0) & (smooth.vertices[corner, 2] < 3.0)
+
+    def light(mesh: Mesh) -> NDArray[np.float32]:
+        none = np.zeros(len(mesh.faces), np.int32)
+        return sample([material], none, mesh.uv[:, 0], np.full(len(none), 0.01, np.float32))[low, 0] ** (1 / 2.2)
+
+    assert np.corrcoef(raised[corner][low], light(rough))[0, 1] > 0.9
+    # Another stem of the material shows another part of it.
+    other = stem_mesh(replace(stem, x_m=3.3), [material], sides=120, step_m=0.02)
+    assert abs(np.corrcoef(light(rough), light(other))[0, 1]) < 0.3
+
+
+def test_patches_of_bark_stay_upright() -> None:
+    uv = np.random.default_rng(0).uniform(-30.0, 30.0, (20_000, 2)).astype(np.float32)
+    along = in_patches(uv + np.array([0.0, 1e-3], np.float32), upright=True) - in_patches(uv, upright=True)
+    within = np.linalg.norm(along, axis=1) < 2e-3
+    assert within.mean() > 0.98
+    assert np.abs(along[within, 0]).max() < 1e-5
+    assert 0.4 < (along[within, 1] > 0).mean() < 0.6  # half of them mirrored

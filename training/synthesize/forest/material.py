@@ -27,7 +27,8 @@ class Material:
     modulation: (T, T, 3) uint8 periodic map, read ``modulation_scale`` times slower and multiplied (128 = 1), so
     that the repetition of the tile does not show; or None.
     patched: laid in patches, each another part of the tile, mirrored and turned by chance: no place is like another.
-        Matching takes a ground whose tile repeats for the same ground a tile farther on.
+        Matching takes a ground whose tile repeats for the same ground a tile farther on, and bark likewise.
+    upright: patches are mirrored and not turned, as bark that has a direction.
     """
 
     levels: tuple[NDArray[np.uint8], ...]
@@ -37,6 +38,7 @@ class Material:
     modulation_scale: float = 0.2137
     translucency: float = 0.0
     patched: bool = False
+    upright: bool = False
 
 
 def pyramid(image: NDArray[PixelT]) -> tuple[NDArray[PixelT], ...]:
@@ -64,11 +66,11 @@ def lookup(image: NDArray[PixelT], uv: NDArray[np.float32]) -> NDArray[PixelT]:
     return np.asarray(values, image.dtype).reshape(rows * columns, *image.shape[2:])[:count]
 
 
-def in_patches(uv: NDArray[np.float32]) -> NDArray[np.float32]:
+def in_patches(uv: NDArray[np.float32], *, upright: bool = False) -> NDArray[np.float32]:
     """Where in a periodic tile places ``uv`` (n, 2), in tiles, look, so that nothing repeats.
 
     Patches are two thirds of a tile wide with winding borders; each has its own shift, and one of the eight ways to lay
-    a square, both from a hash of its number.
+    a square (``upright``: of the four that leave it so), both from a hash of its number.
     """
     u, v = uv.astype(np.float64).T
     bent_u = 1.5 * u + 0.22 * np.sin(4.1 * v + 1.3 * u) + 0.09 * np.sin(13.7 * v)
@@ -80,9 +82,16 @@ def in_patches(uv: NDArray[np.float32]) -> NDArray[np.float32]:
     mixed ^= mixed >> np.uint64(32)
     shift_u, shift_v = ((mixed >> np.uint64(bits) & np.uint64(0xFFFF)) / 65536.0 for bits in (0, 16))
     swapped, *mirrored = (mixed >> np.uint64(bit) & np.uint64(1) > 0 for bit in (32, 33, 34))
+    if upright:
+        swapped = np.zeros_like(swapped)
     across, along = np.where(swapped, v, u), np.where(swapped, u, v)
     across, along = (np.where(turned, -way, way) for turned, way in zip(mirrored, (across, along), strict=True))
     return np.stack([across + shift_u, along + shift_v], -1).astype(np.float32)
+
+
+def laid(material: Material, uv: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Where in its tile a material shows places ``uv`` (n, 2), in tiles."""
+    return in_patches(uv, upright=material.upright) if material.patched else uv
 
 
 def sample(
@@ -106,7 +115,7 @@ def sample(
         material = materials[k // 32]
         at = order[start:end]
         where = uv[at]
-        values = lookup(material.levels[k % 32], in_patches(where) if material.patched else where)
+        values = lookup(material.levels[k % 32], laid(material, where))
         colour = TO_LINEAR[values[:, :3]]
         if material.modulation is not None:
             turned = np.stack([where[:, 0] + 0.31 * where[:, 1], where[:, 1] - 0.31 * where[:, 0]], -1)

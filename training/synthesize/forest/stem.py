@@ -8,11 +8,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from training.synthesize.forest.material import Material, lookup
+from training.synthesize.forest.material import Material, laid, lookup
 from training.synthesize.forest.mesh import Mesh, grid_faces, make_mesh
 
 #: Above the ground, metres. Source: convention.
 BREAST_HEIGHT_M = 1.3
+#: Stems a metre apart begin so many tiles apart in their bark: more than their own height and girth. Source: numerics.
+TILES_APART = 41.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,21 +105,20 @@ def stem_mesh(
     shape += 0.35 * stem.swell * np.exp(-np.maximum(h, 0) / 0.25)[:, None] * lobes
     radius = stem.radius(h)[:, None] * shape
     material = materials[stem.material]
-    around = max(1, round(2 * np.pi * stem.dbh_m / 2 / material.tile_m))
-    u = np.broadcast_to(angle / (2 * np.pi) * around, radius.shape)
-    # The true scale of the tile around the stem differs from tile_m; rows keep the picture's proportions.
-    v = np.broadcast_to((-h * around / (np.pi * stem.dbh_m))[:, None] + stem.x_m, radius.shape)
-    if around == 1 and np.pi * stem.dbh_m < 0.6 * material.tile_m:  # a thin stem shows a strip of the tile
-        share = np.pi * stem.dbh_m / material.tile_m
-        u = np.abs(angle / np.pi - 1)[None] * share / 2 * 2 + np.zeros_like(radius) + stem.y_m
-        v = np.broadcast_to((-h / material.tile_m)[:, None] + stem.x_m, radius.shape)
+    if material.patched:  # at its true size; where its two ends meet is one border more
+        u = np.broadcast_to(angle * stem.dbh_m / 2 / material.tile_m, radius.shape)
+        v = np.broadcast_to((-h / material.tile_m)[:, None], radius.shape)
+    else:
+        u, v = _closed(stem, angle, h, material.tile_m)
+    # Stems of one material show other parts of it.
+    u, v = u + TILES_APART * stem.y_m, v + TILES_APART * stem.x_m
     if material.height and stem.relief_m > 0:
         # The level whose texels are about as large as the mesh's quads: finer relief would alias.
         spacing_texels = np.pi * stem.dbh_m / sides / material.tile_m * material.height[0].shape[1]
         level = round(max(0.0, np.log2(spacing_texels)))
         relief = material.height[min(level, len(material.height) - 1)]
         uv = np.stack([u, v], -1).reshape(-1, 2).astype(np.float32)
-        radius = radius + stem.relief_m * (lookup_field(relief, uv).reshape(radius.shape) - 0.5)
+        radius = radius + stem.relief_m * (lookup_field(relief, laid(material, uv)).reshape(radius.shape) - 0.5)
         radius[:, -1] = radius[:, 0]
     axis = stem.axis(h)
     vertices = axis[:, None] + np.stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros_like(radius)], -1)
@@ -136,6 +137,19 @@ def stem_mesh(
         foot = np.exp(-np.maximum(h, 0) / 0.4)[:, None] * np.array([0.35, 0.25, 0.4])
         mesh.tint[:] = np.repeat((1 - foot).astype(np.float32), sides + 1, axis=0)
     return mesh
+
+
+def _closed(
+    stem: Stem, angle: NDArray[np.float64], h: NDArray[np.float64], tile_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where a tile that repeats lies round a stem, (heights, angles) each, so that its two ends meet without a seam."""
+    none = np.zeros((len(h), len(angle)))
+    girth_m = np.pi * stem.dbh_m
+    around = max(1, round(girth_m / tile_m))
+    if around == 1 and girth_m < 0.6 * tile_m:  # a thin stem shows a strip of the tile, there and back
+        return np.abs(angle / np.pi - 1)[None] * girth_m / tile_m + none, (-h / tile_m)[:, None] + none
+    # The true scale of the tile around the stem differs from tile_m; rows keep the picture's proportions.
+    return (angle / (2 * np.pi) * around)[None] + none, (-h * around / girth_m)[:, None] + none
 
 
 def lookup_field(field: NDArray[np.float32], uv: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -274,5 +274,6 @@ def make_material(
         tile_m=float(rng.uniform(*size_m)),
         height=() if height is None else pyramid(height),
         modulation=modulation(rng, strength=float(rng.uniform(0.1, 0.3))),
-        patched=kind == "ground",
+        patched=kind in ("ground", "bark"),
+        upright=kind == "bark",
     )
