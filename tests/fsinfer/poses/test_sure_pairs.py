@@ -92,6 +92,18 @@ def test_photos_in_no_order_and_the_global_mapper_keep_all_pairs(settings: PoseS
     assert sure_pairs(database, names(), tmp_path, settings, silent) == SurePairs(database=database, matched=database)
 
 
+def test_the_order_of_walking_is_told_to_the_focal_length_and_none_where_there_is_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[dict[int, int] | None] = []
+    monkeypatch.setattr("fsinfer.poses.sure_pairs.calibrate", lambda _database, _work, rank: told.append(rank))
+    sure_pairs(pairs_of_walk(tmp_path / "walk.db"), names(), tmp_path, SETTINGS, silent)
+    across = [(i, j) for i in range(PHOTOS) for j in range(i + 2, PHOTOS, 2)]
+    heap = pairs_of_walk(tmp_path / "heap.db", neighbours=0, further=across)
+    sure_pairs(heap, names(), tmp_path, PoseSettings(threads=1), silent)
+    assert told == [{number + 1: number for number in range(PHOTOS)}, None]
+
+
 def mapped(sure: SurePairs, work: Path) -> Any:
     (model,) = reconstruct(sure.database, work, work / "models", SETTINGS, silent, beginnings=sure.beginnings)
     return model
