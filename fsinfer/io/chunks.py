@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import CloudError
-from fsinfer.io.las import LAS_SUFFIXES, count_las, iterate_las, sample_las
+from fsinfer.io.las import LAS_SUFFIXES, count_las, flagged, iterate_las, sample_las
 from fsinfer.io.ply import PlyTable, find_table, read_rows
 
 Floats = NDArray[np.float64]
@@ -48,15 +48,19 @@ class ChunkedCloud:
     table: PlyTable | None
     settings: ChunkSettings
 
-    def chunks(self) -> Iterator[Floats]:
-        """All points in their order as (N, 3) arrays; those that are not finite are left out.
+    def chunks(self, on_flagged: Callable[[int], None] | None = None) -> Iterator[Floats]:
+        """All points in their order as (N, 3) arrays, without those that are not finite or :func:`flagged`.
 
-        Raises :class:`~fsinfer.errors.CloudError` where the file is cut short or damaged.
+        ``on_flagged`` is told how many of the latter each piece had. Raises
+        :class:`~fsinfer.errors.CloudError` where the file is cut short or damaged.
         """
         size = self.settings.chunk_points
         if self.table is None:
             for record in iterate_las(self.path, size):
-                yield self._finite(np.column_stack([record.x, record.y, record.z]))
+                used = ~flagged(record)
+                if on_flagged is not None:
+                    on_flagged(len(used) - int(used.sum()))
+                yield self._finite(np.column_stack([record.x, record.y, record.z])[used])
             return
         for start in range(0, self.points, size):
             yield self._finite(self._rows(start, min(size, self.points - start)))

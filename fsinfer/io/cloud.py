@@ -76,17 +76,50 @@ class PointCloud:
         )
 
 
+@dataclass(frozen=True, kw_only=True)
+class ReadCloud:
+    """A cloud and what was dropped of its file.
+
+    Attributes
+    ----------
+    not_finite: points with a coordinate that is none.
+    flagged: points that a LAS or LAZ marks as withheld or classes as noise (:func:`fsinfer.io.las.flagged`).
+    """
+
+    cloud: PointCloud
+    not_finite: int = 0
+    flagged: int = 0
+
+
 def read_cloud(path: Path | str) -> PointCloud:
     """Read a cloud from .ply, .las, .laz, or text (.xyz, .txt, .asc, .csv: x y z [red green blue]).
 
-    Points with a coordinate that is not finite are dropped, with a warning in the log.
+    Points with a coordinate that is not finite are dropped, and so are those that a LAS or LAZ marks as withheld or
+    classes as noise, with a warning in the log.
+
+    Raises
+    ------
+    CloudError
+        As :func:`read_and_tell`.
+    """
+    path = Path(path)
+    read = read_and_tell(path)
+    if read.not_finite:
+        of = len(read.cloud) + read.not_finite
+        _log.warning("%s: %d of %d points have no finite coordinates and were dropped", path, read.not_finite, of)
+    if read.flagged:
+        _log.warning("%s: %d points are marked as withheld or as noise and were dropped", path, read.flagged)
+    return read.cloud
+
+
+def read_and_tell(path: Path) -> ReadCloud:
+    """As :func:`read_cloud`, with how many points were dropped.
 
     Raises
     ------
     CloudError
         The file is missing, of another kind, cut short, or holds no point that can be used.
     """
-    path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         msg = f"{path}: cannot read clouds of kind '{path.suffix}'; give a .ply, .las, .laz or .xyz file"
@@ -94,22 +127,23 @@ def read_cloud(path: Path | str) -> PointCloud:
     if not path.is_file():
         msg = f"there is no file {path}; check the path"
         raise CloudError(msg)
+    flagged = 0
     if suffix == ".ply":
         columns = read_ply(path)
     elif suffix in LAS_SUFFIXES:
-        columns = read_las(path)
+        columns, flagged = read_las(path)
     else:
         columns = read_text_cloud(path)
     cloud = cloud_of_columns(path, columns)
     finite = np.asarray(np.isfinite(cloud.xyz).all(axis=1))
     dropped = len(cloud) - int(finite.sum())
     if dropped:
-        _log.warning("%s: %d of %d points have no finite coordinates and were dropped", path, dropped, len(cloud))
         cloud = cloud.select(finite)
     if not len(cloud):
-        msg = f"{path} holds no points that can be used; export the cloud again"
+        why = f": {flagged} are marked as withheld or as noise" if flagged else ""
+        msg = f"{path} holds no points that can be used{why}; export the cloud again"
         raise CloudError(msg)
-    return cloud
+    return ReadCloud(cloud=cloud, not_finite=dropped, flagged=flagged)
 
 
 def write_cloud(path: Path | str, cloud: PointCloud, *, frame_of: Path | None = None) -> None:

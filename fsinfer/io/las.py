@@ -38,19 +38,26 @@ _RECORD_BYTES = 65_535
 _COLOUR_FACTOR = 257
 #: Points that are unpacked at once. Source: numerics; a header that lies costs no more memory than so many.
 _PIECE_POINTS, _PIECE_BYTES = 1_000_000, 1 << 28
+#: Classes of points that are noise, below and above. Source: format; LAS 1.4, table 17.
+_NOISE_CLASSES = (7, 18)
 #: Keys ProjectedCSTypeGeoKey and GeographicTypeGeoKey, and the value for "user defined". Source: format; GeoTIFF 1.1.
 _PROJECTED_KEY, _GEOGRAPHIC_KEY, _USER_DEFINED = 3072, 2048, 32767
 
 _log = logging.getLogger(__name__)
 
 
-def read_las(path: Path) -> dict[str, NDArray[Any]]:
-    """Read a LAS or LAZ file.
+def flagged(record: Any) -> NDArray[np.bool_]:
+    """(N,) which points of a laspy record are not to be used: marked as withheld (deleted), or classed as noise."""
+    return np.asarray(record.withheld, dtype=bool) | np.isin(np.asarray(record.classification), _NOISE_CLASSES)
+
+
+def read_las(path: Path) -> tuple[dict[str, NDArray[Any]], int]:
+    """Read a LAS or LAZ file, without the points that are :func:`flagged`.
 
     Returns
     -------
     Columns ``x, y, z`` (float64), ``red, green, blue`` (uint8, where the file has colour), extra dimensions and the
-    non-zero ones among intensity and classification.
+    non-zero ones among intensity and classification; and how many points were flagged.
 
     Raises
     ------
@@ -59,15 +66,18 @@ def read_las(path: Path) -> dict[str, NDArray[Any]]:
     """
     pieces: dict[str, list[NDArray[Any]]] = {axis: [] for axis in ("x", "y", "z")}
     extra: list[str] = []
+    left_out = 0
     # Piece by piece: a header that promises more than the file holds is found out before it takes all the memory.
     for record in iterate_las(path, _PIECE_POINTS):
         extra = list(record.point_format.extra_dimension_names)
         try:
+            used = ~flagged(record)
+            left_out += len(used) - int(used.sum())
             for axis in ("x", "y", "z"):
-                pieces[axis].append(np.array(record[axis], dtype=np.float64))
+                pieces[axis].append(np.array(record[axis], dtype=np.float64)[used])
             for name in record.point_format.dimension_names:
                 if name in _COLOURS or name in _KEPT_DIMENSIONS or name in extra:
-                    pieces.setdefault(name, []).append(np.array(record[name]))
+                    pieces.setdefault(name, []).append(np.array(record[name])[used])
         except (ValueError, KeyError, TypeError) as error:  # names and types of extra dimensions that make no sense
             raise _damaged(path, str(error)) from error
     whole: dict[str, NDArray[Any]] = {
@@ -84,7 +94,7 @@ def read_las(path: Path) -> dict[str, NDArray[Any]]:
         if name in whole and whole[name].any():
             columns[name] = whole[name]
     # Vectors (an extra dimension of several numbers a point) have no place in a table of points.
-    return columns | {name: whole[name] for name in extra if whole[name].ndim == 1}
+    return columns | {name: whole[name] for name in extra if whole[name].ndim == 1}, left_out
 
 
 @contextmanager
@@ -136,13 +146,13 @@ def iterate_las(path: Path, chunk_points: int) -> Iterator[Any]:
 
 
 def sample_las(path: Path, starts: Sequence[int], count: int) -> NDArray[np.float64]:
-    """Coordinates (N, 3) of ``count`` points from each of ``starts`` on."""
+    """Coordinates (N, 3) of ``count`` points from each of ``starts`` on, without those that are :func:`flagged`."""
     pieces = []
     with open_las(path) as reader:
         for start in starts:
             reader.seek(start)
             record = reader.read_points(count)
-            pieces.append(np.column_stack([record.x, record.y, record.z]))
+            pieces.append(np.column_stack([record.x, record.y, record.z])[~flagged(record)])
     return np.concatenate(pieces) if pieces else np.zeros((0, 3))
 
 
@@ -316,6 +326,8 @@ def copy_las(
 ) -> None:
     """Copy a LAS or LAZ file piece by piece with one more dimension ``name``: ``label`` of its points (N, 3).
 
+    Points that are :func:`flagged` get 0.
+
     Stored integers stay as they are: ``factor`` (metres per unit of the source, which ``label`` gets) goes into their
     step, and takes the frame away that the header names, which is no longer that of the coordinates.
     """
@@ -335,6 +347,7 @@ def copy_las(
             writer = open_file.enter_context(laspy.open(str(temporary), mode="w", header=header))
         for points in iterate_las(source, chunk_points):
             numbers = label(np.column_stack([points.x, points.y, points.z]) * factor)
+            numbers = np.where(flagged(points), np.int32(0), numbers)
             with _writing(source, target):
                 record = laspy.ScaleAwarePointRecord.zeros(len(points), header=header)
                 for dimension in points.point_format.dimension_names:

@@ -71,11 +71,13 @@ class StemCode(StrEnum):
     # Warnings of a plot.
     model_units = "model_units"
     not_finite = "not_finite"
+    flagged = "flagged"
     far_outside = "far_outside"
     coarse_steps = "coarse_steps"
     ground_in_part = "ground_in_part"
     little_ground = "little_ground"
     lean_alike = "lean_alike"
+    thicker_upwards = "thicker_upwards"
     turned = "turned"
     thinned = "thinned"
     post_of_marker = "post_of_marker"
@@ -162,6 +164,9 @@ SENTENCES: dict[StemCode, str] = {
     StemCode.nothing_measured: "no trees measured: {error}",
     StemCode.model_units: "no scale: positions are in model units and no diameter is given",
     StemCode.not_finite: "{points} points with NaN or infinite coordinates were left out",
+    StemCode.flagged: (
+        "points that the file marks as withheld, or classes as noise (7 and 18), were left out: {points}"
+    ),
     StemCode.far_outside: "{points} points far outside the plot were left out",
     StemCode.coarse_steps: ("the coordinates come in steps of {step_mm:.0f} mm: diameters cannot be better than that"),
     StemCode.ground_in_part: "ground seen in only {percent:.0f} % of the lowest parts of the plot",
@@ -170,6 +175,7 @@ SENTENCES: dict[StemCode, str] = {
         "the stems lean the same way, {lean_deg:.0f} degrees in the mean of {stems}: either the stand does, or the "
         "cloud does not stand upright, and then heights, breast heights and slopes are wrong"
     ),
+    StemCode.thicker_upwards: "nearly all of the {stems} stems grow thicker upwards, as if z pointed down",
     StemCode.turned: "the cloud did not stand upright: {how} in it",
     StemCode.thinned: (
         "the cloud has {total:,} points: {kept:,} of them, drawn at random, were measured (up to {fine:.0f} in each "
@@ -218,6 +224,7 @@ ADVICE: dict[StemCode, str] = {
     StemCode.none_at_stem_height: "check the scale, or photograph the stems as well as the ground",
     StemCode.none_round: "check the scale",
     StemCode.lean_alike: "compare with a plumb line or with a stem that you know to be upright, and level the cloud",
+    StemCode.thicker_upwards: "look at the cloud in a viewer, and turn it if it stands on its head",
     StemCode.turned: "it was turned, and so is the frame of all results",
 }
 #: Of use to those who look closely, nothing to act upon.

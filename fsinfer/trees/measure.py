@@ -28,8 +28,10 @@ from fsinfer.trees.sanity import (
     TurnedCloudError,
     as_numbers,
     check_unit,
-    check_upside_down,
     clean,
+    may_be_upside_down,
+    thicker_upwards,
+    thin_upwards,
     turned_message,
 )
 from fsinfer.trees.search.find import LEAST_POINTS, StemSearch, find_stems
@@ -157,7 +159,7 @@ def analyse_plot(
     plan_m2 = float(np.prod(box[1] - box[0]))
     progress(0, 1, "finding the ground")
     ground = find_ground(local, settings=settings.ground, seed=settings.seed)
-    check_upside_down(local, ground, settings.ground, settings.sanity, seed=settings.seed)
+    on_head = not turned and may_be_upside_down(local, ground, settings.ground, settings.sanity, seed=settings.seed)
     if ground.share < settings.sanity.min_ground:
         warnings.append(notice(StemCode.ground_in_part, percent=100.0 * ground.share))
     stand = np.stack([*columns[:2], columns[2] - ground.height_at(local[:, :2])]).T
@@ -183,6 +185,11 @@ def analyse_plot(
     # On the side of a cloud that lies, a surface may be followed and something on it be measured, but nothing soundly.
     in_part = ground.share < settings.sanity.min_ground
     sound = any(tree.status == "ok" if in_part else tree.dbh_cm is not None for tree, _ in pairs)
+    tapers = _tapers([section for _, section in pairs])
+    if on_head and not thin_upwards(tapers, settings.sanity):
+        raise TurnedCloudError(*TURNS[-1])
+    if not turned and thicker_upwards(tapers, settings.sanity):
+        warnings.append(notice(StemCode.thicker_upwards, stems=len(tapers)))
     if not turned and not sound:
         _check_turned(local, settings)
     centers = np.array([[tree.x_m, tree.y_m] for tree, _ in pairs]).reshape(-1, 2)
@@ -216,6 +223,12 @@ def _check_turned(points: Floats, settings: TreeSettings) -> None:
             result = analyse_plot(few @ turn.T, settings=settings, turned=True)
         except CloudError:
             continue
+        if (
+            result.ground is not None
+            and may_be_upside_down(few @ turn.T, result.ground, settings.ground, sanity, seed=settings.seed)
+            and not thin_upwards(_tapers(result.sections), sanity)
+        ):
+            continue
         sound = sum(t.status == "ok" and (t.dbh_cm or 0.0) <= sanity.max_turned_cm for t in result.trees)
         if sound >= sanity.turned_trees and result.ground is not None:
             seen.append((result.ground.share * result.ground.reach, how, turn))
@@ -227,6 +240,10 @@ def _check_turned(points: Floats, settings: TreeSettings) -> None:
     if others and ground < sanity.turned_ground * others[0][0]:
         raise CloudError(turned_message(" or ".join(name for _, name, _ in seen)))
     raise TurnedCloudError(how, turn)
+
+
+def _tapers(sections: Sequence[Section]) -> list[float]:
+    return [section.taper for section in sections if section.dbh_m is not None]
 
 
 def trees_found(trees: Sequence[Tree]) -> Notice:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,6 +43,10 @@ class SanitySettings:
     little_ground: of the plot's box in plan: less is said. Source: not recorded.
     turned_trees: measured beyond doubt, to turn a cloud: one may be chance. Source: not recorded.
     max_turned_cm: corners of a building measure as thicker trees. Source: not recorded.
+    thinner_share: of the stems that grow thinner upwards, in a cloud that is not on its head. Source:
+        :func:`thin_upwards`.
+    thicker_trees, thicker_share: of at least so many stems at most this share grows thinner upwards, where a cloud may
+        be on its head. Source: judgement.
     turned_ground: times more ground seen than the other way round, where both ways show stems. Source: not recorded.
     """
 
@@ -55,6 +60,9 @@ class SanitySettings:
     little_ground: float = 0.33
     turned_trees: int = 2
     max_turned_cm: float = 100.0
+    thinner_share: float = 0.7
+    thicker_trees: int = 4
+    thicker_share: float = 0.2
     turned_ground: float = 1.5
 
 
@@ -87,20 +95,38 @@ class TurnedCloudError(CloudError):
         return notice(StemCode.turned, how=self.how)
 
 
-def check_upside_down(
+def may_be_upside_down(
     points: Floats, ground: Ground, settings: GroundSettings, sanity: SanitySettings, *, seed: int = 0
-) -> None:
-    """Raise where the points (N, 3) show much more ground with the cloud turned on its head."""
+) -> bool:
+    """Whether the points (N, 3) show much more ground with the cloud turned on its head.
+
+    So does an upright cloud whose ground is thin, and which was cut off level in the crowns: see :func:`thin_upwards`.
+    """
     if ground.reach >= sanity.head_ground:
-        return
+        return False
     turned = points[:: max(len(points) // TURNED_POINTS, 1)] * [1.0, -1.0, -1.0]
     if reach_of(turned, settings=settings) <= sanity.head_gain * ground.reach:
-        return
+        return False
     try:
         find_ground(turned, settings=settings, seed=seed)
     except CloudError:
-        return
-    raise TurnedCloudError(*TURNS[-1])
+        return False
+    return True
+
+
+def thin_upwards(tapers: Sequence[float], sanity: SanitySettings) -> bool:
+    """Whether stems with these tapers (dr/dh) stand on their feet: enough of them, and nearly all grow thinner upwards.
+
+    Of two scans of pines cut at 5 and 8 m 79 to 94 % do, and 31 to 50 % where they are turned on their head.
+    """
+    thinner = sum(taper < 0.0 for taper in tapers)
+    return len(tapers) >= sanity.turned_trees and thinner >= sanity.thinner_share * len(tapers)
+
+
+def thicker_upwards(tapers: Sequence[float], sanity: SanitySettings) -> bool:
+    """Whether so many stems with these tapers (dr/dh) grow thicker upwards that the cloud may be on its head."""
+    thinner = sum(taper < 0.0 for taper in tapers)
+    return len(tapers) >= sanity.thicker_trees and thinner <= sanity.thicker_share * len(tapers)
 
 
 def coordinate_step(xyz: Floats) -> float:

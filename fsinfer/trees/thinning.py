@@ -98,7 +98,8 @@ def thin_while_reading(
     grid = _grid(cloud.sample(), cloud, s)
     counts = np.zeros(int(np.prod(grid.shape)), dtype=np.uint32)
     finite = inside = 0
-    for xyz in cloud.chunks():
+    flagged: list[int] = []
+    for xyz in cloud.chunks(flagged.append):
         index, _ = grid.index(xyz)
         np.add.at(counts, index, np.uint32(1))
         finite, inside = finite + len(xyz), inside + len(index)
@@ -122,8 +123,10 @@ def thin_while_reading(
         read += len(xyz)
         progress((finite + read) // 2, cloud.points, "reading the cloud")
     warnings = [_told(cloud.points, sum(map(len, kept)), most, grid.cell_m, s)]
-    if finite < cloud.points:
-        warnings.append(notice(StemCode.not_finite, points=cloud.points - finite))
+    if any(flagged):
+        warnings.append(notice(StemCode.flagged, points=sum(flagged)))
+    if finite + sum(flagged) < cloud.points:
+        warnings.append(notice(StemCode.not_finite, points=cloud.points - finite - sum(flagged)))
     if inside < finite:
         warnings.append(notice(StemCode.far_outside, points=finite - inside))
     return ThinnedCloud(xyz=np.concatenate(kept), total=cloud.points, warnings=tuple(warnings))

@@ -16,12 +16,13 @@ from fsinfer.errors import InputError, ScaleError
 from fsinfer.geometry.similarity import scale_of
 from fsinfer.importers.write import read_origin
 from fsinfer.io.chunks import ChunkedCloud, open_chunks
-from fsinfer.io.cloud import PointCloud, read_cloud
+from fsinfer.io.cloud import PointCloud, read_and_tell
 from fsinfer.io.digest import file_digest
 from fsinfer.io.files import make_folder
 from fsinfer.io.las import LAS_SUFFIXES, read_epsg
 from fsinfer.notices.capture import NO_SCALE, REMARKS, CaptureCode
 from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.stems import StemCode
 from fsinfer.output.json_values import as_json, of_json
 from fsinfer.output.plot_json import OF_FILE, of_file, package_versions, read_plot
 from fsinfer.placement.place import density_per_m2, transform_cloud
@@ -227,11 +228,14 @@ def _open(
 ) -> _Opened:
     """Read the cloud, thinned while reading where it is large; ``factor`` metres make a unit of the file."""
     if chunks is None:
-        cloud = read_cloud(cloud_path)
+        read = read_and_tell(cloud_path)
+        cloud = read.cloud
         points = len(cloud.xyz)
         if factor != 1.0:
             cloud = transform_cloud(cloud, np.diag([factor, factor, factor, 1.0]))
-        return _Opened(cloud=cloud, points=points)
+        dropped = ((StemCode.not_finite, read.not_finite), (StemCode.flagged, read.flagged))
+        told = tuple(notice(code, points=count) for code, count in dropped if count)
+        return _Opened(cloud=cloud, points=points, warnings=told)
     large = replace(chunks, factor=factor)
     thinned = thin_while_reading(large, settings=thinning, progress=progress)
     return _Opened(

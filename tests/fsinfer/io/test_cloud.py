@@ -3,10 +3,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fsinfer.errors import CloudError
+from fsinfer.io.chunks import ChunkSettings, open_chunks
 from fsinfer.io.cloud import PointCloud, read_cloud, write_cloud
-from fsinfer.io.las import las_writer
+from fsinfer.io.las import copy_las, las_writer
 from tests.support.places import DATA
 
 CLOUDS = DATA / "clouds"
@@ -129,6 +131,43 @@ def test_points_that_are_not_finite_are_dropped_with_a_warning(
     path.write_text(ASCII_PLY.replace("1 2 3 255", "nan 2 3 255").replace("-4.5", "inf").replace("9e2", "nan"))
     with pytest.raises(CloudError, match="no points that can be used"):
         read_cloud(path)
+
+
+@pytest.mark.parametrize("point_format", [3, 7])
+def test_points_marked_as_withheld_or_noise_are_dropped_with_a_warning(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, point_format: int
+) -> None:
+    laspy = pytest.importorskip("laspy")
+    header = laspy.LasHeader(point_format=point_format, version="1.4")
+    header.scales = np.full(3, 0.001)
+    header.add_extra_dim(laspy.ExtraBytesParams(name="TreeID", type=np.int32))
+    file = laspy.LasData(header)
+    file.x = file.y = file.z = np.arange(6.0)
+    file.classification = np.array([1, 7, 2, 18, 1, 0], np.uint8)
+    file.withheld = np.array([0, 0, 0, 0, 1, 0], np.uint8)
+    file.TreeID = np.arange(6, dtype=np.int32)
+    file.write(tmp_path / "a.laz")
+    with caplog.at_level(logging.WARNING):
+        cloud = read_cloud(tmp_path / "a.laz")
+    assert "3 points are marked as withheld or as noise" in caplog.text
+    np.testing.assert_allclose(cloud.xyz[:, 0], [0.0, 2.0, 5.0])
+    np.testing.assert_array_equal(cloud.extra["TreeID"], [0, 2, 5])
+    chunked = open_chunks(tmp_path / "a.laz", settings=ChunkSettings(chunk_points=4, sample_slices=3, slice_points=2))
+    assert chunked is not None
+    told: list[int] = []
+    np.testing.assert_allclose(np.concatenate(list(chunked.chunks(told.append)))[:, 0], [0.0, 2.0, 5.0])
+    assert told == [2, 1]
+    assert set(chunked.sample()[:, 0]) <= {0.0, 2.0, 5.0}
+
+    def nine(xyz: NDArray[np.float64]) -> NDArray[np.int32]:
+        return np.full(len(xyz), 9, np.int32)
+
+    copy_las(tmp_path / "a.laz", tmp_path / "b.laz", "number", nine, chunk_points=4)
+    np.testing.assert_array_equal(laspy.read(tmp_path / "b.laz")["number"], [9, 0, 9, 0, 0, 9])
+    file.withheld = np.ones(6, np.uint8)
+    file.write(tmp_path / "a.laz")
+    with pytest.raises(CloudError, match="no points that can be used: 6 are marked as withheld or as noise"):
+        read_cloud(tmp_path / "a.laz")
 
 
 def test_text_clouds(tmp_path: Path) -> None:

@@ -128,6 +128,20 @@ def test_scaled_large_files_lose_their_frame_and_keep_their_points(cloud: PointC
     np.testing.assert_allclose(labelled.xyz, cloud.xyz, atol=2e-3)
 
 
+@pytest.mark.parametrize("max_points", [THIN.max_points, 10_000_000])
+def test_what_a_file_marks_as_noise_is_not_measured(plot: StemPlot, tmp_path: Path, max_points: int) -> None:
+    rng = np.random.default_rng(3)
+    noise = rng.uniform(plot.points.min(axis=0) - [0, 0, 2.0], plot.points.max(axis=0), (len(plot.points) // 5, 3))
+    kinds = np.repeat([1, 7], [len(plot.points), len(noise)]).astype(np.uint8)
+    cloud = PointCloud(xyz=np.concatenate([plot.points, noise]), extra={"classification": kinds})
+    write_cloud(tmp_path / "a.laz", cloud)
+    settings = MeasureSettings(thinning=replace(THIN, max_points=max_points))
+    record = measure_cloud_file(tmp_path / "a.laz", tmp_path / "out", request=ScaleRequest(), settings=settings)
+    assert notice(StemCode.flagged, points=len(noise)) in record.result.trees.warnings
+    assert StemCode.not_finite not in {told.code for told in record.result.trees.warnings}
+    assert record.result.trees.trees_with_dbh == len(plot.dbh_cm)
+
+
 def test_points_far_away_and_without_a_place_are_left_out(plot: StemPlot, tmp_path: Path) -> None:
     dirty = np.concatenate([plot.points, [[5000.0, 0.0, 0.0], [0.0, 0.0, 1.0]]])
     write_cloud(tmp_path / "a.ply", PointCloud(xyz=dirty))

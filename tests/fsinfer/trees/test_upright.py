@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +10,13 @@ import pytest
 from numpy.typing import NDArray
 
 from fsinfer.io.cloud import PointCloud, read_cloud, write_cloud
+from fsinfer.notices.notice import notice
 from fsinfer.notices.sentences import sentences
 from fsinfer.notices.stems import StemCode
 from fsinfer.scale.request import ScaleRequest
+from fsinfer.trees import analyse_plot
 from fsinfer.trees.outputs.table import read_trees
-from fsinfer.trees.sanity import TURNS
+from fsinfer.trees.sanity import TURNS, SanitySettings, thicker_upwards, thin_upwards
 from fsinfer.workflow.measure_cloud import measure_cloud_file
 from tests.support.stem_clouds import stem_plot
 
@@ -41,3 +44,45 @@ def test_a_cloud_that_stands_upright_is_left_alone(tmp_path: Path) -> None:
     values = measure_cloud_file(tmp_path / "cloud.ply", tmp_path / "out", request=ScaleRequest())
     assert values.result.trees.trees == 4
     assert StemCode.turned not in [item.code for item in values.result.trees.warnings]
+
+
+def cut_in_the_crowns(ground_per_m2: float) -> NDArray[np.float64]:
+    """Nine pines of 30 cm, cut off level at 6 m, where their crowns close; ground with few points."""
+    rng = np.random.default_rng(3)
+    count = int(100 * ground_per_m2)
+    parts = [np.column_stack([rng.uniform(-5, 5, (count, 2)), rng.normal(0, 0.01, count)])]
+    for x, y in product((-3.0, 0.0, 3.0), repeat=2):
+        z = rng.uniform(0.0, 6.0, 9000)
+        angle, radius = rng.uniform(0, 2 * np.pi, len(z)), 0.15 - 0.005 * (z - 1.3) + rng.normal(0, 0.003, len(z))
+        parts.append(np.column_stack([x + radius * np.cos(angle), y + radius * np.sin(angle), z]))
+        crown = rng.normal((x, y), 0.9, (40_000, 2))
+        parts.append(np.column_stack([crown, rng.uniform(4.0, 6.0, len(crown))]))
+    return np.concatenate(parts)
+
+
+def test_a_cloud_cut_off_in_the_crowns_above_thin_ground_is_left_alone() -> None:
+    found = analyse_plot(cut_in_the_crowns(8.0))
+    assert [tree.dbh_cm for tree in found.trees] == pytest.approx([30.0] * 9, abs=0.6)
+    assert StemCode.thicker_upwards not in {told.code for told in found.warnings}
+
+
+def test_stems_that_all_grow_thicker_upwards_are_told_of() -> None:
+    found = analyse_plot(cut_in_the_crowns(8.0) * [1.0, -1.0, -1.0])
+    assert notice(StemCode.thicker_upwards, stems=len(found.trees)) in found.warnings
+
+
+@pytest.mark.parametrize(
+    ("tapers", "feet", "head"),
+    [
+        ([-0.01, -0.01], True, False),
+        ([-0.01], False, False),
+        ([], False, False),
+        ([-0.01, 0.01, -0.01], False, False),
+        ([-0.01] * 7 + [0.01] * 3, True, False),
+        ([0.01] * 3, False, False),
+        ([0.01] * 4 + [-0.01], False, True),
+    ],
+)
+def test_what_tapers_tell_of_feet_and_head(tapers: list[float], feet: bool, head: bool) -> None:
+    assert thin_upwards(tapers, SanitySettings()) is feet
+    assert thicker_upwards(tapers, SanitySettings()) is head
