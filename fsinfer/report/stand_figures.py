@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from fsinfer.report.contents import Contents, number
+from fsinfer.report.contents import Contents, number, tree_number
 from fsinfer.report.number_table import NumberTable
 from fsinfer.report.plot_border import border_of, is_in
 from fsinfer.trees.stand import StandTable, stand_of_diameters
@@ -37,6 +37,7 @@ def stand_of(contents: Contents) -> StandTable:
         quadratic_mean_dbh_cm=number(given.get("quadratic_mean_dbh_cm")),
         mean_dbh_cm=number(given.get("mean_dbh_cm")),
         stems_on_area=None if on_area is None else int(on_area),
+        off_area=tuple(int(n) for one in given.get("off_area") or () if (n := number(one)) is not None),
     )
 
 
@@ -73,11 +74,16 @@ def class_table(contents: Contents, stand: StandTable) -> NumberTable | None:
     """Stems and basal area by classes of diameter, within the plot's border where it has one; None without a DBH."""
     plot = border_of(contents)
     rows_in = contents.counted if plot is None else [tree for tree in contents.trees or () if is_in(tree)]
-    dbh_cm = [d for tree in rows_in if (d := number(tree.get("dbh_cm"))) is not None]
+    off = frozenset(stand.off_area if plot is None else ())
+    sized = [(d, tree_number(tree) not in off) for tree in rows_in if (d := number(tree.get("dbh_cm"))) is not None]
+    dbh_cm = [d for d, _ in sized]
     if not dbh_cm:
         return None
+    counting = [d for d, counts in sized if counts]
     if plot is None:
-        per_hectare = _a_hectare(stand.stems_per_ha, stand.basal_area_m2_per_ha, stand.stems, dbh_cm)
+        per_hectare = _a_hectare(
+            stand.stems_per_ha, stand.basal_area_m2_per_ha, stand.stems - len(stand.off_area), counting
+        )
     else:
         stems, basal = plot.stems_per_ha, plot.basal_area_m2_per_ha
         of_stems, of_basal = (None if figure is None else figure.value for figure in (stems, basal))
@@ -88,9 +94,9 @@ def class_table(contents: Contents, stand: StandTable) -> NumberTable | None:
     counted = Counter(int(d // CLASS_CM) for d in dbh_cm)
     rows = []
     for k in range(min(counted), max(counted) + 1):
-        own = [d for d in dbh_cm if int(d // CLASS_CM) == k]
-        rows.append(_class_row(f"{k * CLASS_CM} to under {(k + 1) * CLASS_CM}", own, per_hectare))
-    rows.append(_class_row("All with a DBH", dbh_cm, per_hectare))
+        own, counts = ([d for d in of if int(d // CLASS_CM) == k] for of in (dbh_cm, counting))
+        rows.append(_class_row(f"{k * CLASS_CM} to under {(k + 1) * CLASS_CM}", own, counts, per_hectare))
+    rows.append(_class_row("All with a DBH", dbh_cm, counting, per_hectare))
     title = "Stand table" if plot is None else "Stand table of the plot"
     return NumberTable(title=title, head=tuple(head), rows=tuple(rows), total=True)
 
@@ -98,18 +104,24 @@ def class_table(contents: Contents, stand: StandTable) -> NumberTable | None:
 def _a_hectare(
     stems_per_ha: float | None, basal_m2_per_ha: float | None, stems: int, dbh_cm: Sequence[float]
 ) -> tuple[float, float] | None:
-    """What a stem, and a square metre of section, counts a hectare, so that classes add up to the plot's figures."""
-    if stems_per_ha is None:
+    """What a stem, and a square metre of section, counts a hectare, so that classes add up to the plot's figures.
+
+    ``stems`` are those that count, ``dbh_cm`` of them that were measured.
+    """
+    if stems_per_ha is None or not dbh_cm:
         return None
     stem = stems_per_ha / stems
     # Stems without a DBH count in the basal area with the mean of the others.
     return stem, stem if basal_m2_per_ha is None else basal_m2_per_ha / (basal_area_m2(dbh_cm) * stems / len(dbh_cm))
 
 
-def _class_row(name: str, dbh_cm: Sequence[float], per_hectare: tuple[float, float] | None) -> tuple[str, ...]:
+def _class_row(
+    name: str, dbh_cm: Sequence[float], counting: Sequence[float], per_hectare: tuple[float, float] | None
+) -> tuple[str, ...]:
+    """Stems and basal area of a class, and what those of its stems that count to the hectare make there."""
     basal_m2 = basal_area_m2(dbh_cm)
     row = (name, str(len(dbh_cm)), f"{basal_m2:.3f}")
     if per_hectare is None:
         return row
     stem, section = per_hectare
-    return (*row, f"{len(dbh_cm) * stem:.0f}", f"{basal_m2 * section:.1f}")
+    return (*row, f"{len(counting) * stem:.0f}", f"{basal_area_m2(counting) * section:.1f}")

@@ -44,9 +44,9 @@ class StandTable:
     """The stems, and what of them stands on a hectare.
 
     ``stems`` are all, ``measured`` those with a DBH. ``plot_area_m2`` is horizontal, None where it is not known;
-    ``area_method`` says how it was taken. Only the ``stems_on_area`` count to the hectare: those on other ground would
-    make the plot denser than it is. In the basal area those without a DBH count with the mean section of the others, as
-    on a plot with a border; it is None where too few were measured for that.
+    ``area_method`` says how it was taken. Only the ``stems_on_area`` count to the hectare: those on other ground, whose
+    numbers ``off_area`` are, would make the plot denser than it is. In the basal area those without a DBH count with
+    the mean section of the others, as on a plot with a border; it is None where too few were measured for that.
     """
 
     stems: int
@@ -58,6 +58,7 @@ class StandTable:
     quadratic_mean_dbh_cm: float | None
     mean_dbh_cm: float | None
     stems_on_area: int | None = None
+    off_area: tuple[int, ...] = ()
 
 
 def stand_table(
@@ -71,7 +72,10 @@ def stand_table(
 
     ``on_area`` (T,) says which of them stand on it, all where it is None.
     """
-    return stand_of_diameters([tree.dbh_cm for tree in trees], plot_area_m2, on_area=on_area, area_method=area_method)
+    stand = stand_of_diameters([tree.dbh_cm for tree in trees], plot_area_m2, on_area=on_area, area_method=area_method)
+    if on_area is None or stand.stems_on_area is None:
+        return stand
+    return replace(stand, off_area=tuple(tree.tree_id for tree, on in zip(trees, on_area, strict=True) if not on))
 
 
 def stand_of_diameters(

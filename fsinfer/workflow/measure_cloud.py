@@ -110,7 +110,7 @@ class _Opened:
     warnings: tuple[Notice, ...] = ()
 
 
-MEASURE = Stage(name="measure", version=28, result=MeasuredCloud, outputs=("trees.csv",))
+MEASURE = Stage(name="measure", version=29, result=MeasuredCloud, outputs=("trees.csv",))
 
 
 @one_blas_thread()

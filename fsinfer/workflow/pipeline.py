@@ -65,7 +65,7 @@ class ReportResult:
     path: Path
 
 
-TREES = Stage(name="trees", version=44, result=TreesResult, outputs=("trees.csv", "figures"))
+TREES = Stage(name="trees", version=45, result=TreesResult, outputs=("trees.csv", "figures"))
 REPORT = Stage(name="report", version=1, result=ReportResult, outputs=("report.html",))
 
 

@@ -81,8 +81,9 @@ def write_tables(
     with xlsxwriter.Workbook(body, _OPTIONS | {"in_memory": True}) as book:
         book.set_properties({"title": "Trees of a plot", "comments": "written by fsinfer", "created": _CREATED})
         _write_sheet(book, "trees", COLUMNS, map(table_row, result.all_trees), _format_of_column)
-        stand = asdict(result.stand).items()
-        _write_sheet(book, "stand", ("figure", "value"), stand, lambda _, row: _number_format(str(row[0])))
+        stand = asdict(result.stand)
+        stand["off_area"] = ", ".join(map(str, stand["off_area"]))
+        _write_sheet(book, "stand", ("figure", "value"), stand.items(), lambda _, row: _number_format(str(row[0])))
         if plot:
             _write_sheet(book, "plot", ("figure", "value"), plot, lambda _, row: _number_format(str(row[0])))
         points = (curve_row(point) for curve in curves.values() for point in curve)

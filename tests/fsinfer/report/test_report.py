@@ -181,6 +181,13 @@ def test_stems_off_the_seen_ground_are_told_and_count_to_no_hectare(tmp_path: Pa
     page = make_report(tmp_path).read_text(encoding="utf-8")
     assert '<th scope="row">Stems on that ground</th><td>2 of 3; only they count to the hectare</td>' in page
     assert "<td>All with a DBH</td><td>2</td><td>0.196</td><td>27</td><td>2.6</td>" in page
+    # Where it is known which stands elsewhere, its class has nothing to the hectare.
+    known = given | {"off_area": [2], "basal_area_m2_per_ha": 4.2}
+    full_folder(tmp_path, plot=PLOT | {"stand": known, "plot_area_m2": 500.0})
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    assert "<td>30 to under 35</td><td>1</td><td>0.071</td><td>20</td><td>2.1</td>" in page
+    assert "<td>40 to under 45</td><td>1</td><td>0.126</td><td>0</td><td>0.0</td>" in page
+    assert "<td>All with a DBH</td><td>2</td><td>0.196</td><td>20</td><td>2.1</td>" in page
     # Of a table that was changed since, the same share.
     full_folder(tmp_path, plot=PLOT | {"stand": given | {"stems": 6, "stems_on_area": 4}, "plot_area_m2": 500.0})
     assert stand_of(read_contents(tmp_path)).stems_per_ha == pytest.approx(3 / 0.05 * 4 / 6)

@@ -141,10 +141,12 @@ def test_stems_off_the_seen_ground_count_to_no_hectare(result: PlotResult) -> No
     """33 stems on the area of 29 made a plot of 549 stems a hectare, where 515 stood."""
     trees = [replace(result.trees[0], x_m=0.5 + x, y_m=5.0, dbh_cm=30.0) for x in range(8)]
     trees += [replace(result.trees[0], x_m=x, y_m=5.0, dbh_cm=60.0) for x in (12.0, 14.0)]
+    trees = [replace(tree, tree_id=number) for number, tree in enumerate(trees, 1)]
     seen = SeenCells(seen=np.ones((20, 20), dtype=bool), corner=np.zeros(2), cell_m=0.5)
     places = np.array([[tree.x_m, tree.y_m] for tree in trees])
     stand = replace(result, trees=tuple(trees), seen_ground=seen, plot_area_m2=seen.area(places)).stand
     assert (stand.stems, stand.stems_on_area, stand.plot_area_m2) == (10, 8, 100.0)
+    assert stand.off_area == (9, 10)
     assert stand.stems_per_ha == pytest.approx(800.0)
     assert stand.basal_area_m2_per_ha == pytest.approx(np.pi / 4 * 0.09 * 800.0)
     # Where half of the stems stand elsewhere the area is not that of the plot.
