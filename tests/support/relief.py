@@ -35,6 +35,11 @@ def ditch(depth: float) -> Shape:
     return lambda x, y: -depth * np.exp(-(x**2) / (2 * 0.75**2))
 
 
+def stream(depth: float, middle: float) -> Shape:
+    """Cut into level ground by banks of 0.6 m, a bed of 1.2 m between them."""
+    return lambda x, _y: -depth * np.clip((1.2 - np.abs(x - middle)) / 0.6, 0.0, 1.0)
+
+
 def mound(height: float) -> Shape:
     """Of a windthrow, about the middle."""
     return lambda x, y: height * np.exp(-(x**2 + y**2) / (2 * 0.9**2))
@@ -65,6 +70,8 @@ SHAPES: dict[str, Shape] = {
     "mound_1m": mound(1.0),
     "terrace_0_5m": bank(0.5, width=0.4, middle=8.2),
     "terrace_down_0_5m": bank(-0.5, width=0.4, middle=8.2),
+    "cut_2_5m": bank(2.5, width=1.2, middle=4.5),
+    "stream_2m": stream(2.0, 4.8),
     "gentle": gentle,
 }
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, grey_dilation, grey_erosion
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from fsinfer.trees.ground.settings import GroundSettings
 from fsinfer.trees.points.cells import MAX_TABLE
@@ -25,8 +27,8 @@ class LowestCells:
     """What of a plot can be ground: its lowest dense layers by cell.
 
     ``columns`` are x, y, z (N,) of the points, ``index`` (N,) their cells, ``cell`` (C,) the cells that have a ``low``
-    (C,) of so many points, ``count`` (C,), of which ``reachable`` (C,) can be ground. ``settings`` have the size of
-    the cells that was used.
+    (C,) of so many points, ``count`` (C,), of which ``reachable`` (C,) can be ground, and ``terrace`` (C,) are that
+    above a bank. ``settings`` have the size of the cells that was used.
     """
 
     settings: GroundSettings
@@ -38,6 +40,7 @@ class LowestCells:
     low: Floats
     count: Floats
     reachable: NDArray[np.bool_]
+    terrace: NDArray[np.bool_]
 
 
 def lowest_cells(points: Floats, settings: GroundSettings) -> LowestCells:
@@ -51,7 +54,7 @@ def lowest_cells(points: Floats, settings: GroundSettings) -> LowestCells:
     index *= shape[1]
     index += column
     cell, low, count = _lowest_layers(index, z, settings)
-    reachable = _slope_filter(cell, low, shape, settings)
+    reachable, terrace = _slope_filter(cell, low, shape, settings)
     return LowestCells(
         settings=settings,
         columns=(x, y, z),
@@ -62,6 +65,7 @@ def lowest_cells(points: Floats, settings: GroundSettings) -> LowestCells:
         low=low,
         count=count,
         reachable=reachable,
+        terrace=terrace,
     )
 
 
@@ -72,15 +76,46 @@ def _steps(values: Floats, low: float, size: float) -> Ints:
     return position.astype(np.int64)
 
 
-def _slope_filter(cell: Ints, low: Floats, shape: tuple[int, int], settings: GroundSettings) -> NDArray[np.bool_]:
-    """Which cells can be ground: none nearby lies lower than the steepest slope allows (Vosselman's slope filter)."""
+def _slope_filter(
+    cell: Ints, low: Floats, shape: tuple[int, int], settings: GroundSettings
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which cells can be ground: none nearby lies lower than the steepest slope allows (Vosselman's slope filter).
+
+    And, second, which of them lie on a terrace above a bank that is steeper.
+    """
     surface = np.full(shape, np.inf)
     surface.ravel()[cell] = low
     reach = int(np.ceil(settings.filter_radius_m / settings.cell_m))
     steps = np.arange(-reach, reach + 1) * settings.cell_m
     cone = np.tan(np.radians(settings.max_slope_deg)) * np.hypot(*np.meshgrid(steps, steps)) + settings.filter_slack_m
     lowest = grey_erosion(surface, structure=-cone, mode="constant", cval=np.inf)
-    return np.asarray(low <= lowest.ravel()[cell])
+    return _with_terraces(cell, surface, low <= lowest.ravel()[cell], settings)
+
+
+def _with_terraces(
+    cell: Ints, surface: Floats, reachable: NDArray[np.bool_], settings: GroundSettings
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which cells (C,) can be ground, those above a bank as well, which the steepest slope does not allow there.
+
+    They go on level, step by step, from cells farther from the bank that can be ground; undergrowth has edges all
+    round. The cells (C,) of such terraces come second. ``surface`` (H, W) has the lowest heights of the cells, infinite
+    where there is none.
+    """
+    numbers = np.arange(surface.size).reshape(surface.shape)
+    pairs = []
+    for here, there in ((np.s_[1:], np.s_[:-1]), (np.s_[:, 1:], np.s_[:, :-1])):
+        with np.errstate(invalid="ignore"):
+            level = np.abs(surface[here] - surface[there]) <= settings.terrace_step_m
+        pairs.append((numbers[here][level], numbers[there][level]))
+    first, second = (np.concatenate(ends) for ends in zip(*pairs, strict=True))
+    joined = coo_matrix((np.ones(len(first)), (first, second)), shape=(surface.size, surface.size))
+    _, group = connected_components(joined, directed=False)
+    of_cell = group[cell]
+    all_of, can_be = (np.bincount(of_cell, weights=weights, minlength=1) for weights in (None, reachable))
+    level_ground = (can_be >= settings.terrace_share * all_of) & (can_be >= settings.terrace_cells)
+    above_bank = np.bincount(of_cell, weights=~reachable) >= settings.terrace_hidden
+    firm = (level_ground & above_bank)[of_cell]
+    return np.asarray(reachable | firm), np.asarray(firm)
 
 
 def opened(cell: Ints, low: Floats, shape: tuple[int, int], settings: GroundSettings) -> Floats:

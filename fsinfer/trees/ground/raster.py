@@ -82,13 +82,15 @@ def smooth_surface(
     symmetric: bool = False,
     start: Floats | None = None,
     support: Floats | None = None,
+    firm: NDArray[np.bool_] | None = None,
     held_to: tuple[Floats, float] | None = None,
 ) -> Floats:
     """Penalised least squares surface (H, W) through the heights (C,) of cells; asymmetric unless ``symmetric``.
 
     ``cell`` (C,) are numbers of cells by row, ``smoothness`` the weight of squared second differences against a cell.
     ``start`` (H, W) is a first guess, 0 without one; an asymmetric surface leaves a wrong one only slowly. ``support``
-    (C,), 0 to 1, is how much each cell counts. ``held_to`` is a surface (H, W) and a weight, against one cell's, that
+    (C,), 0 to 1, is how much each cell counts, ``firm`` (C,) are known to be ground and pull wherever they lie.
+    ``held_to`` is a surface (H, W) and a weight, against one cell's, that
     this one keeps to it with: where nothing was seen it returns there instead of going on as steep as it began.
     """
     about, ridge = (np.zeros(shape), _RIDGE) if held_to is None else held_to
@@ -102,6 +104,7 @@ def smooth_surface(
         else:
             limit_above, limit_below = (max(start * factor**step, last) for start, factor, last in (ABOVE_M, BELOW_M))
             weight = np.where(residual > 0, np.exp(-((residual / limit_above) ** 2)), 1.0)
+            weight = weight if firm is None else np.where(firm, 1.0, weight)
             weight = np.where(residual < -limit_below, (limit_below / np.maximum(-residual, 1e-9)) ** 2, weight)
         weight = weight if support is None else weight * support
         surface = equations.solve(stiff, cell, weight, weight * height)

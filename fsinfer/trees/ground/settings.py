@@ -19,6 +19,10 @@ class GroundSettings:
     filter_radius_m: within this distance of a stem foot the ground cannot hide in a crown. Source: not recorded.
     filter_slack_m: stones, roots and noise may stand above what the slope allows. Source: not recorded.
     max_slope_deg: of levelled clouds; steeper is a wall or a cloud that is not z up. Source: not recorded.
+    terrace_step_m: neighbouring cells of level ground differ by no more. Source: geometry; a slope of 27 degrees.
+    terrace_share, terrace_cells: such a stretch can be ground as a whole where this share of its cells can be, and so
+        many. Source: judgement; half of a terrace, and ten square metres.
+    terrace_hidden: and so many of them cannot be, by the slope: it lies above a bank. Source: judgement.
     agree_m: cells so near to the surface agree with it. Source: not recorded.
     band_m: points so near to the surface make its second, finer form; wider where noise is. Source: not recorded.
     plane_share: the plane alone is believed when this share of the cells lies within ``plane_tolerance_m``, and the
@@ -47,6 +51,10 @@ class GroundSettings:
     filter_radius_m: float = 3.0
     filter_slack_m: float = 0.3
     max_slope_deg: float = 40.0
+    terrace_step_m: float = 0.2
+    terrace_share: float = 0.5
+    terrace_cells: int = 64
+    terrace_hidden: int = 4
     agree_m: float = 0.15
     band_m: float = 0.08
     plane_share: float = 0.9

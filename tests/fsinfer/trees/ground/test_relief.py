@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fsinfer.trees import find_ground
+from fsinfer.trees import analyse_plot, find_ground
+from fsinfer.trees.ground.lowest import lowest_cells
+from fsinfer.trees.ground.settings import GroundSettings
 from tests.support.relief import FEET, SHAPES, Shape, gentle, hummocks, relief_plot
 
 
@@ -19,6 +21,8 @@ from tests.support.relief import FEET, SHAPES, Shape, gentle, hummocks, relief_p
         ("hummocks", 0.05),
         ("mound_0_5m", 0.08),
         ("terrace_down_0_5m", 0.05),
+        ("cut_2_5m", 0.08),
+        ("stream_2m", 0.10),
     ],
 )
 def test_the_ground_follows_relief_on_both_sides(name: str, worst_m: float) -> None:
@@ -26,6 +30,27 @@ def test_the_ground_follows_relief_on_both_sides(name: str, worst_m: float) -> N
     ground = find_ground(plot.points)
     assert ground.share > 0.9
     assert np.abs(ground.height_at(FEET) - plot.ground_m).max() < worst_m
+
+
+@pytest.mark.parametrize("name", ["cut_2_5m", "stream_2m"])
+def test_ground_beside_steep_banks_is_part_of_the_plot(name: str) -> None:
+    """Of a plot with a cut of 2.5 m a sixth was missing, of one with a stream half of its stems to the hectare."""
+    stand = analyse_plot(relief_plot(SHAPES[name]).points).stand
+    assert stand.plot_area_m2 == pytest.approx(400.0, rel=0.02)
+    assert (stand.stems, stand.stems_on_area) == (len(FEET), len(FEET))
+
+
+def test_a_thicket_is_no_terrace() -> None:
+    rng = np.random.default_rng(5)
+    xy = rng.uniform(-10.0, 10.0, (80_000, 2))
+    inside = np.abs(xy).max(axis=1) < 3.0
+    points = np.column_stack([xy, np.where(inside, 2.0 + 0.05 * np.sin(3.0 * xy[:, 0]), 0.0)])
+    points[:, 2] += rng.normal(0.0, 0.01, len(points))
+    assert not lowest_cells(points, GroundSettings()).terrace.any()
+    assert np.abs(find_ground(points).height_at(np.zeros((1, 2)))) < 0.3
+    # Half of the plot is level ground above a bank.
+    bank = points + np.column_stack([np.zeros((len(xy), 2)), 2.5 * (xy[:, 0] > 5.0)])
+    assert lowest_cells(bank, GroundSettings()).terrace.mean() == pytest.approx(0.25, abs=0.02)
 
 
 @pytest.mark.parametrize("shape", [gentle, hummocks])

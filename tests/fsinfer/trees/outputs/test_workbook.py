@@ -106,7 +106,7 @@ def test_numbers_are_shown_by_their_unit(plot: Plot, tmp_path: Path) -> None:
              if f"{chr(ord('A') + index)}2" in trees.formats}  # fmt: skip
     assert (shown["x_m"], shown["dbh_cm"], shown["lean_deg"], shown["arc_coverage"]) == ("0.00", "0.0", "0.0", "0.00")
     assert (shown["tree_id"], shown["points"], shown["status"]) == ("General", "General", "General")
-    by_figure = {row[0]: stand.formats[f"B{number}"] for number, row in enumerate(stand.rows(), start=1)}
+    by_figure = {row[0]: stand.formats.get(f"B{number}") for number, row in enumerate(stand.rows(), start=1)}
     assert (by_figure["stems_per_ha"], by_figure["basal_area_m2_per_ha"], by_figure["stems"]) == ("0", "0.0", "General")
     assert by_figure["plot_area_m2"] == by_figure["mean_dbh_cm"] == "0.0"
     assert (curve.formats["B2"], curve.formats["C2"]) == ("0.00", "0.0")
