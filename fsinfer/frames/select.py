@@ -25,6 +25,7 @@ from fsinfer.io.images import (
     read_image,
     read_reduced,
     reduce_image,
+    unread_photos,
     write_image,
 )
 from fsinfer.io.names import by_number, sortable
@@ -289,7 +290,7 @@ def _warnings(rows: Sequence[FrameRow]) -> tuple[Notice, ...]:
 
 
 def _beside(source: Path, out: Path) -> tuple[Notice, ...]:
-    """What lies in folders within ``source``, which nobody looked at."""
+    """What lies in folders within ``source``, and pictures in it of other kinds, which nobody looked at."""
     if not source.is_dir():
         return ()
     own = {path.resolve() for path in (out, *out.parents)}
@@ -298,9 +299,12 @@ def _beside(source: Path, out: Path) -> tuple[Notice, ...]:
         for name, count in folders_of_photos(source, PHOTO_SUFFIXES | VIDEO_SUFFIXES).items()
         if (source / name).resolve() not in own
     }
-    if not found:
-        return ()
-    return (notice(CaptureCode.photos_in_folders, names=tuple(found), photos=sum(found.values())),)
+    told = []
+    if unread := unread_photos(source):
+        told.append(notice(CaptureCode.photos_not_read, kinds=tuple(unread), photos=sum(unread.values())))
+    if found:
+        told.append(notice(CaptureCode.photos_in_folders, names=tuple(found), photos=sum(found.values())))
+    return tuple(told)
 
 
 def _clear(out: Path) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib.util
 import math
 import warnings
+from collections import Counter
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -28,6 +29,10 @@ if TYPE_CHECKING:
 
 #: What :func:`list_images` takes for a photograph, lower case.
 PHOTO_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".heic", ".heif"})
+#: Pictures that nothing here reads: raw ones of cameras and phones, and rare kinds.
+_UNREAD_SUFFIXES = frozenset(
+    {".dng", ".arw", ".cr2", ".cr3", ".nef", ".orf", ".raf", ".rw2", ".avif", ".jxl", ".jp2", ".gif"}
+)
 _HEIF_SUFFIXES = frozenset({".heic", ".heif"})
 #: Brands of still pictures in the first box of a file. Source: format; ISO/IEC 23008-12, annex B.
 _HEIF_BRANDS = frozenset({b"heic", b"heix", b"heim", b"heis", b"mif1"})
@@ -78,9 +83,22 @@ def list_images(folder: Path | str) -> list[Path]:
         way_out = "give the folder that your photos lie in"
         if within := folders_of_photos(folder):
             way_out = f"give one of those within it that do ({', '.join(within)}), or put all photos into one"
+        elif unread := unread_photos(folder):
+            way_out = f"export its {', '.join(unread)} files as JPEG"
         msg = f"{folder} holds no photos ({', '.join(sorted(PHOTO_SUFFIXES))}); {way_out}"
         raise ImageError(msg)
     return paths
+
+
+def unread_photos(folder: Path) -> dict[str, int]:
+    """How many pictures directly in ``folder`` are of which kind that is not read.
+
+    Those that lie there as another kind, too, do not count: phones write a raw file beside the JPEG.
+    """
+    paths = [path for path in folder.iterdir() if not path.name.startswith(".")]
+    read = {path.stem.lower() for path in paths if path.suffix.lower() in PHOTO_SUFFIXES}
+    kinds = (path.suffix.lower() for path in paths if path.stem.lower() not in read)
+    return dict(sorted(Counter(kind for kind in kinds if kind in _UNREAD_SUFFIXES).items()))
 
 
 def folders_of_photos(folder: Path, suffixes: Collection[str] = PHOTO_SUFFIXES) -> dict[str, int]:

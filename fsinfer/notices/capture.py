@@ -25,6 +25,7 @@ class CaptureCode(StrEnum):
     frames_not_used = "frames_not_used"
     names_not_by_time = "names_not_by_time"
     photos_in_folders = "photos_in_folders"
+    photos_not_read = "photos_not_read"
     # Poses
     photo_of_same_name = "photo_of_same_name"
     photo_unreadable = "photo_unreadable"
@@ -65,6 +66,13 @@ def _frames_not_used(values: Mapping[str, Any]) -> str:
 
 def _shown(names: Sequence[str]) -> str:
     return ", ".join(names[:MOST_NAMES]) + (", ..." if len(names) > MOST_NAMES else "")
+
+
+def _not_read(values: Mapping[str, Any]) -> str:
+    return (
+        f"pictures of kinds that are not read ({_shown(values['kinds'])}) were passed over, {values['photos']} in all: "
+        "export them as JPEG"
+    )
 
 
 def _in_folders(values: Mapping[str, Any]) -> str:
@@ -168,6 +176,7 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
         "before them; photos with neighbouring names are matched first, so rename them in the order of their times"
     ),
     CaptureCode.photos_in_folders: _in_folders,
+    CaptureCode.photos_not_read: _not_read,
     CaptureCode.photo_of_same_name: "{name} was left out: {other} has the same name",
     CaptureCode.photo_unreadable: "left out: {error}",
     CaptureCode.photos_unplaced: _left_out(

@@ -100,6 +100,21 @@ def test_a_folder_of_clips_alone_and_an_empty_one(tmp_path: Path) -> None:
         select_frames(tmp_path / "none", tmp_path / "out2")
 
 
+def test_pictures_of_kinds_that_are_not_read_are_told_of(tmp_path: Path) -> None:
+    for name in ("b.DNG", "c.dng", "d.avif", ".e.dng"):
+        (tmp_path / name).write_bytes(b"")
+    with pytest.raises(ImageError, match=r"holds no photos .*; export its \.avif, \.dng files as JPEG"):
+        select_frames(tmp_path, tmp_path / "out")
+    for number, name in enumerate("abcf"):
+        write_image(tmp_path / f"{name}.jpg", photo(number))
+    # Of a raw file that lies beside its JPEG nothing is lost.
+    (told,) = select_frames(tmp_path, tmp_path / "out").warnings
+    assert told == notice(CaptureCode.photos_not_read, kinds=(".avif",), photos=1)
+    assert sentence(told) == (
+        "pictures of kinds that are not read (.avif) were passed over, 1 in all: export them as JPEG"
+    )
+
+
 def test_photos_in_folders_within_are_told_of(tmp_path: Path) -> None:
     folder = tmp_path / "DCIM"
     for name in ("100APPLE", "101APPLE", ".thumbnails", "results", "notes"):
