@@ -121,7 +121,8 @@ def find_ground(points: Floats, *, settings: GroundSettings | None = None, seed:
     if share < settings.min_ground_share or len(cell) < 3:
         msg = (
             f"no ground in the cloud: only {100 * share:.0f} % of the plot agrees on one surface; "
-            "the cloud must be in metres with z up and show the ground around the stems"
+            "the cloud must be in metres with z up, show the ground around the stems, and have few stray points below "
+            "it (take out noise first)"
         )
         raise CloudError(msg)
     noise = _core_noise(relative - surface.ravel()[cell], settings)

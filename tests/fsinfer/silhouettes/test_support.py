@@ -111,3 +111,13 @@ def test_small_pictures_that_spoil_a_second_pair_are_left_out_of_it() -> None:
     assert large.fit is not None
     for looked, supported in ((large, True), (spoilt, True), (replace(spoilt, fitted=spoilt.edges), False)):
         assert is_supported(section, 0.01, looked, large.fit, silhouette=SilhouetteSettings()) is supported
+
+
+@pytest.mark.parametrize(("share", "supported"), [(0.79, False), (0.81, True)])
+def test_edges_that_a_fifth_of_the_rays_contradicts_are_supported_by_nothing(share: float, supported: bool) -> None:
+    """Twigs of a shrub made a stem of 81 cm, half of the demo's basal area."""
+    looked = seen_from(WIDE)
+    assert looked.fit is not None
+    fit = replace(looked.fit, share=share)
+    section = refused(0.06, SEEN_LITTLE)
+    assert is_supported(section, 0.002, looked, fit, silhouette=SilhouetteSettings()) is supported
