@@ -17,6 +17,7 @@ _HABITS = frozenset(
     {
         CaptureCode.rolling_shutter,
         CaptureCode.focal_length_changes,
+        CaptureCode.lenses_mixed,
         CaptureCode.picture_shifts,
         CaptureCode.parts_joined,
         CaptureCode.part_apart,

@@ -37,6 +37,7 @@ class CaptureCode(StrEnum):
     part_apart = "part_apart"
     rolling_shutter = "rolling_shutter"
     focal_length_changes = "focal_length_changes"
+    lenses_mixed = "lenses_mixed"
     picture_shifts = "picture_shifts"
     # Depth
     views_without_sources = "views_without_sources"
@@ -208,6 +209,12 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
     CaptureCode.focal_length_changes: (
         "the focal length changed by {percent:.2f} % from photo to photo; that was undone, but lock the focus before "
         "the first photo"
+    ),
+    CaptureCode.lenses_mixed: (
+        "the focal length differs by {percent:.1f} % from photo to photo, more than focusing changes it: photos of two "
+        "lenses or zooms seem to be mixed without telling so, and every DBH may be wrong by more than it says; "
+        "photograph with one lens and do not zoom, and copy the files as they are (messengers take away what photos "
+        "tell of their lens)"
     ),
     CaptureCode.picture_shifts: (
         "the middle of the picture shifted by {shift_px:.1f} pixels from photo to photo, as a stabiliser does; that "

@@ -19,7 +19,9 @@ def told(adjustment: PhotoAdjustment, settings: AdjustmentSettings, larger: floa
     if shutter is not None and shutter >= settings.told_px * larger:
         found.append(notice(CaptureCode.rolling_shutter, median_px=round(shutter, 1)))
     if focal is not None and focal >= 100 * settings.told_focal:
-        found.append(notice(CaptureCode.focal_length_changes, percent=round(focal, 2)))
+        mixed = focal >= 100 * settings.told_lenses
+        code = CaptureCode.lenses_mixed if mixed else CaptureCode.focal_length_changes
+        found.append(notice(code, percent=round(focal, 2)))
     if principal is not None and principal >= settings.told_px * larger:
         found.append(notice(CaptureCode.picture_shifts, shift_px=round(principal, 1)))
     return found

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsinfer.notices.sentences import sentences
+from fsinfer.notices.sentences import sentence, sentences
 from fsinfer.poses.adjustment.adjust import PhotoAdjustment, adjust_photos, like, weighting_of
 from fsinfer.poses.adjustment.fit import fit
 from fsinfer.poses.adjustment.problem import from_model
@@ -132,5 +132,8 @@ def test_large_effects_are_told_with_what_to_do() -> None:
     assert [any(word in text for text in said) for word in ("2.3 pixels", "0.31 %", "2.0 pixels")] == [True] * 3
     assert "stand still" in said[0]
     assert "lock the focus" in said[1]
+    (mixed,) = told(PhotoAdjustment(focal_std_percent=4.37), settings)
+    assert mixed.code == "lenses_mixed"
+    assert "photos of two lenses or zooms" in sentence(mixed)
     # Pixels of photos twice as large are half as much.
     assert [item.code for item in told(large, settings, larger=3)] == ["focal_length_changes"]
