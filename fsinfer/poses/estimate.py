@@ -290,11 +290,13 @@ def _write_scene(
     return tuple(image_ids)
 
 
-def _quality(model: Any) -> dict[str, float]:
-    """Figures that tell a good model from a poor one, for ``poses.json``."""
-    return {
+def _quality(model: Any) -> dict[str, float | None]:
+    """Figures that tell a good model from a poor one, for ``poses.json``; None for those that are no number."""
+    figures: dict[str, float] = {
         "points": int(model.num_points3D()),
         "mean_reprojection_error_px": round(float(model.compute_mean_reprojection_error()), 4),
         "mean_track_length": round(float(model.compute_mean_track_length()), 3),
         "observations_per_photo": round(float(model.compute_mean_observations_per_reg_image()), 1),
     }
+    # A point in the plane of a camera has no place in its photo.
+    return {name: value if np.isfinite(value) else None for name, value in figures.items()}

@@ -137,8 +137,10 @@ def coordinate_step(xyz: Floats) -> float:
 
 
 def as_numbers(points: ArrayLike) -> Floats:
-    """The points as float64; :class:`~fsinfer.errors.CloudError` where they are no numbers."""
+    """The points as float64, NaN where masked; :class:`~fsinfer.errors.CloudError` where they are no numbers."""
     try:
+        if isinstance(points, np.ma.MaskedArray):
+            return np.asarray(np.ma.filled(points.astype(np.float64), np.nan))
         return np.asarray(points, dtype=np.float64)
     except (TypeError, ValueError) as error:
         msg = f"the cloud must be an array of numbers of shape (N, 3), got {type(points).__name__}: {error}"

@@ -143,6 +143,14 @@ def test_nan_points_are_left_out_with_a_warning(plot: StemPlot, result: PlotResu
     assert len(found.trees) == len(result.trees)
 
 
+def test_masked_points_are_left_out_with_a_warning(plot: StemPlot, result: PlotResult) -> None:
+    dirty = np.ma.masked_array(np.concatenate([plot.points, [[0.0, 0.0, 9.0]]]))
+    dirty[-1] = np.ma.masked
+    found = analyse_plot(dirty)
+    assert notice(StemCode.not_finite, points=1) in found.warnings
+    assert found.trees == result.trees
+
+
 def test_a_point_a_mile_away_does_not_matter(plot: StemPlot, result: PlotResult) -> None:
     found = analyse_plot(np.concatenate([plot.points, [[1609.0, 0.0, 0.0]]]))
     assert notice(StemCode.far_outside, points=1) in found.warnings
