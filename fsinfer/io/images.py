@@ -95,10 +95,15 @@ def unread_photos(folder: Path) -> dict[str, int]:
 
     Those that lie there as another kind, too, do not count: phones write a raw file beside the JPEG.
     """
-    paths = [path for path in folder.iterdir() if not path.name.startswith(".")]
-    read = {path.stem.lower() for path in paths if path.suffix.lower() in PHOTO_SUFFIXES}
-    kinds = (path.suffix.lower() for path in paths if path.stem.lower() not in read)
+    paths = [path for path in folder.iterdir() if not path.name.startswith(".") and path.is_file()]
+    read = {_shot(path) for path in paths if path.suffix.lower() in PHOTO_SUFFIXES}
+    kinds = (path.suffix.lower() for path in paths if _shot(path) not in read)
     return dict(sorted(Counter(kind for kind in kinds if kind in _UNREAD_SUFFIXES).items()))
+
+
+def _shot(path: Path) -> str:
+    """What the files of one shot have in common: PXL_1.RAW-01.COVER.jpg and PXL_1.RAW-02.ORIGINAL.dng."""
+    return path.stem.lower().split(".raw-")[0]
 
 
 def folders_of_photos(folder: Path, suffixes: Collection[str] = PHOTO_SUFFIXES) -> dict[str, int]:

@@ -38,8 +38,9 @@ _RECORD_BYTES = 65_535
 _COLOUR_FACTOR = 257
 #: Points that are unpacked at once. Source: numerics; a header that lies costs no more memory than so many.
 _PIECE_POINTS, _PIECE_BYTES = 1_000_000, 1 << 28
-#: Classes of points that are noise, below and above. Source: format; LAS 1.4, table 17.
-_NOISE_CLASSES = (7, 18)
+#: Classes of points that are noise, below and above; in point formats before the sixth the latter means nothing.
+#: Source: format; LAS 1.4, tables 9 and 17.
+_LOW_NOISE, _HIGH_NOISE, _HIGH_NOISE_FROM = 7, 18, 6
 #: Keys ProjectedCSTypeGeoKey and GeographicTypeGeoKey, and the value for "user defined". Source: format; GeoTIFF 1.1.
 _PROJECTED_KEY, _GEOGRAPHIC_KEY, _USER_DEFINED = 3072, 2048, 32767
 
@@ -48,7 +49,11 @@ _log = logging.getLogger(__name__)
 
 def flagged(record: Any) -> NDArray[np.bool_]:
     """(N,) which points of a laspy record are not to be used: marked as withheld (deleted), or classed as noise."""
-    return np.asarray(record.withheld, dtype=bool) | np.isin(np.asarray(record.classification), _NOISE_CLASSES)
+    classes = np.asarray(record.classification)
+    noise = classes == _LOW_NOISE
+    if record.point_format.id >= _HIGH_NOISE_FROM:
+        noise |= classes == _HIGH_NOISE
+    return np.asarray(np.asarray(record.withheld, dtype=bool) | noise)
 
 
 def read_las(path: Path) -> tuple[dict[str, NDArray[Any]], int]:
@@ -146,14 +151,16 @@ def iterate_las(path: Path, chunk_points: int) -> Iterator[Any]:
 
 
 def sample_las(path: Path, starts: Sequence[int], count: int) -> NDArray[np.float64]:
-    """Coordinates (N, 3) of ``count`` points from each of ``starts`` on, without those that are :func:`flagged`."""
+    """Coordinates (N, 3) of ``count`` points from each of ``starts`` on, if possible without those :func:`flagged`."""
     pieces = []
     with open_las(path) as reader:
         for start in starts:
             reader.seek(start)
             record = reader.read_points(count)
-            pieces.append(np.column_stack([record.x, record.y, record.z])[~flagged(record)])
-    return np.concatenate(pieces) if pieces else np.zeros((0, 3))
+            pieces.append((np.column_stack([record.x, record.y, record.z]), ~flagged(record)))
+    xyz, used = (np.concatenate(parts) for parts in zip(*pieces, strict=True)) if pieces else (np.zeros((0, 3)), None)
+    # Pieces may all be of a stretch that is flagged.
+    return xyz if used is None or not used.any() else xyz[used]
 
 
 def read_epsg(path: Path) -> int | None:

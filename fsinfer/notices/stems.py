@@ -78,6 +78,7 @@ class StemCode(StrEnum):
     little_ground = "little_ground"
     lean_alike = "lean_alike"
     thicker_upwards = "thicker_upwards"
+    level_top = "level_top"
     turned = "turned"
     thinned = "thinned"
     post_of_marker = "post_of_marker"
@@ -175,6 +176,9 @@ SENTENCES: dict[StemCode, str] = {
         "the stems lean the same way, {lean_deg:.0f} degrees in the mean of {stems}: either the stand does, or the "
         "cloud does not stand upright, and then heights, breast heights and slopes are wrong"
     ),
+    StemCode.level_top: (
+        "the top of the cloud is more like a ground than its bottom, but its stems grow thinner upwards"
+    ),
     StemCode.thicker_upwards: "nearly all of the {stems} stems grow thicker upwards, as if z pointed down",
     StemCode.turned: "the cloud did not stand upright: {how} in it",
     StemCode.thinned: (
@@ -224,6 +228,7 @@ ADVICE: dict[StemCode, str] = {
     StemCode.none_at_stem_height: "check the scale, or photograph the stems as well as the ground",
     StemCode.none_round: "check the scale",
     StemCode.lean_alike: "compare with a plumb line or with a stem that you know to be upright, and level the cloud",
+    StemCode.level_top: "it was left as it stands; look at it in a viewer if it was not cut off level",
     StemCode.thicker_upwards: "look at the cloud in a viewer, and turn it if it stands on its head",
     StemCode.turned: "it was turned, and so is the frame of all results",
 }

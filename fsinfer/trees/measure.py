@@ -134,7 +134,20 @@ def analyse_plot(
         msg = f"bh_rule must be {' or '.join(repr(rule.value) for rule in BhRule)}, got {settings.bh_rule!r}"
         raise CloudError(msg)
     if not metric:
-        return _without_scale(points, settings, units_per_m_hint, progress)
+        return _without_scale(points, settings, units_per_m_hint, progress, turned=turned)
+    return _analysed(points, settings, scale_rel_std, progress, turned=turned, all_sides=not turned)
+
+
+def _analysed(
+    points: ArrayLike,
+    settings: TreeSettings,
+    scale_rel_std: float,
+    progress: Progress,
+    *,
+    turned: bool,
+    all_sides: bool,
+) -> PlotResult:
+    """:func:`analyse_plot` in metres; ``all_sides``: a cloud with no measurable stem is looked at from its others."""
     xyz, warnings = clean(points, settings.sanity)
     # Work about a local origin: map coordinates of 10^6 m would cost precision in the fits.
     few = np.ascontiguousarray(xyz[:: max(len(xyz) // BOX_POINTS, 1), :2].T)
@@ -186,11 +199,13 @@ def analyse_plot(
     in_part = ground.share < settings.sanity.min_ground
     sound = any(tree.status == "ok" if in_part else tree.dbh_cm is not None for tree, _ in pairs)
     tapers = _tapers([section for _, section in pairs])
-    if on_head and not thin_upwards(tapers, settings.sanity):
-        raise TurnedCloudError(*TURNS[-1])
+    if on_head:
+        if not thin_upwards(tapers, settings.sanity):
+            raise TurnedCloudError(*TURNS[-1])
+        warnings.append(notice(StemCode.level_top))
     if not turned and thicker_upwards(tapers, settings.sanity):
         warnings.append(notice(StemCode.thicker_upwards, stems=len(tapers)))
-    if not turned and not sound:
+    if all_sides and not sound:
         _check_turned(local, settings)
     centers = np.array([[tree.x_m, tree.y_m] for tree, _ in pairs]).reshape(-1, 2)
     seen = seen_cells(low)
@@ -269,14 +284,20 @@ def _diagnosis(trees: list[Tree], search: StemSearch, stand: Floats, settings: T
 
 
 def _without_scale(
-    points: ArrayLike, settings: TreeSettings, units_per_m_hint: float | None, progress: Progress
+    points: ArrayLike,
+    settings: TreeSettings,
+    units_per_m_hint: float | None,
+    progress: Progress,
+    *,
+    turned: bool,
 ) -> PlotResult:
     xyz = as_numbers(points)
     units = 1.0 if units_per_m_hint is None else units_per_m_hint
     if not (np.isfinite(units) and units > 0):
         msg = f"units_per_m_hint must be a positive number, got {units_per_m_hint}"
         raise CloudError(msg)
-    result = analyse_plot(xyz / units, settings=settings, progress=progress, turned=True)
+    # By a size that was guessed nobody can tell stems of other sides; which way up those are that it finds, it can.
+    result = _analysed(xyz / units, settings, 0.0, progress, turned=turned, all_sides=False)
     trees = [
         replace(
             tree,

@@ -60,7 +60,7 @@ class ThinningSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class ThinnedCloud:
-    """Points (N, 3) float64 kept of ``total``, and what the user should know about that."""
+    """Points (N, 3) float64 kept of ``total`` that can be used, and what the user should know about that."""
 
     xyz: Floats
     total: int
@@ -104,6 +104,11 @@ def thin_while_reading(
         np.add.at(counts, index, np.uint32(1))
         finite, inside = finite + len(xyz), inside + len(index)
         progress(finite // 2, cloud.points, "reading the cloud")
+    used = cloud.points - sum(flagged)
+    if not finite:
+        why = f": {sum(flagged)} are marked as withheld or as noise" if any(flagged) else ""
+        msg = f"{cloud.path} holds no points that can be used{why}; export the cloud again"
+        raise CloudError(msg)
     fine = _fine_cells(counts.reshape(grid.shape), grid.cell_m, s).ravel()
     budgets = _split(int(counts[fine].sum()), int(counts[~fine].sum()), s)
     crowd = _crowd(counts.reshape(grid.shape)).ravel()
@@ -122,14 +127,14 @@ def thin_while_reading(
         kept.append(xyz[within][drawn])
         read += len(xyz)
         progress((finite + read) // 2, cloud.points, "reading the cloud")
-    warnings = [_told(cloud.points, sum(map(len, kept)), most, grid.cell_m, s)]
+    warnings = [_told(used, sum(map(len, kept)), most, grid.cell_m, s)]
     if any(flagged):
         warnings.append(notice(StemCode.flagged, points=sum(flagged)))
-    if finite + sum(flagged) < cloud.points:
-        warnings.append(notice(StemCode.not_finite, points=cloud.points - finite - sum(flagged)))
+    if finite < used:
+        warnings.append(notice(StemCode.not_finite, points=used - finite))
     if inside < finite:
         warnings.append(notice(StemCode.far_outside, points=finite - inside))
-    return ThinnedCloud(xyz=np.concatenate(kept), total=cloud.points, warnings=tuple(warnings))
+    return ThinnedCloud(xyz=np.concatenate(kept), total=used, warnings=tuple(warnings))
 
 
 def _grid(sample: Floats, cloud: ChunkedCloud, s: ThinningSettings) -> _Grid:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fsinfer.io.chunks import ChunkedCloud, open_chunks
 from fsinfer.io.cloud import PointCloud, cloud_of_columns, read_cloud
-from fsinfer.io.las import iterate_las
+from fsinfer.io.las import flagged, iterate_las
 
 #: A cloud of more points than this is read in pieces, every n-th point of it. Source: numerics.
 MAX_IN_MEMORY = 4_000_000
@@ -95,7 +95,7 @@ def _every(chunked: ChunkedCloud, every: int) -> Any:
             yield {name: values[::every] for name, values in columns.items() if name in (*"xyz", *_COLUMNS)}
         return
     for record in iterate_las(chunked.path, size):
-        names = {*record.point_format.dimension_names}
-        columns = {axis: np.asarray(record[axis], dtype=np.float64)[::every] for axis in "xyz"}
-        columns |= {name: np.asarray(record[name])[::every] for name in _COLUMNS if name in names}
+        names, used = {*record.point_format.dimension_names}, ~flagged(record)
+        columns = {axis: np.asarray(record[axis], dtype=np.float64)[used][::every] for axis in "xyz"}
+        columns |= {name: np.asarray(record[name])[used][::every] for name in _COLUMNS if name in names}
         yield columns

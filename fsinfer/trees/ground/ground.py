@@ -108,7 +108,7 @@ def find_ground(points: Floats, *, settings: GroundSettings | None = None, seed:
     tolerance = float(np.clip(2.0 * noise, *settings.tolerance_m))
     plane_share = float(np.mean(np.abs(relative) <= settings.plane_tolerance_m))
     low_enough = opened(cell, relative, shape, settings)
-    firm = seen.terrace[reachable]
+    firm = seen.at_bank[reachable]
     surface = smooth_surface(cell, relative, shape, settings.smoothness[0], start=low_enough, support=known, firm=firm)
     # A mound or a terrace that few cells show is relief all the same, and a stem may stand on it.
     on_plane = np.abs(surface.ravel()[cell]).max() <= settings.plane_tolerance_m

@@ -27,8 +27,8 @@ class LowestCells:
     """What of a plot can be ground: its lowest dense layers by cell.
 
     ``columns`` are x, y, z (N,) of the points, ``index`` (N,) their cells, ``cell`` (C,) the cells that have a ``low``
-    (C,) of so many points, ``count`` (C,), of which ``reachable`` (C,) can be ground, and ``terrace`` (C,) are that
-    above a bank. ``settings`` have the size of the cells that was used.
+    (C,) of so many points, ``count`` (C,), of which ``reachable`` (C,) can be ground, and ``at_bank`` (C,) lie about a
+    bank steeper than the slope of ground, on either side. ``settings`` have the size of the cells that was used.
     """
 
     settings: GroundSettings
@@ -40,7 +40,7 @@ class LowestCells:
     low: Floats
     count: Floats
     reachable: NDArray[np.bool_]
-    terrace: NDArray[np.bool_]
+    at_bank: NDArray[np.bool_]
 
 
 def lowest_cells(points: Floats, settings: GroundSettings) -> LowestCells:
@@ -54,7 +54,7 @@ def lowest_cells(points: Floats, settings: GroundSettings) -> LowestCells:
     index *= shape[1]
     index += column
     cell, low, count = _lowest_layers(index, z, settings)
-    reachable, terrace = _slope_filter(cell, low, shape, settings)
+    reachable, at_bank = _slope_filter(cell, low, shape, settings)
     return LowestCells(
         settings=settings,
         columns=(x, y, z),
@@ -65,7 +65,7 @@ def lowest_cells(points: Floats, settings: GroundSettings) -> LowestCells:
         low=low,
         count=count,
         reachable=reachable,
-        terrace=terrace,
+        at_bank=at_bank,
     )
 
 
@@ -81,7 +81,7 @@ def _slope_filter(
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Which cells can be ground: none nearby lies lower than the steepest slope allows (Vosselman's slope filter).
 
-    And, second, which of them lie on a terrace above a bank that is steeper.
+    And, second, which lie about a bank that is steeper.
     """
     surface = np.full(shape, np.inf)
     surface.ravel()[cell] = low
@@ -97,9 +97,9 @@ def _with_terraces(
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Which cells (C,) can be ground, those above a bank as well, which the steepest slope does not allow there.
 
-    They go on level, step by step, from cells farther from the bank that can be ground; undergrowth has edges all
-    round. The cells (C,) of such terraces come second. ``surface`` (H, W) has the lowest heights of the cells, infinite
-    where there is none.
+    They go on level, step by step, from cells farther from the bank that can be ground. All cells (C,) near them come
+    second, above the bank and below it. ``surface`` (H, W) has the lowest heights of the cells, infinite where there is
+    none.
     """
     numbers = np.arange(surface.size).reshape(surface.shape)
     pairs = []
@@ -113,9 +113,14 @@ def _with_terraces(
     of_cell = group[cell]
     all_of, can_be = (np.bincount(of_cell, weights=weights, minlength=1) for weights in (None, reachable))
     level_ground = (can_be >= settings.terrace_share * all_of) & (can_be >= settings.terrace_cells)
-    above_bank = np.bincount(of_cell, weights=~reachable) >= settings.terrace_hidden
-    firm = (level_ground & above_bank)[of_cell]
-    return np.asarray(reachable | firm), np.asarray(firm)
+    above_bank = np.bincount(of_cell, weights=~reachable, minlength=1) >= settings.terrace_hidden
+    hidden = (level_ground & above_bank)[of_cell] & ~reachable
+    if not hidden.any():
+        return reachable, hidden
+    elsewhere = np.ones(surface.size, dtype=bool)
+    elsewhere[cell[hidden]] = False
+    distance = distance_transform_edt(elsewhere.reshape(surface.shape)).ravel()[cell]
+    return np.asarray(reachable | hidden), np.asarray(distance * settings.cell_m <= settings.filter_radius_m)
 
 
 def opened(cell: Ints, low: Floats, shape: tuple[int, int], settings: GroundSettings) -> Floats:

@@ -105,7 +105,9 @@ def test_pictures_of_kinds_that_are_not_read_are_told_of(tmp_path: Path) -> None
         (tmp_path / name).write_bytes(b"")
     with pytest.raises(ImageError, match=r"holds no photos .*; export its \.avif, \.dng files as JPEG"):
         select_frames(tmp_path, tmp_path / "out")
-    for number, name in enumerate("abcf"):
+    (tmp_path / "f.RAW-02.ORIGINAL.dng").write_bytes(b"")
+    (tmp_path / "g.gif").mkdir()
+    for number, name in enumerate(("a", "b", "c", "f.RAW-01.COVER")):
         write_image(tmp_path / f"{name}.jpg", photo(number))
     # Of a raw file that lies beside its JPEG nothing is lost.
     (told,) = select_frames(tmp_path, tmp_path / "out").warnings

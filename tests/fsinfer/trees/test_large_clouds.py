@@ -19,6 +19,7 @@ from fsinfer.notices.sentences import sentences
 from fsinfer.notices.stems import StemCode
 from fsinfer.output.plot_json import read_plot
 from fsinfer.plot_border.request import BorderRequest
+from fsinfer.report.cloud.data import read_some
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.trees import analyse_plot
 from fsinfer.trees.outputs.table import read_trees
@@ -129,7 +130,10 @@ def test_scaled_large_files_lose_their_frame_and_keep_their_points(cloud: PointC
 
 
 @pytest.mark.parametrize("max_points", [THIN.max_points, 10_000_000])
-def test_what_a_file_marks_as_noise_is_not_measured(plot: StemPlot, tmp_path: Path, max_points: int) -> None:
+def test_what_a_file_marks_as_noise_is_not_measured(
+    plot: StemPlot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, max_points: int
+) -> None:
+    monkeypatch.setattr("fsinfer.report.cloud.data.MAX_IN_MEMORY", max_points)
     rng = np.random.default_rng(3)
     noise = rng.uniform(plot.points.min(axis=0) - [0, 0, 2.0], plot.points.max(axis=0), (len(plot.points) // 5, 3))
     kinds = np.repeat([1, 7], [len(plot.points), len(noise)]).astype(np.uint8)
@@ -140,6 +144,18 @@ def test_what_a_file_marks_as_noise_is_not_measured(plot: StemPlot, tmp_path: Pa
     assert notice(StemCode.flagged, points=len(noise)) in record.result.trees.warnings
     assert StemCode.not_finite not in {told.code for told in record.result.trees.warnings}
     assert record.result.trees.trees_with_dbh == len(plot.dbh_cm)
+    assert record.result.points == len(plot.points)
+    shown, _ = read_some(tmp_path / "a.laz")
+    assert shown.xyz[:, 2].min() > plot.points[:, 2].min() - 0.01
+
+
+def test_a_large_file_in_which_all_is_noise_says_so(plot: StemPlot, tmp_path: Path) -> None:
+    kinds = np.full(len(plot.points), 7, np.uint8)
+    write_cloud(tmp_path / "a.laz", PointCloud(xyz=plot.points, extra={"classification": kinds}))
+    with pytest.raises(CloudError, match=f"{len(kinds)} are marked as withheld or as noise"):
+        measure_cloud_file(
+            tmp_path / "a.laz", tmp_path / "out", request=ScaleRequest(), settings=MeasureSettings(thinning=THIN)
+        )
 
 
 def test_points_far_away_and_without_a_place_are_left_out(plot: StemPlot, tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from fsinfer.notices.stems import StemCode
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.trees import analyse_plot
 from fsinfer.trees.outputs.table import read_trees
-from fsinfer.trees.sanity import TURNS, SanitySettings, thicker_upwards, thin_upwards
+from fsinfer.trees.sanity import TURNS, SanitySettings, TurnedCloudError, thicker_upwards, thin_upwards
 from fsinfer.workflow.measure_cloud import measure_cloud_file
 from tests.support.stem_clouds import stem_plot
 
@@ -63,7 +63,18 @@ def cut_in_the_crowns(ground_per_m2: float) -> NDArray[np.float64]:
 def test_a_cloud_cut_off_in_the_crowns_above_thin_ground_is_left_alone() -> None:
     found = analyse_plot(cut_in_the_crowns(8.0))
     assert [tree.dbh_cm for tree in found.trees] == pytest.approx([30.0] * 9, abs=0.6)
-    assert StemCode.thicker_upwards not in {told.code for told in found.warnings}
+    codes = {told.code for told in found.warnings}
+    assert StemCode.level_top in codes
+    assert StemCode.thicker_upwards not in codes
+
+
+def test_a_cloud_without_a_scale_is_asked_which_way_up_it_stands() -> None:
+    plot = stem_plot(seed=1, trees=4, spacing_m=0.02, top_m=3.5)
+    with pytest.raises(TurnedCloudError, match="z points down"):
+        analyse_plot(plot.points * [1.0, -1.0, -1.0], metric=False)
+    assert len(analyse_plot(plot.points, metric=False).trees) == 4
+    # Cameras have told.
+    assert analyse_plot(plot.points * [1.0, -1.0, -1.0], metric=False, turned=True).units_per_m == 1.0
 
 
 def test_stems_that_all_grow_thicker_upwards_are_told_of() -> None:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fsinfer.trees import analyse_plot, find_ground
 from fsinfer.trees.ground.lowest import lowest_cells
 from fsinfer.trees.ground.settings import GroundSettings
-from tests.support.relief import FEET, SHAPES, Shape, gentle, hummocks, relief_plot
+from tests.support.relief import FEET, SHAPES, Shape, gentle, hummocks, relief_plot, stream
 
 
 @pytest.mark.parametrize(
@@ -40,17 +41,48 @@ def test_ground_beside_steep_banks_is_part_of_the_plot(name: str) -> None:
     assert (stand.stems, stand.stems_on_area) == (len(FEET), len(FEET))
 
 
-def test_a_thicket_is_no_terrace() -> None:
-    rng = np.random.default_rng(5)
+def surface_points(shape: Shape, *, seed: int = 5) -> NDArray[np.float64]:
+    """Points on a surface of 20 m by 20 m, without stems."""
+    rng = np.random.default_rng(seed)
     xy = rng.uniform(-10.0, 10.0, (80_000, 2))
-    inside = np.abs(xy).max(axis=1) < 3.0
-    points = np.column_stack([xy, np.where(inside, 2.0 + 0.05 * np.sin(3.0 * xy[:, 0]), 0.0)])
-    points[:, 2] += rng.normal(0.0, 0.01, len(points))
-    assert not lowest_cells(points, GroundSettings()).terrace.any()
+    return np.column_stack([xy, shape(*xy.T) + rng.normal(0.0, 0.01, len(xy))])
+
+
+def test_a_thicket_is_no_terrace() -> None:
+    def thicket(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.where((np.abs(x) < 3.0) & (np.abs(y) < 3.0), 2.0 + 0.05 * np.sin(3.0 * x), 0.0)
+
+    points = surface_points(thicket)
+    assert not lowest_cells(points, GroundSettings()).at_bank.any()
     assert np.abs(find_ground(points).height_at(np.zeros((1, 2)))) < 0.3
-    # Half of the plot is level ground above a bank.
-    bank = points + np.column_stack([np.zeros((len(xy), 2)), 2.5 * (xy[:, 0] > 5.0)])
-    assert lowest_cells(bank, GroundSettings()).terrace.mean() == pytest.approx(0.25, abs=0.02)
+    # Beside a bank along the plot three metres of either side are looked at without prejudice.
+    bank = points + np.column_stack([np.zeros((len(points), 2)), 2.5 * (points[:, 0] > 5.0)])
+    cells = lowest_cells(bank, GroundSettings())
+    assert cells.at_bank.mean() == pytest.approx((2.6 + 3.0 + 3.0) / 20.0, abs=0.08)
+
+
+@pytest.mark.parametrize(("height", "radius"), [(0.4, 1.2), (0.8, 2.5)])
+def test_a_stream_far_away_does_not_lift_the_ground_onto_ferns(height: float, radius: float) -> None:
+    def ferns(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        off = np.minimum(np.hypot(x + 4.0, y) / radius, 1.0)
+        return np.asarray(0.5 * height * (1.0 + np.cos(np.pi * off)))
+
+    at = np.array([[-4.0, 0.0]])
+    alone = find_ground(surface_points(ferns)).height_at(at)
+    beside = find_ground(surface_points(lambda x, y: ferns(x, y) + stream(2.0, 6.0)(x, y))).height_at(at)
+    assert float(beside[0] - alone[0]) < 0.03
+
+
+@pytest.mark.parametrize(("radius", "depth"), [(1.0, 2.0), (2.0, 2.0), (1.5, 1.0)])
+def test_the_floor_of_a_hollow_with_steep_sides_is_ground(radius: float, depth: float) -> None:
+    width = depth / np.tan(np.radians(60.0))
+
+    def hollow(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(-depth * np.clip((radius + width - np.hypot(x - 5.0, y - 5.0)) / width, 0.0, 1.0))
+
+    places = np.array([[5.0, 5.0], [5.0 + 0.7 * radius, 5.0], [-5.0, -5.0]])
+    error = find_ground(surface_points(hollow)).height_at(places) - [-depth, -depth, 0.0]
+    assert np.abs(error).max() < 0.1
 
 
 @pytest.mark.parametrize("shape", [gentle, hummocks])
