@@ -140,10 +140,14 @@ def read_and_tell(path: Path) -> ReadCloud:
     if dropped:
         cloud = cloud.select(finite)
     if not len(cloud):
-        why = f": {flagged} are marked as withheld or as noise" if flagged else ""
-        msg = f"{path} holds no points that can be used{why}; export the cloud again"
-        raise CloudError(msg)
+        raise nothing_usable(path, flagged)
     return ReadCloud(cloud=cloud, not_finite=dropped, flagged=flagged)
+
+
+def nothing_usable(path: Path, flagged: int = 0) -> CloudError:
+    """What to say of a file without a point that can be used, where so many are ``flagged`` (:class:`ReadCloud`)."""
+    why = f": {flagged} are marked as withheld or as noise" if flagged else ""
+    return CloudError(f"{path} holds no points that can be used{why}; export the cloud again")
 
 
 def write_cloud(path: Path | str, cloud: PointCloud, *, frame_of: Path | None = None) -> None:

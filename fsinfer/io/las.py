@@ -158,9 +158,11 @@ def sample_las(path: Path, starts: Sequence[int], count: int) -> NDArray[np.floa
             reader.seek(start)
             record = reader.read_points(count)
             pieces.append((np.column_stack([record.x, record.y, record.z]), ~flagged(record)))
-    xyz, used = (np.concatenate(parts) for parts in zip(*pieces, strict=True)) if pieces else (np.zeros((0, 3)), None)
+    if not pieces:
+        return np.zeros((0, 3))
+    xyz, used = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
     # Pieces may all be of a stretch that is flagged.
-    return xyz if used is None or not used.any() else xyz[used]
+    return np.asarray(xyz[used] if used.any() else xyz)
 
 
 def read_epsg(path: Path) -> int | None:

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
 
-from fsinfer.errors import CloudError
 from fsinfer.io.chunks import ChunkedCloud
+from fsinfer.io.cloud import nothing_usable
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.progress import Progress, silent
@@ -106,9 +106,7 @@ def thin_while_reading(
         progress(finite // 2, cloud.points, "reading the cloud")
     used = cloud.points - sum(flagged)
     if not finite:
-        why = f": {sum(flagged)} are marked as withheld or as noise" if any(flagged) else ""
-        msg = f"{cloud.path} holds no points that can be used{why}; export the cloud again"
-        raise CloudError(msg)
+        raise nothing_usable(cloud.path, sum(flagged))
     fine = _fine_cells(counts.reshape(grid.shape), grid.cell_m, s).ravel()
     budgets = _split(int(counts[fine].sum()), int(counts[~fine].sum()), s)
     crowd = _crowd(counts.reshape(grid.shape)).ravel()
@@ -139,8 +137,7 @@ def thin_while_reading(
 
 def _grid(sample: Floats, cloud: ChunkedCloud, s: ThinningSettings) -> _Grid:
     if not len(sample):
-        msg = f"{cloud.path} holds no points that can be used; export the cloud again"
-        raise CloudError(msg)
+        raise nothing_usable(cloud.path)
     low, high = np.percentile(sample, BOX_PERCENTILES, axis=0)
     # As far as the measurement itself looks: a point a kilometre away must not widen the cells.
     margin = 0.5 * float((high - low)[:2].max()) + BOX_MARGIN_M
