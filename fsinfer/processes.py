@@ -13,7 +13,7 @@ import os
 import pickle
 import queue
 import subprocess
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import partial
@@ -36,14 +36,12 @@ _log = logging.getLogger(__name__)
 
 
 @contextmanager
-def worker_processes(
-    modules: Sequence[str], *, count: int | None = None, ended: Callable[[float], None] = lambda _mb: None
-) -> Iterator[None]:
+def worker_processes(modules: Sequence[str], *, count: int | None = None) -> Iterator[None]:
     """Within it, :func:`shared_out` gives work to ``count`` processes, as many as there are cores without it.
 
     They are started at once and load ``modules`` while other things are done. One process is as good as none: the work
-    is then done here. Within another it starts none, and the work goes to those that are there. ``ended`` is told the
-    peak of their memory, see :func:`workers_peak_mb`, when they have done.
+    is then done here. Within another it starts none, and the work goes to those that are there.
+    The peak of their memory stays known, see :func:`ended_peak_mb`.
     """
     if _active.get() is not None:
         yield
@@ -58,20 +56,23 @@ def worker_processes(
     try:
         yield
     finally:
-        ended(workers.peak_mb())
+        child_ended(workers.peak_mb())
         workers.end()
         _active.reset(token)
 
 
-def shared_out(work: Callable[[_Item], _Result], items: Iterable[_Item]) -> Iterator[_Result]:
+def shared_out(
+    work: Callable[[_Item], _Result], items: Iterable[_Item], *, threads: int | None = None
+) -> Generator[_Result, None, None]:
     """The results of ``work`` on each item, in the items' order, by worker processes, or by threads without them.
 
     For processes ``work``, items and results must be of a kind that can be pickled; what ``work`` holds (as
-    ``functools.partial`` does) is sent once to each. An error comes where its result would.
+    ``functools.partial`` does) is sent once to each. An error comes where its result would. Without processes there
+    are so many ``threads``, by default those for photos; with one each item is worked on when its result is taken.
     """
     workers = _active.get()
     if workers is None:
-        yield from in_order(work, items, photo_threads())
+        yield from in_order(work, items, photo_threads() if threads is None else threads)
     else:
         yield from workers.in_order(work, items)
 
@@ -84,6 +85,28 @@ def peak_of_mb(process: int | Literal["self"]) -> float | None:
             if line.startswith("VmHWM:"):
                 return int(line.split()[1]) / 1024
     return None
+
+
+def child_ended(peak_mb: float | None) -> None:
+    """A process that worked for this one has ended; ``peak_mb`` is the peak of its memory, MiB, where that is known."""
+    global _ended_peak_mb
+    _ended_peak_mb = max(_ended_peak_mb, peak_mb or 0.0)
+
+
+def ended_peak_mb() -> float:
+    """The largest memory, MiB, that processes which have ended told since :func:`forget_ended`."""
+    return _ended_peak_mb
+
+
+def forget_ended() -> None:
+    """What has ended by now counts no more."""
+    global _ended_peak_mb
+    _ended_peak_mb = 0.0
+
+
+def has_workers() -> bool:
+    """Whether processes work for this one: :func:`shared_out` gives its work to them."""
+    return _active.get() is not None
 
 
 def workers_peak_mb() -> float:
@@ -105,7 +128,7 @@ class Workers:
                 self._all.append(worker)
             self._idle.put(worker)
 
-    def in_order(self, work: Callable[[_Item], _Result], items: Iterable[_Item]) -> Iterator[_Result]:
+    def in_order(self, work: Callable[[_Item], _Result], items: Iterable[_Item]) -> Generator[_Result, None, None]:
         """See :func:`shared_out`."""
         # One more is begun than there are processes, so that fewer wait for a slow one before them.
         yield from in_order(partial(self._ask, work), items, self._count, ahead=1, on_interrupt=self.end)
@@ -143,6 +166,8 @@ class Workers:
 
 
 _active: ContextVar[Workers | None] = ContextVar("workers", default=None)
+# One for the whole process, as the system's mark of its own memory is.
+_ended_peak_mb = 0.0
 
 
 class _GoneError(Exception):

@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
+from contextvars import copy_context
 from pathlib import Path
 from typing import TypeVar
 
@@ -107,7 +108,8 @@ def beside(work: Callable[[Callable[[], None]], _Result]) -> Iterator[Callable[[
             raise _OverError
 
     with ThreadPoolExecutor(1) as pool:
-        future = pool.submit(work, go_on)
+        # The processes that work for this one are those of the thread that asks, too.
+        future = pool.submit(copy_context().run, work, go_on)
         try:
             yield future.result
         finally:

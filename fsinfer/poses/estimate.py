@@ -128,7 +128,8 @@ def estimate_poses(
     with colmap_errors("finding poses", work):
         mapped = map_walk(_walk_of(photos), given, work, settings, progress)
         model, misplaced = refine(mapped.model, settings.refinement, progress), mapped.misplaced
-        model, adjustment = adjust_photos(model, settings.adjustment, larger_than_usual(model), progress)
+        larger, threads = larger_than_usual(model), settings.thread_count
+        model, adjustment = adjust_photos(model, settings.adjustment, larger, progress, threads=threads)
     drop_blind_views(model)
     placed = {model.images[i].name for i in model.reg_image_ids()}
     named = {file for files in (*misplaced.values(), *mapped.apart) for file in files}

@@ -7,11 +7,9 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-from fsinfer.processes import peak_of_mb, workers_peak_mb
+from fsinfer.processes import ended_peak_mb, forget_ended, peak_of_mb, workers_peak_mb
 
 _CLEAR_REFS = Path("/proc") / "self" / "clear_refs"
-# Of this stretch; as the kernel's mark, one for the whole process.
-_of_child_mb = 0.0
 
 
 class MemoryPeak:
@@ -19,12 +17,12 @@ class MemoryPeak:
 
     On Linux the kernel's high-water mark is reset at the start, so the figure belongs to the stretch. Elsewhere it
     is the peak of the whole process so far (macOS), or unknown (Windows). Of child processes the largest that told its
-    peak (:func:`child_ended`) is added, and those that work for it now (:func:`fsinfer.processes.workers_peak_mb`).
+    peak (:func:`fsinfer.processes.child_ended`) is added, and those that work for it now
+    (:func:`fsinfer.processes.workers_peak_mb`).
     """
 
     def __init__(self) -> None:
-        global _of_child_mb
-        _of_child_mb = 0.0
+        forget_ended()
         try:
             # "5" resets VmHWM (proc(5)); without the right to, the figure is that of the whole process.
             _CLEAR_REFS.write_text("5", encoding="ascii")
@@ -35,13 +33,13 @@ class MemoryPeak:
         """Peak resident memory, MiB; None where the system does not tell."""
         own = peak_of_mb("self")
         if own is not None:
-            return round(own + _of_child_mb + workers_peak_mb(), 1)
+            return round(own + ended_peak_mb() + workers_peak_mb(), 1)
         if sys.platform == "win32":
             return None
         import resource
 
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return round(peak / (1024 * 1024 if sys.platform == "darwin" else 1024) + _of_child_mb, 1)
+        return round(peak / (1024 * 1024 if sys.platform == "darwin" else 1024) + ended_peak_mb(), 1)
 
 
 def hand_back() -> None:
@@ -53,9 +51,3 @@ def hand_back() -> None:
         return
     with suppress(OSError, AttributeError):  # another C library
         ctypes.CDLL(None).malloc_trim(0)
-
-
-def child_ended(peak_mb: float | None) -> None:
-    """A process that worked for this one has ended; ``peak_mb`` is the peak that it read of itself."""
-    global _of_child_mb
-    _of_child_mb = max(_of_child_mb, peak_mb or 0.0)

@@ -24,9 +24,9 @@ from fsinfer.errors import CRASHED, NOT_ENOUGH_MEMORY, PosesError
 from fsinfer.output.json_values import as_json, of_json
 from fsinfer.poses.estimate import PosesResult, estimate_poses
 from fsinfer.poses.settings import PoseSettings
+from fsinfer.processes import child_ended
 from fsinfer.progress import Progress, silent
 from fsinfer.workflow.error_json import TraceThereError, error_of_json
-from fsinfer.workflow.memory_peak import child_ended
 
 _MODULE = "fsinfer.workflow.poses_process"
 #: Between two looks at whether Ctrl-C was pressed, which Windows does not tell a thread that waits. Source: numerics.

@@ -41,7 +41,6 @@ from fsinfer.trees.plot_doubt import all_doubtful
 from fsinfer.trees.posts import without_posts
 from fsinfer.trees.stem_curve import CurvePoint, CurveSettings, stem_curves, write_curves
 from fsinfer.workflow.joined_parts import JoinedParts, cameras_of, copy_figures, join_measured
-from fsinfer.workflow.memory_peak import child_ended
 from fsinfer.workflow.own_files import clear_outputs
 
 #: Points of a cloud from which on processes save more than the second they take to start. Source: numerics; of the
@@ -195,7 +194,7 @@ def tree_workers(points: int, threads: int = 0) -> AbstractContextManager[None]:
     There are no more than ``threads`` of them; 0 is as many as there are cores, up to four.
     """
     count = min(threads or cores(), cores(), MOST_WORKERS) if points >= _SHARED_FROM else 1
-    return worker_processes(_WORKED_WITH, count=count, ended=child_ended)
+    return worker_processes(_WORKED_WITH, count=count)
 
 
 def no_trees(out: Path, *, reason: Notice) -> TreesResult:

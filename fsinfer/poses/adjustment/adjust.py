@@ -6,12 +6,13 @@ import copy
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from fsinfer.geometry.similarity import apply, fit_similarity, rotation_of, scale_of
-from fsinfer.poses.adjustment.evidence import Trial, groups_borne_out
+from fsinfer.poses.adjustment.evidence import Evidence, Trial, confirmed, tried_in_turn
 from fsinfer.poses.adjustment.fit import Weighting, fit, noise_of, with_points_fitted
 from fsinfer.poses.adjustment.photo_effects import PhotoEffects, effects_of
 from fsinfer.poses.adjustment.precision import CameraPrecision, camera_precisions
@@ -29,9 +30,14 @@ from fsinfer.poses.adjustment.projection import DRIFT, FOCAL, LENS, OWN, PRINCIP
 from fsinfer.poses.adjustment.reduced_system import Structure
 from fsinfer.poses.adjustment.settings import AdjustmentSettings
 from fsinfer.poses.refinement import settle
+from fsinfer.processes import has_workers, shared_out, worker_processes
 from fsinfer.progress import Progress, silent
+from fsinfer.threads import beside
 
 _log = logging.getLogger(__name__)
+
+#: Processes for fits beside each other. Source: numerics; the last fit takes as long as the trials beside it together.
+_BESIDE = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +89,12 @@ def _rounded(value: float | None) -> float | None:
 
 
 def adjust_photos(
-    model: Any, settings: AdjustmentSettings, larger: float = 1.0, progress: Progress = silent
+    model: Any,
+    settings: AdjustmentSettings,
+    larger: float = 1.0,
+    progress: Progress = silent,
+    *,
+    threads: int = 1,
 ) -> tuple[Any, PhotoAdjustment]:
     """Adjust a model with what its photos have of their own, where points held out are predicted better by it.
 
@@ -92,6 +103,7 @@ def adjust_photos(
     model: a ``pycolmap.Reconstruction`` of :func:`fsinfer.poses.refinement.refine`.
     larger: how many times more pixels the longer side of the photos has than that at which features are found, 1 or
         more; losses widen with it.
+    threads: with two or more, fits that do not hang on each other are done at the same time, by two processes.
 
     Returns
     -------
@@ -104,25 +116,70 @@ def adjust_photos(
         return model, PhotoAdjustment()
     seen, start, numbers = from_model(model)
     weighting = weighting_of(model, seen, start, numbers, settings, larger)
-    evidence = groups_borne_out(seen, start, weighting, settings)
-    groups, trials, weighting = evidence.groups, evidence.trials, evidence.weighting
-    progress(1, 2, "adjusting photo by photo")
-    if groups:
-        structure = Structure(seen, len(start.points))
-        # The cameras are nearly where they belong, and the points come after.
-        near = with_points_fitted(seen, evidence.cameras, weighting.loss_px)
-        found = like(fit(structure, near, groups, weighting), start)
-    else:
+    found = _found(seen, start, weighting, settings, progress, threads=threads)
+    groups, trials = found.evidence.groups, found.evidence.trials
+    if not groups:
         settle(model)
-        seen, found, numbers = from_model(model)
-        structure = Structure(seen, len(found.points))
-    precisions = dict(zip(numbers.images, camera_precisions(structure, found, groups, weighting), strict=True))
+        seen, start, numbers = from_model(model)
+        found = _fitted(seen, start, found.evidence)
+    precisions = dict(zip(numbers.images, found.precisions, strict=True))
     if not groups:
         return model, PhotoAdjustment(precisions=precisions, trials=trials)
     adjusted = copy.deepcopy(model)
-    effects = _write(adjusted, seen, found, numbers)
+    effects = _write(adjusted, seen, found.unknowns, numbers)
     progress(2, 2, "adjusting photo by photo")
-    return adjusted, replace(_figures(seen, found, groups), effects=effects, precisions=precisions, trials=trials)
+    figures = _figures(seen, found.unknowns, groups)
+    return adjusted, replace(figures, effects=effects, precisions=precisions, trials=trials)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Found:
+    """What the last fit found, with the groups of ``evidence``; how well each photo's camera is known."""
+
+    evidence: Evidence
+    unknowns: Unknowns
+    precisions: Sequence[CameraPrecision]
+
+
+def _found(
+    seen: Observations,
+    start: Unknowns,
+    weighting: Weighting,
+    settings: AdjustmentSettings,
+    progress: Progress,
+    *,
+    threads: int,
+) -> _Found:
+    """Which groups are borne out, and the last fit with them; the one beside the other where there are threads."""
+    with worker_processes([__name__], count=min(threads, _BESIDE)):
+        in_turn = tried_in_turn(seen, start, weighting, settings)
+        progress(1, 2, "adjusting photo by photo")
+        if in_turn is None:
+            nothing = Evidence(groups=(), trials=(), weighting=weighting, cameras=start)
+            return _Found(evidence=nothing, unknowns=start, precisions=())
+        usual = in_turn.evidence
+        if not usual.groups:
+            return _Found(evidence=usual, unknowns=start, precisions=())
+        if not has_workers():
+            return _fitted(seen, start, confirmed(in_turn, settings))
+        # Hardly ever does a group go when it is tried once more, so that the last fit need not wait for that.
+        with beside(lambda _: next(shared_out(partial(_fitted, seen, start), [usual], threads=1))) as fitted:
+            evidence = confirmed(in_turn, settings)
+            if evidence.groups == usual.groups:
+                return replace(fitted(), evidence=evidence)
+        return _fitted(seen, start, evidence)
+
+
+def _fitted(seen: Observations, start: Unknowns, evidence: Evidence) -> _Found:
+    """The fit of everything with the groups of ``evidence``; without any, ``start`` as it is."""
+    structure = Structure(seen, len(start.points))
+    found, weighting = start, evidence.weighting
+    if evidence.groups:
+        # The cameras are nearly where they belong, and the points come after.
+        near = with_points_fitted(seen, evidence.cameras, weighting.loss_px)
+        found = like(fit(structure, near, evidence.groups, weighting), start)
+    precisions = camera_precisions(structure, found, evidence.groups, weighting)
+    return _Found(evidence=evidence, unknowns=found, precisions=precisions)
 
 
 def weighting_of(

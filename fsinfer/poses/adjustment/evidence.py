@@ -9,6 +9,7 @@ the noise predicts worse.
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from fsinfer.poses.adjustment.problem import Group, Ints, Observations, Unknowns
 from fsinfer.poses.adjustment.projection import Floats
 from fsinfer.poses.adjustment.reduced_system import Structure
 from fsinfer.poses.adjustment.settings import AdjustmentSettings
+from fsinfer.processes import shared_out
 
 _log = logging.getLogger(__name__)
 
@@ -69,50 +71,112 @@ class Evidence:
     cameras: Unknowns
 
 
-def groups_borne_out(
+@dataclass(frozen=True, kw_only=True)
+class _Judge:
+    """The points held out: their observations, and where they stood at first (P, 3)."""
+
+    seen: Observations
+    points: Floats
+    loss_px: float
+    noise_px: float
+
+    def errors_of(self, cameras: Unknowns) -> Floats:
+        """(P,) robust squared errors, pixels^2, of the points placed anew by these cameras."""
+        bound = (_JUDGED_TO * self.noise_px) ** 2
+        placed = with_points_fitted(self.seen, replace(cameras, points=self.points), self.loss_px)
+        squared = (placed.residuals(self.seen) ** 2).sum(1)
+        # Geman and McClure: a wrong match counts as a bound, whatever the cameras are, and hides nothing.
+        return np.asarray(np.bincount(self.seen.point, squared / (1 + squared / bound), len(self.points)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class InTurn:
+    """The groups as each was tried on top of those before it, and what is needed to try them once more.
+
+    ``current`` was fitted with the groups ``kept``; ``errors`` (P,) are what it does to the points held out, and
+    ``points`` (Q, 3) all that were given at first.
+    """
+
+    structure: Structure
+    judge: _Judge
+    points: Floats
+    kept: tuple[Group, ...]
+    trials: Mapping[Group, Trial]
+    weighting: Weighting
+    current: Unknowns
+    errors: Floats
+
+    @property
+    def evidence(self) -> Evidence:
+        """What is borne out, should no group go when it is tried once more."""
+        cameras = replace(self.current, points=self.points)
+        return Evidence(groups=self.kept, trials=tuple(self.trials.values()), weighting=self.weighting, cameras=cameras)
+
+    def without(self, group: Group) -> tuple[Unknowns, Floats]:
+        """Fitted with the other groups alone, and what that does to the points held out."""
+        others = [other for other in self.kept if other is not group]
+        own = self.current.own.copy()
+        own[:, group.value] = 0
+        start = replace(self.current, own=own)
+        tried = fit(self.structure, start, others, self.weighting, enough=_ENOUGH, foreseen=_FORESEEN)
+        return tried, self.judge.errors_of(tried)
+
+
+def tried_in_turn(
     seen: Observations, start: Unknowns, weighting: Weighting, settings: AdjustmentSettings
-) -> Evidence:
-    """Try each group."""
+) -> InTurn | None:
+    """Try each group on top of those that were kept before it; None where there is no point to hold out."""
     held, fitted = split(seen, len(start.points), settings)
     judged, judged_points = seen.of_points(held)
     learned, learned_points = seen.of_points(fitted)
     if len(judged_points) == 0:
-        return Evidence(groups=(), trials=(), weighting=weighting, cameras=start)
+        return None
     structure = Structure(learned, len(learned_points))
     first = replace(start, points=start.points[learned_points])
-    base = fit(structure, first, (), weighting, enough=_ENOUGH, foreseen=_FORESEEN)
-    weighting = replace(weighting, noise_px=noise_of(base.residuals(learned)))
-
-    bound = (_JUDGED_TO * weighting.noise_px) ** 2
-
-    def errors_of(cameras: Unknowns) -> Floats:
-        placed = with_points_fitted(judged, replace(cameras, points=start.points[judged_points]), weighting.loss_px)
-        squared = (placed.residuals(judged) ** 2).sum(1)
-        # Geman and McClure: a wrong match counts as a bound, whatever the cameras are, and hides nothing.
-        return np.asarray(np.bincount(judged.point, squared / (1 + squared / bound), len(judged_points)))
-
-    current, errors = base, errors_of(base)
+    current = fit(structure, first, (), weighting, enough=_ENOUGH, foreseen=_FORESEEN)
+    weighting = replace(weighting, noise_px=noise_of(current.residuals(learned)))
+    judge = _Judge(
+        seen=judged, points=start.points[judged_points], loss_px=weighting.loss_px, noise_px=weighting.noise_px
+    )
+    errors = judge.errors_of(current)
     kept: list[Group] = []
     trials: dict[Group, Trial] = {}
     for group in ORDER:
         tried = fit(structure, current, (*kept, group), weighting, enough=_ENOUGH, foreseen=_FORESEEN)
-        there = errors_of(tried)
+        there = judge.errors_of(tried)
         trials[group] = _trial(group, errors, there, settings.min_gain, settings)
         if trials[group].kept:
             kept, current, errors = [*kept, group], tried, there
             weighting = replace(weighting, noise_px=noise_of(current.residuals(learned)))
-    # What was kept first may only have stood for what came after it.
-    for group in kept[:-1]:
-        others = [other for other in kept if other is not group]
-        own = current.own.copy()
-        own[:, group.value] = 0
-        tried = fit(structure, replace(current, own=own), others, weighting, enough=_ENOUGH, foreseen=_FORESEEN)
-        there = errors_of(tried)
-        trials[group] = _trial(group, there, errors, settings.min_gain_beside, settings)
+    return InTurn(
+        structure=structure,
+        judge=judge,
+        points=start.points,
+        kept=tuple(kept),
+        trials=trials,
+        weighting=weighting,
+        current=current,
+        errors=errors,
+    )
+
+
+def confirmed(found: InTurn, settings: AdjustmentSettings) -> Evidence:
+    """Each group but the last is tried once more beside all others: it may only have stood for what came after it.
+
+    Shared out over worker processes, where there are any.
+    """
+    asked = found.kept[:-1]
+    answers = shared_out(found.without, asked, threads=1)
+    now, trials = found, dict(found.trials)
+    for group in asked:
+        # Where a group has gone, what was asked beside all of them tells no more.
+        tried, there = next(answers) if now is found else now.without(group)
+        trials[group] = _trial(group, there, now.errors, settings.min_gain_beside, settings)
         if not trials[group].kept:
-            kept, current, errors = others, tried, there
-    cameras = replace(current, points=start.points)
-    return Evidence(groups=tuple(kept), trials=tuple(trials.values()), weighting=weighting, cameras=cameras)
+            others = tuple(other for other in now.kept if other is not group)
+            now = replace(now, kept=others, current=tried, errors=there)
+            answers.close()
+    return replace(now, trials=trials).evidence
 
 
 def _trial(group: Group, without: Floats, with_it: Floats, least: float, settings: AdjustmentSettings) -> Trial:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from fsinfer import processes
 from fsinfer.notices.sentences import sentence, sentences
 from fsinfer.poses.adjustment.adjust import PhotoAdjustment, adjust_photos, like, weighting_of
 from fsinfer.poses.adjustment.fit import fit
@@ -16,6 +18,8 @@ from fsinfer.poses.adjustment.reduced_system import Structure
 from fsinfer.poses.adjustment.settings import AdjustmentSettings
 from fsinfer.poses.adjustment.tell import told
 from fsinfer.poses.undistortion import maps_of_photo, pinhole_of, undistortion_maps
+from fsinfer.process_worker import Answer
+from fsinfer.threads import one_blas_thread
 from tests.fsinfer.poses.adjustment.test_fit import weighting
 from tests.support.phone_walk import PHONE, disturbed, model_of, phone_walk
 
@@ -59,6 +63,37 @@ def test_a_model_that_is_not_adjusted_photo_by_photo_is_settled(photos: int) -> 
     told = [[found.center_std for found in each.precisions.values()] for each in (adjustment, again)]
     assert len(told[0]) == (photos if photos == 16 else 0)
     assert told[0] == pytest.approx(told[1], rel=0.05)
+
+
+@pytest.mark.parametrize("least", [AdjustmentSettings().min_gain_beside, 2.0], ids=["all are kept", "some go again"])
+def test_processes_beside_each_other_find_the_same(least: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen, truth = phone_walk(effects=PHONE, noise_px=0.2)
+    start = fit(Structure(seen, len(truth.points)), disturbed(truth), (), weighting(len(truth.rotations)))
+    settings = replace(AdjustmentSettings(), min_gain_beside=least)
+    asked = []
+    ask = processes._Worker.ask
+
+    def noted(self: processes._Worker, work: Callable[[object], object], item: object) -> Answer:
+        asked.append(item)
+        answer = ask(self, work, item)
+        assert answer.error is None
+        assert not answer.unfit
+        return answer
+
+    monkeypatch.setattr(processes._Worker, "ask", noted)
+    found = []
+    for threads in (1, 2):
+        with one_blas_thread():  # as in estimate_poses: sums in two threads are rounded otherwise
+            adjusted, adjustment = adjust_photos(model_of(seen, start), settings, threads=threads)
+        found.append((from_model(adjusted)[1], adjustment))
+        assert bool(asked) == (threads == 2)
+    (alone, told), (shared, told_too) = found
+    # The last of them has nothing after it that it could have stood for.
+    assert len(told.groups) >= 3 if least < 1 else len(told.groups) == 1
+    assert told.trials == told_too.trials
+    assert told.precisions == told_too.precisions
+    for one, other in ((alone.rotations, shared.rotations), (alone.points, shared.points)):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_a_phone_becomes_a_camera_that_stood_still(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsinfer.poses.adjustment.evidence import Trial, groups_borne_out, split
+from fsinfer.poses.adjustment.evidence import Trial, confirmed, split, tried_in_turn
 from fsinfer.poses.adjustment.fit import Weighting, fit
 from fsinfer.poses.adjustment.problem import Group, Unknowns
 from fsinfer.poses.adjustment.projection import LENS
@@ -27,7 +27,9 @@ def trials_of(effects: np.ndarray | None, outliers: float = 0.0, seed: int = 1) 
         loss_px=1.0, noise_px=NOISE_PX, own_std=own_std, mean_std=np.full_like(own_std, np.inf), lens_free=[FREE]
     )
     start: Unknowns = fit(Structure(seen, len(truth.points)), disturbed(truth), (), weighting)
-    found = groups_borne_out(seen, start, weighting, AdjustmentSettings())
+    in_turn = tried_in_turn(seen, start, weighting, AdjustmentSettings())
+    assert in_turn is not None
+    found = confirmed(in_turn, AdjustmentSettings())
     assert {trial.group for trial in found.trials if trial.kept} == set(found.groups)
     # Its cameras have what was kept and nothing else.
     had = {group for group in Group if np.abs(found.cameras.own[:, group.value]).max() > 0}
