@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fsinfer.io.exif import gnss_degrees
-from fsinfer.io.images import PHOTO_SUFFIXES
+from fsinfer.io.photo_folders import PHOTO_SUFFIXES
 
 #: Photographs of a plot that are asked, evenly spread. Source: judgement; their median is good to some metres, as
 #: each of them is.

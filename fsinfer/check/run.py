@@ -26,7 +26,7 @@ from fsinfer.frames.settings import FrameSettings
 from fsinfer.geometry.hull import in_hull
 from fsinfer.geometry.similarity import scale_of
 from fsinfer.io.files import make_folder, write_text
-from fsinfer.io.images import list_images
+from fsinfer.io.photo_folders import list_images
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.sentences import sentences
 from fsinfer.output.layout import CHECK_WORK, OutputFolder

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from fsinfer.plot_border.hectare import HectareFigure
     from fsinfer.plot_border.plot import PlotFigures
     from fsinfer.workflow.demo import DemoResult
-    from fsinfer.workflow.tree_stage import UnmeasuredTree
+    from fsinfer.workflow.trees_result import UnmeasuredTree
 
 #: Of more trees than this without a DBH, the table tells the rest. Source: layout.
 _MOST_REASONS = 8

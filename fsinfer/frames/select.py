@@ -17,18 +17,9 @@ from fsinfer.frames.times import names_against_times
 from fsinfer.frames.video import VIDEO_SUFFIXES, is_live_photo, sharpest_frames
 from fsinfer.io.exif import camera_exif, camera_key, named_camera_exif
 from fsinfer.io.files import copy_file, write_text
-from fsinfer.io.images import (
-    PHOTO_SUFFIXES,
-    folders_of_photos,
-    is_upright_jpeg_or_png,
-    list_images,
-    read_image,
-    read_reduced,
-    reduce_image,
-    unread_photos,
-    write_image,
-)
+from fsinfer.io.images import is_upright_jpeg_or_png, read_image, read_reduced, reduce_image, write_image
 from fsinfer.io.names import by_number, sortable
+from fsinfer.io.photo_folders import PHOTO_SUFFIXES, folders_of_photos, list_images, unread_photos
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.sentences import sentence, sentences

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import SceneError
-from fsinfer.io.images import PHOTO_SUFFIXES
 from fsinfer.io.json_text import parse_json
+from fsinfer.io.photo_folders import PHOTO_SUFFIXES
 
 #: Text larger than this is no list of cameras. Source: numerics; points3D.txt of 1,000 photos has 500 MB.
 _MOST_TEXT_BYTES = 2_000_000_000

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import CloudError
-from fsinfer.io.las import LAS_SUFFIXES, NORMAL_NAMES, read_las, write_las
+from fsinfer.io.las import LAS_SUFFIXES, NORMAL_NAMES, read_las
+from fsinfer.io.las_writing import write_las
 from fsinfer.io.ply import read_ply, write_ply
 from fsinfer.io.text_cloud import read_text_cloud
 

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from fsinfer.errors import ImageError, OutputError, PosesError
 from fsinfer.io.exif import camera_exif, camera_key, gravity_exif
 from fsinfer.io.files import copy_file, make_folder, write_text
-from fsinfer.io.images import is_upright_jpeg_or_png, list_images, read_image, read_reduced, write_image
+from fsinfer.io.images import is_upright_jpeg_or_png, read_image, read_reduced, write_image
+from fsinfer.io.photo_folders import list_images
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.sentences import sentences

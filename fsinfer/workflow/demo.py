@@ -15,7 +15,7 @@ from fsinfer.depth.settings import DepthSettings
 from fsinfer.errors import InputError
 from fsinfer.evaluation.metrics import Evaluation, MeasuredTree, evaluate, read_measured
 from fsinfer.io.files import atomic_path, make_folder
-from fsinfer.io.images import PHOTO_SUFFIXES
+from fsinfer.io.photo_folders import PHOTO_SUFFIXES
 from fsinfer.progress import StageProgress, silent_stages
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.trees import Tree

@@ -6,34 +6,28 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fsinfer.depth.maps import maps_digest
-from fsinfer.errors import InputError, ScaleError
-from fsinfer.geometry.similarity import scale_of
-from fsinfer.importers.write import read_origin
+from fsinfer.errors import InputError
 from fsinfer.io.chunks import ChunkedCloud, open_chunks
 from fsinfer.io.cloud import PointCloud, read_and_tell
 from fsinfer.io.digest import file_digest
 from fsinfer.io.files import make_folder
 from fsinfer.io.las import LAS_SUFFIXES, read_epsg
-from fsinfer.notices.capture import NO_SCALE, REMARKS, CaptureCode
+from fsinfer.notices.capture import NO_SCALE, REMARKS
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
-from fsinfer.output.json_values import as_json, of_json
+from fsinfer.output.json_values import as_json
 from fsinfer.output.plot_json import OF_FILE, of_file, package_versions, read_plot
 from fsinfer.placement.place import density_per_m2, transform_cloud
 from fsinfer.plot_border.request import BorderRequest
 from fsinfer.progress import Progress, silent
-from fsinfer.scale.clicks.file import read_clicks
 from fsinfer.scale.doubts import doubt_about_all, unknown_error
-from fsinfer.scale.find import FoundScale, find_scale
-from fsinfer.scale.request import ClickedLength, ScaleRequest
-from fsinfer.scale.scale import UNKNOWN, MarkerDetails, Scale, marker_centers
-from fsinfer.scene import read_scene, scene_digest
+from fsinfer.scale.request import ScaleRequest
+from fsinfer.scale.scale import Scale, marker_centers
+from fsinfer.scene import scene_digest
 from fsinfer.silhouettes.join import StemPhotos
 from fsinfer.threads import one_blas_thread
 from fsinfer.trees import PlotResult
@@ -41,12 +35,12 @@ from fsinfer.trees.edits import find_edits
 from fsinfer.trees.outputs.labels import write_labelled
 from fsinfer.trees.sanity import TurnedCloudError
 from fsinfer.trees.thinning import ThinningSettings, thin_while_reading
+from fsinfer.workflow.cloud_origin import cloud_scale, is_of_run, origin_of_cloud, own_photos
 from fsinfer.workflow.cloud_units import CLOUD_KEYS, plot_of_cloud, scale_of_trees
 from fsinfer.workflow.given_edits import note_edits
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
 from fsinfer.workflow.measurable import refuse_fused, refuse_other_units
 from fsinfer.workflow.own_files import refuse_files_of_others, refuse_to_write_over
-from fsinfer.workflow.run_photos import photos_of_run
 from fsinfer.workflow.settings import speedless
 from fsinfer.workflow.summary import (
     MODEL_UNITS,
@@ -58,7 +52,8 @@ from fsinfer.workflow.summary import (
     update_plot,
     warning_values,
 )
-from fsinfer.workflow.tree_stage import PlotCloudInput, TreesResult, TreeStageSettings, measure_plot
+from fsinfer.workflow.tree_stage import PlotCloudInput, TreeStageSettings, measure_plot
+from fsinfer.workflow.trees_result import TreesResult
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,17 +82,6 @@ class MeasureSettings:
 
     stage: TreeStageSettings = field(default_factory=TreeStageSettings)
     thinning: ThinningSettings = field(default_factory=ThinningSettings)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Origin:
-    """What is known of a cloud by what lies beside it; everything None where there is none."""
-
-    units: str | None = None
-    scale_rel_std: float | None = None
-    camera_height: float | None = None
-    cloud_from_scene: NDArray[np.float64] | None = None
-    markers: Scale = UNKNOWN
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,11 +134,11 @@ def measure_cloud_file(
     refuse_files_of_others(out)
     corrections = find_edits(out, edits)
     chunks = _large(cloud_path, settings.thinning)
-    origin = _read_origin(cloud_path.parent)
-    found = _cloud_scale(request, cloud_path, out, origin)
+    origin = origin_of_cloud(cloud_path.parent)
+    found = cloud_scale(request, cloud_path, out, origin)
     if found.scale.m_per_unit is None:
         refuse_other_units(cloud_path)
-    photos = _own_photos(cloud_path, origin, found.scale.m_per_unit or 1.0)
+    photos = own_photos(cloud_path, origin, found.scale.m_per_unit or 1.0)
     _refuse_center_unknown(settings.stage.border, cloud_path, photos)
     make_folder(out)
 
@@ -176,7 +160,7 @@ def measure_cloud_file(
             frame_of=frame_of,
             photos=photos,
             edits=corrections,
-            doubt=doubt_about_all(origin.markers) if _is_of_run(cloud_path, origin) else None,
+            doubt=doubt_about_all(origin.markers) if is_of_run(cloud_path, origin) else None,
             write_labelled=opened.labelled,
         )
         trees, given, turned = _measure(given, out, settings.stage, progress)
@@ -289,73 +273,3 @@ def _tell(record: StageRecord[MeasuredCloud], cloud_path: Path, out: Path, setti
     values |= warning_values((*said, *no_scale_once(said, found.trees.warnings)))
     values["settings"] = (before.get("settings") or {}) | as_json(settings)
     update_plot(out, source=cloud_path.name, stage="trees", seconds=record.seconds, values=values)
-
-
-def _read_origin(folder: Path) -> _Origin:
-    plot = plot_of_cloud(folder)
-    similarity = plot.get("cloud_from_scene")
-    return _Origin(
-        units=plot.get("units"),
-        scale_rel_std=plot.get("scale_rel_std"),
-        camera_height=plot.get("camera_height"),
-        cloud_from_scene=None if similarity is None else np.asarray(similarity, dtype=np.float64),
-        markers=_markers(plot.get("scale_details")),
-    )
-
-
-def _markers(details: Any) -> Scale:
-    """The markers that ``plot.json`` tells of."""
-    try:
-        return replace(UNKNOWN, details=of_json(MarkerDetails, details))
-    except (TypeError, ValueError, KeyError):
-        return UNKNOWN
-
-
-def _is_of_run(cloud_path: Path, origin: _Origin) -> bool:
-    """Whether the cloud is the one that a run or an import wrote into this folder."""
-    return origin.cloud_from_scene is not None and cloud_path.name in ("cloud.ply", "cloud.laz")
-
-
-def _own_photos(cloud_path: Path, origin: _Origin, factor: float) -> StemPhotos | None:
-    """The photographs of the run that made the cloud, if they still lie beside it."""
-    folder = cloud_path.parent
-    scene = (folder / "scene" / part for part in ("cams", "images", "pair.txt"))
-    parts = (*scene, folder / "depth" / "depth.json", folder / "confidence")
-    if not _is_of_run(cloud_path, origin) or not all(part.exists() for part in parts):
-        return None
-    scaled = np.diag([factor, factor, factor, 1.0]) @ origin.cloud_from_scene
-    return photos_of_run(folder, read_scene(folder / "scene"), scaled)
-
-
-def _cloud_scale(request: ScaleRequest, cloud_path: Path, out: Path, origin: _Origin) -> FoundScale:
-    """Metres per unit of the cloud file; unknown where nothing was asked for."""
-    clicked = None if request.given else _clicks_of_import(cloud_path, out, origin)
-    if clicked is not None:
-        return _per_cloud(find_scale(replace(request, clicks=clicked), scene=read_scene(out / "scene")), origin)
-    if not request.given:
-        unscaled = origin.units == MODEL_UNITS
-        return FoundScale(scale=UNKNOWN, warnings=(notice(CaptureCode.no_scale_given),) if unscaled else ())
-    if request.aruco_length_m is None:
-        return find_scale(request, scene=None)
-    own = cloud_path.resolve().parent == out.resolve() and (out / "scene").is_dir()
-    if origin.cloud_from_scene is None or not own:
-        msg = (
-            f"--aruco-length-m looks for markers in the photos, and {out} has no scene that {cloud_path} came from; "
-            "use it with fsinfer run, or give --scale or --endpoints with --length-m"
-        )
-        raise ScaleError(msg)
-    return _per_cloud(find_scale(request, scene=read_scene(out / "scene")), origin)
-
-
-def _clicks_of_import(cloud_path: Path, out: Path, origin: _Origin) -> ClickedLength | None:
-    """The ends clicked in the photographs of a scene of another program, whose cloud this is; a run uses its own."""
-    own = cloud_path.resolve().parent == out.resolve() and origin.cloud_from_scene is not None
-    return read_clicks(out).used if own and read_origin(out / "scene") is not None else None
-
-
-def _per_cloud(found: FoundScale, origin: _Origin) -> FoundScale:
-    if found.scale.m_per_unit is None or origin.cloud_from_scene is None:
-        return found
-    # Photographs give metres per unit of the scene; the cloud may have been scaled since.
-    per_cloud = found.scale.m_per_unit / scale_of(origin.cloud_from_scene)
-    return replace(found, scale=replace(found.scale, m_per_unit=per_cloud))

@@ -15,7 +15,8 @@ from pathlib import Path
 
 from fsinfer.errors import FsinferError
 from fsinfer.frames.settings import Equalize
-from fsinfer.io.images import list_images, read_image
+from fsinfer.io.images import read_image
+from fsinfer.io.photo_folders import list_images
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice
 from fsinfer.plot_border.request import BorderRequest

@@ -14,7 +14,7 @@ from fsinfer.errors import InputError
 from fsinfer.frames.select import FramesResult, list_captures, select_frames
 from fsinfer.frames.settings import FrameSettings
 from fsinfer.io.digest import file_digest
-from fsinfer.io.images import list_images
+from fsinfer.io.photo_folders import list_images
 from fsinfer.poses.colmap_calls import require_pycolmap
 from fsinfer.poses.estimate import PosesResult
 from fsinfer.poses.settings import PoseSettings

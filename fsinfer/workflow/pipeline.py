@@ -48,14 +48,8 @@ from fsinfer.workflow.photo_stages import choose_frames, register_photos, requir
 from fsinfer.workflow.run_photos import photos_of_run
 from fsinfer.workflow.settings import RunSettings, speedless
 from fsinfer.workflow.summary import PlotRecords, summarize
-from fsinfer.workflow.tree_stage import (
-    PlotCloudInput,
-    TreesResult,
-    TreeStageSettings,
-    measure_plot,
-    no_trees,
-    tree_workers,
-)
+from fsinfer.workflow.tree_stage import PlotCloudInput, TreeStageSettings, measure_plot, no_trees, tree_workers
+from fsinfer.workflow.trees_result import TreesResult
 
 
 @dataclass(frozen=True, kw_only=True)

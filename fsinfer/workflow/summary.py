@@ -22,7 +22,7 @@ from fsinfer.scale.find import FoundScale
 from fsinfer.workflow.cloud_stages import FusedCloud, PlotCloud
 from fsinfer.workflow.ledger import StageRecord
 from fsinfer.workflow.parts import PartResult, folders_of_parts
-from fsinfer.workflow.tree_stage import TreesResult
+from fsinfer.workflow.trees_result import TreesResult
 
 MODEL_UNITS = "model units"
 SCENE_UNITS = "scene units"

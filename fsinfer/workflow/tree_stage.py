@@ -27,7 +27,7 @@ from fsinfer.silhouettes.join_settings import SilhouetteJoinSettings
 from fsinfer.silhouettes.tops import TopViewSettings, heights_in_view
 from fsinfer.silhouettes.walk import WalkSettings, apart_from_walk, camera_places
 from fsinfer.threads import cores
-from fsinfer.trees import PlotResult, StandTable, TreeSettings, analyse_plot
+from fsinfer.trees import PlotResult, TreeSettings, analyse_plot
 from fsinfer.trees.edits import TreeEdit, apply_edits
 from fsinfer.trees.forks import forks
 from fsinfer.trees.outputs.labels import label_points
@@ -35,58 +35,19 @@ from fsinfer.trees.outputs.maps import write_maps
 from fsinfer.trees.outputs.reasons import write_reasons
 from fsinfer.trees.outputs.table import write_trees
 from fsinfer.trees.outputs.workbook import write_tables
-from fsinfer.trees.pattern.join import JoinedPart
 from fsinfer.trees.pattern.match import PatternSettings
 from fsinfer.trees.plot_doubt import all_doubtful
 from fsinfer.trees.posts import without_posts
 from fsinfer.trees.stem_curve import CurvePoint, CurveSettings, stem_curves, write_curves
 from fsinfer.workflow.joined_parts import JoinedParts, cameras_of, copy_figures, join_measured
 from fsinfer.workflow.own_files import clear_outputs
+from fsinfer.workflow.trees_result import TreesResult, summarized
 
 #: Points of a cloud from which on processes save more than the second they take to start. Source: numerics; of the
 #: demo's 700,000 trees and report take 14 instead of 17 s.
 _SHARED_FROM = 300_000
 #: What the processes have to load, while the stems are being found.
 _WORKED_WITH = ("fsinfer.silhouettes.join", "fsinfer.trees.outputs.figures", "matplotlib.backends.backend_agg")
-
-
-@dataclass(frozen=True, kw_only=True)
-class UnmeasuredTree:
-    """A tree without a DBH, and why."""
-
-    tree_id: int
-    reasons: tuple[Notice, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class TreesResult:
-    """What the tree stage found.
-
-    Attributes
-    ----------
-    trees, trees_with_dbh, trees_with_silhouette: numbers of stems; of those with a DBH; with edges in photographs.
-    trees_outside: stems outside of the walk, which are not among ``trees``.
-    joined: parts of the walk, measured apart, whose stems are among ``trees``.
-    ground_method: how the ground was found, None where it was not.
-    diagnosis: what was found, or why nothing was.
-    stand: the stand table of the seen ground; plot_area_m2: its area, None when unknown.
-    plot: the plot within its border; None where it has none.
-    unmeasured: the trees without a DBH.
-    warnings: repeat the diagnosis when no tree was found.
-    """
-
-    trees: int = 0
-    trees_with_dbh: int = 0
-    trees_with_silhouette: int = 0
-    ground_method: str | None = None
-    diagnosis: Notice
-    stand: StandTable | None = None
-    plot_area_m2: float | None = None
-    unmeasured: tuple[UnmeasuredTree, ...] = ()
-    plot: PlotFigures | None = None
-    warnings: tuple[Notice, ...] = ()
-    trees_outside: int = 0
-    joined: tuple[JoinedPart, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,7 +146,7 @@ def _measure_plot(given: PlotCloudInput, out: Path, settings: TreeStageSettings,
     bordered, plot = _draw_border(whole, given, settings, added, out)
     _write(bordered, given, out, curves, plot, progress)
     copy_figures(out, bordered, added.numbers)
-    return replace(_summary(bordered, plot), joined=added.parts)
+    return replace(summarized(bordered, plot), joined=added.parts)
 
 
 def tree_workers(points: int, threads: int = 0) -> AbstractContextManager[None]:
@@ -362,22 +323,3 @@ def _write(
     labels = label_points(given.cloud.xyz, result)
     labelled = replace(given.cloud, extra=given.cloud.extra | {"TreeID": labels})
     write_cloud(out / "trees.laz", labelled, frame_of=given.frame_of)
-
-
-def _summary(result: PlotResult, plot: PlotFigures | None) -> TreesResult:
-    counted = [tree for tree in result.all_trees if not tree.outside]
-    unmeasured = [tree for tree in counted if tree.dbh_cm is None]
-    own = zip(result.trees, result.sections, strict=True)
-    return TreesResult(
-        trees=len(counted),
-        trees_with_dbh=len(counted) - len(unmeasured),
-        trees_with_silhouette=sum(section.silhouette is not None for tree, section in own if not tree.outside),
-        ground_method=None if result.ground is None else result.ground.method,
-        diagnosis=result.diagnosis,
-        stand=result.stand,
-        plot_area_m2=result.plot_area_m2 or None,
-        unmeasured=tuple(UnmeasuredTree(tree_id=tree.tree_id, reasons=tree.reasons) for tree in unmeasured),
-        plot=plot,
-        warnings=(*result.warnings, *(() if result.all_trees else (result.diagnosis,))),
-        trees_outside=len(result.all_trees) - len(counted),
-    )

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from fsinfer.io.las import las_writer
+from fsinfer.io.las_writing import las_writer
 from fsinfer.trees.outputs.table import read_trees
 from tests.bench.results import add_result_options, check_result_options, save_result
 from training.simulate.stem_cloud import KINDS, CloudSpec, simulate

@@ -27,7 +27,8 @@ from fsinfer.evaluation.figure import plot_evaluation
 from fsinfer.evaluation.metrics import Evaluation, evaluate, read_measured
 from fsinfer.fusion.fuse import FusionSettings
 from fsinfer.io.exif import camera_exif
-from fsinfer.io.images import list_images, read_image
+from fsinfer.io.images import read_image
+from fsinfer.io.photo_folders import list_images
 from fsinfer.poses.pairs import PairSettings
 from fsinfer.poses.settings import DOUBLED, PoseSettings
 from fsinfer.progress import silent_stages

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fsinfer.io.images import list_images
+from fsinfer.io.photo_folders import list_images
 from tests.bench.plot import plot_settings
 from tests.bench.results import add_result_options, check_result_options, save_result
 

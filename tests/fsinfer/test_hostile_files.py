@@ -41,7 +41,7 @@ from fsinfer.io.exif import camera_exif, camera_key, gnss_degrees
 from fsinfer.io.files import atomic_path, copy_file, write_text
 from fsinfer.io.images import image_size, is_upright_jpeg_or_png, read_image
 from fsinfer.io.json_text import parse_json
-from fsinfer.io.las import copy_las
+from fsinfer.io.las_writing import copy_las
 from fsinfer.io.pfm import read_pfm
 from fsinfer.notices.stems import StemCode
 from fsinfer.output.json_values import of_json

@@ -88,7 +88,8 @@ def _read_cloud(folder: Path) -> None:
 def _read_chunks(folder: Path) -> None:
     """As large clouds are read, which :func:`read_cloud` has not looked at before; and copied with tree numbers."""
     from fsinfer.io.chunks import open_chunks
-    from fsinfer.io.las import copy_las, read_epsg
+    from fsinfer.io.las import read_epsg
+    from fsinfer.io.las_writing import copy_las
 
     for path in sorted(folder.glob("*.la[sz]")):
         chunked = open_chunks(path)

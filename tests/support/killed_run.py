@@ -19,7 +19,7 @@ from fsinfer.depth.stage import DepthResult
 from fsinfer.frames.select import FramesResult
 from fsinfer.frames.table import FrameRow
 from fsinfer.io.files import copy_file, make_folder, write_text
-from fsinfer.io.images import list_images
+from fsinfer.io.photo_folders import list_images
 from fsinfer.poses.estimate import PosesResult
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.workflow import pipeline

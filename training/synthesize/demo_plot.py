@@ -15,7 +15,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from fsinfer.io.images import list_images, read_image, write_image
+from fsinfer.io.images import read_image, write_image
+from fsinfer.io.photo_folders import list_images
 
 #: The wheel carries the demo: more than this and its download grows noticeably. Source: judgement.
 MAX_BYTES = 4_000_000

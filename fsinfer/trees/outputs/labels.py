@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.io.cloud import cloud_of_columns, storable
-from fsinfer.io.las import NORMAL_NAMES, copy_las, las_writer
+from fsinfer.io.las import NORMAL_NAMES
+from fsinfer.io.las_writing import copy_las, las_writer
 from fsinfer.trees.points.surface import OUTSIDE_SIGMAS
 
 if TYPE_CHECKING:

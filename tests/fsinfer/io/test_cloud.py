@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from fsinfer.errors import CloudError
 from fsinfer.io.chunks import ChunkSettings, open_chunks
 from fsinfer.io.cloud import PointCloud, read_cloud, write_cloud
-from fsinfer.io.las import copy_las, las_writer
+from fsinfer.io.las_writing import copy_las, las_writer
 from tests.support.places import DATA
 
 CLOUDS = DATA / "clouds"

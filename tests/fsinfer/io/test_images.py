@@ -14,15 +14,8 @@ from PIL import Image
 
 from fsinfer.errors import ImageError
 from fsinfer.io.exif import camera_exif, camera_key
-from fsinfer.io.images import (
-    image_size,
-    is_upright_jpeg_or_png,
-    list_images,
-    read_image,
-    read_reduced,
-    reduce_image,
-    write_image,
-)
+from fsinfer.io.images import image_size, is_upright_jpeg_or_png, read_image, read_reduced, reduce_image, write_image
+from fsinfer.io.photo_folders import list_images
 
 
 def picture(width: int = 60, height: int = 40) -> NDArray[np.uint8]:

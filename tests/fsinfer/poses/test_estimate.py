@@ -369,7 +369,8 @@ def test_unknown_mapper(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not MONSTREE.is_dir(), reason="shared/data/monstree is not there")
 def test_phone_photos_lie_on_their_side_and_are_written_upright(tmp_path: Path) -> None:
-    from fsinfer.io.images import is_upright_jpeg_or_png, list_images
+    from fsinfer.io.images import is_upright_jpeg_or_png
+    from fsinfer.io.photo_folders import list_images
 
     paths = list_images(MONSTREE)
     assert not is_upright_jpeg_or_png(paths[0])

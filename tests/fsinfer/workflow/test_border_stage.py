@@ -23,7 +23,8 @@ from fsinfer.scale.request import ScaleRequest
 from fsinfer.scene import read_scene
 from fsinfer.silhouettes.join import StemPhotos
 from fsinfer.workflow.measure_cloud import MeasureSettings, measure_cloud_file
-from fsinfer.workflow.tree_stage import PlotCloudInput, TreesResult, TreeStageSettings, measure_plot
+from fsinfer.workflow.tree_stage import PlotCloudInput, TreeStageSettings, measure_plot
+from fsinfer.workflow.trees_result import TreesResult
 from tests.support.report_plot import CLOUD_FROM_SCENE, plot_cloud
 from tests.support.synthetic_plot import STEMS, write_depth_folder, write_scene_folder
 from tests.support.workbook import read_sheets

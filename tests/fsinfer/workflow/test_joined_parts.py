@@ -22,7 +22,8 @@ from fsinfer.scene import write_camera, write_pairs
 from fsinfer.silhouettes.walk import WalkSettings
 from fsinfer.trees.outputs.table import read_trees
 from fsinfer.workflow.joined_parts import digests_of
-from fsinfer.workflow.tree_stage import PlotCloudInput, TreesResult, TreeStageSettings, measure_plot
+from fsinfer.workflow.tree_stage import PlotCloudInput, TreeStageSettings, measure_plot
+from fsinfer.workflow.trees_result import TreesResult
 from tests.support.stem_clouds import StemPlot, stem_plot
 from tests.support.walked_plot import UNIT, make_plot
 from tests.support.workbook import read_sheets

@@ -11,7 +11,8 @@ import pytest
 
 from fsinfer.errors import PosesError
 from fsinfer.frames.settings import FrameSettings
-from fsinfer.io.images import list_images, read_image, write_image
+from fsinfer.io.images import read_image, write_image
+from fsinfer.io.photo_folders import list_images
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.plot_border.request import BorderRequest

@@ -36,7 +36,8 @@ from fsinfer.fusion.fuse import FusionSettings
 from fsinfer.fusion.fuse import fuse as real_fuse
 from fsinfer.io.cloud import PointCloud, read_cloud, write_cloud
 from fsinfer.io.files import make_folder, write_text
-from fsinfer.io.images import list_images, write_image
+from fsinfer.io.images import write_image
+from fsinfer.io.photo_folders import list_images
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import notice
 from fsinfer.output.plot_json import read_plot, write_plot

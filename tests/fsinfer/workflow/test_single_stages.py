@@ -21,7 +21,7 @@ from fsinfer.scale.find import FoundScale
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scale.scale import Scale
 from fsinfer.scene import read_scene
-from fsinfer.workflow import measure_cloud
+from fsinfer.workflow import cloud_origin, measure_cloud
 from fsinfer.workflow.ledger import Ledger
 from fsinfer.workflow.single_stages import frames_of, fuse_scene, poses_of
 from fsinfer.workflow.summary import update_plot
@@ -35,11 +35,11 @@ def test_markers_scale_the_scene_and_the_cloud_follows(
 ) -> None:
     write_scene_folder(tmp_path / "scene")
     found = Scale(m_per_unit=0.5, source="aruco", rel_std=0.01)
-    monkeypatch.setattr(measure_cloud, "find_scale", lambda *_, **__: FoundScale(scale=found))
+    monkeypatch.setattr(cloud_origin, "find_scale", lambda *_, **__: FoundScale(scale=found))
     turn = np.array([[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, 2.0], [0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 0.0, 1.0]])
     similarity = np.diag([cloud_per_scene] * 3 + [1.0]) @ turn
-    origin = measure_cloud._Origin(cloud_from_scene=similarity, units="model units")
-    given = measure_cloud._cloud_scale(ScaleRequest(aruco_length_m=0.25), tmp_path / "cloud.ply", tmp_path, origin)
+    origin = cloud_origin.CloudOrigin(cloud_from_scene=similarity, units="model units")
+    given = cloud_origin.cloud_scale(ScaleRequest(aruco_length_m=0.25), tmp_path / "cloud.ply", tmp_path, origin)
     assert given.scale.m_per_unit == pytest.approx(factor)
     assert (given.scale.source, given.scale.rel_std, given.warnings) == ("aruco", 0.01, ())
 

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsinfer.io.images import list_images, read_image, write_image
+from fsinfer.io.images import read_image, write_image
+from fsinfer.io.photo_folders import list_images
 from training.synthesize.demo_plot import main
 
 

@@ -1,0 +1,78 @@
+"""Which files of a folder are photographs, and which only look like it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection
+from contextlib import suppress
+from pathlib import Path
+
+from fsinfer.errors import ImageError
+from fsinfer.io.names import by_number
+
+#: What :func:`list_images` takes for a photograph, lower case.
+PHOTO_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".heic", ".heif"})
+#: Pictures that nothing here reads: raw ones of cameras and phones, and rare kinds.
+_UNREAD_SUFFIXES = frozenset(
+    {".dng", ".arw", ".cr2", ".cr3", ".nef", ".orf", ".raf", ".rw2", ".avif", ".jxl", ".jp2", ".gif"}
+)
+#: Files by which a folder of results is known, whose pictures are no photographs. Source: format.
+_RESULTS = frozenset({"plot.json", "frames.csv", "report.html"})
+
+
+def list_images(folder: Path | str) -> list[Path]:
+    """Return the photographs directly in ``folder``, sorted by name, 2 before 10; hidden files are not taken.
+
+    Raises
+    ------
+    ImageError
+        ``folder`` is missing or holds no photograph.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        what = "is a file" if folder.exists() else "does not exist"
+        msg = f"{folder} {what}; give a folder of photos"
+        raise ImageError(msg)
+    found = (
+        path
+        for path in folder.iterdir()
+        if path.suffix.lower() in PHOTO_SUFFIXES and not path.name.startswith(".") and path.is_file()
+    )
+    paths = sorted(found, key=lambda path: by_number(path.name))
+    if not paths:
+        way_out = "give the folder that your photos lie in"
+        if within := folders_of_photos(folder):
+            way_out = f"give one of those within it that do ({', '.join(within)}), or put all photos into one"
+        elif unread := unread_photos(folder):
+            way_out = f"export its {', '.join(unread)} files as JPEG"
+        msg = f"{folder} holds no photos ({', '.join(sorted(PHOTO_SUFFIXES))}); {way_out}"
+        raise ImageError(msg)
+    return paths
+
+
+def unread_photos(folder: Path) -> dict[str, int]:
+    """How many pictures directly in ``folder`` are of which kind that is not read.
+
+    Those that lie there as another kind, too, do not count: phones write a raw file beside the JPEG.
+    """
+    paths = [path for path in folder.iterdir() if not path.name.startswith(".") and path.is_file()]
+    read = {_shot(path) for path in paths if path.suffix.lower() in PHOTO_SUFFIXES}
+    kinds = (path.suffix.lower() for path in paths if _shot(path) not in read)
+    return dict(sorted(Counter(kind for kind in kinds if kind in _UNREAD_SUFFIXES).items()))
+
+
+def _shot(path: Path) -> str:
+    """What the files of one shot have in common: PXL_1.RAW-01.COVER.jpg and PXL_1.RAW-02.ORIGINAL.dng."""
+    return path.stem.lower().split(".raw-")[0]
+
+
+def folders_of_photos(folder: Path, suffixes: Collection[str] = PHOTO_SUFFIXES) -> dict[str, int]:
+    """How many photographs lie in which folders within ``folder``, by name; hidden ones and results do not count."""
+    found = {}
+    for inner in sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith(".")):
+        with suppress(OSError):  # what may not be looked into tells nothing
+            paths = [path for path in inner.iterdir() if not path.name.startswith(".")]
+            count = sum(path.suffix.lower() in suffixes for path in paths)
+            if count and not _RESULTS.intersection(path.name for path in paths):
+                found[inner.name] = count
+    return found
