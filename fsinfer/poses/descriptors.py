@@ -15,14 +15,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.poses.integer_product import MOST, integer_product
+from fsinfer.poses.integer_product import MOST, IntegerProducts
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 #: Products of the descriptors of one photo with all of the other that are made at a time: they stay in a core's cache.
-#: Source: numerics, docs/trials-speed.md; 8,700 by 8,700 take 34 instead of 43 ms with 96 instead of 256 rows.
-PRODUCTS_AT_ONCE = 800_000
+#: Source: numerics, docs/trials-speed.md; of 4,300 by 4,300 the two nearest are found in 2.6 instead of 4.6 ms.
+PRODUCTS_AT_ONCE = 400_000
 #: What is taken off so that 8 bits without a sign have one. Source: format.
 HALF_RANGE = 128
 #: No product is as small. Source: numerics.
@@ -34,13 +34,13 @@ class Descriptors:
     """Those of one photo as both sides of a product.
 
     ``asked`` (N, 128) uint8 are halves of them, ``lengths`` (N,) their lengths, ``offsets`` (N,) what their products
-    lack because ``found`` (128, N) int8 are less by :data:`HALF_RANGE`, and ``found_length`` the length of a whole one.
+    lack because ``found``, of (128, N) int8, are less by :data:`HALF_RANGE`, ``found_length`` that of a whole one.
     """
 
     asked: NDArray[np.uint8]
     lengths: Floats
     offsets: NDArray[np.int32]
-    found: NDArray[np.int8]
+    found: IntegerProducts
     found_length: float
 
     def __len__(self) -> int:
@@ -55,7 +55,7 @@ def prepared(descriptors: NDArray[np.uint8]) -> Descriptors:
         asked=asked,
         lengths=np.linalg.norm(asked.astype(np.float64), axis=1),
         offsets=HALF_RANGE * asked.sum(axis=1, dtype=np.int32),
-        found=np.ascontiguousarray((descriptors.astype(np.int16) - HALF_RANGE).astype(np.int8).T),
+        found=IntegerProducts((descriptors.astype(np.int16) - HALF_RANGE).astype(np.int8).T),
         found_length=float(np.median(whole)) if len(whole) else 1.0,
     )
 
@@ -83,7 +83,7 @@ def _two_nearest(one: Descriptors, which: Indices, other: Descriptors) -> tuple[
     at_once = max(1, PRODUCTS_AT_ONCE // len(other))
     for start in range(0, len(which), at_once):
         rows = slice(start, start + at_once)
-        product = integer_product(one.asked[which[rows]], other.found)
+        product = other.found.of(one.asked[which[rows]])
         every, best = np.arange(len(product)), product.argmax(axis=1)
         nearest[rows], products[0, rows] = best, product[every, best]
         product[every, best] = NONE

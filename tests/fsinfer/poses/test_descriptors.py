@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from fsinfer.poses import descriptors
 from fsinfer.poses.descriptors import matched, prepared
-from fsinfer.poses.integer_product import MOST, integer_product
+from fsinfer.poses.integer_product import MOST, IntegerProducts
 
 RATIO, ANGLE = 0.8, 0.7
 
@@ -117,11 +117,11 @@ def test_a_product_of_the_greatest_numbers_does_not_overflow() -> None:
     first = np.full((3, 128), MOST, dtype=np.uint8)
     second = np.full((128, 2), -128, dtype=np.int8)
     second[:, 1] = 127
-    assert integer_product(first, second).tolist() == [[-128 * MOST * 128, 127 * MOST * 128]] * 3
+    assert IntegerProducts(second).of(first).tolist() == [[-128 * MOST * 128, 127 * MOST * 128]] * 3
     rng = np.random.default_rng(9)
     first = rng.integers(0, MOST + 1, (300, 128), dtype=np.uint8)
     second = rng.integers(-128, 128, (128, 70), dtype=np.int8)
-    assert np.array_equal(integer_product(first, second), first.astype(np.int64) @ second.astype(np.int64))
+    assert np.array_equal(IntegerProducts(second).of(first), first.astype(np.int64) @ second.astype(np.int64))
 
 
 def test_no_half_of_a_descriptor_is_more_than_that() -> None:
