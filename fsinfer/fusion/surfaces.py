@@ -75,11 +75,14 @@ def ring_sums(reference: DepthMap, noise: float) -> NDArray[np.float32]:
         # Where the pixel itself has no depth the least of both is 0, and no difference is less.
         same = ((np.abs(difference) <= limit * np.minimum(there, inverse)) & (there > 0)).astype(np.float32)
         difference *= same
-        sums[0] += x * x * same
-        sums[1] += (x * y) * same
-        sums[2] += y * y * same
-        sums[3] += x * difference
-        sums[4] += y * difference
+        if du:
+            sums[0] += x * x * same
+            sums[3] += x * difference
+        if dv:
+            sums[2] += y * y * same
+            sums[4] += y * difference
+        if du and dv:
+            sums[1] += (x * y) * same
     return sums
 
 

@@ -112,28 +112,40 @@ def sum_within(
     values: NDArray[np.floating | np.integer],
     bins: NDArray[np.int64] | None = None,
 ) -> NDArray[np.float64]:
-    """(N,) sum of ``values`` in the 3x3x3 cells around each point's own, over points of the same bin.
+    """Sums of ``values`` in the 3x3x3 cells around each point's own, over points of the same bin.
 
-    ``bins``: (N,) small non-negative integers; points of different bins do not see each other.
+    Parameters
+    ----------
+    values: (N,), or (K, N) for K sums at once.
+    bins: (N,) small non-negative integers; points of different bins do not see each other.
+
+    Returns
+    -------
+    In the shape of ``values``.
     """
-    plain = voxel_keys(xyz, cell)
-    result = np.zeros(len(xyz))
+    cells = np.floor(xyz / cell).astype(np.int64)
+    cells -= cells.min(axis=0, initial=np.iinfo(np.int64).max) - 1  # so that neighbours on the lower side have a key
+    plain = (cells[:, 0] << (2 * _AXIS_BITS)) | (cells[:, 1] << _AXIS_BITS) | cells[:, 2]
+    del cells
+    each = np.atleast_2d(values)
+    result = np.zeros(each.shape)
     labels = np.zeros(len(xyz), np.int64) if bins is None else bins
     for label in np.unique(labels):
-        mine = labels == label
+        mine = np.flatnonzero(labels == label)
         keys, own = np.unique(plain[mine], return_inverse=True)
-        sums = np.bincount(own, weights=values[mine], minlength=len(keys))
-        cells = np.stack([keys >> (2 * _AXIS_BITS), (keys >> _AXIS_BITS) % _AXIS_CELLS, keys % _AXIS_CELLS], axis=1)
-        total = np.zeros(len(keys))
+        sums = np.stack([np.bincount(own, weights=row[mine], minlength=len(keys)) for row in each])
+        total = np.zeros(sums.shape)
         for dx in (-1, 0, 1):
             for dy in (-1, 0, 1):
-                for dz in (-1, 0, 1):
-                    near = (cells + np.array([dx, dy, dz])) % _AXIS_CELLS
-                    wanted = (near[:, 0] << (2 * _AXIS_BITS)) | (near[:, 1] << _AXIS_BITS) | near[:, 2]
-                    place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-                    total += np.where(keys[place] == wanted, sums[place], 0)
-        result[mine] = total[own]
-    return result
+                # Three cells above each other have keys that follow each other: those there are stand side by side.
+                lowest = keys + ((dx << (2 * _AXIS_BITS)) + (dy << _AXIS_BITS) - 1)
+                first = np.searchsorted(keys, lowest)
+                for place in (first, first + 1, first + 2):
+                    inside = np.minimum(place, len(keys) - 1)
+                    there = (place < len(keys)) & (keys[inside] <= lowest + 2)
+                    total += np.where(there, sums[:, inside], 0)
+        result[:, mine] = total[:, own]
+    return result.reshape(values.shape)
 
 
 def much_worse_than_nearby(samples: Samples, cell: float, ratio: float) -> NDArray[np.bool_]:
@@ -147,9 +159,8 @@ def much_worse_than_nearby(samples: Samples, cell: float, ratio: float) -> NDArr
     quality = samples.weight / samples.count  # inverse variance of a single pixel
     axis = np.abs(samples.normals).argmax(axis=1)
     facing = 2 * axis + (samples.normals[np.arange(len(axis)), axis] > 0)
-    best = sum_within(samples.xyz, cell, samples.weight * quality, facing) / np.maximum(
-        sum_within(samples.xyz, cell, samples.weight, facing), _LEAST_WEIGHT
-    )
+    of_quality, weight = sum_within(samples.xyz, cell, np.stack([samples.weight * quality, samples.weight]), facing)
+    best = of_quality / np.maximum(weight, _LEAST_WEIGHT)
     return np.asarray(quality * ratio**2 < best)
 
 
