@@ -38,6 +38,8 @@ _log = logging.getLogger(__name__)
 
 #: Processes for fits beside each other. Source: numerics; the last fit takes as long as the trials beside it together.
 _BESIDE = 2
+#: Observations from which on they save more than it takes to start them. Source: numerics.
+_SHARED_FROM = 30_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,7 +153,8 @@ def _found(
     threads: int,
 ) -> _Found:
     """Which groups are borne out, and the last fit with them; the one beside the other where there are threads."""
-    with worker_processes([__name__], count=min(threads, _BESIDE)):
+    count = min(threads, _BESIDE) if len(seen.photo) >= _SHARED_FROM else 1
+    with worker_processes([__name__], count=count):
         in_turn = tried_in_turn(seen, start, weighting, settings)
         progress(1, 2, "adjusting photo by photo")
         if in_turn is None:

@@ -81,6 +81,7 @@ def test_processes_beside_each_other_find_the_same(least: float, monkeypatch: py
         return answer
 
     monkeypatch.setattr(processes._Worker, "ask", noted)
+    monkeypatch.setattr("fsinfer.poses.adjustment.adjust._SHARED_FROM", 0)
     found = []
     for threads in (1, 2):
         with one_blas_thread():  # as in estimate_poses: sums in two threads are rounded otherwise
