@@ -250,7 +250,7 @@ def test_what_changes_from_photo_to_photo_is_told_and_undone_in_the_images(
     def mapped(walk: Walk, *_: Any) -> MappedWalk:
         return MappedWalk(model=room_model(walk.files, poses(views)), misplaced={})
 
-    def adjusted(model: Any, *_: Any) -> tuple[Any, PhotoAdjustment]:
+    def adjusted(model: Any, *_: Any, **__: Any) -> tuple[Any, PhotoAdjustment]:
         """All but the last photo turned about the upright axis while they were read out; the room is twice as large."""
         import pycolmap
 
