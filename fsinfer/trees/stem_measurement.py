@@ -14,6 +14,7 @@ from fsinfer.notices.notice import notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.processes import shared_out
 from fsinfer.progress import Progress, silent
+from fsinfer.trees.cylinder.axis import above_level
 from fsinfer.trees.diameter.dbh import measure_together
 from fsinfer.trees.diameter.section import Section
 from fsinfer.trees.ground.at_stems import level_std
@@ -41,6 +42,9 @@ BESIDE_M = 0.35
 #: Stems whose surfaces are nearer than this share their points out, metres; the same stem found twice, whose axes are
 #: nearer than ``SAME_M``, does not. Source: not recorded.
 NEIGHBOUR_M, SAME_M = 0.25, 0.05
+#: The place at breast height above the ground there and above another stem's level differ by less, metres. Source:
+#: geometry; leans of 45 degrees on slopes of 40.
+LEANT_M = 1.5
 #: The ground's noise over that of the ground level at a stem. Source: not recorded.
 GROUND_POINTS_STD = 3.0
 #: A stem is rougher than the plot's others beyond so many times their median residual and so many centimetres, where
@@ -66,24 +70,25 @@ def measure_stems(
     low, high = settings.stems.heights_m
     slab = rows(stand, (stand[:, 2] >= low - SLAB_MARGIN_M) & (stand[:, 2] <= high + SLAB_MARGIN_M))
     index = PlanIndex(slab, INDEX_CELL_M)
-    centers = np.array([stem.axis.center_at(settings.bh_m) for stem in search.stems]).reshape(-1, 2)
     measured = []
     feet = np.array([stem.axis.center_at(0.0) for stem in search.stems]).reshape(-1, 2)
     unsure = level_std(ground, feet, np.array([stem.axis.radius_m for stem in search.stems]))
-    placed: list[tuple[Stem, float]] = []
+    levels = [_own_level(stem, ground, settings) for stem in search.stems]
+    placed = [(_on_level(stem, ground, level), level) for stem, level in zip(search.stems, levels, strict=True)]
+    centers = np.array([stem.axis.center_at(settings.bh_m) for stem, _ in placed]).reshape(-1, 2)
 
     def together() -> Iterator[_Together]:
         for first in range(0, len(search.stems), TOGETHER):
             own, noise = [], []
             for number in range(first, min(first + TOGETHER, len(search.stems))):
-                stem = search.stems[number]
-                near, stem, level = _on_own_ground(
-                    index.near(centers[number], stem.axis.radius_m + BESIDE_M), stem, ground, settings
-                )
-                own.append(_without_neighbours(near, stem, search.stems, settings.bh_m))
+                stem, level = placed[number]
+                near = index.near(centers[number], stem.axis.radius_m + BESIDE_M)
+                # Heights above the one level that counts for this stem, so that it stays straight on a slope.
+                z = near[:, 2] + ground.height_at(near[:, :2]) - level
+                near = np.column_stack([near[:, :2], z])
+                own.append(_without_neighbours(near, stem, search.stems, ground, level, settings.bh_m))
                 noise.append(float(np.hypot(ground.noise_m / GROUND_POINTS_STD, unsure[number])))
-                placed.append((stem, level))
-            yield own, [stem for stem, _ in placed[first:]], noise
+            yield own, [stem for stem, _ in placed[first : first + TOGETHER]], noise
 
     progress(0, len(search.stems), "measuring stems")
     number = 0
@@ -177,30 +182,37 @@ def doubt_the_rough(pairs: list[tuple[Tree, Section]]) -> list[tuple[Tree, Secti
     return marked
 
 
-def _on_own_ground(near: Floats, stem: Stem, ground: Ground, settings: TreeSettings) -> tuple[Floats, Stem, float]:
-    """Heights above the one ground level that counts for this stem, so that its axis stays straight on a slope.
-
-    Returns points and stem above that level, and the level, z of the cloud: every height of the tree counts from it.
-    """
+def _own_level(stem: Stem, ground: Ground, settings: TreeSettings) -> float:
+    """The ground level, z of the cloud, that every height of a tree counts from."""
     foot = stem.axis.center_at(0.0)
-    level = float(ground.height_at(foot[None])[0])
-    reference = level
     if settings.bh_rule == BhRule.uphill:
-        reference = _highest_round(foot, stem.axis.radius_m, ground)
-    z = near[:, 2] + ground.height_at(near[:, :2]) - reference
-    shift = reference - level
-    axis = replace(stem.axis, height_m=stem.axis.height_m - shift)
-    moved = replace(stem, axis=axis, bottom_m=stem.bottom_m - shift, top_m=stem.top_m - shift)
-    return np.column_stack([near[:, :2], z]), moved, reference
+        return _highest_round(foot, stem.axis.radius_m, ground)
+    return float(ground.height_at(foot[None])[0])
 
 
-def _without_neighbours(near: Floats, stem: Stem, stems: tuple[Stem, ...], bh_m: float) -> Floats:
-    """Drop points that lie closer to the surface of another stem."""
+def _on_level(stem: Stem, ground: Ground, level: float) -> Stem:
+    """A stem of heights above the ground with heights above ``level``, z of the cloud."""
+    axis = stem.axis
+    heights = np.array([axis.height_m, stem.bottom_m, stem.top_m])
+    places = np.array([axis.center_at(height) for height in heights])
+    middle, bottom, top = (heights + ground.height_at(places) - level).tolist()
+    gradient = ground.gradient_at(axis.center_at(0.0)[None])[0]
+    return replace(stem, axis=above_level(axis, middle, gradient), bottom_m=bottom, top_m=top)
+
+
+def _without_neighbours(
+    near: Floats, stem: Stem, stems: tuple[Stem, ...], ground: Ground, level: float, bh_m: float
+) -> Floats:
+    """Drop points that lie closer to the surface of another stem; ``near`` and ``stem`` are above ``level``."""
     keep = np.ones(len(near), dtype=bool)
     own = np.abs(_surface_distance(near, stem))
+    center = stem.axis.center_at(bh_m)
     for other in stems:
-        gap = np.linalg.norm(other.axis.center_at(bh_m) - stem.axis.center_at(bh_m))
-        if SAME_M < gap < other.axis.radius_m + stem.axis.radius_m + NEIGHBOUR_M:
+        reach = other.axis.radius_m + stem.axis.radius_m + NEIGHBOUR_M
+        if np.linalg.norm(other.axis.center_at(bh_m) - center) > reach + LEANT_M:
+            continue
+        other = _on_level(other, ground, level)
+        if SAME_M < np.linalg.norm(other.axis.center_at(bh_m) - center) < reach:
             keep &= own <= np.abs(_surface_distance(near, other))
     return rows(near, keep)
 

@@ -35,6 +35,9 @@ LONGEST_STEP_M, LEAST_SHRINK = 0.05, 0.75
 LEAST_CORE, LEAST_RADIUS_M = 3.0, 0.01
 #: Keeps the equations solvable. Source: numerics.
 RIDGE = 1e-9
+#: An axis rises from the ground below it by this share of its own rise at least. Source: judgement; a stem that leans
+#: by 45 degrees with a slope of 40 has 0.16.
+LEAST_RISE = 0.1
 #: A fit to points near a known stem starts with so many times its noise, and at least so many metres. Source: numerics.
 WIDER_START = (1.5, 0.006)
 
@@ -141,6 +144,33 @@ def axis_coordinates(points: Floats, parameters: Floats, height_m: float) -> tup
     e1 /= np.linalg.norm(e1)
     e2 = np.cross(u, e1)
     return np.column_stack([x * e1[0] + y * e1[1] + z * e1[2], x * e2[0] + y * e2[1] + z * e2[2]]), foot
+
+
+def above_ground(axis: Axis, xy: Floats, gradient: Floats) -> Axis | None:
+    """An axis whose heights count from the level of the ground at ``xy`` (2,), with heights above the ground itself.
+
+    That slopes by ``gradient`` (2,), dz/dx and dz/dy, and z = z' + gradient (x - xy) turns the line x = p + l (z - h)
+    into another, of the slope l / (1 - gradient l). Radius and noise are those of the place. None where the axis lies
+    nearly in the ground.
+    """
+    slope = axis.parameters[2:4]
+    rise = 1.0 - float(gradient @ slope)
+    if rise < LEAST_RISE:
+        return None
+    up = float(gradient @ (axis.parameters[:2] - xy)) / rise
+    place, taper = axis.parameters[:2] + up * slope, axis.parameters[5]
+    parameters = np.array([*place, *(slope / rise), axis.radius_m + taper * up, taper / rise])
+    return Axis(parameters=parameters, height_m=axis.height_m, sigma_m=axis.sigma_m)
+
+
+def above_level(axis: Axis, height_m: float, gradient: Floats) -> Axis:
+    """The other way: an axis of heights above sloping ground, which passes ``height_m`` above a level where it passes
+    its own height."""
+    rise = 1.0 + float(gradient @ axis.parameters[2:4])
+    parameters = axis.parameters.copy()
+    parameters[2:4] /= rise
+    parameters[5] /= rise
+    return Axis(parameters=parameters, height_m=height_m, sigma_m=axis.sigma_m)
 
 
 def wider(sigma_m: float) -> float:

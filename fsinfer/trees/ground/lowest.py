@@ -20,6 +20,9 @@ Ints = NDArray[np.int64]
 MOST_CELLS = 60_000.0
 #: Points of a cell whose median is a height. Source: not recorded.
 LEAST_OF_A_CELL = 3
+#: The least step of a slope from cell to cell has this share of the greatest. Source: shapes of relief
+#: (``python -m tests.bench.relief``); a ditch three metres wide is none.
+ALIKE = 0.7
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,11 +65,58 @@ def lowest_cells(points: Floats, settings: GroundSettings) -> LowestCells:
         shape=shape,
         index=index,
         cell=cell,
-        low=low,
+        low=_low_at_middles((x - origin[0], y - origin[1], z), index, cell, low, shape, settings),
         count=count,
         reachable=reachable,
         at_bank=at_bank,
     )
+
+
+def _low_at_middles(
+    columns: tuple[Floats, Floats, Floats],
+    index: Ints,
+    cell: Ints,
+    low: Floats,
+    shape: tuple[int, int],
+    settings: GroundSettings,
+) -> Floats:
+    """The heights (C,) of the lowest dense layers at the cells' middles, where the ground is steep.
+
+    A level layer of a slope holds the lower border of a cell, farther below the ground at its middle than points are
+    looked for about it (``band_m``). Such a cell is looked at once more, in layers along the slope. ``columns`` are x,
+    y from the corner of the raster and z (N,) of the points.
+    """
+    surface = np.full(shape, np.nan)
+    surface.ravel()[cell] = low
+    down, right = (_slope_about(surface, axis) / settings.cell_m for axis in (0, 1))
+    steep = (0.5 * settings.cell_m * np.hypot(down, right) > settings.band_m).ravel()
+    if not steep[cell].any():
+        return low
+    chosen = np.flatnonzero(steep.take(index))
+    own = index.take(chosen)
+    x, y, z = (column.take(chosen) for column in columns)
+    z = z - right.ravel().take(own) * (x - settings.cell_m * (own % shape[1] + 0.5))
+    z -= down.ravel().take(own) * (y - settings.cell_m * (own // shape[1] + 0.5))
+    found, heights, _ = _lowest_layers(own, z, settings)
+    surface.ravel()[found] = heights
+    return np.asarray(surface.ravel()[cell])
+
+
+def _slope_about(surface: Floats, axis: int) -> Floats:
+    """How much a raster (H, W) rises from cell to cell along an axis, by the least of the two steps on either side.
+
+    It is 0 where that is less than :data:`ALIKE` of the greatest, about a bank or a ditch, and where fewer than two
+    of them are known (NaN).
+    """
+    steps = np.diff(surface, axis=axis, append=np.nan)  # the last is none, and comes round before the first
+    four = np.stack([np.roll(steps, shift, axis=axis) for shift in (-1, 0, 1, 2)])
+    known = np.isfinite(four)
+    signs = np.where(known, np.sign(four), 0.0).sum(axis=0)
+    alike = (np.abs(signs) == known.sum(axis=0)) & (known.sum(axis=0) >= 2)
+    least, most = (np.where(known, np.abs(four), none) for none in (np.inf, 0.0))
+    least, most = least.min(axis=0), most.max(axis=0)
+    alike &= least >= ALIKE * most
+    return np.asarray(np.where(alike, np.sign(signs) * np.where(alike, least, 0.0), 0.0))
 
 
 def _steps(values: Floats, low: float, size: float) -> Ints:

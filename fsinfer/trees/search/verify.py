@@ -9,7 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.notices.stems import StemCode
-from fsinfer.trees.cylinder.axis import START_SIGMA_M, STEPS, TOLERANCE, Axis, AxisSettings, axis_coordinates
+from fsinfer.trees.cylinder.axis import (
+    START_SIGMA_M,
+    STEPS,
+    TOLERANCE,
+    Axis,
+    AxisSettings,
+    above_ground,
+    axis_coordinates,
+)
 from fsinfer.trees.cylinder.batch import fit_axes
 from fsinfer.trees.points.cells import PlanIndex, rows
 from fsinfer.trees.points.sums import lengths
@@ -67,13 +75,22 @@ FLAT_COVERAGE = 0.35
 class Candidate:
     """A place ``xy`` (2,) where a stem may stand at ``height_m``, with the points ``near`` (N, 3) it; metres.
 
-    ``gradient`` is dz/dx and dz/dy of the ground that heights count from: they shear a stem that leans.
+    ``gradient`` is dz/dx and dz/dy of the ground that heights count from: they shear a stem that leans with or against
+    the slope, whose section is no circle then.
     """
 
     near: Floats
     xy: Floats
     height_m: float
     gradient: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def upright(self) -> Floats:
+        """``near`` with heights above the level of the ground at ``xy``."""
+        if not any(self.gradient):
+            return self.near
+        plan = self.near[:, :2]
+        return np.column_stack([plan, self.near[:, 2] + (plan - self.xy) @ np.asarray(self.gradient)])
 
 
 def candidates_at(seeds: Floats, index: PlanIndex, s: StemSettings, gradient_at: Gradient) -> list[Candidate]:
@@ -97,30 +114,43 @@ def verify(
     Candidates do not know of each other; they are taken together because their axes are fitted at once.
     """
     result: list[Stem | StemCode] = [StemCode.candidate_few_points] * len(candidates)
+    nears: dict[int, Floats] = {}
     windows: dict[int, Floats] = {}
     radii: dict[int, list[float]] = {}
     for number, candidate in enumerate(candidates):
-        window = rows(candidate.near, np.abs(candidate.near[:, 2] - candidate.height_m) <= 0.5 * s.window_m)
+        near = candidate.upright
+        window = rows(near, np.abs(near[:, 2] - candidate.height_m) <= 0.5 * s.window_m)
         if len(window) >= s.min_points:
-            windows[number], radii[number] = window, _start_radii(window, candidate.xy, s)
+            nears[number], windows[number], radii[number] = near, window, _start_radii(window, candidate.xy, s)
             result[number] = StemCode.candidate_no_ring
     # All rings at once; the first that is a stem counts, else what the last one lacks.
     rings = [(n, radius) for n, found in radii.items() for radius in found]
-    axes = _fit_rings([candidates[n] for n, _ in rings], [windows[n] for n, _ in rings], [r for _, r in rings], s, axis)
+    axes = _fit_rings(
+        [candidates[n] for n, _ in rings],
+        [windows[n] for n, _ in rings],
+        [nears[n] for n, _ in rings],
+        [r for _, r in rings],
+        s,
+        axis,
+    )
     for (n, _), fit in zip(rings, axes, strict=True):
         if isinstance(result[n], StemCode):
-            result[n] = fit if isinstance(fit, StemCode) else _judge(candidates[n].near, fit, cell_m, s)
+            result[n] = fit if isinstance(fit, StemCode) else _judge(candidates[n], nears[n], fit, cell_m, s)
     return result
 
 
 def _fit_rings(
     candidates: Sequence[Candidate],
     windows: Sequence[Floats],
+    nears: Sequence[Floats],
     radii: Sequence[float],
     s: StemSettings,
     settings: AxisSettings | None,
 ) -> list[Axis | StemCode]:
-    """The axis of each candidate that starts from a ring of the given radius, or why there is none."""
+    """The axis of each candidate that starts from a ring of the given radius, or why there is none.
+
+    The axes, the points near each, and those of them in the window about its height, are :attr:`Candidate.upright`.
+    """
     result: list[Axis | StemCode] = [StemCode.candidate_radius] * len(candidates)
 
     def fit(
@@ -161,13 +191,12 @@ def _fit_rings(
         result[row] = StemCode.candidate_not_round
     round_ = [(row, axis) for row, axis in zip(alive, axes, strict=True) if axis.sigma_m <= s.max_sigma_m]
     alive, axes = [row for row, _ in round_], [axis for _, axis in round_]
-    nears = [c.near for c in candidates]
     low, high = NEXT_RANGE
     last = fit(alive, axes, nears, LAST_POINTS, tolerance=LAST_TOLERANCE)
     for row, axis in zip(alive, last, strict=True):
         if not s.radius_m[0] * low <= axis.radius_m <= s.radius_m[1] * high:
             result[row] = StemCode.candidate_radius
-        elif _true_lean_deg(axis, candidates[row].gradient) > s.max_lean_deg:
+        elif axis.lean_deg > s.max_lean_deg:
             result[row] = StemCode.candidate_leans
         elif axis.sigma_m > min(s.max_noise * axis.radius_m, s.max_sigma_m):
             result[row] = StemCode.candidate_not_round
@@ -176,20 +205,20 @@ def _fit_rings(
     return result
 
 
-def _true_lean_deg(axis: Axis, gradient: tuple[float, float]) -> float:
-    """Lean from the vertical of an axis whose heights count from ground that slopes by ``gradient``."""
-    lean = axis.parameters[2:4]
-    return float(np.degrees(np.arctan2(np.hypot(*lean), 1.0 + float(lean @ np.asarray(gradient)))))
+def _judge(candidate: Candidate, near: Floats, fit: Axis, cell_m: float, s: StemSettings) -> Stem | StemCode:
+    """The stem, if the points show one about an axis: persistent, hollow, and standing out; else why it is none.
 
-
-def _judge(near: Floats, fit: Axis, cell_m: float, s: StemSettings) -> Stem | StemCode:
-    """The stem, if the points show one about an axis: persistent, hollow, and standing out; else why it is none."""
+    ``near`` (N, 3) are the candidate's points, upright, and so is the axis.
+    """
+    axis = above_ground(fit, candidate.xy, np.asarray(candidate.gradient))
+    if axis is None:
+        return StemCode.candidate_leans
     radius, sigma = fit.radius_m, fit.sigma_m
     offset, foot = axis_coordinates(near, fit.parameters, fit.height_m)
     residual = lengths(offset) - (radius + fit.parameters[5] * foot)
     limit = max(WALL_SIGMAS * sigma, WALL_CELLS * cell_m)
     wall = np.abs(residual) <= limit
-    layer = np.floor((near[:, 2] - s.heights_m[0]) / LAYER_M).astype(np.int64)
+    layer = np.floor((candidate.near[:, 2] - s.heights_m[0]) / LAYER_M).astype(np.int64)
     layers = round((s.heights_m[1] - s.heights_m[0]) / LAYER_M)
     sectors = int(np.clip(2.0 * np.pi * radius / (SECTOR_CELLS * cell_m), *SECTORS))
     sector = sector_of(offset, sectors)
@@ -225,7 +254,7 @@ def _judge(near: Floats, fit: Axis, cell_m: float, s: StemSettings) -> Stem | St
         return StemCode.candidate_post
     quality = length * min(coverage, ENOUGH_COVERAGE) * min(contrast, ENOUGH_CONTRAST) / (1.0 + sigma / QUALITY_SIGMA_M)
     bottom = float(heights.min() - 0.5 * LAYER_M)
-    return Stem(axis=fit, bottom_m=bottom, top_m=top, length_m=length, arc_coverage=coverage, quality=quality)
+    return Stem(axis=axis, bottom_m=bottom, top_m=top, length_m=length, arc_coverage=coverage, quality=quality)
 
 
 def _is_flat(offsets: Floats, coverage: float, s: StemSettings) -> bool:

@@ -27,6 +27,16 @@ def test_flat_ground_is_a_plane_without_a_raster() -> None:
     assert ground.slope_deg == pytest.approx(np.degrees(np.arctan(np.hypot(0.1, 0.05))), abs=0.3)
 
 
+@pytest.mark.parametrize("slope_deg", [25.0, 35.0, 39.0])
+@pytest.mark.parametrize("bumps", [0.0, 0.2])
+def test_the_ground_of_a_steep_slope_is_not_its_cells_lower_border(slope_deg: float, bumps: float) -> None:
+    slope = float(np.tan(np.radians(slope_deg)) / np.hypot(1.0, 0.5))  # the terrain rises half as much along y
+    ground = find_ground(_ground(slope=slope, bumps=bumps, count=60_000))
+    error = ground.height_at(_grid()) - terrain(_grid(), slope, bumps)
+    assert abs(error.mean()) < 0.01
+    assert np.abs(error).max() < (0.02 if bumps == 0 else 0.06)
+
+
 def test_bumps_bring_the_raster() -> None:
     ground = find_ground(_ground(slope=0.2, bumps=0.4))
     assert ground.method == "plane + raster"
