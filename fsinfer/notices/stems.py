@@ -18,6 +18,7 @@ class StemCode(StrEnum):
     too_uncertain = "too_uncertain"
     not_round = "not_round"
     no_stem_here = "no_stem_here"
+    ends_low = "ends_low"
     edges_unsupported = "edges_unsupported"
     outside_walk = "outside_walk"
     # Why a diameter is doubtful.
@@ -30,6 +31,8 @@ class StemCode(StrEnum):
     blurred_points = "blurred_points"
     rougher_than_others = "rougher_than_others"
     forks_here = "forks_here"
+    top_seen = "top_seen"
+    hangs = "hangs"
     edges_alone = "edges_alone"
     faint_edges = "faint_edges"
     few_edges = "few_edges"
@@ -83,6 +86,7 @@ class StemCode(StrEnum):
     thinned = "thinned"
     post_of_marker = "post_of_marker"
     shrubs_left_out = "shrubs_left_out"
+    stumps_left_out = "stumps_left_out"
     same_stem = "same_stem"
     forked = "forked"
     stems_outside_walk = "stems_outside_walk"
@@ -107,6 +111,7 @@ SENTENCES: dict[StemCode, str] = {
         "no round surface at breast height: its curvature changes too much with the part that is looked at"
     ),
     StemCode.no_stem_here: "no stem to be measured is seen here",
+    StemCode.ends_low: "it ends {top_m:.1f} m above the ground, below breast height",
     StemCode.edges_unsupported: (
         "edges alone are no measurement: {photos} photos have some {edges_cm:.0f} cm apart, "
         "and no second pair of sides agrees on the size ({refused})"
@@ -125,6 +130,8 @@ SENTENCES: dict[StemCode, str] = {
         "residual {residual_cm:.1f} cm, far above the plot's other stems: perhaps a double wall"
     ),
     StemCode.forks_here: "it forks at breast height: a second stem, of {dbh_cm:.0f} cm, stands in it there",
+    StemCode.top_seen: "its top is seen {top_m:.1f} m above the ground: a stump, a post, a person?",
+    StemCode.hangs: "nothing of it is seen below {bottom_m:.1f} m, as if it hung there",
     StemCode.edges_alone: "only from its edges in {photos} photos ({refused})",
     StemCode.faint_edges: "mostly from its edges in {photos} photos, which agree on it only a little",
     StemCode.few_edges: "mostly from its edges in {photos} photos: few, or from few of its sides",
@@ -186,6 +193,7 @@ SENTENCES: dict[StemCode, str] = {
         "cell of {cell_cm:.0f} cm between {low_m} and {high_m} m above the ground, {elsewhere:.0f} elsewhere)"
     ),
     StemCode.post_of_marker: ("an object at ({x_m:.1f}, {y_m:.1f}) was taken for the post of a marker, not for a tree"),
+    StemCode.stumps_left_out: "left out as stumps or posts, which end below breast height: {places}",
     StemCode.shrubs_left_out: (
         "left out as shrubs, where the cloud has something like a stem and the photos show none: {places}"
     ),

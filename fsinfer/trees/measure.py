@@ -16,6 +16,7 @@ from fsinfer.progress import Progress, silent
 from fsinfer.threads import one_blas_thread
 from fsinfer.trees.common_lean import common_lean
 from fsinfer.trees.diameter.section import Section
+from fsinfer.trees.ends import without_stumps
 from fsinfer.trees.ground.at_stems import shows_ground
 from fsinfer.trees.ground.ground import Ground, find_ground
 from fsinfer.trees.one_entry import one_entry_a_stem
@@ -191,8 +192,9 @@ def _analysed(
     if seen_cells(low, close=False).area(np.zeros((0, 2))) < settings.sanity.little_ground * plan_m2:
         warnings.append(notice(StemCode.little_ground))
     measured = measure_stems(stand, search, ground, settings, scale_rel_std, origin, progress=progress)
+    measured, stumps = without_stumps(measured)
     pairs, same = one_entry_a_stem(measured)
-    warnings += same
+    warnings += (*stumps, *same)
     pairs = doubt_the_rough(allow_for_shape(pairs, settings=settings))
     warnings += common_lean([tree for tree, _ in pairs], [section for _, section in pairs], settings=settings.lean)
     # On the side of a cloud that lies, a surface may be followed and something on it be measured, but nothing soundly.

@@ -17,6 +17,7 @@ from fsinfer.progress import Progress, silent
 from fsinfer.trees.cylinder.axis import above_level
 from fsinfer.trees.diameter.dbh import measure_together
 from fsinfer.trees.diameter.section import Section
+from fsinfer.trees.ends import Ends, ends_of, with_ends
 from fsinfer.trees.ground.at_stems import level_std
 from fsinfer.trees.ground.ground import Ground
 from fsinfer.trees.height import FOOT_M, axis_path, top_may_be_seen, tree_height
@@ -77,6 +78,10 @@ def measure_stems(
     placed = [(_on_level(stem, ground, level), level) for stem, level in zip(search.stems, levels, strict=True)]
     centers = np.array([stem.axis.center_at(settings.bh_m) for stem, _ in placed]).reshape(-1, 2)
 
+    highest = float(stand[:, 2].max(initial=0.0))
+    slab_m = (low - SLAB_MARGIN_M, high + SLAB_MARGIN_M)
+    ends: list[Ends] = []
+
     def together() -> Iterator[_Together]:
         for first in range(0, len(search.stems), TOGETHER):
             own, noise = [], []
@@ -86,14 +91,17 @@ def measure_stems(
                 # Heights above the one level that counts for this stem, so that it stays straight on a slope.
                 z = near[:, 2] + ground.height_at(near[:, :2]) - level
                 near = np.column_stack([near[:, :2], z])
-                own.append(_without_neighbours(near, stem, search.stems, ground, level, settings.bh_m))
+                near = _without_neighbours(near, stem, search.stems, ground, level, settings.bh_m)
+                own.append(near)
+                ends.append(ends_of(near, stem, cloud_top_m=highest, slab_m=slab_m, s=settings.stems))
                 noise.append(float(np.hypot(ground.noise_m / GROUND_POINTS_STD, unsure[number])))
             yield own, [stem for stem, _ in placed[first : first + TOGETHER]], noise
 
     progress(0, len(search.stems), "measuring stems")
     number = 0
     for sections in shared_out(partial(_sections, settings, scale_rel_std), together()):
-        for section in sections:
+        for found in sections:
+            section = with_ends(found, ends[number], settings.bh_m)
             if section.dbh_m is None:
                 wanted = not is_no_giant(search.stems[number], section.coverage, settings.stems)
             else:
@@ -102,7 +110,6 @@ def measure_stems(
                 measured.append((number, *placed[number], section))
             number += 1
         progress(number, len(search.stems), "measuring stems")
-    highest = float(stand[:, 2].max(initial=0.0))
     highest_of = {n: highest + _rise_within_reach(stem, level, ground, settings) for n, stem, level, _ in measured}
     tall = [
         (stem, highest_of[number])

@@ -1,0 +1,80 @@
+"""Stumps, posts and what hangs in the air are no sure trees; trees and what is hidden in part stay as they are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fsinfer.trees import PlotResult, analyse_plot
+from tests.support.stem_clouds import wall
+
+Floats = NDArray[np.float64]
+AT = np.array([3.0, 1.0])
+
+
+def tube(rng: np.random.Generator, radius: float, low: float, high: float, arc_deg: float = 360.0) -> Floats:
+    points = wall(rng, radius=radius, spacing_m=0.012, taper=0.0, top_m=high, arc_deg=arc_deg)
+    return points[points[:, 2] >= low]
+
+
+def measured(*things: Floats, top_m: float = 5.0) -> PlotResult:
+    """Three trees, and ``things`` about (0, 0) put at ``AT``, on level ground."""
+    rng = np.random.default_rng(3)
+    ground = np.column_stack([rng.uniform(-6.0, 6.0, (30_000, 2)), rng.normal(0.0, 0.005, 30_000)])
+    trees = [tube(rng, 0.15, 0.0, top_m) + np.array([x, y, 0.0]) for x, y in ((-4.0, -4.0), (-4.0, 3.0), (0.0, -3.0))]
+    others = [thing + np.array([*AT, 0.0]) for thing in things]
+    points = np.concatenate([ground, *trees, *others])
+    return analyse_plot(points + rng.normal(0.0, 0.003, points.shape), turned=True)
+
+
+def here(result: PlotResult) -> list[tuple[str, list[str]]]:
+    """Status and reasons of what was found at ``AT``."""
+    return [
+        (tree.status, [str(reason.code) for reason in tree.reasons])
+        for tree in result.trees
+        if np.hypot(tree.x_m - AT[0], tree.y_m - AT[1]) < 0.5
+    ]
+
+
+@pytest.mark.parametrize("radius", [0.05, 0.2])
+def test_what_ends_below_breast_height_is_no_tree(radius: float) -> None:
+    result = measured(tube(np.random.default_rng(1), radius, 0.0, 1.15))
+    assert here(result) == []
+    (warning,) = (item for item in result.warnings if item.code == "stumps_left_out")
+    assert dict(warning.items)["places"] == ("(3.0, 1.0)",)
+    assert len(result.trees) == 3
+
+
+@pytest.mark.parametrize("high", [1.5, 1.8])
+def test_a_top_seen_above_breast_height_is_told(high: float) -> None:
+    ((status, reasons),) = here(measured(tube(np.random.default_rng(1), 0.1, 0.0, high)))
+    assert (status, reasons) == ("doubtful", ["top_seen"])
+
+
+def test_what_hangs_in_the_air_is_told() -> None:
+    ((status, reasons),) = here(measured(tube(np.random.default_rng(1), 0.06, 0.9, 3.5)))
+    assert (status, reasons) == ("doubtful", ["hangs"])
+
+
+def test_trees_have_no_ends() -> None:
+    result = measured(tube(np.random.default_rng(1), 0.2, 0.0, 5.0))
+    assert [tree.status for tree in result.trees] == ["ok"] * 4
+
+
+def test_a_cloud_cut_off_low_has_no_tops() -> None:
+    result = measured(tube(np.random.default_rng(1), 0.2, 0.0, 1.8), top_m=1.8)
+    assert [tree.status for tree in result.trees] == ["ok"] * 4
+
+
+def test_a_foot_in_the_grass_and_a_top_among_leaves_are_hidden() -> None:
+    rng = np.random.default_rng(2)
+    leaves = rng.uniform([-0.3, -0.3, 1.7], [0.3, 0.3, 3.0], (3000, 3))
+    grass = rng.uniform([-0.5, -0.5, 0.0], [0.5, 0.5, 0.5], (4000, 3))
+    (found,) = here(measured(tube(rng, 0.12, 0.6, 1.7), leaves, grass))
+    assert not {"top_seen", "hangs", "ends_low"} & set(found[1])
+
+
+def test_of_what_is_seen_from_one_side_nothing_is_told() -> None:
+    (found,) = here(measured(tube(np.random.default_rng(1), 0.2, 0.0, 1.6, arc_deg=140.0)))
+    assert not {"top_seen", "ends_low"} & set(found[1])
