@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum, StrEnum
 from pathlib import Path
 
@@ -66,6 +66,7 @@ class Plot:
     options: of ``fsinfer run``, as written on a command line.
     files: files that options name, by the option; they stand in ``options`` only when the plot is run.
     place_deg: latitude and longitude in WGS84 from the table; None where it says nothing.
+    row: file and row of the table, for messages.
     """
 
     name: str
@@ -73,6 +74,7 @@ class Plot:
     options: tuple[str, ...] = ()
     files: tuple[tuple[str, Path], ...] = ()
     place_deg: tuple[float, float] | None = None
+    row: str = field(default="", compare=False)
 
 
 def read_plots(path: Path) -> tuple[Plot, ...]:
@@ -138,6 +140,7 @@ def _plot(row: CsvRow, folder: Path) -> Plot:
         options=tuple(options),
         files=tuple(files),
         place_deg=_place(row),
+        row=row.place,
     )
 
 

@@ -30,6 +30,7 @@ def register_batch(app: typer.Typer) -> None:
 
 @reports_errors
 def batch(
+    context: typer.Context,
     plots: Annotated[
         Path,
         typer.Argument(
@@ -131,11 +132,39 @@ def batch(
             f"--precision={precision.value}",
         ),
     )
+    _check_rows(plots, context)
     result = run_batch(plots, out, settings=settings, news=_say_nothing if quiet else _say_news)
     for line in _lines(result):
         typer.echo(line)
     if result.counts.failed:
         raise typer.Exit(EXIT_SOME_FAILED)
+
+
+def _check_rows(table: Path, context: typer.Context) -> None:
+    """What ``fsinfer run`` would refuse of a row is told before any plot is measured.
+
+    Raises
+    ------
+    InputError
+        With the row.
+    """
+    from fsinfer.batch.plots_table import read_plots
+    from fsinfer.errors import InputError
+
+    group = context.parent.command if context.parent is not None else None
+    run = getattr(group, "commands", {}).get("run")
+    for plot in read_plots(table):
+        for option, path in plot.files:
+            if not path.is_file():
+                msg = f"{plot.row}: the file of {option}, {path}, does not exist; correct the cell"
+                raise InputError(msg)
+        if run is None:
+            continue
+        try:
+            run.make_context("run", [str(plot.photos), str(table), *plot.options])
+        except typer.BadParameter as error:
+            msg = f"{plot.row}: {error.format_message().rstrip('.')}; correct the cell"
+            raise InputError(msg) from error
 
 
 def _say_nothing(_: PlotNews) -> None:
