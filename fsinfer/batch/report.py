@@ -194,8 +194,8 @@ def _said(row: PlotRow) -> str:
 
 def _table(rows: Sequence[PlotRow]) -> Part:
     head = (
-        "Plot", "State", "Trees", "With DBH", "Stems/ha", "Basal area (m²/ha)", "Quadratic mean DBH (cm)",
-        "Area (m²)", "Photos used", "Warnings", "Minutes", "Remark",
+        "Plot", "State", "Trees", "With DBH", "On the area", "Stems/ha", "Basal area (m²/ha)",
+        "Quadratic mean DBH (cm)", "Area (m²)", "Photos used", "Warnings", "Minutes", "Remark",
     )  # fmt: skip
     return Part(
         anchor="plots",
@@ -213,6 +213,7 @@ def _cells(row: PlotRow) -> tuple[PlotCell, ...]:
         PlotCell(text=row.state.value, key=row.state.value),
         _number(row.trees, ".0f"),
         _number(row.trees_with_dbh, ".0f"),
+        _number(row.trees_on_area, ".0f"),
         _interval(row.stems_per_ha, row.stems_per_ha_lo95, row.stems_per_ha_hi95, ".0f"),
         _interval(row.basal_area_m2_per_ha, row.basal_area_lo95_m2_per_ha, row.basal_area_hi95_m2_per_ha, ".1f"),
         _number(row.quadratic_mean_dbh_cm, ".1f"),

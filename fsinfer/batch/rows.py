@@ -30,7 +30,8 @@ class PlotRow:
     Attributes
     ----------
     plot: its name. state: done, failed or waiting. message: why it failed.
-    trees, trees_with_dbh: numbers of stems. per_hectare_of: what the figures a hectare refer to.
+    trees, trees_with_dbh: numbers of stems. trees_on_area: those of them that the figures a hectare count, in the
+        plot's border or on the seen ground. per_hectare_of: what the figures a hectare refer to.
     stems_per_ha, basal_area_m2_per_ha: with 95 % intervals where the plot has a border.
     quadratic_mean_dbh_cm: of the stems that these figures count. area_m2: of the plot, or of the seen ground.
     photos, registered: numbers of photographs. units: m, or model units without a scale. scale_source: of the metre.
@@ -44,6 +45,7 @@ class PlotRow:
     message: str = ""
     trees: int | None = None
     trees_with_dbh: int | None = None
+    trees_on_area: int | None = None
     per_hectare_of: str = ""
     stems_per_ha: float | None = None
     stems_per_ha_lo95: float | None = None
@@ -117,6 +119,7 @@ def _figures(plot: Mapping[str, Any]) -> dict[str, Any]:
     figures: dict[str, Any] = {
         "trees": _whole(plot.get("trees")),
         "trees_with_dbh": _whole(plot.get("trees_with_dbh")),
+        "trees_on_area": _whole(border.get("stems") if border else stand.get("stems_on_area")),
         "per_hectare_of": _text(plot.get("per_hectare_of")),
         "photos": _whole(plot.get("photos")),
         "registered": _whole(plot.get("registered")),

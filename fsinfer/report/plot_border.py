@@ -53,6 +53,8 @@ def border_facts(figures: PlotFigures) -> list[tuple[str, str]]:
             f"{figures.unmeasured} without a DBH; {figures.outside} more stand outside",
         ),
     ]
+    if figures.quadratic_mean_dbh_cm is not None:
+        rows.append(("Quadratic mean DBH in the plot", f"{figures.quadratic_mean_dbh_cm:.1f} cm"))
     if figures.on_unseen:
         rows.append(
             (

@@ -60,9 +60,15 @@ def _with_share(own: StandTable, share: float) -> StandTable:
     )
 
 
-def diameters_cm(contents: Contents) -> list[float]:
-    """DBH of the measured stems, without those outside of the walk."""
-    return [d for tree in contents.counted if (d := number(tree.get("dbh_cm"))) is not None]
+def diameters_cm(contents: Contents, *, everywhere: bool = False) -> list[float]:
+    """DBH of the measured stems: in the plot where it has a border, unless those ``everywhere`` are asked for.
+
+    Without those outside of the walk, which no border counts.
+    """
+    rows = contents.counted
+    if not everywhere and border_of(contents) is not None:
+        rows = [tree for tree in contents.trees or () if is_in(tree)]
+    return [d for tree in rows if (d := number(tree.get("dbh_cm"))) is not None]
 
 
 def basal_area_m2(dbh_cm: Sequence[float]) -> float:

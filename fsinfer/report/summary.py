@@ -34,15 +34,17 @@ class PlotView:
 
 
 def tiles_part(contents: Contents) -> Part:
-    """The row of large numbers; only what is known."""
-    plot, stand = contents.plot, stand_of(contents)
+    """The row of large numbers; only what is known. Of a plot with a border they are those of the plot."""
+    plot, stand, border = contents.plot, stand_of(contents), border_of(contents)
     shown: list[tuple[str, str]] = []
     if contents.trees is not None:
-        shown += [(str(stand.stems), "stems found"), (str(stand.measured), "with a DBH")]
-    if stand.quadratic_mean_dbh_cm is not None:
-        shown.append((f"{stand.quadratic_mean_dbh_cm:.1f} cm", "quadratic mean DBH"))
-    if stand.measured:
-        shown.append((f"{basal_area_m2(diameters_cm(contents)):.2f} m²", "basal area of these stems"))
+        own = stand if border is None else border
+        where = "stems found" if border is None else f"stems in the plot, of {stand.stems} found"
+        shown += [(str(own.stems), where), (str(own.measured), "with a DBH")]
+        if own.quadratic_mean_dbh_cm is not None:
+            shown.append((f"{own.quadratic_mean_dbh_cm:.1f} cm", "quadratic mean DBH"))
+        if own.measured:
+            shown.append((f"{basal_area_m2(diameters_cm(contents)):.2f} m²", "basal area of these stems"))
     if plot.get("photos") is not None:
         shown.append((f"{plot.get('registered', '?')} of {plot['photos']}", "photos used"))
     points = number(plot.get("points"))
@@ -75,7 +77,7 @@ def _stand_facts(contents: Contents) -> list[tuple[str, str]]:
     rows += [
         ("Mean DBH", f"{stand.mean_dbh_cm:.1f} cm"),
         ("Quadratic mean DBH", f"{stand.quadratic_mean_dbh_cm:.1f} cm"),
-        ("Basal area of these stems", f"{basal_area_m2(diameters_cm(contents)):.3f} m²"),
+        ("Basal area of these stems", f"{basal_area_m2(diameters_cm(contents, everywhere=True)):.3f} m²"),
     ]
     plot = border_of(contents)
     if plot is not None:
