@@ -281,5 +281,13 @@ def evaluate(
 def report(out: Out, debug: Debug = False) -> None:
     """Write report.html from what the output folder holds."""
     from fsinfer.report import make_report
+    from fsinfer.workflow.ledger import Ledger
 
+    if any(Ledger(out).is_begun(stage) for stage in ("trees", "measure")):
+        warn(
+            [
+                f"the trees in {out} were being measured when that was stopped: its tables and figures may be of two "
+                "measurements; run the same fsinfer trees, or fsinfer run, again, and then this"
+            ]
+        )
     typer.echo(str(make_report(out)))

@@ -192,6 +192,10 @@ class Ledger:
         inputs = saved.get("inputs")
         return inputs if saved.get("state") == "done" and isinstance(inputs, dict) else None
 
+    def is_begun(self, name: str) -> bool:
+        """Whether the stage was begun and did not come to its end."""
+        return bool(self._read(name).get("state") == "started")
+
     def has(self, name: str) -> bool:
         """Whether the stage was ever begun in this folder."""
         return self._path(name).is_file()

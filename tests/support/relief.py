@@ -45,6 +45,11 @@ def mound(height: float) -> Shape:
     return lambda x, y: height * np.exp(-(x**2 + y**2) / (2 * 0.9**2))
 
 
+def slope(degrees: float) -> Shape:
+    """All of it."""
+    return lambda x, _y: np.tan(np.radians(degrees)) * x
+
+
 def hummocks(x: Floats, y: Floats) -> Floats:
     """Waves of 12 m that rise and fall by 0.8 m."""
     return np.asarray(0.45 * np.sin(x / 2) + 0.34 * np.cos(y / 2))
@@ -72,6 +77,8 @@ SHAPES: dict[str, Shape] = {
     "terrace_down_0_5m": bank(-0.5, width=0.4, middle=8.2),
     "cut_2_5m": bank(2.5, width=1.2, middle=4.5),
     "stream_2m": stream(2.0, 4.8),
+    "slope_30deg": slope(30.0),
+    "slope_38deg": slope(38.0),
     "gentle": gentle,
 }
 

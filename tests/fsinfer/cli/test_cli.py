@@ -24,6 +24,7 @@ from fsinfer.io.cloud import read_cloud
 from fsinfer.output.plot_json import read_plot
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.scene import read_scene
+from fsinfer.workflow.ledger import RECORDS_FOLDER
 from fsinfer.workflow.settings import RunSettings, speedless
 from tests.support.command_line import Call
 from tests.support.synthetic_plot import M_PER_UNIT, STEMS, write_depth_folder, write_scene_folder
@@ -224,6 +225,11 @@ def test_fuse_then_trees(metric_out: Path, call: Call) -> None:
     assert out.startswith("3 trees, 3 with DBH")
     assert call("report", metric_out)[:2] == (0, f"{metric_out / 'report.html'}\n")
     np.testing.assert_allclose(found, sorted(200 * STEMS[:, 2]), atol=1.0)
+    # What a measurement that was killed has left may be of two.
+    (metric_out / RECORDS_FOLDER / "measure.json").write_text('{"state": "started"}', encoding="utf-8")
+    code, out, err = call("report", metric_out)
+    assert (code, out) == (0, f"{metric_out / 'report.html'}\n")
+    assert "may be of two measurements" in err
 
 
 def test_endpoints_may_be_negative(metric_out: Path, call: Call) -> None:
