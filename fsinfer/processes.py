@@ -8,11 +8,13 @@ own pools: those would run a user's script once more in each where it does not g
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import os
 import pickle
 import queue
 import subprocess
+import sys
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
@@ -79,22 +81,38 @@ def shared_out(
 
 def peak_of_mb(process: int | Literal["self"]) -> float | None:
     """The largest resident memory of a process so far, MiB; None where the system does not tell (it does on Linux)."""
+    return _status_mb(process, "VmHWM:")
+
+
+def _status_mb(process: int | Literal["self"], key: str) -> float | None:
     with suppress(OSError):
         status = (Path("/proc") / str(process) / "status").read_text(encoding="ascii", errors="replace")
         for line in status.splitlines():
-            if line.startswith("VmHWM:"):
+            if line.startswith(key):
                 return int(line.split()[1]) / 1024
     return None
+
+
+def hand_back() -> None:
+    """Give back to the system what the allocator keeps of earlier work's memory, where it can (GNU's C library).
+
+    It keeps some hundred MiB in pieces, which would lie beside all that comes afterwards.
+    """
+    if sys.platform != "linux":
+        return
+    with suppress(OSError, AttributeError):  # another C library
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def child_ended(peak_mb: float | None) -> None:
     """A process that worked for this one has ended; ``peak_mb`` is the peak of its memory, MiB, where that is known."""
     global _ended_peak_mb
-    _ended_peak_mb = max(_ended_peak_mb, peak_mb or 0.0)
+    # This one has waited for it meanwhile.
+    _ended_peak_mb = max(_ended_peak_mb, (peak_mb or 0.0) + (_status_mb("self", "VmRSS:") or 0.0))
 
 
 def ended_peak_mb() -> float:
-    """The largest memory, MiB, that processes which have ended told since :func:`forget_ended`."""
+    """The largest memory, MiB, of this process and one that has ended, or several, since :func:`forget_ended`."""
     return _ended_peak_mb
 
 

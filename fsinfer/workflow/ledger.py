@@ -30,8 +30,9 @@ from fsinfer.io.files import disk_full, is_by_system, is_disk_full, make_folder,
 from fsinfer.io.json_text import read_json
 from fsinfer.output.json_values import as_json, of_json
 from fsinfer.output.layout import RECORDS_FOLDER
+from fsinfer.processes import hand_back
 from fsinfer.workflow.folder_lock import alone_in
-from fsinfer.workflow.memory_peak import MemoryPeak, hand_back
+from fsinfer.workflow.memory_peak import MemoryPeak
 
 #: Raised when records of an older layout must not be trusted any more. Source: the layout of the record.
 RECORD_FORMAT = 2

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
 import sys
-from contextlib import suppress
 from pathlib import Path
 
 from fsinfer.processes import ended_peak_mb, forget_ended, peak_of_mb, workers_peak_mb
@@ -16,9 +14,9 @@ class MemoryPeak:
     """Starts watching when made; :meth:`read_mb` gives the peak since then.
 
     On Linux the kernel's high-water mark is reset at the start, so the figure belongs to the stretch. Elsewhere it
-    is the peak of the whole process so far (macOS), or unknown (Windows). Of child processes the largest that told its
-    peak (:func:`fsinfer.processes.child_ended`) is added, and those that work for it now
-    (:func:`fsinfer.processes.workers_peak_mb`).
+    is the peak of the whole process so far (macOS), or unknown (Windows). What child processes told at their end
+    (:func:`fsinfer.processes.child_ended`) counts with what this one held then, and those that work for it now are
+    added (:func:`fsinfer.processes.workers_peak_mb`).
     """
 
     def __init__(self) -> None:
@@ -33,21 +31,11 @@ class MemoryPeak:
         """Peak resident memory, MiB; None where the system does not tell."""
         own = peak_of_mb("self")
         if own is not None:
-            return round(own + ended_peak_mb() + workers_peak_mb(), 1)
+            return round(max(own + workers_peak_mb(), ended_peak_mb()), 1)
         if sys.platform == "win32":
             return None
         import resource
 
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return round(peak / (1024 * 1024 if sys.platform == "darwin" else 1024) + ended_peak_mb(), 1)
-
-
-def hand_back() -> None:
-    """Give back to the system what the allocator keeps of an earlier stage's memory, where it can (GNU's C library).
-
-    It keeps some hundred MiB in pieces after depth, which would lie beside all that fusion holds.
-    """
-    if sys.platform != "linux":
-        return
-    with suppress(OSError, AttributeError):  # another C library
-        ctypes.CDLL(None).malloc_trim(0)
+        own = peak / (1024 * 1024 if sys.platform == "darwin" else 1024)
+        return round(own + ended_peak_mb(), 1)

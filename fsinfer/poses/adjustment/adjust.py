@@ -30,7 +30,7 @@ from fsinfer.poses.adjustment.projection import DRIFT, FOCAL, LENS, OWN, PRINCIP
 from fsinfer.poses.adjustment.reduced_system import Structure
 from fsinfer.poses.adjustment.settings import AdjustmentSettings
 from fsinfer.poses.refinement import settle
-from fsinfer.processes import has_workers, shared_out, worker_processes
+from fsinfer.processes import hand_back, has_workers, shared_out, worker_processes
 from fsinfer.progress import Progress, silent
 from fsinfer.threads import beside
 
@@ -153,6 +153,7 @@ def _found(
     threads: int,
 ) -> _Found:
     """Which groups are borne out, and the last fit with them; the one beside the other where there are threads."""
+    hand_back()  # what mapping held
     count = min(threads, _BESIDE) if len(seen.photo) >= _SHARED_FROM else 1
     with worker_processes([__name__], count=count):
         in_turn = tried_in_turn(seen, start, weighting, settings)
@@ -165,6 +166,7 @@ def _found(
             return _Found(evidence=usual, unknowns=start, precisions=())
         if not has_workers():
             return _fitted(seen, start, confirmed(in_turn, settings))
+        hand_back()  # what the trials held
         # Hardly ever does a group go when it is tried once more, so that the last fit need not wait for that.
         with beside(lambda _: next(shared_out(partial(_fitted, seen, start), [usual], threads=1))) as fitted:
             evidence = confirmed(in_turn, settings)

@@ -21,10 +21,10 @@ from fsinfer.cli.console import explain, reports_errors, stage_progress, warn
 from fsinfer.depth.manifest import models_folder
 from fsinfer.errors import CloudError, FsinferError
 from fsinfer.io.cloud import read_cloud
+from fsinfer.output.layout import RECORDS_FOLDER
 from fsinfer.output.plot_json import read_plot
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.scene import read_scene
-from fsinfer.workflow.ledger import RECORDS_FOLDER
 from fsinfer.workflow.settings import RunSettings, speedless
 from tests.support.command_line import Call
 from tests.support.synthetic_plot import M_PER_UNIT, STEMS, write_depth_folder, write_scene_folder

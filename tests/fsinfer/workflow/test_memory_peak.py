@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from fsinfer.workflow.memory_peak import hand_back
+from fsinfer.processes import hand_back
 
 #: In a process of its own: what others have freed before would be taken first. Prints MiB before, with blocks that are
 #: freed below one still in use, and as the next stage begins.
