@@ -199,7 +199,8 @@ def _analysed(
     warnings += common_lean([tree for tree, _ in pairs], [section for _, section in pairs], settings=settings.lean)
     # On the side of a cloud that lies, a surface may be followed and something on it be measured, but nothing soundly.
     in_part = ground.share < settings.sanity.min_ground
-    sound = any(tree.status == "ok" if in_part else tree.dbh_cm is not None for tree, _ in pairs)
+    sure = sum(tree.status == "ok" for tree, _ in pairs)
+    sound = sure >= settings.sanity.turned_trees if in_part else any(tree.dbh_cm is not None for tree, _ in pairs)
     tapers = _tapers([section for _, section in pairs])
     if on_head:
         if not thin_upwards(tapers, settings.sanity):

@@ -284,7 +284,8 @@ def test_their_memory_counts_when_they_have_ended() -> None:
     assert there is not None
     assert after is not None
     assert of_workers > 100.0
-    assert after >= there
+    # This process itself holds as much when they end as at its peak, but for a little.
+    assert after >= 0.95 * there
     assert after - MemoryPeak().read_mb() > 0.8 * of_workers  # type: ignore[operator]
 
 
