@@ -54,7 +54,11 @@ def voxel_keys(xyz: NDArray[np.float64], voxel: float) -> NDArray[np.int64]:
 
     Keys wrap round every two million voxels, so the points must lie within ``MAX_EXTENT_VOXELS`` of each other.
     """
-    cells = np.floor(xyz / voxel).astype(np.int64) & (_AXIS_CELLS - 1)
+    return _packed(np.floor(xyz / voxel).astype(np.int64) & (_AXIS_CELLS - 1))
+
+
+def _packed(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(N,) int64 key of cells (N, 3) that are not negative."""
     return np.asarray((cells[:, 0] << (2 * _AXIS_BITS)) | (cells[:, 1] << _AXIS_BITS) | cells[:, 2])
 
 
@@ -125,7 +129,7 @@ def sum_within(
     """
     cells = np.floor(xyz / cell).astype(np.int64)
     cells -= cells.min(axis=0, initial=np.iinfo(np.int64).max) - 1  # so that neighbours on the lower side have a key
-    plain = (cells[:, 0] << (2 * _AXIS_BITS)) | (cells[:, 1] << _AXIS_BITS) | cells[:, 2]
+    plain = _packed(cells)
     del cells
     each = np.atleast_2d(values)
     result = np.zeros(each.shape)

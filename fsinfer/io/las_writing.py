@@ -202,7 +202,7 @@ def copy_las(
 
 @contextmanager
 def _writing(source: Path, target: Path) -> Iterator[None]:
-    """As :func:`_told`, but what cannot be written is no fault of ``source``: such errors pass."""
+    """As :func:`~fsinfer.io.las.open_las` tells, but what cannot be written is no fault of ``source`` and passes."""
     try:
         yield
     except (OSError, MemoryError):
