@@ -7,9 +7,11 @@ import math
 import threading
 from collections import OrderedDict
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -72,6 +74,15 @@ class DepthMap:
     def center(self) -> NDArray[np.float64]:
         """(3,) camera centre in world coordinates."""
         return np.asarray(-self.cam_from_world[:3, :3].T @ self.cam_from_world[:3, 3])
+
+    @cached_property
+    def nearest_around(self) -> NDArray[np.float32]:
+        """(h, w) float32: greatest inverse depth of each pixel and the eight round it, infinite beside one of none.
+
+        Kept, since each map is asked by a dozen others.
+        """
+        closed = np.where(self.inverse_depth > 0, self.inverse_depth, np.float32(np.inf))
+        return np.asarray(cv2.dilate(closed, np.ones((3, 3), np.uint8)), dtype=np.float32)
 
 
 def look_up(

@@ -251,11 +251,16 @@ def fuse_view(
     mean_depth = (own * depth + (weights * np.stack([e.depth for e in evidence])).sum(axis=0)) / (
         own + weights.sum(axis=0)
     )
-    agreeing = (levels <= np.maximum(passed, settings.average_level)).sum(axis=0)
-    through = np.stack([e.seen_through for e in evidence]).sum(axis=0)
+    agreeing = _count(levels <= np.maximum(passed, settings.average_level))
+    through = _count(np.stack([e.seen_through for e in evidence]))
     good = (passed <= LEVELS) & ~((through >= settings.min_seen_through) & (through > agreeing))
-    views = (agreeing[good] + 1).astype(np.int32)
+    views = agreeing[good].astype(np.int32) + 1
     return _samples(scene, reference, index, rows[good], columns[good], mean_depth[good], views, settings)
+
+
+def _count(views: NDArray[np.bool_]) -> NDArray[np.uint16]:
+    """(N,) how many of the S views (S, N): small numbers are added up many at a time."""
+    return np.asarray(views.sum(axis=0, dtype=np.uint16))
 
 
 def passing_level(levels: NDArray[np.uint8], *, extra_views: int) -> NDArray[np.uint8]:
@@ -274,7 +279,7 @@ def passing_level(levels: NDArray[np.uint8], *, extra_views: int) -> NDArray[np.
     passed = np.full(levels.shape[1], NO_LEVEL, dtype=np.uint8)
     for level in range(min(LEVELS, max(2, sources - extra_views)), 0, -1):
         needed = min(level + extra_views, sources)
-        passed[(levels <= level).sum(axis=0) >= needed] = level
+        passed[_count(levels <= level) >= needed] = level
     return passed
 
 

@@ -18,8 +18,8 @@ _BYTES_PER_MERGED_POINT = 320
 _BYTES_PER_POINT, _AHEAD = 68, 2
 #: Points in a batch and of a cloud at least. Source: numerics.
 _LEAST_BATCH_POINTS = _LEAST_POINTS = 250_000
-#: A depth map and its confidence, bytes a pixel. Source: format; float32.
-_BYTES_PER_PIXEL = 8
+#: A depth map, its confidence, and the nearest round each pixel, bytes a pixel. Source: format; float32.
+_BYTES_PER_PIXEL = 12
 #: Comparing two views takes about as much as so many maps. Source: numerics; measured.
 _MAPS_OF_A_PAIR = 10
 #: Share of the memory that maps may take, and maps kept at least. Source: numerics.
@@ -53,7 +53,7 @@ def plan_fusion(
 
     Parameters
     ----------
-    map_pixels: pixels of one depth map; it and its confidence are kept.
+    map_pixels: pixels of one depth map; it, its confidence and what is nearest round each pixel are kept.
     cache_maps, at_once, max_points, batch_points: what fusion would like.
 
     Raises

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +19,8 @@ _AXIS_CELLS, MAX_EXTENT_VOXELS = 1 << _AXIS_BITS, (1 << _AXIS_BITS) - 4
 _GROWTH = 1.05
 #: Lengths and weights that stand for none. Source: numerics.
 _LEAST_LENGTH, _LEAST_WEIGHT = 1e-12, 1e-300
+#: Points that are merged, or told their voxel, at a time: what they need stays in a core's cache. Source: numerics.
+_AT_ONCE = 32_768
 #: Times as many points as there are that room is made for when it is short. Source: numerics.
 _ROOM = 1.5
 
@@ -54,7 +57,11 @@ def voxel_keys(xyz: NDArray[np.float64], voxel: float) -> NDArray[np.int64]:
 
     Keys wrap round every two million voxels, so the points must lie within ``MAX_EXTENT_VOXELS`` of each other.
     """
-    return _packed(np.floor(xyz / voxel).astype(np.int64) & (_AXIS_CELLS - 1))
+    keys = np.empty(len(xyz), np.int64)
+    for start in range(0, len(xyz), _AT_ONCE):
+        rows = slice(start, start + _AT_ONCE)
+        keys[rows] = _packed(np.floor(xyz[rows] / voxel).astype(np.int64) & (_AXIS_CELLS - 1))
+    return keys
 
 
 def _packed(cells: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -74,23 +81,34 @@ def merge_voxels(samples: Samples, voxel: float) -> tuple[NDArray[np.int64], Sam
     order = np.argsort(keys, kind="stable")
     keys = keys[order]
     starts = np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
-    weight = samples.weight[order]
-    total = np.add.reduceat(weight, starts)
-    # Row by row the weighted sum over one voxel, without sorted copies of what is summed.
-    sums = csr_matrix((weight, order, np.append(starts, len(order))), shape=(len(starts), len(order)))
+    merged = _room_for(len(starts), like=samples)
+    ends = np.append(starts, len(order))
+    # So many voxels at a time as hold that many points.
+    cuts = np.unique(np.append(np.searchsorted(starts, np.arange(0, len(order), _AT_ONCE)), len(starts)))
+    for first, last in itertools.pairwise(cuts):
+        points = take(samples, order[ends[first] : ends[last]])
+        _write(merged, int(first), _merged(points, starts[first:last] - ends[first]))
+    return keys[starts], Samples(**merged)
+
+
+def _merged(samples: Samples, starts: NDArray[np.intp]) -> Samples:
+    """The mean of each voxel's points, which follow each other from ``starts`` on."""
+    weight, count = samples.weight, samples.count
+    total, counts = np.add.reduceat(weight, starts), np.add.reduceat(count, starts)
+    # Row by row the weighted sum over one voxel.
+    every = np.arange(len(weight))
+    sums = csr_matrix((weight, every, np.append(starts, len(weight))), shape=(len(starts), len(weight)))
 
     def mean(values: NDArray[np.floating]) -> NDArray[np.float64]:
         return np.asarray(sums @ values) / total[:, None]
 
-    count = samples.count[order]
-    counts = np.add.reduceat(count, starts)
-    return keys[starts], Samples(
+    return Samples(
         xyz=mean(samples.xyz),
         rgb=mean(samples.rgb).astype(np.float32),
         normals=_of_unit_length(mean(samples.normals)),
         weight=total,
-        confidence=(np.add.reduceat(samples.confidence[order] * count, starts) / counts).astype(np.float32),
-        views=np.maximum.reduceat(samples.views[order], starts),
+        confidence=(np.add.reduceat(samples.confidence * count, starts) / counts).astype(np.float32),
+        views=np.maximum.reduceat(samples.views, starts),
         count=counts.astype(np.int32),
     )
 
@@ -100,14 +118,14 @@ def _of_unit_length(normals: NDArray[np.float64]) -> NDArray[np.float32]:
     return np.asarray(normals / np.maximum(lengths, _LEAST_LENGTH), dtype=np.float32)
 
 
-def join(parts: list[Samples]) -> Samples:
-    """Concatenate; ``parts`` must not be empty."""
-    return Samples(**{name: np.concatenate([getattr(p, name) for p in parts]) for name in Samples.__dataclass_fields__})
-
-
 def select(samples: Samples, chosen: NDArray[np.bool_]) -> Samples:
     """Keep the points of a mask."""
     return Samples(**{name: getattr(samples, name)[chosen] for name in Samples.__dataclass_fields__})
+
+
+def take(samples: Samples, numbers: NDArray[np.intp]) -> Samples:
+    """Those of these numbers, in their order."""
+    return Samples(**{name: values.take(numbers, axis=0) for name, values in _fields(samples).items()})
 
 
 def sum_within(
@@ -179,13 +197,18 @@ class VoxelMerger:
         self._max_points = max_points
         self._batch_points = batch_points
         self._voxels: _Voxels | None = None
-        self._waiting: list[Samples] = []
+        # One place for what waits, which is filled again and again: fresh memory costs more than what is written to it.
+        self._waiting: dict[str, NDArray[Any]] = {}
+        self._count = 0
 
     def add(self, samples: Samples) -> None:
         """Take one batch."""
-        if len(samples):
-            self._waiting.append(samples)
-        if sum(map(len, self._waiting)) > self._batch_points:
+        if not self._waiting:
+            # Those of the view that fills a batch come on top; what is not written takes no memory.
+            self._waiting = _room_for(self._batch_points + 2 * len(samples), like=samples)
+        _write(self._waiting, self._count, samples)
+        self._count += len(samples)
+        if self._count > self._batch_points:
             self._merge()
 
     def result(self) -> Samples | None:
@@ -198,13 +221,11 @@ class VoxelMerger:
         return merged
 
     def _merge(self) -> None:
-        if not self._waiting:
+        if not self._count:
             return
-        waiting = join(self._waiting)
-        # What was joined is not kept beside it: here is the peak of fusion's memory.
-        self._waiting = []
+        waiting = Samples(**{name: values[: self._count] for name, values in self._waiting.items()})
+        self._count = 0
         keys, merged = merge_voxels(waiting, self.voxel)
-        del waiting
         if self._voxels is None:
             self._voxels = _Voxels(keys, merged)
         else:
@@ -243,7 +264,10 @@ class _Voxels:
         """Merge points into the voxels; ``keys`` as at first."""
         at = np.searchsorted(self._keys, keys)
         known = self._keys[np.minimum(at, len(self._keys) - 1)] == keys
-        self._average(self._place[at[known]], select(new, known))
+        old = np.flatnonzero(known)
+        for start in range(0, len(old), _AT_ONCE):
+            numbers = old[start : start + _AT_ONCE]
+            self._average(self._place[at[numbers]], take(new, numbers))
         gaps = at[~known]
         self._place = np.insert(self._place, gaps, np.arange(self._count, self._count + len(gaps)))
         self._keys = np.insert(self._keys, gaps, keys[~known])
@@ -265,18 +289,28 @@ class _Voxels:
         held["views"][at] = np.maximum(held["views"][at], new.views)
 
     def _append(self, new: Samples) -> None:
-        end = self._count + len(new)
-        for name, added in _fields(new).items():
-            values = self._values[name]
-            if end > len(values):
-                # Room for more than is needed, so that it is not copied each time; one field after the other, so that
-                # little is held twice.
-                larger = np.empty((max(end, int(_ROOM * len(values))), *values.shape[1:]), values.dtype)
-                larger[: self._count] = values[: self._count]
-                values = self._values[name] = larger
-            values[self._count : end] = added
-        self._count = end
+        _write(self._values, self._count, new)
+        self._count += len(new)
 
 
 def _fields(samples: Samples) -> dict[str, NDArray[Any]]:
     return {name: getattr(samples, name) for name in Samples.__dataclass_fields__}
+
+
+def _room_for(count: int, like: Samples) -> dict[str, NDArray[Any]]:
+    """Fields of so many points, not filled."""
+    return {name: np.empty((count, *values.shape[1:]), values.dtype) for name, values in _fields(like).items()}
+
+
+def _write(fields: dict[str, NDArray[Any]], start: int, new: Samples) -> None:
+    """Write ``new`` from number ``start`` on, into fields that are replaced by larger ones where they are too short."""
+    end = start + len(new)
+    for name, added in _fields(new).items():
+        values = fields[name]
+        if end > len(values):
+            # Room for more than is needed, so that it is not copied each time; one field after the other, so that
+            # little is held twice.
+            larger = np.empty((max(end, int(_ROOM * len(values))), *values.shape[1:]), values.dtype)
+            larger[:start] = values[:start]
+            values = fields[name] = larger
+        values[start:end] = added

@@ -43,8 +43,9 @@ def ground_plane(
     distance = np.hypot(*(low[:, :2] - center[:2]).T)
     reach = 2 * float(np.median(distance))
     low = low[distance <= reach]
-    cells = np.floor((low[:, :2] - center[:2]) / (2 * reach / settings.cells)).astype(np.int64)
-    _, own = np.unique(cells, axis=0, return_inverse=True)
+    column, row = np.floor((low[:, :2] - center[:2]) / (2 * reach / settings.cells)).astype(np.int64).T
+    column, row = column - column.min(), row - row.min()
+    own = column * (int(row.max()) + 1) + row
     order = np.lexsort((low[:, 2], own))
     starts = np.flatnonzero(np.diff(own[order], prepend=-1))
     counts = np.diff(np.append(starts, len(order)))

@@ -14,6 +14,7 @@ from fsinfer.io.turned import upright_from_picture
 from fsinfer.placement.level import level
 from fsinfer.placement.on_side import upright_axes
 from fsinfer.placement.settings import LevelSettings
+from fsinfer.trees.points.cells import count_cells
 
 if TYPE_CHECKING:
     from fsinfer.io.cloud import PointCloud
@@ -125,5 +126,4 @@ def density_per_m2(xyz: NDArray[np.float64]) -> float | None:
     """
     if not len(xyz):
         return None
-    cells = np.unique(np.floor(xyz[:, :2] / DENSITY_CELL_M).astype(np.int64), axis=0)
-    return float(len(xyz) / (len(cells) * DENSITY_CELL_M**2))
+    return float(len(xyz) / (count_cells(xyz[:, :2], DENSITY_CELL_M) * DENSITY_CELL_M**2))

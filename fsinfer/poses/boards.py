@@ -79,6 +79,11 @@ def find_boards(
     return found
 
 
+def corners_of_pixels(sighting: BoardSighting) -> NDArray[np.float64]:
+    """Its corners (4, 2) with the centres of pixels at whole numbers."""
+    return sighting.corners_px - _HALF_PIXEL
+
+
 def boards_in(model: Any, sightings: Sequence[BoardSighting]) -> list[Board]:
     """The boards that the placed photos of a ``pycolmap.Reconstruction`` see, each face of a two-faced one apart."""
     by_name = {model.images[i].name: i for i in model.reg_image_ids()}

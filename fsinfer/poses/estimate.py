@@ -14,27 +14,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import ImageError, OutputError, PosesError
-from fsinfer.io.exif import camera_exif, camera_key, gravity_exif
+from fsinfer.io.exif import camera_exif, camera_key
 from fsinfer.io.files import copy_file, make_folder, write_text
 from fsinfer.io.images import is_upright_jpeg_or_png, read_image, read_reduced, write_image
 from fsinfer.io.photo_folders import list_images
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.sentences import sentences
-from fsinfer.poses.adjustment.adjust import PhotoAdjustment, adjust_photos
+from fsinfer.poses.adjustment.adjust import adjust_photos
 from fsinfer.poses.adjustment.tell import told
 from fsinfer.poses.colmap import colmap_errors
 from fsinfer.poses.colmap_calls import require_pycolmap
 from fsinfer.poses.mapping import ADVICE, Walk, map_walk
-from fsinfer.poses.model_files import write_model
 from fsinfer.poses.refinement import larger_than_usual, refine
+from fsinfer.poses.scene_files import Photo, write_scene
 from fsinfer.poses.settings import PoseSettings
-from fsinfer.poses.sparse import sparse_of
-from fsinfer.poses.undistortion import intrinsic_of, maps_of_photo, undistort, undistort_model, undistortion_maps
 from fsinfer.poses.verification.misplaced import LEFT_OUT, drop_blind_views
-from fsinfer.poses.view_selection import depth_range, select_views
 from fsinfer.progress import Progress, silent
-from fsinfer.scene import Camera, write_camera, write_pairs
+from fsinfer.scale.markers_seen import FILE as MARKERS_SEEN
 from fsinfer.threads import in_order, one_blas_thread
 
 _log = logging.getLogger(__name__)
@@ -63,15 +60,6 @@ class PosesResult:
     rolling_shutter_px: float | None = None
     focal_std_percent: float | None = None
     principal_std_px: float | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Photo:
-    """A photo to be placed: ``name`` in the scene and ``file`` in the work folder (plain letters for COLMAP)."""
-
-    name: str
-    source: Path
-    file: str
 
 
 @one_blas_thread()
@@ -144,7 +132,7 @@ def estimate_poses(
     for part in mapped.apart:
         warnings.append(notice(CaptureCode.part_apart, photos=len(photos), names=tuple(names[file] for file in part)))
     warnings.extend(told(adjustment, settings.adjustment, larger_than_usual(model)))
-    seen = _write_scene(model, photos, out, settings, adjustment, progress)
+    seen = write_scene(model, photos, out, settings, adjustment, progress, sightings=mapped.sightings)
     for warning in sentences(warnings):
         _log.warning(warning)
     result = PosesResult(
@@ -173,7 +161,8 @@ def _work_folder(out: Path, *, resume: bool) -> Path:
             # Only a folder that this stage began or finished is cleared: nothing of the user's can be in it.
             for name in ("images", "cams", "sparse"):
                 shutil.rmtree(out / name, ignore_errors=True)
-            (out / "poses.json").unlink(missing_ok=True)
+            for name in ("poses.json", MARKERS_SEEN):
+                (out / name).unlink(missing_ok=True)
         elif any((out / "images").glob("*")) or any((out / "cams").glob("*")):
             msg = f"{out} holds images or cams that this stage did not make; choose another output folder"
             raise OutputError(msg)
@@ -187,10 +176,10 @@ def _work_folder(out: Path, *, resume: bool) -> Path:
 
 def _prepare(
     paths: Sequence[Path], folder: Path, settings: PoseSettings, warnings: list[Notice], progress: Progress
-) -> list[_Photo]:
+) -> list[Photo]:
     """Put every usable photo into ``folder``, upright, not too large, under a name that COLMAP's lists can hold."""
     make_folder(folder)
-    photos: list[_Photo] = []
+    photos: list[Photo] = []
     names: dict[str, Path] = {}
     first_error: ImageError | None = None
     progress(0, len(paths), "reading photos")
@@ -212,7 +201,7 @@ def _prepare(
                 copy_file(path, folder / file)
             else:
                 write_image(folder / file, usable, quality=settings.jpeg_quality, exif=camera_exif(path))
-        photos.append(_Photo(name=path.stem, source=path, file=file))
+        photos.append(Photo(name=path.stem, source=path, file=file))
     if not photos and first_error is not None:
         raise first_error
     return photos
@@ -230,7 +219,7 @@ def _usable(path: Path, longest_px: int) -> NDArray[np.uint8] | ImageError | Non
         return error
 
 
-def _walk_of(photos: Sequence[_Photo]) -> Walk:
+def _walk_of(photos: Sequence[Photo]) -> Walk:
     """The photos in the order of walking, grouped by what shares a calibration."""
     cameras: dict[tuple[str, ...], list[str]] = {}
     for photo in photos:
@@ -238,58 +227,6 @@ def _walk_of(photos: Sequence[_Photo]) -> Walk:
     return Walk(
         files=tuple(photo.file for photo in photos), cameras={" ".join(key): files for key, files in cameras.items()}
     )
-
-
-def _write_scene(
-    model: Any,
-    photos: Sequence[_Photo],
-    out: Path,
-    settings: PoseSettings,
-    adjustment: PhotoAdjustment,
-    progress: Progress,
-) -> tuple[str, ...]:
-    """Write images, cams, pair.txt and sparse of a refined model; returns the names of the views."""
-    by_file = {photo.file: photo for photo in photos}
-    lenses = undistort_model(model)
-    image_ids = {by_file[model.images[i].name].name: i for i in model.reg_image_ids()}
-    maps = {i: undistortion_maps(lens, model.cameras[i]) for i, lens in lenses.items()}
-
-    def straighten(name: str) -> None:
-        image = model.images[image_ids[name]]
-        source = by_file[image.name].source
-        map_of = maps[image.camera_id]
-        if image_ids[name] in adjustment.effects:
-            lens, pinhole = lenses[image.camera_id], model.cameras[image.camera_id]
-            map_of = maps_of_photo(map_of, lens, pinhole, adjustment.effects[image_ids[name]])
-        pixels = undistort(read_reduced(source, settings.longest_px), map_of)
-        write_image(out / "images" / f"{name}.jpg", pixels, quality=settings.jpeg_quality, exif=gravity_exif(source))
-
-    progress(0, len(image_ids), "undistorting")
-    for done, _ in enumerate(in_order(straighten, sorted(image_ids), settings.photo_threads), 1):
-        progress(done, len(image_ids), "undistorting")
-    for image_id in image_ids.values():
-        image = model.images[image_id]
-        image.name = f"{by_file[image.name].name}.jpg"
-    sparse = sparse_of(model)
-    cameras = {}
-    for name, image_id in image_ids.items():
-        image = model.images[image_id]
-        pinhole = model.cameras[image.camera_id]
-        pose = np.eye(4)
-        pose[:3] = image.cam_from_world().matrix()
-        intrinsic = intrinsic_of(pinhole)
-        size = (int(pinhole.width), int(pinhole.height))
-        depths = depth_range(sparse, sparse.observations[name], intrinsic, pose, size, settings=settings.selection)
-        if depths is None:
-            # _drop_blind_views has taken such views out.
-            msg = f"{name} sees no point of the model; take it out of the photos and run again"
-            raise PosesError(msg)
-        cameras[name] = Camera(intrinsic=intrinsic, cam_from_world=pose, depth_min=depths[0], depth_max=depths[1])
-    for name, camera in cameras.items():
-        write_camera(out / "cams" / f"{name}_cam.txt", camera)
-    write_pairs(out / "pair.txt", select_views(sparse, cameras, settings.sources, settings=settings.selection))
-    write_model(model, out / "sparse")
-    return tuple(image_ids)
 
 
 def _quality(model: Any) -> dict[str, float | None]:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from fsinfer.errors import PosesError
+from fsinfer.io.photo_size import PHOTO_SIZE_PX
 from fsinfer.poses.boards import BoardSighting, boards_in, find_boards, tie_boards
 from fsinfer.poses.colmap import extract_features, reconstruct, triangulate, with_calibration
 from fsinfer.poses.joining.parts import join_parts
@@ -28,7 +29,7 @@ _log = logging.getLogger(__name__)
 
 #: Longer side at which boards are looked for, pixels. Source: judgement; more than features need, so that a board is
 #: found from farther away.
-_BOARD_SIZE_PX = 1600
+_BOARD_SIZE_PX = PHOTO_SIZE_PX
 #: Share of the photos that must be left to go on from. Source: judgement.
 _LEAST_START = 0.25
 #: Photos that look in directions so far apart tell the focal length. Source: judgement; a wrong one bends a walk that
@@ -73,12 +74,14 @@ class MappedWalk:
     model: the ``pycolmap.Reconstruction``, not yet refined.
     misplaced: by reason the files of photos that were placed wrongly and taken out.
     joined: files of photos that were mapped apart and joined to the rest. apart: those of each part that was not.
+    sightings: of boards in the photos; None where they were not looked for at full size.
     """
 
     model: Any
     misplaced: dict[str, list[str]]
     joined: tuple[str, ...] = ()
     apart: tuple[tuple[str, ...], ...] = field(default=())
+    sightings: tuple[BoardSighting, ...] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,7 +157,9 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
     apart = tuple(tuple(sorted(str(part.images[i].name) for i in part.reg_image_ids())) for part in placed.apart)
     named = {*joined, *(file for files in apart for file in files)}
     misplaced = {how: [file for file in files if file not in named] for how, files in placed.misplaced.items()}
-    return MappedWalk(model=model, misplaced=misplaced, joined=joined, apart=apart)
+    # Larger photos were made smaller for it.
+    seen = tuple(sightings) if settings.longest_px <= _BOARD_SIZE_PX else None
+    return MappedWalk(model=model, misplaced=misplaced, joined=joined, apart=apart, sightings=seen)
 
 
 def _map_and_find_boards(

@@ -19,6 +19,8 @@ Maps: TypeAlias = tuple[NDArray[np.float32], NDArray[np.float32]]
 #: Pixels between the places where a photo's own effects are computed; between them they are interpolated. Source:
 #: numerics; they bend by a pixel over a photo at most.
 _APART_PX = 16
+#: Steps of the search for the way through a lens, and how far off it may end, pixels. Source: numerics.
+_STEPS, _MISSED_PX = 12, 0.05
 
 
 def pinhole_of(camera: Any) -> Any:
@@ -74,6 +76,22 @@ def undistort(image: NDArray[np.uint8], maps: Maps) -> NDArray[np.uint8]:
     # (docs/trials-speed.md). The border only shows within rounding.
     warped = cv2.remap(image, maps[0], maps[1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(warped, dtype=np.uint8)
+
+
+def straightened(pixels: NDArray[np.float64], maps: Maps) -> NDArray[np.float64] | None:
+    """Where places (N, 2) of a photo lie in its pinhole image; None where one is not in it. Centres at whole numbers.
+
+    The maps tell the way back, which is searched step by step: they bend by far less than a pixel from one to the next.
+    """
+    height, width = maps[0].shape
+    found = pixels.astype(np.float32)
+    for _ in range(_STEPS):
+        u, v = (np.ascontiguousarray(found[:, axis]) for axis in range(2))
+        back = [cv2.remap(one, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).ravel() for one in maps]
+        missed = pixels.astype(np.float32) - np.stack(back, axis=1)
+        found += missed
+    inside = (found >= 0).all() and (found <= [width - 1, height - 1]).all()
+    return found.astype(np.float64) if inside and np.abs(missed).max() < _MISSED_PX else None
 
 
 def undistort_model(model: Any) -> dict[int, Any]:

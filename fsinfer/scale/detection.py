@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -42,11 +44,22 @@ def detect_markers(
     """Find markers in an (H, W, 3) RGB uint8 image: (number, (4, 2) float64 corners in pixels, clockwise)."""
     grey = luminance(image)
     corners, numbers, _ = detector.detectMarkers(grey)
-    found = []
     # OpenCV gives None for the numbers where there is no marker.
-    for number, quad in zip(() if not corners else np.asarray(numbers).ravel(), corners, strict=True):
-        corners_px = np.asarray(quad, dtype=np.float64).reshape(4, 2)
+    named = zip(() if not corners else np.asarray(numbers).ravel(), corners, strict=True)
+    places = [(int(number), np.asarray(quad, dtype=np.float64).reshape(4, 2)) for number, quad in named]
+    return at_their_edges(grey, places, min_side_px=min_side_px)
+
+
+def at_their_edges(
+    grey: NDArray[np.uint8], places: Iterable[tuple[int, NDArray[np.float64]]], *, min_side_px: float
+) -> list[tuple[int, NDArray[np.float64]]]:
+    """Markers (number, (4, 2) corners within about a pixel) of an (H, W) image, with corners where their edges meet.
+
+    Those with a side shorter than ``min_side_px`` are left out.
+    """
+    found = []
+    for number, corners_px in places:
         sides = np.linalg.norm(corners_px - np.roll(corners_px, 1, axis=0), axis=1)
         if sides.min() >= min_side_px:
-            found.append((int(number), refine_corners(grey, corners_px)))
+            found.append((number, refine_corners(grey, corners_px)))
     return found

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from fsinfer.io.images import luminance
 from fsinfer.progress import Progress, silent
 from fsinfer.scale.blooming import bloom_of
-from fsinfer.scale.detection import detect_markers, make_detector, predefined_dictionary
+from fsinfer.scale.detection import at_their_edges, detect_markers, make_detector, predefined_dictionary
+from fsinfer.scale.markers_seen import read_markers_seen
 from fsinfer.scale.printed_boards import DICTIONARY
 from fsinfer.scale.square_fit import MarkerSettings, Sighting
 from fsinfer.scene import Scene, read_view_image
@@ -31,6 +32,8 @@ def look_for_markers(
 ) -> SeenMarkers:
     """Look for the markers of ``dictionary`` (such as ``4X4_50``) in the images of ``scene``.
 
+    Where the poses stage told where they are, their corners alone are.
+
     Raises
     ------
     ScaleError
@@ -40,12 +43,20 @@ def look_for_markers(
     """
     settings = settings or MarkerSettings()
     printed = predefined_dictionary(dictionary)
+    known = read_markers_seen(scene)
 
     def look(index: int) -> list[Sighting]:
-        pixels = read_view_image(scene.views[index])
+        view = scene.views[index]
+        places = known.of(view.name, dictionary, settings.min_side_px)
+        if places == ():
+            return []
+        pixels = read_view_image(view)
         grey = luminance(pixels)
-        # OpenCV does not say that a detector may be shared between threads; making one takes no time.
-        found = detect_markers(pixels, make_detector(dictionary), min_side_px=settings.min_side_px)
+        if places is None:
+            # OpenCV does not say that a detector may be shared between threads; making one takes no time.
+            found = detect_markers(pixels, make_detector(dictionary), min_side_px=settings.min_side_px)
+        else:
+            found = at_their_edges(grey, places, min_side_px=settings.min_side_px)
         return [
             Sighting(
                 marker_id=number,

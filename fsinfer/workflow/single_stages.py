@@ -84,7 +84,7 @@ def poses_of(
         images,
         settings=settings,
         folder=out,
-        outputs=("images", "cams", "pair.txt", "sparse", "work", "poses.json"),
+        outputs=("images", "cams", "pair.txt", "sparse", "work", "poses.json", "markers_seen.json"),
         progress=progress,
     )
 

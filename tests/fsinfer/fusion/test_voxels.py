@@ -6,7 +6,11 @@ from numpy.typing import NDArray
 
 from fsinfer.fusion import voxels
 from fsinfer.fusion.fuse import FusionSettings
-from fsinfer.fusion.voxels import Samples, VoxelMerger, join, merge_voxels, much_worse_than_nearby, sum_within
+from fsinfer.fusion.voxels import Samples, VoxelMerger, merge_voxels, much_worse_than_nearby, sum_within
+
+
+def join(parts: list[Samples]) -> Samples:
+    return Samples(**{name: np.concatenate([getattr(p, name) for p in parts]) for name in Samples.__dataclass_fields__})
 
 
 def make_samples(
@@ -53,6 +57,30 @@ def test_batches_give_the_same_as_all_at_once() -> None:
     # Voxels that were there, and such before, between and behind them.
     assert (batched.count > 1).any()
     assert np.diff(voxels.voxel_keys(batched.xyz, 0.7)).min() > 0
+
+
+def test_how_many_are_merged_at_a_time_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(5)
+
+    def merged() -> tuple[NDArray[np.int64], Samples]:
+        merger = VoxelMerger(0.7, max_points=10_000, batch_points=900)
+        for part in parts:
+            merger.add(part)
+        keys, first = merge_voxels(parts[0], 0.7)
+        result = merger.result()
+        assert result is not None
+        return keys, join([first, result])
+
+    parts = [make_samples(rng.normal(0, 2, (400, 3)), rng.uniform(0.1, 2, 400)) for _ in range(5)]
+    parts = [replace(part, rgb=rng.uniform(0, 255, (400, 3)).astype(np.float32)) for part in parts]
+    keys, whole = merged()
+    assert (whole.count > 1).any()
+    for at_once in (1, 7, 64):
+        monkeypatch.setattr(voxels, "_AT_ONCE", at_once)
+        own_keys, own = merged()
+        np.testing.assert_array_equal(own_keys, keys)
+        for name in Samples.__dataclass_fields__:
+            np.testing.assert_array_equal(getattr(own, name), getattr(whole, name))
 
 
 def test_normals_of_two_batches_are_averaged_as_positions_are() -> None:

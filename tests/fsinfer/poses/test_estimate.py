@@ -26,11 +26,13 @@ from fsinfer.poses.adjustment.adjust import PhotoAdjustment
 from fsinfer.poses.adjustment.photo_effects import effects_of
 from fsinfer.poses.adjustment.precision import CameraPrecision
 from fsinfer.poses.adjustment.projection import TURN
+from fsinfer.poses.boards import BoardSighting
 from fsinfer.poses.estimate import PosesResult, estimate_poses
 from fsinfer.poses.mapping import MappedWalk, Walk
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.sparse import read_sparse
 from fsinfer.progress import Progress
+from fsinfer.scale.markers_seen import read_markers_seen
 from fsinfer.scene import Scene, read_scene
 from fsinfer.workflow.single_stages import poses_of
 from tests.support.apple_note import phone_exif
@@ -247,8 +249,16 @@ def test_what_changes_from_photo_to_photo_is_told_and_undone_in_the_images(
     for index, image in enumerate(photographs(views)):
         write_image(tmp_path / "photos" / f"r{index}.png", image)
 
+    board = 0.5 + np.array([[200, 40], [260, 40], [260, 320], [200, 320]])  # pixels' centres in COLMAP's way
+    outside = board - [230.0, 0.0]
+
     def mapped(walk: Walk, *_: Any) -> MappedWalk:
-        return MappedWalk(model=room_model(walk.files, poses(views)), misplaced={})
+        sightings = tuple(
+            BoardSighting(file=file, number=number, corners_px=corners)
+            for file in walk.files[1:]
+            for number, corners in ((7, board), (9, outside))
+        )
+        return MappedWalk(model=room_model(walk.files, poses(views)), misplaced={}, sightings=sightings)
 
     def adjusted(model: Any, *_: Any, **__: Any) -> tuple[Any, PhotoAdjustment]:
         """All but the last photo turned about the upright axis while they were read out; the room is twice as large."""
@@ -298,6 +308,15 @@ def test_what_changes_from_photo_to_photo_is_told_and_undone_in_the_images(
         half = shutter_px * (0.5 - 30 / SIZE[1])
         moved = [moved_px(plain, image, slice(row, row + 60)) for row in (0, 150, 300)]
         np.testing.assert_allclose(moved, [half, 0.0, -half], atol=1.5)
+
+    # Boards that were seen are told where the images show them now.
+    markers = read_markers_seen(read_scene(result.scene))
+    assert markers.of("r0", "4X4_50", 12.0) == ()
+    for name in ("r1", "r2", "r3"):
+        ((number, corners),) = markers.of(name, "4X4_50", 12.0) or ()
+        assert number == 7
+        turned = shutter_px * (0.5 - board[:, 1] / SIZE[1]) if name != "r3" else np.zeros(4)
+        np.testing.assert_allclose(corners, board - 0.5 + np.column_stack([turned, np.zeros(4)]), atol=1.0)
 
 
 def noise_photos(folder: Path, count: int) -> Path:

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fsinfer.poses.undistortion import intrinsic_of, pinhole_of, undistort, undistort_model, undistortion_maps
+from fsinfer.poses.undistortion import (
+    intrinsic_of,
+    pinhole_of,
+    straightened,
+    undistort,
+    undistort_model,
+    undistortion_maps,
+)
 
 pycolmap = pytest.importorskip("pycolmap")
 FOCAL, CENTER, K1 = 300.0, (158.0, 121.0), -0.08
@@ -36,6 +43,19 @@ def test_the_pinhole_image_shows_what_lies_on_its_rays() -> None:
     expected = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(intrinsic_of(pinhole)).T
     inner = (slice(4, -4), slice(4, -4))
     assert np.abs(image[inner][..., :2] - (128 + 180 * expected[inner][..., :2]).clip(0, 255)).max() < 2.0
+
+
+def test_places_of_a_photo_are_found_in_its_pinhole_image() -> None:
+    pinhole = pinhole_of(LENS)
+    maps = undistortion_maps(LENS, pinhole)
+    pixels = np.array([[20.0, 25.0], [300.0, 30.0], [160.25, 120.75], [40.0, 215.5]])
+    rays = np.column_stack([LENS.cam_from_img(pixels + 0.5), np.ones(4)])
+    found = straightened(pixels, maps)
+    assert found is not None
+    np.testing.assert_allclose(found, pinhole.img_from_cam(rays) - 0.5, atol=0.02)
+    assert np.abs(found - pixels).max() > 3.0
+    # The pinhole image is cut so that it has no black border.
+    assert straightened(np.array([[160.0, 120.0], [0.0, 0.0]]), maps) is None
 
 
 def test_observations_move_with_the_images_and_the_lenses_are_handed_back() -> None:
