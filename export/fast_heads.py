@@ -20,7 +20,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from training.model.backbone import upsample_like
-from training.model.candidates import CandidateHead, read_candidates
+from training.model.candidates import READ_RADIUS, CandidateHead
 from training.model.config import DEPTH_PLANES
 from training.model.fsmvsnet import CONFIDENCE_RADIUS, REFINE_WINDOW_RADIUS, WINDOW_RADIUS, PlaneHead, RefineHead
 from training.model.packed import DepthMix, PackedRegularizer
@@ -87,6 +87,16 @@ def read_peak(scores_dhw: Tensor, index_radius: int, mass_radius: int) -> tuple[
     mass = inside.sum(dim=0)
     index = (inside * chosen).sum(dim=0) / (mass + 1e-6)
     return index, mass if mass_radius == index_radius else window(mass_radius)[1].sum(dim=0)
+
+
+def read_best(scores_dhw: Tensor, planes_dhw: Tensor) -> tuple[Tensor, Tensor]:
+    """:func:`training.model.candidates.read_candidates` without a softmax, which turns all planes over."""
+    top, best = scores_dhw.amax(dim=0), torch.gather(planes_dhw, 0, scores_dhw.argmax(dim=0, keepdim=True))
+    parts = torch.exp(scores_dhw - top)
+    inside = parts * ((planes_dhw - best).abs() < READ_RADIUS)
+    total = parts.sum(dim=0)
+    mass = inside.sum(dim=0) / total
+    return (inside * planes_dhw).sum(dim=0) / total / (mass + 1e-6), mass
 
 
 class FastPlaneHead(nn.Module):
@@ -163,7 +173,7 @@ class FastCandidateHead(nn.Module):
 
     def forward(self, volume: Tensor, features: Tensor, hints: Tensor, planes: Tensor) -> tuple[Tensor, Tensor]:
         """Return index and confidence."""
-        return read_candidates(self.head.scores(volume, features, hints), planes)
+        return read_best(self.head.scores(volume, features, hints), planes)
 
 
 class FastRefineHead(nn.Module):

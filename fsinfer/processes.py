@@ -15,7 +15,9 @@ import pickle
 import queue
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import partial
@@ -31,6 +33,8 @@ _Result = TypeVar("_Result")
 
 #: Worker processes at most. Source: judgement; one holds 150 to 250 MB.
 MOST_WORKERS = 4
+#: A thread whose result nobody takes looks as often whether it is wanted any more, seconds. Source: judgement.
+_LOOK_S = 0.2
 #: What is run.
 _MODULE = "fsinfer.process_worker"
 
@@ -77,6 +81,20 @@ def shared_out(
         yield from in_order(work, items, photo_threads() if threads is None else threads)
     else:
         yield from workers.in_order(work, items)
+
+
+def as_ready(work: Callable[[_Item], _Result], take: Callable[[int], _Item | None]) -> Generator[_Result, None, None]:
+    """The results of ``work`` as they get ready, on what each worker process takes by its number until that is None.
+
+    For work that goes quicker on what lies beside the item before: a process keeps to its own. As for the rest see
+    :func:`shared_out`. Without processes this one takes all, as number 0, each when its result is asked for.
+    """
+    workers = _active.get()
+    if workers is None:
+        while (item := take(0)) is not None:
+            yield work(item)
+    else:
+        yield from workers.as_ready(work, take)
 
 
 def peak_of_mb(process: int | Literal["self"]) -> float | None:
@@ -151,6 +169,52 @@ class Workers:
         # One more is begun than there are processes, so that fewer wait for a slow one before them.
         yield from in_order(partial(self._ask, work), items, self._count, ahead=1, on_interrupt=self.end)
 
+    def as_ready(
+        self, work: Callable[[_Item], _Result], take: Callable[[int], _Item | None]
+    ) -> Generator[_Result, None, None]:
+        """See :func:`as_ready`."""
+        ready: queue.Queue[tuple[_Result] | BaseException | None] = queue.Queue(self._count)
+        over = threading.Event()
+
+        def tell(what: tuple[_Result] | BaseException | None) -> None:
+            while not over.is_set():
+                try:
+                    ready.put(what, timeout=_LOOK_S)
+                except queue.Full:
+                    continue
+                return
+
+        def serve(number: int) -> None:
+            worker = self._idle.get()
+            try:
+                while not over.is_set() and (item := take(number)) is not None:
+                    worker, answer = self._answer(worker, work, item)
+                    tell((_result_of(answer, work, item),))
+            except BaseException as error:  # whatever it is, who asked gets it
+                tell(error)
+            finally:
+                self._idle.put(worker)
+                tell(None)
+
+        with ThreadPoolExecutor(self._count) as pool:
+            try:
+                for number in range(self._count):
+                    pool.submit(serve, number)
+                left = self._count
+                while left:
+                    told = ready.get()
+                    if isinstance(told, BaseException):
+                        raise told
+                    if told is None:
+                        left -= 1
+                    else:
+                        yield told[0]
+            finally:
+                over.set()
+                if left:
+                    # Nobody takes what they are at.
+                    self.end()
+
     def peak_mb(self) -> float:
         """See :func:`workers_peak_mb`."""
         return sum(worker.peak_mb() for worker in self._all)
@@ -164,23 +228,35 @@ class Workers:
     def _ask(self, work: Callable[[_Item], _Result], item: _Item) -> _Result:
         worker = self._idle.get()
         try:
-            if worker is not None:
-                try:
-                    answer = worker.ask(work, item)
-                except _GoneError as error:
-                    if self._ended:
-                        raise
-                    # The system may have ended it for want of memory. Its share is done in this process from here on.
-                    _log.warning("a worker process has ended (%s); its share is done by the run itself", error)
-                    worker = None
-                else:
-                    if answer.error is not None:
-                        raise answer.error
-                    result: _Result = answer.result
-                    return result
+            worker, answer = self._answer(worker, work, item)
         finally:
             self._idle.put(worker)
+        return _result_of(answer, work, item)
+
+    def _answer(
+        self, worker: _Worker | None, work: Callable[[Any], Any], item: Any
+    ) -> tuple[_Worker | None, Answer | None]:
+        """The process if it is still there, and what it says of an item."""
+        if worker is None:
+            return None, None
+        try:
+            return worker, worker.ask(work, item)
+        except _GoneError as error:
+            if self._ended:
+                raise
+            # The system may have ended it for want of memory. Its share is done in this process from here on.
+            _log.warning("a worker process has ended (%s); its share is done by the run itself", error)
+            return None, None
+
+
+def _result_of(answer: Answer | None, work: Callable[[_Item], _Result], item: _Item) -> _Result:
+    """What a process found, or what is found here where none said anything."""
+    if answer is None:
         return work(item)
+    if answer.error is not None:
+        raise answer.error
+    result: _Result = answer.result
+    return result
 
 
 _active: ContextVar[Workers | None] = ContextVar("workers", default=None)

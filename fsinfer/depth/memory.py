@@ -54,6 +54,7 @@ class DepthPlan:
     cached_views: feature maps kept for the neighbouring photos.
     peak_bytes: memory expected with them.
     at_once: depth maps computed at a time; regularizers: how many of them are in the regularizer at a time.
+    processes: that compute them, each one at a time; with one, threads of this process do.
     tile_size: pixels of the volume of a tile (:mod:`fsinfer.depth.tiles`); 0 where a depth map is computed as a whole.
     keeps_volume: in tiles, whether the cost volume is kept as a whole.
     """
@@ -62,6 +63,7 @@ class DepthPlan:
     peak_bytes: int
     at_once: int = 1
     regularizers: int = 1
+    processes: int = 1
     tile_size: int = 0
     keeps_volume: bool = True
 
@@ -156,6 +158,16 @@ def plan_depth(
         if at_once == 1 or fixed + needed * of_view <= limit:
             break
         at_once -= 1
+    own_cache = max(views, most_cached * 2 // 3)
+    apart = BASE_BYTES + at_once * (BASE_BYTES + whole_peak * quarter + own_cache * of_view)
+    if at_once > 1 and apart <= limit:
+        return DepthPlan(
+            cached_views=own_cache,
+            peak_bytes=int(apart),
+            at_once=at_once,
+            regularizers=at_once,
+            processes=at_once,
+        )
     cached = max(needed, min(most_cached, int((limit - fixed) / of_view)))
     return DepthPlan(
         cached_views=cached,

@@ -8,8 +8,9 @@ import pytest
 import torch
 from torch import nn
 
-from export.fast_heads import FastPlaneHead, FastRefineHead, GatheredMix, SubPixels, read_peak
+from export.fast_heads import FastPlaneHead, FastRefineHead, GatheredMix, SubPixels, read_best, read_peak
 from export.graphs import fold_batch_norm
+from training.model.candidates import CANDIDATES, read_candidates
 from training.model.config import PRESETS
 from training.model.fsmvsnet import PlaneHead, RefineHead
 from training.model.packed import DepthMix
@@ -52,6 +53,16 @@ def test_refine_head_gives_what_the_trained_module_gives() -> None:
     volume, features = torch.randn(32, 18, 22), torch.randn(8, 18, 22)
     for fast, plain in zip(FastRefineHead(head)(volume, features), head(volume, features), strict=True):
         assert torch.allclose(fast, plain, atol=1e-4)
+
+
+@torch.no_grad()
+def test_the_best_candidates_are_read_as_in_training() -> None:
+    torch.manual_seed(4)
+    # Far apart and close together; a score of 60 more than others, and all alike.
+    planes = 190 * torch.rand(1, 12, 10) + 0.75 * torch.randn(CANDIDATES, 12, 10)
+    scores = torch.randn(CANDIDATES, 12, 10) * torch.linspace(0, 60, 10)
+    for fast, plain in zip(read_best(scores, planes), read_candidates(scores, planes), strict=True):
+        assert torch.allclose(fast, plain, atol=1e-4, rtol=1e-6)
 
 
 @torch.no_grad()

@@ -9,6 +9,7 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+import onnx
 import pytest
 import torch
 
@@ -105,6 +106,24 @@ def test_the_command_fails_beyond_the_tolerances(
     given = [str(CHECKPOINT), "--out", str(models_folder()), "--only-parity", "--parity", str(scene)]
     assert command.main(given) == code
     assert json.loads(capsys.readouterr().out)["depth_rel_p999"] == parity.depth_rel_p999
+
+
+@pytest.mark.parametrize("path", sorted(models_folder().glob("*_int8.onnx")), ids=lambda path: path.stem)
+def test_nothing_that_is_read_off_scores_is_rounded_to_8_bits(path: Path) -> None:
+    graph = onnx.load(path).graph
+    makers = {output: node for node in graph.node for output in node.output}
+    read: set[str] = set()
+    for node in graph.node:
+        if node.op_type == "ArgMax":
+            maker = makers[node.input[0]]
+            while maker.op_type in ("Reshape", "Gather"):
+                maker = makers[maker.input[0]]
+            read.update(maker.output)
+    assert read or path.stem.endswith("features_int8")
+    for node in graph.node:
+        if read.intersection(node.input):
+            assert node.op_type not in ("QuantizeLinear", "DequantizeLinear"), node.name
+            read.update(node.output)
 
 
 @pytest.fixture

@@ -1,0 +1,66 @@
+"""Depth maps of one scene by several processes of this computer, each of which computes a run of neighbouring views.
+
+Threads of one process wait for Python's lock some thousand times a view: two of them take an eighth longer for the same
+maps (docs/trials-speed.md). Each process has the model and the feature maps of its own neighbours, which costs memory:
+:func:`fsinfer.depth.memory.plan_depth` tells whether there is enough.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import replace
+from typing import Any
+
+from fsinfer.depth.job import DepthJob
+from fsinfer.depth.runs_of_views import RunsOfViews
+from fsinfer.depth.view_maps import MapsOfViews, ViewMaps, sources_of
+from fsinfer.processes import as_ready, worker_processes
+from fsinfer.scene import Scene, View
+from fsinfer.threads import cores
+
+
+def maps_in_processes(
+    job: DepthJob, scene: Scene, views: Sequence[View], tell: Callable[[View], None]
+) -> Generator[tuple[View, ViewMaps], None, None]:
+    """Views and their maps in the order in which they get ready; ``tell`` is told of each when it is.
+
+    A process that ends leaves its share to this one. Errors as those of :class:`MapsOfViews`.
+    """
+    count = job.plan.processes
+    runs = RunsOfViews(len(views), workers=count)
+    compute = _Maps(job, threads=-(-(job.settings.threads or cores()) // count))
+
+    def take(process: int) -> tuple[int, View, list[View]] | None:
+        number = runs.take(str(process))
+        return None if number is None else (number, views[number], sources_of(scene, views[number], job.settings))
+
+    tell(views[0])
+    with worker_processes([__name__], count=count):
+        for number, maps in as_ready(compute, take):
+            yield views[number], maps
+            tell(views[number])
+
+
+class _Maps:
+    """The maps of views in whatever process it is sent to, which loads the model when it is asked for the first."""
+
+    def __init__(self, job: DepthJob, *, threads: int) -> None:
+        plan = replace(job.plan, at_once=1, regularizers=1)
+        self._job, self._plan, self._threads = job, plan, threads
+        self._lock = threading.Lock()
+        self._maps: MapsOfViews | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"_job": self._job, "_plan": self._plan, "_threads": self._threads}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__ |= state
+        self._lock, self._maps = threading.Lock(), None
+
+    def __call__(self, asked: tuple[int, View, list[View]]) -> tuple[int, ViewMaps]:
+        number, view, sources = asked
+        with self._lock:
+            if self._maps is None:
+                self._maps = MapsOfViews(self._job, plan=self._plan, threads=self._threads)
+        return number, self._maps.of(view, sources)
