@@ -209,11 +209,11 @@ class Workers:
                         left -= 1
                     else:
                         yield told[0]
+            except KeyboardInterrupt:
+                self.end()
+                raise
             finally:
                 over.set()
-                if left:
-                    # Nobody takes what they are at.
-                    self.end()
 
     def peak_mb(self) -> float:
         """See :func:`workers_peak_mb`."""

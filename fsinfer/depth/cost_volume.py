@@ -94,6 +94,26 @@ def correlation_volume(
     volume = np.empty((planes, groups, height, width), np.float32)
     weights = np.empty((len(sources), height, width), np.float32)
     block_rows = _block_rows(planes, width)
+    if view_weights is not None:
+        weights[:] = view_weights
+        shares = view_weights / (view_weights.sum(axis=0) + np.float32(LEAST_WEIGHT))
+
+    def fill_known(start: int) -> None:
+        # Their shares are multiplied into the reference's features, of which there are fewer than of anything else.
+        rows = slice(start, min(start + block_rows, height))
+        count = rows.stop - rows.start
+        inverse = inverse_depth_dhw if inverse_depth_dhw.shape[1] == 1 else inverse_depth_dhw[:, rows]
+        block = np.empty((groups, planes, count, width), np.float32)
+        one = np.empty(block.shape[1:], np.float32)
+        for i, (source, projection) in enumerate(zip(sources, projections, strict=True)):
+            x, y = source_coordinates(projection, inverse, rows.start, width, count)
+            for g, (target, feature) in enumerate(zip(source.groups, reference.groups, strict=True)):
+                product = sample(target, x, y)
+                product *= feature[rows] * shares[i, rows, :, None]
+                mean_of_four(product, out=one if i else block[g])
+                if i:
+                    block[g] += one
+        volume[:, :, rows] = block.transpose(1, 0, 2, 3)
 
     def fill(start: int) -> None:
         rows = slice(start, min(start + block_rows, height))
@@ -108,12 +128,9 @@ def correlation_volume(
                 product = sample(target, x, y)
                 product *= feature[rows]
                 mean_of_four(product, out=one[g])
-            if view_weights is None:
-                score = one.sum(axis=0)
-                score -= score.max(axis=0)
-                weight = 1 / np.exp(score, out=score).sum(axis=0)
-            else:
-                weight = view_weights[i, rows]
+            score = one.sum(axis=0)
+            score -= score.max(axis=0)
+            weight = 1 / np.exp(score, out=score).sum(axis=0)
             weights[i, rows] = weight
             weight_sum += weight
             one *= weight
@@ -121,7 +138,7 @@ def correlation_volume(
         block /= weight_sum
         volume[:, :, rows] = block.transpose(1, 0, 2, 3)
 
-    over_blocks(fill, height, block_rows, threads)
+    over_blocks(fill if view_weights is None else fill_known, height, block_rows, threads)
     return volume, weights
 
 

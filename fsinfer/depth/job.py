@@ -20,6 +20,8 @@ _log = logging.getLogger(__name__)
 #: Feature maps kept at most; those of neighbours are asked for again within a few views, and 1280x720 takes 11 MB each.
 #: Source: numerics.
 CACHED_VIEWS = 20
+#: So many views are worth processes of their own, which take two seconds to start. Source: numerics.
+LEAST_APART = 40
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,6 +68,7 @@ def plan_job(views: Sequence[View], settings: DepthSettings) -> DepthJob:
         width=width,
         height=height,
         most_at_once=_most_at_once(settings),
+        apart=len(views) >= LEAST_APART,
     )
     if plan.tile_size:
         _log.warning(
@@ -78,9 +81,10 @@ def plan_job(views: Sequence[View], settings: DepthSettings) -> DepthJob:
         # Tiles are computed in float32 alone; what is written says so.
         precision = FLOAT32
     _log.info(
-        "depth takes about %.1f GB, %d at a time, %d feature maps are kept",
+        "depth takes about %.1f GB, %d at a time in %d processes, %d feature maps are kept by each",
         plan.peak_bytes / 1e9,
         plan.at_once,
+        plan.processes,
         plan.cached_views,
     )
     return DepthJob(
@@ -116,6 +120,7 @@ def plan_within(
     width: int,
     height: int,
     most_at_once: int = 1,
+    apart: bool = False,
 ) -> DepthPlan:
     """How depth of photographs of this size keeps within a limit; raises InputError where it cannot."""
     return plan_depth(
@@ -133,4 +138,5 @@ def plan_within(
         int8=precision == INT8,
         tile_halo=None if manifest.tiles is None else manifest.tiles.halo,
         most_at_once=most_at_once,
+        apart=apart,
     )

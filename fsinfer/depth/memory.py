@@ -38,6 +38,9 @@ _VOLUMES_AT_PEAK, _LEVELS_AT_PEAK = 1.0, 4.6
 #: numerics; measured with ``cascade``, 12.1 to 12.5 and 7.7 to 8.8 times at 960x544 to 2400x1808; 2560x1536 in tiles
 #: of 72 takes 2.37 GB where 2.54 are planned.
 _PEAK_OVER_EIGHTHS, _INT8_PEAK_OVER_EIGHTHS, _PEAK_OVER_TILE_OF_EIGHTHS = 13.2, 9.4, 14.2
+#: Feature maps that a process keeps, per cent of those that one process for all would: it computes a run of neighbours.
+#: Source: numerics.
+_CACHE_OF_A_PROCESS = 65
 #: Sides of tiles that are tried, pixels of the volume. Source: numerics; multiples of the network's coarsest level.
 _TILE_SIZES = range(512, 56, -8)
 #: Sizes that a message proposes: multiples of the one, none below the other, pixels. Source: layout; the least that
@@ -84,6 +87,7 @@ def plan_depth(
     int8: bool = False,
     tile_halo: int | None = None,
     most_at_once: int = 1,
+    apart: bool = False,
 ) -> DepthPlan:
     """Cache as many feature maps as the limit allows, at least those of one depth map; in tiles where that is too much.
 
@@ -103,6 +107,7 @@ def plan_depth(
     int8: the graphs are in 8-bit integers; in tiles they never are.
     tile_halo: of the model's tiles, pixels of the volume; None where it cannot be cut into tiles.
     most_at_once: depth maps that may be computed at a time.
+    apart: by processes, where the limit allows two; each has the model, and feature maps of its own.
 
     Raises
     ------
@@ -158,15 +163,16 @@ def plan_depth(
         if at_once == 1 or fixed + needed * of_view <= limit:
             break
         at_once -= 1
-    own_cache = max(views, most_cached * 2 // 3)
-    apart = BASE_BYTES + at_once * (BASE_BYTES + whole_peak * quarter + own_cache * of_view)
-    if at_once > 1 and apart <= limit:
+    own_cache = max(views, _CACHE_OF_A_PROCESS * most_cached // 100)
+    of_process = BASE_BYTES + whole_peak * quarter + own_cache * of_view
+    processes = min(at_once, int((limit - BASE_BYTES) / of_process))
+    if apart and processes > 1:
         return DepthPlan(
             cached_views=own_cache,
-            peak_bytes=int(apart),
-            at_once=at_once,
-            regularizers=at_once,
-            processes=at_once,
+            peak_bytes=int(BASE_BYTES + processes * of_process),
+            at_once=processes,
+            regularizers=processes,
+            processes=processes,
         )
     cached = max(needed, min(most_cached, int((limit - fixed) / of_view)))
     return DepthPlan(

@@ -6,7 +6,7 @@ import json
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +30,6 @@ from fsinfer.threads import cores, in_order, one_blas_thread
 #: two seconds of 300 quick looks. Maps that it does not name yet are made again after a kill, and after no other end.
 #: Source: numerics.
 _INDEX_EVERY_S = 2.0
-
-#: So many views are worth processes of their own, which take two seconds to start. Source: numerics.
-_LEAST_APART = 40
 
 #: Views and their maps as they get ready, in any order.
 Computed = Generator[tuple[View, ViewMaps], None, None]
@@ -131,8 +128,7 @@ def estimate_depth(
 def _computed(job: DepthJob, scene: Scene, views: Sequence[View], tell: Callable[[View], None]) -> Computed:
     """The maps of views, from this computer or from the workers of the settings' scheduler."""
     if not job.settings.scheduler:
-        apart = job.plan.processes > 1 and len(views) >= _LEAST_APART
-        return (maps_in_processes if apart else _here)(job, scene, views, tell)
+        return (_here if job.plan.processes == 1 else maps_in_processes)(job, scene, views, tell)
     from fsinfer.depth.on_workers import maps_on_workers  # loads Dask
 
     return maps_on_workers(job, scene, views, tell)
@@ -143,11 +139,9 @@ def _here(job: DepthJob, scene: Scene, views: Sequence[View], tell: Callable[[Vi
     # Threads that share out one view wait for each other in every layer of the network; views do not.
     at_once = max(1, min(job.plan.at_once, len(views)))
     all_threads = job.settings.threads or cores()
-    # Few views are done here though there is memory for processes, each of which would keep fewer at hand.
-    needed = at_once * (job.settings.source_views + 1)
     maps = MapsOfViews(
         job,
-        plan=replace(job.plan, cached_views=max(job.plan.cached_views, needed)),
+        plan=job.plan,
         threads=-(-all_threads // at_once),
         # Those of onnxruntime are shared by all who ask it, and who asks works too.
         graph_threads=max(1, all_threads - at_once + 1),

@@ -11,8 +11,8 @@ from fsinfer.depth.memory import BASE_BYTES, GIGABYTE
 from fsinfer.errors import InputError
 
 #: A point where all are merged anew in larger voxels: itself (68 bytes), room for more, its sorted and averaged copies.
-#: Source: numerics; measured, 274 bytes for 5.5 million.
-_BYTES_PER_MERGED_POINT = 320
+#: Source: numerics; measured, 240 bytes for 3.2 million and a batch of 1.5.
+_BYTES_PER_MERGED_POINT = 300
 #: The point itself, and views a thread may be ahead of the merging, of which each pixel may be a point. Source: format;
 #: numerics, a batch is merged in the time of two.
 _BYTES_PER_POINT, _AHEAD = 68, 2

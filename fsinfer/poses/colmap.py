@@ -81,18 +81,7 @@ def extract_features(
     done = 0
     for names in cameras.values():
         if _camera_of(database, names) is None:
-            # COLMAP numbers photos in the order in which its threads finish them, and everything after depends on the
-            # numbers: entered in order first, two runs on one machine are alike.
-            with open_database(database):
-                pass  # makes the file
-            call(
-                pycolmap.import_images,
-                database,
-                images,
-                camera_mode=pycolmap.CameraMode.SINGLE,
-                image_names=list(names),
-                options=_reader(settings),
-            )
+            _enter(database, images, names, settings)
         camera_id = _camera_of(database, names)
         small = camera_id is not None and _longer_side_px(database, camera_id, settings) < settings.enlarge_below_px
         copied = small and settings.enlargement != DOUBLED
@@ -102,7 +91,7 @@ def extract_features(
         for start in range(0, len(names), _PHOTOS_PER_BATCH):
             batch = list(names[start : start + _PHOTOS_PER_BATCH])
             progress(done, total, step)
-            missing = [name for name in batch if not _has_features(database, name)]
+            missing = _without_features(database, batch)
             if missing and copied:
                 find_in_enlarged(database, images, missing, settings.enlargement, options, settings.thread_count)
             elif missing:
@@ -121,6 +110,38 @@ def extract_features(
                 )
             done += len(batch)
     progress(total, total, step)
+
+
+def _enter(database: Path, images: Path, names: Sequence[str], settings: PoseSettings) -> None:
+    """Enter the photos of one camera into the database, in their order.
+
+    COLMAP numbers photos in the order in which its threads finish them, and everything after depends on the numbers:
+    entered in order first, two runs on one machine are alike. It decodes each one for what only the first has to tell.
+    """
+    import pycolmap
+
+    with open_database(database):
+        pass  # makes the file
+    call(
+        pycolmap.import_images,
+        database,
+        images,
+        camera_mode=pycolmap.CameraMode.SINGLE,
+        image_names=list(names[:1]),
+        options=_reader(settings),
+    )
+    with open_database(database) as opened:
+        first = opened.read_image_with_name(names[0])
+        if first is None:
+            return  # it cannot be read; whoever looks for features says so
+        rig_id = opened.read_frame(first.frame_id).rig_id
+        for name in names[1:]:
+            image = pycolmap.Image(name=name, camera_id=first.camera_id)
+            image.image_id = opened.write_image(image)
+            frame = pycolmap.Frame()
+            frame.rig_id = rig_id
+            frame.add_data_id(image.data_id)
+            opened.write_frame(frame)
 
 
 def _reader(settings: PoseSettings) -> Any:
@@ -150,14 +171,15 @@ def _longer_side_px(database: Path, camera_id: int, settings: PoseSettings) -> i
     return min(max(int(camera.width), int(camera.height)), settings.max_image_size)
 
 
-def _has_features(database: Path, name: str) -> bool:
-    if not database.exists():
-        return False
-    with open_database(database) as opened:
+def _without_features(database: Path, names: Sequence[str]) -> list[str]:
+    def has_features(name: str) -> bool:
         image = opened.read_image_with_name(name)
-        if image is None:
-            return False
-        return bool(opened.exists_keypoints(image.image_id) and opened.exists_descriptors(image.image_id))
+        return (
+            image is not None and opened.exists_keypoints(image.image_id) and opened.exists_descriptors(image.image_id)
+        )
+
+    with open_database(database) as opened:
+        return [name for name in names if not has_features(name)]
 
 
 def reconstruct(

@@ -31,7 +31,7 @@ from fsinfer.progress import Progress
 from fsinfer.scale.markers_seen import MarkersSeen, write_markers_seen
 from fsinfer.scale.square_fit import MarkerSettings
 from fsinfer.scene import Camera, write_camera, write_pairs
-from fsinfer.threads import in_order
+from fsinfer.threads import beside, in_order
 
 _Places = tuple[tuple[int, NDArray[np.float64]], ...]
 
@@ -62,30 +62,47 @@ def write_scene(
     by_file = {photo.file: photo for photo in photos}
     lenses = undistort_model(model)
     image_ids = {by_file[model.images[i].name].name: i for i in model.reg_image_ids()}
+    files = {name: model.images[i].name for name, i in image_ids.items()}
+    for name, image_id in image_ids.items():
+        model.images[image_id].name = f"{name}.jpg"
     maps = {i: undistortion_maps(lens, model.cameras[i]) for i, lens in lenses.items()}
     of_photo = _by_file(sightings or ())
 
     def straighten(name: str) -> _Places:
-        image = model.images[image_ids[name]]
-        source = by_file[image.name].source
-        map_of = maps[image.camera_id]
-        if image_ids[name] in adjustment.effects:
-            lens, pinhole = lenses[image.camera_id], model.cameras[image.camera_id]
-            map_of = maps_of_photo(map_of, lens, pinhole, adjustment.effects[image_ids[name]])
+        image_id, source = image_ids[name], by_file[files[name]].source
+        camera_id = model.images[image_id].camera_id
+        map_of = maps[camera_id]
+        if image_id in adjustment.effects:
+            lens, pinhole = lenses[camera_id], model.cameras[camera_id]
+            map_of = maps_of_photo(map_of, lens, pinhole, adjustment.effects[image_id])
         pixels = undistort(read_reduced(source, settings.longest_px), map_of)
         write_image(out / "images" / f"{name}.jpg", pixels, quality=settings.jpeg_quality, exif=gravity_exif(source))
-        places = ((one.number, straightened(corners_of_pixels(one), map_of)) for one in of_photo.get(image.name, ()))
+        places = ((one.number, straightened(corners_of_pixels(one), map_of)) for one in of_photo.get(files[name], ()))
         return tuple((number, corners) for number, corners in places if corners is not None)
 
     views = sorted(image_ids)
     markers: dict[str, _Places] = {}
-    progress(0, len(views), "undistorting")
-    for name, seen in zip(views, in_order(straighten, views, settings.photo_threads), strict=True):
-        markers[name] = seen
-        progress(len(markers), len(views), "undistorting")
-    for image_id in image_ids.values():
-        image = model.images[image_id]
-        image.name = f"{by_file[image.name].name}.jpg"
+    # The images are the work of libraries; meanwhile Python chooses each view's neighbours.
+    with beside(lambda _: _cameras_and_pairs(model, image_ids, settings)) as chosen:
+        progress(0, len(views), "undistorting")
+        for name, seen in zip(views, in_order(straighten, views, settings.photo_threads), strict=True):
+            markers[name] = seen
+            progress(len(markers), len(views), "undistorting")
+        cameras, pairs = chosen()
+    for name, camera in cameras.items():
+        write_camera(out / "cams" / f"{name}_cam.txt", camera)
+    write_pairs(out / "pair.txt", pairs)
+    write_model(model, out / "sparse")
+    if sightings is not None:
+        least = MarkerSettings.min_side_px
+        write_markers_seen(out, MarkersSeen(dictionary=settings.dictionary, min_side_px=least, places=markers))
+    return tuple(image_ids)
+
+
+def _cameras_and_pairs(
+    model: Any, image_ids: Mapping[str, int], settings: PoseSettings
+) -> tuple[dict[str, Camera], dict[int, list[tuple[int, float]]]]:
+    """The camera of each view with its depth range, and its sources."""
     sparse = sparse_of(model)
     cameras = {}
     for name, image_id in image_ids.items():
@@ -101,14 +118,7 @@ def write_scene(
             msg = f"{name} sees no point of the model; take it out of the photos and run again"
             raise PosesError(msg)
         cameras[name] = Camera(intrinsic=intrinsic, cam_from_world=pose, depth_min=depths[0], depth_max=depths[1])
-    for name, camera in cameras.items():
-        write_camera(out / "cams" / f"{name}_cam.txt", camera)
-    write_pairs(out / "pair.txt", select_views(sparse, cameras, settings.sources, settings=settings.selection))
-    write_model(model, out / "sparse")
-    if sightings is not None:
-        least = MarkerSettings.min_side_px
-        write_markers_seen(out, MarkersSeen(dictionary=settings.dictionary, min_side_px=least, places=markers))
-    return tuple(image_ids)
+    return cameras, select_views(sparse, cameras, settings.sources, settings=settings.selection)
 
 
 def _by_file(sightings: Sequence[BoardSighting]) -> Mapping[str, list[BoardSighting]]:

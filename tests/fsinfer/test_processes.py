@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import subprocess
@@ -19,7 +20,7 @@ from threadpoolctl import threadpool_info
 from fsinfer import processes
 from fsinfer.errors import SceneError
 from fsinfer.process_worker import Answer
-from fsinfer.processes import shared_out, worker_processes, workers_peak_mb
+from fsinfer.processes import as_ready, shared_out, worker_processes, workers_peak_mb
 from fsinfer.trees.measure import analyse_plot
 from fsinfer.trees.stem_curve import stem_curves
 from fsinfer.workflow.memory_peak import MemoryPeak
@@ -125,6 +126,52 @@ def test_an_error_comes_where_its_result_would() -> None:
         # Who looks for it finds out where in the other process it arose.
         assert any("in refuse" in note for note in error.value.__notes__)
         assert list(shared_out(refuse, (3, 4))) == [3, 4]
+
+
+def test_each_process_keeps_to_its_own_and_results_come_as_they_get_ready() -> None:
+    own = {0: iter(range(6)), 1: iter(range(10, 16))}
+    with worker_processes((), count=2):
+        found = list(as_ready(number_and_process, lambda process: next(own[process], None)))
+    assert sorted(number for number, _ in found) == [*range(6), *range(10, 16)]
+    for first in (0, 10):
+        of_run = [pair for pair in found if first <= pair[0] < first + 6]
+        assert [number for number, _ in of_run] == list(range(first, first + 6))
+        assert len({process for _, process in of_run}) == 1
+    assert len({process for _, process in found} | {os.getpid()}) == 3
+
+
+def test_without_processes_the_first_takes_all() -> None:
+    items = iter(range(3))
+
+    def take(process: int) -> int | None:
+        assert process == 0
+        return next(items, None)
+
+    assert [process for _, process in as_ready(number_and_process, take)] == [os.getpid()] * 3
+
+
+def test_what_a_process_had_taken_when_it_ended_is_done_all_the_same(caplog: pytest.LogCaptureFixture) -> None:
+    own = {0: iter((0, 1, 2)), 1: iter((10, 11, 12))}
+    with worker_processes((), count=2):
+        found = list(as_ready(partial(end_itself, os.getpid()), lambda process: next(own[process], None)))
+    assert sorted(number for number, _ in found) == [0, 1, 2, 10, 11, 12]
+    assert {number for number, process in found if process == os.getpid()} == {1, 2}
+    assert "its share is done by the run itself" in caplog.text
+
+
+def test_an_error_of_one_process_ends_the_others_work() -> None:
+    own = {0: iter((0, 1, 2, 3)), 1: itertools.count(10)}
+    with worker_processes((), count=2):
+        with pytest.raises(SceneError, match="no scene"):
+            list(as_ready(refuse, lambda process: next(own[process], None)))
+        # The processes are there for what comes next.
+        assert os.getpid() not in {process for _, process in shared_out(number_and_process, range(4))}
+        endless = as_ready(number_and_process, lambda process: next(own[1]))
+        next(endless)
+        endless.close()
+        before = next(own[1])
+        time.sleep(0.2)
+        assert next(own[1]) == before + 1  # nothing more is taken
 
 
 @pytest.mark.parametrize("work", [no_answer, raise_what_cannot_be_sent])

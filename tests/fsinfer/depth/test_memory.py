@@ -152,6 +152,26 @@ def test_as_many_maps_are_computed_at_a_time_as_memory_allows() -> None:
     assert tiled.at_once == 1
 
 
+def test_processes_where_there_is_memory_for_two() -> None:
+    def plan(memory_gb: float, most: int, *, apart: bool = True) -> DepthPlan:
+        sizes: dict[str, Any] = {"width": 1280, "height": 720, **FIELD, "wide_stride": 8, "views": 5, "most_cached": 20}
+        return plan_depth(memory_gb, **sizes, int8=True, most_at_once=most, apart=apart)
+
+    assert plan(3.0, 2, apart=False).processes == 1
+    two = plan(3.0, 2)
+    assert (two.processes, two.at_once, two.regularizers, two.cached_views) == (2, 2, 2, 13)
+    # The run itself holds little, each of them what one alone does, with fewer feature maps.
+    one = plan(3.0, 1)
+    assert one.processes == 1
+    assert 2 * 0.8 * one.peak_bytes < two.peak_bytes < 2 * one.peak_bytes + 150e6
+    many = plan(3.0, 16)
+    assert 2 < many.processes == many.at_once < 16
+    assert many.peak_bytes <= 3e9 < many.peak_bytes * (many.processes + 1) / many.processes
+    little = plan(0.9 * two.peak_bytes / 1e9, 2)
+    assert little.processes == 1
+    assert little.at_once == 2
+
+
 def test_less_memory_keeps_fewer_maps_and_stays_within() -> None:
     generous, tight = _depth(3.0), _depth(1.7)
     assert 5 <= tight.cached_views < generous.cached_views
@@ -210,7 +230,7 @@ def test_fusion_shrinks_its_batches_before_it_drops_points() -> None:
     large = plan_fusion(
         2.0, map_pixels=3_000_000, cache_maps=40, max_points=4_000_000, batch_points=1_500_000, at_once=4
     )
-    assert (large.at_once, large.cache_maps) == (1, 5)
+    assert (large.at_once, large.cache_maps) == (1, 4)
     for limit in (3.0, 1.7, 0.8):
         assert _fusion(limit).peak_bytes <= limit * 1e9
     with pytest.raises(InputError, match="too few"):
