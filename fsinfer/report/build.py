@@ -8,7 +8,7 @@ from fsinfer.errors import InputError
 from fsinfer.io.files import write_text
 from fsinfer.report.cloud.data import MAX_POINTS
 from fsinfer.report.cloud.depth_part import depth_part
-from fsinfer.report.cloud.part import cloud_part
+from fsinfer.report.cloud.part import cloud_part, draw_cloud
 from fsinfer.report.contents import read_contents
 from fsinfer.report.made_part import made_part
 from fsinfer.report.page import render_page, render_part
@@ -17,6 +17,7 @@ from fsinfer.report.stems.part import stems_part
 from fsinfer.report.summary import plot_part, tiles_part
 from fsinfer.report.table_part import table_part
 from fsinfer.report.warnings_part import warnings_part
+from fsinfer.threads import beside
 
 REPORT_FILE = "report.html"
 #: The report stays below so many megabytes. Source: layout; most mailboxes take 20.
@@ -57,7 +58,10 @@ def make_report(out: Path | str) -> Path:
     photographed = contents.plot.get("photos") or any((out / name).is_dir() for name in ("scene", "depth"))
     source_of_trees = "from photographs" if photographed else "in a point cloud"
     subtitle = f"Trees measured {source_of_trees} with fsinfer" + (f" {version}" if version else "")
-    stems, depth = stems_part(contents), render_part(depth_part(contents))
+    # The stems are looked at by other processes, if by any; meanwhile this one draws the cloud.
+    with beside(lambda _: draw_cloud(contents)) as drawn:
+        stems, depth = stems_part(contents), render_part(depth_part(contents))
+        cloud = drawn()
     rendered_stems = [] if stems is None else [render_part(stems)]
     # Eleven bytes a point, four characters for three bytes.
     room = int((MAX_MB * 1e6 - sum(len(part.html) for part in (*rendered_stems, depth))) * 3 / 4 / 11)
@@ -67,7 +71,7 @@ def make_report(out: Path | str) -> Path:
         render_part(plot_part(contents)),
         *rendered_stems,
         render_part(table_part(contents)),
-        render_part(cloud_part(contents, max_points=min(max(room, LEAST_POINTS), MAX_POINTS))),
+        render_part(cloud_part(contents, cloud, max_points=min(max(room, LEAST_POINTS), MAX_POINTS))),
         depth,
         render_part(photos_part(contents)),
         render_part(made_part(contents)),

@@ -78,8 +78,18 @@ class CloudView:
     stills: tuple[Picture, ...]
 
 
-def cloud_part(contents: Contents, *, max_points: int = MAX_POINTS) -> Part:
-    """The viewer and the stills; a sentence where there is no cloud or it cannot be read."""
+@dataclass(frozen=True, kw_only=True)
+class DrawnCloud:
+    """The cloud in ``path``, of which ``count`` points are known and ``cloud`` are held, and its still pictures."""
+
+    path: Path
+    cloud: PointCloud
+    count: int
+    stills: tuple[Picture, ...]
+
+
+def draw_cloud(contents: Contents) -> DrawnCloud | Part:
+    """Read the cloud and draw the stills, or say why there is none: what does not hang on how much room there is."""
     path = next((p for name in _FILES if (p := contents.out / name).is_file()), None)
     if path is None:
         return missing_part(_ANCHOR, _TITLE, "There is no point cloud in this folder.")
@@ -87,6 +97,19 @@ def cloud_part(contents: Contents, *, max_points: int = MAX_POINTS) -> Part:
         cloud, count = read_some(path)
     except FsinferError as error:
         return missing_part(_ANCHOR, _TITLE, f"The cloud could not be shown: {error}")
+    stills = (
+        picture_of(cloud_view(cloud, "top", size_px=800), "From above (x to the right, y up)"),
+        picture_of(cloud_view(cloud, "side", size_px=800), "From the side (x to the right, z up)"),
+    )
+    return DrawnCloud(path=path, cloud=cloud, count=count, stills=stills)
+
+
+def cloud_part(contents: Contents, drawn: DrawnCloud | Part | None = None, *, max_points: int = MAX_POINTS) -> Part:
+    """The viewer and the stills; a sentence where there is no cloud or it cannot be read. ``drawn`` if it was before."""
+    drawn = drawn or draw_cloud(contents)
+    if isinstance(drawn, Part):
+        return drawn
+    path, cloud, count = drawn.path, drawn.cloud, drawn.count
     unit = "m" if contents.metric else "model units"
     size = np.ptp(np.percentile(cloud.xyz, [1, 99], axis=0), axis=0)
     data = encode_cloud(cloud, max_points=max_points)
@@ -100,10 +123,7 @@ def cloud_part(contents: Contents, *, max_points: int = MAX_POINTS) -> Part:
         modes=tuple((mode, name) for mode, name in _MODES if mode == "height" or mode in data.parts),
         info=_info(contents, data, cloud, path, unit),
         points_base64=data.base64,
-        stills=(
-            picture_of(cloud_view(cloud, "top", size_px=800), "From above (x to the right, y up)"),
-            picture_of(cloud_view(cloud, "side", size_px=800), "From the side (x to the right, z up)"),
-        ),
+        stills=drawn.stills,
     )
     return Part(anchor=_ANCHOR, title=_TITLE, view=view)
 
