@@ -105,7 +105,7 @@ def draw_cloud(contents: Contents) -> DrawnCloud | Part:
 
 
 def cloud_part(contents: Contents, drawn: DrawnCloud | Part | None = None, *, max_points: int = MAX_POINTS) -> Part:
-    """The viewer and the stills; a sentence where there is no cloud or it cannot be read. ``drawn`` if it was before."""
+    """The viewer and the stills; a sentence where there is no cloud or it cannot be read. ``drawn`` if it was."""
     drawn = drawn or draw_cloud(contents)
     if isinstance(drawn, Part):
         return drawn
