@@ -31,7 +31,7 @@ from fsinfer.threads import cores, in_order, photo_threads
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
-#: Worker processes at most. Source: judgement; one holds 150 to 250 MB.
+#: Worker processes at most, where nobody says how many. Source: judgement; one holds 150 to 250 MB.
 MOST_WORKERS = 4
 #: A thread whose result nobody takes looks as often whether it is wanted any more, seconds. Source: judgement.
 _LOOK_S = 0.2
@@ -81,6 +81,11 @@ def shared_out(
         yield from in_order(work, items, photo_threads() if threads is None else threads)
     else:
         yield from workers.in_order(work, items)
+
+
+def can_start() -> bool:
+    """Whether other processes of ours can be started: not by a frozen program, nor by one that embeds Python."""
+    return python_command(_MODULE) is not None
 
 
 def as_ready(work: Callable[[_Item], _Result], take: Callable[[int], _Item | None]) -> Generator[_Result, None, None]:

@@ -12,12 +12,17 @@ from collections.abc import Callable, Generator, Sequence
 from dataclasses import replace
 from typing import Any
 
+import cv2
+
 from fsinfer.depth.job import DepthJob
 from fsinfer.depth.runs_of_views import RunsOfViews
 from fsinfer.depth.view_maps import MapsOfViews, ViewMaps, sources_of
-from fsinfer.processes import as_ready, worker_processes
+from fsinfer.processes import as_ready, can_start, worker_processes
 from fsinfer.scene import Scene, View
 from fsinfer.threads import cores
+
+#: Views of one process at least. Source: numerics; it takes two seconds to start.
+_LEAST_OF_ONE = 15
 
 
 def maps_in_processes(
@@ -27,7 +32,9 @@ def maps_in_processes(
 
     A process that ends leaves its share to this one. Errors as those of :class:`MapsOfViews`.
     """
-    count = job.plan.processes
+    count = processes_for(job, len(views))
+    if not views:
+        return
     runs = RunsOfViews(len(views), workers=count)
     compute = _Maps(job, threads=-(-(job.settings.threads or cores()) // count))
 
@@ -36,10 +43,20 @@ def maps_in_processes(
         return None if number is None else (number, views[number], sources_of(scene, views[number], job.settings))
 
     tell(views[0])
-    with worker_processes([__name__], count=count):
-        for number, maps in as_ready(compute, take):
-            yield views[number], maps
-            tell(views[number])
+    threads_before = cv2.getNumThreads()
+    cv2.setNumThreads(1)  # for a share that is left to this process
+    try:
+        with worker_processes([__name__], count=count):
+            for number, maps in as_ready(compute, take):
+                yield views[number], maps
+                tell(views[number])
+    finally:
+        cv2.setNumThreads(threads_before)
+
+
+def processes_for(job: DepthJob, views: int) -> int:
+    """Processes that so many views are worth, 1 where this one does as well or no other can be started."""
+    return max(1, min(job.plan.processes, views // _LEAST_OF_ONE)) if can_start() else 1
 
 
 class _Maps:

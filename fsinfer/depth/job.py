@@ -81,10 +81,10 @@ def plan_job(views: Sequence[View], settings: DepthSettings) -> DepthJob:
         # Tiles are computed in float32 alone; what is written says so.
         precision = FLOAT32
     _log.info(
-        "depth takes about %.1f GB, %d at a time in %d processes, %d feature maps are kept by each",
+        "depth takes about %.1f GB, %d at a time%s, %d feature maps are kept",
         plan.peak_bytes / 1e9,
         plan.at_once,
-        plan.processes,
+        ", each by a process" if plan.processes > 1 else "",
         plan.cached_views,
     )
     return DepthJob(

@@ -6,13 +6,13 @@ import json
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import cv2
 
-from fsinfer.depth.in_processes import maps_in_processes
+from fsinfer.depth.in_processes import maps_in_processes, processes_for
 from fsinfer.depth.job import DepthJob, plan_job
 from fsinfer.depth.maps import read_depth_index
 from fsinfer.depth.settings import DepthSettings
@@ -128,7 +128,7 @@ def estimate_depth(
 def _computed(job: DepthJob, scene: Scene, views: Sequence[View], tell: Callable[[View], None]) -> Computed:
     """The maps of views, from this computer or from the workers of the settings' scheduler."""
     if not job.settings.scheduler:
-        return (_here if job.plan.processes == 1 else maps_in_processes)(job, scene, views, tell)
+        return (_here if processes_for(job, len(views)) == 1 else maps_in_processes)(job, scene, views, tell)
     from fsinfer.depth.on_workers import maps_on_workers  # loads Dask
 
     return maps_on_workers(job, scene, views, tell)
@@ -139,9 +139,11 @@ def _here(job: DepthJob, scene: Scene, views: Sequence[View], tell: Callable[[Vi
     # Threads that share out one view wait for each other in every layer of the network; views do not.
     at_once = max(1, min(job.plan.at_once, len(views)))
     all_threads = job.settings.threads or cores()
+    # A plan for processes keeps what one of them needs.
+    needed = at_once * (job.settings.source_views + 1)
     maps = MapsOfViews(
         job,
-        plan=job.plan,
+        plan=replace(job.plan, cached_views=max(job.plan.cached_views, needed)),
         threads=-(-all_threads // at_once),
         # Those of onnxruntime are shared by all who ask it, and who asks works too.
         graph_threads=max(1, all_threads - at_once + 1),

@@ -217,6 +217,7 @@ class VoxelMerger:
         None when nothing came.
         """
         self._merge()
+        self._waiting = {}
         merged, self._voxels = None if self._voxels is None else self._voxels.samples(), None
         return merged
 

@@ -80,8 +80,7 @@ def extract_features(
     total = sum(len(names) for names in cameras.values())
     done = 0
     for names in cameras.values():
-        if _camera_of(database, names) is None:
-            _enter(database, images, names, settings)
+        _enter(database, images, names, settings)
         camera_id = _camera_of(database, names)
         small = camera_id is not None and _longer_side_px(database, camera_id, settings) < settings.enlarge_below_px
         copied = small and settings.enlargement != DOUBLED
@@ -113,7 +112,7 @@ def extract_features(
 
 
 def _enter(database: Path, images: Path, names: Sequence[str], settings: PoseSettings) -> None:
-    """Enter the photos of one camera into the database, in their order.
+    """Enter those photos of one camera into the database, in their order, that it does not have.
 
     COLMAP numbers photos in the order in which its threads finish them, and everything after depends on the numbers:
     entered in order first, two runs on one machine are alike. It decodes each one for what only the first has to tell.
@@ -122,26 +121,34 @@ def _enter(database: Path, images: Path, names: Sequence[str], settings: PoseSet
 
     with open_database(database):
         pass  # makes the file
-    call(
-        pycolmap.import_images,
-        database,
-        images,
-        camera_mode=pycolmap.CameraMode.SINGLE,
-        image_names=list(names[:1]),
-        options=_reader(settings),
-    )
+    for name in names:
+        if _camera_of(database, names) is not None:
+            break
+        call(
+            pycolmap.import_images,
+            database,
+            images,
+            camera_mode=pycolmap.CameraMode.SINGLE,
+            image_names=[name],  # one that COLMAP cannot read enters nothing
+            options=_reader(settings),
+        )
     with open_database(database) as opened:
-        first = opened.read_image_with_name(names[0])
-        if first is None:
-            return  # it cannot be read; whoever looks for features says so
+        entered = [image for name in names if (image := opened.read_image_with_name(name)) is not None]
+        if not entered:
+            return  # whoever looks for features says so
+        first, there = entered[0], {image.name for image in entered}
         rig_id = opened.read_frame(first.frame_id).rig_id
-        for name in names[1:]:
-            image = pycolmap.Image(name=name, camera_id=first.camera_id)
-            image.image_id = opened.write_image(image)
-            frame = pycolmap.Frame()
-            frame.rig_id = rig_id
-            frame.add_data_id(image.data_id)
-            opened.write_frame(frame)
+        # A photo without its frame, where the program was ended between the two, could never be mapped.
+        with pycolmap.DatabaseTransaction(opened.itself):
+            for name in names:
+                if name in there:
+                    continue
+                image = pycolmap.Image(name=name, camera_id=first.camera_id)
+                image.image_id = opened.write_image(image)
+                frame = pycolmap.Frame()
+                frame.rig_id = rig_id
+                frame.add_data_id(image.data_id)
+                opened.write_frame(frame)
 
 
 def _reader(settings: PoseSettings) -> Any:

@@ -66,6 +66,11 @@ class _Guarded:
     def __init__(self, target: Any) -> None:
         self._target = target
 
+    @property
+    def itself(self) -> Any:
+        """The object, for functions of pycolmap that take it."""
+        return self._target
+
     def __getattr__(self, name: str) -> Any:
         value = getattr(self._target, name)
         return (lambda *arguments, **options: call(value, *arguments, **options)) if callable(value) else value

@@ -81,7 +81,7 @@ def estimate_poses(
     Parameters
     ----------
     images: folder of photos; above ``settings.pairs.exhaustive_up_to`` of them in the order of walking, by name.
-    out: folder for ``images``, ``cams``, ``pair.txt``, ``sparse`` and ``poses.json``.
+    out: folder for ``images``, ``cams``, ``pair.txt``, ``sparse``, ``markers_seen.json`` and ``poses.json``.
     origin: what messages call the photos: the folder or video that the user gave and ``images`` were chosen from.
     resume: go on from the database in ``out/work``, which an attempt with the same photos and settings left; else it
         goes, and so does a scene that this stage made.

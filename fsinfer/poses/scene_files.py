@@ -19,6 +19,7 @@ from fsinfer.poses.model_files import write_model
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.sparse import sparse_of
 from fsinfer.poses.undistortion import (
+    NoWayBackError,
     intrinsic_of,
     maps_of_photo,
     straightened,
@@ -57,7 +58,8 @@ def write_scene(
 ) -> tuple[str, ...]:
     """Write images, cams, pair.txt and sparse of a refined model; returns the names of the views.
 
-    ``sightings`` are all markers that the photos show, or None where nobody looked for them at this size.
+    ``sightings`` are all markers that the photos show, which are told in ``markers_seen.json``; None where nobody
+    looked for them at this size.
     """
     by_file = {photo.file: photo for photo in photos}
     lenses = undistort_model(model)
@@ -68,26 +70,35 @@ def write_scene(
     maps = {i: undistortion_maps(lens, model.cameras[i]) for i, lens in lenses.items()}
     of_photo = _by_file(sightings or ())
 
-    def straighten(name: str) -> _Places:
+    def straighten(name: str) -> _Places | None:
         image_id, source = image_ids[name], by_file[files[name]].source
         camera_id = model.images[image_id].camera_id
         map_of = maps[camera_id]
+        lens, pinhole = lenses[camera_id], model.cameras[camera_id]
         if image_id in adjustment.effects:
-            lens, pinhole = lenses[camera_id], model.cameras[camera_id]
             map_of = maps_of_photo(map_of, lens, pinhole, adjustment.effects[image_id])
         pixels = undistort(read_reduced(source, settings.longest_px), map_of)
         write_image(out / "images" / f"{name}.jpg", pixels, quality=settings.jpeg_quality, exif=gravity_exif(source))
-        places = ((one.number, straightened(corners_of_pixels(one), map_of)) for one in of_photo.get(files[name], ()))
-        return tuple((number, corners) for number, corners in places if corners is not None)
+        found = []
+        for one in of_photo.get(files[name], ()):
+            try:
+                corners = straightened(corners_of_pixels(one), map_of, lens, pinhole)
+            except NoWayBackError:
+                return None  # to be searched once more
+            if corners is not None:
+                found.append((one.number, corners))
+        return tuple(found)
 
     views = sorted(image_ids)
-    markers: dict[str, _Places] = {}
+    done, markers = 0, dict[str, _Places]()
     # The images are the work of libraries; meanwhile Python chooses each view's neighbours.
     with beside(lambda _: _cameras_and_pairs(model, image_ids, settings)) as chosen:
         progress(0, len(views), "undistorting")
         for name, seen in zip(views, in_order(straighten, views, settings.photo_threads), strict=True):
-            markers[name] = seen
-            progress(len(markers), len(views), "undistorting")
+            done += 1
+            if seen is not None:
+                markers[name] = seen
+            progress(done, len(views), "undistorting")
         cameras, pairs = chosen()
     for name, camera in cameras.items():
         write_camera(out / "cams" / f"{name}_cam.txt", camera)

@@ -19,8 +19,9 @@ Maps: TypeAlias = tuple[NDArray[np.float32], NDArray[np.float32]]
 #: Pixels between the places where a photo's own effects are computed; between them they are interpolated. Source:
 #: numerics; they bend by a pixel over a photo at most.
 _APART_PX = 16
-#: Steps of the search for the way through a lens, and how far off it may end, pixels. Source: numerics.
-_STEPS, _MISSED_PX = 12, 0.05
+#: Steps of the search for the way through a lens, how far off it may end, and how far outside of the picture it is not
+#: even begun, pixels. Source: numerics.
+_STEPS, _MISSED_PX, _FAR_OUTSIDE_PX = 12, 0.05, 64.0
 
 
 def pinhole_of(camera: Any) -> Any:
@@ -78,20 +79,38 @@ def undistort(image: NDArray[np.uint8], maps: Maps) -> NDArray[np.uint8]:
     return np.asarray(warped, dtype=np.uint8)
 
 
-def straightened(pixels: NDArray[np.float64], maps: Maps) -> NDArray[np.float64] | None:
+class NoWayBackError(Exception):
+    """Where places of a photo lie in its pinhole image was not found."""
+
+
+def straightened(pixels: NDArray[np.float64], maps: Maps, lens: Any, pinhole: Any) -> NDArray[np.float64] | None:
     """Where places (N, 2) of a photo lie in its pinhole image; None where one is not in it. Centres at whole numbers.
 
-    The maps tell the way back, which is searched step by step: they bend by far less than a pixel from one to the next.
+    The lens tells nearly where. From there ``maps``, which tell the way back, are searched step by step: they bend by
+    far less than a pixel from one to the next.
+
+    Raises
+    ------
+    NoWayBackError
+        The search ends nowhere, beyond where a lens can be told.
     """
     height, width = maps[0].shape
-    found = pixels.astype(np.float32)
+    rays = np.asarray(lens.cam_from_img(pixels + 0.5), np.float64).reshape(-1, 2)
+    found = np.asarray(pinhole.img_from_cam(np.column_stack([rays, np.ones(len(rays))])), np.float64) - 0.5
+    if not np.isfinite(found).all():
+        raise NoWayBackError
+    if np.maximum(-found, found - [width - 1, height - 1]).max() > _FAR_OUTSIDE_PX:
+        return None
     for _ in range(_STEPS):
-        u, v = (np.ascontiguousarray(found[:, axis]) for axis in range(2))
+        u, v = (np.ascontiguousarray(found[:, axis], np.float32) for axis in range(2))
         back = [cv2.remap(one, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).ravel() for one in maps]
-        missed = pixels.astype(np.float32) - np.stack(back, axis=1)
-        found += missed
-    inside = (found >= 0).all() and (found <= [width - 1, height - 1]).all()
-    return found.astype(np.float64) if inside and np.abs(missed).max() < _MISSED_PX else None
+        missed = pixels - np.stack(back, axis=1)
+        found = found + missed
+    if (found < 0).any() or (found > [width - 1, height - 1]).any():
+        return None
+    if np.abs(missed).max() > _MISSED_PX:
+        raise NoWayBackError
+    return found
 
 
 def undistort_model(model: Any) -> dict[int, Any]:

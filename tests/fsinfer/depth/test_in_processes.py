@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +14,7 @@ from typing import Any
 import pytest
 
 from fsinfer import processes
-from fsinfer.depth import job, stage
+from fsinfer.depth import in_processes, job, stage
 from fsinfer.depth.in_processes import _Maps
 from fsinfer.depth.job import plan_job
 from fsinfer.depth.settings import DepthSettings
@@ -29,6 +31,7 @@ SETTINGS = DepthSettings(threads=2, precision="int8")
 @pytest.fixture
 def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Scene:
     monkeypatch.setattr(job, "LEAST_APART", 3)
+    monkeypatch.setattr(in_processes, "_LEAST_OF_ONE", 1)
     return read_scene(write_plane_scene(tmp_path / "scene", height=75, width=90))
 
 
@@ -90,19 +93,55 @@ def test_what_a_process_had_to_do_that_was_killed_is_done_here(
 def test_a_photo_that_cannot_be_read_is_told_and_what_was_finished_is_kept(
     scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    last = scene.views[-1]
-    whole = last.image_path.read_bytes()
-    (alone,) = (view for view in scene.views[:1])
-    without = replace(scene, views=(replace(alone, sources=(1,)), *scene.views[1:]))
-    last.image_path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(ImageError, match=last.image_path.name):
-        estimate_depth(without, tmp_path / "apart", settings=SETTINGS)
-    last.image_path.write_bytes(whole)
+    # It is a source of the last view alone, which comes when another is finished.
+    last = len(scene.views) - 1
+    views = tuple(
+        replace(view, sources=tuple(source for source in view.sources if source != last)) for view in scene.views[:last]
+    )
+    scene = replace(scene, views=(*views, scene.views[last]))
+    damaged = scene.views[last].image_path
+    whole = damaged.read_bytes()
+    damaged.write_bytes(whole[: len(whole) // 2])
+    ask = processes._Worker.ask
+
+    def last_at_the_end(self: Any, work: Callable[[Any], Any], item: Any) -> Answer:
+        until = time.monotonic() + 60.0
+        while item[0] == last and not maps_in(tmp_path / "apart") and time.monotonic() < until:
+            time.sleep(0.01)
+        return ask(self, work, item)
+
+    monkeypatch.setattr(processes._Worker, "ask", last_at_the_end)
+    with pytest.raises(ImageError, match=damaged.name):
+        estimate_depth(scene, tmp_path / "apart", settings=SETTINGS)
+    damaged.write_bytes(whole)
     kept = {name: path.stat().st_mtime_ns for name, path in _written(tmp_path / "apart").items()}
-    estimate_depth(without, tmp_path / "apart", settings=SETTINGS, resume=True)
-    assert maps_in(tmp_path / "apart") == by_threads(without, tmp_path / "here", monkeypatch)
+    assert kept
+    estimate_depth(scene, tmp_path / "apart", settings=SETTINGS, resume=True)
+    assert maps_in(tmp_path / "apart") == by_threads(scene, tmp_path / "here", monkeypatch)
     after = _written(tmp_path / "apart")
-    assert all(after[name].stat().st_mtime_ns == time for name, time in kept.items())
+    assert all(after[name].stat().st_mtime_ns == changed for name, changed in kept.items())
+
+
+def test_going_on_where_nothing_is_left(scene: Scene, tmp_path: Path) -> None:
+    estimate_depth(scene, tmp_path, settings=SETTINGS)
+    before = maps_in(tmp_path)
+    told: list[str] = []
+    estimate_depth(scene, tmp_path, settings=SETTINGS, resume=True, progress=lambda *given: told.append(given[2]))
+    assert maps_in(tmp_path) == before
+    assert told[-1] == "depth"
+
+
+@pytest.mark.parametrize("why", ["few views", "no interpreter"])
+def test_threads_where_processes_do_not_pay_or_cannot_be_started(
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, why: str
+) -> None:
+    monkeypatch.setattr(processes, "start", None)  # cannot be called
+    if why == "few views":
+        monkeypatch.setattr(in_processes, "_LEAST_OF_ONE", 15)
+    else:
+        monkeypatch.setattr(sys, "executable", "/opt/qgis/bin/qgis")
+    estimate_depth(scene, tmp_path / "any", settings=SETTINGS)
+    assert maps_in(tmp_path / "any") == by_threads(scene, tmp_path / "here", monkeypatch)
 
 
 def _written(folder: Path) -> dict[str, Path]:

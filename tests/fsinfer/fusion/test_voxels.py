@@ -54,6 +54,7 @@ def test_batches_give_the_same_as_all_at_once() -> None:
     np.testing.assert_allclose(batched.confidence, at_once.confidence, rtol=1e-5)
     np.testing.assert_array_equal(batched.views, at_once.views)
     np.testing.assert_array_equal(batched.count, at_once.count)
+    assert not merger._waiting  # what waited takes no memory any more
     # Voxels that were there, and such before, between and behind them.
     assert (batched.count > 1).any()
     assert np.diff(voxels.voxel_keys(batched.xyz, 0.7)).min() > 0

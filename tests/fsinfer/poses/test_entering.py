@@ -71,3 +71,25 @@ def test_photos_that_have_features_are_not_looked_at_again(tmp_path: Path, monke
     monkeypatch.setattr(pycolmap, "import_images", None)  # cannot be called
     extract_features(database, images, {"phone": names}, settings, silent)
     assert looked == ["1.jpg"]
+
+
+def test_who_was_stopped_in_between_enters_the_rest_in_order(tmp_path: Path) -> None:
+    images = tmp_path / "images"
+    names = photos(images, [f"{number}.jpg" for number in range(4)], (40, 60))
+    settings = PoseSettings(threads=1, max_features=200, enlarge_below_px=1)
+    extract_features(tmp_path / "whole.db", images, {"phone": names}, settings, silent)
+    extract_features(tmp_path / "half.db", images, {"phone": names[:2]}, settings, silent)
+    extract_features(tmp_path / "half.db", images, {"phone": names}, settings, silent)
+    assert rows(tmp_path / "half.db") == rows(tmp_path / "whole.db")
+
+
+def test_photos_that_colmap_cannot_read_cost_the_others_no_camera(tmp_path: Path) -> None:
+    images = tmp_path / "images"
+    names = photos(images, [f"{number:02d}.jpg" for number in range(20)], (40, 60))
+    (images / names[0]).write_bytes(b"no photograph")
+    settings = PoseSettings(threads=1, max_features=50, enlarge_below_px=1)
+    extract_features(tmp_path / "some.db", images, {"phone": names}, settings, silent)
+    found = rows(tmp_path / "some.db")
+    assert len(found["cameras"]) == 1
+    assert {row[2] for row in found["images"]} == {1}
+    assert len(found["frames"]) == len(found["images"])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fsinfer.poses.undistortion import (
+    NoWayBackError,
     intrinsic_of,
     pinhole_of,
     straightened,
@@ -50,12 +51,25 @@ def test_places_of_a_photo_are_found_in_its_pinhole_image() -> None:
     maps = undistortion_maps(LENS, pinhole)
     pixels = np.array([[20.0, 25.0], [300.0, 30.0], [160.25, 120.75], [40.0, 215.5]])
     rays = np.column_stack([LENS.cam_from_img(pixels + 0.5), np.ones(4)])
-    found = straightened(pixels, maps)
+    found = straightened(pixels, maps, LENS, pinhole)
     assert found is not None
     np.testing.assert_allclose(found, pinhole.img_from_cam(rays) - 0.5, atol=0.02)
     assert np.abs(found - pixels).max() > 3.0
+    # What the photo alone has is found beside what the lens does.
+    shifted = straightened(pixels, (maps[0] + np.float32(4.5), maps[1]), LENS, pinhole)
+    assert shifted is not None
+    np.testing.assert_allclose(shifted[:, 0], found[:, 0] - 4.5, atol=0.4)
     # The pinhole image is cut so that it has no black border.
-    assert straightened(np.array([[160.0, 120.0], [0.0, 0.0]]), maps) is None
+    assert straightened(np.array([[160.0, 120.0], [0.0, 0.0]]), maps, LENS, pinhole) is None
+    assert straightened(np.array([[-150.0, 120.0]]), maps, LENS, pinhole) is None
+
+
+def test_a_way_back_that_is_not_found_is_no_place_outside() -> None:
+    pinhole = pinhole_of(LENS)
+    # Every pixel of the image shows the same place of the photo.
+    flat = tuple(np.full_like(one, 50.0) for one in undistortion_maps(LENS, pinhole))
+    with pytest.raises(NoWayBackError):
+        straightened(np.array([[50.5, 50.5]]), (flat[0], flat[1]), LENS, pinhole)
 
 
 def test_observations_move_with_the_images_and_the_lenses_are_handed_back() -> None:
