@@ -42,18 +42,19 @@ _log = logging.getLogger(__name__)
 
 
 @contextmanager
-def worker_processes(modules: Sequence[str], *, count: int | None = None) -> Iterator[None]:
+def worker_processes(modules: Sequence[str], *, count: int | None = None, beside: bool = False) -> Iterator[None]:
     """Within it, :func:`shared_out` gives work to ``count`` processes, as many as there are cores without it.
 
     They are started at once and load ``modules`` while other things are done. One process is as good as none: the work
-    is then done here. Within another it starts none, and the work goes to those that are there.
+    is then done here, unless it is for work ``beside`` what this one does. Within another it starts none, and the work
+    goes to those that are there.
     The peak of their memory stays known, see :func:`ended_peak_mb`.
     """
     if _active.get() is not None:
         yield
         return
     count = min(cores(), MOST_WORKERS) if count is None else count
-    command = python_command(_MODULE) if count > 1 else None
+    command = python_command(_MODULE) if count > (0 if beside else 1) else None
     if command is None:
         yield
         return

@@ -108,6 +108,15 @@ def test_without_processes_it_is_done_here(count: int | None) -> None:
             assert found() == {os.getpid()}
 
 
+def test_one_works_beside_this_one_where_it_is_asked_to() -> None:
+    with worker_processes((), count=1, beside=True):
+        found = {process for _, process in shared_out(number_and_process, range(3))}
+        assert len(found) == 1
+        assert os.getpid() not in found
+    with worker_processes((), count=0, beside=True):
+        assert {process for _, process in shared_out(number_and_process, range(3))} == {os.getpid()}
+
+
 def test_within_another_no_more_are_started() -> None:
     with worker_processes((), count=2):
         before = {process for _, process in shared_out(number_and_process, range(8))}

@@ -36,8 +36,6 @@ from fsinfer.threads import beside
 
 _log = logging.getLogger(__name__)
 
-#: Processes for fits beside each other. Source: numerics; the last fit takes as long as the trials beside it together.
-_BESIDE = 2
 #: Observations from which on they save more than it takes to start them. Source: numerics.
 _SHARED_FROM = 30_000
 
@@ -105,7 +103,7 @@ def adjust_photos(
     model: a ``pycolmap.Reconstruction`` of :func:`fsinfer.poses.refinement.refine`.
     larger: how many times more pixels the longer side of the photos has than that at which features are found, 1 or
         more; losses widen with it.
-    threads: with two or more, fits that do not hang on each other are done at the same time, by two processes.
+    threads: with two or more, fits that do not hang on each other are done at the same time, one by another process.
 
     Returns
     -------
@@ -154,8 +152,9 @@ def _found(
 ) -> _Found:
     """Which groups are borne out, and the last fit with them; the one beside the other where there are threads."""
     hand_back()  # what mapping held
-    count = min(threads, _BESIDE) if len(seen.photo) >= _SHARED_FROM else 1
-    with worker_processes([__name__], count=count):
+    # The last fit takes as long as all the trials beside it together, so that one process more is enough.
+    count = 1 if threads > 1 and len(seen.photo) >= _SHARED_FROM else 0
+    with worker_processes([__name__], count=count, beside=True):
         in_turn = tried_in_turn(seen, start, weighting, settings)
         progress(1, 2, "adjusting photo by photo")
         if in_turn is None:

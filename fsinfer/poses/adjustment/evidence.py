@@ -20,7 +20,6 @@ from fsinfer.poses.adjustment.problem import Group, Ints, Observations, Unknowns
 from fsinfer.poses.adjustment.projection import Floats
 from fsinfer.poses.adjustment.reduced_system import Structure
 from fsinfer.poses.adjustment.settings import AdjustmentSettings
-from fsinfer.processes import shared_out
 
 _log = logging.getLogger(__name__)
 
@@ -161,21 +160,14 @@ def tried_in_turn(
 
 
 def confirmed(found: InTurn, settings: AdjustmentSettings) -> Evidence:
-    """Each group but the last is tried once more beside all others: it may only have stood for what came after it.
-
-    Shared out over worker processes, where there are any.
-    """
-    asked = found.kept[:-1]
-    answers = shared_out(found.without, asked, threads=1)
+    """Each group but the last is tried once more beside all others: it may only have stood for what came after it."""
     now, trials = found, dict(found.trials)
-    for group in asked:
-        # Where a group has gone, what was asked beside all of them tells no more.
-        tried, there = next(answers) if now is found else now.without(group)
+    for group in found.kept[:-1]:
+        tried, there = now.without(group)
         trials[group] = _trial(group, there, now.errors, settings.min_gain_beside, settings)
         if not trials[group].kept:
             others = tuple(other for other in now.kept if other is not group)
             now = replace(now, kept=others, current=tried, errors=there)
-            answers.close()
     return replace(now, trials=trials).evidence
 
 
