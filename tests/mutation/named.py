@@ -57,8 +57,8 @@ NAMED: dict[str, Named] = {
     ),
     "voxel merge weight": Named(
         file="fsinfer/fusion/voxels.py",
-        before="weight = samples.weight[order]",
-        after=("weight = np.ones(len(order))",),
+        before="weight, count = samples.weight, samples.count",
+        after=("weight, count = np.ones(len(samples)), samples.count",),
         tests=("tests/fsinfer/fusion/test_voxels.py",),
     ),
     "depth resume key without poses": Named(
