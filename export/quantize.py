@@ -123,22 +123,34 @@ def quantize(model: Path, target: Path, feeds: Sequence[Feeds], settings: Quanti
     onnx.checker.check_model(onnx.load(target), full_check=True)
 
 
+def makers_of(graph: onnx.GraphProto) -> dict[str, onnx.NodeProto]:
+    """The node that makes each tensor."""
+    return {output: node for node in graph.node for output in node.output}
+
+
+def score_nodes(graph: onnx.GraphProto) -> list[onnx.NodeProto]:
+    """The nodes whose result, reshaped, the best plane is looked up in."""
+    makers, found = makers_of(graph), []
+    for node in graph.node:
+        if node.op_type == "ArgMax":
+            maker = makers[node.input[0]]
+            while maker.op_type in ("Reshape", "Gather"):
+                maker = makers[maker.input[0]]
+            found.append(maker)
+    return found
+
+
 def _results(graph: onnx.GraphProto) -> list[str]:
     """Names of the nodes whose result, reshaped, the best plane is looked up in, of all that is read off them, and of
     convolutions that are asked.
 
     A plane's index is a sum over a probability: with that in 8 bits it would be wrong by a fifth of a plane.
     """
-    makers = {output: node for node in graph.node for output in node.output}
+    makers = makers_of(graph)
     found = [makers[output.name].name for output in graph.output if makers[output.name].op_type == "Conv"]
-    read: set[str] = set()
-    for node in graph.node:
-        if node.op_type == "ArgMax":
-            maker = makers[node.input[0]]
-            while maker.op_type in ("Reshape", "Gather"):
-                maker = makers[maker.input[0]]
-            found.append(maker.name)
-            read.update(maker.output)
+    scores = score_nodes(graph)
+    found += [node.name for node in scores]
+    read = {output for node in scores for output in node.output}
     for node in graph.node:  # in the order of computation
         if read.intersection(node.input):
             read.update(node.output)

@@ -98,36 +98,38 @@ def correlation_volume(
         weights[:] = view_weights
         shares = view_weights / (view_weights.sum(axis=0) + np.float32(LEAST_WEIGHT))
 
-    def fill_known(start: int) -> None:
-        # Their shares are multiplied into the reference's features, of which there are fewer than of anything else.
-        rows = slice(start, min(start + block_rows, height))
-        count = rows.stop - rows.start
+    def rows_of(start: int) -> slice:
+        return slice(start, min(start + block_rows, height))
+
+    def correlate(number: int, rows: slice, features: Sequence[Float32], out: Float32) -> None:
+        """Of one source with these features of the reference, into ``out`` (G, D, rows, w)."""
         inverse = inverse_depth_dhw if inverse_depth_dhw.shape[1] == 1 else inverse_depth_dhw[:, rows]
-        block = np.empty((groups, planes, count, width), np.float32)
-        one = np.empty(block.shape[1:], np.float32)
-        for i, (source, projection) in enumerate(zip(sources, projections, strict=True)):
-            x, y = source_coordinates(projection, inverse, rows.start, width, count)
-            for g, (target, feature) in enumerate(zip(source.groups, reference.groups, strict=True)):
-                product = sample(target, x, y)
-                product *= feature[rows] * shares[i, rows, :, None]
-                mean_of_four(product, out=one if i else block[g])
-                if i:
-                    block[g] += one
+        x, y = source_coordinates(projections[number], inverse, rows.start, width, rows.stop - rows.start)
+        for target, feature, mean in zip(sources[number].groups, features, out, strict=True):
+            product = sample(target, x, y)
+            product *= feature
+            mean_of_four(product, out=mean)
+
+    def fill_known(start: int) -> None:
+        rows = rows_of(start)
+        block = np.empty((groups, planes, rows.stop - rows.start, width), np.float32)
+        one = np.empty_like(block)
+        for i in range(len(sources)):
+            # Their shares are multiplied into the reference's features, of which there are fewer than of anything else.
+            shared = [feature[rows] * shares[i, rows, :, None] for feature in reference.groups]
+            correlate(i, rows, shared, one if i else block)
+            if i:
+                block += one
         volume[:, :, rows] = block.transpose(1, 0, 2, 3)
 
     def fill(start: int) -> None:
-        rows = slice(start, min(start + block_rows, height))
+        rows = rows_of(start)
         count = rows.stop - rows.start
-        inverse = inverse_depth_dhw if inverse_depth_dhw.shape[1] == 1 else inverse_depth_dhw[:, rows]
         block = np.zeros((groups, planes, count, width), np.float32)
         one = np.empty_like(block)
         weight_sum = np.full((count, width), LEAST_WEIGHT, np.float32)
-        for i, (source, projection) in enumerate(zip(sources, projections, strict=True)):
-            x, y = source_coordinates(projection, inverse, rows.start, width, count)
-            for g, (target, feature) in enumerate(zip(source.groups, reference.groups, strict=True)):
-                product = sample(target, x, y)
-                product *= feature[rows]
-                mean_of_four(product, out=one[g])
+        for i in range(len(sources)):
+            correlate(i, rows, [feature[rows] for feature in reference.groups], one)
             score = one.sum(axis=0)
             score -= score.max(axis=0)
             weight = 1 / np.exp(score, out=score).sum(axis=0)

@@ -26,15 +26,13 @@ _LEAST_OF_ONE = 15
 
 
 def maps_in_processes(
-    job: DepthJob, scene: Scene, views: Sequence[View], tell: Callable[[View], None]
+    job: DepthJob, scene: Scene, views: Sequence[View], tell: Callable[[View], None], *, count: int
 ) -> Generator[tuple[View, ViewMaps], None, None]:
     """Views and their maps in the order in which they get ready; ``tell`` is told of each when it is.
 
-    A process that ends leaves its share to this one. Errors as those of :class:`MapsOfViews`.
+    ``count`` processes of :func:`processes_for`, two or more, share them. One that ends leaves its share to this one.
+    Errors as those of :class:`MapsOfViews`.
     """
-    count = processes_for(job, len(views))
-    if not views:
-        return
     runs = RunsOfViews(len(views), workers=count)
     compute = _Maps(job, threads=-(-(job.settings.threads or cores()) // count))
 

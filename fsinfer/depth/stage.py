@@ -128,7 +128,8 @@ def estimate_depth(
 def _computed(job: DepthJob, scene: Scene, views: Sequence[View], tell: Callable[[View], None]) -> Computed:
     """The maps of views, from this computer or from the workers of the settings' scheduler."""
     if not job.settings.scheduler:
-        return (_here if processes_for(job, len(views)) == 1 else maps_in_processes)(job, scene, views, tell)
+        count = processes_for(job, len(views))
+        return maps_in_processes(job, scene, views, tell, count=count) if count > 1 else _here(job, scene, views, tell)
     from fsinfer.depth.on_workers import maps_on_workers  # loads Dask
 
     return maps_on_workers(job, scene, views, tell)

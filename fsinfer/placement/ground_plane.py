@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.placement.settings import LevelSettings
+from fsinfer.trees.points.cells import cell_numbers
 
 Array = NDArray[np.float64]
 
@@ -43,9 +44,7 @@ def ground_plane(
     distance = np.hypot(*(low[:, :2] - center[:2]).T)
     reach = 2 * float(np.median(distance))
     low = low[distance <= reach]
-    column, row = np.floor((low[:, :2] - center[:2]) / (2 * reach / settings.cells)).astype(np.int64).T
-    column, row = column - column.min(), row - row.min()
-    own = column * (int(row.max()) + 1) + row
+    own = cell_numbers(low[:, :2] - center[:2], 2 * reach / settings.cells)
     order = np.lexsort((low[:, 2], own))
     starts = np.flatnonzero(np.diff(own[order], prepend=-1))
     counts = np.diff(np.append(starts, len(order)))

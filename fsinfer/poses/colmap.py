@@ -80,8 +80,7 @@ def extract_features(
     total = sum(len(names) for names in cameras.values())
     done = 0
     for names in cameras.values():
-        _enter(database, images, names, settings)
-        camera_id = _camera_of(database, names)
+        camera_id = _enter(database, images, names, settings)
         small = camera_id is not None and _longer_side_px(database, camera_id, settings) < settings.enlarge_below_px
         copied = small and settings.enlargement != DOUBLED
         options.max_image_size = round(settings.max_image_size * (settings.enlargement if copied else 1))
@@ -111,18 +110,16 @@ def extract_features(
     progress(total, total, step)
 
 
-def _enter(database: Path, images: Path, names: Sequence[str], settings: PoseSettings) -> None:
-    """Enter those photos of one camera into the database, in their order, that it does not have.
+def _enter(database: Path, images: Path, names: Sequence[str], settings: PoseSettings) -> int | None:
+    """Enter those photos of one camera into the database, in their order, that it does not have; the camera's number.
 
     COLMAP numbers photos in the order in which its threads finish them, and everything after depends on the numbers:
     entered in order first, two runs on one machine are alike. It decodes each one for what only the first has to tell.
     """
     import pycolmap
 
-    with open_database(database):
-        pass  # makes the file
     for name in names:
-        if _camera_of(database, names) is not None:
+        if _has_any(database, names):
             break
         call(
             pycolmap.import_images,
@@ -135,7 +132,7 @@ def _enter(database: Path, images: Path, names: Sequence[str], settings: PoseSet
     with open_database(database) as opened:
         entered = [image for name in names if (image := opened.read_image_with_name(name)) is not None]
         if not entered:
-            return  # whoever looks for features says so
+            return None  # whoever looks for features says so
         first, there = entered[0], {image.name for image in entered}
         rig_id = opened.read_frame(first.frame_id).rig_id
         # A photo without its frame, where the program was ended between the two, could never be mapped.
@@ -149,6 +146,7 @@ def _enter(database: Path, images: Path, names: Sequence[str], settings: PoseSet
                 frame.rig_id = rig_id
                 frame.add_data_id(image.data_id)
                 opened.write_frame(frame)
+        return int(first.camera_id)
 
 
 def _reader(settings: PoseSettings) -> Any:
@@ -160,15 +158,9 @@ def _reader(settings: PoseSettings) -> Any:
     return reader
 
 
-def _camera_of(database: Path, names: Sequence[str]) -> int | None:
-    if not database.exists():
-        return None
+def _has_any(database: Path, names: Sequence[str]) -> bool:
     with open_database(database) as opened:
-        for name in names:
-            image = opened.read_image_with_name(name)
-            if image is not None:
-                return int(image.camera_id)
-    return None
+        return any(opened.read_image_with_name(name) is not None for name in names)
 
 
 def _longer_side_px(database: Path, camera_id: int, settings: PoseSettings) -> int:

@@ -90,12 +90,12 @@ def write_scene(
         return tuple(found)
 
     views = sorted(image_ids)
-    done, markers = 0, dict[str, _Places]()
+    markers: dict[str, _Places] = {}
     # The images are the work of libraries; meanwhile Python chooses each view's neighbours.
     with beside(lambda _: _cameras_and_pairs(model, image_ids, settings)) as chosen:
         progress(0, len(views), "undistorting")
-        for name, seen in zip(views, in_order(straighten, views, settings.photo_threads), strict=True):
-            done += 1
+        straight = in_order(straighten, views, settings.photo_threads)
+        for done, (name, seen) in enumerate(zip(views, straight, strict=True), 1):
             if seen is not None:
                 markers[name] = seen
             progress(done, len(views), "undistorting")

@@ -23,6 +23,7 @@ from fsinfer.placement.place import PlacedCloud, place_cloud
 from fsinfer.poses.estimate import PosesResult
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.progress import StageProgress, silent_stages
+from fsinfer.scale.markers_seen import FILE as MARKERS_SEEN
 from fsinfer.scene import read_scene, scene_digest
 from fsinfer.threads import one_blas_thread
 from fsinfer.workflow.cloud_stages import compute_depth, model_digest, require_workers
@@ -84,7 +85,7 @@ def poses_of(
         images,
         settings=settings,
         folder=out,
-        outputs=("images", "cams", "pair.txt", "sparse", "work", "poses.json", "markers_seen.json"),
+        outputs=("images", "cams", "pair.txt", "sparse", "work", "poses.json", MARKERS_SEEN),
         progress=progress,
     )
 

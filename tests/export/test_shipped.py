@@ -16,7 +16,7 @@ import torch
 import export.__main__ as command
 from export.onnx_export import export_model, hash_weights
 from export.parity import Parity, whole_parity
-from export.quantize import QuantizeSettings, add_to_manifest
+from export.quantize import QuantizeSettings, add_to_manifest, score_nodes
 from fsinfer.depth.manifest import models_folder, read_manifest
 from fsinfer.depth.model import DepthModel
 from fsinfer.depth.photo_confidence import QUANTITIES
@@ -111,14 +111,7 @@ def test_the_command_fails_beyond_the_tolerances(
 @pytest.mark.parametrize("path", sorted(models_folder().glob("*_int8.onnx")), ids=lambda path: path.stem)
 def test_nothing_that_is_read_off_scores_is_rounded_to_8_bits(path: Path) -> None:
     graph = onnx.load(path).graph
-    makers = {output: node for node in graph.node for output in node.output}
-    read: set[str] = set()
-    for node in graph.node:
-        if node.op_type == "ArgMax":
-            maker = makers[node.input[0]]
-            while maker.op_type in ("Reshape", "Gather"):
-                maker = makers[maker.input[0]]
-            read.update(maker.output)
+    read = {output for node in score_nodes(graph) for output in node.output}
     assert read or path.stem.endswith("features_int8")
     for node in graph.node:
         if read.intersection(node.input):

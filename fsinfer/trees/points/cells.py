@@ -47,12 +47,15 @@ def taken(points: Floats, order: Ints) -> Floats:
     return np.asarray(points.T.take(order, axis=1).T)
 
 
+def cell_numbers(points: Floats, cell_m: float) -> Ints:
+    """(N,) numbers, not negative, of the square cells that points (N, 2), N > 0, lie in, column by column."""
+    column, row = (np.floor(points[:, axis] / cell_m).astype(np.int64) for axis in range(2))
+    return np.asarray((column - column.min()) * (int(np.ptp(row)) + 1) + (row - row.min()))
+
+
 def count_cells(points: Floats, cell_m: float) -> int:
     """Number of square cells that points (N, 2) lie in."""
-    if len(points) == 0:
-        return 0
-    column, row = (np.floor(points[:, axis] / cell_m).astype(np.int64) for axis in range(2))
-    return len(np.unique(column * (int(np.ptp(row)) + 1) + row))
+    return len(np.unique(cell_numbers(points, cell_m))) if len(points) else 0
 
 
 def near_paths(points: Floats, starts: Floats, ends: Floats, radius_m: float, *, cell_m: float = 0.1) -> Bools:
