@@ -74,25 +74,30 @@ def read_peak(scores_dhw: Tensor, index_radius: int, mass_radius: int) -> tuple[
     :func:`training.model.regression.peak_window` of the softmax, from the scores (D, ...) themselves.
     """
     planes = scores_dhw.shape[0]
-    top, best = scores_dhw.amax(dim=0), scores_dhw.argmax(dim=0)
-    total = torch.exp(scores_dhw - top).sum(dim=0)
+    best = scores_dhw.argmax(dim=0, keepdim=True)
+    # The scores less the greatest, which is at hand: every term of the softmax but for one factor.
+    parts = torch.exp(scores_dhw - torch.gather(scores_dhw, 0, best))
+    total = parts.sum(dim=0)
 
-    def window(radius: int) -> tuple[Tensor, Tensor]:
-        start = (best - radius).clamp(0, planes - 1 - 2 * radius)
+    def window(radius: int) -> tuple[Tensor, Tensor, Tensor]:
+        start = (best[0] - radius).clamp(0, planes - 1 - 2 * radius)
         offsets = torch.arange(2 * radius + 1).reshape(-1, *[1] * start.dim())
-        chosen = start[None] + offsets
-        return chosen, torch.exp(torch.gather(scores_dhw, 0, chosen) - top) / total
+        return start, offsets, torch.gather(parts, 0, start[None] + offsets)
 
-    chosen, inside = window(index_radius)
-    mass = inside.sum(dim=0)
-    index = (inside * chosen).sum(dim=0) / (mass + 1e-6)
-    return index, mass if mass_radius == index_radius else window(mass_radius)[1].sum(dim=0)
+    start, offsets, inside = window(index_radius)
+    among = inside.sum(dim=0)
+    # Planes are counted from the first of the window: its index is one map, those of all are as many as it has planes.
+    index = (start * among + (inside * offsets).sum(dim=0)) / total / (among / total + 1e-6)
+    if mass_radius != index_radius:
+        among = window(mass_radius)[2].sum(dim=0)
+    return index, among / total
 
 
 def read_best(scores_dhw: Tensor, planes_dhw: Tensor) -> tuple[Tensor, Tensor]:
     """:func:`training.model.candidates.read_candidates` without a softmax, which turns all planes over."""
-    top, best = scores_dhw.amax(dim=0), torch.gather(planes_dhw, 0, scores_dhw.argmax(dim=0, keepdim=True))
-    parts = torch.exp(scores_dhw - top)
+    place = scores_dhw.argmax(dim=0, keepdim=True)
+    best = torch.gather(planes_dhw, 0, place)
+    parts = torch.exp(scores_dhw - torch.gather(scores_dhw, 0, place))
     inside = parts * ((planes_dhw - best).abs() < READ_RADIUS)
     total = parts.sum(dim=0)
     mass = inside.sum(dim=0) / total

@@ -25,6 +25,7 @@ from export.graphs import (
     volume_channels,
 )
 from export.parity import DEPTH_REL_P999, MASK_AGREEMENT
+from export.tidy import tidy
 from fsinfer.depth.manifest import hash_files
 from fsinfer.errors import ModelError
 from training.model import FSMVSNet
@@ -173,7 +174,10 @@ def write_graph(graph: Graph, path: Path) -> None:
         msg = f"the exporter returned nothing for {graph.role}"
         raise ModelError(msg)
     program.save(str(path), external_data=False)
-    onnx.checker.check_model(onnx.load(path), full_check=True)
+    written = onnx.load(path)
+    tidy(written)
+    onnx.checker.check_model(written, full_check=True)
+    onnx.save(written, path)
 
 
 def _shape(graph: Graph, key: str) -> list[int | str]:

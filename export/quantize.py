@@ -120,7 +120,21 @@ def quantize(model: Path, target: Path, feeds: Sequence[Feeds], settings: Quanti
             ],
             calibrate_method=METHODS[settings.method],
         )
-    onnx.checker.check_model(onnx.load(target), full_check=True)
+    quantized = onnx.load(target)
+    _read_sizes_before(quantized.graph)
+    onnx.checker.check_model(quantized, full_check=True)
+    onnx.save(quantized, target)
+
+
+def _read_sizes_before(graph: onnx.GraphProto) -> None:
+    """Let sizes be read off a tensor before it is quantized: it would be turned back into float32 for nothing else."""
+    makers = makers_of(graph)
+    for node in graph.node:
+        if node.op_type == "Shape":
+            maker = makers.get(node.input[0])
+            while maker is not None and maker.op_type in ("DequantizeLinear", "QuantizeLinear"):
+                node.input[0] = maker.input[0]
+                maker = makers.get(node.input[0])
 
 
 def makers_of(graph: onnx.GraphProto) -> dict[str, onnx.NodeProto]:
@@ -134,7 +148,7 @@ def score_nodes(graph: onnx.GraphProto) -> list[onnx.NodeProto]:
     for node in graph.node:
         if node.op_type == "ArgMax":
             maker = makers[node.input[0]]
-            while maker.op_type in ("Reshape", "Gather"):
+            while maker.op_type in ("Reshape", "Gather", "Squeeze"):
                 maker = makers[maker.input[0]]
             found.append(maker)
     return found

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,9 +20,9 @@ from fsinfer.depth.warping import Projection, sample, sample_reference, source_c
 
 Float32 = NDArray[np.float32]
 
-#: A block's samples of one group of four channels; with its sums it stays in the second-level cache of a core. Source:
-#: numerics; blocks of 2 rows of 320 pixels and 192 planes took 0.79 s of one core, 16 rows 1.11 s.
-BLOCK_BYTES = 2_000_000
+#: A block's samples of one group of four channels. Source: numerics; in larger ones they leave the cache, in smaller
+#: ones threads wait for each other, see docs/trials-speed.md.
+BLOCK_BYTES = 3_000_000
 #: Sums over four channels are taken for so many pixels by one small matrix product: 1.4 times faster than one by one.
 #: Source: numerics.
 _PIXELS_PER_PRODUCT = 8
@@ -38,13 +39,15 @@ class Features:
     @classmethod
     def from_chw(cls, features_chw: Float32) -> Features:
         """Cut (C, H, W), C a multiple of 4."""
-        channels = features_chw.shape[0]
-        hwc = features_chw.transpose(1, 2, 0)
-        return cls(groups=tuple(np.ascontiguousarray(hwc[..., i : i + 4]) for i in range(0, channels, 4)))
+        maps = np.ascontiguousarray(features_chw)
+        return cls(groups=tuple(cv2.merge(list(maps[i : i + 4])) for i in range(0, len(maps), 4)))
 
     def to_chw(self) -> Float32:
         """The (C, H, W) array that it was cut from."""
-        return np.ascontiguousarray(np.concatenate(self.groups, axis=-1).transpose(2, 0, 1))
+        result = np.empty((4 * len(self.groups), *self.shape), np.float32)
+        for i, group in enumerate(self.groups):
+            cv2.split(group, list(result[4 * i : 4 * i + 4]))
+        return result
 
     def every(self, step: int) -> Features:
         """Those of every ``step``-th row and column."""
@@ -101,26 +104,28 @@ def correlation_volume(
     def rows_of(start: int) -> slice:
         return slice(start, min(start + block_rows, height))
 
-    def correlate(number: int, rows: slice, features: Sequence[Float32], out: Float32) -> None:
-        """Of one source with these features of the reference, into ``out`` (G, D, rows, w)."""
+    def coordinates(projection: Projection, rows: slice) -> tuple[Float32, Float32]:
         inverse = inverse_depth_dhw if inverse_depth_dhw.shape[1] == 1 else inverse_depth_dhw[:, rows]
-        x, y = source_coordinates(projections[number], inverse, rows.start, width, rows.stop - rows.start)
-        for target, feature, mean in zip(sources[number].groups, features, out, strict=True):
-            product = sample(target, x, y)
-            product *= feature
-            mean_of_four(product, out=mean)
+        return source_coordinates(projection, inverse, rows.start, width, rows.stop - rows.start)
 
     def fill_known(start: int) -> None:
         rows = rows_of(start)
-        block = np.empty((groups, planes, rows.stop - rows.start, width), np.float32)
-        one = np.empty_like(block)
-        for i in range(len(sources)):
-            # Their shares are multiplied into the reference's features, of which there are fewer than of anything else.
-            shared = [feature[rows] * shares[i, rows, :, None] for feature in reference.groups]
-            correlate(i, rows, shared, one if i else block)
-            if i:
-                block += one
-        volume[:, :, rows] = block.transpose(1, 0, 2, 3)
+        # Each for itself: memory of such a size is used again, that of all together would be new for each block.
+        shape = (planes, rows.stop - rows.start, width, 4)
+        *totals, one = (np.empty(shape, np.float32) for _ in range(groups + 1))
+        for i, (source, projection) in enumerate(zip(sources, projections, strict=True)):
+            x, y = coordinates(projection, rows)
+            share = shares[i, rows, :, None]
+            for target, feature, total in zip(source.groups, reference.groups, totals, strict=True):
+                product = sample(target, x, y, out=one if i else total)
+                # A source's share goes with the reference's features, of which there are fewer than of anything else.
+                product *= feature[rows] * share
+                if i:
+                    total += product
+        mean = np.empty_like(x)
+        for g, total in enumerate(totals):  # of all sources at once
+            mean_of_four(total, out=mean)
+            volume[:, g, rows] = mean
 
     def fill(start: int) -> None:
         rows = rows_of(start)
@@ -128,8 +133,12 @@ def correlation_volume(
         block = np.zeros((groups, planes, count, width), np.float32)
         one = np.empty_like(block)
         weight_sum = np.full((count, width), LEAST_WEIGHT, np.float32)
-        for i in range(len(sources)):
-            correlate(i, rows, [feature[rows] for feature in reference.groups], one)
+        for i, (source, projection) in enumerate(zip(sources, projections, strict=True)):
+            x, y = coordinates(projection, rows)
+            for target, feature, mean in zip(source.groups, reference.groups, one, strict=True):
+                product = sample(target, x, y)
+                product *= feature[rows]
+                mean_of_four(product, out=mean)
             score = one.sum(axis=0)
             score -= score.max(axis=0)
             weight = 1 / np.exp(score, out=score).sum(axis=0)

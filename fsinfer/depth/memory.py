@@ -16,9 +16,8 @@ MEGABYTE, GIGABYTE = 1_000_000, 1_000_000_000
 #: Python, NumPy, OpenCV, onnxruntime and the model before any work. Source: numerics; measured, docs/speed.md.
 BASE_BYTES = 150 * MEGABYTE
 #: Peak of a depth map over the cost volume itself: the volume, what the regularizer holds at once, the narrow volume.
-#: Source: numerics; measured, 7.3 to 7.9 times at 960x540 to 1920x1080 in float32, 3.8 to 4.1 in int8 at 960x540 to
-#: 2400x1800.
-_PEAK_OVER_VOLUME, _INT8_PEAK_OVER_VOLUME = 8.2, 4.4
+#: Source: numerics; measured, 4.9 to 5.7 times in float32 and 2.4 to 2.9 in int8 at 640x352 to 1920x1088.
+_PEAK_OVER_VOLUME, _INT8_PEAK_OVER_VOLUME = 6.2, 3.2
 #: What a depth map holds while another one is in the regularizer, likewise: its volume and what that is made with, or
 #: the narrow volume, and what onnxruntime keeps for it. Source: numerics; measured, two and four maps at a time take
 #: less.
@@ -35,9 +34,9 @@ _PEAK_OVER_TILE, _FEATURES_BYTES = 9.2, 105
 _VOLUMES_AT_PEAK, _LEVELS_AT_PEAK = 1.0, 4.6
 #: The same of a volume at an eighth of the resolution, beside which what follows at a quarter and at half of it weighs
 #: more: as a whole in float32 and in int8, and in tiles. Each map worked on at a time takes all of it. Source:
-#: numerics; measured with ``cascade``, 12.1 to 12.5 and 7.7 to 8.8 times at 960x544 to 2400x1808; 2560x1536 in tiles
+#: numerics; measured with ``cascade``, 10.9 to 13.7 and 5.6 to 6.5 times at 960x544 to 2400x1808; 2560x1536 in tiles
 #: of 72 takes 2.37 GB where 2.54 are planned.
-_PEAK_OVER_EIGHTHS, _INT8_PEAK_OVER_EIGHTHS, _PEAK_OVER_TILE_OF_EIGHTHS = 13.2, 9.4, 14.2
+_PEAK_OVER_EIGHTHS, _INT8_PEAK_OVER_EIGHTHS, _PEAK_OVER_TILE_OF_EIGHTHS = 14.2, 7.0, 14.2
 #: Feature maps that a process keeps, per cent of those that one process for all would: it computes a run of neighbours.
 #: Source: numerics.
 _CACHE_OF_A_PROCESS = 65

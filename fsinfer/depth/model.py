@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.depth.blocks import in_threads
 from fsinfer.depth.cost_volume import Features, plane_inverse_depths, upsample_twice, variance_volume
 from fsinfer.depth.manifest import ModelManifest, read_manifest
 from fsinfer.depth.narrow_volumes import candidate_volume, depth_of_index, refiner_volume
@@ -28,6 +29,8 @@ Float64 = NDArray[np.float64]
 
 #: Least side of an image, pixels. Source: judgement.
 _LEAST_SIDE_PX = 32
+#: Images whose features are computed at a time. Source: numerics; a third would take as much memory as all the rest.
+_IMAGES_AT_ONCE = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,6 +141,13 @@ class DepthModel:
             half=Features.from_chw(outputs[1][0]) if len(outputs) > 1 else None,
         )
 
+    def features_of(self, images: Sequence[NDArray[np.uint8]]) -> list[ViewFeatures]:
+        """:meth:`features` of each image, two of them at a time where there are threads for it.
+
+        Threads that share out one image wait for each other in every layer.
+        """
+        return in_threads(self.features, images, min(self.threads, _IMAGES_AT_ONCE))
+
     def predict(
         self,
         images: Sequence[NDArray[np.uint8]],
@@ -163,9 +173,8 @@ class DepthModel:
         if count < 2:
             msg = f"depth needs a reference and at least one source image, got {count}"
             raise InputError(msg)
-        return self.predict_from_features(
-            [self.features(image) for image in images], intrinsics, cam_from_world, depth_range
-        )
+        features = self.features_of(images)
+        return self.predict_from_features(features, intrinsics, cam_from_world, depth_range)
 
     def predict_from_features(
         self,

@@ -75,11 +75,12 @@ def refiner_volume(
     height, width = half[0].shape
     centre = upsample_index(index, height, width)
     offsets = np.linspace(-manifest.refine_span, manifest.refine_span, manifest.refine_planes, dtype=np.float32)
+    planes = np.add(centre, offsets[:, None, None])
     volume, _ = correlation_volume(
         half[0],
         half[1:],
         group.projections(2),
-        _inverse_depth(centre[None] + offsets[:, None, None], manifest, group.depth_range),
+        _inverse_depth(planes, manifest, group.depth_range, out=planes),
         view_weights=upsample_twice(weights, height, width),
         threads=threads,
     )
@@ -96,11 +97,13 @@ def depth_of_index(index: Float32, manifest: ModelManifest, depth_range: tuple[f
     return np.asarray(np.float32(near) + fraction * np.float32(far - near), np.float32)
 
 
-def _inverse_depth(planes_dhw: Float32, manifest: ModelManifest, depth_range: tuple[float, float]) -> Float32:
-    """1/depth at plane indices."""
+def _inverse_depth(
+    planes_dhw: Float32, manifest: ModelManifest, depth_range: tuple[float, float], *, out: Float32 | None = None
+) -> Float32:
+    """1/depth at plane indices, into ``out``."""
     near, far = depth_range
     interval = np.float32((1 / near - 1 / far) / (manifest.planes - 1))
-    inverse = planes_dhw * interval
+    inverse: Float32 = np.multiply(planes_dhw, interval, out=out)
     inverse += np.float32(1 / far)
     np.maximum(inverse, _LEAST_INVERSE, out=inverse)
     return inverse

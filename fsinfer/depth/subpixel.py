@@ -28,7 +28,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.depth.blocks import over_blocks
+from fsinfer.depth.blocks import in_threads, over_blocks
 from fsinfer.depth.photo_confidence import LEAST_SEEN, NO_MISFIT, LastStep
 from fsinfer.depth.settings import SubpixelSettings
 from fsinfer.depth.warping import Projection, relative_projection
@@ -55,9 +55,16 @@ def normalised(image: NDArray[np.uint8], settings: SubpixelSettings | None = Non
     """
     s = settings or SubpixelSettings()
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
-    mean = cv2.GaussianBlur(grey, (0, 0), s.normalise_px)
-    variance = cv2.GaussianBlur(grey * grey, (0, 0), s.normalise_px) - mean * mean
-    return np.asarray((grey - mean) / np.sqrt(np.maximum(variance, 0) + np.float32(s.least_contrast**2)), np.float16)
+    mean = np.asarray(cv2.GaussianBlur(grey, (0, 0), s.normalise_px), np.float32)
+    spread = np.asarray(cv2.GaussianBlur(grey * grey, (0, 0), s.normalise_px), np.float32)
+    grey -= mean
+    mean *= mean
+    spread -= mean
+    np.maximum(spread, 0, out=spread)
+    spread += np.float32(s.least_contrast**2)
+    np.sqrt(spread, out=spread)
+    grey /= spread
+    return grey.astype(np.float16)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +96,7 @@ def refine_depth(
     s = settings or SubpixelSettings()
     if s.rounds == 0:
         return Refinement(depth=depth, last=None)
-    images = [grey.astype(np.float32) for grey in greys]
+    images = in_threads(lambda grey: grey.astype(np.float32), greys, threads)
     stride = round(images[0].shape[1] / depth.shape[1])
     projections = [
         relative_projection(intrinsics[0], cam_from_world[0], intrinsics[i], cam_from_world[i], 1.0)
@@ -102,7 +109,7 @@ def refine_depth(
     window = partial(_mean_about, kernel=_window_kernel(s.window_px, stride))
     for _ in range(s.rounds):
         before = inverse
-        moved, seen = _step(before, weight, parts, images[1:], projections, window, s, stride=stride, threads=threads)
+        moved, seen = _step(before, weight, parts, images[1:], projections, window, s, threads=threads)
         # Of a map at half size three pixels reach as far as five of the photograph.
         side = 2 * (s.median_px // 2 // min(stride, 2)) + 1
         inverse = np.asarray(cv2.medianBlur(moved, side), np.float32) if s.median_px else moved
@@ -111,24 +118,25 @@ def refine_depth(
 
 
 @dataclass(frozen=True)
-class _Part:
-    """The pixels (stride i + down, stride j + right) of the reference: (h, w), NaN beyond its border."""
+class _Parts:
+    """The reference in ``stride`` x ``stride`` parts P, each of the depth map's shape; the first at its places.
 
-    down: int
-    right: int
+    ``grey`` (P, h, w) are its pixels (stride i + down, stride j + right), NaN beyond its border; ``down``, ``right``
+    (P,).
+    """
+
+    stride: int
+    down: NDArray[np.int64]
+    right: NDArray[np.int64]
     grey: Float32
 
 
-def _cut(reference: Float32, stride: int, shape: tuple[int, int]) -> list[_Part]:
-    """The reference in ``stride`` x ``stride`` parts, each of the depth map's ``shape``; the first at its places."""
+def _cut(reference: Float32, stride: int, shape: tuple[int, int]) -> _Parts:
     height, width = shape
     whole = np.full((height * stride, width * stride), np.nan, np.float32)
     whole[: reference.shape[0], : reference.shape[1]] = reference
-    return [
-        _Part(down, right, np.ascontiguousarray(whole[down::stride, right::stride]))
-        for down in range(stride)
-        for right in range(stride)
-    ]
+    grey = whole.reshape(height, stride, width, stride).transpose(1, 3, 0, 2).reshape(-1, height, width)
+    return _Parts(stride, *np.divmod(np.arange(stride**2), stride), np.ascontiguousarray(grey))
 
 
 @dataclass(frozen=True)
@@ -164,28 +172,27 @@ class _Seen:
 def _step(
     inverse: Float32,
     weight: Float32,
-    parts: Sequence[_Part],
+    parts: _Parts,
     sources: Sequence[Float32],
     projections: Sequence[Projection],
     window: _Window,
     s: SubpixelSettings,
     *,
-    stride: int,
     threads: int,
 ) -> tuple[Float32, _Seen]:
     """One Gauss-Newton step: inverse depth (h, w), and what was seen before it."""
     height, width = inverse.shape
-    surfaces = [_inverse_at(inverse, part.down / stride, part.right / stride) for part in parts]
+    surfaces = np.stack([_inverse_at(inverse, *place) for place in zip(*_shares(parts), strict=True)])
     sums = _Sums(*(np.empty((len(sources), height, width), np.float32) for _ in range(5)))
     block_rows = max(1, BLOCK_PIXELS // width)
 
     def fill(first: int) -> None:
         rows = slice(first, min(first + block_rows, height))
         for i, (source, projection) in enumerate(zip(sources, projections, strict=True)):
-            _sum_parts(sums, i, rows, surfaces, parts, source, projection, s, stride=stride)
+            _sum_parts(sums, i, rows, surfaces, parts, source, projection, s)
 
     over_blocks(fill, height, block_rows, threads)
-    each = np.float32(1 / len(parts))
+    each = np.float32(1 / len(parts.grey))
     fastest = np.maximum(sums.speed.max(axis=0), _TINY)
     normal, right = sums.normal, sums.right
     seen, misfit = sums.seen, sums.squares  # in their places
@@ -220,17 +227,15 @@ def _step(
     )
 
 
-def _last_step(seen: _Seen, inverse: Float32, parts: Sequence[_Part], window: _Window) -> LastStep:
+def _last_step(seen: _Seen, inverse: Float32, parts: _Parts, window: _Window) -> LastStep:
     """What is told of the last step, which was made from ``inverse`` (h, w)."""
     shown = seen.share > LEAST_SEEN
-    squares = np.zeros_like(inverse)
-    for part in parts:
-        squares += part.grey**2
+    squares = np.asarray((parts.grey**2).sum(axis=0), np.float32)
     cv2.patchNaNs(squares, 0.0)
     return LastStep(
         sources=np.count_nonzero(shown, axis=0).astype(np.float32),
         misfit=np.where(shown, seen.misfit, np.float32(NO_MISFIT)).min(axis=0),
-        variance=window(squares / np.float32(len(parts))),
+        variance=window(squares / np.float32(len(parts.grey))),
         texture=seen.known / (seen.sure + _TINY),
         shift_px=seen.shift,
         px_per_percent=np.float32(0.01) * seen.fastest * inverse,
@@ -255,54 +260,62 @@ def _window_kernel(window_px: float, stride: int) -> Float32:
     return np.asarray(kernel / kernel.sum(), np.float32)
 
 
+def _shares(parts: _Parts) -> tuple[list[float], list[float]]:
+    """By which shares of the depth map's pixels the parts lie below and beside them."""
+    return (parts.down / parts.stride).tolist(), (parts.right / parts.stride).tolist()
+
+
 def _sum_parts(
     sums: _Sums,
     index: int,
     rows: slice,
-    surfaces: Sequence[Float32],
-    parts: Sequence[_Part],
+    surfaces: Float32,
+    parts: _Parts,
     source: Float32,
     projection: Projection,
     s: SubpixelSettings,
-    *,
-    stride: int,
 ) -> None:
-    """Fill ``rows`` of the sums of one source."""
-    shape = (rows.stop - rows.start, surfaces[0].shape[1])
-    squares, normal, right = (np.zeros(shape, np.float32) for _ in range(3))
-    one = np.empty(shape, np.float32)
-    along: tuple[Float32, Float32] | None = None
-    for surface, part in zip(surfaces, parts, strict=True):
-        u, v, scale = _places(projection, surface[rows], rows, part, stride)
-        if along is None:
-            # The other parts are less than ``stride`` pixels away: their lines run alike.
-            along, sums.speed[index, rows] = _epipolar(projection, u, v, scale, s.difference_px)
-        ahead, behind = (_looked_up(source, side(u, along[0]), side(v, along[1])) for side in (np.add, np.subtract))
-        away = ahead + behind
-        away *= np.float32(-0.5)
-        away += part.grey[rows]
-        slope = np.subtract(ahead, behind, out=ahead)
-        if part is parts[0]:
-            sums.seen[index, rows] = np.isfinite(away)
-        cv2.patchNaNs(away, 0.0)
-        cv2.patchNaNs(slope, 0.0)
-        squares += np.multiply(away, away, out=one)
-        robust = np.abs(away, out=one)
-        np.maximum(robust, np.float32(s.outlier), out=robust)
-        np.divide(np.float32(s.outlier), robust, out=robust)
-        robust *= slope
-        normal += np.multiply(robust, slope, out=slope)
-        right += np.multiply(robust, away, out=away)
-    sums.squares[index, rows], sums.normal[index, rows], sums.right[index, rows] = squares, normal, right
+    """Fill ``rows`` of the sums of one source. All parts at a time: the fewer steps, the less threads wait."""
+    u, v, scale = _places(projection, surfaces[:, rows], rows, parts)
+    # The other parts are less than ``stride`` pixels away: their lines run alike.
+    along, sums.speed[index, rows] = _epipolar(projection, u[0], v[0], scale[0], s.difference_px)
+    ahead = _looked_up(source, u + along[0], v + along[1])
+    u -= along[0]
+    v -= along[1]
+    away = _looked_up(source, u, v)
+    slope = ahead - away
+    away += ahead
+    away *= np.float32(-0.5)
+    away += parts.grey[:, rows]
+    np.isfinite(away[0], out=sums.seen[index, rows], casting="unsafe")
+    _without_nans(away)
+    _without_nans(slope)
+    one = np.multiply(away, away, out=ahead)
+    one.sum(axis=0, out=sums.squares[index, rows])
+    robust = np.abs(away, out=one)
+    np.maximum(robust, np.float32(s.outlier), out=robust)
+    np.divide(np.float32(s.outlier), robust, out=robust)
+    robust *= slope
+    slope *= robust
+    away *= robust
+    slope.sum(axis=0, out=sums.normal[index, rows])
+    away.sum(axis=0, out=sums.right[index, rows])
 
 
-def _places(
-    projection: Projection, inverse: Float32, rows: slice, part: _Part, stride: int
-) -> tuple[Float32, Float32, Float32]:
-    """Place (u, v) in the source of each pixel of a part, and one over its depth there times its own; NaN behind it."""
+def _without_nans(values: Float32) -> None:
+    """Zeros in their place."""
+    cv2.patchNaNs(values.reshape(-1, values.shape[-1]), 0.0)
+
+
+def _places(projection: Projection, inverse: Float32, rows: slice, parts: _Parts) -> tuple[Float32, Float32, Float32]:
+    """Place (u, v) in the source of each pixel of the parts (P, h, w), and one over its depth there times its own.
+
+    NaN behind it.
+    """
     m, e = projection.matrix.astype(np.float32), projection.offset.astype(np.float32)
-    x = (np.arange(inverse.shape[1], dtype=np.float32) * stride + part.right)[None]
-    y = (np.arange(rows.start, rows.stop, dtype=np.float32) * stride + part.down)[:, None]
+    x = np.arange(inverse.shape[2], dtype=np.float32) * np.float32(parts.stride) + parts.right[:, None]
+    y = np.arange(rows.start, rows.stop, dtype=np.float32) * np.float32(parts.stride) + parts.down[:, None]
+    x, y = (values.astype(np.float32) for values in (x[:, None], y[..., None]))
 
     def row_of_matrix(i: int) -> Float32:
         found: Float32 = inverse * e[i]
@@ -334,9 +347,10 @@ def _epipolar(
 
 
 def _looked_up(image: Float32, u: Float32, v: Float32) -> Float32:
-    """Bilinear; NaN beyond the border."""
-    found = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan"))
-    return np.asarray(found, np.float32)
+    """(P, h, w) of ``image`` (H, W) at ``u``, ``v`` (P, h, w), bilinear; NaN beyond the border."""
+    x, y = (values.reshape(-1, values.shape[-1]) for values in (u, v))
+    found = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan"))
+    return np.asarray(found, np.float32).reshape(u.shape)
 
 
 def _inverse_at(inverse: Float32, down: float, right: float) -> Float32:
@@ -344,10 +358,10 @@ def _inverse_at(inverse: Float32, down: float, right: float) -> Float32:
 
     Between two surfaces it is that of neither, which their weights bear; staying on one brought nothing.
     """
-    if not (down or right):
-        return inverse
-    below = np.concatenate([inverse[1:], inverse[-1:]])
-    beside, both = (np.concatenate([rows[:, 1:], rows[:, -1:]], axis=1) for rows in (inverse, below))
-    a, b = np.float32(down), np.float32(right)
-    between = (1 - a) * ((1 - b) * inverse + b * beside) + a * ((1 - b) * below + b * both)
+    between: NDArray[np.floating] = inverse
+    for axis, share in enumerate((down, right)):
+        if share:
+            # The last row, or column, is followed by itself.
+            beyond = np.concatenate([np.split(between, [at], axis)[1] for at in (1, -1)], axis)
+            between = np.float32(1 - share) * between + np.float32(share) * beyond
     return np.asarray(between, np.float32)

@@ -76,21 +76,19 @@ def source_coordinates(
     m, t = projection.matrix, projection.offset
     # Computed in float64 once for a plane, in float32 for the volume: coordinates stay exact to 1e-3 px.
     far = [(m[i, 0] * u + m[i, 1] * v + m[i, 2]).astype(np.float32) for i in range(3)]
-    shift = [np.float32(t[i]) * inverse_depth_dhw for i in range(3)]
     x = np.empty((planes, height, width), np.float32)
     y = np.empty_like(x)
     z = np.empty_like(x)
-    np.add(far[2], shift[2], out=z)
-    behind = z < _BEHIND
-    some_behind = bool(behind.any())
-    if some_behind:
+    for i, out in ((2, z), (0, x), (1, y)):
+        np.multiply(inverse_depth_dhw, np.float32(t[i]), out=out)
+        out += far[i]
+    behind = z < _BEHIND if z.min() < _BEHIND else None
+    if behind is not None:
         z[behind] = 1.0
     np.divide(np.float32(1), z, out=z)
-    np.add(far[0], shift[0], out=x)
-    np.multiply(x, z, out=x)
-    np.add(far[1], shift[1], out=y)
-    np.multiply(y, z, out=y)
-    if some_behind:
+    x *= z
+    y *= z
+    if behind is not None:
         x[behind] = OUTSIDE
         y[behind] = OUTSIDE
     return x, y
@@ -145,15 +143,15 @@ def sample_reference(features_hwc: Float32, x_dhw: Float32, y_dhw: Float32) -> F
     return result
 
 
-def sample(features_hw4: Float32, x_dhw: Float32, y_dhw: Float32) -> Float32:
-    """Bilinear sampling of a four-channel map with ``cv2.remap``, zeros outside: (D, h, w, 4).
+def sample(features_hw4: Float32, x_dhw: Float32, y_dhw: Float32, *, out: Float32 | None = None) -> Float32:
+    """Bilinear sampling of a four-channel map with ``cv2.remap``, zeros outside: (D, h, w, 4), contiguous ``out``.
 
     Float maps and at most four channels are the one combination that OpenCV 5 samples exactly; with more
     channels, with fixed-point maps or in OpenCV 4 the coordinates are silently rounded to 1/32 pixel.
     """
     planes, height, width = x_dhw.shape
     group = max(1, MAX_REMAP_ROWS // height)
-    result = np.empty((planes, height, width, features_hw4.shape[2]), np.float32)
+    result = np.empty((planes, height, width, features_hw4.shape[2]), np.float32) if out is None else out
     for start in range(0, planes, group):
         part = slice(start, min(start + group, planes))
         rows = (part.stop - part.start) * height
