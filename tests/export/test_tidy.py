@@ -69,6 +69,8 @@ def test_the_results_stay(small: Path, size: tuple[int, int]) -> None:
     operators = [node.op_type for node in tidied.graph.node]
     assert not {"Pad", "Gather"}.intersection(operators)
     assert operators.count("Resize") == 1
+    weights = {item.name: list(item.dims) for item in tidied.graph.initializer}
+    assert sorted(weights[node.input[1]][1] for node in tidied.graph.node if node.op_type == "Conv") == [6, 8]
     assert len(operators) < len(plain.graph.node)
 
 

@@ -35,6 +35,17 @@ def scene(tmp_path: Path) -> Scene:
     return read_scene(write_plane_scene(tmp_path / "scene", height=75, width=90))
 
 
+def test_features_of_several_images_are_those_of_each() -> None:
+    rng = np.random.default_rng(4)
+    images = [rng.integers(0, 255, (70, 96, 3), dtype=np.uint8) for _ in range(3)]
+    model = DepthModel.load("cascade", threads=2, precision="int8")
+    for found, image in zip(model.features_of(images), images, strict=True):
+        for of_several, of_one in zip((found.quarter, found.half), vars(model.features(image)).values(), strict=True):
+            assert of_several is not None
+            for a, b in zip(of_several.groups, of_one.groups, strict=True):
+                np.testing.assert_array_equal(a, b)
+
+
 def test_maps_made_two_at_a_time_are_those_made_one_by_one(
     scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
