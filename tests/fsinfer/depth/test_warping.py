@@ -163,3 +163,27 @@ def test_the_size_of_the_blocks_does_not_change_the_volume(monkeypatch: pytest.M
     for volume, weights in found[1:]:
         assert np.array_equal(weights, found[0][1])
         assert np.allclose(volume, found[0][0], atol=1e-6)
+
+
+@pytest.mark.parametrize("size", [0, 40_000, 10**9])
+def test_with_known_weights_the_volume_is_the_same(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(5)
+    views = [Features.from_chw(rng.normal(size=(8, 21, 30)).astype(np.float32)) for _ in range(4)]
+    projections = [Projection(matrix=np.eye(3), offset=np.array([o, 0.3, 0.0])) for o in (2.0, -1.5, 0.7)]
+    planes = plane_inverse_depths(1.0, 10.0, 16, inverse=True)[:, None, None]
+    expected, weights = correlation_volume(views[0], views[1:], projections, planes)
+    monkeypatch.setattr("fsinfer.depth.cost_volume.BLOCK_BYTES", size)
+    of_pixels = np.broadcast_to(planes, (16, 21, 30))
+    for inverse in (planes, of_pixels):
+        found, kept = correlation_volume(views[0], views[1:], projections, inverse, view_weights=weights, threads=2)
+        np.testing.assert_array_equal(kept, weights)
+        np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_feature_maps_in_groups_are_those_that_were_cut() -> None:
+    maps = np.random.default_rng(6).normal(size=(9, 12, 7)).astype(np.float32)
+    for given in (maps[:8], maps[1:, :5], maps[:8, ::2, ::3]):
+        groups = Features.from_chw(given)
+        assert groups.shape == given.shape[1:]
+        assert all(group.flags.c_contiguous for group in groups.groups)
+        np.testing.assert_array_equal(groups.to_chw(), given)
