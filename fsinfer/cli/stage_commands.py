@@ -256,8 +256,8 @@ def evaluate(
 ) -> None:
     """Compare extracted trees with measured ones: trees found, RMSE, bias, accuracy."""
     from fsinfer.evaluation.figure import plot_evaluation
+    from fsinfer.evaluation.measured import read_measured
     from fsinfer.evaluation.metrics import evaluate as compare
-    from fsinfer.evaluation.metrics import read_measured
 
     result = compare(
         read_measured(measured, need_position=not by_id),

@@ -27,9 +27,9 @@ _OTHER_NUMBERS = "no extracted tree has the tree_id of a measured one; without -
 
 def evaluation_rows(evaluation: Evaluation, *, by_id: bool = False) -> list[str]:
     """The metrics, completeness first, one a line; ``by_id`` is how the trees were matched."""
-    unmeasured = evaluation.detected - evaluation.matched
+    unmeasured, without = evaluation.detected - evaluation.matched, evaluation.without_dbh
     rows = [
-        f"Measured trees      {evaluation.n}",
+        f"Measured trees      {evaluation.n}" + (f"  (and {without} without a DBH)" if without else ""),
         f"Matched with DBH    {evaluation.matched}  (r = {100 * evaluation.r:.1f} %)",
         f"Found without DBH   {unmeasured}",
         f"Omitted             {evaluation.omitted}",
@@ -45,6 +45,11 @@ def evaluation_rows(evaluation: Evaluation, *, by_id: bool = False) -> list[str]
         return [*rows, f"No accuracy can be given: {why}."]
     if evaluation.rmse_cm is None or evaluation.rrmse is None or evaluation.ae is None:
         return [*rows, "No matched tree has a DBH: no accuracy can be given."]
+    intervals = (
+        [f"In their interval   {evaluation.in_interval} of {evaluation.with_interval}  (95 % of many)"]
+        if evaluation.with_interval
+        else []
+    )
     return [
         *rows,
         f"RMSE                {evaluation.rmse_cm:.2f} cm",
@@ -52,6 +57,7 @@ def evaluation_rows(evaluation: Evaluation, *, by_id: bool = False) -> list[str]
         f"AE of matched       {100 * evaluation.ae:.2f} %",
         f"Bias                {evaluation.bias_cm:+.2f} cm",
         f"MAE                 {evaluation.mae_cm:.2f} cm",
+        *intervals,
     ]
 
 

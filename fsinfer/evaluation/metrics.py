@@ -21,7 +21,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -30,19 +29,12 @@ from numpy.typing import NDArray
 from fsinfer.errors import InputError
 from fsinfer.evaluation.registration import apply, assign, register
 from fsinfer.evaluation.settings import MAX_DISTANCE_M, Align
+from fsinfer.evaluation.units import refuse_other_units
 from fsinfer.geometry.hull import in_hull
-from fsinfer.io.csv_text import read_table
 
 Floats = NDArray[np.float64]
 ALIGNMENTS = tuple(align.value for align in Align)
 
-#: A measured diameter is below this, cm. Source: format; no tree is thicker, millimetres are.
-_MOST_DBH_CM = 1000.0
-#: A table without a thicker tree than this is not in centimetres. Source: judgement; a stem of 2 m has 2 in metres.
-_LEAST_DBH_CM = 2.0
-#: Diameters of the same trees that differ by so many times are in other units. Source: judgement; a centimetre has ten
-#: millimetres.
-_OTHER_UNIT = (7.0, 14.0)
 #: Status of a stem outside of the walk. Source: format; ``trees.csv``.
 _OUTSIDE = "outside"
 #: Frames are registered where fewer than this share of the trees match as given. Source: judgement.
@@ -52,9 +44,10 @@ _MORE_TIMES, _MORE_MATCHES, _LEAST_MATCHES = 1.5, 2, 3
 
 
 class HasDbh(Protocol):
-    """What :func:`evaluate` needs of a tree; :class:`MeasuredTree` and :class:`fsinfer.trees.Tree` have it.
+    """What :func:`evaluate` needs of a tree.
 
-    They have a ``status`` besides, which says what stands outside of the walk.
+    :class:`fsinfer.evaluation.measured.MeasuredTree` and :class:`fsinfer.trees.Tree` have it, and a ``status`` besides,
+    which says what stands outside of the walk, and the interval of the diameter.
     """
 
     @property
@@ -68,20 +61,6 @@ class HasDbh(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True)
-class MeasuredTree:
-    """A tree from a CSV: identifier as written, position in metres (NaN when not given), DBH in cm or None.
-
-    ``status`` is that of a ``trees.csv``, empty where the table has none.
-    """
-
-    tree_id: str
-    x_m: float
-    y_m: float
-    dbh_cm: float | None
-    status: str = ""
-
-
-@dataclass(frozen=True, kw_only=True)
 class Pair:
     """A measured tree and the stem found for it; ``distance_m`` is after alignment, None when matched by id."""
 
@@ -90,6 +69,15 @@ class Pair:
     measured_cm: float
     extracted_cm: float | None
     distance_m: float | None
+    extracted_lo95_cm: float | None = None
+    extracted_hi95_cm: float | None = None
+
+    @property
+    def in_interval(self) -> bool | None:
+        """Whether the measured diameter lies in the extracted interval; None where there is none."""
+        if self.extracted_cm is None or self.extracted_lo95_cm is None or self.extracted_hi95_cm is None:
+            return None
+        return self.extracted_lo95_cm <= self.measured_cm <= self.extracted_hi95_cm
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,6 +87,9 @@ class Evaluation:
     ``false`` counts extracted trees without a partner, but not those that have the status ``outside``; with an area
     margin only those inside the measured area. ``outside`` counts those others: nobody measured there, and nothing can
     be said.
+
+    ``without_dbh`` counts measured trees whose DBH nobody gave, which are none of ``n``: a stem at such a place is no
+    false one. Of the matched ``with_interval`` have an interval, and ``in_interval`` lie in theirs.
 
     ``measured_from_extracted`` holds rotation in degrees and shift in metres when the frames were aligned, else None.
     """
@@ -118,72 +109,13 @@ class Evaluation:
     mae_cm: float | None
     measured_from_extracted: dict[str, float] | None
     pairs: tuple[Pair, ...]
+    without_dbh: int = 0
+    with_interval: int = 0
+    in_interval: int = 0
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, strings and lists, for JSON."""
         return asdict(self)
-
-
-def read_measured(path: Path, *, need_dbh: bool = True, need_position: bool = True) -> list[MeasuredTree]:
-    """Read a CSV with ``tree_id, x_m, y_m, dbh_cm`` (other columns are ignored; comma, semicolon or tab).
-
-    With ``need_dbh=False`` empty DBH cells become None, as in a ``trees.csv``; with ``need_position=False`` empty or
-    missing positions become NaN, for matching by id. Raises :class:`~fsinfer.errors.InputError` naming row and column.
-    """
-    table = read_table(
-        path,
-        what="the trees",
-        required=("tree_id", "x_m", "y_m", "dbh_cm") if need_position else ("tree_id", "dbh_cm"),
-        way_out="give a CSV file whose first line is tree_id,x_m,y_m,dbh_cm",
-    )
-    trees: list[MeasuredTree] = []
-    seen: dict[str, int] = {}
-    for row in table.rows:
-        tree_id = row.text("tree_id")
-        if not tree_id:
-            msg = f"{row.place}: the tree_id is empty; give every tree its own"
-            raise InputError(msg)
-        if tree_id in seen:
-            msg = f"{row.place}: tree_id {tree_id} was used in row {seen[tree_id]} already; make it unique"
-            raise InputError(msg)
-        seen[tree_id] = row.row
-        if row.text("reason") == "no scale":
-            msg = f"{path} was made without a scale: its positions are no metres; give fsinfer run a scale first"
-            raise InputError(msg)
-        dbh = row.given("dbh_cm") if need_dbh else row.number("dbh_cm")
-        if dbh is not None and not 0.0 < dbh < _MOST_DBH_CM:
-            msg = f"{row.place}: dbh_cm is {dbh:g}; it must lie between 0 and 1000 cm (0 is not 'unmeasured')"
-            raise InputError(msg)
-        x, y = (row.given(name) if need_position else row.number(name) for name in ("x_m", "y_m"))
-        trees.append(
-            MeasuredTree(
-                tree_id=tree_id,
-                x_m=float("nan") if x is None else x,
-                y_m=float("nan") if y is None else y,
-                dbh_cm=dbh,
-                status=row.text("status"),
-            )
-        )
-    thickest = max((tree.dbh_cm or 0.0 for tree in trees), default=0.0)
-    if need_dbh and trees and thickest < _LEAST_DBH_CM:
-        msg = f"{path}: no dbh_cm is above {thickest:g} cm; give centimetres, not metres"
-        raise InputError(msg)
-    if need_dbh and not trees:
-        msg = f"{path} holds no measured trees, only a header; give at least one tree"
-        raise InputError(msg)
-    return trees
-
-
-def _refuse_other_units(pairs: Sequence[Pair]) -> None:
-    """Refuse one of two tables that holds millimetres."""
-    ratios = [pair.measured_cm / pair.extracted_cm for pair in pairs if pair.extracted_cm and pair.measured_cm]
-    if len(ratios) < _LEAST_MATCHES:
-        return
-    times = float(np.median(ratios))
-    for name, larger in (("measured", times), ("extracted", 1.0 / times)):
-        if _OTHER_UNIT[0] <= larger <= _OTHER_UNIT[1]:
-            msg = f"the {name} diameters are {larger:.0f} times the others: give centimetres, not millimetres"
-            raise InputError(msg)
 
 
 def evaluate(
@@ -211,8 +143,8 @@ def evaluate(
     if not measured:
         msg = "no measured trees: the file of measured trees holds only a header; give at least one tree"
         raise InputError(msg)
-    if any(tree.dbh_cm is None for tree in measured):
-        msg = "a measured tree has no DBH; leave it out or give its diameter"
+    if all(tree.dbh_cm is None for tree in measured):
+        msg = "no measured tree has a DBH; give the diameter of at least one"
         raise InputError(msg)
     motion: dict[str, float] | None = None
     distances: list[float | None]
@@ -240,23 +172,42 @@ def evaluate(
         Pair(
             measured_id=str(measured[i].tree_id),
             extracted_id=str(extracted[j].tree_id),
-            measured_cm=float(measured[i].dbh_cm or 0.0),
+            measured_cm=dbh,
             extracted_cm=extracted[j].dbh_cm,
             distance_m=distance,
+            extracted_lo95_cm=getattr(extracted[j], "dbh_lo95_cm", None),
+            extracted_hi95_cm=getattr(extracted[j], "dbh_hi95_cm", None),
         )
         for (i, j), distance in zip(links, distances, strict=True)
+        if (dbh := measured[i].dbh_cm) is not None
     )
-    _refuse_other_units(pairs)
+    judged = [pair for pair in pairs if pair.extracted_cm is not None]
+    refuse_other_units([pair.measured_cm for pair in judged], [pair.extracted_cm or 0.0 for pair in judged])
     partners = {j for _, j in links}
     lonely = [j for j in range(len(extracted)) if j not in partners]
     outside = np.array([getattr(extracted[j], "status", "") == _OUTSIDE for j in lonely], dtype=bool)
     if area_margin_m is not None and not by_id:
         outside |= ~in_hull(truth, moved[lonely], area_margin_m)
-    return _metrics(len(measured), len(extracted), int(outside.sum()), pairs, motion)
+    return _metrics(
+        sum(tree.dbh_cm is not None for tree in measured),
+        len(extracted),
+        false=len(lonely) - int(outside.sum()),
+        outside=int(outside.sum()),
+        pairs=pairs,
+        motion=motion,
+        without_dbh=sum(tree.dbh_cm is None for tree in measured),
+    )
 
 
 def _metrics(
-    n: int, extracted: int, outside: int, pairs: tuple[Pair, ...], motion: dict[str, float] | None
+    n: int,
+    extracted: int,
+    *,
+    false: int,
+    outside: int,
+    pairs: tuple[Pair, ...],
+    motion: dict[str, float] | None,
+    without_dbh: int,
 ) -> Evaluation:
     both = [(p.measured_cm, p.extracted_cm) for p in pairs if p.extracted_cm is not None]
     rmse = rrmse = bias = mae = None
@@ -272,7 +223,7 @@ def _metrics(
         detected=len(pairs),
         matched=len(both),
         omitted=n - len(pairs),
-        false=extracted - len(pairs) - outside,
+        false=false,
         outside=outside,
         r=len(both) / n,
         rmse_cm=rmse,
@@ -282,6 +233,9 @@ def _metrics(
         mae_cm=mae,
         measured_from_extracted=motion,
         pairs=pairs,
+        without_dbh=without_dbh,
+        with_interval=sum(pair.in_interval is not None for pair in pairs),
+        in_interval=sum(pair.in_interval is True for pair in pairs),
     )
 
 

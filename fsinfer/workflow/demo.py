@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.errors import InputError
-from fsinfer.evaluation.metrics import Evaluation, MeasuredTree, evaluate, read_measured
+from fsinfer.evaluation.measured import MeasuredTree, read_measured
+from fsinfer.evaluation.metrics import Evaluation, evaluate
 from fsinfer.io.files import atomic_path, make_folder
 from fsinfer.io.photo_folders import PHOTO_SUFFIXES
 from fsinfer.progress import StageProgress, silent_stages

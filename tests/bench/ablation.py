@@ -26,7 +26,8 @@ from export.onnx_export import export_model
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.stage import estimate_depth
 from fsinfer.errors import CloudError, FsinferError
-from fsinfer.evaluation.metrics import evaluate, read_measured
+from fsinfer.evaluation.measured import read_measured
+from fsinfer.evaluation.metrics import evaluate
 from fsinfer.fusion.fuse import fuse
 from fsinfer.io.files import write_text
 from fsinfer.placement.place import density_per_m2

@@ -19,7 +19,8 @@ from importlib import resources
 from pathlib import Path
 
 from fsinfer.depth.settings import DepthSettings
-from fsinfer.evaluation.metrics import evaluate, read_measured
+from fsinfer.evaluation.measured import read_measured
+from fsinfer.evaluation.metrics import evaluate
 from fsinfer.trees.outputs.table import read_trees
 from tests.bench.plot import run_figures, source_errors, tree_figures
 from tests.bench.results import ROOT, add_result_options, check_result_options, save_result

@@ -24,7 +24,8 @@ from PIL import Image
 from fsinfer.depth.precision import AUTO, FLOAT32, PRECISIONS
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.evaluation.figure import plot_evaluation
-from fsinfer.evaluation.metrics import Evaluation, evaluate, read_measured
+from fsinfer.evaluation.measured import read_measured
+from fsinfer.evaluation.metrics import Evaluation, evaluate
 from fsinfer.fusion.fuse import FusionSettings
 from fsinfer.io.exif import camera_exif
 from fsinfer.io.images import read_image

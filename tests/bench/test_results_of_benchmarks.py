@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsinfer.evaluation.metrics import MeasuredTree, evaluate
+from fsinfer.evaluation.measured import MeasuredTree
+from fsinfer.evaluation.metrics import evaluate
 from fsinfer.io.pfm import write_pfm
 from fsinfer.scene import read_scene
 from fsinfer.trees.tree import Tree

@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fsinfer.depth.settings import DepthSettings
-from fsinfer.evaluation.metrics import evaluate, read_measured
+from fsinfer.evaluation.measured import read_measured
+from fsinfer.evaluation.metrics import evaluate
 from fsinfer.frames.select import select_frames
 from fsinfer.io.images import read_image
 from fsinfer.notices.sentences import sentences

@@ -16,7 +16,8 @@ from fsinfer.depth.manifest import models_folder, read_manifest
 from fsinfer.depth.model import DepthModel
 from fsinfer.depth.precision import choose_precision
 from fsinfer.depth.view_group import ViewGroup
-from fsinfer.evaluation.metrics import evaluate, read_measured
+from fsinfer.evaluation.measured import read_measured
+from fsinfer.evaluation.metrics import evaluate
 from fsinfer.io.images import read_image
 from fsinfer.scene import read_scene
 from fsinfer.workflow.demo import DemoResult, run_demo

@@ -34,7 +34,7 @@ from fsinfer.errors import (
     OutputError,
     SceneError,
 )
-from fsinfer.evaluation.metrics import read_measured
+from fsinfer.evaluation.measured import read_measured
 from fsinfer.io.chunks import open_chunks
 from fsinfer.io.cloud import PointCloud, read_cloud, write_cloud
 from fsinfer.io.exif import camera_exif, camera_key, gnss_degrees

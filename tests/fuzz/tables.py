@@ -18,7 +18,8 @@ def _make_truth(folder: Path) -> None:
 
 
 def _read_truth(folder: Path) -> None:
-    from fsinfer.evaluation.metrics import evaluate, read_measured
+    from fsinfer.evaluation.measured import read_measured
+    from fsinfer.evaluation.metrics import evaluate
 
     one, other = read_measured(folder / "comma.csv"), read_measured(folder / "semicolon.csv", need_dbh=False)
     evaluate(one, other)

@@ -128,7 +128,7 @@ def test_an_option_reaches_the_work(
         raise _StoppedError
 
     monkeypatch.setattr(target, stop)
-    monkeypatch.setattr("fsinfer.evaluation.metrics.read_measured", lambda *_, **__: [])
+    monkeypatch.setattr("fsinfer.evaluation.measured.read_measured", lambda *_, **__: [])
     silent = () if command == "evaluate" else ("--quiet",)
     code, _, error = call(command, "source", "out", *words.split(), *silent)
     assert (code, error) == (2, "Error: \n")

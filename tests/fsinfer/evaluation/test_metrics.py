@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from fsinfer.cli.tables import evaluation_rows
 from fsinfer.errors import InputError
 from fsinfer.evaluation.figure import plot_evaluation
-from fsinfer.evaluation.metrics import MeasuredTree, evaluate, read_measured
+from fsinfer.evaluation.measured import MeasuredTree, read_measured
+from fsinfer.evaluation.metrics import evaluate
 
 
 @dataclass(frozen=True)
@@ -222,6 +224,53 @@ def test_a_table_in_metres_is_told(tmp_path: Path) -> None:
         read_measured(path)
     # A trees.csv is of ours.
     assert len(read_measured(path, need_dbh=False)) == 2
+
+
+@pytest.mark.parametrize(("times", "what"), [(np.pi, "girths"), (1 / 2.54, "inches")])
+def test_girths_and_inches_are_told(times: float, what: str) -> None:
+    dbh = np.array([12.0, 20.0, 31.0, 44.0])
+    theirs = [Found(n, float(n), 0.0, found) for n, found in enumerate(dbh + np.array([0.4, -0.5, 0.6, 0.0]))]
+
+    def measured(values: NDArray[np.float64]) -> list[Found]:
+        return [Found(n, float(n), 0.0, value) for n, value in enumerate(values)]
+
+    with pytest.raises(InputError, match=f"they look like {what}; give diameters in centimetres"):
+        evaluate(measured(times * dbh), theirs)
+    # A wrong scale, and stems each of which is wrong in its own way, are for the figures.
+    assert evaluate(measured(2.0 * dbh), theirs).matched == 4
+    assert evaluate(measured(times * dbh * [0.7, 1.0, 1.5, 0.75]), theirs).matched == 4
+    assert evaluate(measured(times * dbh)[:2], theirs[:2]).matched == 2
+
+
+def test_measured_trees_without_a_diameter_are_places_of_trees(tmp_path: Path) -> None:
+    path = tmp_path / "measured.csv"
+    path.write_text("tree_id,x_m,y_m,dbh_cm\na,0,0,20\nb,3,0,\nc,0,4,40\nd,5,5,\n", encoding="utf-8")
+    result = evaluate(read_measured(path), FOUND, align="never")
+    # The stem at b is no false one, d is not omitted: of both nobody knows more than their places.
+    assert (result.n, result.without_dbh, result.detected, result.matched, result.omitted) == (2, 2, 2, 1, 0)
+    assert (result.false, result.r, result.rmse_cm) == (1, 0.5, 1.0)
+    assert [pair.measured_id for pair in result.pairs] == ["a", "c"]
+    path.write_text("tree_id,x_m,y_m,dbh_cm\na,0,0,\n", encoding="utf-8")
+    with pytest.raises(InputError, match="the column dbh_cm is empty"):
+        read_measured(path)
+    with pytest.raises(InputError, match="no measured tree has a DBH"):
+        evaluate(read_measured(path, need_dbh=False), FOUND)
+
+
+def test_how_many_lie_in_their_interval(tmp_path: Path) -> None:
+    rows = [
+        "tree_id,x_m,y_m,dbh_cm,dbh_lo95_cm,dbh_hi95_cm",
+        "1,0,0,21,20,22",
+        "2,3,0,28,27,29",
+        "3,0,4,41,,",
+        "4,9,9,9,8,9",
+    ]
+    (tmp_path / "trees.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    result = evaluate(MEASURED, read_measured(tmp_path / "trees.csv", need_dbh=False), align="never")
+    assert (result.matched, result.with_interval, result.in_interval) == (3, 2, 1)
+    assert [pair.in_interval for pair in result.pairs] == [True, False, None]
+    assert "In their interval   1 of 2  (95 % of many)" in evaluation_rows(result)
+    assert not any("interval" in row for row in evaluation_rows(evaluate(MEASURED, FOUND)))
 
 
 @pytest.mark.parametrize(("times", "name"), [(10.0, "measured"), (0.1, "extracted")])
