@@ -13,6 +13,7 @@ from fsinfer.cli.remaining import as_words
 from fsinfer.depth.settings import DepthSettings
 
 if TYPE_CHECKING:
+    from fsinfer.batch.rows import PlotRow
     from fsinfer.batch.run import BatchResult, PlotNews
 
 #: Exit code when the batch came to its end, but not every plot did. Source: format; what the shell is told.
@@ -182,12 +183,24 @@ def _say_news(news: PlotNews) -> None:
     say(f"{news.finished}/{news.plots} {row.plot}: {told}{left}")
 
 
+def _why_none(row: PlotRow) -> str:
+    if not row.trees:
+        return "no tree was found; see warning_text in summary.csv"
+    if row.units != "m":
+        return "it has no scale; give its aruco_length_m or scale, see warning_text in summary.csv"
+    return f"none of its {row.trees} trees could be measured; see its report"
+
+
 def _lines(result: BatchResult) -> list[str]:
     counts = result.counts
     lines = [] if result.ran else ["Nothing to do: everything was finished before."]
     lines.append(f"Plots: {counts.done} of {counts.plots} measured, {counts.failed} failed")
     lines.append(f"Trees: {counts.trees}, with DBH {counts.trees_with_dbh}")
-    lines += [f"  {row.plot} failed: {row.message}" for row in result.rows if row.state.value == "failed"]
+    for row in result.rows:
+        if row.state.value == "failed":
+            lines.append(f"  {row.plot} failed: {row.message}")
+        elif row.state.value == "done" and not row.trees_with_dbh:
+            lines.append(f"  {row.plot} has no DBH: {_why_none(row)}")
     lines.append(f"Summary: {result.out / 'summary.csv'}, {result.out / 'summary.xlsx'}")
     lines.append(f"Report: {result.report}")
     return lines

@@ -22,6 +22,17 @@ _NOT_THERE = (
     "no extracted tree stands where a measured one does. See whether x_m and y_m are metres in both tables, and of the "
     "same plot; give --max-distance-m where they are rough, or --by-id where the same tree has the same tree_id"
 )
+#: By :class:`fsinfer.evaluation.alignment.AlignmentDoubt`.
+_ALIGNMENT_DOUBTS = {
+    "chance": (
+        "Positions: no motion lays the two maps on each other better than chance. Are they of the same trees, in "
+        "metres?"
+    ),
+    "mirrored": (
+        "Positions: the mirror image of the measured map fits far better. Are x_m (east) and y_m (north) interchanged, "
+        "or was a bearing taken for an angle from the x axis?"
+    ),
+}
 _OTHER_NUMBERS = "no extracted tree has the tree_id of a measured one; without --by-id they are matched by position"
 
 
@@ -40,6 +51,8 @@ def evaluation_rows(evaluation: Evaluation, *, by_id: bool = False) -> list[str]
     if motion is not None:
         shift = f"({motion['shift_x_m']:+.2f}, {motion['shift_y_m']:+.2f}) m"
         rows.append(f"Positions aligned   turned {motion['rotation_deg']:+.1f} deg, moved {shift}")
+    if evaluation.alignment_doubt:
+        rows.append(_ALIGNMENT_DOUBTS[evaluation.alignment_doubt])
     if evaluation.detected == 0:
         why = "there are no extracted trees" if evaluation.extracted == 0 else _OTHER_NUMBERS if by_id else _NOT_THERE
         return [*rows, f"No accuracy can be given: {why}."]

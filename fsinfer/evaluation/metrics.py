@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import InputError
-from fsinfer.evaluation.registration import apply, assign, register
+from fsinfer.evaluation.alignment import AlignmentDoubt, align_maps
 from fsinfer.evaluation.settings import MAX_DISTANCE_M, Align
 from fsinfer.evaluation.units import refuse_other_units
 from fsinfer.geometry.hull import in_hull
@@ -37,10 +37,6 @@ ALIGNMENTS = tuple(align.value for align in Align)
 
 #: Status of a stem outside of the walk. Source: format; ``trees.csv``.
 _OUTSIDE = "outside"
-#: Frames are registered where fewer than this share of the trees match as given. Source: judgement.
-_FEW_MATCHES = 0.5
-#: Registration counts where it finds so many times the matches, so many more, and so many at least. Source: judgement.
-_MORE_TIMES, _MORE_MATCHES, _LEAST_MATCHES = 1.5, 2, 3
 
 
 class HasDbh(Protocol):
@@ -91,6 +87,9 @@ class Evaluation:
     ``without_dbh`` counts measured trees whose DBH nobody gave, which are none of ``n``: a stem at such a place is no
     false one. Of the matched ``with_interval`` have an interval, and ``in_interval`` lie in theirs.
 
+    ``alignment_doubt`` is ``chance`` where the frames differ and no motion lays more trees on each other than on the
+    mirror image, and ``mirrored`` where that fits far better: then "auto" compares the positions as given.
+
     ``measured_from_extracted`` holds rotation in degrees and shift in metres when the frames were aligned, else None.
     """
 
@@ -110,6 +109,7 @@ class Evaluation:
     measured_from_extracted: dict[str, float] | None
     pairs: tuple[Pair, ...]
     without_dbh: int = 0
+    alignment_doubt: str = AlignmentDoubt.none.value
     with_interval: int = 0
     in_interval: int = 0
 
@@ -146,27 +146,16 @@ def evaluate(
     if all(tree.dbh_cm is None for tree in measured):
         msg = "no measured tree has a DBH; give the diameter of at least one"
         raise InputError(msg)
-    motion: dict[str, float] | None = None
+    motion, doubt = None, AlignmentDoubt.none
     distances: list[float | None]
     if by_id:
         links = _links_by_id(measured, extracted)
         distances = [None] * len(links)
     else:
         truth, found = _positions(measured, "measured"), _positions(extracted, "extracted")
-        links, moved = assign(truth, found, max_distance_m), found
-        if align == Align.always or (align == Align.auto and len(links) < _FEW_MATCHES * min(len(truth), len(found))):
-            registered = register(truth, found, max_distance_m)
-            if registered is not None:
-                candidate = apply(registered, found)
-                better = assign(truth, candidate, max_distance_m)
-                clearly = len(better) >= max(len(links) + _MORE_MATCHES, _LEAST_MATCHES, _MORE_TIMES * len(links))
-                if align == Align.always or clearly:
-                    links, moved = better, candidate
-                    motion = {
-                        "rotation_deg": float(np.degrees(registered[0])),
-                        "shift_x_m": float(registered[1]),
-                        "shift_y_m": float(registered[2]),
-                    }
+        aligned = align_maps(truth, found, max_distance_m, align)
+        links, moved = aligned.links, aligned.moved
+        motion, doubt = aligned.motion, aligned.doubt
         distances = [float(np.linalg.norm(truth[i] - moved[j])) for i, j in links]
     pairs = tuple(
         Pair(
@@ -196,6 +185,7 @@ def evaluate(
         pairs=pairs,
         motion=motion,
         without_dbh=sum(tree.dbh_cm is None for tree in measured),
+        doubt=doubt,
     )
 
 
@@ -208,6 +198,7 @@ def _metrics(
     pairs: tuple[Pair, ...],
     motion: dict[str, float] | None,
     without_dbh: int,
+    doubt: AlignmentDoubt,
 ) -> Evaluation:
     both = [(p.measured_cm, p.extracted_cm) for p in pairs if p.extracted_cm is not None]
     rmse = rrmse = bias = mae = None
@@ -234,6 +225,7 @@ def _metrics(
         measured_from_extracted=motion,
         pairs=pairs,
         without_dbh=without_dbh,
+        alignment_doubt=doubt.value,
         with_interval=sum(pair.in_interval is not None for pair in pairs),
         in_interval=sum(pair.in_interval is True for pair in pairs),
     )

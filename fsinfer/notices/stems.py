@@ -92,6 +92,7 @@ class StemCode(StrEnum):
     stems_outside_walk = "stems_outside_walk"
     part_joined = "part_joined"
     corrected_by_hand = "corrected_by_hand"
+    sizes_unknown = "sizes_unknown"
     # Parts of ``corrected_by_hand``.
     tree_added = "tree_added"
     tree_deleted = "tree_deleted"
@@ -212,6 +213,10 @@ SENTENCES: dict[StemCode, str] = {
         "{folder} was put into the plot by the pattern of its stems: {common} that the rest saw too, "
         "{apart_cm:.0f} cm apart, and {new} new ones"
     ),
+    StemCode.sizes_unknown: (
+        "of the basal area {percent:.0f} % are taken to be that of stems without a diameter ({trees}), by the mean "
+        "section of the others; what is no tree among them makes the figures a hectare too large"
+    ),
     StemCode.corrected_by_hand: "stem map corrected by hand: tree {changes}",
     StemCode.tree_added: "{tree_id} added",
     StemCode.tree_deleted: "{tree_id} deleted",
@@ -238,6 +243,7 @@ ADVICE: dict[StemCode, str] = {
     StemCode.lean_alike: "compare with a plumb line or with a stem that you know to be upright, and level the cloud",
     StemCode.level_top: "it was left as it stands; look at it in a viewer if it was not cut off level",
     StemCode.thicker_upwards: "look at the cloud in a viewer, and turn it if it stands on its head",
+    StemCode.sizes_unknown: "look at them, measure them with a tape, or take them out with edits.csv",
     StemCode.turned: "it was turned, and so is the frame of all results",
 }
 #: Of use to those who look closely, nothing to act upon.

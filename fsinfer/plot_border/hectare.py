@@ -69,6 +69,8 @@ class PlotStems:
     dbh_m: (T,) NaN where it was not measured; std_m: (T,) its standard deviation, without that of the scale.
     shared_m: (T,) the part of ``std_m`` that has one cause in all stems (their bark, the camera, the depth maps): it
         errs the same way in each and does not average out. None where there is none.
+    rough_m, rough_std_m: (T,) what is known of those that were not measured, with its standard deviation, NaN where
+        that is nothing (:func:`fsinfer.trees.rough_dbh.rough_dbh_cm`). None where it is nothing of all.
     seen: (T,) whether the ground that each stands on counts as seen; None where nobody knows: then all of it does.
     """
 
@@ -78,11 +80,21 @@ class PlotStems:
     std_m: Floats
     seen: NDArray[np.bool_] | None = None
     shared_m: Floats | None = None
+    rough_m: Floats | None = None
+    rough_std_m: Floats | None = None
 
     @property
     def sections_m2(self) -> Floats:
         """(T,) of the stems at breast height, NaN where it was not measured."""
         return np.asarray(np.pi / 4.0 * self.dbh_m**2)
+
+    @property
+    def rough_sections_m2(self) -> tuple[Floats, Floats]:
+        """(T,) of those that were not measured, NaN where nothing is known of them, and their standard deviations."""
+        if self.rough_m is None or self.rough_std_m is None:
+            nothing = np.full(len(self.dbh_m), np.nan)
+            return nothing, nothing
+        return np.pi / 4.0 * self.rough_m**2, np.pi / 2.0 * self.rough_m * self.rough_std_m
 
     @property
     def on_seen(self) -> NDArray[np.bool_]:
@@ -120,20 +132,23 @@ def basal_area_per_ha(
 ) -> HectareFigure | None:
     """Square metres of stem section at breast height a hectare; None where that cannot be said.
 
-    Stems without a DBH count with the mean of the others; there is none without a stem that was measured, or with one
-    such and some without.
+    Stems without a DBH count with what is roughly known of them, or else with the mean of the measured ones; there is
+    none without a stem that was measured, or with one such and some of which nothing is known.
     An error of the scale changes diameters and the plot alike, and drops out. ``level_rel_std`` is as in
     :func:`stems_per_ha`.
     """
     measured = stems.inside & np.isfinite(stems.dbh_m)
     sections = stems.sections_m2[measured]
     found = int(stems.inside.sum())
-    without = stems.inside & ~measured
+    rough, rough_std = stems.rough_sections_m2
+    by_rough = stems.inside & ~measured & np.isfinite(rough)
+    without = stems.inside & ~measured & ~by_rough
     mean = mean_section(sections, lacking=bool(without.any()))
     if mean is None:
         return None
     spread = float(sections.std(ddof=1)) if len(sections) > 1 else mean
-    all_sections = np.where(np.isfinite(stems.dbh_m), stems.sections_m2, mean)
+    known_sections = np.where(np.isfinite(stems.dbh_m), stems.sections_m2, rough)
+    all_sections = np.where(np.isfinite(known_sections), known_sections, mean)
     seen = stems.inside & stems.on_seen
     count = int(seen.sum())
     stands = float(all_sections[stems.inside].sum())
@@ -148,6 +163,7 @@ def basal_area_per_ha(
     weight = _weights(stems, share)
     border = (stems.chance * (1.0 - stems.chance) * (all_sections * weight) ** 2).sum()
     missing = spread**2 * ((weight[without] ** 2).sum() + weight[without].sum() ** 2 / len(sections))
+    missing += ((weight * rough_std)[by_rough] ** 2).sum()
     known = {
         AT_BORDER: _both(Z95 * float(np.sqrt(border))),
         UPRIGHT: _both(Z95 * level_rel_std * total),

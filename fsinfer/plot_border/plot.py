@@ -23,6 +23,7 @@ from fsinfer.plot_border.hectare import (
 from fsinfer.plot_border.request import Place
 from fsinfer.plot_border.sight import SeenShare
 from fsinfer.trees.points.sums import Z95
+from fsinfer.trees.rough_dbh import rough_dbh_cm
 from fsinfer.trees.stand import stand_of_diameters
 from fsinfer.trees.tree import Tree
 
@@ -231,12 +232,15 @@ def _stems(
     inside_m = np.array([tree.border_m or 0.0 for tree in trees])
     dbh_m = np.array([np.nan if tree.dbh_cm is None else tree.dbh_cm / 100.0 for tree in trees], dtype=np.float64)
     std_m = np.sqrt(np.maximum(_dbh_std_m(trees) ** 2 - (scale_rel_std * dbh_m) ** 2, 0.0))
+    rough = np.array([rough_dbh_cm(tree) or (np.nan, np.nan) for tree in trees]).reshape(-1, 2) / 100.0
     return PlotStems(
         inside=np.array([bool(tree.in_plot) for tree in trees], dtype=bool),
         # Without the scale, which is a part of its own.
         chance=np.asarray(ndtr(inside_m / _place_std(trees, scale_rel_std, upright))) if len(trees) else np.zeros(0),
         dbh_m=dbh_m,
         std_m=std_m,
+        rough_m=rough[:, 0],
+        rough_std_m=rough[:, 1],
         seen=seen.stems,
         shared_m=None if shared_m is None else _known_or_usual(shared_m, std_m),
     )

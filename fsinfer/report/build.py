@@ -6,6 +6,19 @@ from pathlib import Path
 
 from fsinfer.errors import InputError
 from fsinfer.io.files import write_text
+from fsinfer.output.layout import (
+    CHECK_FOLDER,
+    CLOUD_LAZ,
+    CLOUD_PLY,
+    DEPTH_FOLDER,
+    FIGURES_FOLDER,
+    FRAMES_FOLDER,
+    FUSED_FOLDER,
+    PLOT_FILE,
+    RECORDS_FOLDER,
+    SCENE_FOLDER,
+    TREES_CSV,
+)
 from fsinfer.report.cloud.data import MAX_POINTS
 from fsinfer.report.cloud.depth_part import depth_part
 from fsinfer.report.cloud.part import cloud_part, draw_cloud
@@ -20,6 +33,11 @@ from fsinfer.report.warnings_part import warnings_part
 from fsinfer.threads import beside
 
 REPORT_FILE = "report.html"
+#: One of these is in a folder that fsinfer wrote into.
+_OF_A_RUN = (
+    PLOT_FILE, TREES_CSV, CLOUD_PLY, CLOUD_LAZ, FUSED_FOLDER, DEPTH_FOLDER, SCENE_FOLDER, FRAMES_FOLDER, FIGURES_FOLDER,
+    CHECK_FOLDER, RECORDS_FOLDER,
+)  # fmt: skip
 #: The report stays below so many megabytes. Source: layout; most mailboxes take 20.
 MAX_MB = 14.0
 #: Points of the cloud that it shows at least. Source: layout; stems are still seen.
@@ -40,13 +58,16 @@ def make_report(out: Path | str) -> Path:
     Raises
     ------
     InputError
-        ``out`` is not a folder.
+        ``out`` is not a folder, or none of a run.
     OutputError
         The report cannot be written.
     """
     out = Path(out)
     if not out.is_dir():
         msg = f"{out} is not a folder; give the output folder of fsinfer run (or of fsinfer trees)"
+        raise InputError(msg)
+    if not any((out / name).exists() for name in _OF_A_RUN):
+        msg = f"{out} is no output folder of fsinfer; give the folder that was given to fsinfer run (or fsinfer trees)"
         raise InputError(msg)
     contents = read_contents(out)
     source = contents.plot.get("source")

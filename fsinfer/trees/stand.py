@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from fsinfer.trees.points.cells import column_min, rows
+from fsinfer.trees.rough_dbh import rough_dbh_cm
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
@@ -46,7 +47,8 @@ class StandTable:
     ``stems`` are all, ``measured`` those with a DBH. ``plot_area_m2`` is horizontal, None where it is not known;
     ``area_method`` says how it was taken. Only the ``stems_on_area`` count to the hectare: those on other ground, whose
     numbers ``off_area`` are, would make the plot denser than it is. In the basal area those without a DBH count with
-    the mean section of the others, as on a plot with a border; it is None where too few were measured for that.
+    what is roughly known of them (:func:`fsinfer.trees.rough_dbh.rough_dbh_cm`) or the mean section of the others, as
+    on a plot with a border; it is None where too few were measured for that.
     """
 
     stems: int
@@ -72,7 +74,14 @@ def stand_table(
 
     ``on_area`` (T,) says which of them stand on it, all where it is None.
     """
-    stand = stand_of_diameters([tree.dbh_cm for tree in trees], plot_area_m2, on_area=on_area, area_method=area_method)
+    rough = [rough_dbh_cm(tree) for tree in trees]
+    stand = stand_of_diameters(
+        [tree.dbh_cm for tree in trees],
+        plot_area_m2,
+        on_area=on_area,
+        rough_cm=[None if known is None else known[0] for known in rough],
+        area_method=area_method,
+    )
     if on_area is None or stand.stems_on_area is None:
         return stand
     return replace(stand, off_area=tuple(tree.tree_id for tree, on in zip(trees, on_area, strict=True) if not on))
@@ -83,14 +92,16 @@ def stand_of_diameters(
     plot_area_m2: float,
     *,
     on_area: NDArray[np.bool_] | None = None,
+    rough_cm: Sequence[float | None] | None = None,
     area_method: str = AREA_METHOD,
 ) -> StandTable:
-    """:func:`stand_table` of one DBH a stem, None where it was not measured."""
-    all_cm = np.array([np.nan if d is None else d for d in dbh_cm], dtype=np.float64)
+    """:func:`stand_table` of one DBH a stem, None where it was not measured; ``rough_cm`` is what is known of those."""
+    all_cm = _or_nan(dbh_cm)
     on = np.ones(len(all_cm), dtype=bool) if on_area is None else on_area
     dbh = all_cm[np.isfinite(all_cm)]
     hectares = plot_area_m2 / 10_000.0
-    basal_m2 = _basal_area_m2(all_cm, on) if hectares > 0 else None
+    rough = _or_nan([None] * len(all_cm) if rough_cm is None else rough_cm)
+    basal_m2 = _basal_area_m2(all_cm, rough, on) if hectares > 0 else None
     return StandTable(
         stems=len(all_cm),
         measured=len(dbh),
@@ -104,12 +115,19 @@ def stand_of_diameters(
     )
 
 
-def _basal_area_m2(dbh_cm: Floats, on: NDArray[np.bool_]) -> float | None:
-    """Of the stems ``on`` (T,) the plot; those without a DBH (NaN) count with the mean section of all others (T,)."""
-    sections = np.pi / 4.0 * (dbh_cm / 100.0) ** 2
+def _or_nan(values: Sequence[float | None]) -> Floats:
+    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+
+
+def _basal_area_m2(dbh_cm: Floats, rough_cm: Floats, on: NDArray[np.bool_]) -> float | None:
+    """Of the stems ``on`` (T,) the plot; those without a DBH (NaN) count as ``rough_cm`` (T,), or, where that is NaN,
+    with the mean section of all that were measured (T,).
+    """
+    sections, rough = (np.pi / 4.0 * (values / 100.0) ** 2 for values in (dbh_cm, rough_cm))
     measured = np.isfinite(sections)
-    mean = mean_section(sections[measured], lacking=bool((on & ~measured).any()))
-    return None if mean is None else float(np.where(measured, sections, mean)[on].sum())
+    known = np.where(measured, sections, rough)
+    mean = mean_section(sections[measured], lacking=bool((on & ~np.isfinite(known)).any()))
+    return None if mean is None else float(np.where(np.isfinite(known), known, mean)[on].sum())
 
 
 def mean_section(sections_m2: Floats, *, lacking: bool) -> float | None:

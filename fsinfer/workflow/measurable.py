@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from fsinfer.errors import CloudError
-from fsinfer.io.las import LAS_SUFFIXES, read_epsg, read_units_m
+from fsinfer.io.las import LAS_SUFFIXES, open_las, read_epsg, read_units_m
 from fsinfer.output.layout import RECORDS_FOLDER
 
 #: Lengths of two units that differ by less, metres, are the same: feet of the US survey are 0.6 micrometres longer than
@@ -18,6 +20,10 @@ _NO_METRES = {
     900913: "whose metres are longer than those on the ground (Web Mercator)",
     4978: "whose z is not up (coordinates from the middle of the earth)",
 }
+#: Frames whose x and y are degrees. Source: format; EPSG registry, those that clouds are delivered in.
+_IN_DEGREES = frozenset({4326, 4979, 4258, 4937, 4269, 6318, 7844, 4283, 4167, 4171, 4674})
+#: No degree is beyond. Source: definition.
+_MOST_DEGREES = 360.0
 
 
 def refuse_fused(cloud_path: Path) -> None:
@@ -36,6 +42,9 @@ def refuse_other_units(cloud_path: Path) -> None:
     if epsg in _NO_METRES:
         msg = f"{cloud_path} is in EPSG:{epsg} by its header, {_NO_METRES[epsg]}; convert it to UTM or a national grid"
         raise CloudError(msg)
+    if epsg in _IN_DEGREES and _within_degrees(cloud_path):
+        msg = f"{cloud_path} is in degrees by its header (EPSG:{epsg}); convert it to UTM or a national grid"
+        raise CloudError(msg)
     units = read_units_m(cloud_path)
     lengths = [unit for unit in (units.horizontal_m, units.vertical_m) if unit is not None]
     if all(abs(unit - 1.0) < _SAME_UNIT_M for unit in lengths):
@@ -46,3 +55,9 @@ def refuse_other_units(cloud_path: Path) -> None:
         way_out = f"its units on the map and of the heights differ ({lengths[0]:g} and {lengths[1]:g} m): convert it"
     msg = f"{cloud_path} is not in metres, by its header; {way_out}"
     raise CloudError(msg)
+
+
+def _within_degrees(cloud_path: Path) -> bool:
+    """Whether x and y can be degrees at all: some headers name such a frame of coordinates that are metres."""
+    with open_las(cloud_path) as reader:
+        return bool(np.abs([*reader.header.mins[:2], *reader.header.maxs[:2]]).max() <= _MOST_DEGREES)

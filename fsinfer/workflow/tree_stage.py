@@ -38,6 +38,7 @@ from fsinfer.trees.outputs.workbook import write_tables
 from fsinfer.trees.pattern.match import PatternSettings
 from fsinfer.trees.plot_doubt import all_doubtful
 from fsinfer.trees.posts import without_posts
+from fsinfer.trees.rough_dbh import sizes_unknown
 from fsinfer.trees.stem_curve import CurvePoint, CurveSettings, stem_curves, write_curves
 from fsinfer.workflow.joined_parts import JoinedParts, cameras_of, copy_figures, join_measured
 from fsinfer.workflow.own_files import clear_outputs
@@ -144,6 +145,8 @@ def _measure_plot(given: PlotCloudInput, out: Path, settings: TreeStageSettings,
     if given.doubt is not None:
         whole = all_doubtful(whole, given.doubt)
     bordered, plot = _draw_border(whole, given, settings, added, out)
+    if given.metric:
+        bordered = replace(bordered, warnings=(*bordered.warnings, *sizes_unknown(bordered.all_trees)))
     _write(bordered, given, out, curves, plot, progress)
     copy_figures(out, bordered, added.numbers)
     return replace(summarized(bordered, plot), joined=added.parts)

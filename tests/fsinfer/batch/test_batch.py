@@ -9,15 +9,20 @@ import subprocess
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import pytest
 from typer.testing import CliRunner
 
 from fsinfer.batch.attempt import stop_batch
+from fsinfer.batch.outcome import State
 from fsinfer.batch.remaining import RemainingPlots
+from fsinfer.batch.rows import PlotRow
 from fsinfer.batch.run import BatchResult, PlotNews, run_batch
 from fsinfer.batch.settings import BatchSettings
+from fsinfer.batch.summary import count
 from fsinfer.cli.app import app
+from fsinfer.cli.batch_command import _lines
 from fsinfer.errors import CRASHED, NOT_ENOUGH_MEMORY, InputError
 from fsinfer.io.csv_text import read_table
 from tests.support.batch_plots import STAND_IN, behave, is_alive, read_csv, started, wait_for, write_table
@@ -349,6 +354,26 @@ def test_the_exit_code_tells_whether_plots_failed(tmp_path: Path, monkeypatch: p
     code, said = invoke(str(table), str(out), "--quiet")
     assert code == 0
     assert said.startswith("Nothing to do: everything was finished before. Plots: 2 of 2 measured, 0 failed")
+
+
+@pytest.mark.parametrize(
+    ("figures", "why"),
+    [
+        (
+            {"trees": 12, "trees_with_dbh": 0, "units": "model units"},
+            "it has no scale; give its aruco_length_m or scale",
+        ),
+        ({"trees": 3, "trees_with_dbh": 0, "units": "m"}, "none of its 3 trees could be measured"),
+        ({"trees": 0, "trees_with_dbh": 0, "units": "m"}, "no tree was found"),
+        ({"trees": 3, "trees_with_dbh": 1, "units": "m"}, None),
+    ],
+)
+def test_a_plot_without_a_diameter_says_why(figures: dict[str, Any], why: str | None) -> None:
+    rows = (PlotRow(plot="oak", state=State.done, **figures), PlotRow(plot="ash", state=State.waiting))
+    result = BatchResult(out=Path("out"), rows=rows, counts=count(rows), ran=1, report=Path("report.html"))
+    told = [line for line in _lines(result) if "has no DBH" in line]
+    assert len(told) == (why is not None)
+    assert why is None or f"oak has no DBH: {why}" in told[0]
 
 
 @pytest.mark.parametrize(

@@ -130,6 +130,7 @@ def test_version(call: Call) -> None:
         (CloudError("a.ply is empty;\n  export it again"), 2, "Error: a.ply is empty; export it again"),
         (OSError(errno.ENOSPC, "No space left on device", "x.pfm"), 2, "Error: No space left on device: x.pfm"),
         (PermissionError(errno.EACCES, "Permission denied", "x"), 2, "Error: Permission denied: x"),
+        (OSError(errno.ENAMETOOLONG, "File name too long", "x" * 256), 2, "a name is too long for this disk: xxx"),
         (MemoryError(), 2, "--max-size"),
         (ZeroDivisionError("division by zero"), 1, "Internal error (ZeroDivisionError: division by zero)"),
         (OSError(errno.EIO, "Input/output error", "x"), 1, "--debug"),

@@ -143,6 +143,28 @@ def test_parts_are_named_and_of_the_right_size() -> None:
     assert basal.parts[AT_BORDER] == pytest.approx(count.parts[AT_BORDER] * np.pi / 4 * 0.16)
 
 
+def test_saplings_count_as_what_is_known_of_them() -> None:
+    dbh = np.r_[np.full(20, 0.4), np.full(10, np.nan)]
+    given = stems_of(dbh)
+    by_mean = basal_area_per_ha(given, area_m2=AREA_M2, share=1.0)
+    rough = np.r_[np.full(20, np.nan), np.full(9, 0.06), np.nan]
+    known = replace(given, rough_m=rough, rough_std_m=np.where(np.isfinite(rough), 0.01, np.nan))
+    by_rough = basal_area_per_ha(known, area_m2=AREA_M2, share=1.0)
+    assert by_mean is not None
+    assert by_rough is not None
+    section = np.pi / 4 * np.array([0.16, 0.0036])
+    assert by_mean.value == pytest.approx(30 * section[0] / 0.05)
+    assert by_rough.value == pytest.approx((21 * section[0] + 9 * section[1]) / 0.05)
+    # All measured stems are alike: of the one without anything known nothing is uncertain, of the saplings a little.
+    assert by_mean.parts[NOT_MEASURED] == pytest.approx(0.0, abs=1e-9)
+    assert by_rough.parts[NOT_MEASURED] == pytest.approx(1.96 * 3 * np.pi / 2 * 0.06 * 0.01 / 0.05)
+    # With no mean at all they count all the same.
+    one = replace(given, dbh_m=dbh[19:29], inside=given.inside[:10], chance=given.chance[:10], std_m=given.std_m[:10])
+    assert basal_area_per_ha(one, area_m2=AREA_M2, share=1.0) is None
+    told = replace(one, rough_m=rough[19:29], rough_std_m=np.full(10, 0.01))
+    assert basal_area_per_ha(told, area_m2=AREA_M2, share=1.0) is not None
+
+
 def test_what_all_stems_share_does_not_average_out() -> None:
     rng = np.random.default_rng(43004)
     inside = {"shared": 0, "own": 0}

@@ -407,7 +407,8 @@ def test_the_advice_to_walk_round_is_given_once(tmp_path: Path) -> None:
     assert advice in page
 
 
-def test_empty_folder_gives_a_page_that_says_what_is_missing(tmp_path: Path) -> None:
+def test_a_run_that_has_only_begun_gives_a_page_that_says_what_is_missing(tmp_path: Path) -> None:
+    (tmp_path / ".fsinfer").mkdir()
     page = make_report(tmp_path).read_text(encoding="utf-8")
     for text in ("plot.json is not", "trees.csv is not", "no point cloud", "no depth maps", "frames.csv is not"):
         assert text in page, text
@@ -438,6 +439,15 @@ def test_no_trees_is_a_result_with_a_diagnosis(tmp_path: Path) -> None:
 def test_not_a_folder_is_a_user_error(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not a folder"):
         make_report(tmp_path / "none")
+
+
+def test_a_folder_of_something_else_is_a_user_error(tmp_path: Path) -> None:
+    (tmp_path / "IMG_1.jpg").write_bytes(b"no run")
+    with pytest.raises(InputError, match="is no output folder of fsinfer"):
+        make_report(tmp_path)
+    assert not (tmp_path / "report.html").exists()
+    write_csv(tmp_path / "trees.csv", [TREE])
+    assert make_report(tmp_path).is_file()
 
 
 @pytest.mark.parametrize(("text", "value"), [("1.5", 1.5), ("", None), ("nan", None), ("inf", None), (None, None)])

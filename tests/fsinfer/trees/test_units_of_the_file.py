@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import laspy
@@ -13,6 +14,7 @@ from fsinfer.io.las import read_epsg
 from fsinfer.io.linear_units import US_FOOT_M
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.trees.outputs.table import read_trees
+from fsinfer.workflow.measurable import refuse_other_units
 from fsinfer.workflow.measure_cloud import measure_cloud_file
 from tests.support.stem_clouds import StemPlot, stem_plot
 
@@ -59,6 +61,18 @@ def test_metres_that_are_none_on_the_ground_are_refused(code: int, tmp_path: Pat
     with pytest.raises(CloudError, match=rf"is in EPSG:{code} by its header, .*; convert it to UTM"):
         measure_cloud_file(path, tmp_path / "out", request=ScaleRequest())
     assert not (tmp_path / "out").exists()
+
+
+def test_degrees_are_refused_unless_they_can_be_none(tmp_path: Path) -> None:
+    plot = stem_plot(seed=1, trees=1, spacing_m=0.05, top_m=3.0)
+    frame = 'GEOGCS["WGS 84",UNIT["degree",0.0174532925199433],AUTHORITY["EPSG","4326"]]'
+    in_degrees = plot.points * np.array([1e-5, 1e-5, 1.0]) + np.array([11.5, 48.0, 0.0])
+    path = write_in_feet(tmp_path / "cloud.laz", replace(plot, points=in_degrees), frame)
+    with pytest.raises(CloudError, match=r"is in degrees by its header \(EPSG:4326\); convert it to UTM"):
+        measure_cloud_file(path, tmp_path / "out", request=ScaleRequest())
+    # A header that is wrong: no degree is beyond 360.
+    far = replace(plot, points=plot.points + np.array([10_000.0, 0.0, 0.0]))
+    refuse_other_units(write_in_feet(path, far, frame))
 
 
 def test_the_labelled_points_keep_the_frame_of_the_cloud(tmp_path: Path) -> None:

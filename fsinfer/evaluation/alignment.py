@@ -1,0 +1,82 @@
+"""Whether two stem maps have one frame, or a motion lays the one on the other better than chance would."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.evaluation.registration import apply, assign, register
+from fsinfer.evaluation.settings import Align
+
+Floats = NDArray[np.float64]
+Links = list[tuple[int, int]]
+
+#: Frames are registered where fewer than this share of the trees match as given. Source: judgement.
+_FEW_MATCHES = 0.5
+#: Registration counts where it finds so many times the matches, so many more, and so many at least. Source: judgement.
+_MORE_TIMES, _MORE_MATCHES, _LEAST_MATCHES = 1.5, 2, 3
+#: It counts where it finds so many more than the mirror image does, or more and this share of the shorter list. Source:
+#: judgement; of two maps of 30 trees that have nothing to do with each other 6 to 9 match, and as many of the image.
+_MORE_THAN_CHANCE, _MOST_OF_THEM = 3, 0.6
+
+
+class AlignmentDoubt(StrEnum):
+    """Why no motion can be believed."""
+
+    none = ""
+    chance = "chance"
+    mirrored = "mirrored"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Alignment:
+    """Partners (measured, extracted), the extracted positions (N, 2) as they were compared, and the motion if any.
+
+    ``motion`` has the rotation in degrees and the shift in metres. ``doubt``: that a motion was looked for, and the
+    best one lays no more trees on each other than it does of the mirror image, or far fewer.
+    """
+
+    links: Links
+    moved: Floats
+    motion: dict[str, float] | None = None
+    doubt: AlignmentDoubt = AlignmentDoubt.none
+
+
+def align_maps(truth: Floats, found: Floats, limit: float, align: str) -> Alignment:
+    """Match ``found`` (N, 2) with ``truth`` (M, 2) within ``limit`` metres, moved where ``align`` has it."""
+    links, fewer = assign(truth, found, limit), min(len(truth), len(found))
+    if align == Align.never or (align == Align.auto and len(links) >= _FEW_MATCHES * fewer):
+        return Alignment(links=links, moved=found)
+    registered = register(truth, found, limit)
+    if registered is None:
+        return Alignment(links=links, moved=found)
+    candidate = apply(registered, found)
+    better = assign(truth, candidate, limit)
+    clearly = len(better) >= max(len(links) + _MORE_MATCHES, _LEAST_MATCHES, _MORE_TIMES * len(links))
+    doubt = _doubt(truth, found, limit, len(better))
+    if align == Align.auto and (doubt or not clearly):
+        # Where no motion was about to be believed there is nothing to doubt, unless the image fits.
+        told = doubt if clearly or doubt == AlignmentDoubt.mirrored else AlignmentDoubt.none
+        return Alignment(links=links, moved=found, doubt=told)
+    motion = {
+        "rotation_deg": float(np.degrees(registered[0])),
+        "shift_x_m": float(registered[1]),
+        "shift_y_m": float(registered[2]),
+    }
+    return Alignment(links=better, moved=candidate, motion=motion, doubt=doubt)
+
+
+def _doubt(truth: Floats, found: Floats, limit: float, matches: int) -> AlignmentDoubt:
+    """The mirror image is a map of as many trees, as far apart, that no motion lays on the truth but by chance."""
+    image = found * [-1.0, 1.0]
+    registered = register(truth, image, limit)
+    by_chance = 0 if registered is None else len(assign(truth, apply(registered, image), limit))
+    most = _MOST_OF_THEM * min(len(truth), len(found))
+    if by_chance >= matches + _MORE_THAN_CHANCE and by_chance >= most:
+        return AlignmentDoubt.mirrored
+    if matches >= by_chance + _MORE_THAN_CHANCE or (matches > by_chance and matches >= most):
+        return AlignmentDoubt.none
+    return AlignmentDoubt.chance

@@ -1,0 +1,63 @@
+"""What a stem without a DBH says of its size all the same: "too uncertain: 6 cm +- 2 cm" is a thin stem.
+
+Its section in a sum is better told by that than by the mean of all others, which is many times that of a sapling.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.stems import StemCode
+from fsinfer.trees.points.sums import Z95
+from fsinfer.trees.tree import Tree
+
+#: Half of an interval, as a share of its diameter or in cm, above which it says nothing of the size. Source: judgement;
+#: 7 +- 4 cm is thin for sure, corners of a car are "47 cm +- 47 cm".
+_MOST_REL_HALF, _MOST_HALF_CM = 0.5, 8.0
+#: Per cent of the basal area that stems without a known size may be unsaid. Source: judgement; as much as diameters
+#: that are 5 % wrong make.
+_MOST_UNSAID_PERCENT = 10.0
+#: Measured stems whose mean section is one. Source: as :data:`fsinfer.trees.stand.LEAST_MEASURED`.
+_LEAST_MEASURED = 2
+#: As the reason is written in a ``trees.csv``. Source: format; the sentence of ``too_uncertain``.
+_WRITTEN = re.compile(r"too uncertain: (\d+) cm \+- (\d+) cm")
+
+
+def rough_dbh_cm(tree: Tree) -> tuple[float, float] | None:
+    """Diameter and standard deviation, cm, by the reason of a tree without a DBH; None where it tells none."""
+    if tree.dbh_cm is not None:
+        return None
+    for reason in tree.reasons:
+        if reason.code == StemCode.too_uncertain:
+            dbh_cm, half_cm = (float(str(reason.values[name])) for name in ("dbh_cm", "half_width_cm"))
+        elif written := _WRITTEN.search(str(reason.values.get("text", ""))):
+            dbh_cm, half_cm = float(written[1]), float(written[2])
+        else:
+            continue
+        most_cm = min(max(_MOST_REL_HALF * dbh_cm, _MOST_HALF_CM), dbh_cm)
+        return (dbh_cm, half_cm / Z95) if 0 < half_cm <= most_cm else None
+    return None
+
+
+def sizes_unknown(trees: Sequence[Tree]) -> tuple[Notice, ...]:
+    """A warning where much of the basal area is that of stems of whose size nothing is known.
+
+    Of ``trees`` those count that the figures a hectare count: in the plot where it has a border, else within the walk.
+    """
+    bordered = any(tree.in_plot is not None for tree in trees)
+    counted = [tree for tree in trees if (tree.in_plot if bordered else not tree.outside)]
+    measured = [tree.dbh_cm**2 for tree in counted if tree.dbh_cm is not None]
+    rough = [known[0] ** 2 for tree in counted if (known := rough_dbh_cm(tree)) is not None]
+    unknown = [tree for tree in counted if tree.dbh_cm is None and rough_dbh_cm(tree) is None]
+    if len(measured) < _LEAST_MEASURED or not unknown:
+        return ()
+    theirs = len(unknown) * float(np.mean(measured))
+    percent = 100.0 * theirs / (theirs + sum(measured) + sum(rough))
+    if percent < _MOST_UNSAID_PERCENT:
+        return ()
+    names = tuple(str(tree.tree_id) for tree in unknown)
+    return (notice(StemCode.sizes_unknown, percent=percent, trees=names),)

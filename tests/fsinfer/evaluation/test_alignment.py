@@ -1,0 +1,60 @@
+"""Two stem maps that have nothing to do with each other are not laid on each other."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fsinfer.cli.tables import evaluation_rows
+from fsinfer.evaluation.alignment import AlignmentDoubt, align_maps
+from fsinfer.evaluation.measured import MeasuredTree
+from fsinfer.evaluation.metrics import evaluate
+
+
+def plot(count: int, seed: int) -> NDArray[np.float64]:
+    return np.random.default_rng([61, seed]).uniform(0, 20, (count, 2))
+
+
+def trees(xy: NDArray[np.float64]) -> list[MeasuredTree]:
+    return [MeasuredTree(tree_id=str(n), x_m=x, y_m=y, dbh_cm=20.0 + n) for n, (x, y) in enumerate(xy)]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_other_trees_match_by_chance_alone(seed: int) -> None:
+    found = align_maps(plot(30, 2 * seed), plot(35, 2 * seed + 1) + 900.0, 0.5, "auto")
+    assert (found.motion, found.links) == (None, [])
+    assert found.doubt in (AlignmentDoubt.chance, AlignmentDoubt.none)
+    # Who asks for it gets it, and is told.
+    forced = align_maps(plot(30, 2 * seed), plot(35, 2 * seed + 1) + 900.0, 0.5, "always")
+    assert forced.motion is not None
+    assert forced.doubt == AlignmentDoubt.chance
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("count", [5, 12, 35])
+def test_the_same_trees_in_another_frame_are_laid_on_each_other(count: int, seed: int) -> None:
+    xy = plot(count, seed)
+    turned = xy @ np.array([[0.0, 1.0], [-1.0, 0.0]]) + np.array([300.0, -80.0])
+    turned += np.random.default_rng(seed).normal(0, 0.05, turned.shape)
+    found = align_maps(xy, turned, 0.5, "auto")
+    assert (len(found.links), found.doubt) == (count, AlignmentDoubt.none)
+    # A fifth was missed, and as many stand there that nobody measured.
+    extra = plot(count // 5, seed + 50) + np.array([300.0, -80.0])
+    found = align_maps(xy, np.concatenate([turned[count // 5 :], extra]), 0.5, "auto")
+    assert len(found.links) >= count - count // 5
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_interchanged_axes_are_told(seed: int) -> None:
+    xy = plot(20, seed)
+    found = evaluate(trees(xy), trees(xy[:, ::-1] + 40.0))
+    assert (found.alignment_doubt, found.measured_from_extracted) == ("mirrored", None)
+    assert any("x_m (east) and y_m (north) interchanged" in row for row in evaluation_rows(found))
+
+
+def test_a_doubt_is_said_in_the_table() -> None:
+    found = evaluate(trees(plot(30, 0)), trees(plot(35, 1) + 900.0), align="always")
+    assert found.alignment_doubt == "chance"
+    assert any("no motion lays the two maps on each other better than chance" in row for row in evaluation_rows(found))
+    assert evaluate(trees(plot(9, 3)), trees(plot(9, 3))).alignment_doubt == ""

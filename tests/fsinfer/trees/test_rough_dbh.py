@@ -1,0 +1,97 @@
+"""What a stem without a DBH says of its size, and when too much rests on those that say nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.sentences import sentence
+from fsinfer.notices.stems import StemCode
+from fsinfer.trees.rough_dbh import rough_dbh_cm, sizes_unknown
+from fsinfer.trees.stand import stand_table
+from fsinfer.trees.tree import Tree
+
+
+def tree(number: int, dbh_cm: float | None, *reasons: Notice, in_plot: bool | None = None) -> Tree:
+    return Tree(
+        tree_id=number,
+        x_m=0.0,
+        y_m=0.0,
+        z_ground_m=0.0,
+        dbh_cm=dbh_cm,
+        dbh_lo95_cm=None,
+        dbh_hi95_cm=None,
+        dbh_perimeter_cm=None,
+        dbh_min_cm=None,
+        dbh_max_cm=None,
+        bh_m=1.3,
+        arc_coverage=0.5,
+        points=100,
+        residual_cm=None,
+        lean_deg=0.0,
+        height_m=None,
+        status="ok" if dbh_cm is not None else "unmeasured",
+        reasons=reasons,
+        in_plot=in_plot,
+    )
+
+
+def uncertain(dbh_cm: float, half_width_cm: float) -> Notice:
+    return notice(StemCode.too_uncertain, dbh_cm=dbh_cm, half_width_cm=half_width_cm)
+
+
+@pytest.mark.parametrize(
+    ("reasons", "expected"),
+    [
+        ((uncertain(6.0, 1.96),), (6.0, 1.0)),
+        ((notice(StemCode.double_wall, gap_cm=3.0), uncertain(8.0, 4.0)), (8.0, 4.0 / 1.96)),
+        ((uncertain(7.0, 3.92),), (7.0, 2.0)),
+        ((uncertain(30.0, 15.0),), (30.0, 15.0 / 1.96)),
+        ((uncertain(5.0, 6.0),), None),
+        ((uncertain(30.0, 16.0),), None),
+        ((uncertain(47.0, 47.0),), None),
+        ((notice(StemCode.too_few_on_bark, points=9),), None),
+        ((), None),
+    ],
+)
+def test_a_size_is_told_where_it_is_known_at_all(
+    reasons: tuple[Notice, ...], expected: tuple[float, float] | None
+) -> None:
+    assert rough_dbh_cm(tree(1, None, *reasons)) == (None if expected is None else pytest.approx(expected, rel=1e-3))
+    assert rough_dbh_cm(tree(1, 20.0, *reasons)) is None
+
+
+def test_a_table_tells_the_same_as_the_measurement() -> None:
+    """Sentences come back as they were written."""
+    written = notice(StemCode.as_written, text=f"{sentence(uncertain(6.0, 2.0))}; wide interval (+- 2.0 cm)")
+    assert rough_dbh_cm(tree(1, None, written)) == rough_dbh_cm(tree(1, None, uncertain(6.0, 2.0)))
+    assert rough_dbh_cm(tree(1, None, notice(StemCode.as_written, text="double wall"))) is None
+
+
+def test_a_sapling_is_no_mean_tree_in_the_stand() -> None:
+    trees = [tree(1, 40.0), tree(2, 40.0), tree(3, None, uncertain(6.0, 2.0))]
+    section = 3.14159265 / 4 * 0.16
+    basal = stand_table(trees, 1e4).basal_area_m2_per_ha
+    assert basal == pytest.approx(2 * section + section * (6 / 40) ** 2)
+    assert stand_table([*trees[:2], tree(3, None)], 1e4).basal_area_m2_per_ha == pytest.approx(3 * section)
+
+
+def test_a_tenth_of_the_basal_area_by_nothing_known_is_told() -> None:
+    measured = [tree(n, 30.0, in_plot=True) for n in range(9)]
+    (told,) = sizes_unknown([*measured, tree(20, None, uncertain(50.0, 60.0), in_plot=True)])
+    assert told.values["percent"] == pytest.approx(10.0)
+    assert "of the basal area 10 % are taken to be that of stems without a diameter" in sentence(told)
+    assert "without a diameter (20), by the mean section" in sentence(told)
+    # Of those that are roughly known, out of the plot or outside of the walk nothing is unsaid.
+    quiet = [
+        tree(20, None, uncertain(8.0, 2.0), in_plot=True),
+        tree(21, None, in_plot=False),
+    ]
+    assert sizes_unknown([*measured, *quiet]) == ()
+    beyond = tree(22, None, notice(StemCode.outside_walk, nearest_m=14.0))
+    without_border = [replace(one, in_plot=None) for one in (*measured, beyond)]
+    assert sizes_unknown(without_border) == ()
+    assert sizes_unknown([replace(one, in_plot=None) for one in (*measured[:8], tree(23, None))]) != ()
+    assert sizes_unknown([measured[0], tree(24, None, in_plot=True)]) == ()
