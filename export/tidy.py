@@ -90,9 +90,17 @@ def _enlargements(editor: _Editor) -> Iterator[tuple[onnx.NodeProto, ...]]:
         if not aligned or editor.constants[pad.input[1]].tolist() != [0, 0, 0, 0, 0, 0, 1, 1]:
             continue
         rows = editor.readers(resize.output[0])
-        columns = editor.readers(rows[0].output[0])
-        if all(len(part) == 1 and part[0].op_type == "Slice" for part in (rows, columns)):
+        columns = editor.readers(rows[0].output[0]) if len(rows) == 1 else []
+        if all(_is_cut(editor, part, axis) for part, axis in ((rows, 2), (columns, 3))):
             yield pad, resize, rows[0], columns[0]
+
+
+def _is_cut(editor: _Editor, nodes: list[onnx.NodeProto], axis: int) -> bool:
+    """Whether this is one Slice from the beginning of an axis on."""
+    if len(nodes) != 1 or nodes[0].op_type != "Slice" or len(nodes[0].input) < 4:
+        return False
+    starts, axes = (editor.constants.get(nodes[0].input[i]) for i in (1, 3))
+    return starts is not None and axes is not None and (starts.tolist(), axes.tolist()) == ([0], [axis])
 
 
 def _enlarge_by_factor(editor: _Editor) -> None:
@@ -139,8 +147,9 @@ def _fill_channels(editor: _Editor) -> None:
         concat = makers.get(conv.input[0])
         if weights is None or concat is None or concat.op_type != "Concat" or _attributes(concat)["axis"] != 1:
             continue
-        missing = -weights.shape[1] % _TOGETHER
-        if not missing:
+        missing, last = -weights.shape[1] % _TOGETHER, editor.shapes.get(concat.input[-1], [0, 0])
+        alone = len(editor.readers(concat.output[0])) == 1 and _attributes(conv).get("group", 1) == 1
+        if not missing or not alone or len(last) < 2 or last[1] < missing:
             continue
         # The channels are some that there are, so that no size need be known.
         again = f"{concat.name}_again"

@@ -28,6 +28,10 @@ _ALIGNMENT_DOUBTS = {
         "Positions: no motion lays the two maps on each other better than chance. Are they of the same trees, in "
         "metres?"
     ),
+    "symmetric": (
+        "Positions: the trees stand so regularly that the mirror image fits as well. See whether the partners are the "
+        "right ones (--json), or match them with --by-id"
+    ),
     "mirrored": (
         "Positions: the mirror image of the measured map fits far better. Are x_m (east) and y_m (north) interchanged, "
         "or was a bearing taken for an angle from the x axis?"

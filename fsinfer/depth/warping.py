@@ -82,7 +82,8 @@ def source_coordinates(
     for i, out in ((2, z), (0, x), (1, y)):
         np.multiply(inverse_depth_dhw, np.float32(t[i]), out=out)
         out += far[i]
-    behind = z < _BEHIND if z.min() < _BEHIND else None
+    # Also where a hypothesis is no number.
+    behind = z < _BEHIND if not z.min() >= _BEHIND else None
     if behind is not None:
         z[behind] = 1.0
     np.divide(np.float32(1), z, out=z)

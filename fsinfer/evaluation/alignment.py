@@ -24,11 +24,12 @@ _MORE_THAN_CHANCE, _MOST_OF_THEM = 3, 0.6
 
 
 class AlignmentDoubt(StrEnum):
-    """Why no motion can be believed."""
+    """Why a motion cannot be believed, or not be known to be the right one."""
 
     none = ""
     chance = "chance"
     mirrored = "mirrored"
+    symmetric = "symmetric"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +37,8 @@ class Alignment:
     """Partners (measured, extracted), the extracted positions (N, 2) as they were compared, and the motion if any.
 
     ``motion`` has the rotation in degrees and the shift in metres. ``doubt``: that a motion was looked for, and the
-    best one lays no more trees on each other than it does of the mirror image, or far fewer.
+    best one lays no more trees on each other than it does of the mirror image (by chance, or because the trees stand
+    symmetrically), or far fewer.
     """
 
     links: Links
@@ -56,10 +58,12 @@ def align_maps(truth: Floats, found: Floats, limit: float, align: str) -> Alignm
     candidate = apply(registered, found)
     better = assign(truth, candidate, limit)
     clearly = len(better) >= max(len(links) + _MORE_MATCHES, _LEAST_MATCHES, _MORE_TIMES * len(links))
-    doubt = _doubt(truth, found, limit, len(better))
-    if align == Align.auto and (doubt or not clearly):
-        # Where no motion was about to be believed there is nothing to doubt, unless the image fits.
-        told = doubt if clearly or doubt == AlignmentDoubt.mirrored else AlignmentDoubt.none
+    alike = len(links) >= _FEW_MATCHES * fewer  # as given
+    doubt = AlignmentDoubt.none if alike else _doubt(truth, found, limit, len(better))
+    believed = doubt in (AlignmentDoubt.none, AlignmentDoubt.symmetric)
+    if align == Align.auto and not (clearly and believed):
+        # Where no motion was about to be used there is nothing to doubt, unless the image fits.
+        told = doubt if doubt == AlignmentDoubt.mirrored or (clearly and not believed) else AlignmentDoubt.none
         return Alignment(links=links, moved=found, doubt=told)
     motion = {
         "rotation_deg": float(np.degrees(registered[0])),
@@ -79,4 +83,5 @@ def _doubt(truth: Floats, found: Floats, limit: float, matches: int) -> Alignmen
         return AlignmentDoubt.mirrored
     if matches >= by_chance + _MORE_THAN_CHANCE or (matches > by_chance and matches >= most):
         return AlignmentDoubt.none
-    return AlignmentDoubt.chance
+    # A row of trees, or a plantation, is its own mirror image.
+    return AlignmentDoubt.symmetric if matches >= most else AlignmentDoubt.chance

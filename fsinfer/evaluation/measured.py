@@ -70,8 +70,9 @@ def read_measured(path: Path, *, need_dbh: bool = True, need_position: bool = Tr
                 y_m=float("nan") if y is None else y,
                 dbh_cm=dbh,
                 status=row.text("status"),
-                dbh_lo95_cm=row.number("dbh_lo95_cm"),
-                dbh_hi95_cm=row.number("dbh_hi95_cm"),
+                # Of a measured table other columns are nobody's business.
+                dbh_lo95_cm=None if need_dbh else row.number("dbh_lo95_cm"),
+                dbh_hi95_cm=None if need_dbh else row.number("dbh_hi95_cm"),
             )
         )
     if not need_dbh:

@@ -13,8 +13,9 @@ Accuracy without completeness misleads, so both are always given. With ``n_measu
   no error: these are figures of the matched, not of all trees, and are shown as such.
 
 Where the two lists have different local frames, a rigid motion of the plane (rotation and shift, never a scale) is
-found from pairs of trees at equal distances, and used only when it explains clearly more trees. Trees are never matched
-by their diameters, which are what is judged.
+found from pairs of trees at equal distances, and used only when it explains clearly more trees, and more than it would
+of the mirror image (:mod:`fsinfer.evaluation.alignment`). Trees are never matched by their diameters, which are what is
+judged.
 """
 
 from __future__ import annotations
@@ -88,7 +89,8 @@ class Evaluation:
     false one. Of the matched ``with_interval`` have an interval, and ``in_interval`` lie in theirs.
 
     ``alignment_doubt`` is ``chance`` where the frames differ and no motion lays more trees on each other than on the
-    mirror image, and ``mirrored`` where that fits far better: then "auto" compares the positions as given.
+    mirror image, and ``mirrored`` where that fits far better: then "auto" compares the positions as given. It is
+    ``symmetric`` where a motion was used and the mirror image fits as well.
 
     ``measured_from_extracted`` holds rotation in degrees and shift in metres when the frames were aligned, else None.
     """

@@ -44,6 +44,6 @@ def refuse_other_units(measured_cm: Sequence[float], extracted_cm: Sequence[floa
         if alike and abs(times / factor - 1) <= _NEAR:
             msg = (
                 f"the measured diameters are {times:.2f} times the extracted ones, tree by tree: they look like "
-                f"{what}; give diameters in centimetres"
+                f"{what}; give diameters in centimetres (or the scale of the extracted ones is wrong)"
             )
             raise InputError(msg)

@@ -149,6 +149,11 @@ def basal_area_per_ha(
     spread = float(sections.std(ddof=1)) if len(sections) > 1 else mean
     known_sections = np.where(np.isfinite(stems.dbh_m), stems.sections_m2, rough)
     all_sections = np.where(np.isfinite(known_sections), known_sections, mean)
+    # What varies from stem to stem, and what one more would be: those that are roughly known belong to it.
+    varied = known_sections[stems.inside & np.isfinite(known_sections)]
+    usual, variation = float(all_sections[stems.inside].mean()), spread
+    if len(varied) > 1:
+        variation = float(varied.std(ddof=1))
     seen = stems.inside & stems.on_seen
     count = int(seen.sum())
     stands = float(all_sections[stems.inside].sum())
@@ -156,10 +161,10 @@ def basal_area_per_ha(
     total = max(by_seen, stands)
     number = count / share
     low, high = count_interval(count, share)[0], count_interval(count, share, least=found)[1]
-    variety = Z95 * spread * float(np.sqrt(number - count))
+    variety = Z95 * variation * float(np.sqrt(number - count))
     # What was found stands there: nothing unseen makes it less.
-    lowest = max(by_seen - float(np.hypot((number - low) * mean, variety)), stands)
-    highest = max(by_seen + float(np.hypot((high - number) * mean, variety)), stands + (high - found) * mean)
+    lowest = max(by_seen - float(np.hypot((number - low) * usual, variety)), stands)
+    highest = max(by_seen + float(np.hypot((high - number) * usual, variety)), stands + (high - found) * usual)
     weight = _weights(stems, share)
     border = (stems.chance * (1.0 - stems.chance) * (all_sections * weight) ** 2).sum()
     missing = spread**2 * ((weight[without] ** 2).sum() + weight[without].sum() ** 2 / len(sections))
@@ -172,7 +177,7 @@ def basal_area_per_ha(
     }
     unseen = {UNSEEN: (total - lowest, highest - total), **known}
     # A sum over a random number of stems varies as its number and its sections do together.
-    both = float(np.sqrt(mean**2 + spread**2))
+    both = float(np.sqrt(usual**2 + variation**2))
     (poisson_low, poisson_high), high_of_all = poisson_interval(count), poisson_interval(found)[1]
     fewest = by_seen - (count - poisson_low) * both / share
     most = max(by_seen + (poisson_high - count) * both / share, stands + (high_of_all - found) * both)

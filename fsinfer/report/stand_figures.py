@@ -8,10 +8,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from fsinfer.report.contents import Contents, number, tree_number
 from fsinfer.report.number_table import NumberTable
 from fsinfer.report.plot_border import border_of, is_in
-from fsinfer.trees.stand import StandTable, stand_of_diameters
+from fsinfer.trees.rough_dbh import rough_of_text
+from fsinfer.trees.stand import StandTable, counted_sections_m2, or_nan, stand_of_diameters
 
 #: Width of the diameter classes of the stand table. Source: layout; inventories use 2, 4 or 5 cm.
 CLASS_CM = 5
@@ -20,7 +23,8 @@ CLASS_CM = 5
 def stand_of(contents: Contents) -> StandTable:
     """The stand's figures; a table that was changed since the run counts for itself."""
     dbh_cm = [number(tree.get("dbh_cm")) for tree in contents.counted]
-    own = stand_of_diameters(dbh_cm, max(number(contents.plot.get("plot_area_m2")) or 0.0, 0.0))
+    area_m2 = max(number(contents.plot.get("plot_area_m2")) or 0.0, 0.0)
+    own = stand_of_diameters(dbh_cm, area_m2, rough_cm=_rough_cm(contents.counted))
     given = contents.plot.get("stand")
     if not isinstance(given, dict):
         return own
@@ -39,6 +43,12 @@ def stand_of(contents: Contents) -> StandTable:
         stems_on_area=None if on_area is None else int(on_area),
         off_area=tuple(int(n) for one in given.get("off_area") or () if (n := number(one)) is not None),
     )
+
+
+def _rough_cm(rows: Sequence[Mapping[str, str]]) -> list[float | None]:
+    """What is roughly known of those without a DBH, cm, by the reasons in the table."""
+    known = [None if number(tree.get("dbh_cm")) else rough_of_text(tree.get("reason") or "") for tree in rows]
+    return [None if rough is None else rough[0] for rough in known]
 
 
 def _share_on_area(given: Mapping[str, Any]) -> float:
@@ -86,14 +96,17 @@ def class_table(contents: Contents, stand: StandTable) -> NumberTable | None:
     if not dbh_cm:
         return None
     counting = [d for d, counts in sized if counts]
+    on = np.array([tree_number(tree) not in off for tree in rows_in], dtype=bool)
+    all_cm = or_nan([number(tree.get("dbh_cm")) for tree in rows_in])
+    sections = counted_sections_m2(all_cm, or_nan(_rough_cm(rows_in)), on=on)
+    whole_m2 = None if sections is None else float(sections[on].sum())
     if plot is None:
-        per_hectare = _a_hectare(
-            stand.stems_per_ha, stand.basal_area_m2_per_ha, stand.stems - len(stand.off_area), counting
-        )
+        count = stand.stems - len(stand.off_area)
+        per_hectare = _a_hectare(stand.stems_per_ha, stand.basal_area_m2_per_ha, count, whole_m2)
     else:
         stems, basal = plot.stems_per_ha, plot.basal_area_m2_per_ha
         of_stems, of_basal = (None if figure is None else figure.value for figure in (stems, basal))
-        per_hectare = _a_hectare(of_stems, of_basal, plot.stems, dbh_cm)
+        per_hectare = _a_hectare(of_stems, of_basal, plot.stems, whole_m2)
     head = ["DBH class (cm)", "Stems", "Basal area (m²)"]
     if per_hectare is not None:
         head += ["Stems per ha", "Basal area (m²/ha)"]
@@ -108,17 +121,16 @@ def class_table(contents: Contents, stand: StandTable) -> NumberTable | None:
 
 
 def _a_hectare(
-    stems_per_ha: float | None, basal_m2_per_ha: float | None, stems: int, dbh_cm: Sequence[float]
+    stems_per_ha: float | None, basal_m2_per_ha: float | None, stems: int, whole_m2: float | None
 ) -> tuple[float, float] | None:
     """What a stem, and a square metre of section, counts a hectare, so that classes add up to the plot's figures.
 
-    ``stems`` are those that count, ``dbh_cm`` of them that were measured.
+    ``stems`` are those that count, ``whole_m2`` the sum of their sections with what those without a DBH count for.
     """
-    if stems_per_ha is None or not dbh_cm:
+    if stems_per_ha is None or not stems:
         return None
     stem = stems_per_ha / stems
-    # Stems without a DBH count in the basal area with the mean of the others.
-    return stem, stem if basal_m2_per_ha is None else basal_m2_per_ha / (basal_area_m2(dbh_cm) * stems / len(dbh_cm))
+    return stem, stem if basal_m2_per_ha is None or not whole_m2 else basal_m2_per_ha / whole_m2
 
 
 def _class_row(

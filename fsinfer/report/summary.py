@@ -91,7 +91,8 @@ def _stand_facts(contents: Contents) -> list[tuple[str, str]]:
     rows.append(("Stems per hectare", f"{stand.stems_per_ha:.0f}"))
     if stand.basal_area_m2_per_ha is not None:
         unknown = stand.stems - stand.measured
-        by_mean = f" ({unknown} without a DBH counted with the mean of the others)" if unknown else ""
+        told = "counted with what is roughly known of them, or the mean of the others"
+        by_mean = f" ({unknown} without a DBH {told})" if unknown else ""
         rows.append(("Basal area per hectare", f"{stand.basal_area_m2_per_ha:.1f} m²/ha{by_mean}"))
     return [*rows, ("These figures per hectare", SEEN_GROUND_ONLY)]
 

@@ -21,8 +21,8 @@ _MOST_REL_HALF, _MOST_HALF_CM = 0.5, 8.0
 #: Per cent of the basal area that stems without a known size may be unsaid. Source: judgement; as much as diameters
 #: that are 5 % wrong make.
 _MOST_UNSAID_PERCENT = 10.0
-#: Measured stems whose mean section is one. Source: as :data:`fsinfer.trees.stand.LEAST_MEASURED`.
-_LEAST_MEASURED = 2
+#: Measured stems whose mean section stands for those without a DBH. Source: judgement; one is no mean.
+LEAST_MEASURED = 2
 #: As the reason is written in a ``trees.csv``. Source: format; the sentence of ``too_uncertain``.
 _WRITTEN = re.compile(r"too uncertain: (\d+) cm \+- (\d+) cm")
 
@@ -33,27 +33,32 @@ def rough_dbh_cm(tree: Tree) -> tuple[float, float] | None:
         return None
     for reason in tree.reasons:
         if reason.code == StemCode.too_uncertain:
-            dbh_cm, half_cm = (float(str(reason.values[name])) for name in ("dbh_cm", "half_width_cm"))
-        elif written := _WRITTEN.search(str(reason.values.get("text", ""))):
-            dbh_cm, half_cm = float(written[1]), float(written[2])
-        else:
-            continue
-        most_cm = min(max(_MOST_REL_HALF * dbh_cm, _MOST_HALF_CM), dbh_cm)
-        return (dbh_cm, half_cm / Z95) if 0 < half_cm <= most_cm else None
-    return None
+            # Whole centimetres, as a table has them.
+            return _known(*(round(float(str(reason.values[name]))) for name in ("dbh_cm", "half_width_cm")))
+    written = (rough_of_text(str(reason.values.get("text", ""))) for reason in tree.reasons)
+    return next((known for known in written if known is not None), None)
 
 
-def sizes_unknown(trees: Sequence[Tree]) -> tuple[Notice, ...]:
-    """A warning where much of the basal area is that of stems of whose size nothing is known.
+def rough_of_text(reason: str) -> tuple[float, float] | None:
+    """The same by the reason as it is written in a ``trees.csv``."""
+    written = _WRITTEN.search(reason)
+    return _known(int(written[1]), int(written[2])) if written else None
 
-    Of ``trees`` those count that the figures a hectare count: in the plot where it has a border, else within the walk.
+
+def _known(dbh_cm: int, half_cm: int) -> tuple[float, float] | None:
+    most_cm = min(max(_MOST_REL_HALF * dbh_cm, _MOST_HALF_CM), dbh_cm)
+    return (float(dbh_cm), half_cm / Z95) if 0 < half_cm <= most_cm else None
+
+
+def sizes_unknown(counted: Sequence[Tree]) -> tuple[Notice, ...]:
+    """A warning where much of a basal area a hectare is that of stems of whose size nothing is known.
+
+    ``counted`` are the trees that it counts.
     """
-    bordered = any(tree.in_plot is not None for tree in trees)
-    counted = [tree for tree in trees if (tree.in_plot if bordered else not tree.outside)]
     measured = [tree.dbh_cm**2 for tree in counted if tree.dbh_cm is not None]
     rough = [known[0] ** 2 for tree in counted if (known := rough_dbh_cm(tree)) is not None]
     unknown = [tree for tree in counted if tree.dbh_cm is None and rough_dbh_cm(tree) is None]
-    if len(measured) < _LEAST_MEASURED or not unknown:
+    if len(measured) < LEAST_MEASURED or not unknown:
         return ()
     theirs = len(unknown) * float(np.mean(measured))
     percent = 100.0 * theirs / (theirs + sum(measured) + sum(rough))

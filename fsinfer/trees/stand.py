@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from fsinfer.trees.points.cells import column_min, rows
-from fsinfer.trees.rough_dbh import rough_dbh_cm
+from fsinfer.trees.rough_dbh import LEAST_MEASURED, rough_dbh_cm
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
@@ -35,9 +35,6 @@ NO_AREA = "unknown: the cloud shows too little ground around the stems"
 #: Share of the stems that must stand on ground that was seen, or its area says nothing of the plot. Source: judgement;
 #: what stands on the rest is counted nowhere, and half of the stems are hardly the plot.
 LEAST_ON_GROUND = 0.5
-
-#: Measured stems whose mean section stands for those without a DBH. Source: judgement; one is no mean.
-LEAST_MEASURED = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,11 +93,11 @@ def stand_of_diameters(
     area_method: str = AREA_METHOD,
 ) -> StandTable:
     """:func:`stand_table` of one DBH a stem, None where it was not measured; ``rough_cm`` is what is known of those."""
-    all_cm = _or_nan(dbh_cm)
+    all_cm = or_nan(dbh_cm)
     on = np.ones(len(all_cm), dtype=bool) if on_area is None else on_area
     dbh = all_cm[np.isfinite(all_cm)]
     hectares = plot_area_m2 / 10_000.0
-    rough = _or_nan([None] * len(all_cm) if rough_cm is None else rough_cm)
+    rough = or_nan([None] * len(all_cm) if rough_cm is None else rough_cm)
     basal_m2 = _basal_area_m2(all_cm, rough, on) if hectares > 0 else None
     return StandTable(
         stems=len(all_cm),
@@ -115,19 +112,26 @@ def stand_of_diameters(
     )
 
 
-def _or_nan(values: Sequence[float | None]) -> Floats:
+def or_nan(values: Sequence[float | None]) -> Floats:
+    """(T,) with NaN for None."""
     return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
 
 
 def _basal_area_m2(dbh_cm: Floats, rough_cm: Floats, on: NDArray[np.bool_]) -> float | None:
-    """Of the stems ``on`` (T,) the plot; those without a DBH (NaN) count as ``rough_cm`` (T,), or, where that is NaN,
-    with the mean section of all that were measured (T,).
+    sections = counted_sections_m2(dbh_cm, rough_cm, on=on)
+    return None if sections is None else float(sections[on].sum())
+
+
+def counted_sections_m2(dbh_cm: Floats, rough_cm: Floats, *, on: NDArray[np.bool_] | None = None) -> Floats | None:
+    """Sections (T,) as a basal area counts them: those without a DBH (NaN) as ``rough_cm`` (T,), or, where that is NaN
+    too, with the mean section of all that were measured; None where those are too few for stems ``on`` (T,) the plot.
     """
     sections, rough = (np.pi / 4.0 * (values / 100.0) ** 2 for values in (dbh_cm, rough_cm))
     measured = np.isfinite(sections)
     known = np.where(measured, sections, rough)
-    mean = mean_section(sections[measured], lacking=bool((on & ~np.isfinite(known)).any()))
-    return None if mean is None else float(np.where(np.isfinite(known), known, mean)[on].sum())
+    unknown = ~np.isfinite(known) if on is None else on & ~np.isfinite(known)
+    mean = mean_section(sections[measured], lacking=bool(unknown.any()))
+    return None if mean is None else np.where(np.isfinite(known), known, mean)
 
 
 def mean_section(sections_m2: Floats, *, lacking: bool) -> float | None:

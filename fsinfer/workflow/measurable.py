@@ -22,8 +22,8 @@ _NO_METRES = {
 }
 #: Frames whose x and y are degrees. Source: format; EPSG registry, those that clouds are delivered in.
 _IN_DEGREES = frozenset({4326, 4979, 4258, 4937, 4269, 6318, 7844, 4283, 4167, 4171, 4674})
-#: No degree is beyond. Source: definition.
-_MOST_DEGREES = 360.0
+#: No degree is beyond, and no plot is wider, degrees. Source: definition; judgement, 11 km.
+_MOST_DEGREES, _WIDEST_DEGREES = 360.0, 0.1
 
 
 def refuse_fused(cloud_path: Path) -> None:
@@ -60,4 +60,6 @@ def refuse_other_units(cloud_path: Path) -> None:
 def _within_degrees(cloud_path: Path) -> bool:
     """Whether x and y can be degrees at all: some headers name such a frame of coordinates that are metres."""
     with open_las(cloud_path) as reader:
-        return bool(np.abs([*reader.header.mins[:2], *reader.header.maxs[:2]]).max() <= _MOST_DEGREES)
+        low, high = np.asarray(reader.header.mins[:2]), np.asarray(reader.header.maxs[:2])
+    small = 0.0 < float((high - low).max()) < _WIDEST_DEGREES
+    return small and float(np.abs([low, high]).max()) <= _MOST_DEGREES

@@ -158,6 +158,15 @@ def test_saplings_count_as_what_is_known_of_them() -> None:
     # All measured stems are alike: of the one without anything known nothing is uncertain, of the saplings a little.
     assert by_mean.parts[NOT_MEASURED] == pytest.approx(0.0, abs=1e-9)
     assert by_rough.parts[NOT_MEASURED] == pytest.approx(1.96 * 3 * np.pi / 2 * 0.06 * 0.01 / 0.05)
+    # A stand of so many and such stems: the sum of so many squares (compound Poisson), not of as many mean trees.
+    thin = np.r_[np.full(10, 0.3), np.full(90, np.nan)]
+    saplings = stems_of(thin)
+    nan = np.full(10, np.nan)
+    saplings = replace(saplings, rough_m=np.r_[nan, np.full(90, 0.06)], rough_std_m=np.r_[nan, np.full(90, 1e-6)])
+    figure = basal_area_per_ha(saplings, area_m2=AREA_M2, share=1.0)
+    assert figure is not None
+    squares = (np.pi / 4) ** 2 * (10 * 0.3**4 + 90 * 0.06**4)
+    assert figure.value - figure.stand_lo95 == pytest.approx(1.96 * np.sqrt(squares) / 0.05, rel=0.15)
     # With no mean at all they count all the same.
     one = replace(given, dbh_m=dbh[19:29], inside=given.inside[:10], chance=given.chance[:10], std_m=given.std_m[:10])
     assert basal_area_per_ha(one, area_m2=AREA_M2, share=1.0) is None

@@ -171,7 +171,17 @@ def test_stand_table(tmp_path: Path) -> None:
     assert "<td>30 to under 35</td><td>1</td><td>0.071</td><td>20</td><td>1.4</td>" in page
     assert "<td>35 to under 40</td><td>0</td>" in page
     assert "<td>All with a DBH</td><td>2</td><td>0.196</td><td>40</td><td>3.9</td>" in page
-    assert "5.9 m²/ha (1 without a DBH counted with the mean of the others)" in page
+    assert "5.9 m²/ha (1 without a DBH counted with what is roughly known of them, or the mean" in page
+    # A sapling that is roughly known is one in a table that was changed by hand, too.
+    with (tmp_path / "trees.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    lost = next(row for row in rows if not row["dbh_cm"])
+    lost["reason"] = "too uncertain: 6 cm +- 2 cm; walk round the stem"
+    write_csv(tmp_path / "trees.csv", rows)
+    basal = stand_of(read_contents(tmp_path)).basal_area_m2_per_ha
+    assert basal == pytest.approx(np.pi / 4 * (0.09 + 0.16 + 0.0036) / 0.05)
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    assert "<td>All with a DBH</td><td>2</td><td>0.196</td><td>40</td><td>3.9</td>" in page
 
 
 def test_stems_off_the_seen_ground_are_told_and_count_to_no_hectare(tmp_path: Path) -> None:
@@ -182,12 +192,12 @@ def test_stems_off_the_seen_ground_are_told_and_count_to_no_hectare(tmp_path: Pa
     assert '<th scope="row">Stems on that ground</th><td>2 of 3; only they count to the hectare</td>' in page
     assert "<td>All with a DBH</td><td>2</td><td>0.196</td><td>27</td><td>2.6</td>" in page
     # Where it is known which stands elsewhere, its class has nothing to the hectare.
-    known = given | {"off_area": [2], "basal_area_m2_per_ha": 4.2}
+    known = given | {"off_area": [2], "basal_area_m2_per_ha": np.pi / 4 * (0.09 + (0.09 + 0.16) / 2) / 0.05}
     full_folder(tmp_path, plot=PLOT | {"stand": known, "plot_area_m2": 500.0})
     page = make_report(tmp_path).read_text(encoding="utf-8")
-    assert "<td>30 to under 35</td><td>1</td><td>0.071</td><td>20</td><td>2.1</td>" in page
+    assert "<td>30 to under 35</td><td>1</td><td>0.071</td><td>20</td><td>1.4</td>" in page
     assert "<td>40 to under 45</td><td>1</td><td>0.126</td><td>0</td><td>0.0</td>" in page
-    assert "<td>All with a DBH</td><td>2</td><td>0.196</td><td>20</td><td>2.1</td>" in page
+    assert "<td>All with a DBH</td><td>2</td><td>0.196</td><td>20</td><td>1.4</td>" in page
     # Of a table that was changed since, the same share.
     full_folder(tmp_path, plot=PLOT | {"stand": given | {"stems": 6, "stems_on_area": 4}, "plot_area_m2": 500.0})
     assert stand_of(read_contents(tmp_path)).stems_per_ha == pytest.approx(3 / 0.05 * 4 / 6)

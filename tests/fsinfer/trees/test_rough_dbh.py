@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.sentences import sentence
 from fsinfer.notices.stems import StemCode
+from fsinfer.trees.measure import analyse_plot
 from fsinfer.trees.rough_dbh import rough_dbh_cm, sizes_unknown
-from fsinfer.trees.stand import stand_table
+from fsinfer.trees.stand import SeenCells, stand_table
 from fsinfer.trees.tree import Tree
+from fsinfer.workflow.tree_stage import _counted
+from tests.support.stem_clouds import stem_plot
 
 
-def tree(number: int, dbh_cm: float | None, *reasons: Notice, in_plot: bool | None = None) -> Tree:
+def tree(number: int, dbh_cm: float | None, *reasons: Notice) -> Tree:
     return Tree(
         tree_id=number,
         x_m=0.0,
@@ -34,7 +38,6 @@ def tree(number: int, dbh_cm: float | None, *reasons: Notice, in_plot: bool | No
         height_m=None,
         status="ok" if dbh_cm is not None else "unmeasured",
         reasons=reasons,
-        in_plot=in_plot,
     )
 
 
@@ -45,9 +48,9 @@ def uncertain(dbh_cm: float, half_width_cm: float) -> Notice:
 @pytest.mark.parametrize(
     ("reasons", "expected"),
     [
-        ((uncertain(6.0, 1.96),), (6.0, 1.0)),
+        ((uncertain(6.2, 1.8),), (6.0, 2.0 / 1.96)),
         ((notice(StemCode.double_wall, gap_cm=3.0), uncertain(8.0, 4.0)), (8.0, 4.0 / 1.96)),
-        ((uncertain(7.0, 3.92),), (7.0, 2.0)),
+        ((uncertain(7.0, 3.92),), (7.0, 4.0 / 1.96)),
         ((uncertain(30.0, 15.0),), (30.0, 15.0 / 1.96)),
         ((uncertain(5.0, 6.0),), None),
         ((uncertain(30.0, 16.0),), None),
@@ -79,19 +82,21 @@ def test_a_sapling_is_no_mean_tree_in_the_stand() -> None:
 
 
 def test_a_tenth_of_the_basal_area_by_nothing_known_is_told() -> None:
-    measured = [tree(n, 30.0, in_plot=True) for n in range(9)]
-    (told,) = sizes_unknown([*measured, tree(20, None, uncertain(50.0, 60.0), in_plot=True)])
+    measured = [tree(n, 30.0) for n in range(9)]
+    (told,) = sizes_unknown([*measured, tree(20, None, uncertain(50.0, 60.0))])
     assert told.values["percent"] == pytest.approx(10.0)
     assert "of the basal area 10 % are taken to be that of stems without a diameter" in sentence(told)
     assert "without a diameter (20), by the mean section" in sentence(told)
-    # Of those that are roughly known, out of the plot or outside of the walk nothing is unsaid.
-    quiet = [
-        tree(20, None, uncertain(8.0, 2.0), in_plot=True),
-        tree(21, None, in_plot=False),
-    ]
-    assert sizes_unknown([*measured, *quiet]) == ()
-    beyond = tree(22, None, notice(StemCode.outside_walk, nearest_m=14.0))
-    without_border = [replace(one, in_plot=None) for one in (*measured, beyond)]
-    assert sizes_unknown(without_border) == ()
-    assert sizes_unknown([replace(one, in_plot=None) for one in (*measured[:8], tree(23, None))]) != ()
-    assert sizes_unknown([measured[0], tree(24, None, in_plot=True)]) == ()
+    # Of those that are roughly known nothing is unsaid, and one is no mean.
+    assert sizes_unknown([*measured, tree(20, None, uncertain(8.0, 2.0))]) == ()
+    assert sizes_unknown([*measured, tree(21, 30.0), tree(22, None)]) == ()
+    assert sizes_unknown([measured[0], tree(24, None)]) == ()
+
+
+def test_only_what_a_figure_a_hectare_counts_is_told() -> None:
+    """Stems off the ground that was seen are in no figure, and without a figure nothing is too large."""
+    found = analyse_plot(stem_plot(seed=1, trees=4, spacing_m=0.03, top_m=3.5).points)
+    assert len(_counted(found, None)) == len(found.trees) == 4
+    nowhere = SeenCells(seen=np.zeros((2, 2), dtype=bool), corner=np.zeros(2))
+    assert _counted(replace(found, seen_ground=nowhere), None) == []
+    assert _counted(replace(found, plot_area_m2=0.0), None) == []

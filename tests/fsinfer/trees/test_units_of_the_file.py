@@ -70,9 +70,10 @@ def test_degrees_are_refused_unless_they_can_be_none(tmp_path: Path) -> None:
     path = write_in_feet(tmp_path / "cloud.laz", replace(plot, points=in_degrees), frame)
     with pytest.raises(CloudError, match=r"is in degrees by its header \(EPSG:4326\); convert it to UTM"):
         measure_cloud_file(path, tmp_path / "out", request=ScaleRequest())
-    # A header that is wrong: no degree is beyond 360.
-    far = replace(plot, points=plot.points + np.array([10_000.0, 0.0, 0.0]))
-    refuse_other_units(write_in_feet(path, far, frame))
+    # A header that is wrong: no degree is beyond 360, and no plot as wide as some.
+    for shift in (10_000.0, 0.0):
+        far = replace(plot, points=plot.points + np.array([shift, 0.0, 0.0]))
+        refuse_other_units(write_in_feet(path, far, frame))
 
 
 def test_the_labelled_points_keep_the_frame_of_the_cloud(tmp_path: Path) -> None:
