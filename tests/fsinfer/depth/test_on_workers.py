@@ -230,11 +230,11 @@ def test_a_worker_stays_within_its_memory_or_says_so(scene: Scene, monkeypatch: 
         return worker._plan(job)
 
     assert planned(8.0) == plan
-    less = planned(2.5)
+    less = planned(2.0)
     assert 5 <= less.cached_views < plan.cached_views
-    assert less.peak_bytes <= worker.MEMORY_SHARE * 2.5e9
+    assert less.peak_bytes <= worker.MEMORY_SHARE * 2.0e9
     # One map fits only in tiles, whose last digits are others; then not even so.
-    for limit_gb, share in ((2.0, "1.4"), (0.6, "0.4")):
+    for limit_gb, share in ((1.6, "1.1"), (0.6, "0.4")):
         with pytest.raises(UnfitWorkerError, match=rf"may hold {share} GB for depth, .* larger --memory-limit"):
             planned(limit_gb)
 
