@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from onnxruntime.quantization import CalibrationDataReader, CalibrationMethod, QuantFormat, QuantType, quantize_static
 from onnxruntime.quantization.shape_inference import quant_pre_process
 
+from export.tidy import makers_of
 from fsinfer.depth.manifest import hash_files, read_manifest
 from fsinfer.depth.model import DepthEstimate, DepthModel, network_input
 from fsinfer.depth.narrow_volumes import candidate_volume, refiner_volume
@@ -135,11 +136,6 @@ def _read_sizes_before(graph: onnx.GraphProto) -> None:
             while maker is not None and maker.op_type in ("DequantizeLinear", "QuantizeLinear"):
                 node.input[0] = maker.input[0]
                 maker = makers.get(node.input[0])
-
-
-def makers_of(graph: onnx.GraphProto) -> dict[str, onnx.NodeProto]:
-    """The node that makes each tensor."""
-    return {output: node for node in graph.node for output in node.output}
 
 
 def score_nodes(graph: onnx.GraphProto) -> list[onnx.NodeProto]:

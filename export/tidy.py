@@ -19,6 +19,11 @@ from onnx import helper, numpy_helper, shape_inference
 _TOGETHER = 4
 
 
+def makers_of(graph: onnx.GraphProto) -> dict[str, onnx.NodeProto]:
+    """The node that makes each tensor."""
+    return {output: node for node in graph.node for output in node.output}
+
+
 class _Editor:
     """A graph under change, with what is looked up in it."""
 
@@ -30,9 +35,6 @@ class _Editor:
             item.name: [dim.dim_value for dim in item.type.tensor_type.shape.dim]
             for item in (*known.value_info, *known.input, *known.output)
         }
-
-    def makers(self) -> dict[str, onnx.NodeProto]:
-        return {output: node for node in self.graph.node for output in node.output}
 
     def readers(self, tensor: str) -> list[onnx.NodeProto]:
         return [node for node in self.graph.node if tensor in node.input]
@@ -57,12 +59,12 @@ def tidy(model: onnx.ModelProto) -> None:
     _enlarge_by_factor(editor)
     _drop_axes(editor)
     _fill_channels(editor)
-    drop_unused(model.graph)
+    _drop_unused(model.graph)
     # Sizes that were told for what is larger now, or gone.
     del model.graph.value_info[:]
 
 
-def drop_unused(graph: onnx.GraphProto) -> None:
+def _drop_unused(graph: onnx.GraphProto) -> None:
     """Take out nodes and constants that nothing reads."""
     while True:
         read = {name for node in graph.node for name in node.input} | {output.name for output in graph.output}
@@ -81,7 +83,7 @@ def _attributes(node: onnx.NodeProto) -> dict[str, object]:
 
 def _enlargements(editor: _Editor) -> Iterator[tuple[onnx.NodeProto, ...]]:
     """Pad, Resize, Slice of rows, Slice of columns, as :func:`training.model.backbone.upsample_like` becomes them."""
-    makers = editor.makers()
+    makers = makers_of(editor.graph)
     for resize in [node for node in editor.graph.node if node.op_type == "Resize"]:
         pad = makers.get(resize.input[0])
         if pad is None or pad.op_type != "Pad" or _attributes(pad).get("mode") != b"edge":
@@ -141,7 +143,7 @@ def _drop_axes(editor: _Editor) -> None:
 
 
 def _fill_channels(editor: _Editor) -> None:
-    makers = editor.makers()
+    makers = makers_of(editor.graph)
     for conv in [node for node in editor.graph.node if node.op_type == "Conv"]:
         weights = editor.constants.get(conv.input[1])
         concat = makers.get(conv.input[0])

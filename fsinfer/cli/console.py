@@ -86,12 +86,12 @@ def explain(error: Exception) -> tuple[str, int]:
     """Return the message for the user and the exit code that belong to an exception."""
     if isinstance(error, FsinferError):
         return f"Error: {_one_line(error)}", EXIT_USER_ERROR
-    if isinstance(error, OSError) and error.errno in _USER_ERRNOS:
+    if isinstance(error, OSError):
         where = f": {error.filename}" if error.filename else ""
-        return f"Error: {error.strerror}{where}; free some space or choose another output folder", EXIT_USER_ERROR
-    if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
-        where = f": {error.filename}" if error.filename else ""
-        return f"Error: a name is too long for this disk{where}; give a shorter one", EXIT_USER_ERROR
+        if error.errno in _USER_ERRNOS:
+            return f"Error: {error.strerror}{where}; free some space or choose another output folder", EXIT_USER_ERROR
+        if error.errno == errno.ENAMETOOLONG:
+            return f"Error: a name is too long for this disk{where}; give a shorter one", EXIT_USER_ERROR
     if isinstance(error, MemoryError) or any(word in str(error) for word in _NO_MEMORY) or _is_memory_out():
         hint = "close other programs, or give a smaller --max-size; what is finished is kept"
         return f"Error: {NOT_ENOUGH_MEMORY}; {hint}", EXIT_USER_ERROR

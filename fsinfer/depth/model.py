@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.depth.blocks import in_threads
 from fsinfer.depth.cost_volume import Features, plane_inverse_depths, upsample_twice, variance_volume
 from fsinfer.depth.manifest import ModelManifest, read_manifest
 from fsinfer.depth.narrow_volumes import candidate_volume, depth_of_index, refiner_volume
@@ -22,7 +21,7 @@ from fsinfer.depth.session import available_providers, find_providers, load_grap
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.view_group import ViewFeatures, ViewGroup
 from fsinfer.errors import InputError, ModelError
-from fsinfer.threads import one_blas_thread
+from fsinfer.threads import in_order, one_blas_thread
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -146,7 +145,7 @@ class DepthModel:
 
         Threads that share out one image wait for each other in every layer.
         """
-        return in_threads(self.features, images, min(self.threads, _IMAGES_AT_ONCE))
+        return list(in_order(self.features, images, min(self.threads, _IMAGES_AT_ONCE)))
 
     def predict(
         self,

@@ -28,10 +28,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.depth.blocks import in_threads, over_blocks
+from fsinfer.depth.blocks import over_blocks
 from fsinfer.depth.photo_confidence import LEAST_SEEN, NO_MISFIT, LastStep
 from fsinfer.depth.settings import SubpixelSettings
 from fsinfer.depth.warping import Projection, relative_projection
+from fsinfer.threads import in_order
 
 Float16 = NDArray[np.float16]
 Float32 = NDArray[np.float32]
@@ -96,7 +97,7 @@ def refine_depth(
     s = settings or SubpixelSettings()
     if s.rounds == 0:
         return Refinement(depth=depth, last=None)
-    images = in_threads(lambda grey: grey.astype(np.float32), greys, threads)
+    images = list(in_order(lambda grey: grey.astype(np.float32), greys, threads))
     stride = round(images[0].shape[1] / depth.shape[1])
     projections = [
         relative_projection(intrinsics[0], cam_from_world[0], intrinsics[i], cam_from_world[i], 1.0)
@@ -182,7 +183,8 @@ def _step(
 ) -> tuple[Float32, _Seen]:
     """One Gauss-Newton step: inverse depth (h, w), and what was seen before it."""
     height, width = inverse.shape
-    surfaces = np.stack([_inverse_at(inverse, *place) for place in zip(*_shares(parts), strict=True)])
+    places = zip((parts.down / parts.stride).tolist(), (parts.right / parts.stride).tolist(), strict=True)
+    surfaces = np.stack([_inverse_at(inverse, down, right) for down, right in places])
     sums = _Sums(*(np.empty((len(sources), height, width), np.float32) for _ in range(5)))
     block_rows = max(1, BLOCK_PIXELS // width)
 
@@ -258,11 +260,6 @@ def _window_kernel(window_px: float, stride: int) -> Float32:
     away = np.arange(-half, half + 1) + (stride - 1) / (2 * stride)
     kernel = np.exp(-0.5 * (away / sigma) ** 2)
     return np.asarray(kernel / kernel.sum(), np.float32)
-
-
-def _shares(parts: _Parts) -> tuple[list[float], list[float]]:
-    """By which shares of the depth map's pixels the parts lie below and beside them."""
-    return (parts.down / parts.stride).tolist(), (parts.right / parts.stride).tolist()
 
 
 def _sum_parts(

@@ -50,7 +50,8 @@ class Alignment:
 def align_maps(truth: Floats, found: Floats, limit: float, align: str) -> Alignment:
     """Match ``found`` (N, 2) with ``truth`` (M, 2) within ``limit`` metres, moved where ``align`` has it."""
     links, fewer = assign(truth, found, limit), min(len(truth), len(found))
-    if align == Align.never or (align == Align.auto and len(links) >= _FEW_MATCHES * fewer):
+    alike = len(links) >= _FEW_MATCHES * fewer  # as given
+    if align == Align.never or (align == Align.auto and alike):
         return Alignment(links=links, moved=found)
     registered = register(truth, found, limit)
     if registered is None:
@@ -58,7 +59,6 @@ def align_maps(truth: Floats, found: Floats, limit: float, align: str) -> Alignm
     candidate = apply(registered, found)
     better = assign(truth, candidate, limit)
     clearly = len(better) >= max(len(links) + _MORE_MATCHES, _LEAST_MATCHES, _MORE_TIMES * len(links))
-    alike = len(links) >= _FEW_MATCHES * fewer  # as given
     doubt = AlignmentDoubt.none if alike else _doubt(truth, found, limit, len(better))
     believed = doubt in (AlignmentDoubt.none, AlignmentDoubt.symmetric)
     if align == Align.auto and not (clearly and believed):

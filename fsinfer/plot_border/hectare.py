@@ -146,14 +146,12 @@ def basal_area_per_ha(
     mean = mean_section(sections, lacking=bool(without.any()))
     if mean is None:
         return None
-    spread = float(sections.std(ddof=1)) if len(sections) > 1 else mean
+    spread = _deviation(sections, mean)
     known_sections = np.where(np.isfinite(stems.dbh_m), stems.sections_m2, rough)
     all_sections = np.where(np.isfinite(known_sections), known_sections, mean)
     # What varies from stem to stem, and what one more would be: those that are roughly known belong to it.
     varied = known_sections[stems.inside & np.isfinite(known_sections)]
-    usual, variation = float(all_sections[stems.inside].mean()), spread
-    if len(varied) > 1:
-        variation = float(varied.std(ddof=1))
+    usual, variation = float(all_sections[stems.inside].mean()), _deviation(varied, mean)
     seen = stems.inside & stems.on_seen
     count = int(seen.sum())
     stands = float(all_sections[stems.inside].sum())
@@ -183,6 +181,11 @@ def basal_area_per_ha(
     most = max(by_seen + (poisson_high - count) * both / share, stands + (high_of_all - found) * both)
     sampled = {COUNTING: (total - fewest, most - total), **known}
     return _figure(total, unseen, sampled, hectares=area_m2 / M2_PER_HA)
+
+
+def _deviation(sections_m2: Floats, mean_m2: float) -> float:
+    """Standard deviation; of a single stem nobody knows, and it may be as much as the mean."""
+    return float(sections_m2.std(ddof=1)) if len(sections_m2) > 1 else mean_m2
 
 
 def part_per_ha(amounts: Floats, on_seen: NDArray[np.bool_], *, area_m2: float, share: float) -> float:

@@ -14,7 +14,7 @@ from fsinfer.report.contents import Contents, number, tree_number
 from fsinfer.report.number_table import NumberTable
 from fsinfer.report.plot_border import border_of, is_in
 from fsinfer.trees.rough_dbh import rough_of_text
-from fsinfer.trees.stand import StandTable, counted_sections_m2, or_nan, stand_of_diameters
+from fsinfer.trees.stand import StandTable, counted_basal_area_m2, or_nan, stand_of_diameters
 
 #: Width of the diameter classes of the stand table. Source: layout; inventories use 2, 4 or 5 cm.
 CLASS_CM = 5
@@ -98,8 +98,7 @@ def class_table(contents: Contents, stand: StandTable) -> NumberTable | None:
     counting = [d for d, counts in sized if counts]
     on = np.array([tree_number(tree) not in off for tree in rows_in], dtype=bool)
     all_cm = or_nan([number(tree.get("dbh_cm")) for tree in rows_in])
-    sections = counted_sections_m2(all_cm, or_nan(_rough_cm(rows_in)), on=on)
-    whole_m2 = None if sections is None else float(sections[on].sum())
+    whole_m2 = counted_basal_area_m2(all_cm, or_nan(_rough_cm(rows_in)), on)
     if plot is None:
         count = stand.stems - len(stand.off_area)
         per_hectare = _a_hectare(stand.stems_per_ha, stand.basal_area_m2_per_ha, count, whole_m2)

@@ -6,11 +6,7 @@ Its section in a sum is better told by that than by the mean of all others, whic
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 
-import numpy as np
-
-from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees.points.sums import Z95
 from fsinfer.trees.tree import Tree
@@ -18,11 +14,6 @@ from fsinfer.trees.tree import Tree
 #: Half of an interval, as a share of its diameter or in cm, above which it says nothing of the size. Source: judgement;
 #: 7 +- 4 cm is thin for sure, corners of a car are "47 cm +- 47 cm".
 _MOST_REL_HALF, _MOST_HALF_CM = 0.5, 8.0
-#: Per cent of the basal area that stems without a known size may be unsaid. Source: judgement; as much as diameters
-#: that are 5 % wrong make.
-_MOST_UNSAID_PERCENT = 10.0
-#: Measured stems whose mean section stands for those without a DBH. Source: judgement; one is no mean.
-LEAST_MEASURED = 2
 #: As the reason is written in a ``trees.csv``. Source: format; the sentence of ``too_uncertain``.
 _WRITTEN = re.compile(r"too uncertain: (\d+) cm \+- (\d+) cm")
 
@@ -48,21 +39,3 @@ def rough_of_text(reason: str) -> tuple[float, float] | None:
 def _known(dbh_cm: int, half_cm: int) -> tuple[float, float] | None:
     most_cm = min(max(_MOST_REL_HALF * dbh_cm, _MOST_HALF_CM), dbh_cm)
     return (float(dbh_cm), half_cm / Z95) if 0 < half_cm <= most_cm else None
-
-
-def sizes_unknown(counted: Sequence[Tree]) -> tuple[Notice, ...]:
-    """A warning where much of a basal area a hectare is that of stems of whose size nothing is known.
-
-    ``counted`` are the trees that it counts.
-    """
-    measured = [tree.dbh_cm**2 for tree in counted if tree.dbh_cm is not None]
-    rough = [known[0] ** 2 for tree in counted if (known := rough_dbh_cm(tree)) is not None]
-    unknown = [tree for tree in counted if tree.dbh_cm is None and rough_dbh_cm(tree) is None]
-    if len(measured) < LEAST_MEASURED or not unknown:
-        return ()
-    theirs = len(unknown) * float(np.mean(measured))
-    percent = 100.0 * theirs / (theirs + sum(measured) + sum(rough))
-    if percent < _MOST_UNSAID_PERCENT:
-        return ()
-    names = tuple(str(tree.tree_id) for tree in unknown)
-    return (notice(StemCode.sizes_unknown, percent=percent, trees=names),)

@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
+from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.stems import StemCode
 from fsinfer.trees.points.cells import column_min, rows
-from fsinfer.trees.rough_dbh import LEAST_MEASURED, rough_dbh_cm
+from fsinfer.trees.rough_dbh import rough_dbh_cm
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
@@ -35,6 +37,12 @@ NO_AREA = "unknown: the cloud shows too little ground around the stems"
 #: Share of the stems that must stand on ground that was seen, or its area says nothing of the plot. Source: judgement;
 #: what stands on the rest is counted nowhere, and half of the stems are hardly the plot.
 LEAST_ON_GROUND = 0.5
+
+#: Measured stems whose mean section stands for those without a DBH. Source: judgement; one is no mean.
+LEAST_MEASURED = 2
+#: Per cent of the basal area that stems without a known size may be unsaid. Source: judgement; as much as diameters
+#: that are 5 % wrong make.
+_MOST_UNSAID_PERCENT = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,14 +79,8 @@ def stand_table(
 
     ``on_area`` (T,) says which of them stand on it, all where it is None.
     """
-    rough = [rough_dbh_cm(tree) for tree in trees]
-    stand = stand_of_diameters(
-        [tree.dbh_cm for tree in trees],
-        plot_area_m2,
-        on_area=on_area,
-        rough_cm=[None if known is None else known[0] for known in rough],
-        area_method=area_method,
-    )
+    dbh_cm, rough_cm = [tree.dbh_cm for tree in trees], _rough_cm(trees)
+    stand = stand_of_diameters(dbh_cm, plot_area_m2, on_area=on_area, rough_cm=rough_cm, area_method=area_method)
     if on_area is None or stand.stems_on_area is None:
         return stand
     return replace(stand, off_area=tuple(tree.tree_id for tree, on in zip(trees, on_area, strict=True) if not on))
@@ -98,7 +100,7 @@ def stand_of_diameters(
     dbh = all_cm[np.isfinite(all_cm)]
     hectares = plot_area_m2 / 10_000.0
     rough = or_nan([None] * len(all_cm) if rough_cm is None else rough_cm)
-    basal_m2 = _basal_area_m2(all_cm, rough, on) if hectares > 0 else None
+    basal_m2 = counted_basal_area_m2(all_cm, rough, on) if hectares > 0 else None
     return StandTable(
         stems=len(all_cm),
         measured=len(dbh),
@@ -112,26 +114,42 @@ def stand_of_diameters(
     )
 
 
+def _rough_cm(trees: Sequence[Tree]) -> list[float | None]:
+    return [None if (known := rough_dbh_cm(tree)) is None else known[0] for tree in trees]
+
+
+def sizes_unknown(counted: Sequence[Tree]) -> tuple[Notice, ...]:
+    """A warning where much of a basal area a hectare is that of stems of whose size nothing is known.
+
+    ``counted`` are the trees that it counts.
+    """
+    dbh_cm, rough_cm = or_nan([tree.dbh_cm for tree in counted]), or_nan(_rough_cm(counted))
+    unknown = np.isnan(dbh_cm) & np.isnan(rough_cm)
+    everywhere = np.ones(len(counted), dtype=bool)
+    whole, rest = (counted_basal_area_m2(dbh_cm, rough_cm, on) for on in (everywhere, ~unknown))
+    if not unknown.any() or whole is None or rest is None:
+        return ()
+    percent = 100.0 * (1.0 - rest / whole)
+    if percent < _MOST_UNSAID_PERCENT:
+        return ()
+    names = tuple(str(tree.tree_id) for tree, lost in zip(counted, unknown, strict=True) if lost)
+    return (notice(StemCode.sizes_unknown, percent=percent, trees=names),)
+
+
 def or_nan(values: Sequence[float | None]) -> Floats:
     """(T,) with NaN for None."""
     return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
 
 
-def _basal_area_m2(dbh_cm: Floats, rough_cm: Floats, on: NDArray[np.bool_]) -> float | None:
-    sections = counted_sections_m2(dbh_cm, rough_cm, on=on)
-    return None if sections is None else float(sections[on].sum())
-
-
-def counted_sections_m2(dbh_cm: Floats, rough_cm: Floats, *, on: NDArray[np.bool_] | None = None) -> Floats | None:
-    """Sections (T,) as a basal area counts them: those without a DBH (NaN) as ``rough_cm`` (T,), or, where that is NaN
-    too, with the mean section of all that were measured; None where those are too few for stems ``on`` (T,) the plot.
+def counted_basal_area_m2(dbh_cm: Floats, rough_cm: Floats, on: NDArray[np.bool_]) -> float | None:
+    """Of the stems ``on`` (T,) the plot: those without a DBH (NaN) count as ``rough_cm`` (T,), or, where that is NaN
+    too, with the mean section of all that were measured (T,); None where those are too few.
     """
     sections, rough = (np.pi / 4.0 * (values / 100.0) ** 2 for values in (dbh_cm, rough_cm))
     measured = np.isfinite(sections)
     known = np.where(measured, sections, rough)
-    unknown = ~np.isfinite(known) if on is None else on & ~np.isfinite(known)
-    mean = mean_section(sections[measured], lacking=bool(unknown.any()))
-    return None if mean is None else np.where(np.isfinite(known), known, mean)
+    mean = mean_section(sections[measured], lacking=bool((on & ~np.isfinite(known)).any()))
+    return None if mean is None else float(np.where(np.isfinite(known), known, mean)[on].sum())
 
 
 def mean_section(sections_m2: Floats, *, lacking: bool) -> float | None:

@@ -38,7 +38,7 @@ from fsinfer.trees.outputs.workbook import write_tables
 from fsinfer.trees.pattern.match import PatternSettings
 from fsinfer.trees.plot_doubt import all_doubtful
 from fsinfer.trees.posts import without_posts
-from fsinfer.trees.rough_dbh import sizes_unknown
+from fsinfer.trees.stand import sizes_unknown
 from fsinfer.trees.stem_curve import CurvePoint, CurveSettings, stem_curves, write_curves
 from fsinfer.trees.tree import Tree
 from fsinfer.workflow.joined_parts import JoinedParts, cameras_of, copy_figures, join_measured

@@ -98,9 +98,9 @@ def ours(args: argparse.Namespace, precision: str) -> Callable[[], dict[str, flo
 
     from fsinfer.depth import model as depth_model
     from fsinfer.depth import narrow_volumes
-    from fsinfer.depth.blocks import in_threads
     from fsinfer.depth.subpixel import normalised
     from fsinfer.depth.view_maps import finish_depth
+    from fsinfer.threads import in_order
 
     cv2.setNumThreads(1)  # as the depth stage does
     seconds: dict[str, float] = {}
@@ -119,9 +119,8 @@ def ours(args: argparse.Namespace, precision: str) -> Callable[[], dict[str, flo
     settings = DepthSettings()
 
     def load(images: list[NDArray[np.uint8]]) -> tuple[list[Any], list[Any]]:
-        return model.features_of(images), in_threads(
-            lambda image: normalised(image, settings.subpixel), images, args.threads
-        )
+        greys = in_order(lambda image: normalised(image, settings.subpixel), images, args.threads)
+        return model.features_of(images), list(greys)
 
     def run() -> dict[str, float]:
         seconds.clear()

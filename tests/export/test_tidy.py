@@ -13,8 +13,8 @@ import torch
 from onnx import numpy_helper
 from torch import Tensor, nn
 
-from export.quantize import makers_of, score_nodes
-from export.tidy import tidy
+from export.quantize import score_nodes
+from export.tidy import makers_of, tidy
 from fsinfer.depth.manifest import models_folder
 from training.model.backbone import upsample_like
 

@@ -11,34 +11,16 @@ from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.sentences import sentence
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees.measure import analyse_plot
-from fsinfer.trees.rough_dbh import rough_dbh_cm, sizes_unknown
-from fsinfer.trees.stand import SeenCells, stand_table
+from fsinfer.trees.rough_dbh import rough_dbh_cm
+from fsinfer.trees.stand import SeenCells, sizes_unknown, stand_table
 from fsinfer.trees.tree import Tree
 from fsinfer.workflow.tree_stage import _counted
 from tests.support.stem_clouds import stem_plot
+from tests.support.stem_maps import tree_of
 
 
 def tree(number: int, dbh_cm: float | None, *reasons: Notice) -> Tree:
-    return Tree(
-        tree_id=number,
-        x_m=0.0,
-        y_m=0.0,
-        z_ground_m=0.0,
-        dbh_cm=dbh_cm,
-        dbh_lo95_cm=None,
-        dbh_hi95_cm=None,
-        dbh_perimeter_cm=None,
-        dbh_min_cm=None,
-        dbh_max_cm=None,
-        bh_m=1.3,
-        arc_coverage=0.5,
-        points=100,
-        residual_cm=None,
-        lean_deg=0.0,
-        height_m=None,
-        status="ok" if dbh_cm is not None else "unmeasured",
-        reasons=reasons,
-    )
+    return replace(tree_of(number, (0.0, 0.0, 0.0), dbh_cm), reasons=reasons)
 
 
 def uncertain(dbh_cm: float, half_width_cm: float) -> Notice:
