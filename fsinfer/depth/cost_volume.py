@@ -117,11 +117,16 @@ def correlation_volume(
             x, y = coordinates(projection, rows)
             share = shares[i, rows, :, None]
             for target, feature, total in zip(source.groups, reference.groups, totals, strict=True):
-                product = sample(target, x, y, out=one if i else total)
                 # A source's share goes with the reference's features, of which there are fewer than of anything else.
-                product *= feature[rows] * share
-                if i:
-                    total += product
+                own = feature[rows] * share
+                if i == 0:
+                    sample(target, x, y, out=total)
+                    total *= own
+                    continue
+                sample(target, x, y, out=one)
+                # OpenCV multiplies and adds in one step.
+                for of_plane, sum_of_plane in zip(one, total, strict=True):
+                    cv2.accumulateProduct(of_plane, own, sum_of_plane)
         mean = np.empty_like(x)
         for g, total in enumerate(totals):  # of all sources at once
             mean_of_four(total, out=mean)

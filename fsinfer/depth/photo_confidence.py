@@ -20,6 +20,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.depth.blocks import over_blocks
+
 Float32 = NDArray[np.float32]
 
 #: A source shows the surroundings of a pixel where it shows this share of them. Source: judgement.
@@ -33,6 +35,8 @@ LEAST_INFORMATION, LEAST_SHIFT, LEAST_MISFIT, LEAST_VARIANCE = 1e-6, 1e-3, 1e-3,
 #: last step, per cent of the depth. ``misfit``: logarithm of half the mean squared difference to the most alike source
 #: over the variance.
 QUANTITIES = ("network", "sources", "information", "shift", "misfit")
+#: Rows whose probability is computed at a time. Source: numerics.
+_ROWS = 32
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,9 +82,16 @@ def _log(values: NDArray[np.floating], least: float) -> Float32:
     return np.asarray(cv2.log(np.asarray(values, np.float32) + np.float32(least)), np.float32)
 
 
-def probability(found: Mapping[str, Float32], curves: ConfidenceCurves) -> Float32:
+def probability(found: Mapping[str, Float32], curves: ConfidenceCurves, *, threads: int = 1) -> Float32:
     """Probability (h, w) that a depth is within 1 % of the true one, of :func:`quantities`."""
-    logit = np.full(found["network"].shape, curves.constant)
-    for name in QUANTITIES:
-        logit += np.interp(found[name], curves.places[name], curves.values[name])
-    return np.asarray(1 / (1 + np.exp(-logit)), np.float32)
+    result = np.empty_like(found["network"])
+
+    def fill(first: int) -> None:
+        rows = slice(first, first + _ROWS)
+        logit = np.full(result[rows].shape, curves.constant)
+        for name in QUANTITIES:
+            logit += np.interp(found[name][rows], curves.places[name], curves.values[name])
+        result[rows] = 1 / (1 + np.exp(-logit))
+
+    over_blocks(fill, len(result), _ROWS, threads)
+    return result

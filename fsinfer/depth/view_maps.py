@@ -187,7 +187,7 @@ def finish_depth(
     refined = settled_and_refined(estimate, greys, intrinsics, cam_from_world, settings=settings, threads=threads)
     if curves is None or refined.last is None:
         return refined.depth, estimate.confidence
-    return refined.depth, probability(quantities(estimate.confidence, refined.last), curves)
+    return refined.depth, probability(quantities(estimate.confidence, refined.last), curves, threads=threads)
 
 
 def settled_and_refined(
