@@ -30,6 +30,7 @@ from fsinfer.trees.diameter.budget import effective_dof, factor95, shared_std, t
 from fsinfer.trees.diameter.circle import LEAST_POINTS
 from fsinfer.trees.diameter.dbh_settings import DbhSettings
 from fsinfer.trees.diameter.double_wall import TwoWalls, blurred_gap, two_walls
+from fsinfer.trees.diameter.file_order import stations_apart_m
 from fsinfer.trees.diameter.outline import fit_outline
 from fsinfer.trees.diameter.roundness import roundness
 from fsinfer.trees.diameter.section import Section, as_searched, unmeasured_section
@@ -138,6 +139,7 @@ def _section(
     if walls.gap_m == 0.0:
         blurred = blurred_gap(offset, fit.residuals_m, fit.sigma_m)
         walls = TwoWalls(gap_m=blurred, shifted=blurred > 0.0, whole=blurred > 0.0)
+    on_bark = np.column_stack([offset * (fit.radius_m / np.maximum(lengths(offset), 1e-6))[:, None], foot])
     parts = {
         "fit": float(np.sqrt(joint_var)),
         "local": float(np.sqrt(local_var)),
@@ -150,6 +152,8 @@ def _section(
     }
     if may_be_measured(walls, s):
         parts["walls"] = walls_std_m(walls, radius, s)
+    elif walls.gap_m == 0.0:
+        parts["stations"] = s.stations_share * stations_apart_m(on_bark, fit.residuals_m, wall)
     sd = 2.0 * total_std(parts)
     dof = effective_dof(parts, {"fit": spread.radius_dof, "common": spread.tau_dof})
     half = factor95(dof) * sd

@@ -46,6 +46,9 @@ class DbhSettings:
     uneven_std: what blocks of bark differ by nature, share of the radius. Source: renders only, test plot.
     noise_share: noise is not quite a Gaussian with a tail, and it lies along the views; share of its standard
         deviation. Source: simulated walks, as ``bark_std``.
+    stations_share: of how far the stations of a scanner, or passes of a walk, show a stem beside each other
+        (:mod:`fsinfer.trees.diameter.file_order`). Source: simulated clouds of
+        five stations and of walks (docs/trees.md); not blind to them.
     spread_factor: of the fit's own standard deviation. Source: simulated stems, seeds 0-9, 1000-1021 and 2000-2021.
     most_walls_m: how far apart two walls may be that are copies of the stem, a shift apart, of which the diameter is
         doubtful; beyond it, and of other walls, there is none. 0 for none of any. Source: judgement, the tears of
@@ -78,6 +81,7 @@ class DbhSettings:
     common_share: float = 1.5
     uneven_std: float = 0.006
     noise_share: float = 0.1
+    stations_share: float = 0.5
     spread_factor: float = 1.15
     most_walls_m: float = 0.05
     walls_std: tuple[float, float] = (0.5, 0.15)

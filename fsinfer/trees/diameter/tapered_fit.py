@@ -117,7 +117,8 @@ def _window(
     offset, _ = axis_coordinates(window, start, height)
     near = rows(window, lengths(offset) <= start[4] + max(reach_about_wall(start[4], s.window_m), least_m))
     if len(near) > MOST_POINTS:
-        near = near.take(rng.choice(len(near), MOST_POINTS, replace=False), axis=0)
+        # In the order of the file, which tells a scanner's stations apart.
+        near = near.take(np.sort(rng.choice(len(near), MOST_POINTS, replace=False)), axis=0)
     return near
 
 
