@@ -67,7 +67,8 @@ def station(rng: np.random.Generator, radius: float, side: float, shift: Floats)
     """Points of the half of a stem that faces ``side``, as far beside their place as the station is."""
     places, angle, _ = surface(rng, 3000, radius)
     places = places[np.cos(angle - side) > 0.1]
-    return places + rng.normal(0.0, NOISE_M, places.shape) + [*shift, 0.0]
+    moved = places + rng.normal(0.0, NOISE_M, places.shape) + [*shift, 0.0]
+    return np.asarray(moved)
 
 
 def test_the_interval_holds_a_stem_of_stations_a_centimetre_beside_each_other() -> None:
