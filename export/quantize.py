@@ -23,10 +23,12 @@ from numpy.typing import NDArray
 from onnxruntime.quantization import CalibrationDataReader, CalibrationMethod, QuantFormat, QuantType, quantize_static
 from onnxruntime.quantization.shape_inference import quant_pre_process
 
+from export.image_levels import IMAGES, take_levels
 from export.tidy import makers_of
 from fsinfer.depth.manifest import hash_files, read_manifest
-from fsinfer.depth.model import DepthEstimate, DepthModel, network_input
+from fsinfer.depth.model import DepthEstimate, DepthModel
 from fsinfer.depth.narrow_volumes import candidate_volume, refiner_volume
+from fsinfer.depth.network_input import network_input
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.view_group import ViewGroup
 from fsinfer.depth.view_maps import load_view, reduced_image, search_range
@@ -123,6 +125,8 @@ def quantize(model: Path, target: Path, feeds: Sequence[Feeds], settings: Quanti
         )
     quantized = onnx.load(target)
     _read_sizes_before(quantized.graph)
+    if any(item.name == IMAGES for item in quantized.graph.input):
+        take_levels(quantized)
     onnx.checker.check_model(quantized, full_check=True)
     onnx.save(quantized, target)
 

@@ -59,12 +59,12 @@ def tidy(model: onnx.ModelProto) -> None:
     _enlarge_by_factor(editor)
     _drop_axes(editor)
     _fill_channels(editor)
-    _drop_unused(model.graph)
+    drop_unused(model.graph)
     # Sizes that were told for what is larger now, or gone.
     del model.graph.value_info[:]
 
 
-def _drop_unused(graph: onnx.GraphProto) -> None:
+def drop_unused(graph: onnx.GraphProto) -> None:
     """Take out nodes and constants that nothing reads."""
     while True:
         read = {name for node in graph.node for name in node.input} | {output.name for output in graph.output}

@@ -7,7 +7,7 @@ with the volume and not with the number of views. Blocks are independent: thread
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -69,53 +69,35 @@ def plane_inverse_depths(depth_min: float, depth_max: float, planes: int, *, inv
     return (1 / np.linspace(depth_min, depth_max, planes)).astype(np.float32)
 
 
-def correlation_volume(
+def weighted_correlation_volume(
     reference: Features,
     sources: Sequence[Features],
     projections: Sequence[Projection],
-    inverse_depth_dhw: Float32,
+    planes: int,
+    inverse_depth_of: Callable[[slice], Float32],
+    weights: Float32,
     *,
-    view_weights: Float32 | None = None,
     threads: int = 1,
-) -> tuple[Float32, Float32]:
-    """Group correlation (Guo et al. 2019), averaged over the sources with a weight for each pixel.
+) -> Float32:
+    """Group correlation (Guo et al. 2019), averaged over the sources with ``weights`` (S, h, w) that are known.
 
-    One group is four channels. Without ``view_weights`` the weight of a source at a pixel is the peak of
-    the softmax over depth of its summed correlation.
-
-    Parameters
-    ----------
-    inverse_depth_dhw: (D, 1, 1), or (D, h, w) for hypotheses of each pixel's own.
-    view_weights: (S, h, w).
-
-    Returns
-    -------
-    volume: (D, G, h, w) float32. weights: (S, h, w) float32.
+    ``inverse_depth_of`` gives the hypotheses (``planes``, n, w) of the n rows of a block, each pixel's own. The result
+    is (D, G, h, w) float32.
     """
     height, width = reference.shape
-    planes, groups = inverse_depth_dhw.shape[0], len(reference.groups)
+    groups = len(reference.groups)
     volume = np.empty((planes, groups, height, width), np.float32)
-    weights = np.empty((len(sources), height, width), np.float32)
     block_rows = _block_rows(planes, width)
-    if view_weights is not None:
-        weights[:] = view_weights
-        shares = view_weights / (view_weights.sum(axis=0) + np.float32(LEAST_WEIGHT))
 
-    def rows_of(start: int) -> slice:
-        return slice(start, min(start + block_rows, height))
-
-    def coordinates(projection: Projection, rows: slice) -> tuple[Float32, Float32]:
-        inverse = inverse_depth_dhw if inverse_depth_dhw.shape[1] == 1 else inverse_depth_dhw[:, rows]
-        return source_coordinates(projection, inverse, rows.start, width, rows.stop - rows.start)
-
-    def fill_known(start: int) -> None:
-        rows = rows_of(start)
+    def fill(start: int) -> None:
+        rows = slice(start, min(start + block_rows, height))
+        inverse = inverse_depth_of(rows)
+        shares = weights[:, rows] / (weights[:, rows].sum(axis=0) + np.float32(LEAST_WEIGHT))
         # Each for itself: memory of such a size is used again, that of all together would be new for each block.
-        shape = (planes, rows.stop - rows.start, width, 4)
-        *totals, one = (np.empty(shape, np.float32) for _ in range(groups + 1))
+        *totals, one = (np.empty((*inverse.shape, 4), np.float32) for _ in range(groups + 1))
         for i, (source, projection) in enumerate(zip(sources, projections, strict=True)):
-            x, y = coordinates(projection, rows)
-            share = shares[i, rows, :, None]
+            x, y = source_coordinates(projection, inverse, rows.start)
+            share = shares[i, ..., None]
             for target, feature, total in zip(source.groups, reference.groups, totals, strict=True):
                 # A source's share goes with the reference's features, of which there are fewer than of anything else.
                 own = feature[rows] * share
@@ -127,35 +109,13 @@ def correlation_volume(
                 # OpenCV multiplies and adds in one step.
                 for of_plane, sum_of_plane in zip(one, total, strict=True):
                     cv2.accumulateProduct(of_plane, own, sum_of_plane)
-        mean = np.empty_like(x)
+        mean = np.empty_like(inverse)
         for g, total in enumerate(totals):  # of all sources at once
             mean_of_four(total, out=mean)
             volume[:, g, rows] = mean
 
-    def fill(start: int) -> None:
-        rows = rows_of(start)
-        count = rows.stop - rows.start
-        block = np.zeros((groups, planes, count, width), np.float32)
-        one = np.empty_like(block)
-        weight_sum = np.full((count, width), LEAST_WEIGHT, np.float32)
-        for i, (source, projection) in enumerate(zip(sources, projections, strict=True)):
-            x, y = coordinates(projection, rows)
-            for target, feature, mean in zip(source.groups, reference.groups, one, strict=True):
-                product = sample(target, x, y)
-                product *= feature[rows]
-                mean_of_four(product, out=mean)
-            score = one.sum(axis=0)
-            score -= score.max(axis=0)
-            weight = 1 / np.exp(score, out=score).sum(axis=0)
-            weights[i, rows] = weight
-            weight_sum += weight
-            one *= weight
-            block += one
-        block /= weight_sum
-        volume[:, :, rows] = block.transpose(1, 0, 2, 3)
-
-    over_blocks(fill if view_weights is None else fill_known, height, block_rows, threads)
-    return volume, weights
+    over_blocks(fill, height, block_rows, threads)
+    return volume
 
 
 def mean_of_four(values_dhw4: Float32, *, out: Float32) -> None:
@@ -209,20 +169,25 @@ def correlation_volume_reference(
     sources_hwc: Sequence[Float32],
     projections: Sequence[Projection],
     inverse_depth_dhw: Float32,
-) -> Float32:
-    """The correlation volume straight from its definition, the reference of :func:`correlation_volume`."""
+) -> tuple[Float32, Float32]:
+    """Group correlation straight from its definition: the volume (D, G, h, w), and the sources' weights (S, h, w).
+
+    One group is four channels. The weight of a source at a pixel is the peak of the softmax over depth of its summed
+    correlation. The reference of :func:`weighted_correlation_volume` and of :mod:`fsinfer.depth.plane_volume`.
+    """
     height, width, channels = reference_hwc.shape
     summed = np.zeros((inverse_depth_dhw.shape[0], channels // 4, height, width), np.float32)
     weight_sum = np.full((height, width), LEAST_WEIGHT, np.float32)
-    for source, projection in zip(sources_hwc, projections, strict=True):
+    weights = np.empty((len(sources_hwc), height, width), np.float32)
+    for i, (source, projection) in enumerate(zip(sources_hwc, projections, strict=True)):
         x, y = source_coordinates(projection, inverse_depth_dhw, 0, width, height)
         product = sample_reference(source, x, y) * reference_hwc
         corr = product.reshape(*x.shape, channels // 4, 4).mean(axis=-1).transpose(0, 3, 1, 2)
         score = np.exp(corr.sum(axis=1) - corr.sum(axis=1).max(axis=0))
-        weight = (score / score.sum(axis=0)).max(axis=0)
+        weight = weights[i] = (score / score.sum(axis=0)).max(axis=0)
         summed += corr * weight
         weight_sum += weight
-    return np.asarray(summed / weight_sum, np.float32)
+    return np.asarray(summed / weight_sum, np.float32), weights
 
 
 def upsample_twice(values_hw: Float32, height: int, width: int) -> Float32:

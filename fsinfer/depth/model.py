@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fsinfer.depth.cost_volume import Features, plane_inverse_depths, upsample_twice, variance_volume
 from fsinfer.depth.manifest import ModelManifest, read_manifest
 from fsinfer.depth.narrow_volumes import candidate_volume, depth_of_index, refiner_volume
+from fsinfer.depth.network_input import network_input
 from fsinfer.depth.plane_volume import plane_correlation_volume
 from fsinfer.depth.precision import AUTO, INT8, choose_precision
 from fsinfer.depth.session import available_providers, find_providers, load_graph
@@ -47,11 +48,6 @@ class DepthEstimate:
     depth: Float32
     confidence: Float32
     stride: int
-
-
-def network_input(image: NDArray[np.uint8]) -> Float32:
-    """(1, 3, H, W) float32, 0 to 255, of an (H, W, 3) RGB uint8 image."""
-    return np.ascontiguousarray(image.transpose(2, 0, 1)[None], dtype=np.float32)
 
 
 class DepthModel:
@@ -130,7 +126,8 @@ class DepthModel:
             least = f"{_LEAST_SIDE_PX}x{_LEAST_SIDE_PX}"
             msg = f"an image must be (H, W, 3) uint8 RGB of at least {least} pixels, is {image.shape=}, {image.dtype=}"
             raise InputError(msg)
-        outputs = self._sessions["features"].run(None, {"images": network_input(image)})
+        graph = self._sessions["features"]
+        outputs = graph.run(None, {"images": network_input(image) if graph.levels is None else graph.levels.of(image)})
         if not outputs or any(maps.ndim != 4 or maps.shape[1] % 4 or not maps.size for maps in outputs):
             shapes = [maps.shape for maps in outputs]
             msg = f"the features of model {self.manifest.name} are {shapes}, not (1, C, h, w) with C a multiple of 4"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.depth.candidates import candidate_planes, hints
-from fsinfer.depth.cost_volume import correlation_volume, upsample_index, upsample_twice
+from fsinfer.depth.cost_volume import upsample_index, upsample_twice, weighted_correlation_volume
 from fsinfer.depth.manifest import ModelManifest
 from fsinfer.depth.view_group import ViewGroup
 from fsinfer.errors import ModelError
@@ -45,12 +45,13 @@ def candidate_volume(
     height, width = quarter[0].shape
     planes = candidate_planes(index, height, width, around=found.around, step=found.step)
     weights = upsample_twice(weights, height, width)
-    volume, _ = correlation_volume(
+    volume = weighted_correlation_volume(
         quarter[0],
         quarter[1:],
         group.projections(4),
-        _inverse_depth(planes, manifest, group.depth_range),
-        view_weights=weights,
+        len(planes),
+        lambda rows: _inverse_depth(planes[:, rows], manifest, group.depth_range),
+        weights,
         threads=threads,
     )
     inputs = {
@@ -75,13 +76,19 @@ def refiner_volume(
     height, width = half[0].shape
     centre = upsample_index(index, height, width)
     offsets = np.linspace(-manifest.refine_span, manifest.refine_span, manifest.refine_planes, dtype=np.float32)
-    planes = np.add(centre, offsets[:, None, None])
-    volume, _ = correlation_volume(
+
+    def inverse_depth_of(rows: slice) -> Float32:
+        # Row by row: all at once they would be as large as half of the volume, and one thread's work.
+        planes = np.add(centre[rows], offsets[:, None, None])
+        return _inverse_depth(planes, manifest, group.depth_range, out=planes)
+
+    volume = weighted_correlation_volume(
         half[0],
         half[1:],
         group.projections(2),
-        _inverse_depth(planes, manifest, group.depth_range, out=planes),
-        view_weights=upsample_twice(weights, height, width),
+        len(offsets),
+        inverse_depth_of,
+        upsample_twice(weights, height, width),
         threads=threads,
     )
     return {"volume": volume.reshape(-1, height, width), "features": half[0].to_chw()}, centre

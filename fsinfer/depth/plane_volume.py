@@ -1,8 +1,8 @@
 """Group correlation over planes that are the same for all pixels: pixel by pixel, the planes side by side in memory.
 
-The definition is that of :func:`fsinfer.depth.cost_volume.correlation_volume`, which is the reference of this module.
-There the planes of a block lie behind each other, and what was sampled is multiplied by the reference's features and
-then summed over the four channels of a group. Here the samples of one pixel on all planes are a matrix (D, 4), whose
+The definition is that of :func:`fsinfer.depth.cost_volume.correlation_volume_reference`. In the other volumes the
+planes of a block lie behind each other, and what was sampled is multiplied by the reference's features and then summed
+over the four channels of a group. Here the samples of one pixel on all planes are a matrix (D, 4), whose
 product with the pixel's own four features is both in one, and planes that leave the source's picture are left out.
 """
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.depth.network_input import Levels
 from fsinfer.errors import ModelError
 
 CPU = "CPUExecutionProvider"
@@ -67,10 +68,13 @@ def find_providers(name: str, available: list[str]) -> list[str]:
 
 
 class Graph:
-    """A session of onnxruntime of which everything that goes wrong is told as a :class:`ModelError`."""
+    """A session of onnxruntime of which everything that goes wrong is told as a :class:`ModelError`.
 
-    def __init__(self, file: Path, session: Any) -> None:
-        self.file, self.session = file, session
+    ``levels`` are those in which it takes a photograph, ``None`` where it takes numbers in 32 bits.
+    """
+
+    def __init__(self, file: Path, session: Any, levels: Levels | None = None) -> None:
+        self.file, self.session, self.levels = file, session, levels
 
     def get_inputs(self) -> list[Any]:
         """Names, types and shapes of what it takes."""
@@ -109,7 +113,8 @@ def load_graph(file: Path, threads: int, providers: Sequence[str]) -> Graph:
     # Threads that wait by spinning take the cores from those that build the cost volume.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     try:
-        return Graph(file, onnxruntime.InferenceSession(file, options, providers=list(providers)))
+        session = onnxruntime.InferenceSession(file, options, providers=list(providers))
+        return Graph(file, session, Levels.noted(session.get_modelmeta().custom_metadata_map))
     except Exception as error:  # onnxruntime raises its own family of exceptions
         msg = f"{file} cannot be loaded by onnxruntime ({error}); install fsinfer again or re-export the model"
         raise ModelError(msg) from error

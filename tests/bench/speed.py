@@ -30,7 +30,7 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.depth.cost_volume import correlation_volume
+from fsinfer.depth.cost_volume import weighted_correlation_volume
 from fsinfer.depth.manifest import read_manifest
 from fsinfer.depth.plane_volume import plane_correlation_volume
 from fsinfer.depth.settings import DepthSettings
@@ -111,7 +111,10 @@ def ours(args: argparse.Namespace, precision: str) -> Callable[[], dict[str, flo
         for name, session in sessions.items()
     }
 
-    timed = ((depth_model, plane_correlation_volume, "volume"), (narrow_volumes, correlation_volume, "narrow volume"))
+    timed = (
+        (depth_model, plane_correlation_volume, "volume"),
+        (narrow_volumes, weighted_correlation_volume, "narrow volume"),
+    )
     for where, work, name in timed:
         patch.object(where, work.__name__, Timed(work, seconds, name)).start()
     images, intrinsics, poses, depth_range = views_of(args)

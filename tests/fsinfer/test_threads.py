@@ -114,7 +114,7 @@ def test_every_way_into_fsinfer_sets_it(tmp_path: Path, monkeypatch: pytest.Monk
     model = fsinfer.DepthModel.load("field", threads=1)
     image = np.zeros((64, 96, 3), np.uint8)
     views = [image, image], np.stack([np.eye(3)] * 2), np.stack([np.eye(4)] * 2), (1.0, 2.0)
-    for volume in ("model.plane_correlation_volume", "narrow_volumes.correlation_volume"):
+    for volume in ("model.plane_correlation_volume", "narrow_volumes.weighted_correlation_volume"):
         with monkeypatch.context() as patch:
             assert seen_in(patch, f"fsinfer.depth.{volume}", lambda: model.predict(*views)) == {1}
     assert blas_threads() == {3}

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 import torch
 
-from fsinfer.depth.cost_volume import Features, correlation_volume, upsample_index, variance_volume
+from fsinfer.depth.cost_volume import Features, upsample_index, variance_volume
 from fsinfer.depth.cost_volume import plane_inverse_depths as numpy_planes
+from fsinfer.depth.plane_volume import plane_correlation_volume
 from fsinfer.depth.warping import relative_projection as numpy_projection
 from training.losses import compute_loss, cross_entropy_two_bins, edge_attention, target_index
 from training.model import CONFIGS, PRESETS, DepthOutput, FSMVSNet, regression
@@ -170,7 +171,7 @@ def test_volumes_equal_the_deployed_numpy_volumes() -> None:
     features = [Features.from_chw(m.numpy()) for m in maps]
     planes = inverse.numpy()
     torch_volume, torch_weights = torch_correlation(maps[0], list(maps[1:]), a, b, hypotheses, (0, 0), 2)
-    volume, weights = correlation_volume(features[0], features[1:], projections, planes)
+    volume, weights = plane_correlation_volume(features[0], features[1:], projections, planes[:, 0, 0])
     np.testing.assert_allclose(volume, torch_volume.numpy(), atol=3e-5)
     np.testing.assert_allclose(weights, torch_weights.numpy(), atol=3e-5)
     expected = torch_variance(maps[0], list(maps[1:]), a, b, hypotheses, (0, 0)).numpy()

@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from fsinfer.depth.cost_volume import (
     Features,
-    correlation_volume,
     correlation_volume_reference,
     mean_of_four,
     plane_inverse_depths,
     upsample_index,
     upsample_twice,
     variance_volume,
+    weighted_correlation_volume,
 )
 from fsinfer.depth.warping import Projection, relative_projection, sample, sample_reference, source_coordinates
 
@@ -85,26 +85,6 @@ def small_scene() -> tuple[list[NDArray[np.float32]], list[Projection], NDArray[
     return maps, projections, plane_inverse_depths(1.0, 9.0, 16, inverse=True)[:, None, None]
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-def test_correlation_volume_equals_the_reference(threads: int) -> None:
-    maps, projections, inverse = small_scene()
-    features = [Features.from_chw(m) for m in maps]
-    volume, weights = correlation_volume(features[0], features[1:], projections, inverse, threads=threads)
-    hwc = [m.transpose(1, 2, 0) for m in maps]
-    np.testing.assert_allclose(volume, correlation_volume_reference(hwc[0], hwc[1:], projections, inverse), atol=2e-5)
-    assert weights.shape == (2, 37, 41)
-    assert ((weights > 0) & (weights <= 1)).all()
-
-
-def test_per_pixel_hypotheses_equal_planes_when_they_agree() -> None:
-    maps, projections, inverse = small_scene()
-    features = [Features.from_chw(m) for m in maps]
-    planes, weights = correlation_volume(features[0], features[1:], projections, inverse)
-    every = np.broadcast_to(inverse, (16, 37, 41)).copy()
-    pixels, _ = correlation_volume(features[0], features[1:], projections, every, view_weights=weights)
-    np.testing.assert_allclose(planes, pixels, atol=1e-5)
-
-
 def test_variance_volume_from_its_definition() -> None:
     maps, projections, inverse = small_scene()
     features = [Features.from_chw(m) for m in maps]
@@ -151,33 +131,24 @@ def test_mean_of_four_is_the_mean(shape: tuple[int, int, int]) -> None:
     assert np.allclose(out, values.mean(axis=-1), atol=1e-6)
 
 
-def test_the_size_of_the_blocks_does_not_change_the_volume(monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(0)
-    views = [Features.from_chw(rng.normal(size=(8, 21, 30)).astype(np.float32)) for _ in range(3)]
-    projections = [Projection(matrix=np.eye(3), offset=np.array([o, 0.3, 0.0])) for o in (2.0, -1.5)]
-    inverse = plane_inverse_depths(1.0, 10.0, 16, inverse=True)[:, None, None]
-    found = []
-    for size in (0, 40_000, 10**9):
-        monkeypatch.setattr("fsinfer.depth.cost_volume.BLOCK_BYTES", size)
-        found.append(correlation_volume(views[0], views[1:], projections, inverse, threads=2))
-    for volume, weights in found[1:]:
-        assert np.array_equal(weights, found[0][1])
-        assert np.allclose(volume, found[0][0], atol=1e-6)
-
-
-@pytest.mark.parametrize("size", [0, 40_000, 10**9])
-def test_with_known_weights_the_volume_is_the_same(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(5)
-    views = [Features.from_chw(rng.normal(size=(8, 21, 30)).astype(np.float32)) for _ in range(4)]
-    projections = [Projection(matrix=np.eye(3), offset=np.array([o, 0.3, 0.0])) for o in (2.0, -1.5, 0.7)]
-    planes = plane_inverse_depths(1.0, 10.0, 16, inverse=True)[:, None, None]
-    expected, weights = correlation_volume(views[0], views[1:], projections, planes)
-    monkeypatch.setattr("fsinfer.depth.cost_volume.BLOCK_BYTES", size)
-    of_pixels = np.broadcast_to(planes, (16, 21, 30))
-    for inverse in (planes, of_pixels):
-        found, kept = correlation_volume(views[0], views[1:], projections, inverse, view_weights=weights, threads=2)
-        np.testing.assert_array_equal(kept, weights)
-        np.testing.assert_allclose(found, expected, atol=1e-5)
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("block_bytes", [0, 40_000, 10**9])
+@pytest.mark.parametrize("slanted", [False, True])
+def test_with_known_weights_the_volume_is_what_the_definition_says(
+    threads: int, block_bytes: int, slanted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fsinfer.depth.cost_volume.BLOCK_BYTES", block_bytes)
+    maps, projections, planes = small_scene()
+    # A pixel's hypotheses are its own, or those of all.
+    tilt = np.linspace(1, 1.5, 37, dtype=np.float32)[:, None] if slanted else np.ones((37, 1), np.float32)
+    inverse = np.broadcast_to(planes * tilt, (16, 37, 41))
+    hwc = [m.transpose(1, 2, 0) for m in maps]
+    expected, weights = correlation_volume_reference(hwc[0], hwc[1:], projections, inverse)
+    views = [Features.from_chw(m) for m in maps]
+    found = weighted_correlation_volume(
+        views[0], views[1:], projections, len(planes), lambda rows: inverse[:, rows], weights, threads=threads
+    )
+    np.testing.assert_allclose(found, expected, atol=2e-5)
 
 
 def test_feature_maps_in_groups_are_those_that_were_cut() -> None:

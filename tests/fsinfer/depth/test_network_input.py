@@ -1,0 +1,99 @@
+"""A photograph as the network is given it."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fsinfer.depth.manifest import hash_files, models_folder, read_manifest
+from fsinfer.depth.model import DepthModel
+from fsinfer.depth.network_input import Levels, network_input
+from fsinfer.errors import ModelError
+
+LEVELS = Levels(scale=0.025, zero_point=105, added_deviation=1.0)
+
+
+def photograph(deviation: float, *, seed: int = 3) -> NDArray[np.uint8]:
+    """Trunks before the sky: stripes of dark and bright with a texture, of about this standard deviation."""
+    rng = np.random.default_rng(seed)
+    stripes = np.where(np.arange(256) // 24 % 2, 1.0, -1.0) * np.ones((160, 1))
+    grey = 128 + deviation * stripes + rng.normal(0, 12, stripes.shape)
+    return np.clip(np.stack([grey, 0.9 * grey + 10, 0.8 * grey], axis=2), 0, 255).astype(np.uint8)
+
+
+def test_levels_are_of_the_photograph_less_its_mean_over_its_deviation() -> None:
+    image = photograph(70)
+    values = image.astype(np.float64)
+    normalised = (values - values.mean(axis=(0, 1))) / (values.std(axis=(0, 1)) + 1.0)
+    expected = np.clip(np.rint(normalised / 0.025) + 105, 0, 255)
+    found = LEVELS.of(image)
+    assert found.dtype == np.uint8
+    assert found.shape == (1, 160, 256, 3)
+    assert np.array_equal(found[0], expected)
+
+
+def test_an_even_photograph_is_at_the_level_of_the_mean() -> None:
+    assert np.unique(LEVELS.of(np.full((32, 40, 3), 77, np.uint8))).tolist() == [105]
+
+
+def test_levels_that_are_noted_are_read_again() -> None:
+    assert Levels.noted(LEVELS.notes()) == LEVELS
+    assert Levels.noted({"made by": "another"}) is None
+
+
+@pytest.mark.parametrize(
+    "notes",
+    [
+        {"levels_scale": "0.02"},
+        LEVELS.notes() | {"levels_scale": "-1"},
+        LEVELS.notes() | {"levels_zero_point": "256"},
+        LEVELS.notes() | {"levels_zero_point": "3.5"},
+        LEVELS.notes() | {"levels_added_deviation": "inf"},
+        LEVELS.notes() | {"levels_scale": "wide"},
+    ],
+)
+def test_levels_that_cannot_be_are_refused(notes: dict[str, str]) -> None:
+    with pytest.raises(ValueError, match=r"levels are|could not convert"):
+        Levels.noted(notes)
+
+
+@pytest.mark.parametrize("name", ["cascade", "field"])
+@pytest.mark.parametrize("deviation", [30, 110])
+def test_features_in_8_bits_are_those_of_32_whatever_the_contrast(name: str, deviation: float) -> None:
+    image = photograph(deviation)
+    exact, quick = (DepthModel.load(name, threads=1, precision=way).features(image) for way in ("float32", "int8"))
+    for one, other in ((exact.quarter, quick.quarter), (exact.half, quick.half)):
+        assert one is not None
+        assert other is not None
+        wanted, found = one.to_chw(), other.to_chw()
+        # It was 0.25 to 0.31 where the deviation had been cut off at that of what calibrated.
+        assert np.abs(found - wanted).mean() < 0.15 * np.abs(wanted).mean()
+
+
+def test_a_graph_with_notes_that_cannot_be_is_refused(tmp_path: Path) -> None:
+    onnx = pytest.importorskip("onnx", reason="onnx comes with the extra train")
+    for file in models_folder().glob("field*"):
+        shutil.copy(file, tmp_path)
+    features = tmp_path / "field_features_int8.onnx"
+    graph = onnx.load(features)
+    onnx.helper.set_model_props(graph, LEVELS.notes() | {"levels_scale": "0"})
+    onnx.save(graph, features)
+    manifest = tmp_path / "field.json"
+    text = manifest.read_text(encoding="utf-8")
+    old = read_manifest("field").int8_sha256
+    assert old is not None
+    roles = ("features", "regularizer", "refiner")
+    manifest.write_text(text.replace(old, hash_files([tmp_path / f"field_{role}_int8.onnx" for role in roles])))
+    with pytest.raises(ModelError, match=r"field_features_int8.*its levels are.*re-export"):
+        DepthModel.load(manifest, threads=1, precision="int8")
+
+
+def test_a_graph_in_32_bits_is_given_the_values() -> None:
+    image = photograph(50)
+    given = network_input(image)
+    assert given.shape == (1, 3, 160, 256)
+    assert np.array_equal(given[0].transpose(1, 2, 0), image)
