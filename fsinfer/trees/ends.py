@@ -1,7 +1,8 @@
 """Where a stem plainly ends in the cloud: stumps, posts and people have a top that is seen, trees have none there.
 
-A stem ends where its wall does and next to nothing stands in its column beyond, though points could be there. What
-something hides has what hides it in the way, or is seen in part.
+A stem ends where its wall does, or what stands upon it (a head upon shoulders), and next to nothing stands in its
+column beyond, though points could be there. What something hides has what hides it in the way, or is seen in part.
+What is closed at its top is no stem, however few of its sides are seen: a wall, a boulder, a car.
 """
 
 from __future__ import annotations
@@ -32,6 +33,15 @@ CLOUD_ABOVE_M = 1.0
 #: Share of its girth that is seen of a stem whose ends are told: what hides its upper part hides a side, too. Source:
 #: judgement; a far stem of a rendered plot, of which less was seen.
 LEAST_ARC = 0.5
+#: What stands upon a stem belongs to it where it has this share of the wall's points a metre, and nowhere so many
+#: metres without a point. Source: judgement; a head has a half, what is hidden is seen by a few points.
+UPON, UPON_GAP_M = 0.25, 0.3
+#: Share of the points upon a stem that lies below their top. Source: judgement; stray points.
+HIGHEST = 0.98
+#: A lid fills the middle of a stem, up to this share of a radius of at least so many metres, with this share of the
+#: points that as much of the wall has, and with so many times those of the middle below it. Source: judgement; noise
+#: fills a thin stem from wall to wall, as far down as it goes.
+LID_REACH, LID_RADIUS_M, LID_SHARE, LID_TIMES = 0.8, 0.10, 0.5, 3.0
 #: What ends so little below breast height may be a stem all the same, metres. Source: the layers of the search.
 BELOW_BH_M = 0.05
 
@@ -50,10 +60,9 @@ def ends_of(near: Floats, stem: Stem, *, cloud_top_m: float, slab_m: tuple[float
     ``slab_m`` are the heights between which there are points, and ``cloud_top_m`` that of the cloud's own top, above
     the same level.
     """
-    if stem.arc_coverage < LEAST_ARC:
-        return Ends()
     offset, _ = axis_coordinates(near, stem.axis.parameters, stem.axis.height_m)
-    height = near[lengths(offset) <= stem.axis.radius_m + BESIDE_M, 2]
+    away, height = lengths(offset), near[:, 2]
+    away, height = (values[away <= stem.axis.radius_m + BESIDE_M] for values in (away, height))
     on_wall = np.count_nonzero((height >= stem.bottom_m) & (height <= stem.top_m))
     a_metre = on_wall / max(stem.top_m - stem.bottom_m, NEAR_END_M)
 
@@ -63,10 +72,31 @@ def ends_of(near: Floats, stem: Stem, *, cloud_top_m: float, slab_m: tuple[float
         return bool(expected >= LEAST_EXPECTED and found <= STRAY * expected)
 
     low, high = slab_m
-    ends_above = stem.top_m < s.post_top_m and cloud_top_m > stem.top_m + CLOUD_ABOVE_M
-    ends_above = ends_above and empty(stem.top_m + NEAR_END_M, high)
-    ends_below = empty(low + NEAR_END_M, stem.bottom_m - NEAR_END_M)
-    return Ends(top_m=stem.top_m if ends_above else None, bottom_m=stem.bottom_m if ends_below else None)
+    # What stands upon the stem is its top where it is dense from there on, and does not hide more.
+    above = height[(height > stem.top_m) & (height <= high)]
+    alone = empty(stem.top_m + NEAR_END_M, high)
+    top = stem.top_m if alone or not len(above) else max(stem.top_m, float(np.quantile(above, HIGHEST)))
+    upon = np.sort(above[above <= top])
+    dense = len(upon) >= UPON * a_metre * (top - stem.top_m) and np.diff([stem.top_m, *upon, top]).max() <= UPON_GAP_M
+    is_end = (alone or dense) and empty(top + NEAR_END_M, high) and cloud_top_m > top + CLOUD_ABOVE_M
+    told = (stem.arc_coverage >= LEAST_ARC and top < s.post_top_m) or _has_lid(away, height, top, stem, a_metre)
+    ends_below = stem.arc_coverage >= LEAST_ARC and empty(low + NEAR_END_M, stem.bottom_m - NEAR_END_M)
+    return Ends(top_m=top if is_end and told else None, bottom_m=stem.bottom_m if ends_below else None)
+
+
+def _has_lid(away: Floats, height: Floats, top_m: float, stem: Stem, a_metre: float) -> bool:
+    """Whether a column is closed at its top: of points ``away`` (N,) from its axis, ``a_metre`` of them on its wall."""
+    radius = stem.axis.radius_m
+    if radius < LID_RADIUS_M:
+        return False
+    layer = 2.0 * NEAR_END_M
+    middle = height[away <= LID_REACH * radius]
+    lid = np.count_nonzero(np.abs(middle - top_m) <= NEAR_END_M)
+    below = np.count_nonzero((middle >= stem.bottom_m) & (middle < top_m - NEAR_END_M))
+    below_a_layer = below * layer / max(top_m - NEAR_END_M - stem.bottom_m, layer)
+    of_wall = a_metre / (2.0 * np.pi * radius * max(stem.arc_coverage, NEAR_END_M))
+    wanted = LID_SHARE * of_wall * np.pi * (LID_REACH * radius) ** 2
+    return bool(lid >= max(wanted, LID_TIMES * below_a_layer, LEAST_EXPECTED))
 
 
 def with_ends(section: Section, ends: Ends, bh_m: float) -> Section:

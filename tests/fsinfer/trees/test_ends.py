@@ -52,6 +52,58 @@ def test_a_top_seen_above_breast_height_is_told(high: float) -> None:
     assert (status, reasons) == ("doubtful", ["top_seen"])
 
 
+def test_a_head_upon_shoulders_is_the_top() -> None:
+    rng = np.random.default_rng(4)
+    legs = [tube(rng, 0.08, 0.0, 0.85) + np.array([x, 0.0, 0.0]) for x in (-0.1, 0.1)]
+    round_head = rng.normal(size=(900, 3))
+    head = np.array([0.0, 0.0, 1.63]) + 0.11 * round_head / np.linalg.norm(round_head, axis=1)[:, None]
+    result = measured(*legs, tube(rng, 0.17, 0.85, 1.45), head)
+    assert here(result) == [("doubtful", ["top_seen"])]
+    (person,) = (tree for tree in result.trees if np.hypot(tree.x_m - AT[0], tree.y_m - AT[1]) < 0.5)
+    assert dict(person.reasons[0].items)["top_m"] == pytest.approx(1.72, abs=0.04)
+
+
+def test_of_what_a_few_points_tell_higher_up_no_top_is_told() -> None:
+    rng = np.random.default_rng(5)
+    seen = np.concatenate([lid(rng, 0.12, z, points=12) for z in np.arange(1.6, 1.95, 0.01)])
+    (found,) = here(measured(tube(rng, 0.15, 0.0, 1.6), seen))
+    assert "top_seen" not in found[1]
+
+
+def lid(rng: np.random.Generator, radius: float, high: float, *, points: int = 2000) -> Floats:
+    square = rng.uniform(-radius, radius, (points, 2))
+    disc = square[np.hypot(*square.T) < radius]
+    return np.column_stack([disc, np.full(len(disc), high)])
+
+
+@pytest.mark.parametrize(("high", "arc_deg"), [(1.6, 140.0), (2.2, 360.0)])
+def test_what_is_closed_at_its_top_is_no_sure_tree(high: float, arc_deg: float) -> None:
+    rng = np.random.default_rng(7)
+    open_one = tube(rng, 0.2, 0.0, high, arc_deg=arc_deg)
+    assert "top_seen" not in here(measured(open_one))[0][1]
+    ((status, reasons),) = here(measured(open_one, lid(rng, 0.2, high)))
+    assert status != "ok"
+    assert "top_seen" in reasons
+
+
+def test_a_stem_that_a_noisy_cloud_fills_has_no_lid() -> None:
+    rng = np.random.default_rng(8)
+    inside = np.concatenate([lid(rng, 0.11, z, points=8) for z in np.arange(0.0, 1.6, 0.01)])
+    (found,) = here(measured(tube(rng, 0.15, 0.0, 1.6, arc_deg=140.0), inside))
+    assert "top_seen" not in found[1]
+
+
+@pytest.mark.parametrize("side", [0.2, 0.4])
+def test_a_square_post_is_no_sure_tree(side: float) -> None:
+    rng = np.random.default_rng(6)
+    along, across = rng.uniform(-side / 2, side / 2, 8000), rng.choice([-side / 2, side / 2], 8000)
+    turned = rng.uniform(size=8000) < 0.5
+    faces = np.column_stack([np.where(turned, along, across), np.where(turned, across, along)])
+    ((status, reasons),) = here(measured(np.column_stack([faces, rng.uniform(0.0, 2.6, 8000)])))
+    assert status != "ok"
+    assert "far_from_round" in reasons
+
+
 def test_what_hangs_in_the_air_is_told() -> None:
     ((status, reasons),) = here(measured(tube(np.random.default_rng(1), 0.06, 0.9, 3.5)))
     assert (status, reasons) == ("doubtful", ["hangs"])
