@@ -79,6 +79,7 @@ class StemCode(StrEnum):
     coarse_steps = "coarse_steps"
     ground_in_part = "ground_in_part"
     little_ground = "little_ground"
+    far_apart = "far_apart"
     lean_alike = "lean_alike"
     thicker_upwards = "thicker_upwards"
     level_top = "level_top"
@@ -180,6 +181,10 @@ SENTENCES: dict[StemCode, str] = {
     StemCode.coarse_steps: ("the coordinates come in steps of {step_mm:.0f} mm: diameters cannot be better than that"),
     StemCode.ground_in_part: "ground seen in only {percent:.0f} % of the lowest parts of the plot",
     StemCode.little_ground: "little ground is seen: breast height is counted from the lowest points of the stems",
+    StemCode.far_apart: (
+        "the points at the height of the stems lie {spacing_cm:.1f} cm apart (median): stems may be missing, the "
+        "thinner and those seen from one side first"
+    ),
     StemCode.lean_alike: (
         "the stems lean the same way, {lean_deg:.0f} degrees in the mean of {stems}: either the stand does, or the "
         "cloud does not stand upright, and then heights, breast heights and slopes are wrong"
@@ -241,6 +246,7 @@ ADVICE: dict[StemCode, str] = {
     StemCode.none_at_stem_height: "check the scale, or photograph the stems as well as the ground",
     StemCode.none_round: "check the scale",
     StemCode.lean_alike: "compare with a plumb line or with a stem that you know to be upright, and level the cloud",
+    StemCode.far_apart: "give a cloud that was thinned less, or look round the plot from more places",
     StemCode.level_top: "it was left as it stands; look at it in a viewer if it was not cut off level",
     StemCode.thicker_upwards: "look at the cloud in a viewer, and turn it if it stands on its head",
     StemCode.sizes_unknown: "look at them, measure them with a tape, or take them out with edits.csv",

@@ -191,6 +191,8 @@ def _analysed(
     low = rows(low, shows_ground(low, feet, np.array([stem.axis.radius_m for stem in search.stems])))
     if seen_cells(low, close=False).area(np.zeros((0, 2))) < settings.sanity.little_ground * plan_m2:
         warnings.append(notice(StemCode.little_ground))
+    if search.spacing_m > settings.sanity.far_apart_m:
+        warnings.append(notice(StemCode.far_apart, spacing_cm=100.0 * search.spacing_m))
     measured = measure_stems(stand, search, ground, settings, scale_rel_std, origin, progress=progress)
     measured, stumps = without_stumps(measured)
     pairs, same = one_entry_a_stem(measured)

@@ -41,6 +41,9 @@ class SanitySettings:
     head_gain: it does where the other way up more than so many times that can be ground. Source: not recorded.
     min_ground: share of the lowest parts that show ground: less is said. Source: not recorded.
     little_ground: of the plot's box in plan: less is said. Source: not recorded.
+    far_apart_m: distance of neighbouring points at stem height from which on stems are missed: more is said. Source:
+        three simulated scans of 72 stems thinned to 1 to 30 %; one of 166 is missed at 1 to 2.6 cm, 7 of 72 at 3.3 to
+        3.7 cm, 24 of 72 at 4 to 5 cm.
     turned_trees: measured beyond doubt, to turn a cloud: one may be chance. Source: not recorded.
     max_turned_cm: corners of a building measure as thicker trees. Source: not recorded.
     thinner_share: of the stems that grow thinner upwards, in a cloud that is not on its head. Source:
@@ -58,6 +61,7 @@ class SanitySettings:
     head_gain: float = 2.0
     min_ground: float = 0.6
     little_ground: float = 0.33
+    far_apart_m: float = 0.032
     turned_trees: int = 2
     max_turned_cm: float = 100.0
     thinner_share: float = 0.7

@@ -46,6 +46,16 @@ def test_trees_stand_where_they_are_on_their_own_ground(plot: StemPlot, result: 
     assert measure_trees(plot.points) == list(result.trees)
 
 
+def test_a_cloud_too_thin_to_show_every_stem_is_told(plot: StemPlot, result: PlotResult) -> None:
+    assert StemCode.far_apart not in {warning.code for warning in result.warnings}
+    few = plot.points[np.random.default_rng(2).uniform(size=len(plot.points)) < 0.12]
+    found = analyse_plot(few, turned=True)
+    assert found.spacing_m > 0.032
+    (warning,) = (item for item in found.warnings if item.code == StemCode.far_apart)
+    assert f"lie {100 * found.spacing_m:.1f} cm apart" in sentence(warning)
+    assert "thinned less" in sentence(warning)
+
+
 def test_the_grid_of_a_country_moves_everything_and_changes_nothing_else(plot: StemPlot, result: PlotResult) -> None:
     shift = np.array([600_000.0, 5_400_000.0, 0.0])
     moved = analyse_plot(plot.points + shift)
