@@ -220,6 +220,7 @@ def trees(
         trees=tree_settings(bh_m=bh, bh_rule=bh_rule), border=border, walk=WalkSettings(measure_far=far_stems)
     )
     settings = MeasureSettings(stage=stage)
+    reported = OutputFolder(out).report.exists()
     with stage_progress(quiet=quiet) as progress:
         found = measure_cloud_file(
             cloud, out, request=request, settings=settings, edits=edits, progress=progress("trees")
@@ -231,6 +232,8 @@ def trees(
         typer.echo(row)
     for row in plot_rows(found.plot):
         typer.echo(row)
+    if reported and not OutputFolder(out).report.exists():
+        typer.echo(f"{OutputFolder(out).report} was of an earlier measurement and is gone: fsinfer report {out}")
 
 
 @reports_errors

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from fsinfer.output.json_values import of_json
 from fsinfer.plot_border.hectare import COUNTING, HectareFigure
@@ -11,6 +11,14 @@ from fsinfer.report.contents import Contents, number
 
 #: Parts of an interval that are smaller than this share of the largest are not named. Source: layout.
 _LEAST_PART = 0.05
+#: More than means of a table differ by the rounding of its values, cm. Source: format.
+_ROUNDED_CM = 0.011
+CHANGED_TABLE = (
+    "trees.csv was changed after the measurement: what stands here is of the table as it is now, and other files of "
+    "this folder are not. Put corrections into edits.csv and measure again (fsinfer trees or fsinfer run), so that all "
+    "agree"
+)
+WITHOUT_BORDER = "of the ground that was seen, not of the plot within its border: trees.csv was changed"
 SEEN_GROUND_ONLY = "of the ground that was seen only: the plot has no border (--plot-radius-m, --plot-polygon)"
 
 
@@ -21,8 +29,29 @@ def border_of(contents: Contents) -> PlotFigures | None:
         figures = of_json(PlotFigures, {"on_unseen": 0} | contents.plot["plot_border"])
     except (TypeError, ValueError, KeyError):
         return None
-    inside = sum(is_in(tree) is True for tree in contents.trees or ())
-    return figures if inside == figures.stems else None
+    rows = [tree for tree in contents.trees or () if is_in(tree)]
+    same = len(rows) == figures.stems and same_mean(_squares(rows), figures.quadratic_mean_dbh_cm, power=2)
+    return figures if same else None
+
+
+def lost_border(contents: Contents) -> bool:
+    """Whether the plot has a border whose figures say nothing any more: ``trees.csv`` was changed since."""
+    return bool(contents.plot.get("plot_border")) and contents.trees is not None and border_of(contents) is None
+
+
+def same_mean(values: Sequence[float], told: float | None, *, power: int = 1) -> bool:
+    """Whether the mean of values, or the square root of that of squares, is the one that was ``told``, cm.
+
+    ``trees.csv`` has two digits behind the point. True where nothing was told.
+    """
+    if told is None or not values:
+        return told is None
+    mean: float = (sum(values) / len(values)) ** (1 / power)
+    return abs(mean - told) < _ROUNDED_CM
+
+
+def _squares(rows: Sequence[Mapping[str, str]]) -> list[float]:
+    return [d * d for tree in rows if (d := number(tree.get("dbh_cm"))) is not None]
 
 
 def is_in(tree: Mapping[str, str]) -> bool | None:

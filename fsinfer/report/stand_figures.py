@@ -12,7 +12,7 @@ import numpy as np
 
 from fsinfer.report.contents import Contents, number, tree_number
 from fsinfer.report.number_table import NumberTable
-from fsinfer.report.plot_border import border_of, is_in
+from fsinfer.report.plot_border import border_of, is_in, lost_border, same_mean
 from fsinfer.trees.rough_dbh import rough_of_text
 from fsinfer.trees.stand import StandTable, counted_basal_area_m2, or_nan, stand_of_diameters
 
@@ -28,7 +28,7 @@ def stand_of(contents: Contents) -> StandTable:
     given = contents.plot.get("stand")
     if not isinstance(given, dict):
         return own
-    if (given.get("stems"), given.get("measured")) != (own.stems, own.measured):
+    if is_changed(contents):
         return _with_share(own, _share_on_area(given))
     on_area = number(given.get("stems_on_area"))
     return StandTable(
@@ -43,6 +43,24 @@ def stand_of(contents: Contents) -> StandTable:
         stems_on_area=None if on_area is None else int(on_area),
         off_area=tuple(int(n) for one in given.get("off_area") or () if (n := number(one)) is not None),
     )
+
+
+def is_changed(contents: Contents) -> bool:
+    """Whether ``trees.csv`` was changed since its figures were made: other stems, or other diameters."""
+    if contents.trees is None:
+        return False
+    if lost_border(contents):
+        return True
+    given = contents.plot.get("stand")
+    if not isinstance(given, dict):
+        return False
+    sized = [(d, tree_number(tree)) for tree in contents.counted if (d := number(tree.get("dbh_cm"))) is not None]
+    if (given.get("stems"), given.get("measured")) != (len(contents.counted), len(sized)):
+        return True
+    off = {n for one in given.get("off_area") or () if (n := number(one)) is not None}
+    # Before the means were those of the stems on the area they were of all.
+    means = ([d for d, tree in sized if tree not in off], [d for d, _ in sized])
+    return not any(same_mean(values, number(given.get("mean_dbh_cm"))) for values in means)
 
 
 def _rough_cm(rows: Sequence[Mapping[str, str]]) -> list[float | None]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from fsinfer.report.contents import Contents, number
 from fsinfer.report.number_table import NumberTable
 from fsinfer.report.page import Part
-from fsinfer.report.plot_border import SEEN_GROUND_ONLY, border_facts, border_of
+from fsinfer.report.plot_border import SEEN_GROUND_ONLY, WITHOUT_BORDER, border_facts, border_of, lost_border
 from fsinfer.report.stand_figures import basal_area_m2, class_table, diameters_cm, stand_of
 
 SCALE_SOURCES = {
@@ -94,7 +94,8 @@ def _stand_facts(contents: Contents) -> list[tuple[str, str]]:
         told = "counted with what is roughly known of them, or the mean of the others"
         by_mean = f" ({unknown} without a DBH {told})" if unknown else ""
         rows.append(("Basal area per hectare", f"{stand.basal_area_m2_per_ha:.1f} m²/ha{by_mean}"))
-    return [*rows, ("These figures per hectare", SEEN_GROUND_ONLY)]
+    of_what = WITHOUT_BORDER if lost_border(contents) else SEEN_GROUND_ONLY
+    return [*rows, ("These figures per hectare", of_what)]
 
 
 def _cloud_facts(contents: Contents) -> list[tuple[str, str]]:

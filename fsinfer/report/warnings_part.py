@@ -10,6 +10,8 @@ from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.stems import StemCode
 from fsinfer.report.contents import Contents, number, tree_number
 from fsinfer.report.page import Part
+from fsinfer.report.plot_border import CHANGED_TABLE
+from fsinfer.report.stand_figures import is_changed
 
 NO_SCALE = (
     "No scale is known: all lengths, positions and densities are in model units, not metres, and no DBH is given. "
@@ -124,7 +126,7 @@ def _parts(plot: Mapping[str, object]) -> list[Mapping[str, object]]:
 
 
 def _measurement_warnings(contents: Contents) -> list[str]:
-    plot, texts = contents.plot, []
+    plot, texts = contents.plot, [f"{CHANGED_TABLE}."] if is_changed(contents) else []
     photos, registered = number(plot.get("photos")), number(plot.get("registered"))
     if photos and registered is not None:
         registered += sum(

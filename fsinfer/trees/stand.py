@@ -53,7 +53,8 @@ class StandTable:
     ``area_method`` says how it was taken. Only the ``stems_on_area`` count to the hectare: those on other ground, whose
     numbers ``off_area`` are, would make the plot denser than it is. In the basal area those without a DBH count with
     what is roughly known of them (:func:`fsinfer.trees.rough_dbh.rough_dbh_cm`) or the mean section of the others, as
-    on a plot with a border; it is None where too few were measured for that.
+    on a plot with a border; it is None where too few were measured for that. The mean diameters are those of the
+    measured stems that count to the hectare, or of all where no area is known.
     """
 
     stems: int
@@ -97,13 +98,15 @@ def stand_of_diameters(
     """:func:`stand_table` of one DBH a stem, None where it was not measured; ``rough_cm`` is what is known of those."""
     all_cm = or_nan(dbh_cm)
     on = np.ones(len(all_cm), dtype=bool) if on_area is None else on_area
-    dbh = all_cm[np.isfinite(all_cm)]
     hectares = plot_area_m2 / 10_000.0
+    measured = np.isfinite(all_cm)
+    # Means are of the stems that count to the hectare, as the basal area is.
+    dbh = all_cm[measured & on] if hectares > 0 else all_cm[measured]
     rough = or_nan([None] * len(all_cm) if rough_cm is None else rough_cm)
     basal_m2 = counted_basal_area_m2(all_cm, rough, on) if hectares > 0 else None
     return StandTable(
         stems=len(all_cm),
-        measured=len(dbh),
+        measured=int(measured.sum()),
         plot_area_m2=plot_area_m2 if hectares > 0 else None,
         area_method=area_method if hectares > 0 else NO_AREA,
         stems_per_ha=float(on.sum()) / hectares if hectares > 0 else None,

@@ -20,6 +20,7 @@ from fsinfer.notices.capture import NO_SCALE, REMARKS
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.output.json_values import as_json
+from fsinfer.output.layout import OutputFolder
 from fsinfer.output.plot_json import OF_FILE, of_file, package_versions, read_plot
 from fsinfer.placement.place import density_per_m2, transform_cloud
 from fsinfer.plot_border.request import BorderRequest
@@ -167,6 +168,8 @@ def measure_cloud_file(
         said = (*found.warnings, *unknown_error(found.scale), *opened.warnings, *turned)
         trees = replace(trees, warnings=(*said, *no_scale_once(said, trees.warnings)))
         density = density_per_m2(given.cloud.xyz) if metric else None
+        # That of an earlier measurement would stand beside the tables of this one.
+        OutputFolder(out).report.unlink(missing_ok=True)
         return MeasuredCloud(
             trees=trees,
             scale=found.scale,

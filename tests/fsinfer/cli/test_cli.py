@@ -226,6 +226,14 @@ def test_fuse_then_trees(metric_out: Path, call: Call) -> None:
     assert out.startswith("3 trees, 3 with DBH")
     assert call("report", metric_out)[:2] == (0, f"{metric_out / 'report.html'}\n")
     np.testing.assert_allclose(found, sorted(200 * STEMS[:, 2]), atol=1.0)
+    # The same once more leaves the report; that of another measurement would stand beside tables that it is not of.
+    again = ("trees", metric_out / "cloud.ply", metric_out, "--scale", M_PER_UNIT, "--quiet")
+    assert "is gone" not in call(*again)[1]
+    assert (metric_out / "report.html").is_file()
+    code, out, err = call(*again, "--bh", 1.0)
+    assert code == 0, err
+    assert not (metric_out / "report.html").exists()
+    assert f"was of an earlier measurement and is gone: fsinfer report {metric_out}" in out
     # What a measurement that was killed has left may be of two.
     (metric_out / RECORDS_FOLDER / "measure.json").write_text('{"state": "started"}', encoding="utf-8")
     code, out, err = call("report", metric_out)

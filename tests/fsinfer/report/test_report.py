@@ -224,22 +224,25 @@ def test_stems_outside_of_the_walk_count_in_no_figure(tmp_path: Path, *, far_ste
 
 def test_figures_of_the_stand_are_those_of_the_run(tmp_path: Path) -> None:
     given = {"stems": 3, "measured": 2, "plot_area_m2": 500.0, "area_method": "given", "stems_per_ha": 61.0}
-    given |= {"basal_area_m2_per_ha": 7.7, "quadratic_mean_dbh_cm": 35.4, "mean_dbh_cm": 35.1}
+    given |= {"basal_area_m2_per_ha": 7.7, "quadratic_mean_dbh_cm": 35.44, "mean_dbh_cm": 35.0}
     full_folder(tmp_path, plot=PLOT | {"stand": given})
     page = make_report(tmp_path).read_text(encoding="utf-8")
     for text in (
-        "<td>35.1 cm</td>",
+        "<td>35.0 cm</td>",
         "<td>35.4 cm</td>",
         "<td>500 m²</td>",
         "<td>61</td>",
         "<td>7.7 m²/ha (1 without a DBH counted",
     ):
         assert text in page, text
-    # Somebody took trees out of the table since.
-    full_folder(tmp_path, plot=PLOT | {"stand": given | {"stems": 4}, "plot_area_m2": 500.0})
-    page = make_report(tmp_path).read_text(encoding="utf-8")
-    assert "<td>35.0 cm</td>" in page
-    assert '<th scope="row">Stems per hectare</th><td>60</td>' in page
+    assert "trees.csv was changed" not in page
+    # Somebody took trees out of the table since, or wrote another diameter into it.
+    for changed in ({"stems": 4}, {"mean_dbh_cm": 34.9}):
+        full_folder(tmp_path, plot=PLOT | {"stand": given | changed, "plot_area_m2": 500.0})
+        page = make_report(tmp_path).read_text(encoding="utf-8")
+        assert "<td>35.0 cm</td>" in page
+        assert '<th scope="row">Stems per hectare</th><td>60</td>' in page
+        assert "trees.csv was changed after the measurement" in page
 
 
 def test_without_a_border_the_figures_are_said_to_be_of_seen_ground_only(tmp_path: Path) -> None:
@@ -280,11 +283,15 @@ def test_a_plot_with_a_border_is_told_and_drawn(tmp_path: Path) -> None:
     ):  # fmt: skip
         assert text in page, text
     assert "seen only: the plot has no border" not in page
+    assert "trees.csv was changed" not in page
     # A table that was changed since is not that of the figures.
-    rows[0]["in_plot"] = 0
-    page = make_report(full_folder(tmp_path, plot=given, trees=rows)).read_text(encoding="utf-8")
-    assert 'class="border"' not in page
-    assert "seen only: the plot has no border" in page
+    for changed in ({"in_plot": 0}, {"dbh_cm": 33.3}):
+        now = [rows[0] | changed, *rows[1:]]
+        page = make_report(full_folder(tmp_path, plot=given, trees=now)).read_text(encoding="utf-8")
+        assert 'class="border"' not in page
+        assert "seen only: the plot has no border" not in page
+        assert "not of the plot within its border: trees.csv was changed" in page
+        assert "Put corrections into edits.csv and measure again" in page
 
 
 def test_classes_add_up_to_the_figures_of_the_plot(tmp_path: Path) -> None:

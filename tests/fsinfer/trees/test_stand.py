@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fsinfer.trees.stand import seen_cells
+from fsinfer.trees.stand import seen_cells, stand_of_diameters
 
 NO_STEMS = np.zeros((0, 2))
 
@@ -39,3 +39,13 @@ def test_a_stray_a_kilometre_away_costs_neither_memory_nor_area() -> None:
     seen = seen_cells(far)
     assert seen.seen.size < 4e7
     assert seen.area(NO_STEMS) == pytest.approx(np.pi * 100, rel=0.1)
+
+
+def test_means_are_of_the_stems_that_count_to_the_hectare() -> None:
+    on = np.array([True, True, False, True])
+    stand = stand_of_diameters([20.0, 30.0, 50.0, None], 200.0, on_area=on)
+    assert (stand.stems, stand.measured, stand.stems_on_area) == (4, 3, 3)
+    assert stand.mean_dbh_cm == pytest.approx(25.0)
+    assert stand.quadratic_mean_dbh_cm == pytest.approx(np.sqrt(650.0))
+    # Without an area nothing is on it, and all are told of.
+    assert stand_of_diameters([20.0, 30.0, 50.0], 0.0).mean_dbh_cm == pytest.approx(100 / 3)
