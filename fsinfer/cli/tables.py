@@ -36,6 +36,10 @@ _ALIGNMENT_DOUBTS = {
         "Positions: the mirror image of the measured map fits far better. Are x_m (east) and y_m (north) interchanged, "
         "or was a bearing taken for an angle from the x axis?"
     ),
+    "other_numbers": (
+        "Numbers: the trees of the same tree_id do not stand as far from each other in both tables: are the numbers "
+        "those of the same trees? Without --by-id they are matched by position."
+    ),
 }
 _OTHER_NUMBERS = "no extracted tree has the tree_id of a measured one; without --by-id they are matched by position"
 

@@ -7,6 +7,7 @@ from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import pdist
 
 from fsinfer.evaluation.registration import apply, assign, register
 from fsinfer.evaluation.settings import Align
@@ -30,6 +31,20 @@ class AlignmentDoubt(StrEnum):
     chance = "chance"
     mirrored = "mirrored"
     symmetric = "symmetric"
+    other_numbers = "other_numbers"
+
+
+def doubt_of_numbers(truth: Floats, found: Floats, limit: float) -> AlignmentDoubt:
+    """Whether places (N, 2) of trees of the same numbers are those of the same trees, whatever the frames.
+
+    They are not where half of the distances from tree to tree differ by more than the two ends of one may be off,
+    ``limit`` metres each; of places that are no numbers, or of fewer than three, nothing is said.
+    """
+    known = np.isfinite(truth).all(axis=1) & np.isfinite(found).all(axis=1)
+    if known.sum() < _LEAST_MATCHES:
+        return AlignmentDoubt.none
+    apart = float(np.median(np.abs(pdist(truth[known]) - pdist(found[known]))))
+    return AlignmentDoubt.other_numbers if apart > 2.0 * limit else AlignmentDoubt.none
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import InputError
-from fsinfer.evaluation.alignment import AlignmentDoubt, align_maps
+from fsinfer.evaluation.alignment import AlignmentDoubt, align_maps, doubt_of_numbers
 from fsinfer.evaluation.settings import MAX_DISTANCE_M, Align
 from fsinfer.evaluation.units import refuse_other_units
 from fsinfer.geometry.hull import in_hull
@@ -90,7 +90,8 @@ class Evaluation:
 
     ``alignment_doubt`` is ``chance`` where the frames differ and no motion lays more trees on each other than on the
     mirror image, and ``mirrored`` where that fits far better: then "auto" compares the positions as given. It is
-    ``symmetric`` where a motion was used and the mirror image fits as well.
+    ``symmetric`` where a motion was used and the mirror image fits as well, and ``other_numbers`` where trees were
+    matched by their numbers and their places are not those of the same trees.
 
     ``measured_from_extracted`` holds rotation in degrees and shift in metres when the frames were aligned, else None.
     """
@@ -153,6 +154,8 @@ def evaluate(
     if by_id:
         links = _links_by_id(measured, extracted)
         distances = [None] * len(links)
+        places = [_places([trees[link[side]] for link in links]) for side, trees in enumerate((measured, extracted))]
+        doubt = doubt_of_numbers(*places, max_distance_m)
     else:
         truth, found = _positions(measured, "measured"), _positions(extracted, "extracted")
         aligned = align_maps(truth, found, max_distance_m, align)
@@ -233,8 +236,13 @@ def _metrics(
     )
 
 
+def _places(trees: Sequence[HasDbh]) -> Floats:
+    """Positions (N, 2), NaN where there is none."""
+    return np.array([[tree.x_m, tree.y_m] for tree in trees], dtype=np.float64).reshape(-1, 2)
+
+
 def _positions(trees: Sequence[HasDbh], which: str) -> Floats:
-    xy = np.array([[tree.x_m, tree.y_m] for tree in trees], dtype=np.float64).reshape(-1, 2)
+    xy = _places(trees)
     if not np.isfinite(xy).all():
         bad = trees[int(np.argmin(np.isfinite(xy).all(axis=1)))].tree_id
         msg = f"{which} tree {bad} has no position; give x_m and y_m, or match by id"

@@ -88,6 +88,22 @@ def test_matching_is_one_to_one_and_complete() -> None:
     assert links == {("a", "1"), ("b", "2")}
 
 
+def test_numbers_of_other_trees_are_told_whatever_the_frame() -> None:
+    rng = np.random.default_rng(4)
+    trees = [
+        MeasuredTree(tree_id=str(n), x_m=x, y_m=y, dbh_cm=30.0) for n, (x, y) in enumerate(rng.uniform(0, 20, (8, 2)))
+    ]
+    # Another frame: turned by a right angle and moved, each place a little off.
+    same = [replace(t, x_m=100 - t.y_m + 0.2, y_m=t.x_m + 7) for t in trees]
+    assert evaluate(trees, same, by_id=True).alignment_doubt == ""
+    other = [replace(t, tree_id=str((int(t.tree_id) + 3) % 8)) for t in same]
+    assert evaluate(trees, other, by_id=True).alignment_doubt == "other_numbers"
+    # Of two trees, and without positions, nothing is known.
+    assert evaluate(trees[:2], other, by_id=True).alignment_doubt == ""
+    nowhere = [replace(t, x_m=float("nan"), y_m=float("nan")) for t in trees]
+    assert evaluate(nowhere, other, by_id=True).alignment_doubt == ""
+
+
 def test_matching_by_id_ignores_positions() -> None:
     found = [Found("b", 90.0, 0.0, 33.0), Found("x", 0.0, 0.0, 20.0)]
     e = evaluate(MEASURED, found, by_id=True)
