@@ -154,8 +154,8 @@ def evaluate(
     if by_id:
         links = _links_by_id(measured, extracted)
         distances = [None] * len(links)
-        places = [_places([trees[link[side]] for link in links]) for side, trees in enumerate((measured, extracted))]
-        doubt = doubt_of_numbers(*places, max_distance_m)
+        there, here = _places([measured[i] for i, _ in links]), _places([extracted[j] for _, j in links])
+        doubt = doubt_of_numbers(there, here, max_distance_m)
     else:
         truth, found = _positions(measured, "measured"), _positions(extracted, "extracted")
         aligned = align_maps(truth, found, max_distance_m, align)
