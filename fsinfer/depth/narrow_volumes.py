@@ -78,7 +78,7 @@ def refiner_volume(
     offsets = np.linspace(-manifest.refine_span, manifest.refine_span, manifest.refine_planes, dtype=np.float32)
 
     def inverse_depth_of(rows: slice) -> Float32:
-        # Row by row: all at once they would be as large as half of the volume, and one thread's work.
+        # Block by block: all at once they would be as large as half of the volume, and one thread's work.
         planes = np.add(centre[rows], offsets[:, None, None])
         return _inverse_depth(planes, manifest, group.depth_range, out=planes)
 

@@ -217,8 +217,8 @@ def _step(
         normal[i] *= part
 
     over_blocks(weigh, len(sources), 1, threads)
-    summed: list[Callable[[], Float32]] = [partial(normal.sum, axis=0), lambda: weight, partial(right.sum, axis=0)]
-    known, sure, shift = in_order(lambda summed: window(summed()), summed, threads)
+    maps: list[Callable[[], Float32]] = [partial(normal.sum, axis=0), lambda: weight, partial(right.sum, axis=0)]
+    known, sure, shift = in_order(lambda make: window(make()), maps, threads)
     held = known + np.float32(s.damping) * sure
     shift /= held + _TINY
     np.clip(shift, -s.most_px, s.most_px, out=shift)

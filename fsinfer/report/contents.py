@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -143,6 +143,11 @@ def number(text: object) -> float | None:
     except (TypeError, ValueError):
         return None
     return value if value - value == 0 else None
+
+
+def measured_cm(rows: Sequence[Mapping[str, str]]) -> list[float]:
+    """DBH of those rows of ``trees.csv`` that have one."""
+    return [d for tree in rows if (d := number(tree.get("dbh_cm"))) is not None]
 
 
 def tree_number(tree: Mapping[str, object]) -> int | None:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from fsinfer.output.json_values import of_json
 from fsinfer.plot_border.hectare import COUNTING, HectareFigure
 from fsinfer.plot_border.plot import PlotFigures
-from fsinfer.report.contents import Contents, number
+from fsinfer.report.contents import Contents, measured_cm, number
 
 #: Parts of an interval that are smaller than this share of the largest are not named. Source: layout.
 _LEAST_PART = 0.05
@@ -29,9 +29,15 @@ def border_of(contents: Contents) -> PlotFigures | None:
         figures = of_json(PlotFigures, {"on_unseen": 0} | contents.plot["plot_border"])
     except (TypeError, ValueError, KeyError):
         return None
-    rows = [tree for tree in contents.trees or () if is_in(tree)]
-    same = len(rows) == figures.stems and same_mean(_squares(rows), figures.quadratic_mean_dbh_cm, power=2)
+    rows = rows_in(contents)
+    squares = [d * d for d in measured_cm(rows)]
+    same = len(rows) == figures.stems and same_mean(squares, figures.quadratic_mean_dbh_cm, power=2)
     return figures if same else None
+
+
+def rows_in(contents: Contents) -> list[dict[str, str]]:
+    """The rows of ``trees.csv`` that are in the plot."""
+    return [tree for tree in contents.trees or () if is_in(tree)]
 
 
 def lost_border(contents: Contents) -> bool:
@@ -48,10 +54,6 @@ def same_mean(values: Sequence[float], told: float | None, *, power: int = 1) ->
         return told is None
     mean: float = (sum(values) / len(values)) ** (1 / power)
     return abs(mean - told) < _ROUNDED_CM
-
-
-def _squares(rows: Sequence[Mapping[str, str]]) -> list[float]:
-    return [d * d for tree in rows if (d := number(tree.get("dbh_cm"))) is not None]
 
 
 def is_in(tree: Mapping[str, str]) -> bool | None:

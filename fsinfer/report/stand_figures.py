@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from fsinfer.report.contents import Contents, number, tree_number
+from fsinfer.report.contents import Contents, measured_cm, number, tree_number
 from fsinfer.report.number_table import NumberTable
-from fsinfer.report.plot_border import border_of, is_in, lost_border, same_mean
+from fsinfer.report.plot_border import border_of, lost_border, rows_in, same_mean
 from fsinfer.trees.rough_dbh import rough_of_text
 from fsinfer.trees.stand import StandTable, counted_basal_area_m2, or_nan, stand_of_diameters
 
@@ -41,7 +41,7 @@ def stand_of(contents: Contents) -> StandTable:
         quadratic_mean_dbh_cm=number(given.get("quadratic_mean_dbh_cm")),
         mean_dbh_cm=number(given.get("mean_dbh_cm")),
         stems_on_area=None if on_area is None else int(on_area),
-        off_area=tuple(int(n) for one in given.get("off_area") or () if (n := number(one)) is not None),
+        off_area=_off_area(given),
     )
 
 
@@ -54,13 +54,17 @@ def is_changed(contents: Contents) -> bool:
     given = contents.plot.get("stand")
     if not isinstance(given, dict):
         return False
-    sized = [(d, tree_number(tree)) for tree in contents.counted if (d := number(tree.get("dbh_cm"))) is not None]
-    if (given.get("stems"), given.get("measured")) != (len(contents.counted), len(sized)):
+    everywhere, off = measured_cm(contents.counted), _off_area(given)
+    if (given.get("stems"), given.get("measured")) != (len(contents.counted), len(everywhere)):
         return True
-    off = {n for one in given.get("off_area") or () if (n := number(one)) is not None}
     # Before the means were those of the stems on the area they were of all.
-    means = ([d for d, tree in sized if tree not in off], [d for d, _ in sized])
-    return not any(same_mean(values, number(given.get("mean_dbh_cm"))) for values in means)
+    on_area = measured_cm([tree for tree in contents.counted if tree_number(tree) not in off])
+    return not any(same_mean(values, number(given.get("mean_dbh_cm"))) for values in (on_area, everywhere))
+
+
+def _off_area(given: Mapping[str, Any]) -> tuple[int, ...]:
+    """Numbers of the stems that stand on other ground than that whose area is known."""
+    return tuple(int(n) for one in given.get("off_area") or () if (n := number(one)) is not None)
 
 
 def _rough_cm(rows: Sequence[Mapping[str, str]]) -> list[float | None]:
@@ -95,8 +99,8 @@ def diameters_cm(contents: Contents, *, everywhere: bool = False) -> list[float]
     """
     rows = contents.counted
     if not everywhere and border_of(contents) is not None:
-        rows = [tree for tree in contents.trees or () if is_in(tree)]
-    return [d for tree in rows if (d := number(tree.get("dbh_cm"))) is not None]
+        rows = rows_in(contents)
+    return measured_cm(rows)
 
 
 def basal_area_m2(dbh_cm: Sequence[float]) -> float:
@@ -107,16 +111,16 @@ def basal_area_m2(dbh_cm: Sequence[float]) -> float:
 def class_table(contents: Contents, stand: StandTable) -> NumberTable | None:
     """Stems and basal area by classes of diameter, within the plot's border where it has one; None without a DBH."""
     plot = border_of(contents)
-    rows_in = contents.counted if plot is None else [tree for tree in contents.trees or () if is_in(tree)]
+    trees = contents.counted if plot is None else rows_in(contents)
     off = frozenset(stand.off_area if plot is None else ())
-    sized = [(d, tree_number(tree) not in off) for tree in rows_in if (d := number(tree.get("dbh_cm"))) is not None]
+    sized = [(d, tree_number(tree) not in off) for tree in trees if (d := number(tree.get("dbh_cm"))) is not None]
     dbh_cm = [d for d, _ in sized]
     if not dbh_cm:
         return None
     counting = [d for d, counts in sized if counts]
-    on = np.array([tree_number(tree) not in off for tree in rows_in], dtype=bool)
-    all_cm = or_nan([number(tree.get("dbh_cm")) for tree in rows_in])
-    whole_m2 = counted_basal_area_m2(all_cm, or_nan(_rough_cm(rows_in)), on)
+    on = np.array([tree_number(tree) not in off for tree in trees], dtype=bool)
+    all_cm = or_nan([number(tree.get("dbh_cm")) for tree in trees])
+    whole_m2 = counted_basal_area_m2(all_cm, or_nan(_rough_cm(trees)), on)
     if plot is None:
         count = stand.stems - len(stand.off_area)
         per_hectare = _a_hectare(stand.stems_per_ha, stand.basal_area_m2_per_ha, count, whole_m2)

@@ -61,8 +61,9 @@ def ends_of(near: Floats, stem: Stem, *, cloud_top_m: float, slab_m: tuple[float
     the same level.
     """
     offset, _ = axis_coordinates(near, stem.axis.parameters, stem.axis.height_m)
-    away, height = lengths(offset), near[:, 2]
-    away, height = (values[away <= stem.axis.radius_m + BESIDE_M] for values in (away, height))
+    away = lengths(offset)
+    column = away <= stem.axis.radius_m + BESIDE_M
+    away, height = away[column], near[column, 2]
     on_wall = np.count_nonzero((height >= stem.bottom_m) & (height <= stem.top_m))
     a_metre = on_wall / max(stem.top_m - stem.bottom_m, NEAR_END_M)
 
@@ -79,9 +80,10 @@ def ends_of(near: Floats, stem: Stem, *, cloud_top_m: float, slab_m: tuple[float
     upon = np.sort(above[above <= top])
     dense = len(upon) >= UPON * a_metre * (top - stem.top_m) and np.diff([stem.top_m, *upon, top]).max() <= UPON_GAP_M
     is_end = (alone or dense) and empty(top + NEAR_END_M, high) and cloud_top_m > top + CLOUD_ABOVE_M
-    told = (stem.arc_coverage >= LEAST_ARC and top < s.post_top_m) or _has_lid(away, height, top, stem, a_metre)
-    ends_below = stem.arc_coverage >= LEAST_ARC and empty(low + NEAR_END_M, stem.bottom_m - NEAR_END_M)
-    return Ends(top_m=top if is_end and told else None, bottom_m=stem.bottom_m if ends_below else None)
+    seen_round = stem.arc_coverage >= LEAST_ARC
+    ends_above = is_end and ((seen_round and top < s.post_top_m) or _has_lid(away, height, top, stem, a_metre))
+    ends_below = seen_round and empty(low + NEAR_END_M, stem.bottom_m - NEAR_END_M)
+    return Ends(top_m=top if ends_above else None, bottom_m=stem.bottom_m if ends_below else None)
 
 
 def _has_lid(away: Floats, height: Floats, top_m: float, stem: Stem, a_metre: float) -> bool:

@@ -60,13 +60,16 @@ class Harmonic:
     @property
     def known(self) -> bool:
         """Whether the points tell more of it than that stems are usually round."""
-        return float(np.linalg.eigvalsh(self.covariance)[-1]) < 1.0
+        return self._greatest_variance < 1.0
 
     @property
     def told(self) -> bool:
         """Whether it is :attr:`known`, or so large that it is none of its errors: a square post's."""
-        beyond_errors = float(self.amplitude @ self.amplitude) > CLEAR * float(np.linalg.eigvalsh(self.covariance)[-1])
-        return self.known or beyond_errors
+        return self.known or float(self.amplitude @ self.amplitude) > CLEAR * self._greatest_variance
+
+    @property
+    def _greatest_variance(self) -> float:
+        return float(np.linalg.eigvalsh(self.covariance)[-1])
 
     @property
     def square(self) -> float:
