@@ -23,7 +23,7 @@ from training.model.backbone import upsample_like
 from training.model.candidates import READ_RADIUS, CandidateHead
 from training.model.config import DEPTH_PLANES
 from training.model.fsmvsnet import CONFIDENCE_RADIUS, REFINE_WINDOW_RADIUS, WINDOW_RADIUS, PlaneHead, RefineHead
-from training.model.packed import DepthMix, PackedRegularizer
+from training.model.packed import DepthMix, PackedRegularizer, Refiner
 
 
 class GatheredMix(nn.Module):
@@ -165,16 +165,27 @@ class TilePlaneHead(FastPlaneHead):
         return index, confidence, *levels
 
 
+def without_interpolation(refiner: Refiner) -> Refiner:
+    """A copy, batch norm folded before, whose first layers do the work of its :class:`Between`, which is linear."""
+    folded = copy.deepcopy(refiner)
+    for layer in (folded.enter[0][0], folded.residual):  # type: ignore[index]
+        weight = refiner.between.folded(layer.weight.detach(), refiner.groups)
+        layer.weight, layer.in_channels = nn.Parameter(weight), weight.shape[1]
+    folded.between = nn.Identity()  # type: ignore[assignment]
+    return folded
+
+
 class FastCandidateHead(nn.Module):
     """:class:`CandidateHead` with what is read off its scores.
 
-    forward: volume (K*G, h, w), features (C, h, w), hints (3, h, w), plane indices of the candidates (K, h, w) → index
-    and confidence (h, w).
+    forward: volume (L*G, h, w) of the candidates that are looked up, features (C, h, w), hints (3, h, w), plane indices
+    of all candidates (K, h, w) → index and confidence (h, w).
     """
 
     def __init__(self, head: CandidateHead) -> None:
         super().__init__()
-        self.head = head
+        self.head = copy.deepcopy(head)
+        self.head.refiner = without_interpolation(head.refiner)
 
     def forward(self, volume: Tensor, features: Tensor, hints: Tensor, planes: Tensor) -> tuple[Tensor, Tensor]:
         """Return index and confidence."""
@@ -184,12 +195,13 @@ class FastCandidateHead(nn.Module):
 class FastRefineHead(nn.Module):
     """:class:`RefineHead` without the written-out softmax.
 
-    forward: volume (D*G, h, w), features (R, h, w) → index and confidence (h, w).
+    forward: volume (L*G, h, w) of the hypotheses that are looked up, features (R, h, w) → index and confidence (h, w).
     """
 
     def __init__(self, head: RefineHead) -> None:
         super().__init__()
-        self.head = head
+        self.head = copy.deepcopy(head)
+        self.head.refiner = without_interpolation(head.refiner)
 
     def forward(self, volume: Tensor, features: Tensor) -> tuple[Tensor, Tensor]:
         """Return index and confidence."""

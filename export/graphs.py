@@ -13,7 +13,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 from export.fast_heads import FastCandidateHead, FastPlaneHead, FastRefineHead, TilePlaneHead
 from export.volume_heads import TileVolumeHead, VolumeHead
 from training.model import FSMVSNet, ModelConfig
-from training.model.candidates import CANDIDATES, HINTS
+from training.model.candidates import CANDIDATES, HINTS, LOOKED_UP
 from training.model.config import DEPTH_PLANES
 from training.model.fsmvsnet import REFINE_GROUPS
 
@@ -102,7 +102,7 @@ def graphs(model: FSMVSNet) -> list[Graph]:
     if model.candidate_head is not None:
         planes = torch.randn(CANDIDATES, h, w) + torch.arange(CANDIDATES)[:, None, None]
         inputs = {
-            "volume": torch.randn(CANDIDATES * config.groups, h, w),
+            "volume": torch.randn(3 * LOOKED_UP * config.groups, h, w),
             "features": torch.randn(config.feature_channels, h, w),
             "hints": torch.rand(HINTS, h, w),
             "planes": planes,
@@ -122,7 +122,7 @@ def graphs(model: FSMVSNet) -> list[Graph]:
                 role="refiner",
                 module=FastRefineHead(fold_batch_norm(model.refine_head)),
                 inputs={
-                    "volume": torch.randn(config.refine_planes * REFINE_GROUPS, 2 * h, 2 * w),
+                    "volume": torch.randn(config.refine_looked_up * REFINE_GROUPS, 2 * h, 2 * w),
                     "features": torch.randn(config.refine_channels, 2 * h, 2 * w),
                 },
                 outputs=["index", "confidence"],

@@ -29,7 +29,7 @@ from export.tidy import tidy
 from fsinfer.depth.manifest import hash_files
 from fsinfer.errors import ModelError
 from training.model import FSMVSNet
-from training.model.candidates import AROUND, STEP
+from training.model.candidates import AROUND, LOOKED_UP, STEP
 from training.model.config import DEPTH_PLANES
 
 _log = logging.getLogger(__name__)
@@ -82,8 +82,12 @@ def export_model(
             "packed_planes": config.packed_planes if config.regularizer == "packed" else 0,
             "inverse_depth": config.inverse_depth,
         },
-        "refine": {"planes": config.refine_planes, "span": config.refine_span},
-        **({"candidates": {"around": AROUND, "step": STEP}} if "candidates" in entries else {}),
+        "refine": {
+            "planes": config.refine_planes,
+            "looked_up": config.refine_looked_up,
+            "span": config.refine_span,
+        },
+        **({"candidates": {"around": AROUND, "looked_up": LOOKED_UP, "step": STEP}} if "candidates" in entries else {}),
         "parity_confidence_threshold": confidence_threshold,
         "tolerances": {"depth_rel_p999": DEPTH_REL_P999, "confidence_mask_agreement": MASK_AGREEMENT},
         "config": config.to_dict(),
@@ -106,12 +110,21 @@ def hash_weights(model: FSMVSNet) -> str:
     return digest.hexdigest()
 
 
+def _what_counts(manifest: dict[str, Any], key: str) -> Any:
+    """An entry; where those of before do not say how many hypotheses are looked up, all are."""
+    entry = manifest.get(key)
+    if not isinstance(entry, dict):
+        return entry
+    return {"looked_up": entry.get("planes", entry.get("around")), **entry}
+
+
 def _still_true(before: dict[str, Any], now: dict[str, Any], folder: Path, files: list[Path]) -> dict[str, Any]:
     """Entries of the manifest that is replaced which hold for the new one; the others go with a warning."""
     made = {key: before[key] for key in _MADE_AFTERWARDS if key in before}
     if not made:
         return {}
-    same = all(before.get(key) == now[key] for key in ("weights_sha256", "refine"))
+    counts = ("weights_sha256", "refine", "candidates")
+    same = all(_what_counts(before, key) == _what_counts(now, key) for key in counts)
     roles = [role for role in now["graphs"] if role in made.get("int8", ())]
     int8 = {now["graphs"][role]["file"]: folder / made["int8"][role] for role in roles}
     if same:
@@ -124,7 +137,7 @@ def _still_true(before: dict[str, Any], now: dict[str, Any], folder: Path, files
         file.unlink(missing_ok=True)
     for key in made:
         _log.warning(
-            "%s: %s was made from other weights and is gone; make it again: %s", now["name"], key, _MADE_AFTERWARDS[key]
+            "%s: %s was made of other graphs and is gone; make it again: %s", now["name"], key, _MADE_AFTERWARDS[key]
         )
     return {}
 

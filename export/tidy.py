@@ -5,6 +5,7 @@
 - Of a batch of one the only member is copied; its axis is dropped instead.
 - A convolution in 8 bits of channels that are no multiple of four takes two to three times as long: it gets channels
   more, with weights of zero.
+- The exporter's notes of the lines of code that each node comes from are left out.
 """
 
 from __future__ import annotations
@@ -62,6 +63,14 @@ def tidy(model: onnx.ModelProto) -> None:
     drop_unused(model.graph)
     # Sizes that were told for what is larger now, or gone.
     del model.graph.value_info[:]
+    _drop_notes(model.graph)
+
+
+def _drop_notes(graph: onnx.GraphProto) -> None:
+    """Take out what the exporter notes of where each node comes from: the files on the machine that it ran on."""
+    for item in (graph, *graph.node, *graph.input, *graph.output, *graph.initializer):
+        item.ClearField("metadata_props")
+        item.ClearField("doc_string")
 
 
 def drop_unused(graph: onnx.GraphProto) -> None:

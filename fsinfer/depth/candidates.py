@@ -20,23 +20,24 @@ Float32 = NDArray[np.float32]
 _FAR_APART = np.float32(8.0)
 
 
-def candidate_planes(index_hw: Float32, height: int, width: int, *, around: int, step: float) -> Float32:
-    """(3 ``around``, height, width) plane indices at twice the resolution of ``index_hw``.
-
-    ``around`` of each, ``step`` planes apart: round the own index, the least and the greatest of the cell and its
-    eight neighbours.
+def spread_indices(index_hw: Float32, height: int, width: int) -> Float32:
+    """Own, least and greatest index (3, height, width) at twice the resolution of ``index_hw``: of a pixel's cell, and
+    of the cell and its eight neighbours.
     """
-    offsets = (np.arange(around, dtype=np.float32) - np.float32((around - 1) / 2)) * np.float32(step)
     window = np.ones((3, 3), np.uint8)
     # Beyond the border OpenCV leaves cells out, as a repeated border would.
     least, greatest = (
         part.repeat(2, axis=0).repeat(2, axis=1)[:height, :width]
         for part in (cv2.erode(index_hw, window), cv2.dilate(index_hw, window))
     )
-    planes = np.empty((3, around, height, width), np.float32)
-    for kind, centre in enumerate((upsample_index(index_hw, height, width), least, greatest)):
-        np.add(centre, offsets[:, None, None], out=planes[kind])
-    return planes.reshape(3 * around, height, width)
+    return np.stack([upsample_index(index_hw, height, width), least, greatest])
+
+
+def candidate_planes(centres_3hw: Float32, *, around: int, step: float) -> Float32:
+    """(3 ``around``, h, w) plane indices: ``around`` of each of :func:`spread_indices`, ``step`` planes apart."""
+    offsets = (np.arange(around, dtype=np.float32) - np.float32((around - 1) / 2)) * np.float32(step)
+    planes: Float32 = centres_3hw[:, None] + offsets[:, None, None]
+    return planes.reshape(3 * around, *centres_3hw.shape[1:])
 
 
 def hints(planes_dhw: Float32, confidence_hw: Float32) -> Float32:

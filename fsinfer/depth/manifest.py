@@ -35,6 +35,7 @@ _COUNTS = (
     "feature_channels",
     "refine_channels",
     "refine_planes",
+    "refine_looked_up",
 )
 #: More than any model has of any of them. Source: judgement; memory goes with their product.
 _MOST = 4096
@@ -48,12 +49,19 @@ class Candidates:
     ----------
     graph: ONNX file; int8_graph: the same in 8-bit integers, or ``None``.
     around, step: candidates round each of a pixel's three indices, and how far they lie apart, planes.
+    looked_up: of each as many, evenly from the first to the last, are compared; the graph has what lies between them.
     """
 
     graph: str
     int8_graph: str | None
     around: int
     step: float
+    looked_up: int
+
+    @property
+    def looked_up_step(self) -> float:
+        """How far those that are looked up lie apart, planes."""
+        return self.step * (self.around - 1) / max(1, self.looked_up - 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,6 +100,8 @@ class ModelManifest:
     level_channels: channels of the first level of a regularizer that takes the whole volume; 0 where it takes slabs.
     feature_channels: of a feature map at a quarter; refine_channels: at half resolution, 0 where nothing is refined.
     refine_planes, refine_span: the narrow volume at half resolution; span in plane intervals on each side.
+    refine_looked_up: of its hypotheses so many, evenly from the first to the last, are compared; the graph has what
+        lies between them.
     sha256: over the graphs' bytes, in the order features, regularizer, candidates, refiner.
     int8_regularizer, int8_features, int8_refiner: the graphs in 8-bit integers, and ``int8_sha256`` the hash with them
         in place of the others; ``None`` where the model has none. One with an int8 regularizer may lack the others.
@@ -119,6 +129,7 @@ class ModelManifest:
     refine_channels: int
     inverse_depth: bool
     refine_planes: int
+    refine_looked_up: int
     refine_span: float
     sha256: str
     int8_regularizer: str | None
@@ -212,6 +223,7 @@ def read_manifest(name_or_path: str | Path, *, trust: bool = False) -> ModelMani
             refine_channels=_config(data, "refine_channels", _REFINE_CHANNELS) if "refiner" in data["graphs"] else 0,
             inverse_depth=data["volume"]["inverse_depth"],
             refine_planes=data["refine"]["planes"],
+            refine_looked_up=data["refine"].get("looked_up", data["refine"]["planes"]),
             refine_span=data["refine"]["span"],
             sha256=data["sha256"],
             int8_regularizer=data["int8"]["regularizer"] if "int8" in data else None,
@@ -252,6 +264,9 @@ def _check(manifest: ModelManifest, data: dict[str, Any]) -> None:
         if not 1 <= chooser.around <= _MOST or not 0 < chooser.step <= _MOST or manifest.volume != "correlation":
             msg = f"candidates are {chooser.around} around, {chooser.step} apart, of a volume of {manifest.volume}"
             raise ValueError(msg)
+        if not min(2, chooser.around) <= chooser.looked_up <= chooser.around:
+            msg = f"of {chooser.around} candidates {chooser.looked_up} are looked up"
+            raise ValueError(msg)
     hashes: list[Any] = [manifest.sha256]
     if manifest.int8_regularizer is not None:
         hashes.append(manifest.int8_sha256)
@@ -275,8 +290,8 @@ def _check(manifest: ModelManifest, data: dict[str, Any]) -> None:
     if manifest.packed_planes and manifest.planes % manifest.packed_planes:
         msg = f"{manifest.planes} planes are no whole number of slabs of {manifest.packed_planes}"
         raise ValueError(msg)
-    if manifest.refiner is not None and manifest.refine_planes < 2:
-        msg = f"refine_planes is {manifest.refine_planes}"
+    if manifest.refiner is not None and not 2 <= manifest.refine_looked_up <= manifest.refine_planes:
+        msg = f"refine_planes is {manifest.refine_planes}, {manifest.refine_looked_up} of them looked up"
         raise ValueError(msg)
     span: Any = manifest.refine_span
     if manifest.planes < 2 or isinstance(span, bool) or not isinstance(span, (int, float)) or not 0 <= span <= _MOST:
@@ -332,6 +347,7 @@ def _candidates(data: dict[str, Any]) -> Candidates | None:
         int8_graph=data.get("int8", {}).get("candidates"),
         around=int(data["candidates"]["around"]),
         step=float(data["candidates"]["step"]),
+        looked_up=int(data["candidates"].get("looked_up", data["candidates"]["around"])),
     )
 
 

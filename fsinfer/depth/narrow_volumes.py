@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.depth.candidates import candidate_planes, hints
+from fsinfer.depth.candidates import candidate_planes, hints, spread_indices
 from fsinfer.depth.cost_volume import upsample_index, upsample_twice, weighted_correlation_volume
 from fsinfer.depth.manifest import ModelManifest
 from fsinfer.depth.view_group import ViewGroup
@@ -34,8 +34,8 @@ def candidate_volume(
     """What the graph of the candidates is given, and the weights (S, H, W) of the sources at a quarter.
 
     ``index``, ``confidence`` (h, w) are those of the regularizer, ``weights`` (S, h, w) those of the sources in its
-    volume. The inputs are by their names ``volume`` (candidates x groups, H, W), ``features`` (C, H, W), ``hints`` (3,
-    H, W) and ``planes`` (candidates, H, W); see :mod:`fsinfer.depth.candidates`.
+    volume. The inputs are by their names ``volume`` (candidates that are looked up x groups, H, W), ``features`` (C, H,
+    W), ``hints`` (3, H, W) and ``planes`` (candidates, H, W); see :mod:`fsinfer.depth.candidates`.
     """
     found = manifest.candidates
     if found is None:
@@ -43,14 +43,20 @@ def candidate_volume(
         raise ModelError(msg)
     quarter = group.quarter
     height, width = quarter[0].shape
-    planes = candidate_planes(index, height, width, around=found.around, step=found.step)
+    centres = spread_indices(index, height, width)
+    planes = candidate_planes(centres, around=found.around, step=found.step)
     weights = upsample_twice(weights, height, width)
+
+    def inverse_depth_of(rows: slice) -> Float32:
+        looked_up = candidate_planes(centres[:, rows], around=found.looked_up, step=found.looked_up_step)
+        return _inverse_depth(looked_up, manifest, group.depth_range, out=looked_up)
+
     volume = weighted_correlation_volume(
         quarter[0],
         quarter[1:],
         group.projections(4),
-        len(planes),
-        lambda rows: _inverse_depth(planes[:, rows], manifest, group.depth_range),
+        3 * found.looked_up,
+        inverse_depth_of,
         weights,
         threads=threads,
     )
@@ -70,12 +76,12 @@ def refiner_volume(
     """What the refiner is given, and the plane index (H, W) at half resolution that its hypotheses lie round.
 
     ``index`` (h, w) is that at a quarter, ``weights`` (S, h, w) those of the sources there. The inputs are ``volume``
-    (hypotheses x groups, H, W) and ``features`` (C, H, W) by their names.
+    (hypotheses that are looked up x groups, H, W) and ``features`` (C, H, W) by their names.
     """
     half = group.half
     height, width = half[0].shape
     centre = upsample_index(index, height, width)
-    offsets = np.linspace(-manifest.refine_span, manifest.refine_span, manifest.refine_planes, dtype=np.float32)
+    offsets = np.linspace(-manifest.refine_span, manifest.refine_span, manifest.refine_looked_up, dtype=np.float32)
 
     def inverse_depth_of(rows: slice) -> Float32:
         # Block by block: all at once they would be as large as half of the volume, and one thread's work.

@@ -8,9 +8,17 @@ import pytest
 import torch
 from torch import nn
 
-from export.fast_heads import FastPlaneHead, FastRefineHead, GatheredMix, SubPixels, read_best, read_peak
+from export.fast_heads import (
+    FastCandidateHead,
+    FastPlaneHead,
+    FastRefineHead,
+    GatheredMix,
+    SubPixels,
+    read_best,
+    read_peak,
+)
 from export.graphs import fold_batch_norm
-from training.model.candidates import CANDIDATES, read_candidates
+from training.model.candidates import CANDIDATES, LOOKED_UP, CandidateHead, read_candidates
 from training.model.config import PRESETS
 from training.model.fsmvsnet import PlaneHead, RefineHead
 from training.model.packed import DepthMix
@@ -50,9 +58,21 @@ def test_plane_head_gives_what_the_trained_module_gives(size: tuple[int, int]) -
 @torch.no_grad()
 def test_refine_head_gives_what_the_trained_module_gives() -> None:
     head = fold_batch_norm(_lively(RefineHead(PRESETS["field"])))
-    volume, features = torch.randn(32, 18, 22), torch.randn(8, 18, 22)
+    volume, features = torch.randn(16, 18, 22), torch.randn(8, 18, 22)
     for fast, plain in zip(FastRefineHead(head)(volume, features), head(volume, features), strict=True):
         assert torch.allclose(fast, plain, atol=1e-4)
+
+
+@torch.no_grad()
+def test_candidate_head_gives_what_the_trained_module_gives() -> None:
+    head = fold_batch_norm(_lively(CandidateHead(groups=4, features=16)))
+    volume, features = torch.randn(3 * LOOKED_UP * 4, 18, 22), torch.randn(16, 18, 22)
+    hints, planes = torch.rand(3, 18, 22), 190 * torch.rand(CANDIDATES, 18, 22)
+    scores = head.scores(volume, features, hints)
+    for fast, plain in zip(
+        FastCandidateHead(head)(volume, features, hints, planes), read_candidates(scores, planes), strict=True
+    ):
+        assert torch.allclose(fast, plain, atol=1e-3, rtol=1e-5)
 
 
 @torch.no_grad()

@@ -10,7 +10,7 @@ import torch
 from fsinfer.errors import ModelError
 from training.losses import cross_entropy_candidates
 from training.model import PRESETS, FSMVSNet
-from training.model.candidates import CANDIDATES, candidate_planes, read_candidates
+from training.model.candidates import CANDIDATES, candidate_planes, read_candidates, spread_indices
 from training.train import Trainer
 from training.train_settings import TrainSettings
 
@@ -18,7 +18,7 @@ from training.train_settings import TrainSettings
 def planes_of(own: float, least: float, greatest: float) -> torch.Tensor:
     """(K, 1, 1) candidates of a pixel whose cell and the cells round it say this."""
     index = torch.tensor([[own, least], [greatest, own]], dtype=torch.float32)
-    return candidate_planes(index, 4, 4)[:, :1, :1]
+    return candidate_planes(spread_indices(index, 4, 4))[:, :1, :1]
 
 
 def test_what_is_read_lies_on_one_surface() -> None:

@@ -19,6 +19,10 @@ from training.model.regression import upsample_index
 #: Candidates round each of the three indices, and how far they lie apart, planes of the wide volume. Source: judgement;
 #: the wide volume's index is within 1.5 planes of the truth where it has the right surface.
 AROUND, STEP = 8, 0.75
+#: Candidates of each that are looked up, from the first to the last: what lies between them is interpolated, see
+#: :mod:`training.model.between`. Source: numerics; with all eight of them nothing measured is better.
+LOOKED_UP = 6
+LOOKED_UP_STEP = STEP * (AROUND - 1) / (LOOKED_UP - 1)
 #: Candidates of a pixel: round its own index, the nearest and the farthest.
 CANDIDATES = 3 * AROUND
 #: Channels of what the indices themselves tell: the steps to the nearest and the farthest, and the confidence.
@@ -29,8 +33,8 @@ _FAR_APART = 8.0
 READ_RADIUS = 1.6
 
 
-def spread_indices(index_hw: Tensor, height: int, width: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Own, least and greatest index (height, width) at twice the resolution, from (h, w).
+def spread_indices(index_hw: Tensor, height: int, width: int) -> Tensor:
+    """Own, least and greatest index (3, height, width) at twice the resolution, from (h, w).
 
     Own is :func:`training.model.regression.upsample_index`; the others are over the pixel's cell and its eight
     neighbours.
@@ -42,14 +46,13 @@ def spread_indices(index_hw: Tensor, height: int, width: int) -> tuple[Tensor, T
     padded = F.pad(index_hw[None, None], (1, 1, 1, 1), mode="replicate")
     greatest = F.max_pool2d(padded, 3, stride=1)[0, 0]
     least = -F.max_pool2d(-padded, 3, stride=1)[0, 0]
-    return upsample_index(index_hw, height, width), doubled(least), doubled(greatest)
+    return torch.stack([upsample_index(index_hw, height, width), doubled(least), doubled(greatest)])
 
 
-def candidate_planes(index_hw: Tensor, height: int, width: int) -> Tensor:
-    """(3 ``AROUND``, height, width) plane indices: round the own index, the least and the greatest of the cells."""
-    offsets = (torch.arange(AROUND, device=index_hw.device) - (AROUND - 1) / 2) * STEP
-    centres = torch.stack(spread_indices(index_hw, height, width))
-    return (centres[:, None] + offsets[None, :, None, None]).flatten(0, 1)
+def candidate_planes(centres_3hw: Tensor, around: int = AROUND, step: float = STEP) -> Tensor:
+    """(3 ``around``, h, w) plane indices: round the own index, the least and the greatest (:func:`spread_indices`)."""
+    offsets = (torch.arange(around, device=centres_3hw.device) - (around - 1) / 2) * step
+    return (centres_3hw[:, None] + offsets[None, :, None, None]).flatten(0, 1)
 
 
 def hints(planes_dhw: Tensor, confidence_hw: Tensor) -> Tensor:
@@ -73,11 +76,13 @@ def read_candidates(scores_dhw: Tensor, planes_dhw: Tensor) -> tuple[Tensor, Ten
 
 
 class CandidateHead(nn.Module):
-    """Scores of the candidates from their correlations (D*G, h, w), the features (C, h, w) and the hints (3, h, w)."""
+    """Scores of the candidates from the correlations (L*G, h, w) of those that are looked up, the features (C, h, w)
+    and the hints (3, h, w).
+    """
 
     def __init__(self, *, groups: int, features: int) -> None:
         super().__init__()
-        self.refiner = Refiner(planes=CANDIDATES, groups=groups, features=features + HINTS)
+        self.refiner = Refiner(planes=AROUND, looked_up=LOOKED_UP, groups=groups, features=features + HINTS, sets=3)
 
     def scores(self, volume_chw: Tensor, features_chw: Tensor, hints_chw: Tensor) -> Tensor:
         """(D, h, w)."""

@@ -59,6 +59,14 @@ class ModelConfig:
     # Checkpoints from before this field was there were trained with AdamW.
     optimizer: Literal["adam", "adamw"] = "adamw"
 
+    @property
+    def refine_looked_up(self) -> int:
+        """Hypotheses of the refinement volume that are looked up: half, what lies between them is interpolated.
+
+        See :mod:`training.model.between`; with all of them nothing measured is better.
+        """
+        return max(2, self.refine_planes // 2) if self.refine_planes else 0
+
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as plain values, for checkpoints and manifests."""
         return asdict(self)

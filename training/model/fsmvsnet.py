@@ -8,7 +8,15 @@ import torch
 from torch import Tensor, nn
 
 from training.model.backbone import BFPN, PlainBackbone, upsample_like
-from training.model.candidates import CandidateHead, candidate_planes, hints, read_candidates
+from training.model.candidates import (
+    LOOKED_UP,
+    LOOKED_UP_STEP,
+    CandidateHead,
+    candidate_planes,
+    hints,
+    read_candidates,
+    spread_indices,
+)
 from training.model.config import DEPTH_PLANES, ModelConfig
 from training.model.packed import PackedRegularizer, Refiner, pack
 from training.model.regression import peak_window, soft_argmin, upsample_index
@@ -29,6 +37,12 @@ CONFIDENCE_RADIUS = 1
 def _at_least_single(values: Tensor) -> Tensor:
     """``values`` in float32 where they have fewer digits; float64 stays."""
     return values if values.dtype == torch.float64 else values.float()
+
+
+def _hypotheses(centre_hw: Tensor, span: float, count: int, interval: Tensor, far: Tensor) -> Tensor:
+    """1/depth (``count``, h, w) of plane indices evenly spaced from ``span`` below the centre to as much above it."""
+    offsets = torch.linspace(-span, span, count, device=centre_hw.device, dtype=centre_hw.dtype)
+    return (1 / far + (centre_hw[None] + offsets[:, None, None]) * interval).clamp_min(1e-6)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,11 +147,16 @@ class PlaneHead(nn.Module):
 
 
 class RefineHead(nn.Module):
-    """The refiner as exported: (D*G, h, w) volume and (R, h, w) features → (index (h, w), confidence (h, w))."""
+    """The refiner: (L*G, h, w) volume and (R, h, w) features → (index (h, w), confidence (h, w))."""
 
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
-        self.refiner = Refiner(planes=config.refine_planes, groups=REFINE_GROUPS, features=config.refine_channels)
+        self.refiner = Refiner(
+            planes=config.refine_planes,
+            looked_up=config.refine_looked_up,
+            groups=REFINE_GROUPS,
+            features=config.refine_channels,
+        )
 
     def scores(self, volume_chw: Tensor, features_chw: Tensor) -> Tensor:
         """(D, h, w) scores of the narrow volume."""
@@ -217,9 +236,11 @@ class FSMVSNet(nn.Module):
         scales = list(wide.scales)
         interval = (1 / near - 1 / far) / (planes - 1)
         if self.candidate_head is not None and weights is not None:
-            candidates = candidate_planes(index.detach(), window.height, window.width)
+            centres = spread_indices(index.detach(), window.height, window.width)
+            candidates = candidate_planes(centres)
             weights = upsample_like(weights.detach()[None], candidates)[0]
-            hypotheses = (1 / far + candidates * interval).clamp_min(1e-6)
+            looked_up = candidate_planes(centres, LOOKED_UP, LOOKED_UP_STEP)
+            hypotheses = (1 / far + looked_up * interval).clamp_min(1e-6)
             volume, reference = self._narrow(views, quarter, hypotheses, window, 4, config.groups, weights)
             scores = _at_least_single(
                 self.candidate_head.scores(volume, reference, hints(candidates, confidence.detach()))
@@ -242,16 +263,15 @@ class FSMVSNet(nn.Module):
             height=min(2 * window.height, half.shape[-2] - 2 * window.y),
         )
         centre = upsample_index(index.detach(), fine.height, fine.width)
-        span, count = config.refine_span, config.refine_planes
-        offsets = torch.linspace(-span, span, count, device=images.device, dtype=images.dtype)
-        narrow = (1 / far + (centre[None] + offsets[:, None, None]) * interval).clamp_min(1e-6)
+        narrow = _hypotheses(centre, config.refine_span, config.refine_planes, interval, far)
+        looked_up = _hypotheses(centre, config.refine_span, config.refine_looked_up, interval, far)
         fine_weights = upsample_like(weights.detach()[None], centre)[0]
-        volume, reference = self._narrow(views, half, narrow, fine, 2, REFINE_GROUPS, fine_weights)
+        volume, reference = self._narrow(views, half, looked_up, fine, 2, REFINE_GROUPS, fine_weights)
         scores = _at_least_single(self.refine_head.scores(volume, reference))
         fine_index, fine_confidence = self.refine_head.read(scores)
         scales.append(ScaleOutput(stride=2, scores_dhw=scores, index_hw=fine_index, inverse_depth_dhw=narrow.detach()))
         step = 2 * config.refine_span / (config.refine_planes - 1)
-        final = centre + offsets[0] + fine_index * step
+        final = centre - config.refine_span + fine_index * step
         coarse_confidence = upsample_like(confidence[None, None], centre)[0, 0]
         return DepthOutput(
             depth=self._depth(final / (planes - 1), near, far),

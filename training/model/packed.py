@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 from training.model.attention import SqueezeExcitation
 from training.model.backbone import conv_bn_relu, upsample_like
+from training.model.between import Between
 
 
 def pack(volume_dghw: Tensor, planes: int) -> Tensor:
@@ -79,11 +80,17 @@ class PackedRegularizer(nn.Module):
 class Refiner(nn.Module):
     """Scores of a narrow half-resolution volume, pure 2D: all its planes are one slab.
 
-    forward: volume (D*G, h, w), reference features (R, h, w) → scores (D, h, w).
+    forward: volume (L*G, h, w) of the hypotheses that are looked up, reference features (R, h, w) → scores (D, h, w) of
+    all. ``looked_up`` and ``planes`` are those of each of the ``sets`` of evenly spaced hypotheses.
     """
 
-    def __init__(self, *, planes: int, groups: int, features: int, width: int = 32) -> None:
+    def __init__(
+        self, *, planes: int, looked_up: int, groups: int, features: int, sets: int = 1, width: int = 32
+    ) -> None:
         super().__init__()
+        self.groups = groups
+        self.between = Between(count=planes, looked_up=looked_up, sets=sets)
+        planes *= sets
         inputs = planes * groups
         self.enter = nn.Sequential(conv_bn_relu(inputs + features, width), conv_bn_relu(width, width))
         self.down = nn.Sequential(
@@ -100,7 +107,7 @@ class Refiner(nn.Module):
 
     def forward(self, volume_chw: Tensor, features_chw: Tensor) -> Tensor:
         """Return the scores of the narrow volume's planes."""
-        volume = volume_chw[None]
+        volume = self.between(volume_chw)[None]
         c0 = self.enter(torch.cat([volume, features_chw[None]], dim=1))
         c1 = self.down(c0)
         c2 = self.down2(c1)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from fsinfer.depth.candidates import candidate_planes, hints
+from fsinfer.depth.candidates import candidate_planes, hints, spread_indices
 from training.model import candidates as trained
 
 Float32 = NDArray[np.float32]
@@ -27,7 +27,7 @@ def index_of(seed: int) -> Float32:
 @given(seed=st.integers(0, 99), shape=st.sampled_from(SHAPES))
 def test_candidates_stand_round_the_own_cell_and_the_extremes_of_the_nine(seed: int, shape: tuple[int, int]) -> None:
     index = index_of(seed)
-    planes = candidate_planes(index, *shape, around=4, step=0.5).reshape(3, 4, *shape)
+    planes = candidate_planes(spread_indices(index, *shape), around=4, step=0.5).reshape(3, 4, *shape)
     np.testing.assert_allclose(np.diff(planes, axis=1), 0.5, atol=1e-5)
     own, least, greatest = planes.mean(axis=1)
     for row in range(shape[0]):
@@ -46,8 +46,8 @@ def test_candidates_stand_round_the_own_cell_and_the_extremes_of_the_nine(seed: 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_candidates_and_hints_are_those_of_the_training(shape: tuple[int, int]) -> None:
     index, confidence = index_of(7), np.random.default_rng(0).random((9, 13), np.float32)
-    planes = candidate_planes(index, *shape, around=trained.AROUND, step=trained.STEP)
-    expected = trained.candidate_planes(torch.from_numpy(index), *shape)
+    planes = candidate_planes(spread_indices(index, *shape), around=trained.AROUND, step=trained.STEP)
+    expected = trained.candidate_planes(trained.spread_indices(torch.from_numpy(index), *shape))
     np.testing.assert_allclose(planes, expected.numpy(), atol=1e-4)
     told = trained.hints(expected, torch.from_numpy(confidence)).numpy()
     found = hints(planes, confidence)
