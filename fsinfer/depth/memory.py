@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from fsinfer.errors import InputError
 
 #: Source: format; decimal, as memory_gb is.
@@ -40,11 +42,25 @@ _PEAK_OVER_EIGHTHS, _INT8_PEAK_OVER_EIGHTHS, _PEAK_OVER_TILE_OF_EIGHTHS = 14.2, 
 #: Feature maps that a process keeps, per cent of those that one process for all would: it computes a run of neighbours.
 #: Source: numerics.
 _CACHE_OF_A_PROCESS = 65
+#: glibc's malloc gives freed memory back to the system where a block is larger than the largest that it gave back
+#: before, at most 32 MiB; what comes back later has to be cleared and mapped anew. Source: numerics; a view takes 4 %
+#: less time with it, ninety by two processes too (docs/trials-speed.md).
+_FREED_AND_KEPT_BYTES = 31 << 20
 #: Sides of tiles that are tried, pixels of the volume. Source: numerics; multiples of the network's coarsest level.
 _TILE_SIZES = range(512, 56, -8)
 #: Sizes that a message proposes: multiples of the one, none below the other, pixels. Source: layout; the least that
 #: --max-size takes.
 _SIZE_STEP_PX, _LEAST_SIZE_PX = 32, 160
+
+
+def keep_freed_memory() -> None:
+    """Let the C library use freed volumes and feature maps again instead of giving them back to the system.
+
+    A block of memory is asked for, never touched, and freed, from which glibc learns; other libraries decide otherwise
+    and lose nothing.
+    """
+    block = np.empty(_FREED_AND_KEPT_BYTES, np.uint8)
+    del block
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from fsinfer.depth.cost_volume import Features, plane_inverse_depths, upsample_twice, variance_volume
 from fsinfer.depth.manifest import ModelManifest, read_manifest
+from fsinfer.depth.memory import keep_freed_memory
 from fsinfer.depth.narrow_volumes import candidate_volume, depth_of_index, refiner_volume
 from fsinfer.depth.network_input import network_input
 from fsinfer.depth.plane_volume import plane_correlation_volume
@@ -109,6 +110,7 @@ class DepthModel:
         threads = threads or os.cpu_count() or 1
         files = manifest.graphs_of(int8=precision == INT8)
         graph_threads = graph_threads or threads
+        keep_freed_memory()
         sessions = {role: load_graph(file, graph_threads, providers) for role, file in files.items()}
         return cls(
             manifest,

@@ -13,13 +13,14 @@ I_s of a source, warped by the depth map,
 sums over a Gaussian window. Where there is no texture along the lines the damping leaves the depth as it is; sources
 that do not show the same place (hidden, beyond the border) lose their weight by their correlation with the reference.
 
-A pixel of a depth map of stride k stands for k x k of the photograph. These are looked at one after the other, each
-time for the whole map: what is summed over a window is first summed over them, so that windows are looked through at
-the size of the map.
+A pixel of a depth map of stride k stands for k x k of the photograph, of which a step looks at every other one, like
+the squares of one colour of a chessboard, and the next step at the others: neighbours tell much the same. What is
+summed over a window is first summed over them, so that windows are looked through at the size of the map.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -39,9 +40,9 @@ Float32 = NDArray[np.float32]
 #: Mean of values (h, w) about each pixel.
 _Window = Callable[[Float32], Float32]
 
-#: Pixels of the depth map at a time: some share for each of a few threads. Source: numerics; a quarter of a map of
-#: 640x352 at a time takes three quarters of the processor seconds of a tenth (docs/trials-speed.md).
-BLOCK_PIXELS = 57_000
+#: Pixels of the photograph at a time, of each thread: the fewer steps, the less threads wait for each other. Source:
+#: numerics; a map of 640x352 in two blocks (docs/trials-speed.md).
+BLOCK_PIXELS = 228_000
 #: A Gaussian window ends at so many standard deviations. Source: numerics.
 WINDOW_ENDS = 3.0
 #: Keeps divisions finite. Source: numerics.
@@ -106,10 +107,11 @@ def refine_depth(
     known = depth > 0
     inverse = np.divide(1.0, depth, out=np.zeros_like(depth), where=known)
     weight = np.where(known, confidence, 0).astype(np.float32)
-    parts = _cut(images[0], stride, depth.shape)
+    whole = _cut(images[0], stride, depth.shape)
     window = partial(_mean_about, kernel=_window_kernel(s.window_px, stride))
-    for _ in range(s.rounds):
+    for left in reversed(range(s.rounds)):
         before = inverse
+        parts = whole.of_one_colour(left)
         moved, seen = _step(before, weight, parts, images[1:], projections, window, s, threads=threads)
         # Of a map at half size three pixels reach as far as five of the photograph.
         side = 2 * (s.median_px // 2 // min(stride, 2)) + 1
@@ -135,6 +137,13 @@ class _Parts:
     down: NDArray[np.int64]
     right: NDArray[np.int64]
     grey: Float32
+
+    def of_one_colour(self, steps_left: int) -> _Parts:
+        """Every other part, in turns; the last step has the first, at its place. One alone is looked at each time."""
+        if self.stride == 1:
+            return self
+        chosen = (self.down + self.right + steps_left) % 2 == 0
+        return _Parts(self.stride, self.down[chosen], self.right[chosen], self.grey[chosen])
 
 
 def _cut(reference: Float32, stride: int, shape: tuple[int, int]) -> _Parts:
@@ -190,7 +199,8 @@ def _step(
     height, width = inverse.shape
     sums = _Sums(*(np.empty((len(sources), height, width), np.float32) for _ in range(5)))
     fastest = np.empty_like(inverse)
-    block_rows = max(1, BLOCK_PIXELS // width)
+    most_rows = max(1, BLOCK_PIXELS // (len(parts.grey) * width))
+    block_rows = min(most_rows, math.ceil(height / threads))
 
     def fill(first: int) -> None:
         rows = slice(first, min(first + block_rows, height))

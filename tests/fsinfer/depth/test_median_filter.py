@@ -12,17 +12,15 @@ from fsinfer.depth import median_filter
 from fsinfer.depth.median_filter import settle_unsure
 from fsinfer.depth.settings import UnsureSettings
 
-SMALL = UnsureSettings(radius_px=1)
-
 
 def reference(depth: NDArray[np.float32], confidence: NDArray[np.float32], s: UnsureSettings) -> NDArray[np.float32]:
-    """Pixel by pixel, from the definition of a weighted median of the inverse depth."""
+    """Pixel by pixel, from the definition of a weighted median; of a window every other pixel, as on a chessboard."""
     result = depth.copy()
     for y, x in zip(*np.nonzero(confidence < s.below), strict=True):
-        rows = slice(max(y - s.radius_px, 0), y + s.radius_px + 1)
-        columns = slice(max(x - s.radius_px, 0), x + s.radius_px + 1)
-        d, c = depth[rows, columns].ravel(), confidence[rows, columns].ravel()
-        d, c = d[d > 0], c[d > 0]
+        down, right = np.mgrid[: depth.shape[0], : depth.shape[1]] - np.reshape([y, x], (2, 1, 1))
+        near = np.maximum(abs(down), abs(right)) <= s.radius_px
+        chosen = near & ((down + right) % 2 == 0) & (depth > 0)
+        d, c = depth[chosen], confidence[chosen]
         if len(d) == 0:
             result[y, x] = 0
             continue
@@ -33,16 +31,17 @@ def reference(depth: NDArray[np.float32], confidence: NDArray[np.float32], s: Un
 
 
 @settings(max_examples=30, deadline=None)
-@given(seed=st.integers(0, 10_000), holes=st.floats(0, 0.6), threads=st.sampled_from([1, 3]))
-def test_is_the_weighted_median(seed: int, holes: float, threads: int) -> None:
+@given(seed=st.integers(0, 10_000), holes=st.floats(0, 0.6), threads=st.sampled_from([1, 3]), radius=st.integers(1, 3))
+def test_is_the_weighted_median(seed: int, holes: float, threads: int, radius: int) -> None:
+    small = UnsureSettings(radius_px=radius)
     rng = np.random.default_rng(seed)
     depth = rng.uniform(1, 20, (9, 11)).astype(np.float32)
     depth[rng.random(depth.shape) < holes] = 0
     confidence = rng.random(depth.shape).astype(np.float32)
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(median_filter, "CHUNK_PIXELS", 7)
-        settled = settle_unsure(depth, confidence, settings=SMALL, threads=threads)
-    np.testing.assert_allclose(settled, reference(depth, confidence, SMALL), rtol=1e-6)
+        settled = settle_unsure(depth, confidence, settings=small, threads=threads)
+    np.testing.assert_allclose(settled, reference(depth, confidence, small), rtol=1e-6)
 
 
 def test_flying_pixels_fall_on_a_surface_and_sure_ones_stay() -> None:
