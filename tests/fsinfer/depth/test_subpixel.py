@@ -121,6 +121,24 @@ def test_a_smaller_map_moves_as_one_at_full_size_does(stride: int) -> None:
     assert px * np.abs(moved - expected)[inner, inner].max() < 0.03
 
 
+@pytest.mark.parametrize("stride", [2, 4])
+def test_each_step_looks_at_the_half_that_the_other_leaves_out(stride: int) -> None:
+    plane = Plane(3.0)
+    truth = true_depth(plane, stride)
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    start = shifted(truth, 0.3)
+    for colour in (0, 1):
+        greys = [normalised(image) for image in views(plane)]
+        # Nothing is known of the pixels of the other colour, so that one of two steps has nothing to look at.
+        greys[0] = np.where((x + y) % 2 == colour, greys[0], np.float16("nan"))
+        found, once = (
+            refine_depth(start, np.ones_like(start), greys, *cameras(), settings=s).depth for s in (NO_MEDIAN, ONE_STEP)
+        )
+        assert np.median(np.abs(px_off(found, truth))) < 0.1
+        # The last step looks at the map's own pixels.
+        assert (np.median(np.abs(px_off(once, truth))) < 0.1) == (colour == 0)
+
+
 def last_step(
     plane: Plane, px: float, images: list[NDArray[np.uint8]] | None = None, settings: SubpixelSettings | None = None
 ) -> LastStep:
