@@ -63,7 +63,7 @@ class ModelConfig:
     def refine_looked_up(self) -> int:
         """Hypotheses of the refinement volume that are looked up: half, what lies between them is interpolated.
 
-        See :mod:`training.model.between`; with all of them nothing measured is better.
+        See :mod:`training.model.between`; all of them bring 0.04 points more pixels within 1 % at most.
         """
         return max(2, self.refine_planes // 2) if self.refine_planes else 0
 
