@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
+from typing import TypeVar
 
 import torch
 import torch.nn.functional as F
@@ -23,7 +24,9 @@ from training.model.backbone import upsample_like
 from training.model.candidates import READ_RADIUS, CandidateHead
 from training.model.config import DEPTH_PLANES
 from training.model.fsmvsnet import CONFIDENCE_RADIUS, REFINE_WINDOW_RADIUS, WINDOW_RADIUS, PlaneHead, RefineHead
-from training.model.packed import DepthMix, PackedRegularizer, Refiner
+from training.model.packed import DepthMix, PackedRegularizer
+
+HeadT = TypeVar("HeadT", CandidateHead, RefineHead)
 
 
 class GatheredMix(nn.Module):
@@ -165,13 +168,17 @@ class TilePlaneHead(FastPlaneHead):
         return index, confidence, *levels
 
 
-def without_interpolation(refiner: Refiner) -> Refiner:
-    """A copy, batch norm folded before, whose first layers do the work of its :class:`Between`, which is linear."""
-    folded = copy.deepcopy(refiner)
-    for layer in (folded.enter[0][0], folded.residual):  # type: ignore[index]
+def without_interpolation(head: HeadT) -> HeadT:
+    """A copy, batch norm folded before, the first layers of whose refiner do the work of its :class:`Between`, too.
+
+    That is linear.
+    """
+    folded = copy.deepcopy(head)
+    refiner = folded.refiner
+    for layer in (refiner.enter[0][0], refiner.residual):  # type: ignore[index]
         weight = refiner.between.folded(layer.weight.detach(), refiner.groups)
         layer.weight, layer.in_channels = nn.Parameter(weight), weight.shape[1]
-    folded.between = nn.Identity()  # type: ignore[assignment]
+    refiner.between = nn.Identity()  # type: ignore[assignment]
     return folded
 
 
@@ -184,8 +191,7 @@ class FastCandidateHead(nn.Module):
 
     def __init__(self, head: CandidateHead) -> None:
         super().__init__()
-        self.head = copy.deepcopy(head)
-        self.head.refiner = without_interpolation(head.refiner)
+        self.head = without_interpolation(head)
 
     def forward(self, volume: Tensor, features: Tensor, hints: Tensor, planes: Tensor) -> tuple[Tensor, Tensor]:
         """Return index and confidence."""
@@ -200,8 +206,7 @@ class FastRefineHead(nn.Module):
 
     def __init__(self, head: RefineHead) -> None:
         super().__init__()
-        self.head = copy.deepcopy(head)
-        self.head.refiner = without_interpolation(head.refiner)
+        self.head = without_interpolation(head)
 
     def forward(self, volume: Tensor, features: Tensor) -> tuple[Tensor, Tensor]:
         """Return index and confidence."""

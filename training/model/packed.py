@@ -90,8 +90,8 @@ class Refiner(nn.Module):
         super().__init__()
         self.groups = groups
         self.between = Between(count=planes, looked_up=looked_up, sets=sets)
-        planes *= sets
-        inputs = planes * groups
+        scores = sets * planes
+        inputs = scores * groups
         self.enter = nn.Sequential(conv_bn_relu(inputs + features, width), conv_bn_relu(width, width))
         self.down = nn.Sequential(
             conv_bn_relu(width, 3 * width // 2, stride=2), conv_bn_relu(3 * width // 2, 3 * width // 2)
@@ -102,8 +102,8 @@ class Refiner(nn.Module):
         self.reduce2 = nn.Conv2d(2 * width, 3 * width // 2, 1)
         self.up = conv_bn_relu(3 * width // 2, 3 * width // 2)
         self.reduce = nn.Conv2d(3 * width // 2, width, 1)
-        self.leave = nn.Sequential(conv_bn_relu(width, width), nn.Conv2d(width, planes, 3, padding=1))
-        self.residual = nn.Conv2d(inputs, planes, 1)
+        self.leave = nn.Sequential(conv_bn_relu(width, width), nn.Conv2d(width, scores, 3, padding=1))
+        self.residual = nn.Conv2d(inputs, scores, 1)
 
     def forward(self, volume_chw: Tensor, features_chw: Tensor) -> Tensor:
         """Return the scores of the narrow volume's planes."""
