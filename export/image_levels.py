@@ -12,6 +12,7 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
+from export.side_by_side import take_four
 from export.tidy import drop_unused, makers_of
 from fsinfer.depth.network_input import Levels
 
@@ -21,8 +22,10 @@ IMAGES = "images"
 _HAND_ON = ("QuantizeLinear", "DequantizeLinear")
 
 
-def take_levels(model: onnx.ModelProto) -> None:
-    """Change a quantized features graph in place to take ``images`` (N, H, W, 3) as levels, which are noted in it.
+def take_levels(model: onnx.ModelProto) -> dict[str, str]:
+    """Change a quantized features graph in place to take ``images`` (N, H, W / n, 3 n) as levels, n pixels as one.
+
+    Returns what is to be noted of them.
 
     Raises
     ------
@@ -39,6 +42,7 @@ def take_levels(model: onnx.ModelProto) -> None:
         scale=float(constants[quantizer.input[1]]),
         zero_point=int(constants[quantizer.input[2]]),
         added_deviation=_added(makers[makers[quantizer.input[0]].input[1]], makers, constants),
+        side_by_side=take_four(graph, quantizer.output[0]),
     )
     # onnxruntime takes 8 bits with the channels last: it drops this transposition against its own.
     turned = helper.make_node("Transpose", [IMAGES], list(quantizer.output), "levels_chw", perm=[0, 3, 1, 2])
@@ -47,15 +51,27 @@ def take_levels(model: onnx.ModelProto) -> None:
         if (start.i, end.i) not in ((2, 3), (3, 4)):
             msg = f"{node.name} reads sizes {start.i} to {end.i} of the photograph"
             raise ValueError(msg)
+        if start.i == 3 and levels.side_by_side > 1:
+            _multiply(graph, node, levels.side_by_side)
         start.i, end.i = start.i - 1, end.i - 1
     graph.node.remove(quantizer)
     graph.node.insert(0, turned)
     old = next(item for item in graph.input if item.name == IMAGES)
     count, channels, height, width = (dim.dim_param or dim.dim_value for dim in old.type.tensor_type.shape.dim)
-    given = helper.make_tensor_value_info(IMAGES, TensorProto.UINT8, [count, height, width, channels])
+    together = (width, channels) if levels.side_by_side == 1 else ("columns", levels.side_by_side * channels)
+    given = helper.make_tensor_value_info(IMAGES, TensorProto.UINT8, [count, height, *together])
     old.CopyFrom(given)
     drop_unused(graph)
-    helper.set_model_props(model, levels.notes())
+    return levels.notes()
+
+
+def _multiply(graph: onnx.GraphProto, node: onnx.NodeProto, factor: int) -> None:
+    """Let what ``node`` gives be so many times as much."""
+    wanted, name = node.output[0], f"{node.output[0]}_factor"
+    node.output[0] = f"{wanted}_once"
+    graph.initializer.append(numpy_helper.from_array(np.array([factor], np.int64), name))
+    times = helper.make_node("Mul", [node.output[0], name], [wanted], f"{wanted}_times")
+    graph.node.insert(list(graph.node).index(node) + 1, times)
 
 
 def _is_of_normalised(node: onnx.NodeProto, makers: dict[str, onnx.NodeProto]) -> bool:

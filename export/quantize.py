@@ -24,6 +24,7 @@ from onnxruntime.quantization import CalibrationDataReader, CalibrationMethod, Q
 from onnxruntime.quantization.shape_inference import quant_pre_process
 
 from export.image_levels import IMAGES, take_levels
+from export.map_levels import give_levels
 from export.tidy import makers_of
 from fsinfer.depth.manifest import hash_files, read_manifest
 from fsinfer.depth.model import DepthEstimate, DepthModel
@@ -56,7 +57,7 @@ class QuantizeSettings:
         compared with others on four volumes, docs/speed.md.
     operators: kinds of nodes that are computed in int8, or only hand int8 on. Source: what the graphs are made of.
     keep_float: convolutions whose weights' names hold one of these stay in float32. What gives the scores of the
-        planes and the feature maps always does: the depth is read off their differences. Source: option.
+        planes always does: the depth is read off their differences. Source: option.
     weight_bits: 8, or 7, with which two products fit into the 16 bits in which processors with AVX2 and no VNNI add
         them up. Source: numerics; 255 * 64 * 2 < 2^15.
     window_px: rows and columns of the middle of each volume that are looked at, at a quarter of the image's resolution;
@@ -126,7 +127,10 @@ def quantize(model: Path, target: Path, feeds: Sequence[Feeds], settings: Quanti
     quantized = onnx.load(target)
     _read_sizes_before(quantized.graph)
     if any(item.name == IMAGES for item in quantized.graph.input):
-        take_levels(quantized)
+        # Sizes of tensors in between that change.
+        del quantized.graph.value_info[:]
+        notes = take_levels(quantized) | give_levels(quantized)
+        onnx.helper.set_model_props(quantized, notes)
     onnx.checker.check_model(quantized, full_check=True)
     onnx.save(quantized, target)
 
@@ -155,15 +159,12 @@ def score_nodes(graph: onnx.GraphProto) -> list[onnx.NodeProto]:
 
 
 def _results(graph: onnx.GraphProto) -> list[str]:
-    """Names of the nodes whose result, reshaped, the best plane is looked up in, of all that is read off them, and of
-    convolutions that are asked.
+    """Names of the nodes whose result, reshaped, the best plane is looked up in, and of all that is read off them.
 
     A plane's index is a sum over a probability: with that in 8 bits it would be wrong by a fifth of a plane.
     """
-    makers = makers_of(graph)
-    found = [makers[output.name].name for output in graph.output if makers[output.name].op_type == "Conv"]
     scores = score_nodes(graph)
-    found += [node.name for node in scores]
+    found = [node.name for node in scores]
     read = {output for node in scores for output in node.output}
     for node in graph.node:  # in the order of computation
         if read.intersection(node.input):

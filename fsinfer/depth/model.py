@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.depth.cost_volume import Features, plane_inverse_depths, upsample_twice, variance_volume
+from fsinfer.depth.cost_volume import plane_inverse_depths, upsample_twice, variance_volume
 from fsinfer.depth.manifest import ModelManifest, read_manifest
+from fsinfer.depth.map_levels import features_of
 from fsinfer.depth.memory import keep_freed_memory
 from fsinfer.depth.narrow_volumes import candidate_volume, depth_of_index, refiner_volume
 from fsinfer.depth.network_input import network_input
@@ -30,6 +31,8 @@ Float64 = NDArray[np.float64]
 
 #: Least side of an image, pixels. Source: judgement.
 _LEAST_SIDE_PX = 32
+#: Pixels of an image from one of its feature maps' to the next, of each map that a graph gives out. Source: layout.
+_STRIDES = (4, 2)
 #: Images whose features are computed at a time. Source: numerics; a third would take as much memory as all the rest.
 _IMAGES_AT_ONCE = 2
 
@@ -130,14 +133,18 @@ class DepthModel:
             raise InputError(msg)
         graph = self._sessions["features"]
         outputs = graph.run(None, {"images": network_input(image) if graph.levels is None else graph.levels.of(image)})
-        if not outputs or any(maps.ndim != 4 or maps.shape[1] % 4 or not maps.size for maps in outputs):
-            shapes = [maps.shape for maps in outputs]
-            msg = f"the features of model {self.manifest.name} are {shapes}, not (1, C, h, w) with C a multiple of 4"
+        try:
+            maps = [
+                features_of(output, levels, -(-image.shape[1] // stride))
+                for output, levels, stride in zip(outputs, graph.map_levels, _STRIDES, strict=False)
+            ]
+        except ValueError as error:
+            msg = f"the features of model {self.manifest.name} cannot be used: {error}; re-export the model"
+            raise ModelError(msg) from error
+        if not maps:
+            msg = f"the features of model {self.manifest.name} are none; re-export the model"
             raise ModelError(msg)
-        return ViewFeatures(
-            quarter=Features.from_chw(outputs[0][0]),
-            half=Features.from_chw(outputs[1][0]) if len(outputs) > 1 else None,
-        )
+        return ViewFeatures(quarter=maps[0], half=maps[1] if len(maps) > 1 else None)
 
     def features_of(self, images: Sequence[NDArray[np.uint8]]) -> list[ViewFeatures]:
         """:meth:`features` of each image, two of them at a time where there are threads for it.

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.depth.map_levels import MapLevels
 from fsinfer.depth.network_input import Levels
 from fsinfer.errors import ModelError
 
@@ -70,11 +71,18 @@ def find_providers(name: str, available: list[str]) -> list[str]:
 class Graph:
     """A session of onnxruntime of which everything that goes wrong is told as a :class:`ModelError`.
 
-    ``levels`` are those in which it takes a photograph, ``None`` where it takes numbers in 32 bits.
+    ``levels`` are those in which it takes a photograph, ``map_levels`` those in which it gives out each of its feature
+    maps; ``None`` where they are numbers in 32 bits.
     """
 
-    def __init__(self, file: Path, session: Any, levels: Levels | None = None) -> None:
-        self.file, self.session, self.levels = file, session, levels
+    def __init__(
+        self,
+        file: Path,
+        session: Any,
+        levels: Levels | None = None,
+        map_levels: Sequence[MapLevels | None] = (),
+    ) -> None:
+        self.file, self.session, self.levels, self.map_levels = file, session, levels, map_levels
 
     def get_inputs(self) -> list[Any]:
         """Names, types and shapes of what it takes."""
@@ -114,7 +122,9 @@ def load_graph(file: Path, threads: int, providers: Sequence[str]) -> Graph:
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     try:
         session = onnxruntime.InferenceSession(file, options, providers=list(providers))
-        return Graph(file, session, Levels.noted(session.get_modelmeta().custom_metadata_map))
+        notes = session.get_modelmeta().custom_metadata_map
+        map_levels = [MapLevels.noted(notes, output.name) for output in session.get_outputs()]
+        return Graph(file, session, Levels.noted(notes), map_levels)
     except Exception as error:  # onnxruntime raises its own family of exceptions
         msg = f"{file} cannot be loaded by onnxruntime ({error}); install fsinfer again or re-export the model"
         raise ModelError(msg) from error

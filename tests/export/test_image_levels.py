@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from export.image_levels import take_levels
 from export.quantize import QuantizeSettings, quantize
 from fsinfer.depth.manifest import models_folder
+from fsinfer.depth.map_levels import MapLevels, features_of
 from fsinfer.depth.network_input import Levels, network_input
 
 Float32 = NDArray[np.float32]
@@ -27,7 +28,7 @@ def graphs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     made = {"exact": exact, "levels": folder / "levels.onnx", "before": folder / "before.onnx"}
     quantize(exact, made["levels"], feeds, QuantizeSettings())
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("export.quantize.take_levels", lambda _model: None)
+        patch.setattr("export.quantize.take_levels", lambda _model: {})
         quantize(exact, made["before"], feeds, QuantizeSettings())
     return made
 
@@ -39,15 +40,17 @@ def photograph(deviation: float) -> NDArray[np.uint8]:
 
 def quarter(file: Path, image: NDArray[np.uint8]) -> Float32:
     session = onnxruntime.InferenceSession(file)
-    levels = Levels.noted(session.get_modelmeta().custom_metadata_map)
+    notes = session.get_modelmeta().custom_metadata_map
+    levels = Levels.noted(notes)
     given = network_input(image) if levels is None else levels.of(image)
-    return np.asarray(session.run(None, {"images": given})[0], np.float32)
+    output = session.run(None, {"images": given})[0]
+    return features_of(output, MapLevels.noted(notes, "quarter"), image.shape[1] // 4).to_chw()
 
 
-def test_it_takes_bytes_with_the_colours_last(graphs: dict[str, Path]) -> None:
+def test_it_takes_bytes_with_the_colours_of_four_pixels_last(graphs: dict[str, Path]) -> None:
     given = onnx.load(graphs["levels"]).graph.input[0]
     assert given.type.tensor_type.elem_type == onnx.TensorProto.UINT8
-    assert given.type.tensor_type.shape.dim[3].dim_value == 3
+    assert given.type.tensor_type.shape.dim[3].dim_value == 4 * 3
     kinds = {node.op_type for node in onnx.load(graphs["levels"]).graph.node}
     assert not kinds & {"Sub", "Pow", "Sqrt", "ReduceMean"}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from fsinfer.depth.model import DepthModel
 from fsinfer.depth.network_input import Levels, network_input
 from fsinfer.errors import ModelError
 
-LEVELS = Levels(scale=0.025, zero_point=105, added_deviation=1.0)
+LEVELS = Levels(scale=0.025, zero_point=105, added_deviation=1.0, side_by_side=1)
 
 
 def photograph(deviation: float, *, seed: int = 3) -> NDArray[np.uint8]:
@@ -36,6 +37,15 @@ def test_levels_are_of_the_photograph_less_its_mean_over_its_deviation() -> None
     assert np.array_equal(found[0], expected)
 
 
+def test_pixels_side_by_side_are_the_same_behind_which_comes_the_mean() -> None:
+    image = photograph(70)[:, :250]
+    four = replace(LEVELS, side_by_side=4).of(image)
+    assert four.shape == (1, 160, 63, 12)
+    rows = four.reshape(160, 252, 3)
+    assert np.array_equal(rows[:, :250], LEVELS.of(image)[0])
+    assert np.unique(rows[:, 250:]).tolist() == [105]
+
+
 def test_an_even_photograph_is_at_the_level_of_the_mean() -> None:
     assert np.unique(LEVELS.of(np.full((32, 40, 3), 77, np.uint8))).tolist() == [105]
 
@@ -49,6 +59,10 @@ def test_levels_that_are_noted_are_read_again() -> None:
     "notes",
     [
         {"levels_scale": "0.02"},
+        {name: value for name, value in LEVELS.notes().items() if name != "levels_side_by_side"},
+        LEVELS.notes() | {"levels_side_by_side": "0"},
+        LEVELS.notes() | {"levels_side_by_side": "1.5"},
+        LEVELS.notes() | {"levels_side_by_side": "inf"},
         LEVELS.notes() | {"levels_scale": "-1"},
         LEVELS.notes() | {"levels_zero_point": "256"},
         LEVELS.notes() | {"levels_zero_point": "3.5"},
