@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -47,10 +47,17 @@ _BELIEVED = 0.6
 
 @dataclass(frozen=True, kw_only=True)
 class Judged:
-    """Pairs by COLMAP's numbers of their photos, the smaller first, that a walk tells to be true, and false."""
+    """What a walk that was followed tells.
+
+    Attributes
+    ----------
+    true, false: pairs, by COLMAP's numbers of their photos, the smaller first.
+    followed: the ``pycolmap.Reconstruction`` of the walk, where it is believed and holds all photos, else None.
+    """
 
     true: frozenset[tuple[int, int]] = frozenset()
     false: frozenset[tuple[int, int]] = frozenset()
+    followed: Any = field(default=None, compare=False)
 
 
 def judge_pairs(
@@ -73,18 +80,21 @@ def judge_pairs(
     """
     true: set[tuple[int, int]] = set()
     false: set[tuple[int, int]] = set()
+    followed = None
     for part in follow_walk(database, rank, files, work, settings, progress, beginnings=beginnings):
         votes = [vote for vote in point_votes(part, database) if _apart(vote, rank) > _CLOSE]
         share = believed_share(votes, rank, settings.pairs.overlap)
         _log.info("followed %d photos; %.2f of their neighbours' matches agree", part.num_reg_images(), share)
         if share < _BELIEVED:
             continue
+        if part.num_reg_images() == len(files):
+            followed = part
         for vote in votes:
             if vote.points >= FEWEST_POINTS:
                 limit = limit_of(_apart(vote, rank), settings.pairs.overlap)
                 (true if vote.error < limit else false).add((vote.first, vote.second))
     # Stretches may share photos, and see a pair in two ways.
-    return Judged(true=frozenset(true - false), false=frozenset(false - true))
+    return Judged(true=frozenset(true - false), false=frozenset(false - true), followed=followed)
 
 
 def follow_walk(

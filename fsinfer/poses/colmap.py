@@ -29,6 +29,8 @@ _ENOUGH_OF_NEIGHBOURS, _ENOUGH_OF_ALL = 1e-3, 1e-4
 #: All are adjusted and filtered so many times at most while something changes (COLMAP: 5), neighbours so many (COLMAP:
 #: 2). Source: numerics; renders only, docs/trials-speed.md.
 _ROUNDS_OF_ALL, _ROUNDS_OF_NEIGHBOURS = 2, 1
+#: What mapping is called while it goes on.
+PLACING = "placing photos"
 #: A model from a pair to begin with that was given is enough with this share of the photos. Source: judgement.
 _ENOUGH_PLACED = 0.5
 #: Parts that the mapper begins at most, of which the largest counts. Source: numerics.
@@ -192,7 +194,7 @@ def reconstruct(
     known_cameras: Sequence[int] = (),
     beginnings: Sequence[tuple[int, int]] = (),
     least_points: int | None = None,
-    step: str = "placing photos",
+    step: str = PLACING,
 ) -> list[Any]:
     """Map the photos; returns the ``pycolmap.Reconstruction`` of each connected part, the largest first.
 

@@ -111,8 +111,7 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
     images, database = work / "images", work / "database.db"
     extract_features(database, images, walk.cameras, settings, progress)
     match_features(database, walk.files, settings, progress)
-    sure = sure_pairs(database, walk.files, work, settings, progress)
-    models, sightings = _map_and_find_boards(sure, walk, work, settings, progress)
+    sure, models, sightings = _map_and_find_boards(database, walk, work, settings, progress)
     more = with_more(models[0], sure, database, walk.files, work, settings) if models else None
     if more is not None:
         again = map_sure(more, images, work / "more", settings, progress)
@@ -163,9 +162,9 @@ def map_walk(walk: Walk, given: Path, work: Path, settings: PoseSettings, progre
 
 
 def _map_and_find_boards(
-    sure: SurePairs, walk: Walk, work: Path, settings: PoseSettings, progress: Progress
-) -> tuple[list[Any], list[BoardSighting]]:
-    """The first map's models, the largest first, and the boards that the photos show."""
+    database: Path, walk: Walk, work: Path, settings: PoseSettings, progress: Progress
+) -> tuple[SurePairs, list[Any], list[BoardSighting]]:
+    """The first map's pairs and models, the largest first, and the boards that the photos show."""
     images = work / "images"
 
     def look_for_boards(told: Progress, threads: int) -> list[BoardSighting]:
@@ -178,20 +177,25 @@ def _map_and_find_boards(
             threads=threads,
         )
 
-    def map_all() -> list[Any]:
+    def chosen() -> SurePairs:
+        return sure_pairs(database, walk.files, work, settings, progress)
+
+    def mapped(sure: SurePairs) -> list[Any]:
         return map_sure(sure, images, work / "models", settings, progress)
 
     if settings.mapper != "incremental" or settings.photo_threads == 1:
+        sure = chosen()
         sightings = look_for_boards(progress, settings.photo_threads)
-        return map_all(), sightings
+        return sure, mapped(sure), sightings
 
     def quietly(go_on: Callable[[], None]) -> list[BoardSighting]:
         return look_for_boards(lambda _done, _total, _what: go_on(), settings.photo_threads - 1)
 
-    # The incremental mapper has one thread, and lets others work.
+    # The incremental mapper, which follows the walk, has one thread and lets others work; adjustments do not.
     with beside(quietly) as boards:
-        models = map_all()
-        return models, boards()
+        sure = chosen()
+        models = mapped(sure)
+        return sure, models, boards()
 
 
 def _repaired(

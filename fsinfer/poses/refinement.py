@@ -74,11 +74,11 @@ def refine(model: Any, settings: RefinementSettings, progress: Progress) -> Any:
     progress(0, 2, "adjusting")
     best = copy.deepcopy(model)
     _enrich(best, "RADIAL", settings)
-    _adjust(best, _ENOUGH_TO_JUDGE)
+    adjust_to_judge(best)
     progress(1, 2, "adjusting")
     rich = copy.deepcopy(best)
     if _enrich(rich, "FULL_OPENCV", settings):
-        _adjust(rich, _ENOUGH_TO_JUDGE)
+        adjust_to_judge(rich)
         gain = 1 - rich.compute_mean_reprojection_error() / best.compute_mean_reprojection_error()
         _log.info("rational lens: mean error falls by %.1f %%", 100 * gain)
         if gain >= settings.min_gain and all(is_monotone(camera) for camera in rich.cameras.values()):
@@ -92,6 +92,11 @@ def refine(model: Any, settings: RefinementSettings, progress: Progress) -> Any:
 def settle(model: Any) -> None:
     """Adjust a model of :func:`refine` to the points that were kept; in place, and in one thread as well."""
     _adjust(model)
+
+
+def adjust_to_judge(model: Any) -> None:
+    """Adjust a model so well that its observations and its lens can be judged; in place, and in one thread as well."""
+    _adjust(model, _ENOUGH_TO_JUDGE)
 
 
 def larger_than_usual(model: Any) -> float:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from fsinfer.poses.chain import FAR, FEWEST_POINTS, NEAR, judge_pairs
-from fsinfer.poses.colmap import reconstruct
+from fsinfer.poses.closing import closed
+from fsinfer.poses.colmap import PLACING, reconstruct
 from fsinfer.poses.colmap_calls import image_number, open_database
 from fsinfer.poses.matches import inliers_by_rank, is_walk
 from fsinfer.poses.pairs import MIN_INLIERS
@@ -42,6 +43,8 @@ class SurePairs:
     left_out: the pairs that are not in ``database``, by COLMAP's numbers of their photos, the smaller first.
     false: those of them that the walk tells to be false.
     beginnings: pairs to begin with, the best first.
+    true: those that the walk tells to be true. followed: its ``pycolmap.Reconstruction``, see
+        :class:`fsinfer.poses.chain.Judged`.
     """
 
     database: Path
@@ -49,6 +52,8 @@ class SurePairs:
     left_out: tuple[tuple[int, int], ...] = ()
     false: tuple[tuple[int, int], ...] = ()
     beginnings: tuple[tuple[int, int], ...] = ()
+    true: frozenset[tuple[int, int]] = frozenset()
+    followed: Any = field(default=None, compare=False)
 
 
 def sure_pairs(
@@ -90,6 +95,8 @@ def sure_pairs(
         left_out=tuple(left_out),
         false=tuple(sorted(judged.false)),
         beginnings=tuple(begin),
+        true=judged.true,
+        followed=judged.followed,
     )
 
 
@@ -135,11 +142,20 @@ def map_sure(
 ) -> list[Any]:
     """The models of the sure pairs, made by some of their matches and with the points of all, the largest first.
 
+    A walk that was followed from its first photo to its last is closed instead, where that tells the true pairs right.
+
     Parameters
     ----------
     images: folder of the photos. folder: for the models, and beside it for a copy of the database. start: a model to go
         on from. See :func:`fsinfer.poses.colmap.reconstruct`.
     """
+    if start is None and sure.followed is not None:
+        total = int(sure.followed.num_reg_images())
+        progress(0, total, PLACING)
+        model = closed(sure.followed, sure.true, sure.database)
+        if model is not None:
+            progress(total, total, PLACING)
+            return [model]
     given = sure.database
     if settings.mapper == "incremental":
         given = thinned(sure.database, MOST_MATCHES, folder.with_name(f"{folder.name}_thinned.db"))

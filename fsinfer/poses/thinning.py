@@ -74,3 +74,19 @@ def add_points(model: Any, database: Path, photos: AbstractSet[int] | None = Non
     call(mapper.merge_tracks, rules)
     call(mapper.end_reconstruction, False)
     return int(came)
+
+
+def join_points(model: Any, database: Path) -> int:
+    """Observations of its points, and points that are one, which matches in ``database`` tell; returns how many.
+
+    Less than :func:`add_points`: features without a point get none. ``model`` is changed, and nothing in it adjusted.
+    """
+    import pycolmap
+
+    mapper = pycolmap.IncrementalMapper(database_cache(database, all_photos=True))
+    rules = pycolmap.IncrementalTriangulatorOptions()
+    rules.random_seed = SEED
+    call(mapper.begin_reconstruction, model)
+    joined = call(mapper.complete_tracks, rules) + call(mapper.merge_tracks, rules)
+    call(mapper.end_reconstruction, False)
+    return int(joined)
