@@ -133,7 +133,8 @@ def evaluate(
     """Compare ``extracted`` trees with ``measured`` ones, one to one.
 
     ``align``: "auto" registers the frames when they match fewer than half of the trees as given and registration finds
-    clearly more; "never" and "always" decide it. ``area_margin_m``: where given, the measured area is the convex
+    clearly more, and of a ``max_distance_m`` above the usual one also when it finds as many that lie clearly nearer;
+    "never" and "always" decide it. ``area_margin_m``: where given, the measured area is the convex
     hull of the measured trees grown by this much, and an unmatched tree beyond it is ``outside``, not ``false``. Raises
     :class:`~fsinfer.errors.InputError` for unusable input.
     """

@@ -55,6 +55,29 @@ def test_interchanged_axes_are_told(seed: int) -> None:
     assert any("x_m (east) and y_m (north) interchanged" in row for row in evaluation_rows(found))
 
 
+@pytest.mark.parametrize("limit", [0.5, 1.0, 2.0, 5.0, 10.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_within_a_wide_distance_that_has_partners_in_any_frame_the_maps_are_still_laid_on_each_other(
+    seed: int, limit: float
+) -> None:
+    xy = plot(14, seed) / 2.0
+    middle = xy.mean(axis=0)
+    turned = (xy - middle) @ np.array([[0.5, -(0.75**0.5)], [0.75**0.5, 0.5]]) + middle + 0.3
+    found = align_maps(xy, np.concatenate([turned, plot(6, seed + 40) - 4.0]), limit, "auto")
+    assert found.motion is not None
+    assert found.motion["rotation_deg"] == pytest.approx(60.0, abs=1e-6)
+    assert [(i, i) for i in range(14)] == sorted(found.links)
+    assert found.doubt == AlignmentDoubt.none
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1, 0.5])
+@pytest.mark.parametrize("seed", range(3))
+def test_maps_of_one_frame_are_left_as_they_are_within_a_wide_distance(seed: int, noise: float) -> None:
+    xy = plot(15, seed)
+    found = xy[2:] + np.random.default_rng(seed).normal(0, noise, (13, 2))
+    assert align_maps(xy, found, 3.0, "auto").motion is None
+
+
 def test_a_row_of_trees_is_laid_on_itself_and_told_to_be_symmetric() -> None:
     row = np.column_stack([np.cumsum([0.0, 3.0, 4.1, 2.7, 5.2, 3.3]), np.zeros(6)])
     turned = row @ np.array([[0.6, 0.8], [-0.8, 0.6]]) + 70.0
