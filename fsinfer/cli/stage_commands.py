@@ -258,10 +258,12 @@ def evaluate(
     debug: Debug = False,
 ) -> None:
     """Compare extracted trees with measured ones: trees found, RMSE, bias, accuracy."""
-    from fsinfer.evaluation.figure import plot_evaluation
+    from fsinfer.evaluation.figure import plot_evaluation, refuse_no_figure
     from fsinfer.evaluation.measured import read_measured
     from fsinfer.evaluation.metrics import evaluate as compare
 
+    if figure is not None:
+        refuse_no_figure(figure)
     result = compare(
         read_measured(measured, need_position=not by_id),
         # Not only a trees.csv of ours: any table with these four columns, DBH empty where it was not measured.
@@ -271,13 +273,14 @@ def evaluate(
         align=align.value,
         area_margin_m=area_margin_m,
     )
-    if figure is not None:
-        plot_evaluation(result, figure)
     if as_json:
         typer.echo(json.dumps(result.to_dict(), indent=2))
     else:
         for row in evaluation_rows(result, by_id=by_id):
             typer.echo(row)
+    # Last: the figures stand there where a full disk has no room for the drawing.
+    if figure is not None:
+        plot_evaluation(result, figure)
 
 
 @reports_errors

@@ -173,6 +173,19 @@ def test_evaluate_with_tables_that_are_none(call: Call, tmp_path: Path) -> None:
     assert "gone.csv" in errors_of(call("evaluate", good, tmp_path / "gone.csv"))[0]
 
 
+@pytest.mark.parametrize("figure", ["", ".", "folder", "f.docx", "f"])
+def test_a_figure_that_cannot_be_drawn_is_told_before_the_comparison(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, figure: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("folder").mkdir()
+    Path("good.csv").write_text("tree_id,x_m,y_m,dbh_cm\n1,0,0,30\n", encoding="utf-8")
+    message = errors_of(call("evaluate", "good.csv", "good.csv", "--figure", figure))[0]
+    assert "--figure" in message
+    assert ".png" in message
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder", "good.csv"]
+
+
 def test_report_of_nothing(call: Call, tmp_path: Path) -> None:
     assert "nowhere" in errors_of(call("report", tmp_path / "nowhere"))[0]
 
