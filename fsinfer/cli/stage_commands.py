@@ -249,7 +249,9 @@ def evaluate(
     ] = Align.auto,
     area_margin_m: Annotated[
         float | None,
-        typer.Option("--area-margin-m", help="Do not judge trees farther than this outside the measured ones' hull."),
+        typer.Option(
+            "--area-margin-m", min=0.0, help="Do not judge trees farther than this outside the measured ones' hull."
+        ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
     figure: Annotated[
@@ -259,7 +261,7 @@ def evaluate(
 ) -> None:
     """Compare extracted trees with measured ones: trees found, RMSE, bias, accuracy."""
     from fsinfer.evaluation.figure import plot_evaluation, refuse_no_figure
-    from fsinfer.evaluation.measured import read_measured
+    from fsinfer.evaluation.measured import read_measured, seem_swapped
     from fsinfer.evaluation.metrics import evaluate as compare
 
     if figure is not None:
@@ -273,6 +275,13 @@ def evaluate(
         align=align.value,
         area_margin_m=area_margin_m,
     )
+    if seem_swapped(measured, extracted):
+        warn(
+            [
+                f"{measured} is a table of fsinfer, and {extracted} is none: they seem to be interchanged, and so are "
+                "bias, omitted and false; give the measured trees first"
+            ]
+        )
     if as_json:
         typer.echo(json.dumps(result.to_dict(), indent=2))
     else:

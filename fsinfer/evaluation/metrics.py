@@ -144,6 +144,9 @@ def evaluate(
     if not (np.isfinite(max_distance_m) and max_distance_m > 0):
         msg = f"the maximum distance must be a positive number of metres, got {max_distance_m}"
         raise InputError(msg)
+    if area_margin_m is not None and not (np.isfinite(area_margin_m) and area_margin_m >= 0):
+        msg = f"the area margin must be a number of metres, 0 or more, got {area_margin_m}"
+        raise InputError(msg)
     if not measured:
         msg = "no measured trees: the file of measured trees holds only a header; give at least one tree"
         raise InputError(msg)

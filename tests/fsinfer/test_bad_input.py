@@ -173,6 +173,23 @@ def test_evaluate_with_tables_that_are_none(call: Call, tmp_path: Path) -> None:
     assert "gone.csv" in errors_of(call("evaluate", good, tmp_path / "gone.csv"))[0]
 
 
+def test_evaluate_with_a_column_twice(call: Call, tmp_path: Path) -> None:
+    good, bad = tmp_path / "good.csv", tmp_path / "bad.csv"
+    good.write_text("tree_id,x_m,y_m,dbh_cm\n1,0,0,30\n", encoding="utf-8")
+    bad.write_text("tree_id,x_m,y_m,dbh_cm,note,DBH_cm,note\n1,0,0,30,a,31,b\n", encoding="utf-8")
+    for tables in ((bad, good), (good, bad)):
+        message = errors_of(call("evaluate", *tables))[0]
+        assert "bad.csv has more than one column dbh_cm;" in message
+
+
+def test_evaluate_with_an_area_that_ends_before_the_trees(call: Call, tmp_path: Path) -> None:
+    good = tmp_path / "good.csv"
+    good.write_text("tree_id,x_m,y_m,dbh_cm\n1,0,0,30\n", encoding="utf-8")
+    code, out, err = call("evaluate", good, good, "--area-margin-m", "-1")
+    assert (code, out) == (2, "")
+    assert "--area-margin-m" in err
+
+
 @pytest.mark.parametrize("figure", ["", ".", "folder", "f.docx", "f"])
 def test_a_figure_that_cannot_be_drawn_is_told_before_the_comparison(
     call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, figure: str
