@@ -132,6 +132,7 @@ def cloud(tmp_path: Path) -> Path:
         (["--endpoints", "0,0,0", "0,0,0", "--length-m", "1"], "different"),
         (["--endpoints", "0,0", "1,0,0", "--length-m", "1"], "'0,0'"),
         (["--endpoints", "a,b,c", "1,0,0", "--length-m", "1"], "'a,b,c'"),
+        (["--endpoints", "1,1,0", "-300.7,1,0", "--length-m", "1"], "-300.7,1,0: they are 301.7 apart"),
         (["--endpoints", "inf,0,0", "1,0,0", "--length-m", "1"], "finite"),
         (["--aruco-length-m", "0.25"], "--aruco-length-m"),
         (["--aruco-length-m", "0.25", "--aruco-dictionary", "9X9_99"], "9X9_99"),
