@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 from fsinfer.cli.app import EXAMPLES
 from fsinfer.io.cloud import PointCloud, write_cloud
 from fsinfer.io.images import write_image
-from fsinfer.scene import read_scene
+from fsinfer.scene import read_scene, write_camera
 from tests.support.command_line import Call
 from tests.support.synthetic_plot import write_depth_folder, write_scene_folder
 
@@ -78,6 +79,17 @@ def test_scene_that_is_none(call: Call, tmp_path: Path) -> None:
 def test_damaged_camera(call: Call, scene: Path, tmp_path: Path) -> None:
     (scene / "cams" / "view_03_cam.txt").write_text("extrinsic\n1 2 3\n", encoding="utf-8")
     assert "view_03_cam.txt" in errors_of(call("depth", scene, tmp_path / "out"))[0]
+
+
+@pytest.mark.parametrize(("times", "fits"), [(0.25, "41x31"), (0.5, "80x60"), (2.0, "319x239")])
+def test_cameras_for_pictures_of_another_size(call: Call, scene: Path, tmp_path: Path, times: float, fits: str) -> None:
+    for view in read_scene(scene).views[4:]:
+        intrinsic = np.diag([times, times, 1.0]) @ view.camera.intrinsic
+        write_camera(scene / "cams" / f"{view.name}_cam.txt", replace(view.camera, intrinsic=intrinsic))
+    message = errors_of(call("depth", scene, tmp_path / "out"))[0]
+    assert "view_04_cam.txt" in message
+    assert f"view_04.jpg, which has 160x120 pixels; a picture of about {fits} would fit" in message
+    assert not (tmp_path / "out" / "depth").exists()
 
 
 def test_unknown_model(call: Call, scene: Path, tmp_path: Path) -> None:
