@@ -67,14 +67,18 @@ class Alignment:
 
 def align_maps(truth: Floats, found: Floats, limit: float, align: str) -> Alignment:
     """Match ``found`` (N, 2) with ``truth`` (M, 2) within ``limit`` metres, moved where ``align`` has it."""
+    mirrored = AlignmentDoubt.none
     if align == Align.auto and limit > MAX_DISTANCE_M:
-        nearer = _aligned_nearby(truth, found, limit)
+        nearby = align_maps(truth, found, MAX_DISTANCE_M, align)
+        nearer = _aligned_nearby(truth, found, limit, nearby)
         if nearer is not None:
             return nearer
+        if nearby.doubt == AlignmentDoubt.mirrored:
+            mirrored = nearby.doubt
     links, fewer = assign(truth, found, limit), min(len(truth), len(found))
     alike = len(links) >= _FEW_MATCHES * fewer  # as given
     if align == Align.never or (align == Align.auto and alike):
-        return Alignment(links=links, moved=found)
+        return Alignment(links=links, moved=found, doubt=mirrored)
     registered = register(truth, found, limit)
     if registered is None:
         return Alignment(links=links, moved=found)
@@ -95,13 +99,13 @@ def align_maps(truth: Floats, found: Floats, limit: float, align: str) -> Alignm
     return Alignment(links=better, moved=candidate, motion=motion, doubt=doubt)
 
 
-def _aligned_nearby(truth: Floats, found: Floats, limit: float) -> Alignment | None:
-    """The maps laid on each other within the usual distance, where that explains them better than as they are given.
+def _aligned_nearby(truth: Floats, found: Floats, limit: float, nearby: Alignment) -> Alignment | None:
+    """The maps as ``nearby`` lays them on each other, where that explains them better than as they are given.
 
-    Within a ``limit`` of metres about any tree has a partner, in any frame, and in the mirror image too: how many find
-    one says nothing. None where no motion is found, or partners are fewer by it, or hardly nearer.
+    ``nearby`` is what :func:`align_maps` finds within the usual distance. Within a ``limit`` of metres about any tree
+    has a partner, in any frame, and in the mirror image too: how many find one says nothing. None where no motion is
+    found, or partners are fewer by it, or hardly nearer.
     """
-    nearby = align_maps(truth, found, MAX_DISTANCE_M, Align.auto)
     if nearby.motion is None:
         return None
     given, better = assign(truth, found, limit), assign(truth, nearby.moved, limit)

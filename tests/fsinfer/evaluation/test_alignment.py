@@ -47,10 +47,11 @@ def test_the_same_trees_in_another_frame_are_laid_on_each_other(count: int, seed
     assert len(found.links) >= count - count // 5
 
 
+@pytest.mark.parametrize(("away", "limit"), [(40.0, 0.5), (0.0, 5.0)])
 @pytest.mark.parametrize("seed", range(4))
-def test_interchanged_axes_are_told(seed: int) -> None:
+def test_interchanged_axes_are_told(seed: int, away: float, limit: float) -> None:
     xy = plot(20, seed)
-    found = evaluate(trees(xy), trees(xy[:, ::-1] + 40.0))
+    found = evaluate(trees(xy), trees(xy[:, ::-1] + away), max_distance_m=limit)
     assert (found.alignment_doubt, found.measured_from_extracted) == ("mirrored", None)
     assert any("x_m (east) and y_m (north) interchanged" in row for row in evaluation_rows(found))
 
