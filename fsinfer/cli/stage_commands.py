@@ -249,7 +249,9 @@ def evaluate(
     ] = Align.auto,
     area_margin_m: Annotated[
         float | None,
-        typer.Option("--area-margin-m", help="Do not judge trees farther than this outside the measured ones' hull."),
+        typer.Option(
+            "--area-margin-m", min=0.0, help="Do not judge trees farther than this outside the measured ones' hull."
+        ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
     figure: Annotated[
@@ -258,10 +260,12 @@ def evaluate(
     debug: Debug = False,
 ) -> None:
     """Compare extracted trees with measured ones: trees found, RMSE, bias, accuracy."""
-    from fsinfer.evaluation.figure import plot_evaluation
-    from fsinfer.evaluation.measured import read_measured
+    from fsinfer.evaluation.figure import plot_evaluation, refuse_no_figure
+    from fsinfer.evaluation.measured import read_measured, seem_swapped
     from fsinfer.evaluation.metrics import evaluate as compare
 
+    if figure is not None:
+        refuse_no_figure(figure)
     result = compare(
         read_measured(measured, need_position=not by_id),
         # Not only a trees.csv of ours: any table with these four columns, DBH empty where it was not measured.
@@ -271,13 +275,21 @@ def evaluate(
         align=align.value,
         area_margin_m=area_margin_m,
     )
-    if figure is not None:
-        plot_evaluation(result, figure)
+    if seem_swapped(measured, extracted):
+        warn(
+            [
+                f"{measured} is a table of fsinfer, and {extracted} is none: they seem to be interchanged, and so are "
+                "bias, omitted and false; give the measured trees first"
+            ]
+        )
     if as_json:
         typer.echo(json.dumps(result.to_dict(), indent=2))
     else:
         for row in evaluation_rows(result, by_id=by_id):
             typer.echo(row)
+    # Last: the figures stand there where a full disk has no room for the drawing.
+    if figure is not None:
+        plot_evaluation(result, figure)
 
 
 @reports_errors

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
 from fsinfer.evaluation.registration import apply, assign, register
-from fsinfer.evaluation.settings import Align
+from fsinfer.evaluation.settings import MAX_DISTANCE_M, Align
 
 Floats = NDArray[np.float64]
 Links = list[tuple[int, int]]
@@ -22,6 +22,9 @@ _MORE_TIMES, _MORE_MATCHES, _LEAST_MATCHES = 1.5, 2, 3
 #: It counts where it finds so many more than the mirror image does, or more and this share of the shorter list. Source:
 #: judgement; of two maps of 30 trees that have nothing to do with each other 6 to 9 match, and as many of the image.
 _MORE_THAN_CHANCE, _MOST_OF_THEM = 3, 0.6
+#: Of a wide distance a motion found within the usual one counts where partners then lie at less than this share of how
+#: far apart they lay. Source: judgement; the noise of places stays, a frame of its own goes.
+_MUCH_NEARER = 0.5
 
 
 class AlignmentDoubt(StrEnum):
@@ -64,10 +67,18 @@ class Alignment:
 
 def align_maps(truth: Floats, found: Floats, limit: float, align: str) -> Alignment:
     """Match ``found`` (N, 2) with ``truth`` (M, 2) within ``limit`` metres, moved where ``align`` has it."""
+    mirrored = AlignmentDoubt.none
+    if align == Align.auto and limit > MAX_DISTANCE_M:
+        nearby = align_maps(truth, found, MAX_DISTANCE_M, align)
+        nearer = _aligned_nearby(truth, found, limit, nearby)
+        if nearer is not None:
+            return nearer
+        if nearby.doubt == AlignmentDoubt.mirrored:
+            mirrored = nearby.doubt
     links, fewer = assign(truth, found, limit), min(len(truth), len(found))
     alike = len(links) >= _FEW_MATCHES * fewer  # as given
     if align == Align.never or (align == Align.auto and alike):
-        return Alignment(links=links, moved=found)
+        return Alignment(links=links, moved=found, doubt=mirrored)
     registered = register(truth, found, limit)
     if registered is None:
         return Alignment(links=links, moved=found)
@@ -86,6 +97,28 @@ def align_maps(truth: Floats, found: Floats, limit: float, align: str) -> Alignm
         "shift_y_m": float(registered[2]),
     }
     return Alignment(links=better, moved=candidate, motion=motion, doubt=doubt)
+
+
+def _aligned_nearby(truth: Floats, found: Floats, limit: float, nearby: Alignment) -> Alignment | None:
+    """The maps as ``nearby`` lays them on each other, where that explains them better than as they are given.
+
+    ``nearby`` is what :func:`align_maps` finds within the usual distance. Within a ``limit`` of metres about any tree
+    has a partner, in any frame, and in the mirror image too: how many find one says nothing. None where no motion is
+    found, or partners are fewer by it, or hardly nearer.
+    """
+    if nearby.motion is None:
+        return None
+    given, better = assign(truth, found, limit), assign(truth, nearby.moved, limit)
+    if len(better) < len(given):
+        return None
+    if given and _apart(truth, nearby.moved, better) >= _MUCH_NEARER * _apart(truth, found, given):
+        return None
+    return Alignment(links=better, moved=nearby.moved, motion=nearby.motion, doubt=nearby.doubt)
+
+
+def _apart(truth: Floats, moved: Floats, links: Links) -> float:
+    """How far partners lie apart, metres: the median."""
+    return float(np.median([np.linalg.norm(truth[i] - moved[j]) for i, j in links]))
 
 
 def _doubt(truth: Floats, found: Floats, limit: float, matches: int) -> AlignmentDoubt:

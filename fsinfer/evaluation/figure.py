@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.errors import OutputError
 from fsinfer.io.files import atomic_path
 
 if TYPE_CHECKING:
@@ -25,11 +26,33 @@ _BAR_ROOM, _DIFFERENCE_ROOM = 0.12, 0.15
 #: Standard deviations to both sides that hold 95 %. Source: numerics; Bland and Altman 1986, limits of
 #: agreement.
 _LIMITS_OF_AGREEMENT = 1.96
+#: Endings of a figure's name. Source: format; what matplotlib writes without further programs.
+_FORMATS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".pdf", ".svg", ".eps")
 _GREEN, _GREY, _RED, _ORANGE = "#1b7837", "#9a9a9a", "#d1495b", "#d98300"
 
 
+def refuse_no_figure(path: Path) -> None:
+    """Refuse the place of a figure that nothing can be drawn into, before anything was compared.
+
+    Raises
+    ------
+    OutputError
+        It is a folder, or its name does not end as that of a picture does.
+    """
+    if path.is_dir():
+        msg = f"--figure {path}: that is a folder; give the name of a file in it, such as {path / 'figure.png'}"
+        raise OutputError(msg)
+    if path.suffix.lower() not in _FORMATS:
+        msg = f"--figure {path}: no picture of that kind can be drawn; end its name in .png (or .pdf, .svg)"
+        raise OutputError(msg)
+
+
 def plot_evaluation(evaluation: Evaluation, path: Path) -> None:
-    """Three panels as PNG: scatter with the 1:1 line, how many trees were found, difference against mean."""
+    """Three panels as PNG: scatter with the 1:1 line, how many trees were found, difference against mean.
+
+    The ending of ``path`` may name another format; see :func:`refuse_no_figure`, whose errors these are.
+    """
+    refuse_no_figure(Path(path))
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -12,6 +12,8 @@ from fsinfer.io.csv_text import read_table
 _MOST_DBH_CM = 1000.0
 #: A table without a thicker tree than this is not in centimetres. Source: judgement; a stem of 2 m has 2 in metres.
 _LEAST_DBH_CM = 2.0
+#: Columns that a ``trees.csv`` has and no caliper. Source: format; ``trees.csv``.
+_OF_FSINFER = ("status", "dbh_lo95_cm")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,3 +90,15 @@ def read_measured(path: Path, *, need_dbh: bool = True, need_position: bool = Tr
         msg = f"{path}: no dbh_cm is above {max(known):g} cm; give centimetres, not metres"
         raise InputError(msg)
     return trees
+
+
+def seem_swapped(measured: Path, extracted: Path) -> bool:
+    """Whether the table given as the measured one is a ``trees.csv``, and the other, given as extracted, is none.
+
+    Raises :class:`~fsinfer.errors.InputError` as :func:`read_measured` does where a table cannot be read.
+    """
+    first, second = (
+        set(read_table(path, what="the trees", required=("tree_id",), way_out="give a CSV file").columns)
+        for path in (measured, extracted)
+    )
+    return first.issuperset(_OF_FSINFER) and not second.issuperset(_OF_FSINFER)

@@ -133,7 +133,8 @@ def evaluate(
     """Compare ``extracted`` trees with ``measured`` ones, one to one.
 
     ``align``: "auto" registers the frames when they match fewer than half of the trees as given and registration finds
-    clearly more; "never" and "always" decide it. ``area_margin_m``: where given, the measured area is the convex
+    clearly more, and of a ``max_distance_m`` above the usual one also when it finds as many that lie clearly nearer;
+    "never" and "always" decide it. ``area_margin_m``: where given, the measured area is the convex
     hull of the measured trees grown by this much, and an unmatched tree beyond it is ``outside``, not ``false``. Raises
     :class:`~fsinfer.errors.InputError` for unusable input.
     """
@@ -142,6 +143,9 @@ def evaluate(
         raise InputError(msg)
     if not (np.isfinite(max_distance_m) and max_distance_m > 0):
         msg = f"the maximum distance must be a positive number of metres, got {max_distance_m}"
+        raise InputError(msg)
+    if area_margin_m is not None and not (np.isfinite(area_margin_m) and area_margin_m >= 0):
+        msg = f"the area margin must be a number of metres, 0 or more, got {area_margin_m}"
         raise InputError(msg)
     if not measured:
         msg = "no measured trees: the file of measured trees holds only a header; give at least one tree"

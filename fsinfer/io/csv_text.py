@@ -113,7 +113,8 @@ def read_table(path: Path | str, *, what: str, required: Sequence[str], way_out:
     Raises
     ------
     InputError
-        The file cannot be read, is no UTF-8 text, has no such column, or a row with something beyond the last one.
+        The file cannot be read, is no UTF-8 text, has no such column or one twice, or a row with something beyond the
+        last one.
     """
     path = Path(path)
     try:
@@ -134,6 +135,10 @@ def read_table(path: Path | str, *, what: str, required: Sequence[str], way_out:
     missing = [name for name in required if name not in names]
     if missing:
         msg = f"{path} has no column {', '.join(missing)}; {way_out}"
+        raise InputError(msg)
+    twice = [name for name in required if names.count(name) > 1]
+    if twice:
+        msg = f"{path} has more than one column {', '.join(twice)}; keep the one that is meant"
         raise InputError(msg)
     # A spreadsheet leaves columns without a name and without content beside a table.
     own = max((place for place, name in enumerate(names, start=1) if name), default=0)

@@ -51,6 +51,7 @@ class CaptureCode(StrEnum):
     printed_length_differs = "printed_length_differs"
     board_at_two_places = "board_at_two_places"
     endpoints_of_metric_cloud = "endpoints_of_metric_cloud"
+    end_beside_cloud = "end_beside_cloud"
     clicks_do_not_fit = "clicks_do_not_fit"
     unlikely_camera_height = "unlikely_camera_height"
     scale_error_unknown = "scale_error_unknown"
@@ -242,6 +243,10 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
     CaptureCode.endpoints_of_metric_cloud: (
         "the end points count in the model units of the cloud without a scale, and cloud.ply was in metres before this "
         "run; if they were read off that cloud, the scale is wrong now: give --scale {factor:.6g} instead"
+    ),
+    CaptureCode.end_beside_cloud: (
+        "of the two end points {end} lies beside the cloud, where it has no points, and the other one in it; if a "
+        "digit or a sign of it is wrong, so is the scale: read it off again"
     ),
     CaptureCode.clicks_do_not_fit: (
         "the ends that were clicked with fsinfer scale give no scale any more ({error}); click them again"

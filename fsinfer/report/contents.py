@@ -51,6 +51,7 @@ class Contents:
     outside: numbers of the trees that stand outside of the walk: they are listed, and count in no figure of the stand.
     frames: rows of ``frames.csv``, None when there is none.
     notes: what could not be read, in plain words.
+    unreadable: names of the files that ``notes`` are about.
     """
 
     out: Path
@@ -60,6 +61,11 @@ class Contents:
     outside: frozenset[int]
     frames: list[dict[str, str]] | None
     notes: tuple[str, ...]
+    unreadable: frozenset[str] = frozenset()
+
+    def why_missing(self, name: str) -> str:
+        """Why there is nothing of the file ``name`` to show: it cannot be read, which a note tells, or is not there."""
+        return f"{name} could not be read" if name in self.unreadable else f"{name} is not in this folder"
 
     @property
     def counted(self) -> list[dict[str, str]]:
@@ -117,7 +123,7 @@ class Contents:
 
 def read_contents(out: Path) -> Contents:
     """Read the text parts of ``out``."""
-    notes: list[str] = []
+    notes: dict[str, str] = {}
     plot = _lenient(lambda: _read_plot(out / "plot.json"), "plot.json", notes)
     trees = _lenient(lambda: read_rows(out / "trees.csv"), "trees.csv", notes)
     reasons = _lenient(lambda: _read_reasons(out / "trees.json"), "trees.json", notes) or {}
@@ -132,7 +138,8 @@ def read_contents(out: Path) -> Contents:
         revisit_advised=_with(reasons, lambda reason: reason.get("advises_revisit") is True),
         outside=outside | {n for t in trees or () if t.get("status") == OUTSIDE and (n := tree_number(t)) is not None},
         frames=frames,
-        notes=tuple(notes),
+        notes=tuple(notes.values()),
+        unreadable=frozenset(notes),
     )
 
 
@@ -156,13 +163,15 @@ def tree_number(tree: Mapping[str, object]) -> int | None:
     return None if value is None else int(value)
 
 
-def _lenient(read: Callable[[], T], name: str, notes: list[str]) -> T | None:
+def _lenient(read: Callable[[], T], name: str, notes: dict[str, str]) -> T | None:
     try:
         return read()
     except FileNotFoundError:
         return None
     except (OSError, ValueError, csv.Error, FsinferError) as error:
-        notes.append(f"{name} could not be read ({error}); that part of the report is missing.")
+        # A codec's own words tell nobody what to do.
+        why = "it is no text in UTF-8; save it so again" if isinstance(error, UnicodeDecodeError) else str(error)
+        notes[name] = f"{name} could not be read ({why}); that part of the report is missing."
         return None
 
 

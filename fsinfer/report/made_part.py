@@ -23,7 +23,7 @@ def made_part(contents: Contents) -> Part:
     """All that is needed to make the same results again."""
     plot = contents.plot
     if not plot:
-        return missing_part(_ANCHOR, _TITLE, "plot.json is not in this folder.")
+        return missing_part(_ANCHOR, _TITLE, f"{contents.why_missing('plot.json')}.")
     rows = [("Depth model", str(plot.get("model") or "not known"))]
     rows.append(("SHA-256 of the model", str(plot.get("model_sha256") or "not known")))
     if plot.get("model_precision"):

@@ -31,7 +31,7 @@ def photos_part(contents: Contents) -> Part:
     """What became of the photos or video frames."""
     frames = contents.frames
     if frames is None:
-        return missing_part(_ANCHOR, _TITLE, "frames.csv is not in this folder.")
+        return missing_part(_ANCHOR, _TITLE, f"{contents.why_missing('frames.csv')}.")
     rows = [("Photos or video frames looked at", str(len(frames)))]
     column = next((name for name in _CHOSEN_COLUMNS if frames and name in frames[0]), None)
     rejected = frames

@@ -67,7 +67,7 @@ def _stand_facts(contents: Contents) -> list[tuple[str, str]]:
     if contents.plot.get("source"):
         rows.append(("Photos from", str(contents.plot["source"])))
     if contents.trees is None:
-        return [*rows, ("Trees", "trees.csv is not in this folder")]
+        return [*rows, ("Trees", contents.why_missing("trees.csv"))]
     stand = stand_of(contents)
     rows += [("Stems found", str(stand.stems)), ("Stems with a DBH", str(stand.measured))]
     if outside := len(contents.trees) - len(contents.counted):

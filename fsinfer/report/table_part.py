@@ -51,7 +51,7 @@ def table_part(contents: Contents) -> Part:
     """The trees of the plot, a row each."""
     trees = contents.trees
     if trees is None:
-        return missing_part(_ANCHOR, _TITLE, "trees.csv is not in this folder.")
+        return missing_part(_ANCHOR, _TITLE, f"{contents.why_missing('trees.csv')}.")
     if not trees:
         why = str(contents.plot.get("diagnosis") or "The table of trees is empty.")
         return Part(anchor=_ANCHOR, title=_TITLE, view=TableView(head=(), rows=(), diagnosis=why))

@@ -7,7 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from fsinfer.errors import ScaleError
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
@@ -15,6 +17,8 @@ from fsinfer.scale.agreement import back_to_back, faces_of_boards
 from fsinfer.scale.printed_boards import DICTIONARY, board_lengths
 from fsinfer.scale.request import Point, ScaleRequest
 from fsinfer.scale.scale import CAMERA_HEIGHT_M, BoardVerdict, MarkerDetails, MarkerScale, Scale
+
+Floats = NDArray[np.float64]
 
 #: Nobody holds a phone lower or higher than this all through a plot: kneeling, or on a stick. Source: human bodies.
 LIKELY_HEIGHTS_M = (0.4, 3.5)
@@ -28,6 +32,9 @@ _WRONG_APART_M, _WRONG_NUMBERS, _WRONG_SHARE = 0.3, 2, 1 / 3
 #: A given length that differs by more from the printed one is not that of a print which came out a little smaller, and
 #: was measured. Source: judgement; the three sizes differ by a quarter and more.
 _OTHER_LENGTH = 0.1
+#: An end of a pole may lie beside the cloud by this share of the cloud's size. Source: judgement; the top of a pole may
+#: have no point, and a digit or a sign that is wrong leads farther.
+_BESIDE_CLOUD = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +61,40 @@ def doubt_endpoints(request: ScaleRequest, earlier: EarlierScale) -> tuple[Notic
         if not _likely(metric) or _oddness(units) < _oddness(metric):
             return ()
     return (notice(CaptureCode.endpoints_of_metric_cloud, factor=m_per_unit * stretch),)
+
+
+def doubt_ends(request: ScaleRequest, low: Floats, high: Floats) -> tuple[Notice, ...]:
+    """Warn where one end point lies in the cloud and the other far beside it.
+
+    Both may: a viewer that keeps the units may have moved the cloud, and only the distance of the ends counts.
+
+    Parameters
+    ----------
+    low, high: (3,) least and greatest coordinates of the cloud, in its units.
+
+    Raises
+    ------
+    ScaleError
+        The ends are farther from each other than any two points of the cloud.
+    """
+    if request.endpoints is None:
+        return ()
+    size, apart = float(np.linalg.norm(high - low)), math.dist(*request.endpoints)
+    if apart > size * (1 + 2 * _BESIDE_CLOUD):
+        first, second = (",".join(f"{value:g}" for value in end) for end in request.endpoints)
+        msg = (
+            f"--endpoints {first} {second}: they are {apart:.4g} apart, and the whole cloud measures only {size:.4g} "
+            "from corner to corner; read both ends off this cloud, and look for a wrong digit"
+        )
+        raise ScaleError(msg)
+    outside = [end for end in request.endpoints if not _near_box(np.array(end), low, high, _BESIDE_CLOUD * size)]
+    if len(outside) != 1:
+        return ()
+    return (notice(CaptureCode.end_beside_cloud, end=",".join(f"{value:g}" for value in outside[0])),)
+
+
+def _near_box(point: Floats, low: Floats, high: Floats, margin: float) -> bool:
+    return bool(((point >= low - margin) & (point <= high + margin)).all())
 
 
 def _oddness(camera_height_m: float) -> float:

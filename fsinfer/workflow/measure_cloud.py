@@ -16,7 +16,7 @@ from fsinfer.io.cloud import PointCloud, read_and_tell
 from fsinfer.io.digest import file_digest
 from fsinfer.io.files import make_folder
 from fsinfer.io.las import LAS_SUFFIXES, read_epsg
-from fsinfer.notices.capture import NO_SCALE, REMARKS
+from fsinfer.notices.capture import NO_SCALE, REMARKS, CaptureCode
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.output.json_values import as_json
@@ -25,7 +25,7 @@ from fsinfer.output.plot_json import OF_FILE, of_file, package_versions, read_pl
 from fsinfer.placement.place import density_per_m2, transform_cloud
 from fsinfer.plot_border.request import BorderRequest
 from fsinfer.progress import Progress, silent
-from fsinfer.scale.doubts import doubt_about_all, unknown_error
+from fsinfer.scale.doubts import doubt_about_all, doubt_ends, unknown_error
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scale.scale import Scale, marker_centers
 from fsinfer.scene import scene_digest
@@ -123,7 +123,8 @@ def measure_cloud_file(
         The file is no cloud, one that would be written over, or its header says that it is not in metres and no scale
         is given.
     ScaleError
-        ArUco markers were asked for, and ``out`` has no scene that the cloud came from.
+        ArUco markers were asked for, and ``out`` has no scene that the cloud came from; or the end points of the
+        length are farther apart than the cloud is large.
     InputError
         The plot's border lies round a marker or the middle of the walk, and the cloud has no photographs beside it;
         or ``out`` holds tables or figures of trees that fsinfer did not make; or a run that made the cloud was stopped
@@ -147,6 +148,8 @@ def measure_cloud_file(
         # Nothing said and nothing known to the contrary: other people's clouds are in metres.
         metric = found.scale.m_per_unit is not None or origin.units != MODEL_UNITS
         opened = _open(cloud_path, chunks, found.scale.m_per_unit or 1.0, settings.thinning, progress)
+        bounds = (end(opened.cloud.xyz, axis=0) / (found.scale.m_per_unit or 1.0) for end in (np.min, np.max))
+        doubts = doubt_ends(request, *bounds)
         # A cloud that had to be scaled is not in the frame that its header may name.
         in_frame = cloud_path.suffix.lower() in LAS_SUFFIXES and (found.scale.m_per_unit or 1.0) == 1.0
         frame_of = cloud_path if in_frame else None
@@ -165,7 +168,7 @@ def measure_cloud_file(
             write_labelled=opened.labelled,
         )
         trees, given, turned = _measure(given, out, settings.stage, progress)
-        said = (*found.warnings, *unknown_error(found.scale), *opened.warnings, *turned)
+        said = (*found.warnings, *doubts, *unknown_error(found.scale), *opened.warnings, *turned)
         trees = replace(trees, warnings=(*said, *no_scale_once(said, trees.warnings)))
         density = density_per_m2(given.cloud.xyz) if metric else None
         # That of an earlier measurement would stand beside the tables of this one.
@@ -271,7 +274,11 @@ def _tell(record: StageRecord[MeasuredCloud], cloud_path: Path, out: Path, setti
     values |= scale_of_trees(scale, before, out, own_cloud=own_cloud, density_per_m2=found.density_per_m2)
     told = () if other else tuple(item for item in of_other_stages(before) if item not in found.trees.warnings)
     # What an earlier measurement at a scale of its own said of that scale, and that there was none before this one.
-    past = (REMARKS if before.get(OF_FILE) else frozenset()) | (NO_SCALE if scale.m_per_unit else frozenset())
+    past = (
+        {CaptureCode.end_beside_cloud}
+        | (REMARKS if before.get(OF_FILE) else frozenset())
+        | (NO_SCALE if scale.m_per_unit else frozenset())
+    )
     said = tuple(item for item in told if item.code not in past)
     values |= warning_values((*said, *no_scale_once(said, found.trees.warnings)))
     values["settings"] = (before.get("settings") or {}) | as_json(settings)

@@ -26,6 +26,7 @@ from fsinfer.progress import StageProgress, silent_stages
 from fsinfer.scale.markers_seen import FILE as MARKERS_SEEN
 from fsinfer.scene import read_scene, scene_digest
 from fsinfer.threads import one_blas_thread
+from fsinfer.workflow.camera_size import refuse_cameras_of_other_size
 from fsinfer.workflow.cloud_stages import compute_depth, model_digest, require_workers
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
 from fsinfer.workflow.photo_stages import choose_frames, register_photos, require_poses
@@ -106,7 +107,10 @@ def depth_of(
     """
     model_digest(settings)  # a wrong name must not show after the images are undistorted
     require_workers(settings)
-    scene = read_scene(our_scene(source, out, images=images, progress=progress))
+    folder = our_scene(source, out, images=images, progress=progress)
+    scene = read_scene(folder)
+    if folder == source:  # of other programs the size that a camera belongs to is known
+        refuse_cameras_of_other_size(scene)
     return compute_depth(Ledger(make_folder(out)), scene, settings=settings, progress=progress)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 from fsinfer.cli.app import EXAMPLES
 from fsinfer.io.cloud import PointCloud, write_cloud
 from fsinfer.io.images import write_image
-from fsinfer.scene import read_scene
+from fsinfer.scene import read_scene, write_camera
 from tests.support.command_line import Call
 from tests.support.synthetic_plot import write_depth_folder, write_scene_folder
 
@@ -80,6 +81,17 @@ def test_damaged_camera(call: Call, scene: Path, tmp_path: Path) -> None:
     assert "view_03_cam.txt" in errors_of(call("depth", scene, tmp_path / "out"))[0]
 
 
+@pytest.mark.parametrize(("times", "fits"), [(0.25, "41x31"), (0.5, "80x60"), (2.0, "319x239")])
+def test_cameras_for_pictures_of_another_size(call: Call, scene: Path, tmp_path: Path, times: float, fits: str) -> None:
+    for view in read_scene(scene).views[4:]:
+        intrinsic = np.diag([times, times, 1.0]) @ view.camera.intrinsic
+        write_camera(scene / "cams" / f"{view.name}_cam.txt", replace(view.camera, intrinsic=intrinsic))
+    message = errors_of(call("depth", scene, tmp_path / "out"))[0]
+    assert "view_04_cam.txt" in message
+    assert f"view_04.jpg, which has 160x120 pixels; a picture of about {fits} would fit" in message
+    assert not (tmp_path / "out" / "depth").exists()
+
+
 def test_unknown_model(call: Call, scene: Path, tmp_path: Path) -> None:
     assert "no-such-model" in errors_of(call("depth", scene, tmp_path / "out", "--model", "no-such-model"))[0]
 
@@ -132,6 +144,7 @@ def cloud(tmp_path: Path) -> Path:
         (["--endpoints", "0,0,0", "0,0,0", "--length-m", "1"], "different"),
         (["--endpoints", "0,0", "1,0,0", "--length-m", "1"], "'0,0'"),
         (["--endpoints", "a,b,c", "1,0,0", "--length-m", "1"], "'a,b,c'"),
+        (["--endpoints", "1,1,0", "-300.7,1,0", "--length-m", "1"], "-300.7,1,0: they are 301.7 apart"),
         (["--endpoints", "inf,0,0", "1,0,0", "--length-m", "1"], "finite"),
         (["--aruco-length-m", "0.25"], "--aruco-length-m"),
         (["--aruco-length-m", "0.25", "--aruco-dictionary", "9X9_99"], "9X9_99"),
@@ -171,6 +184,36 @@ def test_evaluate_with_tables_that_are_none(call: Call, tmp_path: Path) -> None:
         assert "bad.csv" in errors_of(call("evaluate", bad, good))[0]
     assert "gone.csv" in errors_of(call("evaluate", tmp_path / "gone.csv", good))[0]
     assert "gone.csv" in errors_of(call("evaluate", good, tmp_path / "gone.csv"))[0]
+
+
+def test_evaluate_with_a_column_twice(call: Call, tmp_path: Path) -> None:
+    good, bad = tmp_path / "good.csv", tmp_path / "bad.csv"
+    good.write_text("tree_id,x_m,y_m,dbh_cm\n1,0,0,30\n", encoding="utf-8")
+    bad.write_text("tree_id,x_m,y_m,dbh_cm,note,DBH_cm,note\n1,0,0,30,a,31,b\n", encoding="utf-8")
+    for tables in ((bad, good), (good, bad)):
+        message = errors_of(call("evaluate", *tables))[0]
+        assert "bad.csv has more than one column dbh_cm;" in message
+
+
+def test_evaluate_with_an_area_that_ends_before_the_trees(call: Call, tmp_path: Path) -> None:
+    good = tmp_path / "good.csv"
+    good.write_text("tree_id,x_m,y_m,dbh_cm\n1,0,0,30\n", encoding="utf-8")
+    code, out, err = call("evaluate", good, good, "--area-margin-m", "-1")
+    assert (code, out) == (2, "")
+    assert "--area-margin-m" in err
+
+
+@pytest.mark.parametrize("figure", ["", ".", "folder", "f.docx", "f"])
+def test_a_figure_that_cannot_be_drawn_is_told_before_the_comparison(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, figure: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("folder").mkdir()
+    Path("good.csv").write_text("tree_id,x_m,y_m,dbh_cm\n1,0,0,30\n", encoding="utf-8")
+    message = errors_of(call("evaluate", "good.csv", "good.csv", "--figure", figure))[0]
+    assert "--figure" in message
+    assert ".png" in message
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder", "good.csv"]
 
 
 def test_report_of_nothing(call: Call, tmp_path: Path) -> None:

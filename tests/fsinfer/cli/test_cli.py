@@ -279,6 +279,22 @@ def test_evaluate(tmp_path: Path, call: Call) -> None:
     assert (tmp_path / "f.png").stat().st_size > 1000
 
 
+def test_evaluate_says_where_the_tables_seem_interchanged(tmp_path: Path, call: Call) -> None:
+    measured, extracted = tmp_path / "measured.csv", tmp_path / "trees.csv"
+    # What a person writes beside the diameters does not make the table one of fsinfer.
+    measured.write_text("tree_id,x_m,y_m,dbh_cm,status\n1,0,0,30,alive\n2,5,0,40,dead\n", encoding="utf-8")
+    extracted.write_text(
+        "tree_id,x_m,y_m,dbh_cm,dbh_lo95_cm,dbh_hi95_cm,status\n1,0,0,31,29,33,ok\n2,5,0,39,38,40,ok\n",
+        encoding="utf-8",
+    )
+    code, out, err = call("evaluate", extracted, measured)
+    assert (code, "RMSE" in out) == (0, True)
+    assert "seem to be interchanged" in err
+    for tables in ((measured, extracted), (extracted, extracted)):
+        code, out, err = call("evaluate", *tables)
+        assert (code, "RMSE" in out, err) == (0, True, "")
+
+
 @pytest.mark.parametrize(
     ("rows", "options", "says"),
     [

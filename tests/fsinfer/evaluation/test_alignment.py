@@ -47,12 +47,36 @@ def test_the_same_trees_in_another_frame_are_laid_on_each_other(count: int, seed
     assert len(found.links) >= count - count // 5
 
 
+@pytest.mark.parametrize(("away", "limit"), [(40.0, 0.5), (0.0, 5.0)])
 @pytest.mark.parametrize("seed", range(4))
-def test_interchanged_axes_are_told(seed: int) -> None:
+def test_interchanged_axes_are_told(seed: int, away: float, limit: float) -> None:
     xy = plot(20, seed)
-    found = evaluate(trees(xy), trees(xy[:, ::-1] + 40.0))
+    found = evaluate(trees(xy), trees(xy[:, ::-1] + away), max_distance_m=limit)
     assert (found.alignment_doubt, found.measured_from_extracted) == ("mirrored", None)
     assert any("x_m (east) and y_m (north) interchanged" in row for row in evaluation_rows(found))
+
+
+@pytest.mark.parametrize("limit", [0.5, 1.0, 2.0, 5.0, 10.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_within_a_wide_distance_that_has_partners_in_any_frame_the_maps_are_still_laid_on_each_other(
+    seed: int, limit: float
+) -> None:
+    xy = plot(14, seed) / 2.0
+    middle = xy.mean(axis=0)
+    turned = (xy - middle) @ np.array([[0.5, -(0.75**0.5)], [0.75**0.5, 0.5]]) + middle + 0.3
+    found = align_maps(xy, np.concatenate([turned, plot(6, seed + 40) - 4.0]), limit, "auto")
+    assert found.motion is not None
+    assert found.motion["rotation_deg"] == pytest.approx(60.0, abs=1e-6)
+    assert [(i, i) for i in range(14)] == sorted(found.links)
+    assert found.doubt == AlignmentDoubt.none
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1, 0.5])
+@pytest.mark.parametrize("seed", range(3))
+def test_maps_of_one_frame_are_left_as_they_are_within_a_wide_distance(seed: int, noise: float) -> None:
+    xy = plot(15, seed)
+    found = xy[2:] + np.random.default_rng(seed).normal(0, noise, (13, 2))
+    assert align_maps(xy, found, 3.0, "auto").motion is None
 
 
 def test_a_row_of_trees_is_laid_on_itself_and_told_to_be_symmetric() -> None:

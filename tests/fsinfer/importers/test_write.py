@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fsinfer.errors import SceneError
+from fsinfer.errors import ImageError, SceneError
 from fsinfer.importers.foreign import ForeignScene
 from fsinfer.importers.formats import reader_of
 from fsinfer.importers.write import ImportSettings, read_origin, told, write_scene
@@ -109,6 +109,23 @@ def test_photographs_without_distortion_are_copied(tmp_path: Path) -> None:
     for photo in scene.photos:
         copied, given = tmp_path / "out" / "images" / f"{photo.name}.png", tmp_path / "images" / f"{photo.name}.png"
         assert copied.read_bytes() == given.read_bytes()
+
+
+@pytest.mark.parametrize("kind", ["png", "jpg"])
+def test_a_damaged_photograph_is_named_as_it_was_given(tmp_path: Path, kind: str) -> None:
+    scene = made.truth(PINHOLE)
+    made.write_transforms(scene, tmp_path / "transforms.json")
+    made.write_photos(scene, tmp_path / "images")
+    damaged = tmp_path / "images" / f"{scene.photos[2].name}.png"
+    if kind == "jpg":
+        # Programs go by the content, whatever the name says.
+        with Image.open(damaged) as image:
+            image.convert("RGB").save(damaged, format="JPEG")
+    content = damaged.read_bytes()
+    damaged.write_bytes(content[: int(0.8 * len(content))])
+    with pytest.raises(ImageError, match="is damaged or cut short") as told_of:
+        write_scene(read(tmp_path), tmp_path / "out")
+    assert str(damaged) in str(told_of.value)
 
 
 @pytest.mark.parametrize("turn", [6, 3])

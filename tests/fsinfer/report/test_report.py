@@ -439,7 +439,10 @@ def test_damaged_parts_are_notes(tmp_path: Path) -> None:
     (tmp_path / "depth" / "v0.pfm").write_bytes(b"Pf\n3 3\n-1\n")
     page = make_report(tmp_path).read_text(encoding="utf-8")
     assert "plot.json could not be read" in page
-    assert "trees.csv could not be read" in page
+    assert "trees.csv could not be read (it is no text in UTF-8; save it so again)" in page
+    # What is there and damaged is not said to be missing.
+    assert "is not in this folder" not in page
+    assert "codec" not in page
     assert "The cloud could not be shown" in page
     assert "v0.pfm could not be shown" in page
     assert "Depth of v2" in page

@@ -4,13 +4,22 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fsinfer.errors import ScaleError
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.sentences import sentence, sentences
-from fsinfer.scale.doubts import LIKELY_HEIGHTS_M, EarlierScale, doubt_endpoints, doubt_height, unknown_error
+from fsinfer.scale.doubts import (
+    LIKELY_HEIGHTS_M,
+    EarlierScale,
+    doubt_endpoints,
+    doubt_ends,
+    doubt_height,
+    unknown_error,
+)
 from fsinfer.scale.request import Point, ScaleRequest
 from fsinfer.scale.scale import Scale
 
@@ -50,6 +59,36 @@ def test_end_points_read_off_the_cloud_in_model_units_are_believed() -> None:
 )
 def test_without_cause_nothing_is_said(request_: ScaleRequest, plot: EarlierScale) -> None:
     assert doubt_endpoints(request_, plot) == ()
+
+
+LOW, HIGH = np.array([-6.5, -6.5, -0.2]), np.array([0.0, 0.0, 4.0])
+
+
+def test_ends_farther_apart_than_the_cloud_is_large_are_refused() -> None:
+    ends = ((-300.7, -1.0, 0.0), (-1.0, -1.0, 0.0))
+    with pytest.raises(
+        ScaleError, match=r"--endpoints -300\.7,-1,0 -1,-1,0: they are 299\.7 apart, .* only 10\.11 from"
+    ):
+        doubt_ends(ScaleRequest(endpoints=ends, length_m=2.0), LOW, HIGH)
+
+
+@pytest.mark.parametrize(
+    ("ends", "told"),
+    [
+        (((-3.0, -1.0, 0.0), (-1.0, -1.0, 0.0)), None),
+        # The top of a pole that has no point, on one that stands at the cloud's edge.
+        (((-6.5, -3.0, 0.0), (-6.5, -3.0, 4.9)), None),
+        # A sign that was lost.
+        (((-3.0, -1.0, 0.0), (3.0, -1.0, 0.0)), "3,-1,0"),
+        # Read off in a viewer that had moved the cloud.
+        (((497.0, -1.0, 0.0), (499.0, -1.0, 0.0)), None),
+    ],
+)
+def test_one_end_beside_the_cloud_is_told(ends: tuple[Point, Point], told: str | None) -> None:
+    found = doubt_ends(ScaleRequest(endpoints=ends, length_m=2.0), LOW, HIGH)
+    assert [item.values["end"] for item in found] == ([] if told is None else [told])
+    assert all(f"{told} lies beside the cloud" in line for line in sentences(found))
+    assert doubt_ends(ScaleRequest(factor=1.0), LOW, HIGH) == ()
 
 
 @given(height_m=st.floats(*LIKELY_HEIGHTS_M))
