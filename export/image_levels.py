@@ -12,7 +12,7 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from export.side_by_side import take_four
+from export.side_by_side import CHANNELS_SECOND, take_four
 from export.tidy import drop_unused, makers_of
 from fsinfer.depth.network_input import Levels
 
@@ -44,8 +44,7 @@ def take_levels(model: onnx.ModelProto) -> dict[str, str]:
         added_deviation=_added(makers[makers[quantizer.input[0]].input[1]], makers, constants),
         side_by_side=take_four(graph, quantizer.output[0]),
     )
-    # onnxruntime takes 8 bits with the channels last: it drops this transposition against its own.
-    turned = helper.make_node("Transpose", [IMAGES], list(quantizer.output), "levels_chw", perm=[0, 3, 1, 2])
+    turned = helper.make_node("Transpose", [IMAGES], list(quantizer.output), "levels_chw", perm=CHANNELS_SECOND)
     for node in [node for node in graph.node if IMAGES in node.input and node.op_type == "Shape"]:
         start, end = (next(item for item in node.attribute if item.name == name) for name in ("start", "end"))
         if (start.i, end.i) not in ((2, 3), (3, 4)):

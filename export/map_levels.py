@@ -11,7 +11,7 @@ import numpy as np
 import onnx
 from onnx import helper, numpy_helper
 
-from export.side_by_side import fill_channels
+from export.side_by_side import CHANNELS_LAST, fill_channels
 from export.tidy import makers_of
 from fsinfer.depth.map_levels import MapLevels
 
@@ -31,14 +31,14 @@ def give_levels(model: onnx.ModelProto) -> dict[str, str]:
     notes: dict[str, str] = {}
     for output in graph.output:
         last = makers[output.name]
-        scale, zero_point = (constants.get(name) for name in (*last.input[1:3], "", "")[:2])
-        if last.op_type != "DequantizeLinear" or scale is None or zero_point is None or zero_point.dtype != np.uint8:
+        stored = [constants[name] for name in last.input[1:] if name in constants]
+        if last.op_type != "DequantizeLinear" or len(stored) != 2 or stored[1].dtype != np.uint8:
             msg = f"{output.name} comes from {last.op_type}, not from levels of 8 bits"
             raise ValueError(msg)
+        scale, zero_point = stored
         notes |= MapLevels(scale=float(scale), zero_point=int(zero_point)).notes(output.name)
         quantized = last.input[0]
-        # onnxruntime computes 8 bits with the channels last: it drops this transposition against its own.
-        turned = helper.make_node("Transpose", [quantized], [output.name], f"{output.name}_levels", perm=[0, 2, 3, 1])
+        turned = helper.make_node("Transpose", [quantized], [output.name], f"{output.name}_levels", perm=CHANNELS_LAST)
         graph.node.insert(list(graph.node).index(last), turned)
         graph.node.remove(last)
         fill_channels(graph, quantized)

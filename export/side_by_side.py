@@ -17,8 +17,9 @@ from export.tidy import makers_of
 
 #: Channels that are computed at once. Source: numerics.
 _AT_ONCE = 16
-#: Axes in the order with the channels last, and back.
-_CHANNELS_LAST, _CHANNELS_SECOND = [0, 2, 3, 1], [0, 3, 1, 2]
+#: Axes in the order with the channels last, in which onnxruntime computes 8 bits: it drops such a transposition against
+#: its own; and back. Source: format.
+CHANNELS_LAST, CHANNELS_SECOND = [0, 2, 3, 1], [0, 3, 1, 2]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,12 +94,11 @@ class _Quantized:
         self.graph.initializer.append(numpy_helper.from_array(np.array([0, 0, -1, channels], np.int64), shape))
         quantizer.output[0] = f"{wanted}_channels"
         place = list(self.graph.node).index(quantizer) + 1
-        # onnxruntime computes 8 bits with the channels last: it drops these transpositions against its own.
         for node in reversed(
             (
-                helper.make_node("Transpose", [quantizer.output[0]], [together], together, perm=_CHANNELS_LAST),
+                helper.make_node("Transpose", [quantizer.output[0]], [together], together, perm=CHANNELS_LAST),
                 helper.make_node("Reshape", [together, shape], [apart], apart),
-                helper.make_node("Transpose", [apart], [wanted], f"{wanted}_apart", perm=_CHANNELS_SECOND),
+                helper.make_node("Transpose", [apart], [wanted], f"{wanted}_apart", perm=CHANNELS_SECOND),
             )
         ):
             self.graph.node.insert(place, node)

@@ -19,7 +19,7 @@ from fsinfer.poses.colmap_calls import open_database
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.thinning import MOST_MATCHES, add_points, thinned
 from fsinfer.poses.verification.misplaced import without_pairs
-from fsinfer.poses.verification.point_votes import PointVote, point_votes
+from fsinfer.poses.verification.point_votes import PointVote, agreeing_share, point_votes
 from fsinfer.poses.view_graph import configurations
 from fsinfer.progress import Progress
 
@@ -146,8 +146,7 @@ def limit_of(apart: int, neighbours: int) -> float:
 def believed_share(votes: Sequence[PointVote], rank: Mapping[int, int], neighbours: int) -> float:
     """Share of the matches of neighbours, beyond those next to each other, that agree; 0 where there are none."""
     near = [vote for vote in votes if vote.points >= FEWEST_POINTS and _apart(vote, rank) <= neighbours]
-    cast = sum(vote.matches for vote in near)
-    return sum(vote.matches for vote in near if vote.error < NEAR) / cast if cast else 0.0
+    return agreeing_share(near, NEAR)
 
 
 def _apart(vote: PointVote, rank: Mapping[int, int]) -> int:

@@ -16,7 +16,7 @@ from typing import Any
 from fsinfer.poses.chain import FEWEST_POINTS
 from fsinfer.poses.refinement import adjust_to_judge, larger_than_usual
 from fsinfer.poses.thinning import add_points, join_points
-from fsinfer.poses.verification.point_votes import point_votes
+from fsinfer.poses.verification.point_votes import agreeing_share, point_votes
 
 _log = logging.getLogger(__name__)
 
@@ -68,5 +68,4 @@ def closed(followed: Any, true: AbstractSet[tuple[int, int]], database: Path) ->
 def right_share(model: Any, true: AbstractSet[tuple[int, int]], database: Path) -> float:
     """Share of the matches of true pairs whose points are seen where they should be; 0 where there are none."""
     votes = [vote for vote in point_votes(model, database, true) if vote.points >= FEWEST_POINTS]
-    cast = sum(vote.matches for vote in votes)
-    return sum(vote.matches for vote in votes if vote.error < _RIGHT) / cast if cast else 0.0
+    return agreeing_share(votes, _RIGHT)

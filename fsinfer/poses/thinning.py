@@ -6,7 +6,9 @@ tell where its photos stand. What the others see is placed by the finished map.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from collections.abc import Set as AbstractSet
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -63,16 +65,11 @@ def add_points(model: Any, database: Path, photos: AbstractSet[int] | None = Non
     model: ``pycolmap.Reconstruction``; it is changed, and nothing in it is adjusted. photos: by COLMAP's numbers, those
         whose features are placed; None: of all.
     """
-    import pycolmap
-
-    mapper = pycolmap.IncrementalMapper(database_cache(database, all_photos=True))
-    rules = pycolmap.IncrementalTriangulatorOptions()
-    rules.random_seed = SEED
-    call(mapper.begin_reconstruction, model)
-    placed = set(model.reg_image_ids())
-    came = sum(call(mapper.triangulate_image, rules, i) for i in sorted(placed if photos is None else placed & photos))
-    call(mapper.merge_tracks, rules)
-    call(mapper.end_reconstruction, False)
+    with _triangulating(model, database) as (mapper, rules):
+        placed = set(model.reg_image_ids())
+        asked = sorted(placed if photos is None else placed & photos)
+        came = sum(call(mapper.triangulate_image, rules, i) for i in asked)
+        call(mapper.merge_tracks, rules)
     return int(came)
 
 
@@ -81,12 +78,18 @@ def join_points(model: Any, database: Path) -> int:
 
     Less than :func:`add_points`: features without a point get none. ``model`` is changed, and nothing in it adjusted.
     """
+    with _triangulating(model, database) as (mapper, rules):
+        return int(call(mapper.complete_tracks, rules) + call(mapper.merge_tracks, rules))
+
+
+@contextmanager
+def _triangulating(model: Any, database: Path) -> Iterator[tuple[Any, Any]]:
+    """A ``pycolmap.IncrementalMapper`` that changes ``model`` by the matches of ``database``, and its rules."""
     import pycolmap
 
     mapper = pycolmap.IncrementalMapper(database_cache(database, all_photos=True))
     rules = pycolmap.IncrementalTriangulatorOptions()
     rules.random_seed = SEED
     call(mapper.begin_reconstruction, model)
-    joined = call(mapper.complete_tracks, rules) + call(mapper.merge_tracks, rules)
+    yield mapper, rules
     call(mapper.end_reconstruction, False)
-    return int(joined)

@@ -63,14 +63,14 @@ def doubt_endpoints(request: ScaleRequest, earlier: EarlierScale) -> tuple[Notic
     return (notice(CaptureCode.endpoints_of_metric_cloud, factor=m_per_unit * stretch),)
 
 
-def doubt_ends(request: ScaleRequest, low: Floats, high: Floats) -> tuple[Notice, ...]:
+def doubt_ends(request: ScaleRequest, points: Floats, per_unit: float = 1.0) -> tuple[Notice, ...]:
     """Warn where one end point lies in the cloud and the other far beside it.
 
     Both may: a viewer that keeps the units may have moved the cloud, and only the distance of the ends counts.
 
     Parameters
     ----------
-    low, high: (3,) least and greatest coordinates of the cloud, in its units.
+    points: (N, 3) of the cloud. per_unit: of what they are in, to one of the units of the end points.
 
     Raises
     ------
@@ -79,6 +79,7 @@ def doubt_ends(request: ScaleRequest, low: Floats, high: Floats) -> tuple[Notice
     """
     if request.endpoints is None:
         return ()
+    low, high = points.min(axis=0) / per_unit, points.max(axis=0) / per_unit
     size, apart = float(np.linalg.norm(high - low)), math.dist(*request.endpoints)
     if apart > size * (1 + 2 * _BESIDE_CLOUD):
         first, second = (",".join(f"{value:g}" for value in end) for end in request.endpoints)

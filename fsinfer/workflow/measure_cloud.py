@@ -140,18 +140,18 @@ def measure_cloud_file(
     found = cloud_scale(request, cloud_path, out, origin)
     if found.scale.m_per_unit is None:
         refuse_other_units(cloud_path)
-    photos = own_photos(cloud_path, origin, found.scale.m_per_unit or 1.0)
+    per_unit = found.scale.m_per_unit or 1.0
+    photos = own_photos(cloud_path, origin, per_unit)
     _refuse_center_unknown(settings.stage.border, cloud_path, photos)
     make_folder(out)
 
     def work(_resume: bool) -> MeasuredCloud:
         # Nothing said and nothing known to the contrary: other people's clouds are in metres.
         metric = found.scale.m_per_unit is not None or origin.units != MODEL_UNITS
-        opened = _open(cloud_path, chunks, found.scale.m_per_unit or 1.0, settings.thinning, progress)
-        bounds = (end(opened.cloud.xyz, axis=0) / (found.scale.m_per_unit or 1.0) for end in (np.min, np.max))
-        doubts = doubt_ends(request, *bounds)
+        opened = _open(cloud_path, chunks, per_unit, settings.thinning, progress)
+        doubts = doubt_ends(request, opened.cloud.xyz, per_unit)
         # A cloud that had to be scaled is not in the frame that its header may name.
-        in_frame = cloud_path.suffix.lower() in LAS_SUFFIXES and (found.scale.m_per_unit or 1.0) == 1.0
+        in_frame = cloud_path.suffix.lower() in LAS_SUFFIXES and per_unit == 1.0
         frame_of = cloud_path if in_frame else None
         given = PlotCloudInput(
             cloud=opened.cloud,

@@ -7,7 +7,7 @@ a photo is put metres on by matches that all lie on their lines.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -45,6 +45,12 @@ def point_votes(model: Any, database: Path, only: Collection[tuple[int, int]] | 
     ``only``: of these pairs, by COLMAP's numbers, the smaller first.
     """
     return list(_votes(model, database, only))
+
+
+def agreeing_share(votes: Sequence[PointVote], within: float) -> float:
+    """Share of the matches of these pairs whose error is below ``within`` focal lengths; 0 where there are none."""
+    cast = sum(vote.matches for vote in votes)
+    return sum(vote.matches for vote in votes if vote.error < within) / cast if cast else 0.0
 
 
 def _votes(model: Any, database: Path, only: Collection[tuple[int, int]] | None) -> Iterator[PointVote]:

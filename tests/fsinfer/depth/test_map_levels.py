@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fsinfer.depth.manifest import hash_files, models_folder, read_manifest
 from fsinfer.depth.map_levels import MapLevels, features_of
 from fsinfer.depth.model import DepthModel
 from fsinfer.errors import ModelError
+from tests.support.int8_features import photograph, with_notes
 
 LEVELS = MapLevels(scale=0.06, zero_point=119)
 
@@ -77,7 +75,7 @@ def test_levels_that_cannot_be_are_refused(changed: dict[str, str]) -> None:
 
 @pytest.mark.parametrize("width", [240, 242, 243, 245])
 def test_features_in_8_bits_are_as_large_as_those_of_32(width: int) -> None:
-    image = np.ascontiguousarray(stripes()[:, :width])
+    image = np.ascontiguousarray(photograph(60)[:, :width])
     exact, quick = (DepthModel.load("cascade", threads=1, precision=way).features(image) for way in ("float32", "int8"))
     for one, other in ((exact.quarter, quick.quarter), (exact.half, quick.half)):
         assert one is not None
@@ -88,32 +86,6 @@ def test_features_in_8_bits_are_as_large_as_those_of_32(width: int) -> None:
         untouched = wanted.shape[2] if width % 4 in (0, 3) else wanted.shape[2] - 8
         difference = np.abs(found - wanted).mean(axis=(0, 1))
         assert (difference[:untouched] < 0.25 * np.abs(wanted).mean()).all()
-
-
-def stripes() -> NDArray[np.uint8]:
-    """Trunks before the sky, with a texture."""
-    rng = np.random.default_rng(3)
-    grey = 128 + 60 * np.where(np.arange(256) // 24 % 2, 1.0, -1.0) + rng.normal(0, 12, (160, 256))
-    return np.clip(np.stack([grey, 0.9 * grey + 10, 0.8 * grey], axis=2), 0, 255).astype(np.uint8)
-
-
-def with_notes(folder: Path, change: Callable[[dict[str, str]], dict[str, str]]) -> Path:
-    """The manifest of a copy of ``field`` whose features graph has other notes."""
-    onnx = pytest.importorskip("onnx", reason="onnx comes with the extra train")
-    for file in models_folder().glob("field*"):
-        shutil.copy(file, folder)
-    features = folder / "field_features_int8.onnx"
-    graph = onnx.load(features)
-    notes = change({item.key: item.value for item in graph.metadata_props})
-    del graph.metadata_props[:]
-    onnx.helper.set_model_props(graph, notes)
-    onnx.save(graph, features)
-    manifest = folder / "field.json"
-    old = read_manifest("field").int8_sha256
-    assert old is not None
-    now = hash_files([folder / f"field_{role}_int8.onnx" for role in ("features", "regularizer", "refiner")])
-    manifest.write_text(manifest.read_text(encoding="utf-8").replace(old, now))
-    return manifest
 
 
 def test_a_graph_whose_maps_have_no_notes_is_refused(tmp_path: Path) -> None:

@@ -2,28 +2,18 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from fsinfer.depth.manifest import hash_files, models_folder, read_manifest
 from fsinfer.depth.model import DepthModel
 from fsinfer.depth.network_input import Levels, network_input
 from fsinfer.errors import ModelError
+from tests.support.int8_features import photograph, with_notes
 
 LEVELS = Levels(scale=0.025, zero_point=105, added_deviation=1.0, side_by_side=1)
-
-
-def photograph(deviation: float, *, seed: int = 3) -> NDArray[np.uint8]:
-    """Trunks before the sky: stripes of dark and bright with a texture, of about this standard deviation."""
-    rng = np.random.default_rng(seed)
-    stripes = np.where(np.arange(256) // 24 % 2, 1.0, -1.0) * np.ones((160, 1))
-    grey = 128 + deviation * stripes + rng.normal(0, 12, stripes.shape)
-    return np.clip(np.stack([grey, 0.9 * grey + 10, 0.8 * grey], axis=2), 0, 255).astype(np.uint8)
 
 
 def test_levels_are_of_the_photograph_less_its_mean_over_its_deviation() -> None:
@@ -89,19 +79,7 @@ def test_features_in_8_bits_are_those_of_32_whatever_the_contrast(name: str, dev
 
 
 def test_a_graph_with_notes_that_cannot_be_is_refused(tmp_path: Path) -> None:
-    onnx = pytest.importorskip("onnx", reason="onnx comes with the extra train")
-    for file in models_folder().glob("field*"):
-        shutil.copy(file, tmp_path)
-    features = tmp_path / "field_features_int8.onnx"
-    graph = onnx.load(features)
-    onnx.helper.set_model_props(graph, LEVELS.notes() | {"levels_scale": "0"})
-    onnx.save(graph, features)
-    manifest = tmp_path / "field.json"
-    text = manifest.read_text(encoding="utf-8")
-    old = read_manifest("field").int8_sha256
-    assert old is not None
-    roles = ("features", "regularizer", "refiner")
-    manifest.write_text(text.replace(old, hash_files([tmp_path / f"field_{role}_int8.onnx" for role in roles])))
+    manifest = with_notes(tmp_path, lambda notes: notes | LEVELS.notes() | {"levels_scale": "0"})
     with pytest.raises(ModelError, match=r"field_features_int8.*its levels are.*re-export"):
         DepthModel.load(manifest, threads=1, precision="int8")
 

@@ -61,7 +61,7 @@ def test_without_cause_nothing_is_said(request_: ScaleRequest, plot: EarlierScal
     assert doubt_endpoints(request_, plot) == ()
 
 
-LOW, HIGH = np.array([-6.5, -6.5, -0.2]), np.array([0.0, 0.0, 4.0])
+CLOUD = np.array([[-6.5, 0.0, 4.0], [0.0, -6.5, -0.2]])
 
 
 def test_ends_farther_apart_than_the_cloud_is_large_are_refused() -> None:
@@ -69,7 +69,7 @@ def test_ends_farther_apart_than_the_cloud_is_large_are_refused() -> None:
     with pytest.raises(
         ScaleError, match=r"--endpoints -300\.7,-1,0 -1,-1,0: they are 299\.7 apart, .* only 10\.11 from"
     ):
-        doubt_ends(ScaleRequest(endpoints=ends, length_m=2.0), LOW, HIGH)
+        doubt_ends(ScaleRequest(endpoints=ends, length_m=2.0), CLOUD)
 
 
 @pytest.mark.parametrize(
@@ -85,10 +85,10 @@ def test_ends_farther_apart_than_the_cloud_is_large_are_refused() -> None:
     ],
 )
 def test_one_end_beside_the_cloud_is_told(ends: tuple[Point, Point], told: str | None) -> None:
-    found = doubt_ends(ScaleRequest(endpoints=ends, length_m=2.0), LOW, HIGH)
+    found = doubt_ends(ScaleRequest(endpoints=ends, length_m=2.0), CLOUD)
     assert [item.values["end"] for item in found] == ([] if told is None else [told])
     assert all(f"{told} lies beside the cloud" in line for line in sentences(found))
-    assert doubt_ends(ScaleRequest(factor=1.0), LOW, HIGH) == ()
+    assert doubt_ends(ScaleRequest(factor=1.0), CLOUD) == ()
 
 
 @given(height_m=st.floats(*LIKELY_HEIGHTS_M))
