@@ -17,6 +17,8 @@ from fsinfer.io.ply import read_ply, write_ply
 from fsinfer.io.text_cloud import read_text_cloud
 
 TEXT_SUFFIXES = (".xyz", ".txt", ".asc", ".csv", ".pts")
+#: Of ``PointCloud.extra``: standard deviation of a point along its line of sight, in the unit of the cloud.
+DEPTH_STD = "depth_std"
 SUFFIXES = (".ply", *LAS_SUFFIXES, *TEXT_SUFFIXES)
 #: Columns that a message names. Source: layout.
 _MOST_COLUMNS = 8
@@ -38,7 +40,7 @@ class PointCloud:
     xyz: (N, 3) float64.
     rgb: (N, 3) uint8, or None.
     normals: (N, 3) float32 unit vectors, or None.
-    extra: name -> (N,) values, e.g. ``views`` (int32), ``confidence`` (float32), ``TreeID`` (int32).
+    extra: name -> (N,) values, e.g. ``views`` (int32), ``confidence`` and ``depth_std`` (float32), ``TreeID`` (int32).
 
     Raises
     ------

@@ -21,6 +21,7 @@ from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees.diameter.section import Section, unmeasured_section
 from fsinfer.trees.measure import PlotResult
+from fsinfer.trees.points.errors import PointErrors
 from fsinfer.trees.search.find import find_stems
 from fsinfer.trees.search.stem import Stem, StemSettings
 from fsinfer.trees.settings import TreeSettings
@@ -111,6 +112,7 @@ def apply_edits(
     settings: TreeSettings,
     scale_rel_std: float = 0.0,
     metric: bool = True,
+    errors: PointErrors | None = None,
 ) -> PlotResult:
     """Apply ``edits`` to the trees of a plot; trees that they do not name stay as they are, with their numbers.
 
@@ -119,6 +121,7 @@ def apply_edits(
     result: of :func:`fsinfer.trees.analyse_plot` on ``points``.
     points: (N, 3), z up, in the frame of the trees' positions.
     metric: False where positions are in model units: then trees are moved about, but nothing is measured.
+    errors: of a cloud of photographs, by which the points of a stem are weighed.
 
     Raises
     ------
@@ -127,6 +130,7 @@ def apply_edits(
         far outside of the cloud, or merges two that stand too far apart.
     """
     trees = {tree.tree_id: (tree, section) for tree, section in zip(result.trees, result.sections, strict=True)}
+    points = points if errors is None else errors.beside(points)
     first_free = max([0, *trees, *(edit.tree_id or 0 for edit in edits if edit.action == "add")]) + 1
     done: list[Notice] = []
     for edit in edits:
@@ -231,8 +235,9 @@ def _measured_at(
         origin=result.ground.origin - origin[:2],
         plane=result.ground.plane + np.array([0.0, 0.0, float(result.ground.plane[:2] @ origin[:2])]),
     )
-    stand = near - origin
-    stand[:, 2] -= ground.height_at(stand[:, :2])
+    told = np.column_stack([near[:, :3] - origin, near[:, 3:]])
+    told[:, 2] -= ground.height_at(told[:, :2])
+    stand = told[:, :3]
     best: tuple[Stem, float] | None = None
     for wanted in (settings.stems, SEEN_BY_PERSON):
         search = find_stems(stand, bh_m=settings.bh_m, settings=wanted, seed=settings.seed)
@@ -247,7 +252,7 @@ def _measured_at(
                 best = stem, worth
         if best is not None:
             alone = replace(search, stems=(best[0],))
-            pairs = measure_stems(stand, alone, ground, settings, scale_rel_std, origin)
+            pairs = measure_stems(told, alone, ground, settings, scale_rel_std, origin)
             return allow_for_shape(pairs, settings=settings)[0] if pairs else None
     return None
 

@@ -21,6 +21,7 @@ from fsinfer.trees.ground.at_stems import shows_ground
 from fsinfer.trees.ground.ground import Ground, find_ground
 from fsinfer.trees.one_entry import one_entry_a_stem
 from fsinfer.trees.points.cells import BOX_MARGIN_M, BOX_PERCENTILES, rows
+from fsinfer.trees.points.errors import PointErrors
 from fsinfer.trees.points.sums import median
 from fsinfer.trees.sanity import (
     BOX_POINTS,
@@ -118,6 +119,7 @@ def analyse_plot(
     units_per_m_hint: float | None = None,
     progress: Progress = silent,
     turned: bool = False,
+    errors: PointErrors | None = None,
 ) -> PlotResult:
     """Find the ground and the stems in points (N, 3), metres, z up, and measure each stem.
 
@@ -125,7 +127,8 @@ def analyse_plot(
     ``metric=False`` the unit is unknown: stems are looked for with ``units_per_m_hint`` units to the metre (a rough
     guess by the caller, for instance from the height at which the camera was held; 1 without one), positions stay in
     model units and no DBH is given. No trees is a valid result: ``diagnosis`` says why. ``turned`` says that z is
-    known to point up; without it a cloud with no measurable stem is looked at from its other sides.
+    known to point up; without it a cloud with no measurable stem is looked at from its other sides. ``errors`` of
+    a cloud of photographs are those by which the points of a stem are weighed.
 
     Raises :class:`~fsinfer.errors.CloudError` for clouds that hold no plot (too few points, no ground, wrong unit), and
     its subclass :class:`~fsinfer.trees.sanity.TurnedCloudError` for one that would be a plot if it were turned.
@@ -136,7 +139,7 @@ def analyse_plot(
         raise CloudError(msg)
     if not metric:
         return _without_scale(points, settings, units_per_m_hint, progress, turned=turned)
-    return _analysed(points, settings, scale_rel_std, progress, turned=turned, all_sides=not turned)
+    return _analysed(points, settings, scale_rel_std, progress, turned=turned, all_sides=not turned, errors=errors)
 
 
 def _analysed(
@@ -147,14 +150,17 @@ def _analysed(
     *,
     turned: bool,
     all_sides: bool,
+    errors: PointErrors | None = None,
 ) -> PlotResult:
     """:func:`analyse_plot` in metres; ``all_sides``: a cloud with no measurable stem is looked at from its others."""
     xyz, warnings = clean(points, settings.sanity)
+    if errors is not None and len(errors) != len(xyz):
+        errors = errors.select(np.asarray(np.isfinite(as_numbers(points)).all(axis=1)))
     # Work about a local origin: map coordinates of 10^6 m would cost precision in the fits.
     few = np.ascontiguousarray(xyz[:: max(len(xyz) // BOX_POINTS, 1), :2].T)
     origin = np.floor([median(few[0]), median(few[1]), 0.0])
     # Column by column in memory, which is how it is looked at.
-    columns = np.empty((3, len(xyz)))
+    columns = np.empty((3, len(xyz))) if errors is None else errors.beside(xyz).T
     for axis in range(3):
         np.subtract(xyz[:, axis], origin[axis], out=columns[axis])
     box = np.percentile(few, BOX_PERCENTILES, axis=1) - origin[:2]
@@ -168,7 +174,7 @@ def _analysed(
     if not near.all():
         warnings.append(notice(StemCode.far_outside, points=int((~near).sum())))
         columns = columns.compress(near, axis=1)
-    local = columns.T
+    local = columns[:3].T
     extent = box + origin[:2]
     plan_m2 = float(np.prod(box[1] - box[0]))
     progress(0, 1, "finding the ground")
@@ -176,7 +182,8 @@ def _analysed(
     on_head = not turned and may_be_upside_down(local, ground, settings.ground, settings.sanity, seed=settings.seed)
     if ground.share < settings.sanity.min_ground:
         warnings.append(notice(StemCode.ground_in_part, percent=100.0 * ground.share))
-    stand = np.stack([*columns[:2], columns[2] - ground.height_at(local[:, :2])]).T
+    told = np.stack([*columns[:2], columns[2] - ground.height_at(local[:, :2]), *columns[3:]]).T
+    stand = told[:, :3]
     search = find_stems(
         stand,
         bh_m=settings.bh_m,
@@ -193,7 +200,7 @@ def _analysed(
         warnings.append(notice(StemCode.little_ground))
     if search.spacing_m > settings.sanity.far_apart_m:
         warnings.append(notice(StemCode.far_apart, spacing_cm=100.0 * search.spacing_m))
-    measured = measure_stems(stand, search, ground, settings, scale_rel_std, origin, progress=progress)
+    measured = measure_stems(told, search, ground, settings, scale_rel_std, origin, progress=progress)
     measured, stumps = without_stumps(measured)
     pairs, same = one_entry_a_stem(measured)
     warnings += (*stumps, *same)

@@ -29,6 +29,7 @@ from fsinfer.trees.diameter.dbh_settings import DbhSettings
 from fsinfer.trees.diameter.section import Section
 from fsinfer.trees.measure import PlotResult
 from fsinfer.trees.points.cells import PlanIndex, rows
+from fsinfer.trees.points.errors import PointErrors
 from fsinfer.trees.points.sums import Z95
 from fsinfer.trees.search.stem import Stem
 from fsinfer.trees.taper_curve import TaperSettings, smooth_taper
@@ -107,15 +108,21 @@ COLUMNS = ("tree_id", "height_m", "diameter_cm", "std_cm", "arc_coverage", "poin
 
 
 def stem_curves(
-    points: Floats, result: PlotResult, *, settings: CurveSettings | None = None
+    points: Floats, result: PlotResult, *, settings: CurveSettings | None = None, errors: PointErrors | None = None
 ) -> dict[int, tuple[CurvePoint, ...]]:
-    """Stem curves by tree id from points (N, 3) in the cloud's frame, for the trees with a DBH; heights ascend."""
+    """Stem curves by tree id from points (N, 3) in the cloud's frame, for the trees with a DBH; heights ascend.
+
+    ``errors`` of a cloud of photographs are those by which its points are weighed; not by their normals: three and four
+    metres up, where depth maps are seen from below, what is left by those is too thin (docs/trials-accuracy.md).
+    """
     s = settings or CurveSettings()
     if not any(tree.dbh_cm is not None for tree in result.trees):
         return {}
+    points = points if errors is None else replace(errors, normals=None).beside(points)
     points = _near_stems(points, result.trees, max(_FAR_M, s.reach_m))
     origin = np.array([np.floor(points[:, 0].min()), np.floor(points[:, 1].min()), 0.0])
-    index = PlanIndex(points - origin, 0.5 * s.reach_m)
+    points = np.column_stack([points[:, :3] - origin, points[:, 3:]])
+    index = PlanIndex(points, 0.5 * s.reach_m)
     curves = {}
     trees = [(tree, section) for tree, section in zip(result.trees, result.sections, strict=True) if tree.dbh_cm]
 
@@ -193,7 +200,8 @@ class _Climb:
 def _climbs(index: PlanIndex, tree: Tree, section: Section, origin: Floats, s: CurveSettings) -> tuple[_Climb, _Climb]:
     """The way down and the way up."""
     near = index.near(np.array([tree.x_m, tree.y_m]) - origin[:2], s.reach_m)
-    near = near - np.array([0.0, 0.0, tree.z_ground_m])
+    near = near.copy()
+    near[:, 2] -= tree.z_ground_m
     near = near.take(np.argsort(near[:, 2], kind="stable"), axis=0)
     start = np.array([tree.x_m - origin[0], tree.y_m - origin[1], *section.slope, section.circle_m[2], section.taper])
     top = min(HIGHEST_M, float(near[-1, 2]) if len(near) else 0.0)

@@ -67,7 +67,11 @@ def measure_stems(
     *,
     progress: Progress = silent,
 ) -> list[tuple[Tree, Section]]:
-    """Measure the stems of a search in points (N, 3) of x, y, height above ``ground``, metres about ``origin`` (3,)."""
+    """Measure the stems of a search in points (N, 3) of x, y, height above ``ground``, metres about ``origin`` (3,).
+
+    Further columns of the points tell their errors, by which they are weighed
+    (:class:`fsinfer.trees.points.errors.PointErrors`).
+    """
     low, high = settings.stems.heights_m
     slab = rows(stand, (stand[:, 2] >= low - SLAB_MARGIN_M) & (stand[:, 2] <= high + SLAB_MARGIN_M))
     index = PlanIndex(slab, INDEX_CELL_M)
@@ -90,7 +94,7 @@ def measure_stems(
                 near = index.near(centers[number], stem.axis.radius_m + BESIDE_M)
                 # Heights above the one level that counts for this stem, so that it stays straight on a slope.
                 z = near[:, 2] + ground.height_at(near[:, :2]) - level
-                near = np.column_stack([near[:, :2], z])
+                near = np.column_stack([near[:, :2], z, near[:, 3:]])
                 near = _without_neighbours(near, stem, search.stems, ground, level, settings.bh_m)
                 own.append(near)
                 ends.append(ends_of(near, stem, cloud_top_m=highest, slab_m=slab_m, s=settings.stems))
@@ -116,7 +120,7 @@ def measure_stems(
         for number, stem, _, section in measured
         if top_may_be_seen(stem, section.dbh_m, highest_of[number], settings=settings.top)
     ]
-    crowns = _crowns(stand, tall, settings)
+    crowns = _crowns(stand[:, :3], tall, settings)
     # A crown that hangs over a slope has its top above other ground than the stem's foot: heights of the cloud again.
     crowns[:, 2] += ground.height_at(crowns[:, :2])
     index = PlanIndex(crowns, TOP_CELL_M)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.io.cloud import PointCloud, write_cloud
+from fsinfer.io.cloud import DEPTH_STD, PointCloud, write_cloud
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.plots import PlotCode
 from fsinfer.placement.settings import LevelSettings
@@ -37,6 +37,7 @@ from fsinfer.trees.outputs.table import write_trees
 from fsinfer.trees.outputs.workbook import write_tables
 from fsinfer.trees.pattern.match import PatternSettings
 from fsinfer.trees.plot_doubt import all_doubtful
+from fsinfer.trees.points.errors import PointErrors
 from fsinfer.trees.posts import without_posts
 from fsinfer.trees.stand import sizes_unknown
 from fsinfer.trees.stem_curve import CurvePoint, CurveSettings, stem_curves, write_curves
@@ -89,6 +90,15 @@ class PlotCloudInput:
     doubt: Notice | None = None
     write_labelled: Callable[[Path, PlotResult], None] | None = None
 
+    @property
+    def errors(self) -> PointErrors | None:
+        """What the cloud tells of its points, where it is one of photographs in metres."""
+        std, normals = self.cloud.extra.get(DEPTH_STD), self.cloud.normals
+        if std is None or normals is None or not self.metric:
+            return None
+        known = np.isfinite(std) & (std > 0)
+        return PointErrors(std_m=np.where(known, std, 0.0).astype(np.float64), normals=normals.astype(np.float64))
+
 
 @dataclass(frozen=True, kw_only=True)
 class TreeStageSettings:
@@ -135,7 +145,9 @@ def _measure_plot(given: PlotCloudInput, out: Path, settings: TreeStageSettings,
     measured = _look_at_photos(edited, given, out, settings, found=found, progress=progress)
     if given.metric:
         measured = replace(measured, warnings=(*measured.warnings, *forks(measured.trees, measured.sections)))
-    curves = stem_curves(given.cloud.xyz, measured, settings=settings.stem_curve) if given.metric else {}
+    curves: dict[int, tuple[CurvePoint, ...]] = {}
+    if given.metric:
+        curves = stem_curves(given.cloud.xyz, measured, settings=settings.stem_curve, errors=given.errors)
     whole, added = join_measured(
         measured,
         given.parts if given.metric else (),
@@ -191,6 +203,7 @@ def _find(given: PlotCloudInput, settings: TreeStageSettings, progress: Progress
         metric=given.metric,
         units_per_m_hint=None if given.metric else hint,
         turned=height is not None,
+        errors=given.errors,
         progress=progress,
     )
     if given.marker_xyz is None or not given.metric:
@@ -209,6 +222,7 @@ def _edit(found: PlotResult, given: PlotCloudInput, settings: TreeStageSettings)
         settings=settings.trees,
         scale_rel_std=given.scale_rel_std,
         metric=given.metric,
+        errors=given.errors,
     )
 
 

@@ -43,6 +43,8 @@ MOST_RADIUS_M = 1e6
 MOST_DAMPING = 1e3
 #: Least number of points for a circle in a noisy slice. Source: four times the circle's parameters.
 LEAST_POINTS = 12
+#: Of bins with points of different worth the best seen, percentile of what they hold. Source: judgement.
+BEST_SEEN_PERCENTILE = 90.0
 #: Points a sector on average, or sectors get wider. Source: statistics, one in 400 stays empty by chance.
 POINTS_A_SECTOR = 6
 
@@ -198,13 +200,17 @@ def arc_coverage(offsets: Floats, *, bins: int = 2 * SECTORS[1]) -> float:
     return float(covered_bins(offsets, bins=bins).mean())
 
 
-def covered_bins(offsets: Floats, *, bins: int = 2 * SECTORS[1]) -> Bools:
-    """Which equal sectors of the circle hold points, as (B,) bool with B <= ``bins``; sector 0 starts at angle -pi."""
+def covered_bins(offsets: Floats, *, bins: int = 2 * SECTORS[1], weights: Floats | None = None) -> Bools:
+    """Which equal sectors of the circle hold points, as (B,) bool with B <= ``bins``; sector 0 starts at angle -pi.
+
+    ``weights`` (N,) are what the points count, each 1 without them; then what a bin typically holds is that of those
+    that are seen best, for most of them may be seen badly.
+    """
     if len(offsets) == 0:
         return np.zeros(1, dtype=bool)
     bins = int(np.clip(len(offsets) // POINTS_A_SECTOR, SECTORS[0], bins))
-    count = np.bincount(sector_of(offsets, bins), minlength=bins)
-    typical = float(np.median(count[count > 0]))
+    count = np.bincount(sector_of(offsets, bins), weights=weights, minlength=bins)
+    typical = float(np.percentile(count[count > 0], 50.0 if weights is None else BEST_SEEN_PERCENTILE))
     return np.asarray((count > 0) & (count >= STRAY_SHARE * typical))
 
 

@@ -15,6 +15,7 @@ from fsinfer.trees.cylinder.batch import fit_sections
 from fsinfer.trees.diameter.circle import LEAST_POINTS, covered_bins
 from fsinfer.trees.diameter.sides import noise_sector, relative_noise, seen_side
 from fsinfer.trees.points.cells import rows
+from fsinfer.trees.points.errors import relative_errors
 from fsinfer.trees.points.sums import lengths
 from fsinfer.trees.points.surface import OUTSIDE_SIGMAS, WALL_SIGMAS, reach_about_wall
 
@@ -48,7 +49,7 @@ def joint_fits(
     half_windows_m: Sequence[float],
     seed: int = 0,
 ) -> list[tuple[AxisFit, Floats | None]]:
-    """The stem in each of K sets of points (N_k, 3), and the points that were used; wider windows when sparse.
+    """The stem in each of K sets of points (N_k, 3 or 6), and the points that were used; wider windows when sparse.
 
     ``starts`` (K, 6) are where the search has the axes at ``heights_m`` (K,), ``sigmas_m`` (K,) its noise. None for the
     points says that there are too few. ``half_windows_m`` are half lengths of the piece of stem, ascending.
@@ -97,9 +98,17 @@ def joint_fits(
 
 
 def wall_coverage(fit: AxisFit, used: Floats) -> float:
-    """The share of the circumference in which the points ``used`` (N, 3) of a fit lie on its wall."""
+    """The share of the circumference in which the points ``used`` (N, 3 or 6) of a fit lie on its wall.
+
+    What far photographs made of a side, with several times the noise of the others, counts as little as it does in the
+    fit.
+    """
     offset, _ = axis_coordinates(used, fit.parameters, fit.height_m)
-    return float(covered_bins(rows(offset, np.abs(fit.residuals_m) <= WALL_SIGMAS * fit.noise_m)).mean())
+    wall = np.abs(fit.residuals_m) <= WALL_SIGMAS * fit.noise_m
+    weights = None
+    if used.shape[1] > 3:
+        weights = relative_errors(used, fit.parameters, fit.height_m)[wall] ** -2.0
+    return float(covered_bins(rows(offset, wall), weights=weights).mean())
 
 
 def _window(
@@ -128,7 +137,16 @@ def _fits(
     """Number, fit and points of each stem: all sides alike first, then those that were seen, the hazy ones less."""
     those = np.array(list(near), dtype=np.int64)
     sigma = np.array([wider(float(sigmas_m[k])) for k in those])
-    first = fit_sections(list(near.values()), starts[those], heights_m[those], sigma_m=sigma, order=s.order, settings=s)
+    told = [relative_errors(own, starts[k], float(heights_m[k])) for k, own in near.items()]
+    first = fit_sections(
+        list(near.values()),
+        starts[those],
+        heights_m[those],
+        sigma_m=sigma,
+        order=s.order,
+        relative=told if any(own.shape[1] > 3 for own in near.values()) else None,
+        settings=s,
+    )
     found = {k: (fit, own) for (k, own), fit in zip(near.items(), first, strict=True)}
     again: dict[int, tuple[Floats, Floats]] = {}
     for k, (fit, own) in found.items():
@@ -137,7 +155,9 @@ def _fits(
         seen = seen_side(offset, foot, fit.core)
         if seen.sum() >= ENOUGH * LEAST_POINTS:
             offset = rows(offset, seen)
-            again[k] = rows(own, seen), relative_noise(offset, fit.residuals_m[seen])[noise_sector(offset)]
+            noise = relative_errors(own, fit.parameters, fit.height_m)[seen]
+            by_side = relative_noise(offset, fit.residuals_m[seen] / noise)[noise_sector(offset)]
+            again[k] = rows(own, seen), noise * by_side
     those = np.array(list(again), dtype=np.int64)
     second = fit_sections(
         [own for own, _ in again.values()],

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from fsinfer.trees.cylinder.axis import AxisFit
 from fsinfer.trees.diameter.circle import LEAST_POINTS
 from fsinfer.trees.diameter.dbh_settings import DbhSettings
-from fsinfer.trees.diameter.tapered_fit import joint_fits
+from fsinfer.trees.diameter.tapered_fit import joint_fits, wall_coverage
+from fsinfer.trees.points.errors import PointErrors
 from tests.support.stem_clouds import wall
 
 RADII = (0.08, 0.15, 0.27)
@@ -108,3 +109,76 @@ def test_a_wall_with_flanks_to_both_sides_and_a_short_tail_is_not_taken_for_its_
         errors_mm.append(1000 * (fit.radius_m - 0.1))
     # -0.32 with a tail of 1 cm
     assert -0.1 < np.mean(errors_mm) < 0.3
+
+
+def with_errors(points: NDArray[np.float64], std_m: NDArray[np.float64] | float) -> NDArray[np.float64]:
+    """Points of a stem about the z axis with their errors and the normals of its bark, (N, 6)."""
+    normals = points / np.linalg.norm(points[:, :2], axis=1, keepdims=True)
+    return PointErrors(std_m=np.broadcast_to(std_m, len(points)), normals=normals).beside(points)
+
+
+def seen_from_near_and_far(seed: int) -> NDArray[np.float64]:
+    """A stem seen all round from near, and three times as often from far: those points hang a centimetre outside."""
+    rng = np.random.default_rng(seed)
+    near = wall(rng, radius=0.15, spacing_m=0.02, ovality=0.0)
+    far = wall(rng, radius=0.15, spacing_m=0.0115, ovality=0.0)
+    near[:, :2] *= 1.0 + rng.normal(0.0, 0.003, (len(near), 1)) / 0.15
+    far[:, :2] *= 1.0 + rng.normal(0.01, 0.015, (len(far), 1)) / 0.15
+    return with_errors(np.concatenate([near, far]), np.r_[np.full(len(near), 0.001), np.full(len(far), 0.02)])
+
+
+def errors_and_without(points: Sequence[NDArray[np.float64]]) -> tuple[list[float], list[float]]:
+    """How far the radii of stems of 15 cm are off, by points that tell their errors and by the same without."""
+    where = np.repeat(starts((0.15,)), len(points), axis=0), np.full(len(points), 1.3), np.full(len(points), 0.01)
+    told, untold = fits(points, *where), fits([own[:, :3] for own in points], *where)
+    error, without = ([abs(fit.radius_m - 0.15) for fit, _ in found] for found in (told, untold))
+    return error, without
+
+
+def test_points_count_by_their_own_noise() -> None:
+    error, without = errors_and_without([seen_from_near_and_far(seed) for seed in range(6)])
+    assert max(error) < 0.0015
+    assert min(without) > 0.003
+
+
+def test_the_fringe_beside_a_stem_that_is_seen_from_one_side_does_not_make_it_thick() -> None:
+    """Depth maps go on beside an edge: three centimetres that face the camera, which looks along -x."""
+
+    def seen_from_one_side(seed: int) -> NDArray[np.float64]:
+        rng = np.random.default_rng(seed)
+        bark = wall(rng, radius=0.15, arc_deg=170.0, spacing_m=0.012, ovality=0.0)
+        bark[:, :2] *= 1.0 + rng.normal(0.0, 0.002, (len(bark), 1)) / 0.15
+        count = len(bark) // 6
+        side = np.where(rng.random(count) < 0.5, -1.0, 1.0)
+        beyond = rng.uniform(0.0, 0.03, count)
+        height = rng.uniform(0.0, 4.0, count)
+        fringe = np.column_stack([0.02 + rng.normal(0.0, 0.003, count), side * (0.149 + beyond), height])
+        points = with_errors(np.concatenate([bark, fringe]), 0.002)
+        points[len(bark) :, 4:] = 1.0, 0.0
+        return points
+
+    error, without = errors_and_without([seen_from_one_side(seed) for seed in range(6)])
+    assert max(error) < 0.004
+    assert np.mean(without) > 3.0 * np.mean(error)
+
+
+def test_a_hazy_side_is_not_seen_all_the_same() -> None:
+    """The near half is seen; what far photographs made of the other half is no more than a hint."""
+    rng = np.random.default_rng(0)
+    near = wall(rng, radius=0.15, arc_deg=180.0, spacing_m=0.015, ovality=0.0)
+    far = wall(rng, radius=0.15, arc_deg=180.0, middle=np.pi, spacing_m=0.015, ovality=0.0)
+    points = np.concatenate([near, far]) + rng.normal(0.0, 0.002, (len(near) + len(far), 3))
+    noise = np.r_[np.full(len(near), 0.001), np.full(len(far), 0.02)]
+    for column, seen in ((noise, 0.5), (np.full(len(points), 0.001), 1.0)):
+        told = with_errors(points, column)
+        ((fit, used),) = fits([told], starts((0.15,)), np.array([1.3]), np.array([0.01]))
+        assert used is not None
+        assert wall_coverage(fit, used) == pytest.approx(seen, abs=0.06)
+
+
+def test_errors_that_are_the_same_everywhere_tell_nothing() -> None:
+    points = [stem(radius, seed, lean=0.0) for seed, radius in enumerate(RADII)]
+    alike = [with_errors(own, 0.02) for own in points]
+    args = starts(RADII), np.full(3, 1.3), np.full(3, 0.01)
+    for (fit, _), (other, _) in zip(fits(points, *args), fits(alike, *args), strict=True):
+        np.testing.assert_allclose(fit.parameters, other.parameters, atol=2e-4)

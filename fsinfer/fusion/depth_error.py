@@ -1,0 +1,50 @@
+"""How far a fused point may be off along its line of sight.
+
+A place that two photographs a base b apart show, f pixels of focal length, is known from a match that is off by e
+pixels to ``e Z^2 / (f b)`` at the depth Z: the normal case of stereo photogrammetry (K. Kraus, Photogrammetry, 2007,
+section 2.1.2). That of a cloud's points ranges over two orders of magnitude, and who measures in the cloud has to know.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.scene import Scene, View
+
+#: Standard deviation of a match, pixels of the photograph, with what the cameras' errors add. Source: chosen on the
+#: stems of one rendered plot (docs/trials-accuracy.md).
+MATCH_PX = 0.15
+#: Sources whose bases count: those that a view is compared with. Source: the depth stage's default.
+SOURCES = 4
+#: Bits of the mantissa that are kept: three per cent are enough, and what comes after is not compressed. Source:
+#: numerics.
+_BITS = 5
+
+
+def std_at_unit_depth(scene: Scene, views: Sequence[int]) -> float:
+    """Standard deviation of a depth of 1 from one view, scene units: the median of the ``views``; 0 where none has a
+    source."""
+    each = [1.0 / (view.camera.intrinsic[0, 0] * base) for v in views if (base := _base(scene, view := scene.views[v]))]
+    return MATCH_PX * float(np.median(each)) if each else 0.0
+
+
+def _base(scene: Scene, view: View) -> float:
+    """Longest base across the line of sight among the first sources of a view, scene units."""
+    offsets = np.array([scene.views[s].camera.center - view.camera.center for s in view.sources[:SOURCES]])
+    if not len(offsets):
+        return 0.0
+    across = offsets @ view.camera.cam_from_world[:2, :3].T
+    return float(np.linalg.norm(across, axis=1).max())
+
+
+def depth_std(weight: NDArray[np.float64], at_unit_depth: float) -> NDArray[np.float32]:
+    """(N,) standard deviation of points along their lines of sight, scene units, in steps of three per cent.
+
+    ``weight`` (N,) is what they were averaged with, views over depth^4, of a single depth pixel.
+    """
+    std = (at_unit_depth / np.sqrt(weight)).astype(np.float32)
+    step = np.int32(1 << (23 - _BITS))
+    return ((std.view(np.int32) + step // 2) & -step).view(np.float32)

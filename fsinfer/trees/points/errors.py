@@ -1,0 +1,73 @@
+"""How far the points of a stem may lie off its surface, by what a cloud of photographs tells of each.
+
+A point seen from near is known to a millimetre, one seen from fifteen metres to centimetres, and both lie on the same
+side of a stem. And beside the edge of a stem, as a camera sees it, depth maps go on for some centimetres before they
+fall to the background: that fringe faces the camera, and not away from the stem's axis as bark does. It is what makes
+stems that are seen from one side too thick. So the normal of a point counts as well as its distance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsinfer.trees.points.sums import lengths
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+#: Columns of points that tell it: x, y, height, standard deviation, x and y of the normal. Source: layout.
+COLUMNS = 6
+#: Noise of every point, metres, beside what it has along its line of sight. Source: chosen on three rendered plots
+#: (docs/trials-accuracy.md).
+SHARED_M = 0.0015
+#: A normal may be off by this, as the chord between unit vectors (11 degrees); what is more is so much noise, metres
+#: for a chord of one. Source: as ``SHARED_M``.
+TURNED, TURNED_M = 0.2, 0.15
+#: The noise of a stem's sharp points: this percentile of them. Source: judgement.
+SHARP_PERCENTILE = 25.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointErrors:
+    """What a cloud of photographs tells of its points.
+
+    ``std_m`` (N,) are standard deviations along the lines of sight, metres; ``normals`` (N, 3) unit vectors towards the
+    cameras, or None where they are not to be asked.
+    """
+
+    std_m: Floats
+    normals: Floats | None
+
+    def __len__(self) -> int:
+        return len(self.std_m)
+
+    def select(self, chosen: Bools) -> PointErrors:
+        """Those of ``chosen`` points (N,)."""
+        return PointErrors(std_m=self.std_m[chosen], normals=None if self.normals is None else self.normals[chosen])
+
+    def beside(self, points: Floats) -> Floats:
+        """Points (N, 3) with it in further columns (N, 6), in memory column by column."""
+        columns = np.empty((COLUMNS, len(points)))
+        columns[:3], columns[3] = points.T, self.std_m
+        columns[4:] = np.nan if self.normals is None else self.normals[:, :2].T
+        return columns.T
+
+
+def relative_errors(points: Floats, parameters: Floats, height_m: float) -> Floats:
+    """Noise (N,) of a stem's points in units of that of the sharper ones.
+
+    ``points`` (N, 6) tell it, of others (N, 3) it is 1; ``parameters`` (6,) are those of the axis at ``height_m``
+    (:class:`fsinfer.trees.cylinder.axis.Axis`).
+    """
+    if points.shape[1] < COLUMNS:
+        return np.ones(len(points))
+    outward = points[:, :2] - (parameters[:2] + parameters[2:4] * (points[:, 2:3] - height_m))
+    outward /= np.maximum(lengths(outward), 1e-6)[:, None]
+    along = outward[:, 0] * points[:, 4] + outward[:, 1] * points[:, 5]
+    along[np.isnan(along)] = 1.0
+    turned = np.maximum(np.sqrt(np.maximum(2.0 - 2.0 * along, 0.0)) - TURNED, 0.0)
+    noise = np.sqrt(SHARED_M**2 + points[:, 3] ** 2 + (TURNED_M * turned) ** 2)
+    return np.asarray(noise / np.percentile(noise, SHARP_PERCENTILE))
