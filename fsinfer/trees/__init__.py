@@ -6,6 +6,7 @@ from fsinfer.trees.diameter.section import Section
 from fsinfer.trees.ground.ground import Ground, find_ground
 from fsinfer.trees.ground.settings import GroundSettings
 from fsinfer.trees.measure import PlotResult, analyse_plot, measure_trees
+from fsinfer.trees.points.errors import PointErrors
 from fsinfer.trees.search.find import find_stems
 from fsinfer.trees.search.stem import StemSettings
 from fsinfer.trees.settings import TreeSettings
@@ -19,6 +20,7 @@ __all__ = [
     "Ground",
     "GroundSettings",
     "PlotResult",
+    "PointErrors",
     "Section",
     "StandTable",
     "StemSettings",

@@ -10,6 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -130,9 +131,9 @@ def apply_edits(
         far outside of the cloud, or merges two that stand too far apart.
     """
     trees = {tree.tree_id: (tree, section) for tree, section in zip(result.trees, result.sections, strict=True)}
-    points = points if errors is None else errors.beside(points)
     first_free = max([0, *trees, *(edit.tree_id or 0 for edit in edits if edit.action == "add")]) + 1
     done: list[Notice] = []
+    measured_at = partial(_measured_at, result, points, errors, settings, scale_rel_std)
     for edit in edits:
         if edit.action == "add":
             number = edit.tree_id if edit.tree_id is not None else first_free
@@ -144,7 +145,7 @@ def apply_edits(
             others = [tree for tree, _ in trees.values()] if metric else []
             _refuse_within(place, others, edit.row)
             _refuse_beyond(place, result, edit.row)
-            found = _measured_at(result, points, place[None], settings, scale_rel_std, others) if metric else None
+            found = measured_at(place[None], others) if metric else None
             said = notice(StemCode.added_by_hand)
             trees[number] = _numbered(found, number, place, result, settings, said, metric=metric)
             done.append(notice(StemCode.tree_added, tree_id=number))
@@ -157,7 +158,7 @@ def apply_edits(
             places = np.array([[trees[i][0].x_m, trees[i][0].y_m] for i in (number, other)])
             if metric:
                 _refuse_far(trees[number][0], trees[other][0], edit.row)
-            found = _measured_at(result, points, places, settings, scale_rel_std) if metric else None
+            found = measured_at(places) if metric else None
             said = notice(StemCode.merged_by_hand, tree_id=number, other_id=other)
             del trees[other]
             trees[number] = _numbered(found, number, places.mean(axis=0), result, settings, said, metric=metric)
@@ -214,9 +215,10 @@ def _within(place: Floats, tree: Tree) -> bool:
 def _measured_at(
     result: PlotResult,
     points: Floats,
-    places: Floats,
+    errors: PointErrors | None,
     settings: TreeSettings,
     scale_rel_std: float,
+    places: Floats,
     others: Sequence[Tree] = (),
 ) -> tuple[Tree, Section] | None:
     """The best stem at one place (1, 2), or over two (2, 2) that are the same tree; None where nothing can be seen.
@@ -227,7 +229,7 @@ def _measured_at(
         return None
     middle = places.mean(axis=0)
     apart = float(np.linalg.norm(places - middle, axis=1).max())
-    near = points[np.hypot(*(points[:, :2] - middle).T) <= AROUND_M + apart]
+    about = np.hypot(*(points[:, :2] - middle).T) <= AROUND_M + apart
     # About an origin of its own, as in the search: map coordinates would cost precision in the fits.
     origin = np.r_[np.floor(middle), 0.0]
     ground = replace(
@@ -235,9 +237,9 @@ def _measured_at(
         origin=result.ground.origin - origin[:2],
         plane=result.ground.plane + np.array([0.0, 0.0, float(result.ground.plane[:2] @ origin[:2])]),
     )
-    told = np.column_stack([near[:, :3] - origin, near[:, 3:]])
-    told[:, 2] -= ground.height_at(told[:, :2])
-    stand = told[:, :3]
+    stand = points[about] - origin
+    stand[:, 2] -= ground.height_at(stand[:, :2])
+    own = None if errors is None else errors.select(about)
     best: tuple[Stem, float] | None = None
     for wanted in (settings.stems, SEEN_BY_PERSON):
         search = find_stems(stand, bh_m=settings.bh_m, settings=wanted, seed=settings.seed)
@@ -252,7 +254,7 @@ def _measured_at(
                 best = stem, worth
         if best is not None:
             alone = replace(search, stems=(best[0],))
-            pairs = measure_stems(told, alone, ground, settings, scale_rel_std, origin)
+            pairs = measure_stems(stand, alone, ground, settings, scale_rel_std, origin, errors=own)
             return allow_for_shape(pairs, settings=settings)[0] if pairs else None
     return None
 

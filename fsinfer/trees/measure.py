@@ -95,6 +95,7 @@ def measure_trees(
     scale_rel_std: float = 0.0,
     metric: bool = True,
     units_per_m_hint: float | None = None,
+    errors: PointErrors | None = None,
     progress: Progress = silent,
 ) -> list[Tree]:
     """Measure the trees in points (N, 3), metres, z up; see :func:`analyse_plot`."""
@@ -104,6 +105,7 @@ def measure_trees(
         scale_rel_std=scale_rel_std,
         metric=metric,
         units_per_m_hint=units_per_m_hint,
+        errors=errors,
         progress=progress,
     )
     return list(result.trees)
@@ -127,8 +129,9 @@ def analyse_plot(
     ``metric=False`` the unit is unknown: stems are looked for with ``units_per_m_hint`` units to the metre (a rough
     guess by the caller, for instance from the height at which the camera was held; 1 without one), positions stay in
     model units and no DBH is given. No trees is a valid result: ``diagnosis`` says why. ``turned`` says that z is
-    known to point up; without it a cloud with no measurable stem is looked at from its other sides. ``errors`` of
-    a cloud of photographs are those by which the points of a stem are weighed.
+    known to point up; without it a cloud with no measurable stem is looked at from its other sides. ``errors``
+    (``PointErrors.of(cloud)``) are what a cloud of photographs tells of its points, by which those of a stem are
+    weighed.
 
     Raises :class:`~fsinfer.errors.CloudError` for clouds that hold no plot (too few points, no ground, wrong unit), and
     its subclass :class:`~fsinfer.trees.sanity.TurnedCloudError` for one that would be a plot if it were turned.
@@ -160,7 +163,7 @@ def _analysed(
     few = np.ascontiguousarray(xyz[:: max(len(xyz) // BOX_POINTS, 1), :2].T)
     origin = np.floor([median(few[0]), median(few[1]), 0.0])
     # Column by column in memory, which is how it is looked at.
-    columns = np.empty((3, len(xyz))) if errors is None else errors.beside(xyz).T
+    columns = np.empty((3, len(xyz)))
     for axis in range(3):
         np.subtract(xyz[:, axis], origin[axis], out=columns[axis])
     box = np.percentile(few, BOX_PERCENTILES, axis=1) - origin[:2]
@@ -174,7 +177,8 @@ def _analysed(
     if not near.all():
         warnings.append(notice(StemCode.far_outside, points=int((~near).sum())))
         columns = columns.compress(near, axis=1)
-    local = columns[:3].T
+        errors = None if errors is None else errors.select(near)
+    local = columns.T
     extent = box + origin[:2]
     plan_m2 = float(np.prod(box[1] - box[0]))
     progress(0, 1, "finding the ground")
@@ -182,8 +186,7 @@ def _analysed(
     on_head = not turned and may_be_upside_down(local, ground, settings.ground, settings.sanity, seed=settings.seed)
     if ground.share < settings.sanity.min_ground:
         warnings.append(notice(StemCode.ground_in_part, percent=100.0 * ground.share))
-    told = np.stack([*columns[:2], columns[2] - ground.height_at(local[:, :2]), *columns[3:]]).T
-    stand = told[:, :3]
+    stand = np.stack([*columns[:2], columns[2] - ground.height_at(local[:, :2])]).T
     search = find_stems(
         stand,
         bh_m=settings.bh_m,
@@ -200,7 +203,7 @@ def _analysed(
         warnings.append(notice(StemCode.little_ground))
     if search.spacing_m > settings.sanity.far_apart_m:
         warnings.append(notice(StemCode.far_apart, spacing_cm=100.0 * search.spacing_m))
-    measured = measure_stems(told, search, ground, settings, scale_rel_std, origin, progress=progress)
+    measured = measure_stems(stand, search, ground, settings, scale_rel_std, origin, errors=errors, progress=progress)
     measured, stumps = without_stumps(measured)
     pairs, same = one_entry_a_stem(measured)
     warnings += (*stumps, *same)

@@ -36,6 +36,7 @@ from fsinfer.trees.taper_curve import TaperSettings, smooth_taper
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 
 #: No curve goes on above, metres. Source: numerics.
@@ -118,10 +119,12 @@ def stem_curves(
     s = settings or CurveSettings()
     if not any(tree.dbh_cm is not None for tree in result.trees):
         return {}
-    points = points if errors is None else replace(errors, normals=None).beside(points)
-    points = _near_stems(points, result.trees, max(_FAR_M, s.reach_m))
+    near = _near_stems(points, result.trees, max(_FAR_M, s.reach_m))
+    points = points if near.all() else rows(points, near)
     origin = np.array([np.floor(points[:, 0].min()), np.floor(points[:, 1].min()), 0.0])
-    points = np.column_stack([points[:, :3] - origin, points[:, 3:]])
+    points = points - origin
+    if errors is not None:
+        points = replace(errors, normals=None).select(near).beside(points)
     index = PlanIndex(points, 0.5 * s.reach_m)
     curves = {}
     trees = [(tree, section) for tree, section in zip(result.trees, result.sections, strict=True) if tree.dbh_cm]
@@ -165,14 +168,14 @@ def curve_row(point: CurvePoint) -> tuple[int | float | str, ...]:
     )
 
 
-def _near_stems(points: Floats, trees: Sequence[Tree], reach_m: float) -> Floats:
-    """Those of points (N, 3) no farther than ``reach_m`` from the box round the trees in plan."""
+def _near_stems(points: Floats, trees: Sequence[Tree], reach_m: float) -> Bools:
+    """Which of points (N, 3) are no farther than ``reach_m`` from the box round the trees in plan."""
     places = np.array([[tree.x_m, tree.y_m] for tree in trees])
     low, high = places.min(axis=0) - reach_m, places.max(axis=0) + reach_m
     near = np.ones(len(points), dtype=bool)
     for axis in range(2):
         near &= (points[:, axis] >= low[axis]) & (points[:, axis] <= high[axis])
-    return points if near.all() else rows(points, near)
+    return near
 
 
 @dataclass(kw_only=True)

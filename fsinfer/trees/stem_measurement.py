@@ -23,6 +23,7 @@ from fsinfer.trees.ground.ground import Ground
 from fsinfer.trees.height import FOOT_M, axis_path, top_may_be_seen, tree_height
 from fsinfer.trees.height import INDEX_CELL_M as TOP_CELL_M
 from fsinfer.trees.points.cells import PlanIndex, near_paths, rows
+from fsinfer.trees.points.errors import PointErrors
 from fsinfer.trees.points.sums import lengths
 from fsinfer.trees.search.find import StemSearch
 from fsinfer.trees.search.giants import is_no_giant
@@ -65,16 +66,17 @@ def measure_stems(
     scale_rel_std: float,
     origin: Floats,
     *,
+    errors: PointErrors | None = None,
     progress: Progress = silent,
 ) -> list[tuple[Tree, Section]]:
     """Measure the stems of a search in points (N, 3) of x, y, height above ``ground``, metres about ``origin`` (3,).
 
-    Further columns of the points tell their errors, by which they are weighed
-    (:class:`fsinfer.trees.points.errors.PointErrors`).
+    ``errors`` are those of the points, by which they are weighed.
     """
     low, high = settings.stems.heights_m
-    slab = rows(stand, (stand[:, 2] >= low - SLAB_MARGIN_M) & (stand[:, 2] <= high + SLAB_MARGIN_M))
-    index = PlanIndex(slab, INDEX_CELL_M)
+    in_slab = (stand[:, 2] >= low - SLAB_MARGIN_M) & (stand[:, 2] <= high + SLAB_MARGIN_M)
+    slab = rows(stand, in_slab)
+    index = PlanIndex(slab if errors is None else errors.select(in_slab).beside(slab), INDEX_CELL_M)
     measured = []
     feet = np.array([stem.axis.center_at(0.0) for stem in search.stems]).reshape(-1, 2)
     unsure = level_std(ground, feet, np.array([stem.axis.radius_m for stem in search.stems]))
@@ -120,7 +122,7 @@ def measure_stems(
         for number, stem, _, section in measured
         if top_may_be_seen(stem, section.dbh_m, highest_of[number], settings=settings.top)
     ]
-    crowns = _crowns(stand[:, :3], tall, settings)
+    crowns = _crowns(stand, tall, settings)
     # A crown that hangs over a slope has its top above other ground than the stem's foot: heights of the cloud again.
     crowns[:, 2] += ground.height_at(crowns[:, :2])
     index = PlanIndex(crowns, TOP_CELL_M)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.io.cloud import DEPTH_STD, PointCloud, write_cloud
+from fsinfer.io.cloud import PointCloud, write_cloud
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.plots import PlotCode
 from fsinfer.placement.settings import LevelSettings
@@ -93,11 +93,7 @@ class PlotCloudInput:
     @property
     def errors(self) -> PointErrors | None:
         """What the cloud tells of its points, where it is one of photographs in metres."""
-        std, normals = self.cloud.extra.get(DEPTH_STD), self.cloud.normals
-        if std is None or normals is None or not self.metric:
-            return None
-        known = np.isfinite(std) & (std > 0)
-        return PointErrors(std_m=np.where(known, std, 0.0).astype(np.float64), normals=normals.astype(np.float64))
+        return PointErrors.of(self.cloud) if self.metric else None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -49,7 +49,7 @@ def joint_fits(
     half_windows_m: Sequence[float],
     seed: int = 0,
 ) -> list[tuple[AxisFit, Floats | None]]:
-    """The stem in each of K sets of points (N_k, 3 or 6), and the points that were used; wider windows when sparse.
+    """The stem in each of K sets of points (N_k, 3 to 6), and the points that were used; wider windows when sparse.
 
     ``starts`` (K, 6) are where the search has the axes at ``heights_m`` (K,), ``sigmas_m`` (K,) its noise. None for the
     points says that there are too few. ``half_windows_m`` are half lengths of the piece of stem, ascending.
@@ -98,7 +98,7 @@ def joint_fits(
 
 
 def wall_coverage(fit: AxisFit, used: Floats) -> float:
-    """The share of the circumference in which the points ``used`` (N, 3 or 6) of a fit lie on its wall.
+    """The share of the circumference in which the points ``used`` (N, 3 to 6) of a fit lie on its wall.
 
     What far photographs made of a side, with several times the noise of the others, counts as little as it does in the
     fit.

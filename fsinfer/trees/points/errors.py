@@ -13,13 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.io.cloud import DEPTH_STD, PointCloud
 from fsinfer.trees.points.sums import lengths
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-#: Columns of points that tell it: x, y, height, standard deviation, x and y of the normal. Source: layout.
-COLUMNS = 6
+#: Columns of points that tell it: x, y, height, standard deviation; and x and y of the normal as well. Source: layout.
+WITH_STD, WITH_NORMAL = 4, 6
 #: Noise of every point, metres, beside what it has along its line of sight. Source: chosen on three rendered plots
 #: (docs/trials-accuracy.md).
 SHARED_M = 0.0015
@@ -38,8 +39,17 @@ class PointErrors:
     cameras, or None where they are not to be asked.
     """
 
-    std_m: Floats
-    normals: Floats | None
+    std_m: NDArray[np.floating]
+    normals: NDArray[np.floating] | None
+
+    @classmethod
+    def of(cls, cloud: PointCloud) -> PointErrors | None:
+        """What a cloud in metres tells, as :func:`fsinfer.fusion.fuse.fuse` makes it; None where it tells nothing."""
+        std = cloud.extra.get(DEPTH_STD)
+        if std is None or cloud.normals is None:
+            return None
+        known = np.isfinite(std) & (std > 0)
+        return cls(std_m=np.where(known, std, np.float32(0.0)), normals=cloud.normals)
 
     def __len__(self) -> int:
         return len(self.std_m)
@@ -49,25 +59,32 @@ class PointErrors:
         return PointErrors(std_m=self.std_m[chosen], normals=None if self.normals is None else self.normals[chosen])
 
     def beside(self, points: Floats) -> Floats:
-        """Points (N, 3) with it in further columns (N, 6), in memory column by column."""
-        columns = np.empty((COLUMNS, len(points)))
+        """Points (N, 3) with it in further columns (N, 4 or 6), in memory column by column."""
+        columns = np.empty((WITH_STD if self.normals is None else WITH_NORMAL, len(points)))
         columns[:3], columns[3] = points.T, self.std_m
-        columns[4:] = np.nan if self.normals is None else self.normals[:, :2].T
+        if self.normals is not None:
+            columns[4:] = self.normals[:, :2].T
         return columns.T
 
 
 def relative_errors(points: Floats, parameters: Floats, height_m: float) -> Floats:
     """Noise (N,) of a stem's points in units of that of the sharper ones.
 
-    ``points`` (N, 6) tell it, of others (N, 3) it is 1; ``parameters`` (6,) are those of the axis at ``height_m``
+    ``points`` (N, 4 or 6) tell it, of others (N, 3) it is 1; ``parameters`` (6,) are those of the axis at ``height_m``
     (:class:`fsinfer.trees.cylinder.axis.Axis`).
     """
-    if points.shape[1] < COLUMNS:
+    if points.shape[1] < WITH_STD:
         return np.ones(len(points))
+    variance = SHARED_M**2 + points[:, 3] ** 2
+    if points.shape[1] == WITH_NORMAL:
+        variance += (TURNED_M * _turned(points, parameters, height_m)) ** 2
+    noise = np.sqrt(variance)
+    return np.asarray(noise / np.percentile(noise, SHARP_PERCENTILE))
+
+
+def _turned(points: Floats, parameters: Floats, height_m: float) -> Floats:
+    """(N,) how far normals turn away from the direction from the axis, beyond what they may."""
     outward = points[:, :2] - (parameters[:2] + parameters[2:4] * (points[:, 2:3] - height_m))
     outward /= np.maximum(lengths(outward), 1e-6)[:, None]
     along = outward[:, 0] * points[:, 4] + outward[:, 1] * points[:, 5]
-    along[np.isnan(along)] = 1.0
-    turned = np.maximum(np.sqrt(np.maximum(2.0 - 2.0 * along, 0.0)) - TURNED, 0.0)
-    noise = np.sqrt(SHARED_M**2 + points[:, 3] ** 2 + (TURNED_M * turned) ** 2)
-    return np.asarray(noise / np.percentile(noise, SHARP_PERCENTILE))
+    return np.maximum(np.sqrt(np.maximum(2.0 - 2.0 * along, 0.0)) - TURNED, 0.0)
