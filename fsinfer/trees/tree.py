@@ -22,8 +22,9 @@ class Tree:
     leaning stem's centre. ``dbh_cm`` and its 95 % interval come from the circle; ``dbh_perimeter_cm`` is what a
     diameter tape reads (girth / pi) and ``dbh_min_cm``, ``dbh_max_cm`` what callipers read, where the stem was seen
     nearly all round. ``arc_coverage`` in [0, 1]; ``points`` are those the circle used; ``residual_cm`` is the noise of
-    the bark about the model. None means "not measured", and ``reasons`` say why. ``status`` is ok, doubtful,
-    unmeasured, or outside: too far from where the photographs were taken, listed apart and not measured.
+    the bark about the model, by the sharper points where a cloud tells which those are. None means "not measured", and
+    ``reasons`` say why. ``status`` is ok, doubtful, unmeasured, or outside: too far from where the photographs were
+    taken, listed apart and not measured.
 
     Where the plot has a border (:mod:`fsinfer.plot_border`), ``in_plot`` says whether the centre is within it,
     ``border_m`` how far from it, negative outside, and ``at_border`` whether that is less than the stem's radius or

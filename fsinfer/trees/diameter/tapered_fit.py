@@ -36,6 +36,9 @@ MOST_SIGMA_M = 0.05
 #: The points of a stem with more noise than this, metres, are chosen again about its fit, so often at most, until the
 #: radius moves by less than so many metres. Source: chosen on simulated stems (docs/trials-accuracy.md).
 BLURRED_SIGMA_M, AGAIN, SETTLED_M = 0.02, 6, 0.0005
+#: Points with this standard deviation, metres, count half for whether a side is seen. Source: judgement; a side known
+#: from ten metres is seen, one from twenty is a haze (docs/trials-accuracy.md).
+SEEN_STD_M = 0.005
 #: The second fit starts with so many times the noise of the first, and at least so many metres. Source: numerics.
 SECOND_START = (1.2, 0.004)
 
@@ -100,14 +103,13 @@ def joint_fits(
 def wall_coverage(fit: AxisFit, used: Floats) -> float:
     """The share of the circumference in which the points ``used`` (N, 3 to 6) of a fit lie on its wall.
 
-    What far photographs made of a side, with several times the noise of the others, counts as little as it does in the
-    fit.
+    What photographs made of a side from so far away that it is a haze of centimetres counts little.
     """
     offset, _ = axis_coordinates(used, fit.parameters, fit.height_m)
     wall = np.abs(fit.residuals_m) <= WALL_SIGMAS * fit.noise_m
     weights = None
     if used.shape[1] > 3:
-        weights = relative_errors(used, fit.parameters, fit.height_m)[wall] ** -2.0
+        weights = 1.0 / (1.0 + (used[wall, 3] / SEEN_STD_M) ** 2)
     return float(covered_bins(rows(offset, wall), weights=weights).mean())
 
 
