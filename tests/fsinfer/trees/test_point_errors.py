@@ -80,8 +80,9 @@ def test_diameters_are_those_of_the_surface(hazy: HazyPlot, told: PlotResult, un
     assert np.median(np.abs(without)) > 3.0 * np.median(np.abs(error))
 
 
-def test_points_that_are_dropped_take_their_noise_along(hazy: HazyPlot, told: PlotResult) -> None:
-    broken = np.insert(hazy.points, [0, 500, 9000], np.nan, axis=0)
+@pytest.mark.parametrize("place", [np.nan, 5000.0], ids=["no number", "far away"])
+def test_points_that_are_dropped_take_their_errors_along(hazy: HazyPlot, told: PlotResult, place: float) -> None:
+    broken = np.insert(hazy.points, [0, 500, 9000], place, axis=0)
     std_m = np.insert(hazy.std_m, [0, 500, 9000], 5.0)
     normals = np.insert(hazy.normals, [0, 500, 9000], 1.0, axis=0)
     again = analyse_plot(broken, errors=PointErrors(std_m=std_m, normals=normals))
