@@ -12,13 +12,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.depth.settings import DepthSettings
 from fsinfer.scene import Scene, View
 
 #: Standard deviation of a match, pixels of the photograph, with what the cameras' errors add. Source: chosen on the
 #: stems of one rendered plot (docs/trials-accuracy.md).
 MATCH_PX = 0.15
-#: Sources whose bases count: those that a view is compared with. Source: the depth stage's default.
-SOURCES = 4
+#: Sources whose bases count: those that a view is compared with. Source: option; that of depth.
+SOURCES = DepthSettings.source_views
 #: Bits of the mantissa that are kept: three per cent are enough, and what comes after is not compressed. Source:
 #: numerics.
 _BITS = 5
@@ -27,7 +28,8 @@ _BITS = 5
 def std_at_unit_depth(scene: Scene, views: Sequence[int]) -> float:
     """Standard deviation of a depth of 1 from one view, scene units: the median of the ``views``; 0 where none has a
     source."""
-    each = [1.0 / (view.camera.intrinsic[0, 0] * base) for v in views if (base := _base(scene, view := scene.views[v]))]
+    per_px = [scene.views[v].camera.intrinsic[0, 0] * _base(scene, scene.views[v]) for v in views]
+    each = [1.0 / focal_times_base for focal_times_base in per_px if focal_times_base > 0.0]
     return MATCH_PX * float(np.median(each)) if each else 0.0
 
 
@@ -40,11 +42,11 @@ def _base(scene: Scene, view: View) -> float:
     return float(np.linalg.norm(across, axis=1).max())
 
 
-def depth_std(weight: NDArray[np.float64], at_unit_depth: float) -> NDArray[np.float32]:
+def depth_std(quality: NDArray[np.float64], at_unit_depth: float) -> NDArray[np.float32]:
     """(N,) standard deviation of points along their lines of sight, scene units, in steps of three per cent.
 
-    ``weight`` (N,) is what they were averaged with, views over depth^4, of a single depth pixel.
+    ``quality`` (N,) is theirs: views over depth^4 (:attr:`fsinfer.fusion.voxels.Samples.quality`).
     """
-    std = (at_unit_depth / np.sqrt(weight)).astype(np.float32)
+    std = (at_unit_depth / np.sqrt(quality)).astype(np.float32)
     step = np.int32(1 << (23 - _BITS))
     return ((std.view(np.int32) + step // 2) & -step).view(np.float32)

@@ -176,7 +176,7 @@ def fuse(
         extra={
             "views": merged.views.astype(np.int32),
             "confidence": merged.confidence,
-            DEPTH_STD: depth_std(merged.weight / merged.count, std_at_unit_depth(scene, maps.available)),
+            DEPTH_STD: depth_std(merged.quality, std_at_unit_depth(scene, maps.available)),
         },
     )
 

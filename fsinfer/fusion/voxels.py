@@ -51,6 +51,11 @@ class Samples:
     def __len__(self) -> int:
         return len(self.xyz)
 
+    @property
+    def quality(self) -> NDArray[np.float64]:
+        """(N,) inverse variance of a single depth pixel behind each, up to the factor of ``weight``."""
+        return self.weight / self.count
+
 
 def voxel_keys(xyz: NDArray[np.float64], voxel: float) -> NDArray[np.int64]:
     """(N,) int64 key of the cell of each point; the grid is anchored at the world's origin.
@@ -178,7 +183,7 @@ def much_worse_than_nearby(samples: Samples, cell: float, ratio: float) -> NDArr
     two cells that face the same way (one of six directions), so that a side seen only from far is kept. The variance of
     the surroundings is the mean over their pixels, each weighted by its inverse variance.
     """
-    quality = samples.weight / samples.count  # inverse variance of a single pixel
+    quality = samples.quality
     axis = np.abs(samples.normals).argmax(axis=1)
     facing = 2 * axis + (samples.normals[np.arange(len(axis)), axis] > 0)
     of_quality, weight = sum_within(samples.xyz, cell, np.stack([samples.weight * quality, samples.weight]), facing)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.geometry.similarity import apply, compose, rotation_of, scale_of, scaling
-from fsinfer.io.cloud import DEPTH_STD
+from fsinfer.io.cloud import DEPTH_STD, PointCloud
 from fsinfer.io.gravity import noted_gravity
 from fsinfer.io.turned import upright_from_picture
 from fsinfer.placement.level import level
@@ -18,7 +18,6 @@ from fsinfer.placement.settings import LevelSettings
 from fsinfer.trees.points.cells import count_cells
 
 if TYPE_CHECKING:
-    from fsinfer.io.cloud import PointCloud
     from fsinfer.scene import Scene
 
 #: Side of the cells whose area counts as covered for the density, metres. Source: judgement; wide against the point

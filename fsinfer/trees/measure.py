@@ -31,6 +31,7 @@ from fsinfer.trees.sanity import (
     as_numbers,
     check_unit,
     clean,
+    finite_points,
     may_be_upside_down,
     thicker_upwards,
     thin_upwards,
@@ -158,7 +159,7 @@ def _analysed(
     """:func:`analyse_plot` in metres; ``all_sides``: a cloud with no measurable stem is looked at from its others."""
     xyz, warnings = clean(points, settings.sanity)
     if errors is not None and len(errors) != len(xyz):
-        errors = errors.select(np.asarray(np.isfinite(as_numbers(points)).all(axis=1)))
+        errors = errors.select(finite_points(as_numbers(points)))
     # Work about a local origin: map coordinates of 10^6 m would cost precision in the fits.
     few = np.ascontiguousarray(xyz[:: max(len(xyz) // BOX_POINTS, 1), :2].T)
     origin = np.floor([median(few[0]), median(few[1]), 0.0])

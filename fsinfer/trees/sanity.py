@@ -17,6 +17,7 @@ from fsinfer.trees.ground.ground import Ground, find_ground, reach_of
 from fsinfer.trees.ground.settings import GroundSettings
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 _log = logging.getLogger(__name__)
 
 
@@ -151,14 +152,20 @@ def as_numbers(points: ArrayLike) -> Floats:
         raise CloudError(msg) from error
 
 
+def finite_points(xyz: Floats) -> Bools:
+    """Which of points (N, 3) have three coordinates: those that :func:`clean` keeps."""
+    # A sum is finite only where all three are (coordinates near the largest double are none).
+    with np.errstate(over="ignore"):
+        return np.asarray(np.isfinite(xyz[:, 0] + xyz[:, 1] + xyz[:, 2]))
+
+
 def clean(points: ArrayLike, sanity: SanitySettings) -> tuple[Floats, list[Notice]]:
     """Finite points (N, 3) float64 with warnings; raises where too few are left or their steps are too coarse."""
     xyz = as_numbers(points)
     if xyz.ndim != 2 or xyz.shape[1] != 3:
         msg = f"the cloud must be an array of shape (N, 3), got {xyz.shape=}"
         raise CloudError(msg)
-    # A sum is finite only where all three are (coordinates near the largest double are none).
-    finite = np.isfinite(xyz[:, 0] + xyz[:, 1] + xyz[:, 2])
+    finite = finite_points(xyz)
     warnings = []
     if not finite.all():
         warnings.append(notice(StemCode.not_finite, points=int((~finite).sum())))

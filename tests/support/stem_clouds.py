@@ -19,6 +19,10 @@ class StemPlot:
     dbh_cm: Floats
     z_ground: Floats
 
+    def stem_at(self, x_m: float, y_m: float) -> int:
+        """Which stem stands nearest to a place."""
+        return int(np.argmin(np.hypot(*(self.xy - [x_m, y_m]).T)))
+
 
 def terrain(xy: Floats, slope: float, bumps_m: float) -> Floats:
     """Ground height (N,) of a tilted, gently waved terrain."""

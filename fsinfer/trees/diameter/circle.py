@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fsinfer.errors import CloudError
 from fsinfer.trees.points.sums import MAD_TO_SIGMA, median, sums_of_products
-from fsinfer.trees.points.surface import SECTORS, STRAY_SHARE, WALL_SIGMAS, sector_of
+from fsinfer.trees.points.surface import SECTORS, STRAY_SHARE, WALL_SIGMAS, WELL_SEEN_PERCENTILE, sector_of
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -43,8 +43,6 @@ MOST_RADIUS_M = 1e6
 MOST_DAMPING = 1e3
 #: Least number of points for a circle in a noisy slice. Source: four times the circle's parameters.
 LEAST_POINTS = 12
-#: Of bins with points of different worth the best seen, percentile of what they hold. Source: judgement.
-BEST_SEEN_PERCENTILE = 90.0
 #: Points a sector on average, or sectors get wider. Source: statistics, one in 400 stays empty by chance.
 POINTS_A_SECTOR = 6
 
@@ -210,7 +208,7 @@ def covered_bins(offsets: Floats, *, bins: int = 2 * SECTORS[1], weights: Floats
         return np.zeros(1, dtype=bool)
     bins = int(np.clip(len(offsets) // POINTS_A_SECTOR, SECTORS[0], bins))
     count = np.bincount(sector_of(offsets, bins), weights=weights, minlength=bins)
-    typical = float(np.percentile(count[count > 0], 50.0 if weights is None else BEST_SEEN_PERCENTILE))
+    typical = float(np.percentile(count[count > 0], 50.0 if weights is None else WELL_SEEN_PERCENTILE))
     return np.asarray((count > 0) & (count >= STRAY_SHARE * typical))
 
 

@@ -55,7 +55,7 @@ def measure_together(
     settings: DbhSettings | None = None,
     seed: int = 0,
 ) -> list[Section]:
-    """Measure each stem among its points (N, 3) of x, y, height above its own ground, in metres.
+    """Measure each stem among its points (N, 3 to 6) of x, y, height above its own ground, in metres, and their errors.
 
     Stems do not know of each other; they are taken together because their fits are faster at once.
     ``bh_m`` is the height of the diameter, ``ground_noise_m`` the standard deviation of the level that their heights

@@ -13,14 +13,12 @@ from numpy.typing import NDArray
 
 from fsinfer.trees.cylinder.axis import AxisSettings
 from fsinfer.trees.points.sums import MAD_TO_SIGMA, median
-from fsinfer.trees.points.surface import LAYER_M, SECTORS, SEEN_LAYERS, STRAY_SHARE, sector_of
+from fsinfer.trees.points.surface import LAYER_M, SECTORS, SEEN_LAYERS, STRAY_SHARE, WELL_SEEN_PERCENTILE, sector_of
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 
-#: What a well seen sector or cell holds: this percentile of them. Source: not recorded.
-WELL_SEEN_PERCENTILE = 90.0
 #: Sectors in which errors go together: by their noise sharp and hazy sides are told apart. Source: not recorded.
 NOISE_SECTORS = 24
 

@@ -15,7 +15,7 @@ from fsinfer.trees.cylinder.batch import fit_sections
 from fsinfer.trees.diameter.circle import LEAST_POINTS, covered_bins
 from fsinfer.trees.diameter.sides import noise_sector, relative_noise, seen_side
 from fsinfer.trees.points.cells import rows
-from fsinfer.trees.points.errors import relative_errors
+from fsinfer.trees.points.errors import relative_errors, tells_errors
 from fsinfer.trees.points.sums import lengths
 from fsinfer.trees.points.surface import OUTSIDE_SIGMAS, WALL_SIGMAS, reach_about_wall
 
@@ -108,7 +108,7 @@ def wall_coverage(fit: AxisFit, used: Floats) -> float:
     offset, _ = axis_coordinates(used, fit.parameters, fit.height_m)
     wall = np.abs(fit.residuals_m) <= WALL_SIGMAS * fit.noise_m
     weights = None
-    if used.shape[1] > 3:
+    if tells_errors(used):
         weights = 1.0 / (1.0 + (used[wall, 3] / SEEN_STD_M) ** 2)
     return float(covered_bins(rows(offset, wall), weights=weights).mean())
 
@@ -146,7 +146,7 @@ def _fits(
         heights_m[those],
         sigma_m=sigma,
         order=s.order,
-        relative=told if any(own.shape[1] > 3 for own in near.values()) else None,
+        relative=told if any(tells_errors(own) for own in near.values()) else None,
         settings=s,
     )
     found = {k: (fit, own) for (k, own), fit in zip(near.items(), first, strict=True)}

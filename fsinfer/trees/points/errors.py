@@ -67,13 +67,18 @@ class PointErrors:
         return columns.T
 
 
+def tells_errors(points: Floats) -> bool:
+    """Whether points (N, 3 to 6) have theirs beside them."""
+    return bool(points.shape[1] >= WITH_STD)
+
+
 def relative_errors(points: Floats, parameters: Floats, height_m: float) -> Floats:
     """Noise (N,) of a stem's points in units of that of the sharper ones.
 
     ``points`` (N, 4 or 6) tell it, of others (N, 3) it is 1; ``parameters`` (6,) are those of the axis at ``height_m``
     (:class:`fsinfer.trees.cylinder.axis.Axis`).
     """
-    if points.shape[1] < WITH_STD:
+    if not tells_errors(points):
         return np.ones(len(points))
     variance = SHARED_M**2 + points[:, 3] ** 2
     if points.shape[1] == WITH_NORMAL:

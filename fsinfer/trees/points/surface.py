@@ -22,6 +22,8 @@ OUTSIDE_SIGMAS = 3.0
 #: A sector or cell counts as seen with this share of what a well seen one holds: strays do not close an arc, and the
 #: density of scans differs by five between sides. Source: chosen on simulated stems.
 STRAY_SHARE = 0.1
+#: What a well seen sector or cell holds: this percentile of them. Source: not recorded.
+WELL_SEEN_PERCENTILE = 90.0
 #: A sector belongs to the stem when it is seen in this share of the layers in which anything of the stem is seen;
 #: branches and shrubs fill a few. Source: not recorded.
 SEEN_LAYERS = 1.0 / 3.0

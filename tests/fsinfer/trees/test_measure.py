@@ -39,7 +39,7 @@ def test_trees_stand_where_they_are_on_their_own_ground(plot: StemPlot, result: 
     assert result.ground.method == "plane + raster"
     assert len(result.sections) == 2
     for tree in result.trees:
-        nearest = np.argmin(np.hypot(*(plot.xy - [tree.x_m, tree.y_m]).T))
+        nearest = plot.stem_at(tree.x_m, tree.y_m)
         assert tree.dbh_cm == pytest.approx(plot.dbh_cm[nearest], abs=0.5)
         assert np.hypot(*(plot.xy[nearest] - [tree.x_m, tree.y_m])) < 0.02
         assert tree.z_ground_m == pytest.approx(plot.z_ground[nearest], abs=0.02)

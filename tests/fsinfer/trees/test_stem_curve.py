@@ -40,7 +40,7 @@ def test_the_curve_follows_taper_and_swell(plot: StemPlot, result: PlotResult) -
     curves = stem_curves(plot.points + 0.0, result)
     assert list(curves) == [1, 2, 3, 4]
     for tree in result.trees:
-        truth = plot.dbh_cm[np.argmin(np.hypot(*(plot.xy - [tree.x_m, tree.y_m]).T))]
+        truth = plot.dbh_cm[plot.stem_at(tree.x_m, tree.y_m)]
         measured = [(p.height_m, p.diameter_cm) for p in curves[tree.tree_id] if p.diameter_cm is not None]
         assert [height_m for height_m, _ in measured] == pytest.approx([0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5], abs=0.01)
         for height_m, diameter_cm in measured[1:]:
