@@ -118,7 +118,9 @@ def estimate_poses(
         mapped = map_walk(_walk_of(photos), given, work, settings, progress)
         model, misplaced = refine(mapped.model, settings.refinement, progress), mapped.misplaced
         larger, threads = larger_than_usual(model), settings.thread_count
-        model, adjustment = adjust_photos(model, settings.adjustment, larger, progress, threads=threads)
+        model, adjustment = adjust_photos(
+            model, settings.adjustment, larger, progress, images=work / "images", threads=threads
+        )
     drop_blind_views(model)
     placed = {model.images[i].name for i in model.reg_image_ids()}
     named = {file for files in (*misplaced.values(), *mapped.apart) for file in files}

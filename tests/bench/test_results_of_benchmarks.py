@@ -31,6 +31,7 @@ ARGUMENTS = {
     "dendromatics": ["--python", "python"],
     "depth": ["scenes"],
     "effects": ["out"],
+    "epipolar": ["scene"],
     "kill": ["work"],
     "parity": ["scene"],
     "photos": ["photos", "out"],

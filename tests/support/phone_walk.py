@@ -38,7 +38,7 @@ def phone_walk(
     centers = np.stack([6 * np.cos(around), 6 * np.sin(around), rng.normal(0, 0.1, photos)], axis=1)
     # Held at many angles: of photos that are all held upright nobody can tell the mean turning from an upright
     # stretch of the world (Albl, Sugimoto and Pajdla 2016, "Degeneracies in rolling shutter SfM").
-    rotations = np.array([_looking(center, rng.normal(0, 0.3, 3), rng.normal(0, roll_rad)) for center in centers])
+    rotations = np.array([look_at(center, rng.normal(0, 0.3, 3), rng.normal(0, roll_rad)) for center in centers])
     translations = -np.einsum("nij,nj->ni", rotations, centers)
     own = np.zeros((photos, OWN)) if effects is None else effects * rng.standard_normal((photos, OWN))
     lens = np.zeros((1, LENS))
@@ -51,6 +51,7 @@ def phone_walk(
         point=point,
         xy=np.zeros((len(photo), 2)),
         tau=np.zeros(len(photo)),
+        weight=np.ones(len(photo)),
         camera=np.zeros(photos, np.int64),
     )
     for _ in range(_ROUNDS):
@@ -64,7 +65,7 @@ def phone_walk(
     wrong = rng.random(len(xy)) < outliers
     xy[wrong] += rng.uniform(-20, 20, (wrong.sum(), 2))
     kept = np.bincount(point[inside], minlength=points) > 1
-    seen = replace(seen, photo=photo[inside], point=point[inside], xy=xy, tau=xy[:, 1] / HEIGHT - 0.5)
+    seen = replace(seen.of(inside), xy=xy, tau=xy[:, 1] / HEIGHT - 0.5)
     seen, numbers = seen.of_points(kept)
     return seen, replace(truth, points=cloud[numbers])
 
@@ -107,9 +108,9 @@ def model_of(seen: Observations, unknowns: Unknowns) -> Any:
     return model
 
 
-def _looking(center: Floats, shake: Floats, roll: float) -> Floats:
-    """Rotation camera from world of a camera at ``center`` that looks at the middle, more or less, rolled."""
-    forward = shake - center
+def look_at(center: Floats, target: Floats, roll: float) -> Floats:
+    """Rotation camera from world of a camera at ``center`` that looks at ``target``, rolled by so many radians."""
+    forward = target - center
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, (0.0, 0.0, 1.0))
     right /= np.linalg.norm(right)

@@ -59,6 +59,7 @@ class Observations:
     ----------
     photo, point: (n,) int64, their numbers.
     xy: (n, 2) float64, pixels with COLMAP's origin. tau: (n,) when its row was read, -1/2 to 1/2.
+    weight: (n,) what errors are multiplied with, so that all are those of the surest kind of observation.
     camera: (N,) int64, which lens each photo has.
     """
 
@@ -66,26 +67,36 @@ class Observations:
     point: Ints
     xy: Floats
     tau: Floats
+    weight: Floats
     camera: Ints
+
+    def of(self, rows: slice | NDArray[np.bool_] | Ints) -> Observations:
+        """Some of them."""
+        return replace(
+            self,
+            photo=self.photo[rows],
+            point=self.point[rows],
+            xy=self.xy[rows],
+            tau=self.tau[rows],
+            weight=self.weight[rows],
+        )
 
     def parts(self) -> Iterator[tuple[slice, Observations]]:
         """All of them, some thousands at a time, and which they are."""
         for first in range(0, len(self.photo), _TOGETHER):
             part = slice(first, first + _TOGETHER)
-            yield (
-                part,
-                replace(self, photo=self.photo[part], point=self.point[part], xy=self.xy[part], tau=self.tau[part]),
-            )
+            yield part, self.of(part)
+
+    def of_points_seen(self, points: int) -> tuple[Observations, Ints]:
+        """All of them, the points that are seen numbered anew; and the old numbers of these points."""
+        return self.of_points(np.bincount(self.point, minlength=points) > 0)
 
     def of_points(self, chosen: NDArray[np.bool_]) -> tuple[Observations, Ints]:
         """Those of the points that a (P,) mask chooses, numbered anew; and the old numbers of these points."""
         kept = np.flatnonzero(chosen)
         number = np.cumsum(chosen) - 1
-        seen = chosen[self.point]
-        return (
-            replace(self, photo=self.photo[seen], point=number[self.point[seen]], xy=self.xy[seen], tau=self.tau[seen]),
-            kept,
-        )
+        seen = self.of(chosen[self.point])
+        return replace(seen, point=number[seen.point]), kept
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,11 +127,11 @@ class Unknowns:
         return np.asarray(turned[:, :, 0] + self.translations[seen.photo])
 
     def residuals(self, seen: Observations) -> Floats:
-        """(n, 2) pixels, predicted less observed."""
+        """(n, 2) pixels, predicted less observed, times their weight."""
         found = np.empty((len(seen.photo), 2))
         for rows, part in seen.parts():
             lens, own = self.lenses[part.camera[part.photo]], self.own[part.photo]
-            found[rows] = project(self.in_cameras(part), part.tau, lens, own) - part.xy
+            found[rows] = (project(self.in_cameras(part), part.tau, lens, own) - part.xy) * part.weight[:, None]
         return found
 
     def derivatives(self, seen: Observations, inside: Floats) -> tuple[Floats, Floats, Floats, Floats]:
@@ -129,8 +140,10 @@ class Unknowns:
         ``inside`` are :meth:`in_cameras`.
         """
         lens, own = self.lenses[seen.camera[seen.photo]], self.own[seen.photo]
-        pixels, by_point, by_own, by_lens = project_with_jacobians(inside, seen.tau, lens, own)
-        return pixels - seen.xy, by_point, by_own, by_lens
+        pixels, *jacobians = project_with_jacobians(inside, seen.tau, lens, own)
+        weight = seen.weight[:, None, None]
+        by_point, by_own, by_lens = (jacobian * weight for jacobian in jacobians)
+        return (pixels - seen.xy) * seen.weight[:, None], by_point, by_own, by_lens
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,6 +186,7 @@ def from_model(model: Any) -> tuple[Observations, Unknowns, Numbers]:
         point=np.array(point, np.int64),
         xy=np.array(xy, np.float64).reshape(-1, 2),
         tau=np.concatenate(tau) if tau else np.empty(0),
+        weight=np.ones(len(photo)),
         camera=np.array([cameras.index(model.images[i].camera_id) for i in images], np.int64),
     )
     unknowns = Unknowns(

@@ -37,6 +37,13 @@ def read_at(pixels: Floats, width_px: int, height_px: int) -> Floats:
     return np.asarray(pixels[:, across] / (width_px, height_px)[across] - 0.5)
 
 
+def read_at_of(pixels: Floats, sizes: NDArray[np.int64]) -> Floats:
+    """As :func:`read_at`, for (n, 2) pixels of photos whose (n, 2) widths and heights are given."""
+    along = np.where(sizes[:, 0] >= sizes[:, 1], 1, 0)
+    rows = np.arange(len(pixels))
+    return np.asarray(pixels[rows, along] / sizes[rows, along] - 0.5)
+
+
 def moved(points: Floats, tau: Floats, own: Floats) -> Floats:
     """(n, 3) places in the cameras of their rows' times, from those at the middle row's time; ``own`` is (n, 9)."""
     return points + tau[:, None] * (np.cross(own[:, TURN], points) + own[:, DRIFT])

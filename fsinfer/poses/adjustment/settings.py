@@ -2,7 +2,50 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, kw_only=True)
+class RematchSettings:
+    """Points looked for once more by their patches: which, in which photos, and what counts as found.
+
+    Attributes
+    ----------
+    cells: cells along the longer side of a photo in which points are counted. Source: judgement.
+    per_cell: points of a cell from which on no others are looked for because of it. Source: docs/trials-accuracy.md;
+        half as many place cameras a fifth worse, twice as many a tenth better in twice the time; renders only.
+    min_shared: points that a photo must share with that of the patch, unless it has the feature. Source: judgement.
+    most_photos: that one patch is looked for in. Source: docs/trials-accuracy.md; with six instead of twenty the
+        cameras of three walks were up to a third worse; renders only.
+    max_angle_deg: between the lines of sight of a patch's photo and another. Source: docs/trials-accuracy.md; 20 to 40
+        made no difference of a tenth; renders only.
+    max_ratio: of the sizes in which both show a thing. Source: judgement.
+    min_correlation: of a patch and what it was laid over. Source: docs/trials-accuracy.md; 0.7 to 0.9 made no
+        difference of a tenth; renders only.
+    max_move_px: from where it was expected, in photos no larger than those that features are looked for in. Source:
+        judgement; features that are farther off were dropped before.
+    max_std_px: by its sharpness, likewise. Source: judgement; half of it left a quarter of the points out.
+    min_patches: found in a photo on average, or features alone count. Source: judgement.
+    max_loss_of_features: under the cameras placed by patches, of that under those before; beyond it the patches found
+        something else than the features. Source: judgement; 0.95 and 0.98 on real photos, 1.03 on a render.
+    feature_weight: of a feature that no patch was found for, beside those of patches. Source: their errors, 0.25 to 0.3
+        and 0.07 to 0.1 pixels.
+    loss_px: scale of the Cauchy loss. Source: docs/trials-accuracy.md; twice the errors of patches; renders only.
+    """
+
+    cells: int = 8
+    per_cell: int = 8
+    min_shared: int = 8
+    most_photos: int = 20
+    max_angle_deg: float = 35.0
+    max_ratio: float = 1.7
+    min_correlation: float = 0.85
+    max_move_px: float = 3.0
+    max_std_px: float = 0.12
+    min_patches: int = 30
+    max_loss_of_features: float = 1.1
+    feature_weight: float = 0.25
+    loss_px: float = 0.15
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +88,7 @@ class AdjustmentSettings:
     told_focal: change of the focal length that is told, relative. Source: judgement; a pixel at the edge of a photo.
     told_lenses: a change that focusing does not make: photos of two lenses, or of two zooms. Source: judgement; ten
         times what phones breathe; the demo's photos, half of them enlarged by a quarter, 4 %.
+    rematch: of points looked for once more by their patches.
     """
 
     min_photos: int = 8
@@ -63,3 +107,4 @@ class AdjustmentSettings:
     told_px: float = 1.0
     told_focal: float = 0.002
     told_lenses: float = 0.02
+    rematch: RematchSettings = field(default_factory=RematchSettings)

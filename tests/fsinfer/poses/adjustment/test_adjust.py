@@ -10,8 +10,9 @@ import pytest
 
 from fsinfer import processes
 from fsinfer.notices.sentences import sentence, sentences
-from fsinfer.poses.adjustment.adjust import PhotoAdjustment, adjust_photos, like, weighting_of
+from fsinfer.poses.adjustment.adjust import PhotoAdjustment, adjust_photos
 from fsinfer.poses.adjustment.fit import fit
+from fsinfer.poses.adjustment.last_fit import like, weighting_of
 from fsinfer.poses.adjustment.problem import from_model
 from fsinfer.poses.adjustment.projection import OWN
 from fsinfer.poses.adjustment.reduced_system import Structure
@@ -81,7 +82,7 @@ def test_processes_beside_each_other_find_the_same(least: float, monkeypatch: py
         return answer
 
     monkeypatch.setattr(processes._Worker, "ask", noted)
-    monkeypatch.setattr("fsinfer.poses.adjustment.adjust._SHARED_FROM", 0)
+    monkeypatch.setattr("fsinfer.poses.adjustment.last_fit._SHARED_FROM", 0)
     found = []
     for threads in (1, 2):
         with one_blas_thread():  # as in estimate_poses: sums in two threads are rounded otherwise

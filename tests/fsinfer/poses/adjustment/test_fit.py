@@ -10,8 +10,9 @@ import pytest
 
 from fsinfer.poses.adjustment import fit as fit_module
 from fsinfer.poses.adjustment import problem as problem_module
-from fsinfer.poses.adjustment.adjust import like, shutter_px
+from fsinfer.poses.adjustment.adjust import shutter_px
 from fsinfer.poses.adjustment.fit import Weighting, fit, noise_of, normal_equations, with_points_fitted
+from fsinfer.poses.adjustment.last_fit import like
 from fsinfer.poses.adjustment.problem import Group, Observations, Unknowns
 from fsinfer.poses.adjustment.projection import FOCAL, LENS, OWN, TURN
 from fsinfer.poses.adjustment.reduced_system import Blocks, Structure
@@ -88,9 +89,31 @@ def test_a_photo_of_few_points_keeps_to_what_is_expected() -> None:
     rows = np.flatnonzero(seen.photo == 5)[8:]
     mask = np.ones(len(seen.photo), dtype=bool)
     mask[rows] = False
-    thinned = replace(seen, photo=seen.photo[mask], point=seen.point[mask], xy=seen.xy[mask], tau=seen.tau[mask])
+    thinned = seen.of(mask)
     found = fitted(thinned, truth, *Group)
     assert (np.abs(found.own[5]) < 3 * PHONE).all()
+
+
+def test_derivatives_are_those_of_the_weighted_errors() -> None:
+    seen, truth = phone_walk(photos=9, points=80, effects=PHONE)
+    seen = replace(seen, weight=np.random.default_rng(0).uniform(0.1, 1, len(seen.photo)))
+    inside = truth.in_cameras(seen)
+    residuals, by_point, by_own, by_lens = truth.derivatives(seen, inside)
+    np.testing.assert_allclose(residuals, truth.residuals(seen), atol=1e-9)
+    step = 1e-6
+    moved = replace(truth, points=truth.points + np.array([step, 0, 0])).residuals(seen)
+    along = (by_point @ truth.rotations[seen.photo][:, :, :1])[:, :, 0]
+    np.testing.assert_allclose((moved - residuals) / step, along, rtol=1e-3, atol=1e-3)
+    own = truth.own.copy()
+    own[:, 0] += step
+    np.testing.assert_allclose(
+        (replace(truth, own=own).residuals(seen) - residuals) / step, by_own[:, :, 0], rtol=1e-3, atol=1e-2
+    )
+    lenses = truth.lenses.copy()
+    lenses[:, 4] += step
+    np.testing.assert_allclose(
+        (replace(truth, lenses=lenses).residuals(seen) - residuals) / step, by_lens[:, :, 4], rtol=1e-3, atol=1e-2
+    )
 
 
 def test_points_alone_are_placed_where_known_photos_see_them() -> None:

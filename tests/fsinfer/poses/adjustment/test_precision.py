@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from fsinfer.errors import SceneError
-from fsinfer.poses.adjustment.adjust import like
 from fsinfer.poses.adjustment.fit import columns_of, fit
+from fsinfer.poses.adjustment.last_fit import like
 from fsinfer.poses.adjustment.precision import CameraPrecision, camera_precisions, read_camera_precisions
 from fsinfer.poses.adjustment.problem import Group
 from fsinfer.poses.adjustment.reduced_system import Structure

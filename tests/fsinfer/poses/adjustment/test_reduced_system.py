@@ -24,7 +24,12 @@ def test_step_is_that_of_all_equations_at_once() -> None:
         by_lens=rng.normal(size=(count, 2, LENS)),
     )
     seen = Observations(
-        photo=photo, point=point, xy=np.zeros((count, 2)), tau=np.zeros(count), camera=np.zeros(PHOTOS, np.int64)
+        photo=photo,
+        point=point,
+        xy=np.zeros((count, 2)),
+        tau=np.zeros(count),
+        weight=np.ones(count),
+        camera=np.zeros(PHOTOS, np.int64),
     )
     structure = Structure(seen, POINTS)
     blocks = blocks_of(structure, rows)

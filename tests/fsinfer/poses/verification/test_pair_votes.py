@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from fsinfer.poses.adjustment.adjust import usual_step
+from fsinfer.poses.adjustment.last_fit import usual_step
 from fsinfer.poses.adjustment.problem import from_model
 from fsinfer.poses.verification.misplaced import drop_contradicted
 from fsinfer.poses.verification.pair_votes import (
