@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 
-#: Half the side of a patch, in its steps: it has 15 x 15 samples. Source: docs/trials-accuracy.md.
+#: Half the side of a patch, in its steps: it has 15 x 15 samples. Source: judgement; a feature's blob and its rim.
 _HALF = 7
 #: Samples along a side of a patch with those for its derivatives. Source: arithmetic.
 PATCH_SIDE = 2 * _HALF + 3
-#: Standard deviation of the weight that falls off from its middle, in steps. Source: docs/trials-accuracy.md.
+#: Standard deviation of the weight that falls off from its middle, in steps. Source: judgement; three fifths of that.
 _WEIGHT_STD = 4.0
 #: The photos are smoothed so much, in steps, before patches are taken from them: bilinear interpolation is far from the
-#: truth on what a single pixel shows. Source: docs/trials-accuracy.md.
+#: truth on what a single pixel shows. Source: docs/trials-accuracy.md; simulated pictures.
 _SMOOTHING = 0.7
 #: Steps at most; the shift, in steps of the patch, after which no other follows, and below which the last one may be of
 #: a patch that has come to rest. Source: numerics.

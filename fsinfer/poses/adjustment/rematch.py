@@ -30,6 +30,8 @@ _ROUNDS = 3
 #: Pixels from the edge of a photo within which no patch is laid, in its steps. Source: half a patch and what it may
 #: move.
 _BORDER = 12.0
+#: Points whose photos are looked up together: a hundred photos each. Source: numerics.
+_POINTS_AT_ONCE = 8192
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,10 +136,29 @@ def pairs_to_look_for(
     inside = at.in_cameras(seen)
     points, count = len(at.points), len(at.rotations)
     sees = csr_matrix((np.ones(len(seen.photo), np.float32), (seen.point, seen.photo)), shape=(points, count))
+    near = (sees.T @ sees).toarray() >= settings.min_shared
     some = np.flatnonzero(reference >= 0)
+    found = [
+        _pairs_of(part, sees[part].toarray() > 0, near, seen, at, inside, reference, photos, settings)
+        for part in np.split(some, range(_POINTS_AT_ONCE, len(some), _POINTS_AT_ONCE))
+    ]
+    return Pairs(**{name: np.concatenate([getattr(one, name) for one in found]) for name in Pairs.__dataclass_fields__})
+
+
+def _pairs_of(
+    some: Ints,
+    has_feature: NDArray[np.bool_],
+    near: NDArray[np.bool_],
+    seen: Observations,
+    at: Unknowns,
+    inside: Floats,
+    reference: Ints,
+    photos: Photos,
+    settings: RematchSettings,
+) -> Pairs:
+    """Of some points: in which photos they have a feature (n, N), and which photos share enough points (N, N)."""
     of = seen.photo[reference[some]]
-    has_feature = sees[some].toarray() > 0
-    reach = ((sees.T @ sees).toarray() >= settings.min_shared)[of] | has_feature
+    reach = near[of] | has_feature
     reach[np.arange(len(some)), of] = False
     row, photo = np.nonzero(reach)
     point, own = some[row], of[row]
