@@ -26,7 +26,7 @@ WITH_STD, WITH_NORMAL = 4, 6
 SHARED_M = 0.0015
 #: A normal may be off by this, as the chord between unit vectors (11 degrees); what is more is so much noise, metres
 #: for a chord of one. Source: as ``SHARED_M``.
-TURNED, TURNED_M = 0.2, 0.15
+TURNED, TURNED_M = 0.2, 0.3
 #: The noise of a stem's sharp points: this percentile of them. Source: judgement.
 SHARP_PERCENTILE = 25.0
 
