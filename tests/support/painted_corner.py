@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from fsinfer.poses.adjustment.problem import Observations, Unknowns
 from fsinfer.poses.adjustment.projection import DRIFT, FOCAL, LENS, OWN, PRINCIPAL, TURN, Floats, read_at
-from tests.support.phone_walk import HEIGHT, WIDTH, look_at
+from tests.support.phone_walk import FOCAL_PX, HEIGHT, WIDTH, look_at, observations
 
-FOCAL_PX = 1000.0
 #: Metres of a texel, and metres of the wall and the floor.
 _TEXEL, _SIDE = 0.004, 9.0
 #: How far the wall is from the middle of the walk, and the floor below it.
@@ -51,7 +50,7 @@ def painted_corner(
         lenses=lens,
         points=np.empty((0, 3)),
     )
-    paints = [_paint(rng) for _ in range(2)]
+    paints = [paint(rng, round(_SIDE / _TEXEL)) for _ in range(2)]
     points = []
     for photo in range(photos):
         xy = np.stack(np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5), axis=-1).reshape(-1, 2)
@@ -69,20 +68,12 @@ def painted_corner(
 
 def _seen(truth: Unknowns, noise_px: float, rng: np.random.Generator) -> Observations:
     photo, point = (i.ravel() for i in np.indices((len(truth.rotations), len(truth.points))))
-    count = len(photo)
-    seen = Observations(
-        photo=photo,
-        point=point,
-        xy=np.zeros((count, 2)),
-        tau=np.zeros(count),
-        weight=np.ones(count),
-        camera=np.zeros(len(truth.rotations), np.int64),
-    )
+    seen = observations(photo, point, len(truth.rotations))
     for _ in range(5):
-        xy = truth.residuals(replace(seen, xy=np.zeros((count, 2))))
+        xy = truth.residuals(seen)
         seen = replace(seen, tau=read_at(xy, WIDTH, HEIGHT))
     # As features are: not in every photo that shows the point.
-    inside = ((xy > 20) & (xy < (WIDTH - 20, HEIGHT - 20))).all(axis=1) & (rng.random(count) < 0.6)
+    inside = ((xy > 20) & (xy < (WIDTH - 20, HEIGHT - 20))).all(axis=1) & (rng.random(len(photo)) < 0.6)
     noisy = xy[inside] + rng.normal(0, noise_px, (inside.sum(), 2))
     found = replace(seen.of(inside), xy=noisy, tau=read_at(noisy, WIDTH, HEIGHT))
     return found.of(np.bincount(found.point, minlength=len(truth.points))[found.point] > 1)
@@ -106,8 +97,8 @@ def _hits(truth: Unknowns, photo: int, xy: Floats) -> tuple[Floats, NDArray[np.b
     return centers + ways * np.where(on_floor, to_floor, to_wall)[:, None], on_floor
 
 
-def _paint(rng: np.random.Generator) -> NDArray[np.float32]:
-    side = int(_SIDE / _TEXEL)
+def paint(rng: np.random.Generator, side: int) -> NDArray[np.float32]:
+    """(side, side) grey values with structure of two sizes."""
     fine = cv2.GaussianBlur(rng.normal(0, 1, (side, side)).astype(np.float32), (0, 0), 1.5)
     coarse = cv2.GaussianBlur(rng.normal(0, 1, (side, side)).astype(np.float32), (0, 0), 6.0)
     return np.asarray(128 + 25 * fine / fine.std() + 25 * coarse / coarse.std(), dtype=np.float32)

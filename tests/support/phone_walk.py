@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fsinfer.poses.adjustment.problem import Observations, Unknowns
+from fsinfer.poses.adjustment.problem import Ints, Observations, Unknowns
 from fsinfer.poses.adjustment.projection import LENS, OWN, Floats
 
 WIDTH, HEIGHT, FOCAL_PX, K1 = 1280, 720, 1000.0, 0.03
@@ -46,14 +46,7 @@ def phone_walk(
     cloud = rng.uniform([-3, -3, -2], [3, 3, 2], (points, 3))
     truth = Unknowns(rotations=rotations, translations=translations, own=own, lenses=lens, points=cloud)
     photo, point = (index.ravel() for index in np.indices((photos, points)))
-    seen = Observations(
-        photo=photo,
-        point=point,
-        xy=np.zeros((len(photo), 2)),
-        tau=np.zeros(len(photo)),
-        weight=np.ones(len(photo)),
-        camera=np.zeros(photos, np.int64),
-    )
+    seen = observations(photo, point, photos)
     for _ in range(_ROUNDS):
         xy = truth.residuals(replace(seen, xy=np.zeros((len(photo), 2))))
         seen = replace(seen, xy=xy, tau=xy[:, 1] / HEIGHT - 0.5)
@@ -68,6 +61,19 @@ def phone_walk(
     seen = replace(seen.of(inside), xy=xy, tau=xy[:, 1] / HEIGHT - 0.5)
     seen, numbers = seen.of_points(kept)
     return seen, replace(truth, points=cloud[numbers])
+
+
+def observations(photo: Ints, point: Ints, photos: int, xy: Floats | None = None) -> Observations:
+    """Of one camera, of full weight, by the middle row; at the origin where no pixels (n, 2) are given."""
+    count = len(photo)
+    return Observations(
+        photo=photo,
+        point=point,
+        xy=np.zeros((count, 2)) if xy is None else xy,
+        tau=np.zeros(count),
+        weight=np.ones(count),
+        camera=np.zeros(photos, np.int64),
+    )
 
 
 def disturbed(truth: Unknowns, seed: int = 2) -> Unknowns:

@@ -64,25 +64,26 @@ class Sought:
     settings: AdjustmentSettings
 
     def fitted(self, evidence: Evidence) -> Found:
-        """The fit of everything with the groups of ``evidence``; without any and without photos ``start`` as it is."""
-        if self.photos is None and not evidence.groups:
-            structure = Structure(self.seen, len(self.start.points))
-            precisions = camera_precisions(structure, self.start, (), evidence.weighting)
-            return Found(evidence=evidence, unknowns=self.start, precisions=precisions)
-        # The cameras are nearly where they belong, and the points come after.
-        near = with_points_fitted(self.seen, evidence.cameras, evidence.weighting.loss_px)
-        by_patches = None if self.photos is None else self._by_patches(near, evidence, self.photos)
-        return by_patches or self._by_features(near, evidence)
+        """The fit of everything with the groups of ``evidence``: by patches, or by features."""
+        by_patches = None if self.photos is None else self._by_patches(evidence, self.photos)
+        return by_patches or self._by_features(evidence)
 
-    def _by_features(self, near: Unknowns, evidence: Evidence) -> Found:
-        structure = Structure(self.seen, len(near.points))
-        found = like(fit(structure, near, evidence.groups, evidence.weighting), self.start)
+    def _by_features(self, evidence: Evidence) -> Found:
+        """Without any group ``start`` as it is."""
+        structure = Structure(self.seen, len(self.start.points))
+        found = self.start
+        if evidence.groups:
+            found = like(fit(structure, self._near(evidence), evidence.groups, evidence.weighting), self.start)
         precisions = camera_precisions(structure, found, evidence.groups, evidence.weighting)
         return Found(evidence=evidence, unknowns=found, precisions=precisions)
 
-    def _by_patches(self, near: Unknowns, evidence: Evidence, photos: Photos) -> Found | None:
+    def _near(self, evidence: Evidence) -> Unknowns:
+        """The cameras are nearly where they belong, and the points come after."""
+        return with_points_fitted(self.seen, evidence.cameras, evidence.weighting.loss_px)
+
+    def _by_patches(self, evidence: Evidence, photos: Photos) -> Found | None:
         """None where features contradict what the patches say, or there are hardly any."""
-        settings = self.settings.rematch
+        settings, near = self.settings.rematch, self._near(evidence)
         there = rematched(self.seen, near, photos, settings)
         patches = int((there.weight == 1).sum())
         if patches < settings.min_patches * len(near.rotations):

@@ -37,6 +37,8 @@ _LEAST_CONTRAST = 0.1
 #: Share of the mean of a patch's normal matrix that is added to its diagonal: of a patch without structure in one
 #: direction nothing is asked in it. Source: numerics.
 _DAMPING = 1e-5
+#: A patch whose area shrinks by more in a step has gone astray. Source: numerics.
+_LEAST_AREA = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,10 +124,6 @@ def _align(patches: Floats32, image: Floats32, found: Matches, rows: slice, step
     noise = np.maximum(2 * (1 - correlation), 1e-3)
     worst = np.maximum(shifts_of[:, 0, 0], shifts_of[:, 1, 1])
     found.std[rows] = np.sqrt(noise * worst * float((squares**2).sum())) * stretch
-
-
-#: A patch whose area shrinks by more in a step has gone astray. Source: numerics.
-_LEAST_AREA = 0.2
 
 
 def _basis(values: Floats32) -> tuple[Floats32, Floats]:

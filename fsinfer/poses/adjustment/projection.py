@@ -26,9 +26,9 @@ FOCAL, PRINCIPAL, TURN, DRIFT = slice(0, 1), slice(1, 3), slice(3, 6), slice(6, 
 _LEAST_DEPTH = 1e-6
 
 
-def rows_axis(width_px: int, height_px: int) -> int:
-    """Which axis of the picture, 0 for x and 1 for y, the rows run along: the longer."""
-    return 0 if width_px >= height_px else 1
+def rows_axis(width_px: int | NDArray[np.int64], height_px: int | NDArray[np.int64]) -> NDArray[np.int64]:
+    """Which axis of a picture, or of each of several, the rows run along, 0 for x and 1 for y: the longer."""
+    return np.where(np.greater_equal(width_px, height_px), 0, 1)
 
 
 def read_at(pixels: Floats, width_px: int, height_px: int) -> Floats:
@@ -39,9 +39,9 @@ def read_at(pixels: Floats, width_px: int, height_px: int) -> Floats:
 
 def read_at_of(pixels: Floats, sizes: NDArray[np.int64]) -> Floats:
     """As :func:`read_at`, for (n, 2) pixels of photos whose (n, 2) widths and heights are given."""
-    along = np.where(sizes[:, 0] >= sizes[:, 1], 1, 0)
+    across = 1 - rows_axis(sizes[:, 0], sizes[:, 1])
     rows = np.arange(len(pixels))
-    return np.asarray(pixels[rows, along] / sizes[rows, along] - 0.5)
+    return np.asarray(pixels[rows, across] / sizes[rows, across] - 0.5)
 
 
 def moved(points: Floats, tau: Floats, own: Floats) -> Floats:

@@ -30,8 +30,6 @@ _ROUNDS = 3
 #: Pixels from the edge of a photo within which no patch is laid, in its steps. Source: half a patch and what it may
 #: move.
 _BORDER = 12.0
-#: Points whose photos are looked up together: a hundred photos each. Source: numerics.
-_POINTS_AT_ONCE = 8192
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,65 +131,54 @@ def pairs_to_look_for(
 
     ``reference`` (P,) is the observation about which the patch of each point is; -1 where it has none.
     """
-    inside = at.in_cameras(seen)
     points, count = len(at.points), len(at.rotations)
     sees = csr_matrix((np.ones(len(seen.photo), np.float32), (seen.point, seen.photo)), shape=(points, count))
     near = (sees.T @ sees).toarray() >= settings.min_shared
-    some = np.flatnonzero(reference >= 0)
-    found = [
-        _pairs_of(part, sees[part].toarray() > 0, near, seen, at, inside, reference, photos, settings)
-        for part in np.split(some, range(_POINTS_AT_ONCE, len(some), _POINTS_AT_ONCE))
-    ]
+    patches = seen.of(reference[reference >= 0])
+    found = [_pairs_of(part, sees[part.point].toarray() > 0, near, at, photos, settings) for _, part in patches.parts()]
     return Pairs(**{name: np.concatenate([getattr(one, name) for one in found]) for name in Pairs.__dataclass_fields__})
 
 
 def _pairs_of(
-    some: Ints,
+    patches: Observations,
     has_feature: NDArray[np.bool_],
     near: NDArray[np.bool_],
-    seen: Observations,
     at: Unknowns,
-    inside: Floats,
-    reference: Ints,
     photos: Photos,
     settings: RematchSettings,
 ) -> Pairs:
-    """Of some points: in which photos they have a feature (n, N), and which photos share enough points (N, N)."""
-    of = seen.photo[reference[some]]
-    reach = near[of] | has_feature
-    reach[np.arange(len(some)), of] = False
+    """Of some patches' points: in which photos they have a feature (n, N), and which photos share enough (N, N)."""
+    reach = near[patches.photo] | has_feature
+    reach[np.arange(len(patches.photo)), patches.photo] = False
     row, photo = np.nonzero(reach)
-    point, own = some[row], of[row]
-    there = (at.rotations[photo] @ at.points[point][:, :, None])[:, :, 0] + at.translations[photo]
-    to_photo, to_own = at.centers[photo] - at.points[point], at.centers[own] - at.points[point]
+    points, focal = at.points[patches.point], at.lenses[patches.camera, 0] * np.exp(at.own[:, FOCAL][:, 0])
+    inside = at.in_cameras(patches)
+    there = (at.rotations[photo] @ points[row][:, :, None])[:, :, 0] + at.translations[photo]
+    to_photo, to_own = at.centers[photo] - points[row], (at.centers[patches.photo] - points)[row]
     lengths = np.linalg.norm(to_photo, axis=1) * np.linalg.norm(to_own, axis=1)
     cosine = (to_photo * to_own).sum(1) / np.maximum(lengths, np.finfo(float).tiny)
-    focal = at.lenses[seen.camera, 0] * np.exp(at.own[:, FOCAL][:, 0])
-    depth = inside[reference[point], 2]
-    larger = np.where(there[:, 2] > 0, focal[photo] * depth / (focal[own] * np.abs(there[:, 2])), 0)
+    own = patches.photo[row]
+    larger = np.where(there[:, 2] > 0, focal[photo] * inside[row, 2] / (focal[own] * np.abs(there[:, 2])), 0)
     kept = cosine > np.cos(np.radians(settings.max_angle_deg))
     kept &= (larger < settings.max_ratio) & (larger > 1 / settings.max_ratio)
-    row, point, photo, own, there, larger, cosine = (
-        values[kept] for values in (row, point, photo, own, there, larger, cosine)
-    )
-    lens, effects, size = at.lenses[seen.camera[photo]], at.own[photo], photos.sizes[photo]
-    tau = np.zeros(len(point))
+    row, photo, there, larger, cosine = (values[kept] for values in (row, photo, there, larger, cosine))
+    lens, effects, size = at.lenses[patches.camera[photo]], at.own[photo], photos.sizes[photo]
+    tau = np.zeros(len(row))
     for _ in range(_ROUNDS):
         xy = project(there, tau, lens, effects)
         tau = np.clip(read_at_of(xy, size), -0.5, 0.5)
     border = _BORDER * photos.step_px
     kept = ((xy > border) & (xy < size - border)).all(axis=1)
     # Those that have the feature first, then those that look most alike.
-    order = np.lexsort((-cosine - 2 * has_feature[row, photo], ~kept, point))
-    rank = np.arange(len(point)) - np.searchsorted(point[order], point[order])
+    order = np.lexsort((-cosine - 2 * has_feature[row, photo], ~kept, row))
+    rank = np.arange(len(row)) - np.searchsorted(row[order], row[order])
     kept[order[rank >= settings.most_photos]] = False
-    point, photo, own, larger, xy = (values[kept] for values in (point, photo, own, larger, xy))
-    first = reference[point]
-    affine = _turned(at, photo, own) * larger[:, None, None]
+    row, photo, larger, xy = (values[kept] for values in (row, photo, larger, xy))
+    affine = _turned(at, photo, patches.photo[row]) * larger[:, None, None]
     # The feature of the patch's photo is the point, and lies beside where it is expected, too.
-    expected = project(inside[first], seen.tau[first], at.lenses[seen.camera[own]], at.own[own])
-    xy = xy + (affine @ (seen.xy[first] - expected)[:, :, None])[:, :, 0]
-    return Pairs(point=point, photo=photo, xy=xy, affine=affine)
+    expected = project(inside, patches.tau, at.lenses[patches.camera[patches.photo]], at.own[patches.photo])
+    xy = xy + (affine @ (patches.xy - expected)[row][:, :, None])[:, :, 0]
+    return Pairs(point=patches.point[row], photo=photo, xy=xy, affine=affine)
 
 
 def _turned(at: Unknowns, photo: Ints, own: Ints) -> Floats:

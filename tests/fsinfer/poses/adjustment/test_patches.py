@@ -11,17 +11,14 @@ from scipy.optimize import least_squares
 
 from fsinfer.poses.adjustment.patches import PATCH_SIDE, Matches, align, patches_at, smoothed
 from fsinfer.poses.adjustment.projection import Floats
+from tests.support.painted_corner import paint
 
 SIZE = 400
 HALF = (PATCH_SIDE - 3) // 2
 
 
 def picture(seed: int = 0) -> NDArray[np.float32]:
-    rng = np.random.default_rng(seed)
-    fine, coarse = (
-        cv2.GaussianBlur(rng.normal(0, 1, (SIZE, SIZE)).astype(np.float32), (0, 0), std) for std in (1.5, 5)
-    )
-    return np.asarray(128 + 25 * fine / fine.std() + 25 * coarse / coarse.std(), dtype=np.float32)
+    return paint(np.random.default_rng(seed), SIZE)
 
 
 def warped(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fsinfer.poses.adjustment.problem import Observations
 from fsinfer.poses.adjustment.reduced_system import Rows, Structure, blocks_of, reduce_points, solve
+from tests.support.phone_walk import observations
 
 PHOTOS, POINTS, OWN, LENS = 4, 30, 5, 3
 
@@ -23,14 +23,7 @@ def test_step_is_that_of_all_equations_at_once() -> None:
         by_point=rng.normal(size=(count, 2, 3)),
         by_lens=rng.normal(size=(count, 2, LENS)),
     )
-    seen = Observations(
-        photo=photo,
-        point=point,
-        xy=np.zeros((count, 2)),
-        tau=np.zeros(count),
-        weight=np.ones(count),
-        camera=np.zeros(PHOTOS, np.int64),
-    )
+    seen = observations(photo, point, PHOTOS)
     structure = Structure(seen, POINTS)
     blocks = blocks_of(structure, rows)
     size = PHOTOS * OWN + LENS

@@ -18,7 +18,7 @@ from fsinfer.poses.adjustment.rematch import Photos, pairs_to_look_for, referenc
 from fsinfer.poses.adjustment.settings import AdjustmentSettings, RematchSettings
 from fsinfer.threads import one_blas_thread
 from tests.support.painted_corner import painted_corner
-from tests.support.phone_walk import HEIGHT, PHONE, WIDTH, model_of, phone_walk
+from tests.support.phone_walk import HEIGHT, PHONE, WIDTH, model_of, observations, phone_walk
 
 pytest.importorskip("pycolmap")
 #: What a phone that turns while it reads its photos out does; of a wall and a floor the rest cannot be told.
@@ -170,20 +170,12 @@ def test_every_cell_has_the_points_it_asks_for_as_far_as_there_are(
 ) -> None:
     photo, point = np.array(sorted(seen_at)).T
     xy = np.array([seen_at[key] for key in sorted(seen_at)], dtype=np.float64)
-    count = len(photo)
-    seen = Observations(
-        photo=photo,
-        point=point,
-        xy=xy,
-        tau=np.zeros(count),
-        weight=np.ones(count),
-        camera=np.zeros(4, np.int64),
-    )
+    seen = observations(photo, point, 4, xy)
     chosen = spread(seen, np.array([[WIDTH, HEIGHT]] * 4), 31, RematchSettings(per_cell=per_cell))
     side = WIDTH / RematchSettings().cells
     cells = [(p, x // side, y // side) for p, (x, y) in zip(photo.tolist(), xy.tolist(), strict=True)]
     for cell in set(cells):
         there = [int(one) for one, place in zip(point, cells, strict=True) if place == cell]
         assert chosen[there].sum() >= min(per_cell, len(there))
-    # And no more than it takes: without a chosen point some cell would be short.
+    # A point that nobody sees is none.
     assert not chosen[sorted(set(range(31)) - set(point.tolist()))].any()
