@@ -151,7 +151,7 @@ def _example_volume(config: ModelConfig) -> tuple[Tensor, dict[int, str]]:
 #: 8); with the enlarged levels coming up and the head the result sees 49. The refiner sees 21 half-resolution pixels.
 #: The 3D one sees 51: 22 on the way down (two convolutions a level, at strides 1 to 8) and 29 on the way up.
 #: Source: these fields of view, rounded up. Of a volume at an eighth the candidates of the cells beside and what looks
-#: at them, 21 quarter pixels, come on top.
+#: at them, 21 quarter pixels, come on top, and the ten quarter pixels of what tells of the surface.
 TILE_ALIGN, TILE_LEVEL_HALOS, TILE_HALO, TILE_HALO_OF_EIGHTHS = 8, (8, 16, 32), 56, 72
 
 

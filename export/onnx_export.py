@@ -27,6 +27,7 @@ from export.graphs import (
 from export.parity import DEPTH_REL_P999, MASK_AGREEMENT
 from export.tidy import tidy
 from fsinfer.depth.manifest import hash_files
+from fsinfer.depth.surface import SURFACE
 from fsinfer.errors import ModelError
 from training.model import FSMVSNet
 from training.model.candidates import AROUND, LOOKED_UP, STEP
@@ -41,6 +42,7 @@ _MADE_AFTERWARDS = {
     "confidence_calibration": "python -m training.calibration",
     "photo_confidence": "python -m training.photo_confidence",
     "int8": "python -m export.quantize",
+    SURFACE: "python -m export.surface",
 }
 
 
@@ -127,13 +129,17 @@ def _still_true(before: dict[str, Any], now: dict[str, Any], folder: Path, files
     same = all(_what_counts(before, key) == _what_counts(now, key) for key in counts)
     roles = [role for role in now["graphs"] if role in made.get("int8", ())]
     int8 = {now["graphs"][role]["file"]: folder / made["int8"][role] for role in roles}
-    if same:
+    surface = [folder / made[SURFACE]["file"]] if SURFACE in made else []
+    if same and all(file.is_file() for file in surface):
         if int8 and all(file.is_file() for file in int8.values()):
-            made["int8"] = {**made["int8"], "sha256": hash_files([int8.get(file.name, file) for file in files])}
+            made["int8"] = {
+                **made["int8"],
+                "sha256": hash_files([*(int8.get(file.name, file) for file in files), *surface]),
+            }
         else:
             made.pop("int8", None)
-        return made
-    for file in int8.values():
+        return {**made, "sha256": hash_files([*files, *surface])}
+    for file in (*int8.values(), *surface):
         file.unlink(missing_ok=True)
     for key in made:
         _log.warning(

@@ -101,6 +101,15 @@ def quantities_of(
     return quantities(estimate.confidence, refined.last), refined.depth, estimate.stride
 
 
+def truth_of_map(truth: Float32, depth: Float32, stride: int, view: View) -> Float32:
+    """The true depth (H, W) of a view at the pixels of its map (h, w); raises :class:`SceneError` if it is smaller."""
+    there = truth[::stride, ::stride][: depth.shape[0], : depth.shape[1]]
+    if there.shape != depth.shape:
+        msg = f"the true depth of {view.name} has not the size of its photograph; scenes of that size are needed"
+        raise SceneError(msg)
+    return there
+
+
 def pixels_of(
     model: DepthModel, scenes: Sequence[TrueScene], settings: DepthSettings, *, max_depth: float, share: float
 ) -> tuple[dict[str, Float32], NDArray[np.bool_]]:
@@ -117,12 +126,7 @@ def pixels_of(
             if truth is None:
                 continue
             found, depth, stride = quantities_of(model, scene, view, sources, settings)
-            there = truth[::stride, ::stride][: depth.shape[0], : depth.shape[1]]
-            if there.shape != depth.shape:
-                msg = (
-                    f"the true depth of {view.name} has not the size of its photograph; scenes of that size are needed"
-                )
-                raise SceneError(msg)
+            there = truth_of_map(truth, depth, stride, view)
             chosen = (there > 0) & (there < max_depth) & (depth > 0) & (rng.random(depth.shape) < share)
             parts.append({name: values[chosen] for name, values in found.items()})
             good.append(np.abs(depth[chosen] / there[chosen] - 1) < 0.01)

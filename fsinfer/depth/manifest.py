@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.depth.photo_confidence import QUANTITIES, ConfidenceCurves
+from fsinfer.depth.surface import SURFACE
 from fsinfer.errors import ModelError
 from fsinfer.io.json_text import read_json
 
@@ -102,7 +103,8 @@ class ModelManifest:
     refine_planes, refine_span: the narrow volume at half resolution; span in plane intervals on each side.
     refine_looked_up: of its hypotheses so many, evenly from the first to the last, are compared; the graph has what
         lies between them.
-    sha256: over the graphs' bytes, in the order features, regularizer, candidates, refiner.
+    surface: the graph of :mod:`fsinfer.depth.surface`, in float32 in both precisions; ``None`` where there is none.
+    sha256: over the graphs' bytes, in the order features, regularizer, candidates, refiner, surface.
     int8_regularizer, int8_features, int8_refiner: the graphs in 8-bit integers, and ``int8_sha256`` the hash with them
         in place of the others; ``None`` where the model has none. One with an int8 regularizer may lack the others.
     tiles: the float32 regularizer for parts of a volume, ``None`` where the model cannot be cut into tiles.
@@ -118,6 +120,7 @@ class ModelManifest:
     features: str
     regularizer: str
     refiner: str | None
+    surface: str | None
     volume: str
     packed_planes: int
     wide_stride: int
@@ -159,6 +162,7 @@ class ModelManifest:
             "regularizer": (self.regularizer, self.int8_regularizer),
             "candidates": (None, None) if chooser is None else (chooser.graph, chooser.int8_graph),
             "refiner": (self.refiner, self.int8_refiner),
+            SURFACE: (self.surface, None),
         }
         return {
             role: self.folder / (quick if int8 and quick else exact)
@@ -212,6 +216,7 @@ def read_manifest(name_or_path: str | Path, *, trust: bool = False) -> ModelMani
             features=data["graphs"]["features"]["file"],
             regularizer=data["graphs"]["regularizer"]["file"],
             refiner=data["graphs"]["refiner"]["file"] if "refiner" in data["graphs"] else None,
+            surface=data[SURFACE]["file"] if SURFACE in data else None,
             volume=data["volume"]["kind"],
             packed_planes=data["volume"]["packed_planes"],
             wide_stride=data["volume"].get("stride", _QUARTER),
@@ -254,7 +259,10 @@ def _check(manifest: ModelManifest, data: dict[str, Any]) -> None:
     """Raise ValueError or KeyError where an entry has another type or size than any model has."""
     files: list[Any] = [manifest.features, manifest.regularizer]
     of_int8 = (manifest.int8_features, manifest.int8_regularizer, manifest.int8_refiner)
-    files += [file for file in (manifest.refiner, *of_int8) if file is not None]
+    files += [file for file in (manifest.refiner, manifest.surface, *of_int8) if file is not None]
+    if manifest.surface is not None and manifest.refiner is None:
+        msg = f"{SURFACE} goes with a refiner"
+        raise ValueError(msg)
     chooser = manifest.candidates
     if (manifest.wide_stride, chooser is None) not in ((_QUARTER, True), (2 * _QUARTER, False)):
         msg = f"stride is {manifest.wide_stride!r}, with {'no ' if chooser is None else ''}candidates"

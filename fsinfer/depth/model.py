@@ -22,6 +22,7 @@ from fsinfer.depth.plane_volume import plane_correlation_volume
 from fsinfer.depth.precision import AUTO, INT8, choose_precision
 from fsinfer.depth.session import available_providers, find_providers, load_graph
 from fsinfer.depth.settings import DepthSettings
+from fsinfer.depth.surface import SURFACE, of_parts, surface_inputs
 from fsinfer.depth.view_group import ViewFeatures, ViewGroup
 from fsinfer.errors import InputError, ModelError
 from fsinfer.threads import in_order, one_blas_thread
@@ -47,11 +48,14 @@ class DepthEstimate:
     confidence: (h, w) float32 in [0, 1]. Of a calibrated model (``field``) it is the probability that the depth is
         within 1 % of the truth, as counted on rendered validation views.
     stride: depth pixel (i, j) lies at image pixel (stride * i, stride * j).
+    surface: (h, w) float32 in [0, 1], the probability that the depth is of the surface which the pixel shows
+        (:mod:`fsinfer.depth.surface`); ``None`` where the model does not tell.
     """
 
     depth: Float32
     confidence: Float32
     stride: int
+    surface: Float32 | None = None
 
 
 class DepthModel:
@@ -242,15 +246,18 @@ class DepthModel:
             inputs, weights = candidate_volume(manifest, group, index, confidence, weights, threads=self.threads)
             index, confidence = self.choose(inputs, confidence)
             del inputs  # the volume of the refiner takes its place
-        stride = 4
+        stride, surface = 4, None
         if group.half and weights is not None:
             inputs, centre = refiner_volume(manifest, group, index, weights, threads=self.threads)
             fine_index, fine_confidence = self._sessions["refiner"].run_two(inputs)
             step = np.float32(2 * manifest.refine_span / (manifest.refine_planes - 1))
             index, stride = centre - np.float32(manifest.refine_span) + fine_index * step, 2
             confidence = upsample_twice(confidence, *centre.shape) * fine_confidence
+            if manifest.surface is not None:
+                parts = self._sessions[SURFACE].run_parts(surface_inputs(group.half[0], index, confidence))
+                surface = of_parts(parts, centre.shape)
         depth = depth_of_index(index, manifest, group.depth_range)
-        return DepthEstimate(depth=depth, confidence=self.calibrated(confidence), stride=stride)
+        return DepthEstimate(depth=depth, confidence=self.calibrated(confidence), stride=stride, surface=surface)
 
     def calibrated(self, confidence: Float32) -> Float32:
         """What the model gives for this raw confidence of the network."""

@@ -107,6 +107,19 @@ class Graph:
             raise ModelError(msg)
         return outputs[0], outputs[1]
 
+    def run_parts(self, inputs: NDArray[np.float32]) -> NDArray[np.float32]:
+        """What a graph of :mod:`fsinfer.depth.surface` gives of the four parts of a map (4, h, w).
+
+        ``inputs`` (C, h, w) are those of :func:`fsinfer.depth.surface.surface_inputs`. Raises :class:`ModelError` where
+        what it gives is something else.
+        """
+        outputs = self.run(None, {"inputs": inputs})
+        if len(outputs) != 1 or outputs[0].shape != (4, *inputs.shape[1:]):
+            shapes = [output.shape for output in outputs]
+            msg = f"{self.file} gives {shapes}, not one map in four parts; re-export the model"
+            raise ModelError(msg)
+        return np.asarray(outputs[0], np.float32)
+
 
 def load_graph(file: Path, threads: int, providers: Sequence[str]) -> Graph:
     """A session of onnxruntime; raises :class:`ModelError`."""

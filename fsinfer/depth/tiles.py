@@ -150,6 +150,7 @@ class TiledDepth:
         half = features[0].half
         shape, stride = (features[0].quarter.shape, 4) if half is None else (half.shape, 2)
         depth, confidence = np.empty(shape, np.float32), np.empty(shape, np.float32)
+        surface = None if model.manifest.surface is None else np.empty(shape, np.float32)
         for rows, columns, volume, weights in tiles(self._graph.halo):
             index, certainty = self._regularize(volume, means, "index", "confidence")
             estimate = model.finish(cropped(group, rows, columns, wide), index, certainty, weights)
@@ -157,7 +158,9 @@ class TiledDepth:
             there = rows.of_whole(finer, shape[0]), columns.of_whole(finer, shape[1])
             own = rows.of_tile(finer, shape[0]), columns.of_tile(finer, shape[1])
             depth[there], confidence[there] = estimate.depth[own], estimate.confidence[own]
-        return DepthEstimate(depth=depth, confidence=confidence, stride=stride)
+            if surface is not None and estimate.surface is not None:
+                surface[there] = estimate.surface[own]
+        return DepthEstimate(depth=depth, confidence=confidence, stride=stride, surface=surface)
 
     def _regularize(self, volume: Float32, means: Mapping[str, Float32], *wanted: str) -> list[Float32]:
         """Outputs of the graph for a part of the volume, and the means over the whole as far as they are known."""

@@ -18,6 +18,7 @@ from fsinfer.depth.model import DepthEstimate, DepthModel
 from fsinfer.depth.photo_confidence import ConfidenceCurves, probability, quantities
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.subpixel import Refinement, normalised, refine_depth
+from fsinfer.depth.surface import doubted
 from fsinfer.depth.tiles import TiledDepth
 from fsinfer.depth.view_group import ViewFeatures
 from fsinfer.scene import Scene, View, read_view_image
@@ -182,12 +183,16 @@ def finish_depth(
     """Depth (h, w) of the network with its unsure pixels settled, and that at a tenth of a pixel; and the confidence.
 
     ``greys`` (N, H, W), ``intrinsics`` (N, 3, 3) and ``cam_from_world`` (N, 4, 4) of reference and sources. Without
-    ``curves`` of the model, or a sub-pixel step, the confidence (h, w) is the network's.
+    ``curves`` of the model, or a sub-pixel step, the confidence (h, w) begins with the network's; where the model tells
+    whether a depth is of the surface that its pixel shows, it is doubted by that.
     """
     refined = settled_and_refined(estimate, greys, intrinsics, cam_from_world, settings=settings, threads=threads)
-    if curves is None or refined.last is None:
-        return refined.depth, estimate.confidence
-    return refined.depth, probability(quantities(estimate.confidence, refined.last), curves, threads=threads)
+    confidence = estimate.confidence
+    if curves is not None and refined.last is not None:
+        confidence = probability(quantities(confidence, refined.last), curves, threads=threads)
+    if estimate.surface is not None:
+        confidence = doubted(confidence, estimate.surface)
+    return refined.depth, confidence
 
 
 def settled_and_refined(

@@ -26,6 +26,7 @@ ARGUMENTS = {
     "ablation": ["--data", "a", "--test", "b", "--out", "c"],
     "busy": ["scene", "work"],
     "check": ["plot", "out"],
+    "cloud": ["plot", "out"],
     "cloud_size": ["work"],
     "demo": ["out"],
     "dendromatics": ["--python", "python"],

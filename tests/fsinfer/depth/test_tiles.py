@@ -104,6 +104,9 @@ def test_tiles_of_a_volume_at_an_eighth_give_the_depth_of_the_whole(tmp_path: Pa
     tiled = TiledDepth(model, 24, keeps_volume=keeps_volume).predict_from_features(features, *given)
     assert differing(tiled, whole) < 1e-4
     assert np.quantile(np.abs(tiled.confidence - whole.confidence), 0.999) < 1e-4
+    assert tiled.surface is not None
+    assert whole.surface is not None
+    assert np.quantile(np.abs(tiled.surface - whole.surface), 0.999) < 1e-4
     assert model.manifest.tiles is not None
     model.manifest = replace(model.manifest, tiles=replace(model.manifest.tiles, halo=8))
     narrow = TiledDepth(model, 24, keeps_volume=keeps_volume).predict_from_features(features, *given)
