@@ -21,7 +21,7 @@ Float32 = NDArray[np.float32]
 
 #: Name of the graph in a manifest.
 SURFACE = "surface"
-#: Pixels of the map that are one to the network.
+#: Pixels of the map that are one to the network. Source: layout, two by two.
 PARTS = 4
 #: A step of so many planes counts three quarters of one without end. Source: the training; the narrow volume reaches
 #: half as far to each side.
@@ -29,7 +29,7 @@ STEP_PLANES = 3.0
 #: A pixel is doubted where its depth is less likely than this to be of its surface. Source: docs/trials-accuracy.md,
 #: "What the picture tells of where a surface ends"; without it parts of real photographs are doubted for nothing.
 LIKELY = 0.5
-#: The eight pixels round one, down and right.
+#: The eight pixels round one, down and right. Source: layout; the training.
 AROUND = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if (down, right) != (0, 0))
 
 
