@@ -44,6 +44,10 @@ def test_only_what_is_about_breast_height_is_a_stem() -> None:
     found = cloud_figures(np.concatenate([bark(0.15), 1.2 * low]), bark(0.15), CAMERAS, [STEM])
     assert found["stems_precision_10mm_percent"] == pytest.approx(100)
     assert found["precision_10mm_percent"] < 90
+    beside = bark(0.15) + np.array([0.6, 0, 0])  # a stem that is none
+    found = cloud_figures(np.concatenate([bark(0.15), beside]), bark(0.15), CAMERAS, [STEM])
+    assert found["stems_precision_10mm_percent"] == pytest.approx(100)
+    assert found["precision_10mm_percent"] == pytest.approx(50, abs=1)
 
 
 def test_the_true_surface_is_where_the_views_see_it(tmp_path: Path) -> None:

@@ -10,8 +10,10 @@ import pytest
 import torch
 
 from fsinfer.depth.manifest import models_folder, read_manifest
+from fsinfer.depth.model import DepthModel
 from fsinfer.errors import ModelError
 from fsinfer.io.pfm import read_pfm, write_pfm
+from fsinfer.scene import read_scene
 from tests.support.plane_scene import write_plane_scene
 from training.model.surface import surface_inputs
 from training.surface import (
@@ -20,6 +22,7 @@ from training.surface import (
     load_surface,
     main,
     right_of_surer,
+    sample_of,
     train_surface,
 )
 
@@ -73,6 +76,17 @@ def test_the_command_writes_a_network_of_that_model(tmp_path: Path, capsys: pyte
     assert (state["training"]["views"], state["training"]["steps"]) == (3, 2)
     logits = head(surface_inputs(torch.zeros(1, 8, 6, 4), torch.zeros(1, 6, 4), torch.zeros(1, 6, 4)))
     assert logits.shape == (1, 4, 3, 2)
+
+
+def test_a_near_bound_that_is_drawn_in_leaves_the_planes_farther_apart(tmp_path: Path) -> None:
+    scene = read_scene(write_plane_scene(tmp_path))
+    truth = read_pfm(tmp_path / "depths" / "0.pfm")
+    model = DepthModel.load("cascade", threads=1, calibrate=False)
+    usual, drawn = (
+        float(np.median(sample_of(model, scene.views[0], scene.views[1:], truth, pull, 0.02).index))
+        for pull in (1.0, 3.0)
+    )
+    assert drawn / usual == pytest.approx((1 / 1.5 - 1 / 12) / (1 / 0.5 - 1 / 12), abs=0.01)
 
 
 def test_what_is_no_checkpoint_of_it(tmp_path: Path) -> None:

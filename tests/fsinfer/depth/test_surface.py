@@ -21,7 +21,10 @@ from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.surface import doubted, in_parts, of_parts, surface_inputs
 from fsinfer.depth.view_maps import finish_depth
 from fsinfer.errors import ModelError
+from fsinfer.io.images import read_image
+from fsinfer.scene import read_scene
 from tests.bench.speed import make_views
+from tests.support.plane_scene import write_plane_scene
 from training.model import surface as trained
 
 Float32 = NDArray[np.float32]
@@ -116,6 +119,22 @@ def test_only_a_model_that_has_the_graph_tells() -> None:
     assert 0 <= told.surface.min() <= told.surface.max() <= 1
     assert read_manifest("field").surface is None
     assert DepthModel.load("field", threads=1, precision="float32").predict(*views).surface is None
+
+
+def test_the_model_asks_it_of_its_own_map(tmp_path: Path) -> None:
+    scene = read_scene(write_plane_scene(tmp_path, height=120, width=162))
+    cameras = [view.camera for view in scene.views]
+    network = DepthModel.load("cascade", threads=1, precision="float32", calibrate=False)
+    features = [network.features(read_image(view.image_path)) for view in scene.views]
+    near, far = cameras[0].depth_min, cameras[0].depth_max
+    intrinsics, poses = np.stack([c.intrinsic for c in cameras]), np.stack([c.cam_from_world for c in cameras])
+    told = network.predict_from_features(features, intrinsics, poses, (near, far))
+    index = np.asarray(191 * (1 / told.depth - 1 / far) / (1 / near - 1 / far), np.float32)
+    assert np.ptp(index) > 3  # the sources do not show all of it
+    assert features[0].half is not None
+    assert told.surface is not None
+    parts = network._sessions["surface"].run_parts(surface_inputs(features[0].half, index, told.confidence))
+    np.testing.assert_allclose(told.surface, of_parts(parts, index.shape), atol=0.01)
 
 
 @pytest.mark.parametrize("given", [[np.zeros((4, 5, 7))], [np.zeros((3, 5, 6))], [np.zeros((4, 5, 6))] * 2])
