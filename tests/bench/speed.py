@@ -89,7 +89,7 @@ class Timed:
         finally:
             self._seconds[self._name] = self._seconds.get(self._name, 0.0) + time.perf_counter() - started
 
-    run_two = __call__  # stands for a graph too
+    run_two = run_parts = __call__  # stands for a graph too
 
 
 def ours(args: argparse.Namespace, precision: str) -> Callable[[], dict[str, float]]:
@@ -99,6 +99,7 @@ def ours(args: argparse.Namespace, precision: str) -> Callable[[], dict[str, flo
     from fsinfer.depth import model as depth_model
     from fsinfer.depth import narrow_volumes
     from fsinfer.depth.subpixel import normalised
+    from fsinfer.depth.surface import SURFACE
     from fsinfer.depth.view_maps import finish_depth
     from fsinfer.threads import in_order
 
@@ -107,7 +108,9 @@ def ours(args: argparse.Namespace, precision: str) -> Callable[[], dict[str, flo
     model = depth_model.DepthModel.load(args.model, threads=args.threads, precision=precision)
     sessions = model._sessions
     model._sessions = {
-        name: Timed(session.run_two, seconds, name) if name != "features" else session
+        name: session
+        if name == "features"
+        else Timed(session.run_parts if name == SURFACE else session.run_two, seconds, name)
         for name, session in sessions.items()
     }
 
