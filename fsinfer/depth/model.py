@@ -250,6 +250,7 @@ class DepthModel:
         if group.half and weights is not None:
             inputs, centre = refiner_volume(manifest, group, index, weights, threads=self.threads)
             fine_index, fine_confidence = self._sessions["refiner"].run_two(inputs)
+            del inputs  # what is asked of the surface takes its place
             step = np.float32(2 * manifest.refine_span / (manifest.refine_planes - 1))
             index, stride = centre - np.float32(manifest.refine_span) + fine_index * step, 2
             confidence = upsample_twice(confidence, *centre.shape) * fine_confidence
