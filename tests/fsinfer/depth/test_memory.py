@@ -120,9 +120,10 @@ def test_a_volume_at_an_eighth_takes_less() -> None:
         sizes: dict[str, Any] = {"width": 1280, "height": 720, **FIELD, "views": 5, "most_cached": 10}
         return plan_depth(3.0, **sizes, wide_stride=wide_stride, int8=int8, most_at_once=most)
 
-    for int8 in (False, True):
+    # In int8 what is asked of the surface, in 32 bits, weighs as much as a fourteenth of it.
+    for int8, share in ((False, 0.7), (True, 0.75)):
         of_one = [plan(stride, int8=int8, most=1).peak_bytes for stride in (8, 4)]
-        assert of_one[0] < 0.7 * of_one[1]
+        assert of_one[0] < share * of_one[1]
     # What follows the regularizer takes as much: no map waits for another's.
     many = plan(8, int8=True)
     assert many.regularizers == many.at_once >= plan(4, int8=True).at_once > 1
