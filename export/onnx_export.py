@@ -24,6 +24,7 @@ from export.graphs import (
     tile_graph,
     volume_channels,
 )
+from export.hashes import rehash
 from export.parity import DEPTH_REL_P999, MASK_AGREEMENT
 from export.tidy import tidy
 from fsinfer.depth.manifest import hash_files
@@ -60,7 +61,7 @@ def export_model(
     name = model.config.name
     path = folder / f"{name}.json"
     before = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-    entries, files = {}, []
+    entries = {}
     for graph in graphs(model):
         file = folder / f"{name}_{graph.role}.onnx"
         write_graph(graph, file)
@@ -70,7 +71,6 @@ def export_model(
             "outputs": graph.outputs,
             "difference_p999_over_largest": compare_graph(graph, file),
         }
-        files.append(file)
     config = model.config
     manifest = {
         "name": name,
@@ -95,9 +95,9 @@ def export_model(
         "config": config.to_dict(),
         "training": provenance,
         "weights_sha256": hash_weights(model),
-        "sha256": hash_files(files),
     }
-    manifest |= _still_true(before, manifest, folder, files)
+    manifest |= _still_true(before, manifest, folder)
+    rehash(manifest, folder)
     path.write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
     add_tiles(model, path)
     return path
@@ -120,26 +120,23 @@ def _what_counts(manifest: dict[str, Any], key: str) -> Any:
     return {"looked_up": entry.get("planes", entry.get("around")), **entry}
 
 
-def _still_true(before: dict[str, Any], now: dict[str, Any], folder: Path, files: list[Path]) -> dict[str, Any]:
+def _still_true(before: dict[str, Any], now: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Entries of the manifest that is replaced which hold for the new one; the others go with a warning."""
     made = {key: before[key] for key in _MADE_AFTERWARDS if key in before}
     if not made:
         return {}
     counts = ("weights_sha256", "refine", "candidates")
     same = all(_what_counts(before, key) == _what_counts(now, key) for key in counts)
-    roles = [role for role in now["graphs"] if role in made.get("int8", ())]
-    int8 = {now["graphs"][role]["file"]: folder / made["int8"][role] for role in roles}
-    surface = [folder / made[SURFACE]["file"]] if SURFACE in made else []
-    if same and all(file.is_file() for file in surface):
-        if int8 and all(file.is_file() for file in int8.values()):
-            made["int8"] = {
-                **made["int8"],
-                "sha256": hash_files([*(int8.get(file.name, file) for file in files), *surface]),
-            }
-        else:
-            made.pop("int8", None)
-        return {**made, "sha256": hash_files([*files, *surface])}
-    for file in (*int8.values(), *surface):
+    graphs_made = {
+        "int8": [folder / made["int8"][role] for role in now["graphs"] if role in made.get("int8", ())],
+        SURFACE: [folder / made[SURFACE]["file"]] if SURFACE in made else [],
+    }
+    if same:
+        for key, files in graphs_made.items():
+            if not files or not all(file.is_file() for file in files):
+                made.pop(key, None)
+        return made
+    for file in (file for files in graphs_made.values() for file in files):
         file.unlink(missing_ok=True)
     for key in made:
         _log.warning(

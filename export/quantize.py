@@ -23,10 +23,11 @@ from numpy.typing import NDArray
 from onnxruntime.quantization import CalibrationDataReader, CalibrationMethod, QuantFormat, QuantType, quantize_static
 from onnxruntime.quantization.shape_inference import quant_pre_process
 
+from export.hashes import rehash
 from export.image_levels import IMAGES, take_levels
 from export.map_levels import give_levels
 from export.tidy import makers_of
-from fsinfer.depth.manifest import hash_files, read_manifest
+from fsinfer.depth.manifest import read_manifest
 from fsinfer.depth.model import DepthEstimate, DepthModel
 from fsinfer.depth.narrow_volumes import candidate_volume, refiner_volume
 from fsinfer.depth.network_input import network_input
@@ -245,12 +246,9 @@ def add_to_manifest(
     path: Path, int8: Mapping[str, Path], settings: QuantizeSettings, scenes: Sequence[str], views: int
 ) -> None:
     """Enter the int8 graphs by their roles, the hash with them, and how they were made."""
-    manifest = read_manifest(path)
-    data = json.loads(path.read_text(encoding="utf-8"))
-    replaced = {data["graphs"][role]["file"]: file for role, file in int8.items()}
+    data = read_manifest(path).details
     data["int8"] = {
         **{role: file.name for role, file in int8.items()},
-        "sha256": hash_files([replaced.get(file.name, file) for file in manifest.files]),
         "method": settings.method,
         "operators": list(settings.operators),
         "keep_float": list(settings.keep_float),
@@ -258,6 +256,7 @@ def add_to_manifest(
         "window_px": list(settings.window_px),
         "calibration": {"scenes": list(scenes), "views": views},
     }
+    rehash(data, path.parent)
     path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
 
 

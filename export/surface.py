@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections import OrderedDict
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from export.graphs import EXAMPLE_SIZE, Graph, fold_batch_norm
+from export.hashes import rehash
 from export.onnx_export import compare_graph, write_graph
-from fsinfer.depth.manifest import hash_files, read_manifest
+from fsinfer.depth.manifest import read_manifest
 from fsinfer.depth.surface import SURFACE
 from fsinfer.errors import FsinferError, ModelError
 from fsinfer.io.files import write_text
@@ -64,7 +63,7 @@ def add_surface(manifest: Path, checkpoint: Path) -> float:
     file = manifest.parent / f"{model.name}_{SURFACE}.onnx"
     write_graph(graph, file)
     difference = compare_graph(graph, file)
-    data = json.loads(manifest.read_text(encoding="utf-8"))
+    data = model.details
     data[SURFACE] = {
         "file": file.name,
         "inputs": {"inputs": [int(channels), "rows", "columns"]},
@@ -76,16 +75,6 @@ def add_surface(manifest: Path, checkpoint: Path) -> float:
     rehash(data, manifest.parent)
     write_text(manifest, json.dumps(data, indent=1) + "\n")
     return difference
-
-
-def rehash(data: dict[str, Any], folder: Path) -> None:
-    """Bring the hashes of a manifest up to the graphs that it names now."""
-    exact = OrderedDict((role, folder / entry["file"]) for role, entry in data["graphs"].items())
-    surface = [folder / data[SURFACE]["file"]] if SURFACE in data else []
-    data["sha256"] = hash_files([*exact.values(), *surface])
-    if "int8" in data:
-        quick = [folder / data["int8"].get(role, file.name) for role, file in exact.items()]
-        data["int8"]["sha256"] = hash_files([*quick, *surface])
 
 
 def main(arguments: list[str] | None = None) -> int:

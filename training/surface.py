@@ -15,8 +15,9 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -24,6 +25,7 @@ import torch
 import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor, nn
+from torch.optim.swa_utils import AveragedModel
 
 from fsinfer.depth.manifest import ModelManifest, read_manifest
 from fsinfer.depth.model import DepthModel
@@ -159,9 +161,8 @@ def train_surface(
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
     head = SurfaceHead(features=len(samples[0].features), width=s.width)
-    average = SurfaceHead(features=head.features, width=head.width)
-    average.load_state_dict(head.state_dict())
     head.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    average = AveragedModel(head, avg_fn=partial(_towards, share=s.average), use_buffers=True)
     optimizer = torch.optim.AdamW(head.parameters(), lr=s.learning_rate, weight_decay=s.weight_decay)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, s.learning_rate, total_steps=steps, pct_start=0.05)
     started, losses = time.monotonic(), []
@@ -177,22 +178,18 @@ def train_surface(
         nn.utils.clip_grad_norm_(head.parameters(), 5.0)
         optimizer.step()
         schedule.step()
-        _follow(average, head, min(s.average, (step + 1) / (step + 20)))
+        average.update_parameters(head)
         losses.append(float(loss.detach()))
         if (step + 1) % 500 == 0 or step + 1 == steps:
             left = (time.monotonic() - started) * (steps / (step + 1) - 1)
             print(f"step {step + 1} of {steps}, loss {np.mean(losses[-500:]):.4f}, {left:.0f} s left", flush=True)
-    return average.eval()
+    return cast(SurfaceHead, average.module).eval()
 
 
-@torch.no_grad()
-def _follow(average: nn.Module, head: nn.Module, share: float) -> None:
-    for name, value in head.state_dict().items():
-        kept = average.state_dict()[name]
-        if value.dtype.is_floating_point:
-            kept.mul_(share).add_(value, alpha=1 - share)
-        else:
-            kept.copy_(value)
+def _towards(average: Tensor, value: Tensor, steps: Tensor, *, share: float) -> Tensor:
+    """The average after a step, which keeps ``share`` of itself, and less while the first steps are in it."""
+    kept = min(share, (int(steps) + 1) / (int(steps) + 20))
+    return kept * average + (1 - kept) * value
 
 
 def _window(sample: Sample, window_px: tuple[int, int], rng: np.random.Generator) -> list[Tensor]:
@@ -202,7 +199,11 @@ def _window(sample: Sample, window_px: tuple[int, int], rng: np.random.Generator
         length = min(wanted, size)
         first = 2 * int(rng.integers(0, (size - length) // 2 + 1))
         cuts.append(slice(first, first + length))
-    rows, columns = cuts
+    return _maps(sample, *cuts)
+
+
+def _maps(sample: Sample, rows: slice = slice(None), columns: slice = slice(None)) -> list[Tensor]:
+    """Features, index, confidence and what is right, of all of a view or of a part."""
     parts = (sample.features, sample.index, sample.confidence, sample.right)
     return [torch.from_numpy(np.ascontiguousarray(part[..., rows, columns])).float() for part in parts]
 
@@ -240,7 +241,7 @@ def right_of_surer(head: SurfaceHead, samples: Sequence[Sample], settings: Surfa
     alone: list[float] = []
     both: list[float] = []
     for sample in samples:
-        features, index, confidence, right = (part[None] for part in _window(sample, sample.index.shape, _NO_CHOICE))
+        features, index, confidence, right = (part[None] for part in _maps(sample))
         logits = F.pixel_shuffle(head(surface_inputs(features, index, confidence)), 2)[:, 0]
         chosen = at_edges(index, settings)
         if not chosen.any():
@@ -249,10 +250,6 @@ def right_of_surer(head: SurfaceHead, samples: Sequence[Sample], settings: Surfa
             order = torch.argsort(sure[chosen], descending=True)
             shares.append(float(right[chosen][order[: len(order) // 2]].mean()))
     return (float(np.mean(alone)), float(np.mean(both))) if alone else (math.nan, math.nan)
-
-
-#: Windows as large as the map begin where it does.
-_NO_CHOICE = np.random.default_rng(0)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -250,12 +250,13 @@ class DepthModel:
         if group.half and weights is not None:
             inputs, centre = refiner_volume(manifest, group, index, weights, threads=self.threads)
             fine_index, fine_confidence = self._sessions["refiner"].run_two(inputs)
-            del inputs  # what is asked of the surface takes its place
+            features = inputs["features"]
+            del inputs  # what is asked of the surface takes the place of the volume
             step = np.float32(2 * manifest.refine_span / (manifest.refine_planes - 1))
             index, stride = centre - np.float32(manifest.refine_span) + fine_index * step, 2
             confidence = upsample_twice(confidence, *centre.shape) * fine_confidence
             if manifest.surface is not None:
-                parts = self._sessions[SURFACE].run_parts(surface_inputs(group.half[0], index, confidence))
+                parts = self._sessions[SURFACE].run_parts(surface_inputs(features, index, confidence))
                 surface = of_parts(parts, centre.shape)
         depth = depth_of_index(index, manifest, group.depth_range)
         return DepthEstimate(depth=depth, confidence=self.calibrated(confidence), stride=stride, surface=surface)

@@ -15,8 +15,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fsinfer.depth.cost_volume import Features
-
 Float32 = NDArray[np.float32]
 
 #: Name of the graph in a manifest.
@@ -33,28 +31,22 @@ LIKELY = 0.5
 AROUND = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if (down, right) != (0, 0))
 
 
-def surface_inputs(features: Features, index: Float32, confidence: Float32) -> Float32:
+def surface_inputs(features_chw: Float32, index: Float32, confidence: Float32) -> Float32:
     """What the network is given: (4 C + 16, h, w) of maps (H, W), h and w being half of these, rounded up.
 
-    The C ``features`` of the photograph and the ``confidence`` of each of the four pixels that are one; how far their
-    plane ``index`` lies from the mean of the four, and that of the eight neighbours from it, in steps that end at 1.
+    The features (C, H, W) of the photograph and the ``confidence`` of each of the four pixels that are one; how far
+    their plane ``index`` lies from the mean of the four, and that of the eight neighbours from it, in steps that end
+    at 1.
     """
     four = in_parts(index)
     mean = four.mean(axis=0, dtype=np.float32)
     height, width = mean.shape
-    channels = PARTS * (4 * len(features.groups) + 2)
-    result = np.empty((channels + len(AROUND), height, width), np.float32)
-    first = PARTS * 4 * len(features.groups)
-    result[:first] = in_parts(features.to_chw()).reshape(first, height, width)
-    result[first : first + PARTS] = four - mean
     wide = np.pad(mean, 1, mode="edge")
-    for target, (down, right) in zip(result[first + PARTS :], AROUND, strict=False):
-        np.subtract(wide[1 + down : 1 + down + height, 1 + right : 1 + right + width], mean, out=target)
-    steps = result[first : first + PARTS + len(AROUND)]
+    beside = [wide[1 + down : 1 + down + height, 1 + right : 1 + right + width] for down, right in AROUND]
+    steps = np.concatenate([four, beside]) - mean
     steps *= np.float32(1 / STEP_PLANES)
     np.tanh(steps, out=steps)
-    result[-PARTS:] = in_parts(confidence)
-    return result
+    return np.concatenate([in_parts(features_chw).reshape(-1, height, width), steps, in_parts(confidence)])
 
 
 def in_parts(values: Float32) -> Float32:

@@ -105,12 +105,12 @@ def main(argv: list[str] | None = None) -> int:
     summary = json.loads((args.out / "plot.json").read_text(encoding="utf-8"))
     from_scene = np.array(summary["cloud_from_scene"])
     aligned = align_cameras(args.plot, args.out, from_scene)
-    cloud = aligned.scale * read_cloud(args.out / "cloud.ply").xyz @ aligned.rotation.T + aligned.shift
+    cloud = aligned.placed(read_cloud(args.out / "cloud.ply").xyz.astype(np.float64))
     scene = read_scene(args.plot)
     with (args.plot / "truth.csv").open(encoding="utf-8", newline="") as file:
         stems = [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
     cameras = np.array([view.camera.center for view in scene.views])
-    figures = cloud_figures(np.asarray(cloud, np.float64), true_surface(scene), cameras, stems)
+    figures = cloud_figures(cloud, true_surface(scene), cameras, stems)
     print(f"{figures['points']:.0f} points; precision and recall, per cent; of the stems about breast height")
     for within in WITHIN_M:
         name = f"{1000 * within:.0f}mm_percent"

@@ -202,11 +202,15 @@ class Alignment:
     residual_m: NDArray[np.float64]
     true_cameras: NDArray[np.float64]
 
+    def placed(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points (N, 3) of the run in the frame of the truth."""
+        return np.asarray(self.scale * points @ self.rotation.T + self.shift)
+
     def evaluate(self, plot: Path, trees: Sequence[Tree]) -> tuple[list[Tree], Evaluation]:
         """The trees at their places in the frame of the truth, and how they compare with ``plot``'s."""
         moved = []
         for tree in trees:
-            x, y, _ = self.scale * self.rotation @ np.array([tree.x_m, tree.y_m, tree.z_ground_m]) + self.shift
+            x, y, _ = self.placed(np.array([tree.x_m, tree.y_m, tree.z_ground_m]))
             moved.append(replace(tree, x_m=float(x), y_m=float(y)))
         return moved, evaluate(read_measured(plot / "truth.csv"), moved, align="never", area_margin_m=1.0)
 

@@ -89,6 +89,21 @@ def test_that_of_another_model_is_refused(bare: Path, tmp_path: Path, capsys: py
     assert read_manifest(bare).surface is None
 
 
+def test_a_model_that_lost_it_keeps_what_else_was_made_of_the_weights(bare: Path) -> None:
+    before = read_manifest(bare)
+    add(bare, CHECKPOINTS / "cascade_surface.pt")
+    (bare.parent / "cascade_surface.onnx").unlink()
+    model, state = load_checkpoint(CHECKPOINTS / "cascade.pt")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        export_model(model, bare.parent, provenance=state["training"])
+    after = read_manifest(bare)
+    assert after.surface is None
+    assert after.int8_features == before.int8_features is not None
+    assert after.calibration is not None
+    assert after.photo_confidence is not None
+
+
 def test_exporting_the_same_weights_again_keeps_it_and_other_weights_do_not(bare: Path) -> None:
     add(bare, CHECKPOINTS / "cascade_surface.pt")
     model, state = load_checkpoint(CHECKPOINTS / "cascade.pt")

@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from fsinfer.depth.cost_volume import Features
 from fsinfer.depth.manifest import read_manifest
 from fsinfer.depth.model import DepthEstimate, DepthModel
 from fsinfer.depth.session import Graph
@@ -46,7 +45,7 @@ def test_the_inputs_are_those_of_the_training(shape: tuple[int, int], seed: int)
     height, width = shape
     features = rng.normal(size=(8, height, width)).astype(np.float32)
     index, confidence = (rng.uniform(0, scale, shape).astype(np.float32) for scale in (20, 1))
-    found = surface_inputs(Features.from_chw(features), index, confidence)
+    found = surface_inputs(features, index, confidence)
 
     def even(values: Float32) -> torch.Tensor:
         border = [(0, 0)] * (values.ndim - 2) + [(0, height % 2), (0, width % 2)]
@@ -79,7 +78,7 @@ def test_a_stem_that_is_carried_on_beyond_its_edge_is_not_believed_there(model: 
     index = np.full((160, 240), 30.0, np.float32)
     index[:, 97:143] = 90.0  # in the picture it ends at 100 and 140
     sure = np.full_like(index, 0.8)
-    parts = model._sessions["surface"].run_parts(surface_inputs(half, index, sure))
+    parts = model._sessions["surface"].run_parts(surface_inputs(half.to_chw(), index, sure))
     rows = of_parts(parts, index.shape)[40:120]
     fringe = np.r_[rows[:, 97:99].ravel(), rows[:, 141:143].ravel()]
     assert np.median(rows[:, 108:132]) > 0.9
@@ -133,7 +132,7 @@ def test_the_model_asks_it_of_its_own_map(tmp_path: Path) -> None:
     assert np.ptp(index) > 3  # the sources do not show all of it
     assert features[0].half is not None
     assert told.surface is not None
-    parts = network._sessions["surface"].run_parts(surface_inputs(features[0].half, index, told.confidence))
+    parts = network._sessions["surface"].run_parts(surface_inputs(features[0].half.to_chw(), index, told.confidence))
     np.testing.assert_allclose(told.surface, of_parts(parts, index.shape), atol=0.01)
 
 
