@@ -95,7 +95,7 @@ class _Opened:
     warnings: tuple[Notice, ...] = ()
 
 
-MEASURE = Stage(name="measure", version=35, result=MeasuredCloud, outputs=("trees.csv",))
+MEASURE = Stage(name="measure", version=36, result=MeasuredCloud, outputs=("trees.csv",))
 
 
 @one_blas_thread()

@@ -59,7 +59,7 @@ class ReportResult:
     path: Path
 
 
-TREES = Stage(name="trees", version=52, result=TreesResult, outputs=("trees.csv", "figures"))
+TREES = Stage(name="trees", version=53, result=TreesResult, outputs=("trees.csv", "figures"))
 REPORT = Stage(name="report", version=1, result=ReportResult, outputs=("report.html",))
 
 

@@ -114,7 +114,7 @@ class AxisFit(Axis):
     ``shape_m`` (2 K,) are the cosine and sine coefficients of the harmonics 2, 3, ... of the radius, in metres.
     ``jacobian`` (N, 6 + 2 K) are the residuals' derivatives and ``prior_information`` (6 + 2 K,) the diagonal of the
     prior's; ``covariance`` (6 + 2 K, 6 + 2 K) assumes independent residuals. ``core`` (N,) is each point's probability
-    of being bark, ``noise_m`` (N,) its standard deviation.
+    of being bark, ``noise_m`` (N,) its standard deviation and ``worth`` (N,) what its word counts beside that.
     """
 
     covariance: Floats
@@ -124,6 +124,7 @@ class AxisFit(Axis):
     prior_information: Floats
     shape_m: Floats
     noise_m: Floats
+    worth: Floats
 
 
 def axis_coordinates(points: Floats, parameters: Floats, height_m: float) -> tuple[Floats, Floats]:
@@ -187,12 +188,15 @@ def fit_axis(
     sigma_m: float = START_SIGMA_M,
     order: int = 1,
     relative: Floats | None = None,
+    worth: Floats | None = None,
     steps: int = STEPS,
     settings: AxisSettings | None = None,
 ) -> AxisFit:
     """Fit a tapered cylinder to points (N, 3) of x, y, height (metres) from ``start`` (6,) by EM.
 
     ``relative`` (N,) is each point's noise in units of the stem's (1 without it): hazy sides of a stem count less.
+    ``worth`` (N,), at most 1, is what a point's word counts for the parameters, where those beside it err with it (1
+    without it): what it may lie off by, and whether it is bark, stays as it is.
     ``order`` is the highest harmonic of its section: 1 for a circle, up to ``settings.order``.
     """
     s = settings or AxisSettings()
@@ -206,6 +210,7 @@ def fit_axis(
     sigma, tail, shares = sigma_m, START_TAIL_M, np.array(START_SHARES)
     prior_count, prior_sigma = s.prior_noise
     ratio = np.ones(len(points)) if relative is None else relative
+    counted = np.ones(len(points)) if worth is None else worth
     core = np.zeros(len(points))
     residual = np.zeros(len(points))
     jacobian = np.zeros((len(p), len(points)))
@@ -222,7 +227,7 @@ def fit_axis(
         total = float(core.sum())
         if total < LEAST_CORE:
             break
-        weighted = jacobian * (core / (sigma * ratio) ** 2)
+        weighted = jacobian * (core * counted / (sigma * ratio) ** 2)
         information = sums_of_products(weighted, jacobian)
         prior_information[6:] = (shape_std * p[4]) ** -2.0
         regularised = information + np.diag(prior_information) + tiny
@@ -253,6 +258,7 @@ def fit_axis(
         prior_information=prior_information,
         shape_m=p[6:],
         noise_m=sigma * ratio,
+        worth=counted,
     )
 
 

@@ -76,26 +76,24 @@ def fit_sections(
     sigma_m: Floats,
     order: int,
     relative: Sequence[Floats] | None = None,
+    worth: Sequence[Floats] | None = None,
     settings: AxisSettings | None = None,
 ) -> list[AxisFit]:
     """The same for stems that are not round, with the evidence for each.
 
-    ``order`` and ``relative`` (K arrays (N_k,)) are those of :func:`~fsinfer.trees.cylinder.axis.fit_axis`.
+    ``order``, ``relative`` and ``worth`` (K arrays (N_k,) each) are those of
+    :func:`~fsinfer.trees.cylinder.axis.fit_axis`.
     """
     s = settings or AxisSettings()
     found: dict[int, AxisFit] = {}
     for rows in _chunks([len(p) for p in points]):
         xyz = _padded(points, starts, heights_m, rows)
-        ratio = None
-        if relative is not None:
-            ratio = np.ones(xyz.shape[1:], dtype=np.float32)
-            for row, k in enumerate(rows):
-                ratio[row, : len(relative[k])] = relative[k]
-        batch = _Batch(xyz, starts[rows], sigma_m[rows], s, order=order, ratio=ratio)
+        ratio, counted = (None if of is None else _in_rows(of, rows, xyz.shape[2]) for of in (relative, worth))
+        batch = _Batch(xyz, starts[rows], sigma_m[rows], s, order=order, ratio=ratio, worth=counted)
         batch.run()
         for row, k in enumerate(rows):
-            own = np.ones(len(points[k])) if relative is None else relative[k]
-            found[int(k)] = batch.evidence(row, float(heights_m[k]), own)
+            own, word = (np.ones(len(points[k])) if of is None else of[k] for of in (relative, worth))
+            found[int(k)] = batch.evidence(row, float(heights_m[k]), own, word)
     return [found[k] for k in range(len(points))]
 
 
@@ -121,6 +119,14 @@ def _padded(points: Sequence[Floats], starts: Floats, heights_m: Floats, rows: I
     return xyz
 
 
+def _in_rows(values: Sequence[Floats], rows: Ints, most: int) -> Singles:
+    """What the points of the sets ``rows`` have, (K, ``most``), padded with 1."""
+    result = np.ones((len(rows), most), dtype=np.float32)
+    for row, k in enumerate(rows):
+        result[row, : len(values[k])] = values[k]
+    return result
+
+
 class _Batch:
     """Expectation-maximisation for points (3, K, N) about ``starts`` (K, 6): ``run``, then look at the results.
 
@@ -137,8 +143,9 @@ class _Batch:
         *,
         order: int = 1,
         ratio: Singles | None = None,
+        worth: Singles | None = None,
     ) -> None:
-        self.s, self.xyz = settings, xyz
+        self.s, self.xyz, self.worth = settings, xyz, worth
         self.inverse_ratio = None if ratio is None else np.float32(1.0) / ratio
         self.shape_std = np.repeat(settings.shape_std[: order - 1], 2)
         self.origin = starts[:, :2]
@@ -149,7 +156,7 @@ class _Batch:
 
     def run(self, steps: int = STEPS, tolerance: float = TOLERANCE) -> None:
         """Iterate until all have arrived, or for so many steps."""
-        s, xyz, inverse_ratio = self.s, self.xyz, self.inverse_ratio
+        s, xyz, inverse_ratio, worth = self.s, self.xyz, self.inverse_ratio, self.worth
         alive = np.arange(len(self.parameters))
         p, sigma = self.parameters.copy(), self.noise.copy()
         tail = np.full(len(p), START_TAIL_M)
@@ -171,6 +178,8 @@ class _Batch:
             total, away = count[:, 0], count[:, 1]
             weight = core * precision
             weight *= precision
+            if worth is not None:
+                weight *= worth
             # The equations of the step, and in the next column their right-hand sides.
             sums = sums_of_sets(rows[:unknowns] * weight, rows)
             prior[:, 6:] = (self.shape_std * p[:, 4:5]) ** -2.0
@@ -210,11 +219,11 @@ class _Batch:
             if not going.all():
                 alive, p, sigma, tail, shares = alive[going], p[going], sigma[going], tail[going], shares[going]
                 xyz, prior = xyz[:, going], prior[going]
-                inverse_ratio = None if inverse_ratio is None else inverse_ratio[going]
+                inverse_ratio, worth = (None if of is None else of[going] for of in (inverse_ratio, worth))
         self.parameters[:, :2] += self.origin
 
-    def evidence(self, row: int, height_m: float, relative: Floats) -> AxisFit:
-        """What the fit of one set at ``height_m`` rests on; ``relative`` (N,) is its points' noise."""
+    def evidence(self, row: int, height_m: float, relative: Floats, worth: Floats) -> AxisFit:
+        """What the fit of one set at ``height_m`` rests on; ``relative`` and ``worth`` (N,) are of its points."""
         rows, core, information, prior = self.last[row]
         count = len(relative)
         covariance = np.asarray(np.linalg.inv(information + np.diag(prior + RIDGE)), np.float64)
@@ -229,6 +238,7 @@ class _Batch:
             prior_information=prior,
             shape_m=self.parameters[row, 6:],
             noise_m=self.noise[row] * relative,
+            worth=worth,
         )
 
 

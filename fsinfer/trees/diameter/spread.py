@@ -94,7 +94,8 @@ def fit_spread(fit: AxisFit, offsets: Floats, foot: Floats, *, settings: SpreadS
             rho = float(np.clip(rho, 0.0, s.max_correlation))
             inflation *= (1.0 + rho) / (1.0 - rho)
     jacobian = fit.jacobian / fit.noise_m[:, None]
-    weighted = jacobian * weight[:, None]
+    weighted = jacobian * (weight * fit.worth)[:, None]
+    # Points that err together count for less by as much as their mean is less sure: what they say has this variance.
     information = sums_of_products(weighted.T, jacobian.T)
     sums = np.stack([np.bincount(block, weights=weighted[:, k], minlength=size) for k in range(parameters)], axis=1)
     prior = np.diag(fit.prior_information)

@@ -15,7 +15,7 @@ from fsinfer.trees.cylinder.batch import fit_sections
 from fsinfer.trees.diameter.circle import LEAST_POINTS, covered_bins
 from fsinfer.trees.diameter.sides import noise_sector, relative_noise, seen_side
 from fsinfer.trees.points.cells import rows
-from fsinfer.trees.points.errors import relative_errors, tells_errors
+from fsinfer.trees.points.errors import relative_errors, tells_errors, worth_of_word
 from fsinfer.trees.points.sums import lengths
 from fsinfer.trees.points.surface import OUTSIDE_SIGMAS, WALL_SIGMAS, reach_about_wall
 
@@ -140,13 +140,15 @@ def _fits(
     those = np.array(list(near), dtype=np.int64)
     sigma = np.array([wider(float(sigmas_m[k])) for k in those])
     told = [relative_errors(own, starts[k], float(heights_m[k])) for k, own in near.items()]
+    any_told = any(tells_errors(own) for own in near.values())
     first = fit_sections(
         list(near.values()),
         starts[those],
         heights_m[those],
         sigma_m=sigma,
         order=s.order,
-        relative=told if any(tells_errors(own) for own in near.values()) else None,
+        relative=told if any_told else None,
+        worth=[worth_of_word(own, starts[k], float(heights_m[k])) for k, own in near.items()] if any_told else None,
         settings=s,
     )
     found = {k: (fit, own) for (k, own), fit in zip(near.items(), first, strict=True)}
@@ -168,6 +170,9 @@ def _fits(
         sigma_m=np.array([max(SECOND_START[0] * found[k][0].sigma_m, SECOND_START[1]) for k in again]),
         order=s.order,
         relative=[relative for _, relative in again.values()],
+        worth=[worth_of_word(own, found[k][0].parameters, float(heights_m[k])) for k, (own, _) in again.items()]
+        if any_told
+        else None,
         settings=s,
     )
     found |= {k: (fit, own) for (k, (own, _)), fit in zip(again.items(), second, strict=True)}
@@ -187,4 +192,5 @@ def _unfitted(start: Floats, height: float, sigma: float) -> AxisFit:
         prior_information=np.zeros(6),
         shape_m=np.zeros(0),
         noise_m=np.zeros(0),
+        worth=np.zeros(0),
     )

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from fsinfer.io.cloud import DEPTH_STD, PointCloud
 from fsinfer.trees.points.sums import lengths
+from fsinfer.trees.points.surface import sector_of
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -29,6 +30,9 @@ SHARED_M = 0.0015
 TURNED, TURNED_M = 0.2, 0.3
 #: The noise of a stem's sharp points: this percentile of them. Source: judgement.
 SHARP_PERCENTILE = 25.0
+#: What the points of one of so many sides share of their errors, beside those of a mean, in units of one's own noise.
+#: Source: chosen on six rendered plots; 0.2 to 0.5 are as good (docs/trials-accuracy.md).
+SIDES, TOGETHER = 24, 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,6 +89,24 @@ def relative_errors(points: Floats, parameters: Floats, height_m: float) -> Floa
         variance += (TURNED_M * _turned(points, parameters, height_m)) ** 2
     noise = np.sqrt(variance)
     return np.asarray(noise / np.percentile(noise, SHARP_PERCENTILE))
+
+
+def worth_of_word(points: Floats, parameters: Floats, height_m: float) -> Floats:
+    """What the word of each of a stem's points (N,) counts beside its noise, where they err together: at most 1.
+
+    The points of a side that are as sure as one another come from the same photographs, and half of what one of them
+    is off by the others are off by as well: of n of them the mean is no surer than ``TOGETHER`` times one. Taken for
+    independent, a thousand points from far away outvote what a section may look like. ``points`` and ``parameters`` as
+    of :func:`relative_errors`.
+    """
+    if not tells_errors(points):
+        return np.ones(len(points))
+    outward = points[:, :2] - (parameters[:2] + parameters[2:4] * (points[:, 2:3] - height_m))
+    # Alike sure: standard deviations within a factor of two.
+    level = np.rint(0.5 * np.log2(1.0 + (points[:, 3] / SHARED_M) ** 2)).astype(np.int64)
+    cell = level * SIDES + sector_of(outward, SIDES)
+    count = np.bincount(cell)[cell]
+    return np.asarray(1.0 / (1.0 + TOGETHER**2 * count))
 
 
 def _turned(points: Floats, parameters: Floats, height_m: float) -> Floats:

@@ -58,11 +58,12 @@ def test_sections_of_a_batch_equal_those_fitted_one_by_one(hazy: bool) -> None:
     points, starts = _candidates(rng)
     points = [own if k % 5 else np.concatenate([own] * 20) for k, own in enumerate(points)]
     relative = [1.0 + 3.0 * rng.random(len(own)) for own in points] if hazy else None
+    worth = [rng.uniform(0.01, 1.0, len(own)) for own in points] if hazy else None
     heights, sigma = np.full(len(points), 1.3), rng.uniform(0.005, 0.03, len(points))
-    batch = fit_sections(points, starts, heights, sigma_m=sigma, order=4, relative=relative)
+    batch = fit_sections(points, starts, heights, sigma_m=sigma, order=4, relative=relative, worth=worth)
     for k, fit in enumerate(batch):
-        own = None if relative is None else relative[k]
-        alone = fit_axis(points[k], starts[k], 1.3, sigma_m=float(sigma[k]), order=4, relative=own)
+        own, word = (None if of is None else of[k] for of in (relative, worth))
+        alone = fit_axis(points[k], starts[k], 1.3, sigma_m=float(sigma[k]), order=4, relative=own, worth=word)
         np.testing.assert_allclose(fit.parameters, alone.parameters, atol=TOLERANCE_M)
         np.testing.assert_allclose(fit.shape_m, alone.shape_m, atol=TOLERANCE_M)
         np.testing.assert_allclose(fit.residuals_m, alone.residuals_m, atol=2.0 * TOLERANCE_M)
