@@ -42,7 +42,7 @@ def test_sides_are_those_about_a_leaning_axis() -> None:
     up[:, 2] += 0.8
     both = np.concatenate([_side(7.0, 20, 0.002), up])
     assert worth_of_word(both, lean, 1.3) == pytest.approx(1 / (1 + 40 * TOGETHER**2))
-    assert 360 / SIDES == pytest.approx(15.0)
+    assert pytest.approx(15.0) == 360 / SIDES
 
 
 def test_points_that_tell_nothing_count_in_full() -> None:
