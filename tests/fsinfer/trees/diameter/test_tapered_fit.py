@@ -142,7 +142,7 @@ def test_points_count_by_their_own_noise() -> None:
 
 
 def test_a_haze_that_errs_together_does_not_outvote_what_a_section_looks_like() -> None:
-    """Half of the bark from near, the other half from far: thousands of points, all of them three centimetres within."""
+    """Half of the bark from near, the other half from far: thousands of points three centimetres within."""
 
     def seen_half_from_far(seed: int) -> NDArray[np.float64]:
         rng = np.random.default_rng(seed)
