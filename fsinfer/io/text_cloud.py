@@ -33,6 +33,8 @@ _LEAST_COUNTED = 10
 _UNITS = re.compile(r"\([^)]*\)|\[[^\]]*\]")
 _SEPARATORS = re.compile(r"[\s,;]+")
 _QUOTED = re.compile(r'"([^"\n]*)"')
+# Begin a line that is no row.
+_COMMENTS = ("#", "//")
 # Something other than commas stands between columns.
 _OTHER_SEPARATOR = re.compile(r"[^\s,][ \t]*;|[^\s,][ \t]+[^\s,]")
 # A comma that is no decimal point: beside something that is no digit, or the second one of a number.
@@ -44,7 +46,8 @@ _KEPT_COMMA = "\ue000"
 def read_text_cloud(path: Path) -> dict[str, NDArray[Any]]:
     """Read rows of x y z [red green blue] as (N,) float64 columns by name, with or without a header.
 
-    A header may call them easting, northing and elevation, and have units in brackets. Without one a first column that
+    A header may call them easting, northing and elevation, have units in brackets, and stand in the comment before the
+    first row. Without one a first column that
     numbers the points is left out. Blanks, tabs, semicolons or commas stand between columns. Where it is one of the
     first three, a comma in a number is its decimal point. Numbers may be quoted. UTF-8, with or without a byte order
     mark.
@@ -56,9 +59,11 @@ def read_text_cloud(path: Path) -> dict[str, NDArray[Any]]:
     """
     try:
         text = path.read_text(encoding="utf-8-sig", errors="replace")
-        rows = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith(("#", "//"))]
+        lines = [line for line in text.splitlines() if line.strip()]
+        rows = [line for line in lines if not line.lstrip().startswith(_COMMENTS)]
+        before = lines[: lines.index(rows[0])] if rows else []
         names: list[str] = []
-        first = _SEPARATORS.split(_UNITS.sub("", rows[0].replace('"', "")).strip(" \t,;")) if rows else []
+        first = _words(rows[0]) if rows else []
         # A header has letters in its first column; a .pts file begins with the bare count of points.
         if rows and first[0].isidentifier() and first[0].lower() not in ("nan", "inf"):
             names = _by_axes([word.lower() for word in first])
@@ -73,6 +78,7 @@ def read_text_cloud(path: Path) -> dict[str, NDArray[Any]]:
     if values.shape[1] < 3:
         msg = f"{path} has {values.shape[1]} columns, but needs x y z; export the cloud as PLY, LAS or LAZ"
         raise CloudError(msg)
+    names = names or _header_in_comment(before, values.shape[1])
     if not names and _is_counted(values):
         values = values[:, 1:]
     if not names:
@@ -82,6 +88,20 @@ def read_text_cloud(path: Path) -> dict[str, NDArray[Any]]:
         msg = f"{path}: its header names {len(names)} columns, its rows have {values.shape[1]}; export it again"
         raise CloudError(msg)
     return {name: values[:, i] for i, name in enumerate(names)}
+
+
+def _words(line: str) -> list[str]:
+    """What stands in a line, without units."""
+    return _SEPARATORS.split(_UNITS.sub("", line.replace('"', "")).strip(" \t,;"))
+
+
+def _header_in_comment(before: list[str], columns: int) -> list[str]:
+    """The names of so many columns, where the comment ``before`` the first row has x, y and z elsewhere than first."""
+    if not before:
+        return []
+    names = _by_axes([word.lower() for word in _words(before[-1].lstrip(" \t#/"))])
+    named = len(names) == columns and all(names.count(axis) == 1 for axis in "xyz")
+    return names if named and names[:3] != ["x", "y", "z"] else []
 
 
 def _by_axes(names: list[str]) -> list[str]:

@@ -59,6 +59,23 @@ def test_what_surveyors_call_the_axes(tmp_path: Path, header: str) -> None:
             )
 
 
+@pytest.mark.parametrize("mark", ["//", "# ", "#", " ## "])
+@pytest.mark.parametrize("comma", [".", ","])
+def test_a_header_in_a_comment_says_where_the_axes_are(tmp_path: Path, mark: str, comma: str) -> None:
+    rows = "9;2.50;1.25;0.75\n8;-5.20;4.10;130\n".replace(".", comma)
+    text = f"// of a scanner\n{mark}Intensity; Y (m); X (m); Z (m)\n{rows}"
+    np.testing.assert_array_equal(read_cloud(written(tmp_path, text)).xyz, POINTS)
+    # What names other columns, or not all three, is a remark.
+    for remark in ("y x z", "a b c d", "id x y height over sea", "written by x"):
+        plain = f"{mark}{remark}\n1.25 2.50 0.75 7\n4.10 -5.20 130 8\n"
+        np.testing.assert_array_equal(read_cloud(written(tmp_path, plain)).xyz, POINTS)
+
+
+def test_a_comment_farther_up_is_no_header(tmp_path: Path) -> None:
+    text = "//Y X Z\n// written on a Monday\n1.25 2.50 0.75\n4.10 -5.20 130\n"
+    np.testing.assert_array_equal(read_cloud(written(tmp_path, text)).xyz, POINTS)
+
+
 @pytest.mark.parametrize("first", [0, 1])
 def test_a_first_column_that_numbers_the_points(tmp_path: Path, first: int) -> None:
     rng = np.random.default_rng(0)
