@@ -53,6 +53,8 @@ class Stage(Generic[T]):
     version: of its algorithm: raised with every change after which the same inputs give another result.
     result: type of what it returns, a frozen dataclass.
     outputs: files and folders below the output folder that it owns. Folders are emptied before the work.
+    beside: further files and folders of files that it makes. One that was deleted is made again; what they hold may be
+        changed by hand, as workbooks are.
     keeps_partial: the work goes on with what an interrupted attempt *with the same fingerprint* left, instead of
         starting with empty folders.
     """
@@ -61,6 +63,7 @@ class Stage(Generic[T]):
     version: int
     result: type[T]
     outputs: tuple[str, ...] = ()
+    beside: tuple[str, ...] = ()
     keeps_partial: bool = False
 
 
@@ -143,7 +146,7 @@ class Ledger:
         fingerprint = _digest(told)
         saved = self._read(stage.name)
         same = saved.get("fingerprint") == fingerprint
-        if same and saved.get("state") == "done" and saved.get("outputs") == self._describe(stage.outputs):
+        if same and self._is_done(stage, saved):
             try:
                 record = self._record(stage, saved, ran=False)
             except _UNREADABLE:
@@ -174,13 +177,14 @@ class Ledger:
             raise
         entry |= {"seconds": round(spent_s + time.perf_counter() - start, 3), "peak_rss_mb": peak.read_mb()}
         entry |= {"result": as_json(result, folder=self.out), "outputs": self._describe(stage.outputs), "state": "done"}
+        entry |= {"beside": {name: _files_at(self.out / name) for name in stage.beside}}
         self._write(stage.name, entry)
         return self._record(stage, entry, ran=True)
 
     def recall(self, stage: Stage[T]) -> StageRecord[T] | None:
         """The record of a stage that is done and whose outputs are still what it wrote, whatever its inputs are now."""
         saved = self._read(stage.name)
-        if saved.get("state") != "done" or saved.get("outputs") != self._describe(stage.outputs):
+        if not self._is_done(stage, saved):
             return None
         try:
             return self._record(stage, saved, ran=False)
@@ -232,6 +236,16 @@ class Ledger:
     def _write(self, name: str, entry: Mapping[str, Any]) -> None:
         write_text(self._path(name), json.dumps(entry, indent=1) + "\n")
 
+    def _is_done(self, stage: Stage[Any], saved: Mapping[str, Any]) -> bool:
+        """Whether a record is that of a stage that came to its end, and what it made is still there."""
+        if saved.get("state") != "done" or saved.get("outputs") != self._describe(stage.outputs):
+            return False
+        beside = saved.get("beside", {})  # not in records of before
+        if not isinstance(beside, dict):
+            return False
+        counts = {name: _number(count) for name, count in beside.items()}
+        return all(count is not None and _files_at(self.out / name) >= count for name, count in counts.items())
+
     def _describe(self, outputs: Sequence[str]) -> dict[str, Any]:
         """Say what lies at each output, so that a deleted, emptied or overwritten one is noticed."""
         return {output: _describe_path(self.out / output) for output in outputs}
@@ -260,6 +274,13 @@ def _number(value: Any) -> float | None:
 
 def _digest(value: Any) -> str:
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
+
+
+def _files_at(path: Path) -> int:
+    """How many files lie in a folder; 1 for a file, 0 for what is not there."""
+    if path.is_dir():
+        return sum(item.is_file() and not is_by_system(item.name) for item in path.iterdir())
+    return int(path.is_file())
 
 
 def _describe_path(path: Path) -> Any:

@@ -41,7 +41,7 @@ from fsinfer.workflow.cloud_units import CLOUD_KEYS, plot_of_cloud, scale_of_tre
 from fsinfer.workflow.given_edits import note_edits
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
 from fsinfer.workflow.measurable import refuse_fused, refuse_other_units
-from fsinfer.workflow.own_files import refuse_files_of_others, refuse_to_write_over
+from fsinfer.workflow.own_files import BESIDE_TREES, refuse_files_of_others, refuse_to_write_over
 from fsinfer.workflow.settings import speedless
 from fsinfer.workflow.summary import (
     MODEL_UNITS,
@@ -95,7 +95,7 @@ class _Opened:
     warnings: tuple[Notice, ...] = ()
 
 
-MEASURE = Stage(name="measure", version=36, result=MeasuredCloud, outputs=("trees.csv",))
+MEASURE = Stage(name="measure", version=36, result=MeasuredCloud, outputs=("trees.csv",), beside=BESIDE_TREES)
 
 
 @one_blas_thread()

@@ -14,6 +14,8 @@ from fsinfer.workflow.ledger import Ledger
 #: Stages that write the tables and figures of trees, by their names in the ledger.
 _WRITERS = ("trees", "measure")
 _TABLES = (TREES_CSV, TREES_JSON, *METRIC_TREE_FILES)
+#: What a measurement makes beside trees.csv.
+BESIDE_TREES = (TREES_JSON, *METRIC_TREE_FILES, FIGURES_FOLDER)
 
 
 def clear_outputs(out: Path) -> None:

@@ -42,7 +42,7 @@ from fsinfer.workflow.given_edits import note_edits
 from fsinfer.workflow.joined_parts import digests_of
 from fsinfer.workflow.kept_clicks import kept_clicks
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
-from fsinfer.workflow.own_files import refuse_files_of_others
+from fsinfer.workflow.own_files import BESIDE_TREES, refuse_files_of_others
 from fsinfer.workflow.parts import PartResult, measure_parts
 from fsinfer.workflow.photo_stages import choose_frames, register_photos, require_poses, source_files
 from fsinfer.workflow.run_photos import photos_of_run
@@ -59,7 +59,7 @@ class ReportResult:
     path: Path
 
 
-TREES = Stage(name="trees", version=53, result=TreesResult, outputs=("trees.csv", "figures"))
+TREES = Stage(name="trees", version=53, result=TreesResult, outputs=("trees.csv", "figures"), beside=BESIDE_TREES)
 REPORT = Stage(name="report", version=1, result=ReportResult, outputs=("report.html",))
 
 

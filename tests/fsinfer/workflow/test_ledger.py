@@ -49,9 +49,12 @@ def run_stage(
     inputs: Mapping[str, object] | None = None,
     after: Sequence[StageRecord[Counted]] = (),
     outputs: tuple[str, ...] = (),
+    beside: tuple[str, ...] = (),
     keeps_partial: bool = False,
 ) -> StageRecord[Counted]:
-    stage = Stage(name=name, version=version, result=Counted, outputs=outputs, keeps_partial=keeps_partial)
+    stage = Stage(
+        name=name, version=version, result=Counted, outputs=outputs, beside=beside, keeps_partial=keeps_partial
+    )
     return Ledger(out).run(stage, work, inputs=inputs or {}, after=after)
 
 
@@ -96,6 +99,31 @@ def test_harmed_output_makes_the_stage_run_again(tmp_path: Path, harm: str) -> N
         output.write_text("012345" if harm == "shorten" else "987654321x", encoding="utf-8")
     assert run_stage(tmp_path, work, outputs=("cloud.ply",)).ran
     assert output.read_text(encoding="utf-8") == "0123456789"
+
+
+@pytest.mark.parametrize("name", ["trees.xlsx", "figures/tree_1.png"])
+def test_what_lies_beside_the_outputs_is_made_again_where_it_was_deleted_only(tmp_path: Path, name: str) -> None:
+    work = Counter(tmp_path / name)
+    beside = ("trees.xlsx", "figures")
+
+    def ran() -> bool:
+        return run_stage(tmp_path, work, beside=beside).ran
+
+    assert [ran(), ran()] == [True, False]
+    (tmp_path / name).write_text("a person's column beside", encoding="utf-8")
+    (tmp_path / name).with_name("mine.txt").write_text("a person's", encoding="utf-8")
+    assert not ran()
+    (tmp_path / name).with_name("mine.txt").unlink()
+    (tmp_path / name).unlink()
+    stage = Stage(name="s", version=1, result=Counted, beside=beside)
+    assert Ledger(tmp_path).recall(stage) is None
+    assert [ran(), ran()] == [True, False]
+    # A record of before tells nothing of it.
+    record = tmp_path / ".fsinfer" / "s.json"
+    told = json.loads(record.read_text(encoding="utf-8"))
+    del told["beside"]
+    record.write_text(json.dumps(told), encoding="utf-8")
+    assert not ran()
 
 
 def test_later_stage_follows_an_earlier_one_that_ran_again(tmp_path: Path) -> None:

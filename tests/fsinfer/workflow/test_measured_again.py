@@ -61,6 +61,14 @@ def test_its_warnings_take_the_place_of_those_of_the_trees_before(folder: Path) 
     assert [entry["code"] for entry in plot["warning_codes"]] == [CaptureCode.one_board]
 
 
+@pytest.mark.parametrize("name", ["trees.json", "trees.gpkg", "trees.laz", "trees.xlsx", "stem_curve.csv"])
+def test_a_table_that_was_deleted_is_made_again(folder: Path, name: str) -> None:
+    measured_again(folder)
+    (folder / name).unlink()
+    measured_again(folder)
+    assert (folder / name).is_file()
+
+
 def test_its_settings_stand_beside_those_of_the_stages_before(folder: Path) -> None:
     plot = measured_again(folder, trees=TreeSettings(bh_m=1.37, bh_rule=BhRule.uphill))
     assert plot["settings"]["trees"]["bh_m"] == 1.37
