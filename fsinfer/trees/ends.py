@@ -24,7 +24,7 @@ from fsinfer.trees.tree import Tree
 Floats = NDArray[np.float64]
 #: The column of a stem reaches so far beyond its wall, and so much above and below its ends belongs to them, metres.
 #: Source: judgement; bark, burrs, and the layers in which ends are told.
-BESIDE_M, NEAR_END_M = 0.05, 0.15
+COLUMN_M, NEAR_END_M = 0.05, 0.15
 #: Points beyond an end are next to nothing up to this share of what the wall would have there, if it would have so
 #: many. Source: judgement; stray points.
 STRAY, LEAST_EXPECTED = 0.02, 30.0
@@ -62,7 +62,7 @@ def ends_of(near: Floats, stem: Stem, *, cloud_top_m: float, slab_m: tuple[float
     """
     offset, _ = axis_coordinates(near, stem.axis.parameters, stem.axis.height_m)
     away = lengths(offset)
-    column = away <= stem.axis.radius_m + BESIDE_M
+    column = away <= stem.axis.radius_m + COLUMN_M
     away, height = away[column], near[column, 2]
     on_wall = np.count_nonzero((height >= stem.bottom_m) & (height <= stem.top_m))
     a_metre = on_wall / max(stem.top_m - stem.bottom_m, NEAR_END_M)

@@ -23,6 +23,8 @@ INDEX_CELL_M = 0.5
 FOOT_M = 1.0
 #: Least points of a crown, and of a layer that is not empty. Source: not recorded.
 LEAST_POINTS, LEAST_OF_LAYER = 20, 3
+#: The top of a tree, metres below its height. Source: judgement; two layers.
+TOP_M = 1.0
 #: The spread of the upper third is told by this percentile of the distances. Source: not recorded.
 SPREAD_PERCENTILE = 80
 
@@ -36,6 +38,9 @@ class TopSettings:
     crown_radius_m: about the continued axis; wider takes in the neighbours' crowns. Source: not recorded.
     reach_m: from the stem's place at breast height; leaning tops farther off are not followed. Source: not recorded.
     lean_share: heavy leans measured over two metres must not be continued over twenty. Source: not recorded.
+    at_side: what is found along it lies at the side of what is looked at where its top metre is so much of the crown's
+        radius aside: then the tree may be straight, and is looked for along all of its lean. Source: simulated trees of
+        10 to 25 m that lean by up to 20 degrees; a top that the cylinder cuts off is 0.7 and more aside.
     layer_m: layers in which a gap is looked for. Source: not recorded.
     max_gap_m: a longer empty stretch separates a tree from what hangs above it. Source: not recorded.
     min_height_m: lower tops are shrubs or cuts. Source: not recorded.
@@ -47,6 +52,7 @@ class TopSettings:
     crown_radius_m: float = 0.8
     reach_m: float = 4.0
     lean_share: float = 0.5
+    at_side: float = 0.5
     layer_m: float = 0.5
     max_gap_m: float = 1.5
     min_height_m: float = 3.0
@@ -56,12 +62,20 @@ class TopSettings:
 
 
 def axis_path(
-    stem: Stem, highest_m: float, *, bh_m: float = BREAST_HEIGHT_M, settings: TopSettings | None = None
+    stem: Stem,
+    highest_m: float,
+    *,
+    bh_m: float = BREAST_HEIGHT_M,
+    lean_share: float | None = None,
+    settings: TopSettings | None = None,
 ) -> tuple[Floats, Floats]:
-    """Where the continued axis stands in plan at 1 m above the ground and ``highest_m``, or leaves reach (2,)."""
+    """Where the continued axis stands in plan at 1 m above the ground and ``highest_m``, or leaves reach (2,).
+
+    It leans by ``lean_share`` of what was measured, without it by that of the settings.
+    """
     s = settings or TopSettings()
     start = stem.axis.center_at(bh_m)
-    slope = stem.axis.parameters[2:4] * s.lean_share
+    slope = stem.axis.parameters[2:4] * (s.lean_share if lean_share is None else lean_share)
     rise = max(highest_m, bh_m) - bh_m
     lean = float(np.hypot(*slope))
     rise = min(rise, (s.reach_m + s.crown_radius_m) / lean) if lean > 0 else rise
@@ -96,10 +110,35 @@ def tree_height(
     s = settings or TopSettings()
     if not top_may_be_seen(stem, dbh_m, highest_m, settings=s):
         return None
+    for lean_share in (s.lean_share, 1.0):
+        top = _top_along(stand, stem, centers, number, dbh_m, lean_share, level_m, highest_m, bh_m, s)
+        if top is None:
+            return None
+        height, aside = top
+        # Along more of the lean it would be the same.
+        leant = (1.0 - s.lean_share) * float(np.hypot(*stem.axis.parameters[2:4])) * (height - bh_m)
+        if aside <= s.at_side * s.crown_radius_m or leant <= s.at_side * s.crown_radius_m:
+            return height
+    return None
+
+
+def _top_along(
+    stand: PlanIndex,
+    stem: Stem,
+    centers: Floats,
+    number: int,
+    dbh_m: float | None,
+    lean_share: float,
+    level_m: float,
+    highest_m: float,
+    bh_m: float,
+    s: TopSettings,
+) -> tuple[float, float] | None:
+    """Height of the top about the axis continued by so much of its lean, and how far aside it lies, metres."""
     start = stem.axis.center_at(bh_m)
-    slope = stem.axis.parameters[2:4] * s.lean_share
+    slope = stem.axis.parameters[2:4] * lean_share
     # All that lies within the crown's radius of the continued axis and within reach, found by one disc about both.
-    low, high = axis_path(stem, highest_m, bh_m=bh_m, settings=s)
+    low, high = axis_path(stem, highest_m, bh_m=bh_m, lean_share=lean_share, settings=s)
     disc = stand.near(0.5 * (low + high), s.crown_radius_m + 0.5 * float(np.hypot(*(high - low))))
     disc = disc - np.array([0.0, 0.0, level_m])
     x, y, rise = disc[:, 0] - start[0], disc[:, 1] - start[1], disc[:, 2] - bh_m
@@ -138,4 +177,8 @@ def tree_height(
     spread = float(np.percentile(lengths(upper[:, :2] - axis), SPREAD_PERCENTILE)) if len(upper) else 0.0
     crown = count[max(top // 3, 0) : top + 1]
     tapers = count[top] <= s.thinning * crown.max()
-    return height if spread > s.crown_spread * 0.5 * diameter and tapers else None
+    if spread <= s.crown_spread * 0.5 * diameter or not tapers:
+        return None
+    highest = rows(near, (near[:, 2] > height - TOP_M) & (near[:, 2] <= height))
+    off = np.median(highest[:, :2] - start - slope * (highest[:, 2:3] - bh_m), axis=0)
+    return height, float(np.hypot(*off))

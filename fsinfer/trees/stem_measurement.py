@@ -17,7 +17,7 @@ from fsinfer.progress import Progress, silent
 from fsinfer.trees.cylinder.axis import above_level
 from fsinfer.trees.diameter.dbh import measure_together
 from fsinfer.trees.diameter.section import Section
-from fsinfer.trees.ends import Ends, ends_of, with_ends
+from fsinfer.trees.ends import COLUMN_M, Ends, ends_of, with_ends
 from fsinfer.trees.ground.at_stems import level_std
 from fsinfer.trees.ground.ground import Ground
 from fsinfer.trees.height import FOOT_M, axis_path, top_may_be_seen, tree_height
@@ -88,18 +88,27 @@ def measure_stems(
     slab_m = (low - SLAB_MARGIN_M, high + SLAB_MARGIN_M)
     ends: list[Ends] = []
 
+    def own_points(number: int, beside_m: float) -> Floats:
+        """Points of a stem within its radius and so much of its place at breast height, above its level."""
+        stem, level = placed[number]
+        near = index.near(centers[number], stem.axis.radius_m + beside_m)
+        # Heights above the one level that counts for this stem, so that it stays straight on a slope.
+        z = near[:, 2] + ground.height_at(near[:, :2]) - level
+        near = np.column_stack([near[:, :2], z, near[:, 3:]])
+        return _without_neighbours(near, stem, search.stems, ground, level, settings.bh_m)
+
     def together() -> Iterator[_Together]:
         for first in range(0, len(search.stems), TOGETHER):
             own, noise = [], []
             for number in range(first, min(first + TOGETHER, len(search.stems))):
-                stem, level = placed[number]
-                near = index.near(centers[number], stem.axis.radius_m + BESIDE_M)
-                # Heights above the one level that counts for this stem, so that it stays straight on a slope.
-                z = near[:, 2] + ground.height_at(near[:, :2]) - level
-                near = np.column_stack([near[:, :2], z, near[:, 3:]])
-                near = _without_neighbours(near, stem, search.stems, ground, level, settings.bh_m)
+                stem, _ = placed[number]
+                near = own_points(number, BESIDE_M)
                 own.append(near)
-                ends.append(ends_of(near, stem, cloud_top_m=highest, slab_m=slab_m, s=settings.stems))
+                # The ends of a stem that leans lie aside of its place at breast height.
+                lean = float(np.hypot(*stem.axis.parameters[2:4]))
+                aside = lean * max(slab_m[1] - settings.bh_m, settings.bh_m - slab_m[0]) + COLUMN_M
+                column = near if aside <= BESIDE_M else own_points(number, aside)
+                ends.append(ends_of(column, stem, cloud_top_m=highest, slab_m=slab_m, s=settings.stems))
                 noise.append(float(np.hypot(ground.noise_m / GROUND_POINTS_STD, unsure[number])))
             yield own, [stem for stem, _ in placed[first : first + TOGETHER]], noise
 
@@ -172,7 +181,11 @@ def _crowns(stand: Floats, stems: Sequence[tuple[Stem, float]], settings: TreeSe
     """A copy of the points above 1 m that may belong to one of the stems, each with the highest that it may reach."""
     if not stems:
         return stand[:0].copy()
-    paths = [axis_path(stem, highest, bh_m=settings.bh_m, settings=settings.top) for stem, highest in stems]
+    paths = [
+        axis_path(stem, highest, bh_m=settings.bh_m, lean_share=lean_share, settings=settings.top)
+        for stem, highest in stems
+        for lean_share in (settings.top.lean_share, 1.0)
+    ]
     starts = np.array([low for low, _ in paths]).reshape(-1, 2)
     ends = np.array([high for _, high in paths]).reshape(-1, 2)
     above = rows(stand, stand[:, 2] > FOOT_M)

@@ -109,6 +109,23 @@ def test_what_hangs_in_the_air_is_told() -> None:
     assert (status, reasons) == ("doubtful", ["hangs"])
 
 
+@pytest.mark.parametrize("lean_deg", [28.0, 40.0])
+@pytest.mark.parametrize("radius", [0.05, 0.12])
+def test_a_stem_that_leans_ends_where_it_does(radius: float, lean_deg: float) -> None:
+    """Its foot and its upper part lie aside of its place at breast height."""
+
+    def leaning(low: float, high: float) -> Floats:
+        points = tube(np.random.default_rng(1), radius, 0.0, 8.0)
+        cosine, sine = np.cos(np.radians(lean_deg)), np.sin(np.radians(lean_deg))
+        x, z = points[:, 0].copy(), points[:, 2] - 3.0
+        points[:, 0], points[:, 2] = cosine * x + sine * z, 1.3 - sine * x + cosine * z
+        return points[(points[:, 2] >= low) & (points[:, 2] <= high)]
+
+    assert here(measured(leaning(0.0, 5.0))) == [("ok", [])]
+    ((status, reasons),) = here(measured(leaning(0.9, 5.0)))
+    assert (status, reasons) == ("doubtful", ["hangs"])
+
+
 def test_trees_have_no_ends() -> None:
     result = measured(tube(np.random.default_rng(1), 0.2, 0.0, 5.0))
     assert [tree.status for tree in result.trees] == ["ok"] * 4

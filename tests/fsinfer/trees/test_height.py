@@ -88,6 +88,21 @@ def test_a_leaning_tree_is_followed_half_way() -> None:
     np.testing.assert_allclose(far, [s.reach_m + s.crown_radius_m, 0.0])
 
 
+@pytest.mark.parametrize(("height_m", "lean_deg"), [(10.0, 20.0), (18.0, 6.0), (18.0, 10.0), (18.0, 12.0), (25.0, 8.0)])
+def test_a_straight_tree_that_leans_is_as_high_as_its_top(height_m: float, lean_deg: float) -> None:
+    """About half of its lean the top was cut off at the side, and what was left looked like one."""
+    lean = float(np.tan(np.radians(lean_deg)))
+    points = tree(0.0, 0.0, height_m)
+    points[:, 0] += lean * (points[:, 2] - 1.3)
+    assert height_of(points, [stem_at(0.0, 0.0, lean=lean)]) == pytest.approx(height_m, abs=0.06)
+
+
+def test_of_a_top_at_the_side_of_both_no_height_is_told() -> None:
+    points = tree(0.0, 0.0, 18.0)
+    points[:, 1] += 0.07 * (points[:, 2] - 1.3)  # leans another way than its stem says
+    assert height_of(points, [stem_at(0.0, 0.0, lean=0.08)]) is None
+
+
 def test_a_low_cloud_is_not_even_looked_at() -> None:
     stem = stem_at(0.0, 0.0)
     assert not top_may_be_seen(stem, 0.05, 2.9)
