@@ -158,7 +158,8 @@ def apply_edits(
             places = np.array([[trees[i][0].x_m, trees[i][0].y_m] for i in (number, other)])
             if metric:
                 _refuse_far(trees[number][0], trees[other][0], edit.row)
-            found = measured_at(places) if metric else None
+            others = [tree for i, (tree, _) in trees.items() if i not in (number, other)] if metric else []
+            found = measured_at(places, others) if metric else None
             said = notice(StemCode.merged_by_hand, tree_id=number, other_id=other)
             del trees[other]
             trees[number] = _numbered(found, number, places.mean(axis=0), result, settings, said, metric=metric)
@@ -219,7 +220,7 @@ def _measured_at(
     settings: TreeSettings,
     scale_rel_std: float,
     places: Floats,
-    others: Sequence[Tree] = (),
+    others: Sequence[Tree],
 ) -> tuple[Tree, Section] | None:
     """The best stem at one place (1, 2), or over two (2, 2) that are the same tree; None where nothing can be seen.
 

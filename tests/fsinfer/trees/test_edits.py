@@ -19,7 +19,7 @@ from fsinfer.trees import TreeSettings, analyse_plot
 from fsinfer.trees.edits import TreeEdit, apply_edits, find_edits, read_edits
 from fsinfer.trees.measure import PlotResult
 from fsinfer.trees.outputs.table import read_trees
-from tests.support.stem_clouds import StemPlot, stem_plot
+from tests.support.stem_clouds import StemPlot, stem_plot, wall
 
 SETTINGS = TreeSettings()
 # As in a national grid: far from the origin.
@@ -174,6 +174,27 @@ def test_two_halves_of_one_stem_are_merged(plot: StemPlot, result: PlotResult) -
     assert edited.trees[1:] == result.trees[1:]
     assert edited.trees[0].reasons[0] == notice(StemCode.merged_by_hand, tree_id=1, other_id=7)
     assert edited.trees[0].dbh_cm == pytest.approx(whole.dbh_cm, abs=0.5)
+
+
+def test_a_merged_tree_is_none_of_the_others() -> None:
+    """Two thin stems beside a thick one were merged into a second entry of that one, with twice its basal area."""
+    rng, places, radii = np.random.default_rng(3), [(0.0, 0.0), (0.3, 0.0), (0.15, 0.6)], [0.05, 0.05, 0.25]
+    stems = []
+    # The thick one has the sharper wall, and more to show for itself.
+    for (x, y), radius, std in zip(places, radii, [0.006, 0.006, 0.002], strict=True):
+        stem = wall(rng, radius=radius, spacing_m=0.012) + np.array([x, y, 0.0])
+        stems.append(stem + rng.normal(0.0, std, stem.shape))
+    floor = np.column_stack([rng.uniform(-4.0, 4.0, (30_000, 2)), rng.normal(0.0, 0.005, 30_000)])
+    points = np.concatenate([*stems, floor])
+    found = analyse_plot(points, settings=SETTINGS)
+    thick = max(found.trees, key=lambda tree: tree.radius_m)
+    one, other = (tree.tree_id for tree in found.trees if tree != thick)
+    merge = TreeEdit(action="merge", row=2, tree_id=one, other_id=other)
+    edited = apply_edits(found, points, [merge], settings=SETTINGS)
+    assert thick in edited.trees
+    (merged,) = (tree for tree in edited.trees if tree != thick)
+    assert merged.dbh_cm == pytest.approx(10.0, abs=0.5)
+    assert np.hypot(merged.x_m - thick.x_m, merged.y_m - thick.y_m) > thick.radius_m
 
 
 def test_without_a_scale_trees_are_moved_about_but_not_measured(plot: StemPlot) -> None:
