@@ -233,11 +233,7 @@ def _measured_at(
     about = np.hypot(*(points[:, :2] - middle).T) <= AROUND_M + apart
     # About an origin of its own, as in the search: map coordinates would cost precision in the fits.
     origin = np.r_[np.floor(middle), 0.0]
-    ground = replace(
-        result.ground,
-        origin=result.ground.origin - origin[:2],
-        plane=result.ground.plane + np.array([0.0, 0.0, float(result.ground.plane[:2] @ origin[:2])]),
-    )
+    ground = result.ground.moved(-origin[:2])
     stand = points[about] - origin
     stand[:, 2] -= ground.height_at(stand[:, :2])
     own = None if errors is None else errors.select(about)

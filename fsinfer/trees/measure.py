@@ -229,12 +229,7 @@ def _analysed(
     return PlotResult(
         trees=tuple(replace(tree, tree_id=number) for number, (tree, _) in enumerate(pairs, start=1)),
         sections=tuple(section for _, section in pairs),
-        ground=replace(
-            ground,
-            origin=ground.origin + origin[:2],
-            plane=ground.plane - np.array([0.0, 0.0, float(ground.plane[:2] @ origin[:2])]),
-            cells=None if ground.cells is None else ground.cells + np.array([*origin[:2], 0.0]),
-        ),
+        ground=ground.moved(origin[:2]),
         diagnosis=_diagnosis([tree for tree, _ in pairs], search, stand, settings),
         warnings=tuple(warnings),
         extent_m=(float(extent[0, 0]), float(extent[0, 1]), float(extent[1, 0]), float(extent[1, 1])),

@@ -70,11 +70,7 @@ def test_a_tree_the_search_missed_is_measured_where_it_was_set(
         result,
         trees=tuple(replace(t, x_m=t.x_m + moved[0], y_m=t.y_m + moved[1]) for t in result.trees if t != missing),
         sections=tuple(s for t, s in zip(result.trees, result.sections, strict=True) if t != missing),
-        ground=replace(
-            ground,
-            origin=ground.origin + moved[:2],
-            plane=ground.plane - np.array([0, 0, ground.plane[:2] @ moved[:2]]),
-        ),
+        ground=ground.moved(moved[:2]),
         extent_m=extent_moved(result, moved),
     )
     add = TreeEdit(action="add", row=2, x_m=missing.x_m + 0.2 + moved[0], y_m=missing.y_m - 0.1 + moved[1])
@@ -98,13 +94,32 @@ def test_a_tree_set_where_nothing_is_seen_has_a_place_and_no_diameter(plot: Stem
     assert sentence(edited.warnings[-1]) == "stem map corrected by hand: tree 10 added, 9 added"
 
 
+def test_the_doubt_about_the_ground_is_that_of_the_place() -> None:
+    """The ground is seen at one end of the plot; a stem at the other was +- 0.3 cm, though nobody knows its foot."""
+    rng, places = np.random.default_rng(5), [(2.0, 2.0), (2.0, 5.0), (14.0, 14.0)]
+    stems = [wall(rng, radius=0.15, spacing_m=0.015, taper=-0.012) + np.array([x, y, 0.0]) for x, y in places]
+    floor = np.column_stack([rng.uniform(0.0, 8.0, (40_000, 2)), np.zeros(40_000)])
+    points = np.concatenate([*stems, floor])
+    points += rng.normal(0.0, 0.003, points.shape)
+    found = analyse_plot(points, settings=SETTINGS)
+    for tree in found.trees:
+        delete = TreeEdit(action="delete", row=2, tree_id=tree.tree_id)
+        add = TreeEdit(action="add", row=3, tree_id=tree.tree_id, x_m=tree.x_m, y_m=tree.y_m)
+        edited = apply_edits(found, points, [delete, add], settings=SETTINGS)
+        (again,) = (other for other in edited.trees if other.tree_id == tree.tree_id)
+        assert again.half95_cm == pytest.approx(tree.half95_cm, rel=0.05)
+        assert again.status == tree.status
+        assert [why.code for why in again.reasons[1:]] == [why.code for why in tree.reasons]
+    assert [tree.half95_cm > 1.0 for tree in sorted(found.trees, key=lambda tree: tree.x_m)] == [False, False, True]
+
+
 def test_a_tree_where_nothing_is_seen_stands_on_the_ground(result: PlotResult) -> None:
     # A slope at 700 m above the sea, in a national grid.
     assert result.ground is not None
     flat = replace(result.ground, raster_m=None, plane=np.array([0.1, -0.2, 700.0]))
     high = replace(
         result,
-        ground=replace(flat, plane=flat.plane - np.array([0.0, 0.0, flat.plane[:2] @ MOVED[:2]])),
+        ground=flat.moved(MOVED[:2]),
         trees=tuple(replace(tree, x_m=tree.x_m + MOVED[0], y_m=tree.y_m + MOVED[1]) for tree in result.trees),
         extent_m=extent_moved(result, MOVED),
     )
