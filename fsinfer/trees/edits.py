@@ -27,7 +27,7 @@ from fsinfer.trees.search.find import find_stems
 from fsinfer.trees.search.stem import Stem, StemSettings
 from fsinfer.trees.settings import TreeSettings
 from fsinfer.trees.shape_doubts import allow_for_shape
-from fsinfer.trees.stem_measurement import measure_stems, tree_of
+from fsinfer.trees.stem_measurement import doubt_the_rough, measure_stems, tree_of
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
@@ -142,8 +142,8 @@ def apply_edits(
                 raise InputError(msg)
             first_free += edit.tree_id is None
             place = np.array([_number(edit.x_m), _number(edit.y_m)])
-            others = [tree for tree, _ in trees.values()] if metric else []
-            _refuse_within(place, others, edit.row)
+            others = list(trees.values()) if metric else []
+            _refuse_within(place, [tree for tree, _ in others], edit.row)
             _refuse_beyond(place, result, edit.row)
             found = measured_at(place[None], others) if metric else None
             said = notice(StemCode.added_by_hand)
@@ -158,7 +158,7 @@ def apply_edits(
             places = np.array([[trees[i][0].x_m, trees[i][0].y_m] for i in (number, other)])
             if metric:
                 _refuse_far(trees[number][0], trees[other][0], edit.row)
-            others = [tree for i, (tree, _) in trees.items() if i not in (number, other)] if metric else []
+            others = [pair for i, pair in trees.items() if i not in (number, other)]
             found = measured_at(places, others) if metric else None
             said = notice(StemCode.merged_by_hand, tree_id=number, other_id=other)
             del trees[other]
@@ -220,7 +220,7 @@ def _measured_at(
     settings: TreeSettings,
     scale_rel_std: float,
     places: Floats,
-    others: Sequence[Tree],
+    others: Sequence[tuple[Tree, Section]],
 ) -> tuple[Tree, Section] | None:
     """The best stem at one place (1, 2), or over two (2, 2) that are the same tree; None where nothing can be seen.
 
@@ -243,7 +243,7 @@ def _measured_at(
         for stem in search.stems:
             center = stem.axis.center_at(settings.bh_m) + origin[:2]
             off = float(np.linalg.norm(center - middle))
-            if off > REACH_M + apart + stem.axis.radius_m or any(_within(center, tree) for tree in others):
+            if off > REACH_M + apart + stem.axis.radius_m or any(_within(center, tree) for tree, _ in others):
                 continue
             # One place: the nearest. Two: the one with the most to show for itself.
             worth = stem.quality if len(places) > 1 else -max(off - stem.axis.radius_m, 0.0) + TIE * stem.quality
@@ -252,7 +252,11 @@ def _measured_at(
         if best is not None:
             alone = replace(search, stems=(best[0],))
             pairs = measure_stems(stand, alone, ground, settings, scale_rel_std, origin, errors=own)
-            return allow_for_shape(pairs, settings=settings)[0] if pairs else None
+            if not pairs:
+                return None
+            # What is usual in this plot, its other stems tell.
+            pairs = allow_for_shape(pairs, beside=[section for _, section in others], settings=settings)
+            return doubt_the_rough(pairs, beside=[tree for tree, _ in others])[0]
     return None
 
 

@@ -179,9 +179,13 @@ def _crowns(stand: Floats, stems: Sequence[tuple[Stem, float]], settings: TreeSe
     return rows(above, near_paths(above, starts, ends, settings.top.crown_radius_m))
 
 
-def doubt_the_rough(pairs: list[tuple[Tree, Section]]) -> list[tuple[Tree, Section]]:
-    """Mark stems much rougher than the others of the plot: double walls too close together to be told apart."""
-    residuals = [tree.residual_cm for tree, _ in pairs if tree.dbh_cm is not None and tree.residual_cm is not None]
+def doubt_the_rough(pairs: list[tuple[Tree, Section]], beside: Sequence[Tree] = ()) -> list[tuple[Tree, Section]]:
+    """Mark stems much rougher than the others of the plot: double walls too close together to be told apart.
+
+    Those others are ``beside``, too, which were asked before.
+    """
+    all_trees = (*(tree for tree, _ in pairs), *beside)
+    residuals = [tree.residual_cm for tree in all_trees if tree.dbh_cm is not None and tree.residual_cm is not None]
     if len(residuals) < LEAST_STEMS:
         return pairs
     limit = ROUGHER * float(np.median(residuals)) + ROUGHER_CM

@@ -50,6 +50,11 @@ def extent_moved(result: PlotResult, moved: NDArray[np.float64]) -> tuple[float,
     return x_min, y_min, x_max, y_max
 
 
+def found_at(result: PlotResult, x_m: float, y_m: float) -> int:
+    """Which of the trees stands nearest to a place."""
+    return int(np.argmin([np.hypot(tree.x_m - x_m, tree.y_m - y_m) for tree in result.trees]))
+
+
 def test_a_deleted_tree_is_gone_and_the_others_keep_their_numbers(plot: StemPlot, result: PlotResult) -> None:
     edited = apply_edits(result, plot.points, [TreeEdit(action="delete", row=2, tree_id=2)], settings=SETTINGS)
     assert edited.trees == tuple(tree for tree in result.trees if tree.tree_id != 2)
@@ -111,6 +116,31 @@ def test_the_doubt_about_the_ground_is_that_of_the_place() -> None:
         assert again.status == tree.status
         assert [why.code for why in again.reasons[1:]] == [why.code for why in tree.reasons]
     assert [tree.half95_cm > 1.0 for tree in sorted(found.trees, key=lambda tree: tree.x_m)] == [False, False, True]
+
+
+def test_what_is_usual_in_the_plot_tells_of_a_tree_that_is_added() -> None:
+    """Half a stem among oval ones had its interval without what they tell of its hidden side, a fifth too narrow."""
+    rng, places = np.random.default_rng(7), [(2.5 * i, 2.5 * j) for i in range(3) for j in range(3)]
+    floor = np.column_stack([rng.uniform(-2.0, 7.0, (40_000, 2)), rng.normal(0.0, 0.005, 40_000)])
+    parts = [floor]
+    for number, (x, y) in enumerate(places):
+        arc_deg, std = 170.0 if number == 4 else 360.0, 0.012 if number == 7 else 0.003
+        stem = wall(rng, radius=0.16, spacing_m=0.015, ovality=0.055, arc_deg=arc_deg)
+        parts.append(stem + np.array([x, y, 0.0]) + rng.normal(0.0, std, stem.shape))
+    points = np.concatenate(parts)
+    found = analyse_plot(points, settings=SETTINGS)
+    half, rough = (found.trees[found_at(found, *places[number])] for number in (4, 7))
+    assert found.sections[found.trees.index(half)].parts_m["shape"] > 0.003
+    assert StemCode.rougher_than_others in [why.code for why in rough.reasons]
+    for tree in (half, rough):
+        delete = TreeEdit(action="delete", row=2, tree_id=tree.tree_id)
+        add = TreeEdit(action="add", row=3, tree_id=tree.tree_id, x_m=tree.x_m, y_m=tree.y_m)
+        edited = apply_edits(found, points, [delete, add], settings=SETTINGS)
+        again = edited.trees[found_at(edited, tree.x_m, tree.y_m)]
+        assert again.half95_cm == pytest.approx(tree.half95_cm, rel=0.05)
+        assert [why.code for why in again.reasons[1:]] == [why.code for why in tree.reasons]
+        # The others have theirs once.
+        assert set(edited.trees) - {again} == set(found.trees) - {tree}
 
 
 def test_a_tree_where_nothing_is_seen_stands_on_the_ground(result: PlotResult) -> None:
