@@ -38,6 +38,7 @@ from fsinfer.trees.sanity import (
     turned_message,
 )
 from fsinfer.trees.search.find import LEAST_POINTS, StemSearch, find_stems
+from fsinfer.trees.search.stem import Stem
 from fsinfer.trees.settings import TreeSettings
 from fsinfer.trees.shape_doubts import allow_for_shape
 from fsinfer.trees.stand import SeenCells, StandTable, near_ground, seen_cells, stand_table
@@ -52,6 +53,14 @@ FAR_UP_M = 1e4
 
 
 @dataclass(frozen=True, kw_only=True)
+class FoundStem:
+    """A stem of the search in the frame of the cloud, and the number of its tree; None where it is no tree's."""
+
+    stem: Stem
+    tree_id: int | None
+
+
+@dataclass(frozen=True, kw_only=True)
 class PlotResult:
     """Trees with their sections (same order), the ground, and what the forester should know.
 
@@ -59,7 +68,8 @@ class PlotResult:
     With ``units_per_m`` the scale is unknown: positions and ``extent_m`` are in model units, of which so many are
     guessed to make a metre, and the sections are in metres by that guess. ``joined`` are stems of other parts of the
     walk, which were measured there: they have no section here. ``seen_ground`` are the cells of which ``plot_area_m2``
-    is the area; None where it is not known.
+    is the area; None where it is not known. ``stems`` are all that the search found, in metres like the ground, whether
+    or not they are trees (any more).
     """
 
     trees: tuple[Tree, ...]
@@ -73,6 +83,7 @@ class PlotResult:
     units_per_m: float | None = None
     joined: tuple[Tree, ...] = ()
     seen_ground: SeenCells | None = None
+    stems: tuple[FoundStem, ...] = ()
 
     @property
     def all_trees(self) -> tuple[Tree, ...]:
@@ -169,12 +180,7 @@ def _analysed(
         np.subtract(xyz[:, axis], origin[axis], out=columns[axis])
     box = np.percentile(few, BOX_PERCENTILES, axis=1) - origin[:2]
     check_unit(box, settings.sanity)
-    # A single point a kilometre away must not blow up the rasters.
-    margin = 0.5 * float(np.max(box[1] - box[0])) + BOX_MARGIN_M
-    near = np.ones(len(xyz), dtype=bool)
-    for axis in range(2):
-        near &= np.abs(columns[axis] - box[:, axis].mean()) <= 0.5 * np.ptp(box[:, axis]) + margin
-    near &= np.abs(columns[2] - median(np.ascontiguousarray(xyz[:: max(len(xyz) // BOX_POINTS, 1), 2]))) <= FAR_UP_M
+    near = near_plot(columns.T, box)
     if not near.all():
         warnings.append(notice(StemCode.far_outside, points=int((~near).sum())))
         columns = columns.compress(near, axis=1)
@@ -226,22 +232,34 @@ def _analysed(
     centers = np.array([[tree.x_m, tree.y_m] for tree, _ in pairs]).reshape(-1, 2)
     seen = seen_cells(low)
     seen = replace(seen, corner=seen.corner + origin[:2])
+    number_of = {tree.tree_id: number for number, (tree, _) in enumerate(pairs, start=1)}
     return PlotResult(
         trees=tuple(replace(tree, tree_id=number) for number, (tree, _) in enumerate(pairs, start=1)),
         sections=tuple(section for _, section in pairs),
-        ground=replace(
-            ground,
-            origin=ground.origin + origin[:2],
-            plane=ground.plane - np.array([0.0, 0.0, float(ground.plane[:2] @ origin[:2])]),
-            cells=None if ground.cells is None else ground.cells + np.array([*origin[:2], 0.0]),
-        ),
+        ground=ground.moved(origin[:2]),
         diagnosis=_diagnosis([tree for tree, _ in pairs], search, stand, settings),
         warnings=tuple(warnings),
         extent_m=(float(extent[0, 0]), float(extent[0, 1]), float(extent[1, 0]), float(extent[1, 1])),
         spacing_m=search.spacing_m,
         plot_area_m2=seen.area(centers),
         seen_ground=seen,
+        stems=tuple(
+            FoundStem(stem=stem.moved(origin[:2]), tree_id=number_of.get(n)) for n, stem in enumerate(search.stems)
+        ),
     )
+
+
+def near_plot(points: Floats, box: Floats) -> NDArray[np.bool_]:
+    """Which of points (N, 3) belong to a plot whose ``box`` (2, 2) are its least and its greatest x, y; metres.
+
+    A single point a kilometre away must not blow up the rasters.
+    """
+    margin = 0.5 * float(np.max(box[1] - box[0])) + BOX_MARGIN_M
+    near = np.ones(len(points), dtype=bool)
+    for axis in range(2):
+        near &= np.abs(points[:, axis] - box[:, axis].mean()) <= 0.5 * np.ptp(box[:, axis]) + margin
+    middle = median(np.ascontiguousarray(points[:: max(len(points) // BOX_POINTS, 1), 2]))
+    return near & (np.abs(points[:, 2] - middle) <= FAR_UP_M)
 
 
 def _check_turned(points: Floats, settings: TreeSettings) -> None:

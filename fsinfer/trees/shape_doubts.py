@@ -22,21 +22,28 @@ from fsinfer.trees.tree import Tree
 Pair = tuple[Tree, Section]
 
 
-def allow_for_shape(pairs: Sequence[Pair], *, settings: TreeSettings | None = None) -> list[Pair]:
+def allow_for_shape(
+    pairs: Sequence[Pair], *, beside: Sequence[Section] = (), settings: TreeSettings | None = None
+) -> list[Pair]:
     """The trees of a plot with two parts more in their budgets, by :mod:`fsinfer.trees.diameter.roundness`.
 
     ``oval``: the section is farther from round than stems are. ``shape``: what it hides may be, since those of the
-    plot are. Not before it is clear which entries are stems: a doubt about a shape is none about the stem.
+    plot are. Not before it is clear which entries are stems: a doubt about a shape is none about the stem. Those of
+    the plot are ``beside``, too, which have both parts already.
     """
     s = settings or TreeSettings()
     ovals = [
         section.roundness.harmonics[0]
-        for _, section in pairs
-        # Stems that were refused may be anything.
-        if section.roundness is not None and section.dbh_m is not None and section.coverage >= s.shape.min_coverage
+        for section in (*(section for _, section in pairs), *beside)
+        # Stems that were refused may be anything, but for those that were refused here.
+        if section.roundness is not None and _is_stem(section) and section.coverage >= s.shape.min_coverage
     ]
     factor = common_shape([oval for oval in ovals if oval is not None and oval.known], settings=s.shape)
     return [_allowed(tree, section, factor, s) for tree, section in pairs]
+
+
+def _is_stem(section: Section) -> bool:
+    return section.dbh_m is not None or any(why.code == StemCode.far_from_round for why in section.reasons)
 
 
 def _allowed(tree: Tree, section: Section, factor: float, s: TreeSettings) -> Pair:

@@ -67,21 +67,24 @@ def measure_stems(
     origin: Floats,
     *,
     errors: PointErrors | None = None,
+    neighbours: Sequence[Stem] = (),
     progress: Progress = silent,
 ) -> list[tuple[Tree, Section]]:
     """Measure the stems of a search in points (N, 3) of x, y, height above ``ground``, metres about ``origin`` (3,).
 
-    ``errors`` are those of the points, by which they are weighed.
+    ``errors`` are those of the points, by which they are weighed. ``neighbours`` are stems that are not measured here,
+    and have points of their own. The number of a tree is that of its stem in the search, from 0.
     """
+    standing = (*search.stems, *neighbours)
     low, high = settings.stems.heights_m
     in_slab = (stand[:, 2] >= low - SLAB_MARGIN_M) & (stand[:, 2] <= high + SLAB_MARGIN_M)
     slab = rows(stand, in_slab)
     index = PlanIndex(slab if errors is None else errors.select(in_slab).beside(slab), INDEX_CELL_M)
     measured = []
-    feet = np.array([stem.axis.center_at(0.0) for stem in search.stems]).reshape(-1, 2)
-    unsure = level_std(ground, feet, np.array([stem.axis.radius_m for stem in search.stems]))
-    levels = [_own_level(stem, ground, settings) for stem in search.stems]
-    placed = [(_on_level(stem, ground, level), level) for stem, level in zip(search.stems, levels, strict=True)]
+    feet = np.array([stem.axis.center_at(0.0) for stem in standing]).reshape(-1, 2)
+    unsure = level_std(ground, feet, np.array([stem.axis.radius_m for stem in standing]))
+    levels = [_own_level(stem, ground, settings) for stem in standing]
+    placed = [(_on_level(stem, ground, level), level) for stem, level in zip(standing, levels, strict=True)]
     centers = np.array([stem.axis.center_at(settings.bh_m) for stem, _ in placed]).reshape(-1, 2)
 
     highest = float(stand[:, 2].max(initial=0.0))
@@ -95,7 +98,7 @@ def measure_stems(
         # Heights above the one level that counts for this stem, so that it stays straight on a slope.
         z = near[:, 2] + ground.height_at(near[:, :2]) - level
         near = np.column_stack([near[:, :2], z, near[:, 3:]])
-        return _without_neighbours(near, stem, search.stems, ground, level, settings.bh_m)
+        return _without_neighbours(near, stem, standing, ground, level, settings.bh_m)
 
     def together() -> Iterator[_Together]:
         for first in range(0, len(search.stems), TOGETHER):
@@ -110,7 +113,7 @@ def measure_stems(
                 column = near if aside <= BESIDE_M else own_points(number, aside)
                 ends.append(ends_of(column, stem, cloud_top_m=highest, slab_m=slab_m, s=settings.stems))
                 noise.append(float(np.hypot(ground.noise_m / GROUND_POINTS_STD, unsure[number])))
-            yield own, [stem for stem, _ in placed[first : first + TOGETHER]], noise
+            yield own, [stem for stem, _ in placed[first : first + len(own)]], noise
 
     progress(0, len(search.stems), "measuring stems")
     number = 0
@@ -148,7 +151,7 @@ def measure_stems(
             bh_m=settings.bh_m,
             settings=settings.top,
         )
-        pairs.append((tree_of(section, level, height, origin), section))
+        pairs.append((replace(tree_of(section, level, height, origin), tree_id=number), section))
     return pairs
 
 
@@ -192,9 +195,13 @@ def _crowns(stand: Floats, stems: Sequence[tuple[Stem, float]], settings: TreeSe
     return rows(above, near_paths(above, starts, ends, settings.top.crown_radius_m))
 
 
-def doubt_the_rough(pairs: list[tuple[Tree, Section]]) -> list[tuple[Tree, Section]]:
-    """Mark stems much rougher than the others of the plot: double walls too close together to be told apart."""
-    residuals = [tree.residual_cm for tree, _ in pairs if tree.dbh_cm is not None and tree.residual_cm is not None]
+def doubt_the_rough(pairs: list[tuple[Tree, Section]], beside: Sequence[Tree] = ()) -> list[tuple[Tree, Section]]:
+    """Mark stems much rougher than the others of the plot: double walls too close together to be told apart.
+
+    Those others are ``beside``, too, which were asked before.
+    """
+    all_trees = (*(tree for tree, _ in pairs), *beside)
+    residuals = [tree.residual_cm for tree in all_trees if tree.dbh_cm is not None and tree.residual_cm is not None]
     if len(residuals) < LEAST_STEMS:
         return pairs
     limit = ROUGHER * float(np.median(residuals)) + ROUGHER_CM

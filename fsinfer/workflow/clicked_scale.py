@@ -19,7 +19,7 @@ from fsinfer.scale.clicks.server import Clicked, ClickServer
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scale.scale import check_length
 from fsinfer.scene import read_scene
-from fsinfer.trees.edits import find_edits
+from fsinfer.trees.edit_rows import find_edits
 from fsinfer.workflow.given_edits import last_edits
 from fsinfer.workflow.kept_clicks import kept_clicks
 from fsinfer.workflow.ledger import Ledger

@@ -32,7 +32,7 @@ from fsinfer.scene import scene_digest
 from fsinfer.silhouettes.join import StemPhotos
 from fsinfer.threads import one_blas_thread
 from fsinfer.trees import PlotResult
-from fsinfer.trees.edits import find_edits
+from fsinfer.trees.edit_rows import find_edits
 from fsinfer.trees.outputs.labels import write_labelled
 from fsinfer.trees.sanity import TurnedCloudError
 from fsinfer.trees.thinning import ThinningSettings, thin_while_reading

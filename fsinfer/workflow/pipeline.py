@@ -25,7 +25,7 @@ from fsinfer.scale.doubts import doubt_about_all
 from fsinfer.scale.find import FoundScale
 from fsinfer.scale.scale import marker_centers
 from fsinfer.threads import one_blas_thread
-from fsinfer.trees.edits import TreeEdit, find_edits
+from fsinfer.trees.edit_rows import TreeEdit, find_edits
 from fsinfer.workflow.cloud_stages import (
     PlotCloud,
     compare_with_sfm,

@@ -28,7 +28,8 @@ from fsinfer.silhouettes.tops import TopViewSettings, heights_in_view
 from fsinfer.silhouettes.walk import WalkSettings, apart_from_walk, camera_places
 from fsinfer.threads import cores
 from fsinfer.trees import PlotResult, TreeSettings, analyse_plot
-from fsinfer.trees.edits import TreeEdit, apply_edits
+from fsinfer.trees.edit_rows import TreeEdit
+from fsinfer.trees.edits import apply_edits
 from fsinfer.trees.forks import forks
 from fsinfer.trees.outputs.labels import label_points
 from fsinfer.trees.outputs.maps import write_maps

@@ -32,7 +32,7 @@ def _make_edits(folder: Path) -> None:
 
 
 def _read_edits(folder: Path) -> None:
-    from fsinfer.trees.edits import read_edits
+    from fsinfer.trees.edit_rows import read_edits
 
     read_edits(folder / "edits.csv")
 

@@ -77,6 +77,15 @@ class Ground:
             [(self.height_at(xy + step) - self.height_at(xy - step)) / (2.0 * GRADIENT_M) for step in steps]
         )
 
+    def moved(self, by: Floats) -> Ground:
+        """The same terrain, all of whose places are moved by ``by`` (2,), metres; heights stay as they are."""
+        return replace(
+            self,
+            origin=self.origin + by,
+            plane=self.plane - np.array([0.0, 0.0, float(self.plane[:2] @ by)]),
+            cells=None if self.cells is None else self.cells + np.array([*by, 0.0]),
+        )
+
     @property
     def slope_deg(self) -> float:
         """Slope of the plane."""

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
 
 from fsinfer.trees.cylinder.axis import Axis
 
@@ -79,3 +82,9 @@ class Stem:
     length_m: float
     arc_coverage: float
     quality: float
+
+    def moved(self, by: NDArray[np.float64]) -> Stem:
+        """The same stem elsewhere in plan, by (2,) metres."""
+        parameters = self.axis.parameters.copy()
+        parameters[:2] += by
+        return replace(self, axis=replace(self.axis, parameters=parameters))

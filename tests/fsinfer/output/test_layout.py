@@ -53,7 +53,7 @@ def test_paths_are_those_of_the_contract() -> None:
 def test_stages_below_write_by_the_same_names() -> None:
     from fsinfer.frames.select import CONTACT_SHEET
     from fsinfer.scale.clicks.file import CLICKS_FILE
-    from fsinfer.trees.edits import EDITS_FILE
+    from fsinfer.trees.edit_rows import EDITS_FILE
     from fsinfer.trees.outputs.maps import GEOJSON, GEOPACKAGE
 
     assert (CONTACT_SHEET, EDITS_FILE) == (layout.CONTACT_SHEET_FILE, layout.EDITS_FILE)

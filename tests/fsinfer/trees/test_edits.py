@@ -16,10 +16,12 @@ from fsinfer.notices.notice import notice
 from fsinfer.notices.sentences import sentence
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees import TreeSettings, analyse_plot
-from fsinfer.trees.edits import TreeEdit, apply_edits, find_edits, read_edits
+from fsinfer.trees.edit_rows import TreeEdit, find_edits, read_edits
+from fsinfer.trees.edits import apply_edits
 from fsinfer.trees.measure import PlotResult
 from fsinfer.trees.outputs.table import read_trees
-from tests.support.stem_clouds import StemPlot, stem_plot
+from fsinfer.trees.tree import Tree
+from tests.support.stem_clouds import StemPlot, stem_plot, wall
 
 SETTINGS = TreeSettings()
 # As in a national grid: far from the origin.
@@ -50,6 +52,11 @@ def extent_moved(result: PlotResult, moved: NDArray[np.float64]) -> tuple[float,
     return x_min, y_min, x_max, y_max
 
 
+def found_at(result: PlotResult, x_m: float, y_m: float) -> int:
+    """Which of the trees stands nearest to a place."""
+    return int(np.argmin([np.hypot(tree.x_m - x_m, tree.y_m - y_m) for tree in result.trees]))
+
+
 def test_a_deleted_tree_is_gone_and_the_others_keep_their_numbers(plot: StemPlot, result: PlotResult) -> None:
     edited = apply_edits(result, plot.points, [TreeEdit(action="delete", row=2, tree_id=2)], settings=SETTINGS)
     assert edited.trees == tuple(tree for tree in result.trees if tree.tree_id != 2)
@@ -70,11 +77,7 @@ def test_a_tree_the_search_missed_is_measured_where_it_was_set(
         result,
         trees=tuple(replace(t, x_m=t.x_m + moved[0], y_m=t.y_m + moved[1]) for t in result.trees if t != missing),
         sections=tuple(s for t, s in zip(result.trees, result.sections, strict=True) if t != missing),
-        ground=replace(
-            ground,
-            origin=ground.origin + moved[:2],
-            plane=ground.plane - np.array([0, 0, ground.plane[:2] @ moved[:2]]),
-        ),
+        ground=ground.moved(moved[:2]),
         extent_m=extent_moved(result, moved),
     )
     add = TreeEdit(action="add", row=2, x_m=missing.x_m + 0.2 + moved[0], y_m=missing.y_m - 0.1 + moved[1])
@@ -98,13 +101,122 @@ def test_a_tree_set_where_nothing_is_seen_has_a_place_and_no_diameter(plot: Stem
     assert sentence(edited.warnings[-1]) == "stem map corrected by hand: tree 10 added, 9 added"
 
 
+def test_the_doubt_about_the_ground_is_that_of_the_place() -> None:
+    """The ground is seen at one end of the plot; a stem at the other was +- 0.3 cm, though nobody knows its foot."""
+    rng, places = np.random.default_rng(5), [(2.0, 2.0), (2.0, 5.0), (14.0, 14.0), (12.0, 16.0)]
+    stems = [wall(rng, radius=0.15, spacing_m=0.015, taper=-0.012) + np.array([x, y, 0.0]) for x, y in places]
+    floor = np.column_stack([rng.uniform(0.0, 8.0, (40_000, 2)), np.zeros(40_000)])
+    points = np.concatenate([*stems, floor])
+    points += rng.normal(0.0, 0.003, points.shape)
+    found = analyse_plot(points, settings=SETTINGS)
+    for tree in found.trees:
+        delete = TreeEdit(action="delete", row=2, tree_id=tree.tree_id)
+        add = TreeEdit(action="add", row=3, tree_id=tree.tree_id, x_m=tree.x_m, y_m=tree.y_m)
+        edited = apply_edits(found, points, [delete, add], settings=SETTINGS)
+        (again,) = (other for other in edited.trees if other.tree_id == tree.tree_id)
+        assert again.half95_cm == pytest.approx(tree.half95_cm, rel=0.05)
+        assert again.status == tree.status
+        assert [why.code for why in again.reasons[1:]] == [why.code for why in tree.reasons]
+    assert [tree.half95_cm > 1.0 for tree in sorted(found.trees, key=lambda tree: tree.x_m)] == [False] * 2 + [True] * 2
+
+
+def test_what_is_usual_in_the_plot_tells_of_a_tree_that_is_added() -> None:
+    """Half a stem among oval ones had its interval without what they tell of its hidden side, a fifth too narrow."""
+    rng, places = np.random.default_rng(7), [(2.5 * i, 2.5 * j) for i in range(3) for j in range(3)]
+    floor = np.column_stack([rng.uniform(-2.0, 7.0, (40_000, 2)), rng.normal(0.0, 0.005, 40_000)])
+    parts = [floor]
+    for number, (x, y) in enumerate(places):
+        arc_deg, std = 170.0 if number == 4 else 360.0, 0.012 if number == 7 else 0.003
+        stem = wall(rng, radius=0.16, spacing_m=0.015, ovality=0.055, arc_deg=arc_deg)
+        parts.append(stem + np.array([x, y, 0.0]) + rng.normal(0.0, std, stem.shape))
+    points = np.concatenate(parts)
+    found = analyse_plot(points, settings=SETTINGS)
+    half, rough = (found.trees[found_at(found, *places[number])] for number in (4, 7))
+    assert found.sections[found.trees.index(half)].parts_m["shape"] > 0.003
+    assert StemCode.rougher_than_others in [why.code for why in rough.reasons]
+    for tree in (half, rough):
+        delete = TreeEdit(action="delete", row=2, tree_id=tree.tree_id)
+        add = TreeEdit(action="add", row=3, tree_id=tree.tree_id, x_m=tree.x_m, y_m=tree.y_m)
+        edited = apply_edits(found, points, [delete, add], settings=SETTINGS)
+        again = edited.trees[found_at(edited, tree.x_m, tree.y_m)]
+        assert again.half95_cm == pytest.approx(tree.half95_cm, rel=0.05)
+        assert [why.code for why in again.reasons[1:]] == [why.code for why in tree.reasons]
+        # The others have theirs once.
+        assert set(edited.trees) - {again} == set(found.trees) - {tree}
+
+
+def tall(rng: np.random.Generator, x: float, y: float, dbh_m: float, top_m: float, lean: float) -> NDArray[np.float64]:
+    """A tree of ``top_m`` metres whose axis moves ``lean`` metres along x a metre of height, with a pointed crown."""
+    stem = wall(rng, radius=dbh_m / 2, spacing_m=0.02, taper=-dbh_m / 2 / top_m, top_m=0.95 * top_m)
+    share, turn = rng.uniform(0.0, 1.0, 5000), rng.uniform(0.0, 2.0 * np.pi, 5000)
+    reach = 1.4 * np.sqrt(share * rng.uniform(0.0, 1.0, 5000))
+    crown = np.column_stack([reach * np.cos(turn), reach * np.sin(turn), top_m * (1.0 - 0.5 * share)])
+    points = np.concatenate([stem, crown])
+    points[:, 0] += lean * points[:, 2]
+    moved: NDArray[np.float64] = points + np.array([x, y, 0.0]) + rng.normal(0.0, 0.003, points.shape)
+    return moved
+
+
+@pytest.fixture(scope="module")
+def wood() -> NDArray[np.float64]:
+    """A slope with a pair that touches, a thin tree under a tall one, and two that lean, by 13 and by 31 degrees."""
+    rng = np.random.default_rng(11)
+    trees = [
+        (2.0, 2.0, 0.3, 14.0, 0.0), (2.255, 2.0, 0.2, 12.0, 0.0), (6.0, 2.0, 0.22, 16.0, -0.1),
+        (6.9, 2.1, 0.12, 8.0, 0.0), (3.0, 6.0, 0.25, 17.0, 0.22), (7.0, 6.5, 0.2, 4.0, 0.6),
+    ]  # fmt: skip
+    floor = np.column_stack([rng.uniform(-1.0, 10.0, (60_000, 2)), rng.normal(0.0, 0.005, 60_000)])
+    points = np.concatenate([*(tall(rng, *tree) for tree in trees), floor])
+    points[:, 2] += 0.3 * points[:, 0]
+    return points
+
+
+def added(tree: Tree) -> TreeEdit:
+    return TreeEdit(action="add", row=3, tree_id=tree.tree_id, x_m=tree.x_m, y_m=tree.y_m)
+
+
+def test_trees_that_are_deleted_and_added_again_are_as_they_were_found(wood: NDArray[np.float64]) -> None:
+    """Measured as if nothing stood beside it, a tree of 8 m under one of 16 was 10 m high.
+
+    The stem is the one that the search had found, and so are its neighbours; the origin is another, which rounds
+    otherwise, so that a point more or less belongs to a slice, and blocks of bark are others: that tells in the
+    interval.
+    """
+    found = analyse_plot(wood, settings=SETTINGS)
+    assert len(found.trees) == 6
+    assert sum(tree.height_m is not None for tree in found.trees) >= 4
+    deleted = [TreeEdit(action="delete", row=2, tree_id=tree.tree_id) for tree in found.trees]
+    for edits in (
+        *((delete, added(tree)) for delete, tree in zip(deleted, found.trees, strict=True)),
+        # All of them, in another order.
+        (*deleted, *map(added, reversed(found.trees))),
+    ):
+        edited = apply_edits(found, wood, edits, settings=SETTINGS)
+        for again, tree in zip(edited.trees, found.trees, strict=True):
+            assert again.dbh_cm == pytest.approx(tree.dbh_cm, abs=0.02)
+            assert again.half95_cm == pytest.approx(tree.half95_cm, rel=0.05)
+            assert again.height_m == pytest.approx(tree.height_m, abs=0.02)
+            assert again.z_ground_m == pytest.approx(tree.z_ground_m, abs=0.001)
+            assert again.status == tree.status
+
+
+def test_a_deleted_tree_hides_nothing(wood: NDArray[np.float64]) -> None:
+    found = analyse_plot(wood, settings=SETTINGS)
+    low, high = (found.trees[found_at(found, *place)] for place in ((7.0, 2.1), (5.87, 2.0)))
+    assert low.height_m == pytest.approx(8.0, abs=0.5)
+    deleted = [TreeEdit(action="delete", row=2, tree_id=tree.tree_id) for tree in (low, high)]
+    edited = apply_edits(found, wood, [*deleted, added(low)], settings=SETTINGS)
+    again = edited.trees[found_at(edited, low.x_m, low.y_m)]
+    assert again.height_m is None or again.height_m > 9.0
+
+
 def test_a_tree_where_nothing_is_seen_stands_on_the_ground(result: PlotResult) -> None:
     # A slope at 700 m above the sea, in a national grid.
     assert result.ground is not None
     flat = replace(result.ground, raster_m=None, plane=np.array([0.1, -0.2, 700.0]))
     high = replace(
         result,
-        ground=replace(flat, plane=flat.plane - np.array([0.0, 0.0, flat.plane[:2] @ MOVED[:2]])),
+        ground=flat.moved(MOVED[:2]),
         trees=tuple(replace(tree, x_m=tree.x_m + MOVED[0], y_m=tree.y_m + MOVED[1]) for tree in result.trees),
         extent_m=extent_moved(result, MOVED),
     )
@@ -174,6 +286,27 @@ def test_two_halves_of_one_stem_are_merged(plot: StemPlot, result: PlotResult) -
     assert edited.trees[1:] == result.trees[1:]
     assert edited.trees[0].reasons[0] == notice(StemCode.merged_by_hand, tree_id=1, other_id=7)
     assert edited.trees[0].dbh_cm == pytest.approx(whole.dbh_cm, abs=0.5)
+
+
+def test_a_merged_tree_is_none_of_the_others() -> None:
+    """Two thin stems beside a thick one were merged into a second entry of that one, with twice its basal area."""
+    rng, places, radii = np.random.default_rng(3), [(0.0, 0.0), (0.3, 0.0), (0.15, 0.6)], [0.05, 0.05, 0.25]
+    stems = []
+    # The thick one has the sharper wall, and more to show for itself.
+    for (x, y), radius, std in zip(places, radii, [0.006, 0.006, 0.002], strict=True):
+        stem = wall(rng, radius=radius, spacing_m=0.012) + np.array([x, y, 0.0])
+        stems.append(stem + rng.normal(0.0, std, stem.shape))
+    floor = np.column_stack([rng.uniform(-4.0, 4.0, (30_000, 2)), rng.normal(0.0, 0.005, 30_000)])
+    points = np.concatenate([*stems, floor])
+    found = analyse_plot(points, settings=SETTINGS)
+    thick = max(found.trees, key=lambda tree: tree.radius_m)
+    one, other = (tree.tree_id for tree in found.trees if tree != thick)
+    merge = TreeEdit(action="merge", row=2, tree_id=one, other_id=other)
+    edited = apply_edits(found, points, [merge], settings=SETTINGS)
+    assert thick in edited.trees
+    (merged,) = (tree for tree in edited.trees if tree != thick)
+    assert merged.dbh_cm == pytest.approx(10.0, abs=0.5)
+    assert np.hypot(merged.x_m - thick.x_m, merged.y_m - thick.y_m) > thick.radius_m
 
 
 def test_without_a_scale_trees_are_moved_about_but_not_measured(plot: StemPlot) -> None:

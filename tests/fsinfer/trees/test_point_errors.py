@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from fsinfer.io.cloud import DEPTH_STD, PointCloud
 from fsinfer.trees import PlotResult, TreeSettings, analyse_plot
-from fsinfer.trees.edits import TreeEdit, apply_edits
+from fsinfer.trees.edit_rows import TreeEdit
+from fsinfer.trees.edits import apply_edits
 from fsinfer.trees.outputs.table import read_trees
 from fsinfer.trees.points.errors import PointErrors
 from fsinfer.trees.stem_curve import stem_curves

@@ -89,3 +89,12 @@ def test_its_parts_are_named_and_add_up() -> None:
     assert section.parts_m["oval"] == 0.0
     assert section.parts_m["shape"] > section.roundness.left_open_m
     assert section.sd_m == pytest.approx(2.0 * np.sqrt(sum(part**2 for part in section.parts_m.values())))
+
+
+def test_stems_beside_tell_as_those_that_are_asked_with_it_and_are_left_as_they_are() -> None:
+    # One that was refused for its shape tells as it did before.
+    pairs = [*stand(OVAL), pair(98, 0.40), pair(99, 0.0, arc_deg=170.0)]
+    *others, (tree, section) = allow_for_shape(pairs)
+    assert others[10][1].dbh_m is None
+    ((again, same),) = allow_for_shape(pairs[11:], beside=[other for _, other in others])
+    assert (again, same.parts_m) == (tree, section.parts_m)

@@ -90,6 +90,9 @@ def test_a_stem_much_rougher_than_the_others_is_doubted() -> None:
     assert "residual 1.2 cm" in tree.reason
     assert (section.status, section.reasons) == (tree.status, tree.reasons)
     assert tree.dbh_cm == pytest.approx(30.0)
+    # The others may have been asked before.
+    late = doubt_the_rough(pairs_of([1.1, 1.2]), beside=[pairs[i][0] for i in (0, 1, 2, 3, 6)])
+    assert [tree.status for tree, _ in late] == ["ok", "doubtful"]
     # An earlier reason is kept.
     before = pairs_of([0.5, 0.5, 0.5, 0.5, 1.2])
     before[4] = (replace(before[4][0], reasons=(WALL,)), before[4][1])

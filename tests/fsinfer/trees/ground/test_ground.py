@@ -37,6 +37,16 @@ def test_the_ground_of_a_steep_slope_is_not_its_cells_lower_border(slope_deg: fl
     assert np.abs(error).max() < (0.02 if bumps == 0 else 0.06)
 
 
+@pytest.mark.parametrize("bumps", [0.0, 0.2])
+def test_ground_that_is_moved_is_the_same_elsewhere(bumps: float) -> None:
+    ground, by = find_ground(_ground(slope=0.3, bumps=bumps)), np.array([1000.0, -50.0])
+    moved, places = ground.moved(by), np.random.default_rng(2).uniform(0, 10, (50, 2))
+    assert moved.height_at(places + by) == pytest.approx(ground.height_at(places), abs=1e-9)
+    assert ground.cells is not None
+    assert moved.cells is not None
+    assert moved.cells == pytest.approx(ground.cells + np.array([*by, 0.0]))
+
+
 def test_bumps_bring_the_raster() -> None:
     ground = find_ground(_ground(slope=0.2, bumps=0.4))
     assert ground.method == "plane + raster"
