@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import ImageError
 from fsinfer.io.files import atomic_path
-from fsinfer.io.pixels import as_rgb, read_tiff, stored_size, turned
+from fsinfer.io.pixels import as_rgb, has_deep_colours, read_deep, read_tiff, stored_size, turned
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -70,9 +70,10 @@ def read_image(path: Path | str, *, upright: bool = True, at_least_px: int | Non
     from PIL import ImageOps
 
     with open_header(path) as image, _told(path):
-        if image.format == "TIFF":
+        deep = has_deep_colours(image)
+        if deep or image.format == "TIFF":
             orientation = orientation_of(image)
-            pixels = read_tiff(path, orientation)
+            pixels = read_deep(path, image) if deep else read_tiff(path, orientation)
             return turned(pixels, orientation) if upright else pixels
         width, height = image.size
         if at_least_px is not None and image.format in _JPEG_FORMATS and image.mode == "RGB":
@@ -191,7 +192,7 @@ def is_upright_jpeg_or_png(path: Path | str, *, longest_px: int | None = None) -
     With ``longest_px`` also whether its longer side is no longer than that.
     """
     with open_header(Path(path)) as image:
-        plain = image.format in ("JPEG", "PNG") and image.mode in ("RGB", "L")
+        plain = image.format in ("JPEG", "PNG") and image.mode in ("RGB", "L") and not has_deep_colours(image)
         small = longest_px is None or max(image.size) <= longest_px
         return plain and small and orientation_of(image) in (0, 1)
 

@@ -1,10 +1,14 @@
-"""The pixels that a photograph stores, as RGB in 8 bits: of TIFFs, which Pillow turns, and of other depths."""
+"""The pixels that a photograph stores, as RGB in 8 bits: of TIFFs, which Pillow turns, and of other depths.
+
+OpenCV reads colours in 16 bits, of which Pillow keeps the upper half alone: nothing of a sensor of 8 bits.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,8 +19,10 @@ if TYPE_CHECKING:
 
 #: Bits that sensors fill, of 8 in one file, 16 or 32 in others. Source: format; converters of cameras have 10 to 16.
 _SENSOR_BITS = (8, 10, 12, 14, 16, 32)
-#: Tags of the width and height that a TIFF stores. Source: format; TIFF 6.0.
-_WIDTH, _HEIGHT = 0x0100, 0x0101
+#: Tags of what a TIFF stores: width, height, bits of each value, how to turn it upright. Source: format; TIFF 6.0.
+_WIDTH, _HEIGHT, _BITS, _ORIENTATION = 0x0100, 0x0101, 0x0102, 0x0112
+#: What OpenCV gives in the order blue, green, red, with or without a fourth that is left out. Source: format; Pillow.
+_COLOURS = frozenset({"RGB", "RGBA", "RGBX", "LA"})
 #: The orientation that undoes another; the others undo themselves. Source: definition; a quarter turn and one back.
 _UNDOES = {6: 8, 8: 6}
 
@@ -29,6 +35,21 @@ def stored_size(image: Image) -> tuple[int, int]:
         # Pillow interchanges the two itself where the file says that it lies on its side.
         return int(image.tag_v2[_WIDTH]), int(image.tag_v2[_HEIGHT])
     return image.size
+
+
+def has_deep_colours(image: Image) -> bool:
+    """Whether colours have more than 8 bits, of which Pillow drops the lower ones.
+
+    Of an image that is not decoded yet, which asking a PNG for its metadata does.
+    """
+    from PIL.PngImagePlugin import PngImageFile
+    from PIL.TiffImagePlugin import TiffImageFile
+
+    if image.mode.startswith("I") or image.mode == "F":
+        return False  # grey, which it keeps
+    if isinstance(image, TiffImageFile):
+        return int(np.max(image.tag_v2.get(_BITS, 1))) > 8
+    return isinstance(image, PngImageFile) and any(";16" in str(tile[3]) for tile in image.tile)
 
 
 def turned(pixels: NDArray[np.uint8], orientation: int) -> NDArray[np.uint8]:
@@ -51,6 +72,27 @@ def read_tiff(path: Path, orientation: int) -> NDArray[np.uint8]:
         image.load()
         # Loading has turned them.
         return turned(as_rgb(path, image), _UNDOES.get(orientation, orientation))
+
+
+def read_deep(path: Path, image: Image) -> NDArray[np.uint8]:
+    """The stored pixels (H, W, 3) of an opened image with deep colours.
+
+    Raises :class:`ImageError` where these are no red, green and blue, and what Pillow raises.
+    """
+    from PIL.TiffImagePlugin import TiffImageFile
+
+    # OpenCV turns a TIFF by this tag, and nothing else.
+    done = int(image.tag_v2.get(_ORIENTATION, 1)) if isinstance(image, TiffImageFile) else 1
+    mode = image.mode
+    # It says nothing of a file that is cut short.
+    image.load()
+    values = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED) if mode in _COLOURS else None
+    if values is None or values.dtype != np.uint16 or values.ndim != 3 or values.shape[2] < 3:
+        msg = f"{path} holds colours ({mode}) in more than 8 bits that cannot be read; save it as RGB in 8 bits"
+        raise ImageError(msg)
+    # A table takes an eighth of the memory.
+    levels = (255 * np.clip(np.arange(2**16) / _white(float(values[..., :3].max())), 0, 1)).round().astype(np.uint8)
+    return turned(levels[values[..., 2::-1]], _UNDOES.get(done, done))
 
 
 def as_rgb(path: Path, image: Image) -> NDArray[np.uint8]:
