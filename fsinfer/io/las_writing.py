@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.io.files import atomic_path, is_disk_full
-from fsinfer.io.las import KEPT_DIMENSIONS, damaged, flagged, iterate_las, open_las, records_of
+from fsinfer.io.las import IN_DEGREES, KEPT_DIMENSIONS, damaged, flagged, iterate_las, open_las, read_epsg, records_of
 
 _log = logging.getLogger(__name__)
 
@@ -171,7 +171,8 @@ def copy_las(
     Points that are :func:`flagged` get 0.
 
     Stored integers stay as they are: ``factor`` (metres per unit of the source, which ``label`` gets) goes into their
-    step, and takes the frame away that the header names, which is no longer that of the coordinates.
+    step, and takes the frame away that the header names, which is no longer that of the coordinates. So goes a frame in
+    degrees, which is not that of metres.
     """
     import laspy
 
@@ -182,7 +183,7 @@ def copy_las(
         if name not in set(header.point_format.dimension_names):
             header.add_extra_dim(laspy.ExtraBytesParams(name=name, type=np.int32))
         header.scales, header.offsets = old.scales * factor, old.offsets * factor
-        if factor == 1.0:
+        if factor == 1.0 and read_epsg(source) not in IN_DEGREES:
             _take_frame(header, old)
     with atomic_path(target) as temporary, ExitStack() as open_file:
         with _writing(source, target):

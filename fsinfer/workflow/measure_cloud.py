@@ -15,7 +15,7 @@ from fsinfer.io.chunks import ChunkedCloud, open_chunks
 from fsinfer.io.cloud import PointCloud, read_and_tell
 from fsinfer.io.digest import file_digest
 from fsinfer.io.files import make_folder
-from fsinfer.io.las import LAS_SUFFIXES, read_epsg
+from fsinfer.io.las import IN_DEGREES, LAS_SUFFIXES, read_epsg
 from fsinfer.notices.capture import NO_SCALE, REMARKS, CaptureCode
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
@@ -152,7 +152,10 @@ def measure_cloud_file(
         doubts = doubt_ends(request, opened.cloud.xyz, per_unit)
         # A cloud that had to be scaled is not in the frame that its header may name.
         in_frame = cloud_path.suffix.lower() in LAS_SUFFIXES and per_unit == 1.0
-        frame_of = cloud_path if in_frame else None
+        named = read_epsg(cloud_path) if in_frame else None
+        # Nor is one that was taken as it is, in metres, in a frame of degrees.
+        degrees = (notice(StemCode.frame_in_degrees, epsg=named),) if named in IN_DEGREES else ()
+        frame_of = cloud_path if in_frame and not degrees else None
         given = PlotCloudInput(
             cloud=opened.cloud,
             metric=metric,
@@ -160,7 +163,7 @@ def measure_cloud_file(
             camera_height=origin.camera_height,
             marker_xyz=None if photos is None else marker_centers(origin.markers, photos.cloud_from_scene),
             marker_numbers=() if photos is None else tuple(marker.id for marker in origin.markers.markers),
-            epsg=None if frame_of is None else read_epsg(frame_of),
+            epsg=None if frame_of is None else named,
             frame_of=frame_of,
             photos=photos,
             edits=corrections,
@@ -168,7 +171,7 @@ def measure_cloud_file(
             write_labelled=opened.labelled,
         )
         trees, given, turned = _measure(given, out, settings.stage, progress)
-        said = (*found.warnings, *doubts, *unknown_error(found.scale), *opened.warnings, *turned)
+        said = (*found.warnings, *doubts, *unknown_error(found.scale), *opened.warnings, *degrees, *turned)
         trees = replace(trees, warnings=(*said, *no_scale_once(said, trees.warnings)))
         density = density_per_m2(given.cloud.xyz) if metric else None
         # That of an earlier measurement would stand beside the tables of this one.
