@@ -26,8 +26,9 @@ _MOST_DEGREES, _WIDEST_DEGREES = 360.0, 0.1
 
 def refuse_fused(cloud_path: Path) -> None:
     """Refuse the cloud of the stage ``fuse``: it is in the scene's frame and units."""
-    if cloud_path.parent.name == "fused" and (cloud_path.parent.parent / RECORDS_FOLDER).is_dir():
-        finished = cloud_path.parent.parent / "cloud.ply"
+    folder = cloud_path.parent.resolve()
+    if folder.name == "fused" and (folder.parent / RECORDS_FOLDER).is_dir():
+        finished = folder.parent / "cloud.ply"
         msg = f"{cloud_path} is what a run made before it knew what is up and how long a metre is; give {finished}"
         raise CloudError(msg)
 
