@@ -179,8 +179,13 @@ def copy_las(
     with open_las(source) as reader:
         old = reader.header
         header = laspy.LasHeader(point_format=old.point_format, version=old.version)
-        # One dimension of that name may be there from an earlier run; then it is written over.
-        if name not in set(header.point_format.dimension_names):
+        # One dimension of that name may be there from an earlier run; then it is written over, or makes room where
+        # another program's is too narrow for the numbers.
+        there = next((found for found in header.point_format.extra_dimensions if found.name == name), None)
+        if there is not None and not _holds_numbers(there):
+            header.remove_extra_dim(name)
+            there = None
+        if there is None:
             header.add_extra_dim(laspy.ExtraBytesParams(name=name, type=np.int32))
         header.scales, header.offsets = old.scales * factor, old.offsets * factor
         if factor == 1.0 and read_epsg(source) not in IN_DEGREES:
@@ -194,11 +199,18 @@ def copy_las(
             with _writing(source, target):
                 record = laspy.ScaleAwarePointRecord.zeros(len(points), header=header)
                 for dimension in points.point_format.dimension_names:
-                    record[dimension] = points[dimension]
+                    if dimension != name:
+                        record[dimension] = points[dimension]
                 record[name] = numbers
                 writer.write_points(record)
         with _writing(source, target):
             open_file.close()
+
+
+def _holds_numbers(dimension: Any) -> bool:
+    """Whether a dimension of laspy is one value a point that is any int32 exactly."""
+    scalar = dimension.num_elements == 1 and dimension.scales is None and dimension.offsets is None
+    return scalar and dimension.dtype is not None and np.can_cast(np.int32, dimension.dtype)
 
 
 @contextmanager
