@@ -36,7 +36,7 @@ from fsinfer.importers.foreign import (
 from fsinfer.importers.lens import Lens
 from fsinfer.importers.photos import Registered, gather
 from fsinfer.importers.thinning import keyframes
-from fsinfer.io.images import open_header
+from fsinfer.io.images import image_size
 
 POLYCAM, SCANNER, RECORD3D = "Polycam", "3D Scanner App", "Record3D"
 _METRES = "its metres are those of the phone's motion sensors, wrong by a per cent or two"
@@ -99,8 +99,7 @@ def read_scanner_app(folder: Path, photos: Sequence[Path]) -> ForeignScene:
         values = read_json(file)
         world_from_cam = numbers(values.get("cameraPoseARFrame"), 16, file, "cameraPoseARFrame").reshape(4, 4)
         matrix = numbers(values.get("intrinsics"), 9, file, "intrinsics").reshape(3, 3)
-        with open_header(photo) as image:
-            size = image.size
+        size = image_size(photo, upright=False)
         lens = _lens([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *size], file)
         registered.append(Registered(name=file.stem, lens=lens, cam_from_world=_pose(world_from_cam, file)))
     kept = keyframes(registered)

@@ -95,6 +95,12 @@ def _numbered(path: Path, part: str) -> list[Path]:
     return [parent / name / after.strip("/") for name in sorted(names, key=int)]
 
 
+def camera_files(model: Path) -> tuple[Path, ...]:
+    """The files of a model that its cameras are read from; none where it is none."""
+    suffix = _suffix(model)
+    return () if suffix is None else (model / f"cameras{suffix}", model / f"images{suffix}")
+
+
 def _suffix(folder: Path) -> str | None:
     """Of the files of a model; None where there is none."""
     for suffix in (".bin", ".txt"):

@@ -14,6 +14,7 @@ from fsinfer.importers.arkit import (
     read_record3d,
     read_scanner_app,
 )
+from fsinfer.importers.colmap import camera_files as colmap_cameras
 from fsinfer.importers.colmap import find_models, read_colmap
 from fsinfer.importers.foreign import ForeignScene
 from fsinfer.importers.metashape import is_metashape, read_metashape
@@ -26,6 +27,8 @@ from fsinfer.importers.transforms import read_transforms
 Reader = Callable[[Sequence[Path]], ForeignScene]
 #: Where photographs are looked for beside the files of a scene, from the folder of the file.
 _BESIDE = (".", "images", "..", "../images", "../../images", "../../../images")
+#: Files that are a scene by themselves, and what knows them.
+_ALONE = (("*.xml", is_metashape), ("*.mvs", is_openmvs))
 
 
 def reader_of(source: Path, images: Path | None = None) -> Callable[[], ForeignScene] | None:
@@ -71,11 +74,30 @@ def _folder(folder: Path) -> tuple[Reader, list[Path]] | None:
     if poses is not None:
         return partial(read_rtabmap, poses), folders_of(poses, "rgb")
     # A file alone of its kind: the folder of an export is a scene as well.
-    for pattern, fits in (("*.xml", is_metashape), ("*.mvs", is_openmvs)):
+    for pattern, fits in _ALONE:
         files = [path for path in sorted(folder.glob(pattern)) if fits(path)]
         if len(files) == 1:
             return _file(files[0])
     return None
+
+
+def camera_files(folder: Path) -> tuple[Path, ...]:
+    """Files among those that the reader of this folder reads for its cameras, which tell it from another scene."""
+    models = find_models(folder)
+    if models:
+        return colmap_cameras(models[0])
+    if (folder / TRANSFORMS).is_file():
+        return (folder / TRANSFORMS,)
+    polycam = find_polycam(folder)
+    if polycam is not None:
+        return tuple(sorted(polycam[0].glob("*.json")))
+    if is_scanner_app(folder):
+        return tuple(sorted(folder.glob("frame_*.json")))
+    alone = find_record3d(folder) or find_rtabmap(folder)
+    if alone is not None:
+        return (alone,)
+    files = (path for pattern, fits in _ALONE for path in sorted(folder.glob(pattern)) if fits(path))
+    return tuple(files)[:1]
 
 
 def _beside(folder: Path) -> list[Path]:

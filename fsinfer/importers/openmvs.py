@@ -20,7 +20,7 @@ from fsinfer.importers.files import MOST, ByteReader, find_photo, numbers, unfit
 from fsinfer.importers.foreign import Floats, ForeignScene, exact_rotation, near_origin
 from fsinfer.importers.lens import Lens
 from fsinfer.importers.photos import Registered, gather
-from fsinfer.io.images import open_header
+from fsinfer.io.images import image_size
 from fsinfer.poses.sparse import SparseModel
 
 PROGRAM = "OpenMVS"
@@ -161,8 +161,7 @@ def _lens(camera: _Camera, photo: Path | None, path: Path) -> Lens | None:
     if not (width and height):
         if photo is None:
             return None
-        with open_header(photo) as image:
-            width, height = image.size
+        width, height = image_size(photo, upright=False)
         intrinsic = intrinsic * max(width, height)
     return Lens(
         width=width,

@@ -17,7 +17,7 @@ from fsinfer.importers.files import find_photo, numbers, read_json, unfit
 from fsinfer.importers.foreign import FROM_OPENGL, ForeignScene, near_origin, pose_from_center
 from fsinfer.importers.lens import Lens
 from fsinfer.importers.photos import Registered, gather
-from fsinfer.io.images import open_header
+from fsinfer.io.images import image_size
 
 PROGRAM = "nerfstudio"
 FILE = "transforms.json"
@@ -71,8 +71,7 @@ def _lens(values: Mapping[str, Any], name: str, path: Path, photos: Sequence[Pat
     if not (width > 0 and height > 0):
         photo = find_photo(name, photos)
         if photo is not None:
-            with open_header(photo) as image:
-                width, height = image.size
+            width, height = image_size(photo, upright=False)
         else:
             width, height = 2 * number("cx", 0.5), 2 * number("cy", 0.5)  # it is left out
     angle = number("camera_angle_x", 0.0)

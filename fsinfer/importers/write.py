@@ -16,7 +16,7 @@ from fsinfer.importers.lens import Lens, pinhole_of, undistortion_maps
 from fsinfer.importers.views import GeometricSettings, range_without_points, scores_without_points
 from fsinfer.io.exif import gravity_exif
 from fsinfer.io.files import copy_file, write_text
-from fsinfer.io.images import image_size, is_upright_jpeg_or_png, open_header, read_image, write_image
+from fsinfer.io.images import image_size, is_upright_jpeg_or_png, read_image, write_image
 from fsinfer.io.turned import sensor_exif
 from fsinfer.poses.sparse import SparseModel
 from fsinfer.poses.undistortion import undistort
@@ -174,9 +174,7 @@ def write_scene(
 
 def _fit(photo: ForeignPhoto) -> tuple[Lens, bool]:
     """The lens for the pixels of the file, and whether these are meant upright."""
-    with open_header(photo.path) as image:
-        stored = image.size
-    turned = image_size(photo.path)
+    stored, turned = (image_size(photo.path, upright=upright) for upright in (False, True))
     lens = photo.lens
     # Other programs calibrate what the sensor saw, whatever the tag says of how to hold it; some turn it first.
     for size, upright in ((stored, False), (turned, True)):

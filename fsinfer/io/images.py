@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import ImageError
 from fsinfer.io.files import atomic_path
+from fsinfer.io.pixels import as_rgb, has_deep_colours, read_deep, read_tiff, stored_size, turned
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -45,8 +46,6 @@ _ENOUGH = 0.8
 #: A side may be shorter by one part of so many for both to be reduced by one factor, to so many decimals of a share.
 #: Source: numerics; 5472x3080 in 2400 would be 2400x1350.9, and is 2386x1343.0.
 _SPARED, _DECIMALS = 20, 5
-#: Bits that sensors fill, of 8 in one file, 16 or 32 in others. Source: format; converters of cameras have 10 to 16.
-_SENSOR_BITS = (8, 10, 12, 14, 16, 32)
 
 
 def read_image(path: Path | str, *, upright: bool = True, at_least_px: int | None = None) -> NDArray[np.uint8]:
@@ -71,6 +70,11 @@ def read_image(path: Path | str, *, upright: bool = True, at_least_px: int | Non
     from PIL import ImageOps
 
     with open_header(path) as image, _told(path):
+        deep = has_deep_colours(image)
+        if deep or image.format == "TIFF":
+            orientation = orientation_of(image)
+            pixels = read_deep(path, image) if deep else read_tiff(path, orientation)
+            return turned(pixels, orientation) if upright else pixels
         width, height = image.size
         if at_least_px is not None and image.format in _JPEG_FORMATS and image.mode == "RGB":
             longer, shorter = max(width, height), min(width, height)
@@ -84,7 +88,7 @@ def read_image(path: Path | str, *, upright: bool = True, at_least_px: int | Non
         whole = image if image.size == (width, height) else image.crop((0, 0, width, height))
         if upright:
             ImageOps.exif_transpose(whole, in_place=True)  # it would copy what stands upright, too
-        return _as_rgb(path, whole)
+        return as_rgb(path, whole)
 
 
 def read_reduced(path: Path | str, longest_px: int, *, upright: bool = True) -> NDArray[np.uint8]:
@@ -168,9 +172,9 @@ def image_size(path: Path | str, *, upright: bool = True) -> tuple[int, int]:
     Raises :class:`ImageError` where it cannot be read.
     """
     with open_header(Path(path)) as image:
-        width, height = image.size
-        turned = upright and orientation_of(image) in (5, 6, 7, 8)
-    return (height, width) if turned else (width, height)
+        width, height = stored_size(image)
+        on_side = upright and orientation_of(image) in (5, 6, 7, 8)
+    return (height, width) if on_side else (width, height)
 
 
 def is_turned(path: Path | str) -> bool:
@@ -188,7 +192,7 @@ def is_upright_jpeg_or_png(path: Path | str, *, longest_px: int | None = None) -
     With ``longest_px`` also whether its longer side is no longer than that.
     """
     with open_header(Path(path)) as image:
-        plain = image.format in ("JPEG", "PNG") and image.mode in ("RGB", "L")
+        plain = image.format in ("JPEG", "PNG") and image.mode in ("RGB", "L") and not has_deep_colours(image)
         small = longest_px is None or max(image.size) <= longest_px
         return plain and small and orientation_of(image) in (0, 1)
 
@@ -268,35 +272,6 @@ def _register_heif(path: Path) -> None:
     import pillow_heif
 
     pillow_heif.register_heif_opener()
-
-
-def _as_rgb(path: Path, image: Image) -> NDArray[np.uint8]:
-    if image.mode.startswith("I") or image.mode == "F":
-        # Pillow's own conversion clips these at 255 instead of scaling them.
-        values = np.asarray(image, dtype=np.float64)
-        black, white = _range_of_floats(path, values) if image.mode == "F" else (0.0, _white(float(values.max())))
-        grey = np.clip(np.nan_to_num((values - black) / (white - black), posinf=1.0), 0, 1)
-        return np.repeat((255 * grey).round().astype(np.uint8)[:, :, None], 3, axis=2)
-    return np.array(image if image.mode == "RGB" else image.convert("RGB"), dtype=np.uint8)
-
-
-def _white(largest: float) -> float:
-    """The value of white by the largest one of a photograph in integers.
-
-    A file of 16 bits does not say how many of them the sensor filled: twelve, taken for sixteen, are nearly black. A
-    photograph has something bright in it, so its largest value tells; and as the depths are few, photographs of one
-    camera are scaled alike.
-    """
-    return 2.0 ** next((bits for bits in _SENSOR_BITS if largest < 2**bits), _SENSOR_BITS[-1]) - 1
-
-
-def _range_of_floats(path: Path, values: NDArray[np.float64]) -> tuple[float, float]:
-    """Black and white of a photograph in floats, which may be parts of one, counts or degrees: its own range."""
-    finite = values[np.isfinite(values)]
-    if finite.size and finite.max() > finite.min():
-        return float(finite.min()), float(finite.max())
-    msg = f"{path} holds floats that are all alike or not finite; save it as a photo in 8 or 16 bits, or delete it"
-    raise ImageError(msg)
 
 
 def luminance(image: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -29,6 +29,9 @@ _LOW_NOISE, _HIGH_NOISE, _HIGH_NOISE_FROM = 7, 18, 6
 #: Keys ProjectedCSTypeGeoKey and GeographicTypeGeoKey, and the value for "user defined". Source: format; GeoTIFF 1.1.
 _PROJECTED_KEY, _GEOGRAPHIC_KEY, _USER_DEFINED = 3072, 2048, 32767
 
+#: Frames whose x and y are degrees. Source: format; EPSG registry, those that clouds are delivered in.
+IN_DEGREES = frozenset({4326, 4979, 4258, 4937, 4269, 6318, 7844, 4283, 4167, 4171, 4674})
+
 
 def flagged(record: Any) -> NDArray[np.bool_]:
     """(N,) which points of a laspy record are not to be used: marked as withheld (deleted), or classed as noise."""

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.io.files import atomic_path, is_disk_full
-from fsinfer.io.las import KEPT_DIMENSIONS, damaged, flagged, iterate_las, open_las, records_of
+from fsinfer.io.las import IN_DEGREES, KEPT_DIMENSIONS, damaged, flagged, iterate_las, open_las, read_epsg, records_of
 
 _log = logging.getLogger(__name__)
 
@@ -171,18 +171,24 @@ def copy_las(
     Points that are :func:`flagged` get 0.
 
     Stored integers stay as they are: ``factor`` (metres per unit of the source, which ``label`` gets) goes into their
-    step, and takes the frame away that the header names, which is no longer that of the coordinates.
+    step, and takes the frame away that the header names, which is no longer that of the coordinates. So goes a frame in
+    degrees, which is not that of metres.
     """
     import laspy
 
     with open_las(source) as reader:
         old = reader.header
         header = laspy.LasHeader(point_format=old.point_format, version=old.version)
-        # One dimension of that name may be there from an earlier run; then it is written over.
-        if name not in set(header.point_format.dimension_names):
+        # One dimension of that name may be there from an earlier run; then it is written over, or makes room where
+        # another program's is too narrow for the numbers.
+        there = next((found for found in header.point_format.extra_dimensions if found.name == name), None)
+        if there is not None and not _holds_numbers(there):
+            header.remove_extra_dim(name)
+            there = None
+        if there is None:
             header.add_extra_dim(laspy.ExtraBytesParams(name=name, type=np.int32))
         header.scales, header.offsets = old.scales * factor, old.offsets * factor
-        if factor == 1.0:
+        if factor == 1.0 and read_epsg(source) not in IN_DEGREES:
             _take_frame(header, old)
     with atomic_path(target) as temporary, ExitStack() as open_file:
         with _writing(source, target):
@@ -193,11 +199,18 @@ def copy_las(
             with _writing(source, target):
                 record = laspy.ScaleAwarePointRecord.zeros(len(points), header=header)
                 for dimension in points.point_format.dimension_names:
-                    record[dimension] = points[dimension]
+                    if dimension != name:
+                        record[dimension] = points[dimension]
                 record[name] = numbers
                 writer.write_points(record)
         with _writing(source, target):
             open_file.close()
+
+
+def _holds_numbers(dimension: Any) -> bool:
+    """Whether a dimension of laspy is one value a point that is any int32 exactly."""
+    scalar = dimension.num_elements == 1 and dimension.scales is None and dimension.offsets is None
+    return scalar and dimension.dtype is not None and np.can_cast(np.int32, dimension.dtype)
 
 
 @contextmanager

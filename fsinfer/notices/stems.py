@@ -75,6 +75,7 @@ class StemCode(StrEnum):
     model_units = "model_units"
     not_finite = "not_finite"
     flagged = "flagged"
+    frame_in_degrees = "frame_in_degrees"
     far_outside = "far_outside"
     coarse_steps = "coarse_steps"
     ground_in_part = "ground_in_part"
@@ -176,6 +177,9 @@ SENTENCES: dict[StemCode, str] = {
     StemCode.not_finite: "{points} points with NaN or infinite coordinates were left out",
     StemCode.flagged: (
         "points that the file marks as withheld, or classes as noise (7 and 18), were left out: {points}"
+    ),
+    StemCode.frame_in_degrees: (
+        "the header says degrees (EPSG:{epsg}), and the coordinates were taken as metres: maps and points get no frame"
     ),
     StemCode.far_outside: "{points} points far outside the plot were left out",
     StemCode.coarse_steps: ("the coordinates come in steps of {step_mm:.0f} mm: diameters cannot be better than that"),

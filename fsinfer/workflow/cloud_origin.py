@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,9 @@ from fsinfer.workflow.cloud_units import plot_of_cloud
 from fsinfer.workflow.run_photos import photos_of_run
 from fsinfer.workflow.summary import MODEL_UNITS
 
+#: Links that lead to links, at most; then they lead round. Source: numerics; Linux follows 40.
+_MOST_LINKS = 40
+
 
 @dataclass(frozen=True, kw_only=True)
 class CloudOrigin:
@@ -35,6 +39,23 @@ class CloudOrigin:
     camera_height: float | None = None
     cloud_from_scene: NDArray[np.float64] | None = None
     markers: Scale = UNKNOWN
+
+
+def links_of(cloud_path: Path) -> tuple[Path, ...]:
+    """The path of a cloud, and those that links lead to one after the other; the last is no link."""
+    paths = [cloud_path]
+    while paths[-1].is_symlink() and len(paths) < _MOST_LINKS:
+        paths.append(paths[-1].parent / paths[-1].readlink())
+    return tuple(paths)
+
+
+def known_path(links: Sequence[Path]) -> Path:
+    """Of :func:`links_of` the one beside which something is known of the cloud, or else the last.
+
+    A link leads to a run's cloud, whose unit stands beside that; or it lies in a run's folder itself, whose cloud was
+    moved to another disk. Points are read by the path as it was given: what a link leads to need not have a suffix.
+    """
+    return next((path for path in reversed(links) if plot_of_cloud(path.parent)), links[-1])
 
 
 def origin_of_cloud(folder: Path) -> CloudOrigin:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from fsinfer.errors import CloudError
-from fsinfer.io.las import LAS_SUFFIXES, open_las, read_epsg, read_units_m
+from fsinfer.io.las import IN_DEGREES, LAS_SUFFIXES, open_las, read_epsg, read_units_m
 from fsinfer.output.layout import RECORDS_FOLDER
 
 #: Lengths of two units that differ by less, metres, are the same: feet of the US survey are 0.6 micrometres longer than
@@ -20,16 +20,15 @@ _NO_METRES = {
     900913: "whose metres are longer than those on the ground (Web Mercator)",
     4978: "whose z is not up (coordinates from the middle of the earth)",
 }
-#: Frames whose x and y are degrees. Source: format; EPSG registry, those that clouds are delivered in.
-_IN_DEGREES = frozenset({4326, 4979, 4258, 4937, 4269, 6318, 7844, 4283, 4167, 4171, 4674})
 #: No degree is beyond, and no plot is wider, degrees. Source: definition; judgement, 11 km.
 _MOST_DEGREES, _WIDEST_DEGREES = 360.0, 0.1
 
 
 def refuse_fused(cloud_path: Path) -> None:
     """Refuse the cloud of the stage ``fuse``: it is in the scene's frame and units."""
-    if cloud_path.parent.name == "fused" and (cloud_path.parent.parent / RECORDS_FOLDER).is_dir():
-        finished = cloud_path.parent.parent / "cloud.ply"
+    folder = cloud_path.parent.resolve()
+    if folder.name == "fused" and (folder.parent / RECORDS_FOLDER).is_dir():
+        finished = folder.parent / "cloud.ply"
         msg = f"{cloud_path} is what a run made before it knew what is up and how long a metre is; give {finished}"
         raise CloudError(msg)
 
@@ -42,7 +41,7 @@ def refuse_other_units(cloud_path: Path) -> None:
     if epsg in _NO_METRES:
         msg = f"{cloud_path} is in EPSG:{epsg} by its header, {_NO_METRES[epsg]}; convert it to UTM or a national grid"
         raise CloudError(msg)
-    if epsg in _IN_DEGREES and _within_degrees(cloud_path):
+    if epsg in IN_DEGREES and _within_degrees(cloud_path):
         msg = f"{cloud_path} is in degrees by its header (EPSG:{epsg}); convert it to UTM or a national grid"
         raise CloudError(msg)
     units = read_units_m(cloud_path)

@@ -15,7 +15,7 @@ from fsinfer.io.chunks import ChunkedCloud, open_chunks
 from fsinfer.io.cloud import PointCloud, read_and_tell
 from fsinfer.io.digest import file_digest
 from fsinfer.io.files import make_folder
-from fsinfer.io.las import LAS_SUFFIXES, read_epsg
+from fsinfer.io.las import IN_DEGREES, LAS_SUFFIXES, read_epsg
 from fsinfer.notices.capture import NO_SCALE, REMARKS, CaptureCode
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
@@ -36,7 +36,7 @@ from fsinfer.trees.edit_rows import find_edits
 from fsinfer.trees.outputs.labels import write_labelled
 from fsinfer.trees.sanity import TurnedCloudError
 from fsinfer.trees.thinning import ThinningSettings, thin_while_reading
-from fsinfer.workflow.cloud_origin import cloud_scale, is_of_run, origin_of_cloud, own_photos
+from fsinfer.workflow.cloud_origin import cloud_scale, is_of_run, known_path, links_of, origin_of_cloud, own_photos
 from fsinfer.workflow.cloud_units import CLOUD_KEYS, plot_of_cloud, scale_of_trees
 from fsinfer.workflow.given_edits import note_edits
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
@@ -114,8 +114,8 @@ def measure_cloud_file(
 
     ``edits`` are corrections of the stem map by hand; without it ``edits.csv`` in ``out``, where there is one.
 
-    The cloud is taken to be in metres, unless ``plot.json`` beside it says that it has no scale and none is given
-    here: then trees get positions in model units and no DBH, and the warnings say why.
+    The cloud is taken to be in metres, unless ``plot.json`` beside it (or beside what it is a link to) says that it has
+    no scale and none is given here: then trees get positions in model units and no DBH, and the warnings say why.
 
     Raises
     ------
@@ -131,17 +131,20 @@ def measure_cloud_file(
         where its unit cannot be told.
     """
     settings = settings or MeasureSettings()
-    refuse_fused(cloud_path)
+    links = links_of(cloud_path)
+    for path in links:
+        refuse_fused(path)
     refuse_to_write_over(cloud_path, out)
     refuse_files_of_others(out)
     corrections = find_edits(out, edits)
     chunks = _large(cloud_path, settings.thinning)
-    origin = origin_of_cloud(cloud_path.parent)
-    found = cloud_scale(request, cloud_path, out, origin)
+    known_as = known_path(links)
+    origin = origin_of_cloud(known_as.parent)
+    found = cloud_scale(request, known_as, out, origin)
     if found.scale.m_per_unit is None:
         refuse_other_units(cloud_path)
     per_unit = found.scale.m_per_unit or 1.0
-    photos = own_photos(cloud_path, origin, per_unit)
+    photos = own_photos(known_as, origin, per_unit)
     _refuse_center_unknown(settings.stage.border, cloud_path, photos)
     make_folder(out)
 
@@ -152,7 +155,10 @@ def measure_cloud_file(
         doubts = doubt_ends(request, opened.cloud.xyz, per_unit)
         # A cloud that had to be scaled is not in the frame that its header may name.
         in_frame = cloud_path.suffix.lower() in LAS_SUFFIXES and per_unit == 1.0
-        frame_of = cloud_path if in_frame else None
+        named = read_epsg(cloud_path) if in_frame else None
+        # Nor is one that was taken as it is, in metres, in a frame of degrees.
+        degrees = (notice(StemCode.frame_in_degrees, epsg=named),) if named in IN_DEGREES else ()
+        frame_of = cloud_path if in_frame and not degrees else None
         given = PlotCloudInput(
             cloud=opened.cloud,
             metric=metric,
@@ -160,15 +166,15 @@ def measure_cloud_file(
             camera_height=origin.camera_height,
             marker_xyz=None if photos is None else marker_centers(origin.markers, photos.cloud_from_scene),
             marker_numbers=() if photos is None else tuple(marker.id for marker in origin.markers.markers),
-            epsg=None if frame_of is None else read_epsg(frame_of),
+            epsg=None if frame_of is None else named,
             frame_of=frame_of,
             photos=photos,
             edits=corrections,
-            doubt=doubt_about_all(origin.markers) if is_of_run(cloud_path, origin) else None,
+            doubt=doubt_about_all(origin.markers) if is_of_run(known_as, origin) else None,
             write_labelled=opened.labelled,
         )
         trees, given, turned = _measure(given, out, settings.stage, progress)
-        said = (*found.warnings, *doubts, *unknown_error(found.scale), *opened.warnings, *turned)
+        said = (*found.warnings, *doubts, *unknown_error(found.scale), *opened.warnings, *degrees, *turned)
         trees = replace(trees, warnings=(*said, *no_scale_once(said, trees.warnings)))
         density = density_per_m2(given.cloud.xyz) if metric else None
         # That of an earlier measurement would stand beside the tables of this one.

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from fsinfer.errors import InputError, SceneError
 from fsinfer.importers.foreign import ForeignScene
-from fsinfer.importers.formats import reader_of
+from fsinfer.importers.formats import camera_files, reader_of
 from fsinfer.importers.write import ImportedScene, ImportSettings, told, write_scene
 from fsinfer.io.digest import file_digest
 from fsinfer.io.files import make_folder
@@ -23,7 +23,7 @@ from fsinfer.workflow.settings import speedless
 
 _log = logging.getLogger(__name__)
 
-IMPORT = Stage(name="import", version=2, result=ImportedScene, outputs=(SCENE_FOLDER,))
+IMPORT = Stage(name="import", version=3, result=ImportedScene, outputs=(SCENE_FOLDER,))
 
 
 def our_scene(
@@ -90,8 +90,9 @@ def imported_scene(source: Path, out: Path) -> Path:
     """
     if (source / CAMERAS_FOLDER).is_dir() or reader_of(source) is None:
         return source
-    made_of = (Ledger(out).inputs_of(IMPORT.name) or {}).get("source")
-    if made_of != _told_as(source):
+    inputs = Ledger(out).inputs_of(IMPORT.name) or {}
+    made_of = inputs.get("source")
+    if made_of != _told_as(source) or not _has_its_cameras(source, inputs.get("files")):
         what = "has no depth maps in" if made_of is None else "is not the scene that was imported into"
         msg = f"{source} {what} {out}; make its depth maps with: fsinfer depth {source} {out}"
         raise SceneError(msg)
@@ -101,6 +102,17 @@ def imported_scene(source: Path, out: Path) -> Path:
 def _told_as(source: Path) -> str:
     """What tells one source from another without reading its photographs."""
     return file_digest(source) if source.is_file() else source.resolve().name
+
+
+def _has_its_cameras(source: Path, imported: object) -> bool:
+    """Whether the camera files of a folder are among those ``imported``, by digests: many a project is called colmap.
+
+    Digests have the names of files and not of folders, so that a project may be moved. True for a file, which is told
+    by its own digest, and where nothing was noted.
+    """
+    if source.is_file() or not isinstance(imported, list):
+        return True
+    return {file_digest(path) for path in camera_files(source)} <= set(imported)
 
 
 def _paths(foreign: ForeignScene) -> Sequence[Path]:

@@ -128,15 +128,24 @@ def test_a_damaged_photograph_is_named_as_it_was_given(tmp_path: Path, kind: str
     assert str(damaged) in str(told_of.value)
 
 
+@pytest.mark.parametrize("sized", [True, False], ids=["size given", "size of the photograph"])
+@pytest.mark.parametrize("suffix", [".png", ".tif"])
 @pytest.mark.parametrize("turn", [6, 3])
-def test_the_tag_that_turns_a_photograph_does_not_turn_its_camera(tmp_path: Path, turn: int) -> None:
+def test_the_tag_that_turns_a_photograph_does_not_turn_its_camera(
+    tmp_path: Path, turn: int, suffix: str, sized: bool
+) -> None:
     scene = made.truth(PINHOLE)
     made.write_transforms(scene, tmp_path / "transforms.json")
+    values = json.loads((tmp_path / "transforms.json").read_text())
+    for record in (values, *values["frames"]):
+        for key in () if sized else ("w", "h"):
+            record.pop(key, None)
+    (tmp_path / "transforms.json").write_text(json.dumps(values).replace(".png", suffix))
     for photo in scene.photos:
         exif = Image.Exif()
         exif[0x0112] = turn  # by a quarter, or head over heels, to look at it
         (tmp_path / "images").mkdir(exist_ok=True)
-        Image.fromarray(made.render(photo, PINHOLE)).save(tmp_path / "images" / f"{photo.name}.png", exif=exif)
+        Image.fromarray(made.render(photo, PINHOLE)).save(tmp_path / "images" / f"{photo.name}{suffix}", exif=exif)
     write_scene(read(tmp_path), tmp_path / "out")
     for view, photo in zip(read_scene(tmp_path / "out").views, scene.photos, strict=True):
         image = read_image(view.image_path)

@@ -171,6 +171,36 @@ def test_points_marked_as_withheld_or_noise_are_dropped_with_a_warning(
         read_cloud(tmp_path / "a.laz")
 
 
+@pytest.mark.parametrize(
+    ("kind", "scaled", "kept"),
+    [("u1", False, False), ("i2", False, False), ("u4", False, False), ("f4", False, False), ("3u1", False, False),
+     ("i4", True, False), ("i4", False, True), ("i8", False, True), ("f8", False, True)],
+)  # fmt: skip
+def test_numbers_have_room_whatever_another_program_wrote(tmp_path: Path, kind: str, scaled: bool, kept: bool) -> None:
+    laspy = pytest.importorskip("laspy")
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales = np.full(3, 0.001)
+    steps = {"scales": np.array([0.01]), "offsets": np.array([0.0])} if scaled else {}
+    for name in ("before", "TreeID", "behind"):
+        numbered = {"type": kind, **steps} if name == "TreeID" else {"type": "u2"}
+        header.add_extra_dim(laspy.ExtraBytesParams(name=name, **numbered))
+    file = laspy.LasData(header)
+    file.x = file.y = file.z = np.arange(6.0)
+    file["before"], file["behind"] = np.arange(6) + 400, np.arange(6) + 900
+    file.write(tmp_path / "a.laz")
+    numbers = np.array([0, 1, 255, 300, 70_001, 2**31 - 1], np.int32)
+    copy_las(
+        tmp_path / "a.laz", tmp_path / "b.laz", "TreeID", lambda xyz: numbers[np.rint(xyz[:, 0]).astype(int)],
+        chunk_points=4,
+    )  # fmt: skip
+    copy = laspy.read(tmp_path / "b.laz")
+    np.testing.assert_array_equal(copy["TreeID"], numbers)
+    assert copy["TreeID"].dtype == np.dtype(kind if kept else "i4")
+    np.testing.assert_array_equal(copy["before"], file["before"])
+    np.testing.assert_array_equal(copy["behind"], file["behind"])
+    np.testing.assert_allclose(copy.xyz, file.xyz)
+
+
 def test_text_clouds(tmp_path: Path) -> None:
     path = tmp_path / "a.xyz"
     path.write_text("# scanner\n1 2 3\n4 5 6\n")

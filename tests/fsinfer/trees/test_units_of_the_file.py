@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,10 +14,13 @@ import pytest
 from fsinfer.errors import CloudError
 from fsinfer.io.las import read_epsg
 from fsinfer.io.linear_units import US_FOOT_M
+from fsinfer.notices.sentences import sentence
+from fsinfer.notices.stems import StemCode
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.trees.outputs.table import read_trees
+from fsinfer.trees.thinning import ThinningSettings
 from fsinfer.workflow.measurable import refuse_other_units
-from fsinfer.workflow.measure_cloud import measure_cloud_file
+from fsinfer.workflow.measure_cloud import MeasureSettings, measure_cloud_file
 from tests.support.stem_clouds import StemPlot, stem_plot
 
 FEET = f'PROJCS["ftUS",GEOGCS["g",UNIT["degree",0.0174532925199433]],UNIT["US survey foot",{US_FOOT_M!r}]]'
@@ -74,6 +79,26 @@ def test_degrees_are_refused_unless_they_can_be_none(tmp_path: Path) -> None:
     for shift in (10_000.0, 0.0):
         far = replace(plot, points=plot.points + np.array([shift, 0.0, 0.0]))
         refuse_other_units(write_in_feet(path, far, frame))
+
+
+@pytest.mark.parametrize("large", [False, True])
+@pytest.mark.parametrize(("shift", "request_"), [(10_000.0, ScaleRequest()), (0.0, ScaleRequest(factor=1.0))])
+def test_metres_are_in_no_frame_of_degrees(tmp_path: Path, shift: float, request_: ScaleRequest, large: bool) -> None:
+    plot = stem_plot(seed=1, trees=2, spacing_m=0.02, top_m=3.5)
+    moved = replace(plot, points=(plot.points + np.array([shift, 0.0, 0.0])) * US_FOOT_M)
+    frame = 'GEOGCS["WGS 84",UNIT["degree",0.0174532925199433],AUTHORITY["EPSG","4326"]]'
+    path, out = write_in_feet(tmp_path / "cloud.laz", moved, frame), tmp_path / "out"
+    thinning = ThinningSettings(max_points=30_000 if large else 30_000_000)
+    record = measure_cloud_file(path, out, request=request_, settings=MeasureSettings(thinning=thinning))
+    assert sorted(t.dbh_cm or 0.0 for t in read_trees(out / "trees.csv")) == pytest.approx(sorted(plot.dbh_cm), abs=1)
+    said = [sentence(item) for item in record.result.trees.warnings if item.code == StemCode.frame_in_degrees]
+    assert said == [
+        "the header says degrees (EPSG:4326), and the coordinates were taken as metres: maps and points get no frame"
+    ]
+    assert read_epsg(out / "trees.laz") is None
+    assert not (out / "trees.geojson").exists()
+    with closing(sqlite3.connect(out / "trees.gpkg")) as base:
+        assert base.execute("SELECT srs_id FROM gpkg_contents").fetchall() == [(-1,)]
 
 
 def test_the_labelled_points_keep_the_frame_of_the_cloud(tmp_path: Path) -> None:

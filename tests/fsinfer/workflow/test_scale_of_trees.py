@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from fsinfer.errors import CloudError
 from fsinfer.output.plot_json import read_plot
 from fsinfer.report import make_report
 from fsinfer.scale.request import ScaleRequest
@@ -90,3 +91,42 @@ def test_a_cloud_of_other_origin_has_the_scale_that_was_given(out: Path, tmp_pat
         )
         assert scale_told(read_plot(tmp_path / "apart")) == ("m", 2.0, "factor")
     assert "model units" not in (other / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("links", [1, 2])
+def test_a_link_to_a_run_s_cloud_has_the_unit_of_that(out: Path, tmp_path: Path, links: int) -> None:
+    """By absolute and relative links, under other names, into a folder that knows nothing of it."""
+    link, other = tmp_path / "links" / "my.ply", tmp_path / "other"
+    link.parent.mkdir()
+    link.symlink_to(out / "cloud.ply")
+    if links == 2:
+        (tmp_path / "again.ply").symlink_to(Path("links") / "my.ply")
+        link = tmp_path / "again.ply"
+    measured = measure_cloud_file(link, other, request=ScaleRequest()).result
+    assert not measured.metric
+    assert read_plot(other)["units"] == "model units"
+    direct = measure_cloud_file(out / "cloud.ply", tmp_path / "direct", request=ScaleRequest()).result
+    assert measured.trees.warnings == direct.trees.warnings
+
+
+def test_a_run_s_cloud_that_was_moved_and_linked_keeps_its_unit(out: Path, tmp_path: Path) -> None:
+    (tmp_path / "disk").mkdir()
+    # Stores name files by what is in them.
+    (out / "cloud.ply").rename(tmp_path / "disk" / "3f29c1")
+    (out / "cloud.ply").symlink_to(tmp_path / "disk" / "3f29c1")
+    assert not measure_cloud_file(out / "cloud.ply", tmp_path / "other", request=ScaleRequest()).result.metric
+
+
+def test_a_link_to_what_was_fused_is_refused_as_that_is(out: Path, tmp_path: Path) -> None:
+    (out / "fused").mkdir(exist_ok=True)
+    (out / "cloud.ply").rename(out / "fused" / "cloud.ply")
+    (tmp_path / "my.ply").symlink_to(out / "fused" / "cloud.ply")
+    with pytest.raises(CloudError, match="before it knew what is up and how long a metre is"):
+        measure_cloud_file(tmp_path / "my.ply", tmp_path / "other", request=ScaleRequest())
+
+
+def test_links_that_lead_round_are_told(tmp_path: Path) -> None:
+    (tmp_path / "a.ply").symlink_to(tmp_path / "b.ply")
+    (tmp_path / "b.ply").symlink_to(tmp_path / "a.ply")
+    with pytest.raises(CloudError, match=r"a\.ply"):
+        measure_cloud_file(tmp_path / "a.ply", tmp_path / "other", request=ScaleRequest())
