@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -27,8 +28,18 @@ from fsinfer.importers.transforms import read_transforms
 Reader = Callable[[Sequence[Path]], ForeignScene]
 #: Where photographs are looked for beside the files of a scene, from the folder of the file.
 _BESIDE = (".", "images", "..", "../images", "../../images", "../../../images")
-#: Files that are a scene by themselves, and what knows them.
-_ALONE = (("*.xml", is_metashape), ("*.mvs", is_openmvs))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Found:
+    """A scene: what reads it, the folders in which its photographs may lie, and what tells it from another scene.
+
+    ``cameras`` are files among those that are read for its cameras.
+    """
+
+    read: Reader
+    photos: list[Path]
+    cameras: tuple[Path, ...]
 
 
 def reader_of(source: Path, images: Path | None = None) -> Callable[[], ForeignScene] | None:
@@ -36,68 +47,64 @@ def reader_of(source: Path, images: Path | None = None) -> Callable[[], ForeignS
 
     ``images`` is the folder of its photographs, where that does not lie beside it.
     """
-    found = _file(source) if source.is_file() else _folder(source) if source.is_dir() else None
-    if found is None:
-        return None
-    reader, folders = found
-    return partial(reader, [images] if images is not None else folders)
+    found = _found(source)
+    return None if found is None else partial(found.read, [images] if images is not None else found.photos)
 
 
-def _file(path: Path) -> tuple[Reader, list[Path]] | None:
-    beside = _beside(path.parent)
+def camera_files(source: Path) -> tuple[Path, ...]:
+    """Files among those that are read for the cameras of a scene, which tell it from another; none of no scene."""
+    found = _found(source)
+    return () if found is None else found.cameras
+
+
+def _found(source: Path) -> _Found | None:
+    return _file(source) if source.is_file() else _folder(source) if source.is_dir() else None
+
+
+def _file(path: Path) -> _Found | None:
+    reader: Reader
     if is_metashape(path):
-        return partial(read_metashape, path), beside
-    if is_openmvs(path):
-        return partial(read_openmvs, path), beside
-    if path.suffix.lower() == ".json" and _has_frames(path):
-        return partial(read_transforms, path), beside
-    if path.name in ("cameras.bin", "cameras.txt", "images.bin", "images.txt") and find_models(path.parent):
-        return partial(read_colmap, path.parent), beside
-    return None
+        reader = partial(read_metashape, path)
+    elif is_openmvs(path):
+        reader = partial(read_openmvs, path)
+    elif path.suffix.lower() == ".json" and _has_frames(path):
+        reader = partial(read_transforms, path)
+    elif path.name in ("cameras.bin", "cameras.txt", "images.bin", "images.txt") and find_models(path.parent):
+        reader = partial(read_colmap, path.parent)
+    else:
+        return None
+    return _Found(read=reader, photos=_beside(path.parent), cameras=(path,))
 
 
-def _folder(folder: Path) -> tuple[Reader, list[Path]] | None:
+def _folder(folder: Path) -> _Found | None:
     models = find_models(folder)
     if models:
-        return partial(read_colmap, models[0], others=models[1:]), _beside(models[0])
-    if (folder / TRANSFORMS).is_file():
-        return partial(read_transforms, folder / TRANSFORMS), _beside(folder)
+        reader = partial(read_colmap, models[0], others=models[1:])
+        return _Found(read=reader, photos=_beside(models[0]), cameras=colmap_cameras(models[0]))
+    transforms = folder / TRANSFORMS
+    if transforms.is_file():
+        return _Found(read=partial(read_transforms, transforms), photos=_beside(folder), cameras=(transforms,))
     polycam = find_polycam(folder)
     if polycam is not None:
-        return partial(read_polycam, polycam[0]), [polycam[1]]
+        cameras, photos = polycam
+        files = tuple(sorted(cameras.glob("*.json")))
+        return _Found(read=partial(read_polycam, cameras), photos=[photos], cameras=files)
     if is_scanner_app(folder):
-        return partial(read_scanner_app, folder), [folder]
+        files = tuple(sorted(folder.glob("frame_*.json")))
+        return _Found(read=partial(read_scanner_app, folder), photos=[folder], cameras=files)
     metadata = find_record3d(folder)
     if metadata is not None:
-        return partial(read_record3d, metadata), [folder / "rgb", folder / "rgbd"]
+        photo_folders = [folder / "rgb", folder / "rgbd"]
+        return _Found(read=partial(read_record3d, metadata), photos=photo_folders, cameras=(metadata,))
     poses = find_rtabmap(folder)
     if poses is not None:
-        return partial(read_rtabmap, poses), folders_of(poses, "rgb")
+        return _Found(read=partial(read_rtabmap, poses), photos=folders_of(poses, "rgb"), cameras=(poses,))
     # A file alone of its kind: the folder of an export is a scene as well.
-    for pattern, fits in _ALONE:
-        files = [path for path in sorted(folder.glob(pattern)) if fits(path)]
-        if len(files) == 1:
-            return _file(files[0])
+    for pattern, fits in (("*.xml", is_metashape), ("*.mvs", is_openmvs)):
+        alone = [path for path in sorted(folder.glob(pattern)) if fits(path)]
+        if len(alone) == 1:
+            return _file(alone[0])
     return None
-
-
-def camera_files(folder: Path) -> tuple[Path, ...]:
-    """Files among those that the reader of this folder reads for its cameras, which tell it from another scene."""
-    models = find_models(folder)
-    if models:
-        return colmap_cameras(models[0])
-    if (folder / TRANSFORMS).is_file():
-        return (folder / TRANSFORMS,)
-    polycam = find_polycam(folder)
-    if polycam is not None:
-        return tuple(sorted(polycam[0].glob("*.json")))
-    if is_scanner_app(folder):
-        return tuple(sorted(folder.glob("frame_*.json")))
-    alone = find_record3d(folder) or find_rtabmap(folder)
-    if alone is not None:
-        return (alone,)
-    files = (path for pattern, fits in _ALONE for path in sorted(folder.glob(pattern)) if fits(path))
-    return tuple(files)[:1]
 
 
 def _beside(folder: Path) -> list[Path]:

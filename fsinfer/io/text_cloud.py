@@ -47,10 +47,9 @@ def read_text_cloud(path: Path) -> dict[str, NDArray[Any]]:
     """Read rows of x y z [red green blue] as (N,) float64 columns by name, with or without a header.
 
     A header may call them easting, northing and elevation, have units in brackets, and stand in the comment before the
-    first row. Without one a first column that
-    numbers the points is left out. Blanks, tabs, semicolons or commas stand between columns. Where it is one of the
-    first three, a comma in a number is its decimal point. Numbers may be quoted. UTF-8, with or without a byte order
-    mark.
+    first row. Without one a first column that numbers the points is left out. Blanks, tabs, semicolons or commas stand
+    between columns. Where it is one of the first three, a comma in a number is its decimal point. Numbers may be
+    quoted. UTF-8, with or without a byte order mark.
 
     Raises
     ------

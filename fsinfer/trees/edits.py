@@ -157,7 +157,7 @@ def _measured(trees: Mapping[int, _Entry], result: PlotResult, again: PlotAgain)
     own = {number: entry.stem for number, entry in trees.items() if entry.found is None and entry.stem is not None}
     if not own:
         return {}
-    found = {number: entry for number, entry in trees.items() if entry.found is not None}
+    found = {number: entry.found for number, entry in trees.items() if entry.found is not None}
     deleted = {tree.tree_id for tree in result.trees} - set(found)
     beside = []
     for other in result.stems:
@@ -171,10 +171,11 @@ def _measured(trees: Mapping[int, _Entry], result: PlotResult, again: PlotAgain)
             beside.append(other.stem)
     measured = dict(zip(own, again.measured(list(own.values()), beside), strict=True))
     pairs = {number: pair for number, pair in measured.items() if pair is not None}
-    known = [entry.found for entry in found.values() if entry.found is not None]
     # What is usual in this plot, its other stems tell.
-    allowed = allow_for_shape(list(pairs.values()), beside=[section for _, section in known], settings=again.settings)
-    return dict(zip(pairs, doubt_the_rough(allowed, beside=[tree for tree, _ in known]), strict=True))
+    allowed = allow_for_shape(
+        list(pairs.values()), beside=[section for _, section in found.values()], settings=again.settings
+    )
+    return dict(zip(pairs, doubt_the_rough(allowed, beside=[tree for tree, _ in found.values()]), strict=True))
 
 
 def _refuse_within(place: Floats, trees: Mapping[int, _Entry], row: int) -> None:

@@ -82,6 +82,15 @@ def axis_path(
     return start - (bh_m - FOOT_M) * slope, start + rise * slope
 
 
+def lean_shares(
+    stem: Stem, highest_m: float, *, bh_m: float = BREAST_HEIGHT_M, settings: TopSettings | None = None
+) -> tuple[float, ...]:
+    """The shares of its lean along which a stem is looked for up to ``highest_m``: one where more would be the same."""
+    s = settings or TopSettings()
+    apart = (1.0 - s.lean_share) * float(np.hypot(*stem.axis.parameters[2:4])) * (highest_m - bh_m)
+    return (s.lean_share,) if apart <= s.at_side * s.crown_radius_m else (s.lean_share, 1.0)
+
+
 def top_may_be_seen(stem: Stem, dbh_m: float | None, highest_m: float, *, settings: TopSettings | None = None) -> bool:
     """Whether the cloud reaches so high that it may show the top of a tree of that diameter."""
     s = settings or TopSettings()
@@ -110,14 +119,12 @@ def tree_height(
     s = settings or TopSettings()
     if not top_may_be_seen(stem, dbh_m, highest_m, settings=s):
         return None
-    for lean_share in (s.lean_share, 1.0):
+    for lean_share in lean_shares(stem, highest_m, bh_m=bh_m, settings=s):
         top = _top_along(stand, stem, centers, number, dbh_m, lean_share, level_m, highest_m, bh_m, s)
         if top is None:
             return None
         height, aside = top
-        # Along more of the lean it would be the same.
-        leant = (1.0 - s.lean_share) * float(np.hypot(*stem.axis.parameters[2:4])) * (height - bh_m)
-        if aside <= s.at_side * s.crown_radius_m or leant <= s.at_side * s.crown_radius_m:
+        if aside <= s.at_side * s.crown_radius_m or len(lean_shares(stem, height, bh_m=bh_m, settings=s)) == 1:
             return height
     return None
 

@@ -20,7 +20,7 @@ from fsinfer.trees.diameter.section import Section
 from fsinfer.trees.ends import COLUMN_M, Ends, ends_of, with_ends
 from fsinfer.trees.ground.at_stems import level_std
 from fsinfer.trees.ground.ground import Ground
-from fsinfer.trees.height import FOOT_M, axis_path, top_may_be_seen, tree_height
+from fsinfer.trees.height import FOOT_M, axis_path, lean_shares, top_may_be_seen, tree_height
 from fsinfer.trees.height import INDEX_CELL_M as TOP_CELL_M
 from fsinfer.trees.points.cells import PlanIndex, near_paths, rows
 from fsinfer.trees.points.errors import PointErrors
@@ -187,7 +187,7 @@ def _crowns(stand: Floats, stems: Sequence[tuple[Stem, float]], settings: TreeSe
     paths = [
         axis_path(stem, highest, bh_m=settings.bh_m, lean_share=lean_share, settings=settings.top)
         for stem, highest in stems
-        for lean_share in (settings.top.lean_share, 1.0)
+        for lean_share in lean_shares(stem, highest, bh_m=settings.bh_m, settings=settings.top)
     ]
     starts = np.array([low for low, _ in paths]).reshape(-1, 2)
     ends = np.array([high for _, high in paths]).reshape(-1, 2)

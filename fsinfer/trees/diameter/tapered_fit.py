@@ -5,7 +5,7 @@ Several stems are fitted at once (:func:`fsinfer.trees.cylinder.batch.fit_sectio
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,6 +141,11 @@ def _fits(
     sigma = np.array([wider(float(sigmas_m[k])) for k in those])
     told = [relative_errors(own, starts[k], float(heights_m[k])) for k, own in near.items()]
     any_told = any(tells_errors(own) for own in near.values())
+
+    def words(sets: Mapping[int, Floats], axes: Mapping[int, Floats]) -> list[Floats] | None:
+        """What the word of each point counts about the axes; None where all count in full."""
+        return [worth_of_word(own, axes[k], float(heights_m[k])) for k, own in sets.items()] if any_told else None
+
     first = fit_sections(
         list(near.values()),
         starts[those],
@@ -148,7 +153,7 @@ def _fits(
         sigma_m=sigma,
         order=s.order,
         relative=told if any_told else None,
-        worth=[worth_of_word(own, starts[k], float(heights_m[k])) for k, own in near.items()] if any_told else None,
+        worth=words(near, dict(enumerate(starts))),
         settings=s,
     )
     found = {k: (fit, own) for (k, own), fit in zip(near.items(), first, strict=True)}
@@ -170,9 +175,7 @@ def _fits(
         sigma_m=np.array([max(SECOND_START[0] * found[k][0].sigma_m, SECOND_START[1]) for k in again]),
         order=s.order,
         relative=[relative for _, relative in again.values()],
-        worth=[worth_of_word(own, found[k][0].parameters, float(heights_m[k])) for k, (own, _) in again.items()]
-        if any_told
-        else None,
+        worth=words({k: own for k, (own, _) in again.items()}, {k: found[k][0].parameters for k in again}),
         settings=s,
     )
     found |= {k: (fit, own) for (k, (own, _)), fit in zip(again.items(), second, strict=True)}

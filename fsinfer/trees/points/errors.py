@@ -101,17 +101,21 @@ def worth_of_word(points: Floats, parameters: Floats, height_m: float) -> Floats
     """
     if not tells_errors(points):
         return np.ones(len(points))
-    outward = points[:, :2] - (parameters[:2] + parameters[2:4] * (points[:, 2:3] - height_m))
     # Alike sure: standard deviations within a factor of two.
     level = np.rint(0.5 * np.log2(1.0 + (points[:, 3] / SHARED_M) ** 2)).astype(np.int64)
-    cell = level * SIDES + sector_of(outward, SIDES)
+    cell = level * SIDES + sector_of(_outward(points, parameters, height_m), SIDES)
     count = np.bincount(cell)[cell]
     return np.asarray(1.0 / (1.0 + TOGETHER**2 * count))
 
 
+def _outward(points: Floats, parameters: Floats, height_m: float) -> Floats:
+    """(N, 2) from the axis to each point, at the point's own height."""
+    return points[:, :2] - (parameters[:2] + parameters[2:4] * (points[:, 2:3] - height_m))
+
+
 def _turned(points: Floats, parameters: Floats, height_m: float) -> Floats:
     """(N,) how far normals turn away from the direction from the axis, beyond what they may."""
-    outward = points[:, :2] - (parameters[:2] + parameters[2:4] * (points[:, 2:3] - height_m))
+    outward = _outward(points, parameters, height_m)
     outward /= np.maximum(lengths(outward), 1e-6)[:, None]
     along = outward[:, 0] * points[:, 4] + outward[:, 1] * points[:, 5]
     return np.maximum(np.sqrt(np.maximum(2.0 - 2.0 * along, 0.0)) - TURNED, 0.0)
