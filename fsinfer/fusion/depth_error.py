@@ -1,8 +1,9 @@
-"""How far a fused point may be off along its line of sight.
+"""How far a fused point may be off along its line of sight, and how large a pixel is there.
 
 A place that two photographs a base b apart show, f pixels of focal length, is known from a match that is off by e
 pixels to ``e Z^2 / (f b)`` at the depth Z: the normal case of stereo photogrammetry (K. Kraus, Photogrammetry, 2007,
-section 2.1.2). That of a cloud's points ranges over two orders of magnitude, and who measures in the cloud has to know.
+section 2.1.2). That of a cloud's points ranges over two orders of magnitude, and who measures in the cloud has to know. A depth
+is that of a patch of pixels: how large a pixel is tells what it is a mean over.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ from fsinfer.scene import Scene, View
 MATCH_PX = 0.15
 #: Sources whose bases count: those that a view is compared with. Source: option; that of depth.
 SOURCES = DepthSettings.source_views
-#: Bits of the mantissa that are kept: three per cent are enough, and what comes after is not compressed. Source:
-#: numerics.
-_BITS = 5
+#: Bits of the mantissa that are kept: three per cent of a standard deviation are enough, six of a pixel, and what comes
+#: after is not compressed. Source: numerics.
+_BITS, _PIXEL_BITS = 5, 4
 
 
 def std_at_unit_depth(scene: Scene, views: Sequence[int]) -> float:
@@ -47,6 +48,22 @@ def depth_std(quality: NDArray[np.float64], at_unit_depth: float) -> NDArray[np.
 
     ``quality`` (N,) is theirs: views over depth^4 (:attr:`fsinfer.fusion.voxels.Samples.quality`).
     """
-    std = (at_unit_depth / np.sqrt(quality)).astype(np.float32)
-    step = np.int32(1 << (23 - _BITS))
-    return ((std.view(np.int32) + step // 2) & -step).view(np.float32)
+    return _in_steps(at_unit_depth / np.sqrt(quality), _BITS)
+
+
+def pixel_size(
+    quality: NDArray[np.float64], views: NDArray[np.integer], scene: Scene, indices: Sequence[int]
+) -> NDArray[np.float32]:
+    """(N,) length of a pixel of the photographs at points, scene units, in steps of six per cent.
+
+    ``quality`` (N,) as of :func:`depth_std`, ``views`` (N,) how many agree: what both say of the depth. The focal
+    length is the median of those of the views ``indices``.
+    """
+    focal_px = float(np.median([scene.views[index].camera.intrinsic[0, 0] for index in indices]))
+    return _in_steps((views / quality) ** 0.25 / focal_px, _PIXEL_BITS)
+
+
+def _in_steps(values: NDArray[np.float64], bits: int) -> NDArray[np.float32]:
+    """Positive ``values`` (N,) to the nearest number with so many bits of mantissa."""
+    step = np.int32(1 << (23 - bits))
+    return ((values.astype(np.float32).view(np.int32) + step // 2) & -step).view(np.float32)

@@ -19,11 +19,11 @@ from fsinfer.depth.maps import DepthMap, DepthMaps
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.errors import CloudError
 from fsinfer.fusion.consistency import LEVELS, NO_LEVEL, Tolerances, check_pair
-from fsinfer.fusion.depth_error import depth_std, std_at_unit_depth
+from fsinfer.fusion.depth_error import depth_std, pixel_size, std_at_unit_depth
 from fsinfer.fusion.memory import FusionPlan, plan_fusion
 from fsinfer.fusion.surfaces import pixel_normals, smooth_pixels
 from fsinfer.fusion.voxels import MAX_EXTENT_VOXELS, Samples, VoxelMerger, much_worse_than_nearby, select, sum_within
-from fsinfer.io.cloud import DEPTH_STD, PointCloud
+from fsinfer.io.cloud import DEPTH_STD, PIXEL_SIZE, PointCloud
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene, read_view_image
 from fsinfer.threads import MOST_AT_ONCE, cores, in_order, one_blas_thread
@@ -121,7 +121,8 @@ def fuse(
     Returns
     -------
     Cloud in scene units with rgb, normals (towards the cameras), and in ``extra``: ``views`` (int32, views that agree
-    on the point, with its own), ``confidence`` and ``depth_std`` (float32; :mod:`fsinfer.fusion.depth_error`).
+    on the point, with its own), ``confidence``, ``depth_std`` and ``pixel_size`` (float32;
+    :mod:`fsinfer.fusion.depth_error`).
 
     Raises
     ------
@@ -177,6 +178,7 @@ def fuse(
             "views": merged.views.astype(np.int32),
             "confidence": merged.confidence,
             DEPTH_STD: depth_std(merged.quality, std_at_unit_depth(scene, maps.available)),
+            PIXEL_SIZE: pixel_size(merged.quality, merged.views, scene, maps.available),
         },
     )
 

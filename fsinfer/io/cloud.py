@@ -19,6 +19,11 @@ from fsinfer.io.text_cloud import read_text_cloud
 TEXT_SUFFIXES = (".xyz", ".txt", ".asc", ".csv", ".pts")
 #: Of ``PointCloud.extra``: standard deviation of a point along its line of sight, in the unit of the cloud.
 DEPTH_STD = "depth_std"
+#: Of ``PointCloud.extra``: length that a pixel of its photographs has at a point, in the unit of the cloud; the object
+#: sampling distance of photogrammetry.
+PIXEL_SIZE = "pixel_size"
+#: Those of ``PointCloud.extra`` that are lengths.
+LENGTHS = (DEPTH_STD, PIXEL_SIZE)
 SUFFIXES = (".ply", *LAS_SUFFIXES, *TEXT_SUFFIXES)
 #: Columns that a message names. Source: layout.
 _MOST_COLUMNS = 8
@@ -40,7 +45,8 @@ class PointCloud:
     xyz: (N, 3) float64.
     rgb: (N, 3) uint8, or None.
     normals: (N, 3) float32 unit vectors, or None.
-    extra: name -> (N,) values, e.g. ``views`` (int32), ``confidence`` and ``depth_std`` (float32), ``TreeID`` (int32).
+    extra: name -> (N,) values, e.g. ``views`` (int32), ``confidence``, ``depth_std`` and ``pixel_size`` (float32),
+        ``TreeID`` (int32).
 
     Raises
     ------

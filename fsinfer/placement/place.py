@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.geometry.similarity import apply, compose, rotation_of, scale_of, scaling
-from fsinfer.io.cloud import DEPTH_STD, PointCloud
+from fsinfer.io.cloud import LENGTHS, PointCloud
 from fsinfer.io.gravity import noted_gravity
 from fsinfer.io.turned import upright_from_picture
 from fsinfer.placement.level import level
@@ -110,9 +110,8 @@ def _gravity_of(scene: Scene) -> NDArray[np.float64]:
 def transform_cloud(cloud: PointCloud, similarity: NDArray[np.float64]) -> PointCloud:
     """Apply a (4, 4) similarity to points, normals and what else is a length."""
     normals = None if cloud.normals is None else (cloud.normals @ rotation_of(similarity).T).astype(np.float32)
-    extra = dict(cloud.extra)
-    if DEPTH_STD in extra:
-        extra[DEPTH_STD] = extra[DEPTH_STD] * np.float32(scale_of(similarity))
+    scale = np.float32(scale_of(similarity))
+    extra = {name: values * scale if name in LENGTHS else values for name, values in cloud.extra.items()}
     return replace(cloud, xyz=apply(similarity, cloud.xyz), normals=normals, extra=extra)
 
 

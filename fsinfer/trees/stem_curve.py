@@ -182,7 +182,7 @@ def _near_stems(points: Floats, trees: Sequence[Tree], reach_m: float) -> Bools:
 class _Climb:
     """One way along a stem from breast height: the points near it, the heights that are left, where it stands now.
 
-    ``near`` (N, 3 or 4) are x, y about the origin of all, and height above the stem's ground, sorted by height;
+    ``near`` (N, 3 or 5) are x, y about the origin of all, and height above the stem's ground, sorted by height;
     ``state`` (6,) is the axis at the height ``at``.
     """
 

@@ -44,7 +44,7 @@ class SceneCloud:
     camera_height: float | None
 
 
-FUSE_SCENE = Stage(name="fuse_scene", version=3, result=SceneCloud, outputs=("cloud.ply", "cloud.laz"))
+FUSE_SCENE = Stage(name="fuse_scene", version=4, result=SceneCloud, outputs=("cloud.ply", "cloud.laz"))
 
 
 def frames_of(

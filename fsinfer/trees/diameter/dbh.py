@@ -38,6 +38,7 @@ from fsinfer.trees.diameter.slice import fit_slice
 from fsinfer.trees.diameter.spread import Spread, fit_spread
 from fsinfer.trees.diameter.tapered_fit import joint_fits, wall_coverage
 from fsinfer.trees.diameter.verdict import doubts_about, may_be_measured, refused, walls_std_m
+from fsinfer.trees.points.smoothing import unsmoothed
 from fsinfer.trees.points.sums import lengths
 from fsinfer.trees.points.surface import LAYER_M, WALL_SIGMAS
 from fsinfer.trees.search.stem import Stem
@@ -55,7 +56,7 @@ def measure_together(
     settings: DbhSettings | None = None,
     seed: int = 0,
 ) -> list[Section]:
-    """Measure each stem among its points (N, 3 to 6) of x, y, height above its own ground, in metres, and their errors.
+    """Measure each stem among its points (N, 3, 5 or 7) of x, y, height above its own ground, metres, and their errors.
 
     Stems do not know of each other; they are taken together because their fits are faster at once.
     ``bh_m`` is the height of the diameter, ``ground_noise_m`` the standard deviation of the level that their heights
@@ -74,6 +75,9 @@ def measure_together(
         starts[k], heights[k] = start, height
     sigmas = np.array([stem.axis.sigma_m for stem in stems])
     noises = np.broadcast_to(np.asarray(ground_noise_m, dtype=np.float64), len(stems)).tolist()
+    points = [
+        unsmoothed(own, start, height) for own, start, height in zip(points, starts, heights.tolist(), strict=True)
+    ]
     fits = joint_fits(points, starts, heights, sigmas, half_windows_m=s.half_windows_m, seed=seed)
     return [
         _section(own, stem, fit, used, height, noise, scale_rel_std, s, seed)

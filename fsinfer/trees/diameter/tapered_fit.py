@@ -15,7 +15,7 @@ from fsinfer.trees.cylinder.batch import fit_sections
 from fsinfer.trees.diameter.circle import LEAST_POINTS, covered_bins
 from fsinfer.trees.diameter.sides import noise_sector, relative_noise, seen_side
 from fsinfer.trees.points.cells import rows
-from fsinfer.trees.points.errors import relative_errors, tells_errors, worth_of_word
+from fsinfer.trees.points.errors import STD, relative_errors, tells_errors, worth_of_word
 from fsinfer.trees.points.sums import lengths
 from fsinfer.trees.points.surface import OUTSIDE_SIGMAS, WALL_SIGMAS, reach_about_wall
 
@@ -52,7 +52,7 @@ def joint_fits(
     half_windows_m: Sequence[float],
     seed: int = 0,
 ) -> list[tuple[AxisFit, Floats | None]]:
-    """The stem in each of K sets of points (N_k, 3 to 6), and the points that were used; wider windows when sparse.
+    """The stem in each of K sets of points (N_k, 3, 5 or 7), and the points that were used; wider windows when sparse.
 
     ``starts`` (K, 6) are where the search has the axes at ``heights_m`` (K,), ``sigmas_m`` (K,) its noise. None for the
     points says that there are too few. ``half_windows_m`` are half lengths of the piece of stem, ascending.
@@ -101,7 +101,7 @@ def joint_fits(
 
 
 def wall_coverage(fit: AxisFit, used: Floats) -> float:
-    """The share of the circumference in which the points ``used`` (N, 3 to 6) of a fit lie on its wall.
+    """The share of the circumference in which the points ``used`` (N, 3, 5 or 7) of a fit lie on its wall.
 
     What photographs made of a side from so far away that it is a haze of centimetres counts little.
     """
@@ -109,7 +109,7 @@ def wall_coverage(fit: AxisFit, used: Floats) -> float:
     wall = np.abs(fit.residuals_m) <= WALL_SIGMAS * fit.noise_m
     weights = None
     if tells_errors(used):
-        weights = 1.0 / (1.0 + (used[wall, 3] / SEEN_STD_M) ** 2)
+        weights = 1.0 / (1.0 + (used[wall, STD] / SEEN_STD_M) ** 2)
     return float(covered_bins(rows(offset, wall), weights=weights).mean())
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsinfer.fusion.depth_error import MATCH_PX, depth_std, std_at_unit_depth
+from fsinfer.fusion.depth_error import MATCH_PX, depth_std, pixel_size, std_at_unit_depth
 from fsinfer.fusion.fuse import fuse
-from fsinfer.io.cloud import DEPTH_STD
+from fsinfer.io.cloud import DEPTH_STD, PIXEL_SIZE
 from fsinfer.placement.place import transform_cloud
 from fsinfer.scene import Camera, Scene, View
 from tests.fsinfer.fusion.test_fuse import make_scene
@@ -53,6 +53,16 @@ def test_steps_are_fine_and_few() -> None:
     assert 40 <= len(np.unique(std)) <= 80
 
 
+def test_a_pixel_is_as_long_as_its_place_is_deep() -> None:
+    scene = cameras((0, 0, 0), (0.5, 0, 0), sources=((1,), (0,)))
+    depth, views = np.array([1.0, 4.0, 8.0]), np.array([1, 3, 9])
+    size = pixel_size(views * depth**-4.0, views, scene, [0, 1])
+    assert size.dtype == np.float32
+    assert size == pytest.approx(depth / FOCAL_PX, rel=0.04)
+    fine = pixel_size(np.linspace(1.0, 2.0, 1000) ** -4.0, np.ones(1000, np.int32), scene, [0])
+    assert 16 <= len(np.unique(fine)) <= 18
+
+
 def test_a_fused_cloud_tells_it_in_its_own_unit(tmp_path: Path) -> None:
     scene = make_scene(tmp_path / "scene", tmp_path)
     cloud = fuse(scene, tmp_path)
@@ -63,6 +73,11 @@ def test_a_fused_cloud_tells_it_in_its_own_unit(tmp_path: Path) -> None:
     # Of five views that agree, at the nearest camera, and of one, at the farthest: depths are shorter than distances.
     assert (std > 0.6 * at_unit * depth.min(axis=0) ** 2 / np.sqrt(5.0)).all()
     assert (std < 1.02 * at_unit * depth.max(axis=0) ** 2).all()
+    size = cloud.extra[PIXEL_SIZE]
+    focal_px = scene.views[0].camera.intrinsic[0, 0]
+    assert (size > 0.6 * depth.min(axis=0) / focal_px).all()
+    assert (size < 1.5 * depth.max(axis=0) / focal_px).all()
     moved = transform_cloud(cloud, np.diag([2.0, 2.0, 2.0, 1.0]))
+    assert moved.extra[PIXEL_SIZE] == pytest.approx(2.0 * size)
     assert moved.extra[DEPTH_STD] == pytest.approx(2.0 * std)
     assert moved.extra["confidence"] is cloud.extra["confidence"]

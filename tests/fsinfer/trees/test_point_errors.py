@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fsinfer.io.cloud import DEPTH_STD, PointCloud
+from fsinfer.io.cloud import DEPTH_STD, PIXEL_SIZE, PointCloud
 from fsinfer.trees import PlotResult, TreeSettings, analyse_plot
 from fsinfer.trees.edit_rows import TreeEdit
 from fsinfer.trees.edits import apply_edits
@@ -133,3 +133,13 @@ def test_the_tree_stage_reads_it_from_the_cloud(hazy: HazyPlot, told: PlotResult
     odd = PlotCloudInput(cloud=replace(cloud, extra={DEPTH_STD: std})).errors
     assert odd is not None
     assert odd.std_m[:3].tolist() == [0.0, 0.0, 0.0]
+    assert odd.pixel_m is None
+    pixel = std.copy()
+    with_pixel = PlotCloudInput(cloud=replace(cloud, extra={DEPTH_STD: hazy.std_m, PIXEL_SIZE: pixel})).errors
+    assert with_pixel is not None
+    assert with_pixel.pixel_m is not None
+    assert with_pixel.pixel_m.tolist() == [0.0, 0.0, 0.0, *pixel[3:].tolist()]
+    chosen = np.arange(len(pixel)) % 5 == 4
+    few = with_pixel.select(chosen).pixel_m
+    assert few is not None
+    assert few.tolist() == pixel[chosen].tolist()

@@ -12,7 +12,7 @@ from fsinfer.trees.cylinder.axis import AxisFit
 from fsinfer.trees.diameter.circle import LEAST_POINTS
 from fsinfer.trees.diameter.dbh_settings import DbhSettings
 from fsinfer.trees.diameter.tapered_fit import joint_fits, wall_coverage
-from fsinfer.trees.points.errors import PointErrors
+from fsinfer.trees.points.errors import NORMAL, PointErrors
 from tests.support.stem_clouds import wall
 
 RADII = (0.08, 0.15, 0.27)
@@ -112,7 +112,7 @@ def test_a_wall_with_flanks_to_both_sides_and_a_short_tail_is_not_taken_for_its_
 
 
 def with_errors(points: NDArray[np.float64], std_m: NDArray[np.float64] | float) -> NDArray[np.float64]:
-    """Points of a stem about the z axis with their errors and the normals of its bark, (N, 6)."""
+    """Points of a stem about the z axis with their errors and the normals of its bark, (N, 7)."""
     normals = points / np.linalg.norm(points[:, :2], axis=1, keepdims=True)
     return PointErrors(std_m=np.broadcast_to(std_m, len(points)), normals=normals).beside(points)
 
@@ -171,7 +171,7 @@ def test_the_fringe_beside_a_stem_that_is_seen_from_one_side_does_not_make_it_th
         height = rng.uniform(0.0, 4.0, count)
         fringe = np.column_stack([0.02 + rng.normal(0.0, 0.003, count), side * (0.149 + beyond), height])
         points = with_errors(np.concatenate([bark, fringe]), 0.002)
-        points[len(bark) :, 4:] = 1.0, 0.0
+        points[len(bark) :, NORMAL:] = 1.0, 0.0
         return points
 
     error, without = errors_and_without([seen_from_one_side(seed) for seed in range(6)])

@@ -14,7 +14,7 @@ UPRIGHT = np.array([2.0, 3.0, 0.0, 0.0, 0.15, 0.0])
 def _side(azimuth_deg: float, count: int, std_m: float) -> NDArray[np.float64]:
     angle = np.radians(azimuth_deg)
     place = UPRIGHT[:2] + UPRIGHT[4] * np.array([np.cos(angle), np.sin(angle)])
-    return np.tile([*place, 1.3, std_m], (count, 1))
+    return np.tile([*place, 1.3, std_m, 0.0], (count, 1))
 
 
 def test_a_side_of_many_counts_little_more_than_one_of_few() -> None:
