@@ -2,8 +2,8 @@
 
 A place that two photographs a base b apart show, f pixels of focal length, is known from a match that is off by e
 pixels to ``e Z^2 / (f b)`` at the depth Z: the normal case of stereo photogrammetry (K. Kraus, Photogrammetry, 2007,
-section 2.1.2). That of a cloud's points ranges over two orders of magnitude, and who measures in the cloud has to know. A depth
-is that of a patch of pixels: how large a pixel is tells what it is a mean over.
+section 2.1.2). That of a cloud's points ranges over two orders of magnitude, and who measures in the cloud has to know.
+A depth is that of a patch of pixels: how large a pixel is tells what it is a mean over.
 """
 
 from __future__ import annotations
