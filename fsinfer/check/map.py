@@ -136,7 +136,8 @@ def _name_photos(axes: Any, cameras: Floats, names: tuple[str, ...]) -> None:
     shown = np.unique(np.linspace(0, len(names) - 1, min(len(names), _NAMED_PHOTOS)).astype(int))
     for rank in shown:
         label = names[rank] if len(names[rank]) <= _NAME_LETTERS else "…" + names[rank][1 - _NAME_LETTERS :]
-        style = {"fontsize": _PHOTO_PT, "color": "0.35", "ha": "center", "zorder": 2}
+        # A name with two "$" is no formula.
+        style = {"fontsize": _PHOTO_PT, "color": "0.35", "ha": "center", "zorder": 2, "parse_math": False}
         axes.annotate(label, cameras[rank], (0, -9), textcoords="offset points", **style)
 
 

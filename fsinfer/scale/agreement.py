@@ -85,20 +85,26 @@ def largest_agreeing(scales: Floats, rel_stds: Floats, settings: MarkerSettings)
     return best
 
 
-def faces_of_boards(centers: Floats, normals: Floats, sides: Floats) -> list[list[int]]:
-    """Markers (N,) grouped into boards: the two faces of one board lie nearer than its side and look away.
+def markers_of_boards(numbers: Sequence[int], centers: Floats, normals: Floats, sides: Floats) -> list[list[int]]:
+    """Indices of markers (N,) grouped into boards, of which each is one opinion.
+
+    The two faces of one board lie nearer than its side and look away from each other. One number that is found at two
+    places near to each other, and looks the same way at both, is one board in a walk that drifted a little.
 
     Parameters
     ----------
-    centers, normals: (N, 3) of the markers, in units of the scene; unit normals, NaN where not known. sides: (N,).
+    numbers: (N,) of the markers. centers, normals: (N, 3), in units of the scene; unit normals, NaN where not known.
+    sides: (N,).
     """
     groups: list[list[int]] = []
     for index in range(len(centers)):
         for group in groups:
             first = group[0]
-            if len(group) == 1 and back_to_back(
-                (centers[first], centers[index]), (normals[first], normals[index]), max(sides[first], sides[index])
-            ):
+            ends, looks = (centers[first], centers[index]), (normals[first], normals[index])
+            side = max(sides[first], sides[index])
+            of_two_faces = len({numbers[member] for member in (*group, index)}) <= 2
+            same = numbers[index] in [numbers[member] for member in group]
+            if (of_two_faces and back_to_back(ends, looks, side)) or (same and _drifted(ends, looks, side)):
                 group.append(index)
                 break
         else:
@@ -108,9 +114,18 @@ def faces_of_boards(centers: Floats, normals: Floats, sides: Floats) -> list[lis
 
 #: Cosine between the directions that the two faces of one board look in, at most. Source: judgement; boards are flat.
 _FACING_AWAY = -0.8
+#: A number that is found at places nearer than so many sides of its square is one board. Source: judgement; nobody puts
+#: up two of one number so near to each other, and a walk that drifts by more has photos in a wrong place.
+_DRIFTED_SIDES = 2.0
 
 
 def back_to_back(centers: Sequence[Floats], normals: Sequence[Floats], side: float) -> bool:
     """Whether two places of markers are the two faces of one board: nearer than its ``side``, facing away."""
     near = float(np.linalg.norm(np.subtract(*centers))) < side
     return near and float(np.dot(*normals)) < _FACING_AWAY
+
+
+def _drifted(centers: Sequence[Floats], normals: Sequence[Floats], side: float) -> bool:
+    """Whether two places of one number are those of one board of this ``side``, whichever of its faces they are."""
+    near = float(np.linalg.norm(np.subtract(*centers))) < _DRIFTED_SIDES * side
+    return near and abs(float(np.dot(*normals))) > -_FACING_AWAY

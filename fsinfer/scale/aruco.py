@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.progress import Progress, silent
-from fsinfer.scale.agreement import agreement, faces_of_boards
+from fsinfer.scale.agreement import agreement, markers_of_boards
 from fsinfer.scale.blooming import common_blooming, without_blooming
 from fsinfer.scale.marker_search import SeenMarkers, look_for_markers
 from fsinfer.scale.printed_boards import DICTIONARY
@@ -148,17 +148,19 @@ def _combine(
     rel_stds = np.array([marker.side_rel_std for marker in markers])
     centers = np.array([marker.corners.mean(axis=0) for marker in markers])
     normals = np.array([_normal(marker.corners) for marker in markers])
-    faces = faces_of_boards(centers, normals, np.array([marker.side_units for marker in markers]))
-    # Both faces of a board stand in the same place and come from the same printer: they are one opinion.
-    shares = [(1 / rel_stds[own] ** 2) / (1 / rel_stds[own] ** 2).sum() for own in faces]
-    board_scales = np.array([share @ scales[own] for share, own in zip(shares, faces, strict=True)])
-    board_stds = np.array([np.sqrt(share**2 @ rel_stds[own] ** 2) for share, own in zip(shares, faces, strict=True)])
+    numbers = [marker.sightings[0].marker_id for marker in markers]
+    boards = markers_of_boards(numbers, centers, normals, np.array([marker.side_units for marker in markers]))
+    # Both faces of a board stand in the same place and come from the same printer: they are one opinion. So is one that
+    # a drift of the walk shows at two places, which would outvote the others with its own print.
+    shares = [(1 / rel_stds[own] ** 2) / (1 / rel_stds[own] ** 2).sum() for own in boards]
+    board_scales = np.array([share @ scales[own] for share, own in zip(shares, boards, strict=True)])
+    board_stds = np.array([np.sqrt(share**2 @ rel_stds[own] ** 2) for share, own in zip(shares, boards, strict=True)])
     together = agreement(board_scales, board_stds, settings)
     combined = together.value
     contradicts = not together.decided
     each: list[MarkerScale | None] = [None] * len(markers)
-    for board, own in enumerate(faces):
-        others = np.arange(len(faces)) != board
+    for board, own in enumerate(boards):
+        others = np.arange(len(boards)) != board
         without = agreement(board_scales[others], board_stds[others], settings).value if others.any() else None
         verdict = BoardVerdict.contradicted if contradicts else BoardVerdict.agrees
         verdict = verdict if together.agrees[board] else BoardVerdict.outvoted

@@ -13,7 +13,15 @@ import numpy as np
 from fsinfer.errors import InputError
 from fsinfer.io.files import atomic_path
 from fsinfer.scale.detection import predefined_dictionary
-from fsinfer.scale.printed_boards import BOARDS, DICTIONARY, SAME_LENGTH_M, Paper, board_lengths, numbers_of_length
+from fsinfer.scale.printed_boards import (
+    BOARDS,
+    DICTIONARY,
+    SAME_LENGTH_M,
+    SAME_MARKERS,
+    Paper,
+    board_lengths,
+    numbers_of_length,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -140,17 +148,20 @@ def plan_boards(
         msg = f"a black square of {length_m:g} m does not fit on {paper}; give {least_m:g} to {most_m:g} m"
         raise InputError(msg)
     last = len(available.bytesList) - 1
+    meant_m = board_lengths() if dictionary in SAME_MARKERS else {}
+    other = {number for number, meant in meant_m.items() if abs(meant - length_m) > SAME_LENGTH_M}
     numbers = list(numbers) or (
-        numbers_of_length(length_m, count) if dictionary == DICTIONARY else list(range(min(count, last + 1)))
+        numbers_of_length(length_m, count)
+        if dictionary == DICTIONARY
+        else [number for number in range(last + 1) if number not in other][:count]
     )
     for number in numbers:
         if not 0 <= number <= last:
             msg = f"marker {number} does not exist: {dictionary} has the numbers 0 to {last}"
             raise InputError(msg)
-        meant_m = board_lengths().get(number) if dictionary == DICTIONARY else None
-        if meant_m is not None and abs(meant_m - length_m) > SAME_LENGTH_M:
+        if number in other:
             msg = (
-                f"number {number} tells fsinfer a side of {meant_m:g} m, not {length_m:g} m; "
+                f"number {number} tells fsinfer a side of {meant_m[number]:g} m, not {length_m:g} m; "
                 "take a number below 20, or leave the numbers out"
             )
             raise InputError(msg)

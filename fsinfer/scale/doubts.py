@@ -13,7 +13,7 @@ from fsinfer.errors import ScaleError
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
-from fsinfer.scale.agreement import back_to_back, faces_of_boards
+from fsinfer.scale.agreement import back_to_back, markers_of_boards
 from fsinfer.scale.printed_boards import DICTIONARY, board_lengths
 from fsinfer.scale.request import Point, ScaleRequest
 from fsinfer.scale.scale import CAMERA_HEIGHT_M, BoardVerdict, MarkerDetails, MarkerScale, Scale
@@ -137,11 +137,12 @@ def _faces(one: MarkerScale, other: MarkerScale) -> bool:
 
 
 def number_of_boards(markers: Sequence[MarkerScale]) -> int:
-    """Boards that these markers are on: one with a marker on each side is one, which nothing checks."""
+    """Boards that these markers are on, each of which checks the others; with its two faces one is one."""
     unknown = (np.nan, np.nan, np.nan)
     centers = np.array([marker.center for marker in markers]).reshape(-1, 3)
     normals = np.array([marker.normal or unknown for marker in markers]).reshape(-1, 3)
-    return len(faces_of_boards(centers, normals, np.array([marker.side_units for marker in markers])))
+    sides = np.array([marker.side_units for marker in markers])
+    return len(markers_of_boards([marker.id for marker in markers], centers, normals, sides))
 
 
 def doubt_boards(scale: Scale) -> tuple[Notice, ...]:
@@ -154,10 +155,12 @@ def doubt_boards(scale: Scale) -> tuple[Notice, ...]:
         only = scale.markers[0]
         given = details.length_m is not None
         found.append(notice(CaptureCode.one_board, number=only.id, length_m=only.length_m, given=given))
-    for marker in (marker for marker in scale.markers if marker.verdict == BoardVerdict.outvoted):
-        if any(other.id == marker.id and other is not marker and not _faces(marker, other) for other in scale.markers):
-            continue  # seen at two places: not its print is wrong but the place of photos, which is told apart
-        found.append(notice(CaptureCode.board_outvoted, number=marker.id, residual_rel=marker.residual_rel))
+    outvoted = {marker.id: marker for marker in scale.markers if marker.verdict == BoardVerdict.outvoted}
+    for number, marker in outvoted.items():
+        places = [other for other in scale.markers if other.id == number and not _faces(marker, other)]
+        if any(other.verdict != BoardVerdict.outvoted for other in places):
+            continue  # right at another place: not its print is wrong but the place of photos, which is told apart
+        found.append(notice(CaptureCode.board_outvoted, number=number, residual_rel=marker.residual_rel))
     torn = [marker for marker in scale.markers if marker.verdict == BoardVerdict.contradicted]
     if torn:
         low, high = (choose(torn, key=lambda marker: marker.m_per_unit) for choose in (min, max))

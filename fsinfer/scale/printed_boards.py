@@ -23,6 +23,8 @@ from fsinfer.errors import InputError
 
 #: The only dictionary whose numbers mean a size. Source: OpenCV; 4x4 modules are seen from farthest.
 DICTIONARY = "4X4_50"
+#: Dictionaries that begin with its markers: who looks for those finds these under the same number. Source: OpenCV.
+SAME_MARKERS = (DICTIONARY, "4X4_100", "4X4_250", "4X4_1000")
 #: First number, number after the last, side of the black square in metres. Source: format; what fits on A4, Letter
 #: and A3.
 RANGES: tuple[tuple[int, int, float], ...] = ((20, 30, 0.150), (30, 40, 0.200), (40, 50, 0.250))

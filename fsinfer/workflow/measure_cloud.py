@@ -27,7 +27,7 @@ from fsinfer.plot_border.request import BorderRequest
 from fsinfer.progress import Progress, silent
 from fsinfer.scale.doubts import doubt_about_all, doubt_ends, unknown_error
 from fsinfer.scale.request import ScaleRequest
-from fsinfer.scale.scale import Scale, marker_centers
+from fsinfer.scale.scale import UNKNOWN, Scale, marker_centers
 from fsinfer.scene import scene_digest
 from fsinfer.silhouettes.join import StemPhotos
 from fsinfer.threads import one_blas_thread
@@ -36,7 +36,15 @@ from fsinfer.trees.edit_rows import find_edits
 from fsinfer.trees.outputs.labels import write_labelled
 from fsinfer.trees.sanity import TurnedCloudError
 from fsinfer.trees.thinning import ThinningSettings, thin_while_reading
-from fsinfer.workflow.cloud_origin import cloud_scale, is_of_run, known_path, links_of, origin_of_cloud, own_photos
+from fsinfer.workflow.cloud_origin import (
+    CloudOrigin,
+    cloud_scale,
+    is_of_run,
+    known_path,
+    links_of,
+    origin_of_cloud,
+    own_photos,
+)
 from fsinfer.workflow.cloud_units import CLOUD_KEYS, plot_of_cloud, scale_of_trees
 from fsinfer.workflow.given_edits import note_edits
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
@@ -145,6 +153,7 @@ def measure_cloud_file(
         refuse_other_units(cloud_path)
     per_unit = found.scale.m_per_unit or 1.0
     photos = own_photos(known_as, origin, per_unit)
+    boards = _boards(found.scale, origin)
     _refuse_center_unknown(settings.stage.border, cloud_path, photos)
     make_folder(out)
 
@@ -164,13 +173,13 @@ def measure_cloud_file(
             metric=metric,
             scale_rel_std=(found.scale.rel_std if found.scale.rel_std is not None else origin.scale_rel_std) or 0.0,
             camera_height=origin.camera_height,
-            marker_xyz=None if photos is None else marker_centers(origin.markers, photos.cloud_from_scene),
-            marker_numbers=() if photos is None else tuple(marker.id for marker in origin.markers.markers),
+            marker_xyz=None if photos is None else marker_centers(boards, photos.cloud_from_scene),
+            marker_numbers=() if photos is None else tuple(marker.id for marker in boards.markers),
             epsg=None if frame_of is None else named,
             frame_of=frame_of,
             photos=photos,
             edits=corrections,
-            doubt=doubt_about_all(origin.markers) if is_of_run(known_as, origin) else None,
+            doubt=doubt_about_all(boards) if is_of_run(known_as, origin) else None,
             write_labelled=opened.labelled,
         )
         trees, given, turned = _measure(given, out, settings.stage, progress)
@@ -200,6 +209,12 @@ def measure_cloud_file(
     note_edits(out, edits)
     _tell(record, cloud_path, out, settings.stage)
     return record
+
+
+def _boards(scale: Scale, origin: CloudOrigin) -> Scale:
+    """The markers in the scene of the cloud: those that it gets its ``scale`` from now, or that it had its own from."""
+    # Without the metres per unit, which are of the cloud here and of the scene there.
+    return replace(UNKNOWN, details=scale.details) if scale.markers else origin.markers
 
 
 def _refuse_center_unknown(border: BorderRequest, cloud_path: Path, photos: StemPhotos | None) -> None:

@@ -22,11 +22,11 @@ from fsinfer.errors import FsinferError, ImageError, InputError
 from fsinfer.io.images import is_turned
 from fsinfer.scale.clicks.file import SavedClicks, clicked_length, read_draft
 from fsinfer.scale.clicks.page import click_page, render_click_page
-from fsinfer.scale.clicks.sizes import fit_draft, picture_sizes
+from fsinfer.scale.clicks.sizes import fit_draft
 from fsinfer.scale.request import ClickedLength
 from fsinfer.scale.scale import EndpointDetails, Scale
 from fsinfer.scale.two_ends import scale_from_clicks
-from fsinfer.scene import Scene, View, read_view_image
+from fsinfer.scene import Scene, View, read_view_image, view_image_size
 
 HOST = "127.0.0.1"
 #: Longest body of a request, bytes: clicks in hundreds of photographs. Source: judgement.
@@ -56,13 +56,18 @@ class ClickServer:
     length_m: real distance of the two ends, metres.
     saved: clicks of an earlier page, whose pictures may have had other sizes.
     keep: is given the clicks whenever they change, so that nothing is lost when the program is stopped.
+
+    Raises
+    ------
+    ImageError
+        A photograph cannot be read: what the page shows, and what is measured after the clicks, has all of them.
     """
 
     def __init__(self, scene: Scene, length_m: float, saved: SavedClicks, keep: Callable[[SavedClicks], Any]) -> None:
         self.scene, self.length_m = scene, length_m
         self.token = secrets.token_urlsafe(TOKEN_BYTES)
         self._nonce = secrets.token_urlsafe(TOKEN_BYTES)
-        self._sizes = picture_sizes(scene)
+        self._sizes = {view.name: view_image_size(view) for view in scene.views}
         self._saved, self._keep = fit_draft(saved, self._sizes), keep
         self._lock, self._done = threading.Lock(), threading.Event()
         self._clicked: Clicked | None = None

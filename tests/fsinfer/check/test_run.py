@@ -188,6 +188,12 @@ def test_the_map_shows_the_missing_side(tmp_path: Path, plot: Plot) -> None:
     assert colours["one"] > colours["all"] + 1000
 
 
+def test_the_map_takes_photos_of_any_name(tmp_path: Path, plot: Plot) -> None:
+    result = check(plot({}))
+    draw_map(replace(result, names=("$a^$", *result.names[1:])), tmp_path / "map.png")
+    assert (tmp_path / "map.png").is_file()
+
+
 def test_a_board_at_two_places_tells_of_photos_placed_wrongly(plot: Plot) -> None:
     found = survey(plot({}), METRIC)
     given = found.names

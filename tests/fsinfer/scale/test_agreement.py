@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fsinfer.scale.agreement import agreement, faces_of_boards
+from fsinfer.scale.agreement import agreement, markers_of_boards
 from fsinfer.scale.square_fit import MarkerSettings
 
 SETTINGS = MarkerSettings()
@@ -64,5 +64,16 @@ def test_both_faces_of_a_board_are_one_opinion() -> None:
     centers = np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0], [0.0, 0.0, 0.01], [5.0, 0.1, 0.0], [5.0, 3.0, 0.0]])
     normals = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
     # Side by side is not back to back, and neither is what looks at each other from afar.
-    assert faces_of_boards(centers, normals, np.full(5, 0.2)) == [[0, 2], [1], [3], [4]]
-    assert faces_of_boards(centers, np.full((5, 3), np.nan), np.full(5, 0.2)) == [[0], [1], [2], [3], [4]]
+    numbers = list(range(5))
+    assert markers_of_boards(numbers, centers, normals, np.full(5, 0.2)) == [[0, 2], [1], [3], [4]]
+    assert markers_of_boards(numbers, centers, np.full((5, 3), np.nan), np.full(5, 0.2)) == [[0], [1], [2], [3], [4]]
+
+
+def test_a_board_that_a_drift_shows_twice_is_one_opinion() -> None:
+    centers = np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0], [0.0, 0.0, 0.01], [0.1, 0.0, 0.0], [5.0, 0.0, 0.0]])
+    normals = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    sides = np.full(5, 0.15)
+    # Its other face belongs to it, too. What looks elsewhere or stands far away is another one of that number.
+    assert markers_of_boards([21, 21, 22, 21, 21], centers, normals, sides) == [[0, 1, 2], [3], [4]]
+    # Another number beside it is another board.
+    assert markers_of_boards([21, 22, 23, 24, 25], centers, normals, sides) == [[0, 2], [1], [3], [4]]

@@ -19,7 +19,7 @@ from fsinfer.scale import marker_search
 from fsinfer.scale.aruco import scale_from_aruco
 from fsinfer.scale.detection import detect_markers, make_detector
 from fsinfer.scale.find import find_scale
-from fsinfer.scale.marker_search import look_for_markers
+from fsinfer.scale.marker_search import SeenMarkers, look_for_markers
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scale.scale import UNKNOWN, BoardVerdict, NoUsableMarkersError
 from fsinfer.scale.square_fit import MarkerSettings, Sighting, find_markers
@@ -254,6 +254,31 @@ def test_a_detection_with_but_one_right_corner_is_not_the_markers() -> None:
         [*good, Sighting(marker_id=1, view=bent.view, corners_px=corners)], *projections(6), MarkerSettings()
     )
     assert [sorted(sighting.view for sighting in marker.sightings) for marker in found] == [[0, 1, 2, 4, 5]]
+
+
+def test_a_wrong_print_that_a_drift_shows_twice_does_not_outvote_the_others(scene: Scene) -> None:
+    """Of a walk that comes back a little beside where it was a board seen on both ways has two places."""
+    rng = np.random.default_rng(5)
+    views: list[View] = []
+    seen = []
+    for way, drift in enumerate((0.0, 0.1, -0.1)):
+        for pose in poses(5):
+            drifted = pose.copy()
+            drifted[:3, 3] -= pose[:3, 0] * drift
+            camera = Camera(intrinsic=intrinsic(), cam_from_world=drifted, depth_min=1.0, depth_max=9.0)
+            for place, number in enumerate((20, 21, 22)):
+                if way == 0 or number == 22:
+                    corners = true_corners(place, pose) + rng.normal(0, 0.1, (4, 2))
+                    seen.append(Sighting(marker_id=number, view=len(views), corners_px=corners))
+            views.append(View(name=f"v{len(views)}", image_path=scene.folder / "v0.png", camera=camera, sources=()))
+    found = scale_from_aruco(
+        Scene(folder=scene.folder, views=tuple(views)),
+        {20: SIDE, 21: SIDE, 22: 1.06 * SIDE},
+        seen=SeenMarkers(dictionary="4X4_50", sightings=tuple(seen)),
+    )
+    assert [marker.id for marker in found.markers] == [20, 21, 22, 22, 22]
+    assert [marker.verdict for marker in found.markers] == [BoardVerdict.agrees] * 2 + [BoardVerdict.outvoted] * 3
+    assert found.m_per_unit == pytest.approx(1.0, rel=0.01)
 
 
 def test_mirrored_and_oblong_detections_are_rejected() -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fsinfer.errors import InputError, ScaleError
 from fsinfer.scale.board_sheet import PAPERS_MM, Board, draw_board, square_place_mm, write_marker_pdf
 from fsinfer.scale.detection import detect_markers, make_detector
-from fsinfer.scale.printed_boards import RANGES, board_lengths, numbers_of_length
+from fsinfer.scale.printed_boards import DICTIONARY, RANGES, board_lengths, numbers_of_length
 
 DPI = 150
 
@@ -80,6 +80,8 @@ def test_the_pdf_has_a_page_of_paper_size_for_each_board(tmp_path: Path) -> None
         ({"length_m": 0.3}, "does not fit on A4"),
         ({"numbers": [50]}, "numbers 0 to 49"),
         ({"numbers": [41]}, "tells fsinfer a side of 0.25 m"),
+        # The first markers of 4X4_100 are those of 4X4_50, and are taken for them.
+        ({"numbers": [20], "length_m": 0.1, "dictionary": "4X4_100"}, "tells fsinfer a side of 0.15 m"),
         ({"paper": "A9"}, "A4, A3, Letter"),
         ({"count": 11}, "1 to 10 numbers"),
     ],
@@ -105,3 +107,12 @@ def test_numbers_and_lengths_agree() -> None:
     assert numbers_of_length(0.12, 3) == [0, 1, 2]
     # What people print first when they make boards of their own must mean nothing.
     assert min(lengths) == 20
+
+
+def test_boards_of_a_larger_dictionary_are_not_taken_for_those_that_tell_their_length(tmp_path: Path) -> None:
+    boards = write_marker_pdf(tmp_path / "m.pdf", length_m=0.1, count=25, dictionary="4X4_100")
+    detector = make_detector(DICTIONARY)
+    for board in boards:
+        found = {number for number, _ in detect_markers(raster(board), detector)}
+        assert not found & board_lengths().keys()
+    assert len(boards) == 25

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fsinfer.errors import InputError
+from fsinfer.errors import ImageError, InputError
 from fsinfer.scale.clicks.file import CLICKS_FILE, SavedClicks, clicked_length, read_clicks, write_clicks
 from fsinfer.scale.clicks.page import click_page
 from fsinfer.scale.clicks.server import MOST_BYTES, ClickServer
@@ -131,6 +131,14 @@ def test_photographs_and_nothing_else_are_served(scene: Scene, client: Client) -
         assert client.ask("GET", client.at(path))[0] == 404, path
     assert client.ask("POST", client.at("photo/0"), {})[0] == 404
     assert client.ask("DELETE", client.at(""))[0] == 501
+
+
+def test_a_damaged_photograph_is_told_before_the_page_is_shown(tmp_path: Path) -> None:
+    write_scene_folder(tmp_path)
+    damaged = read_scene(tmp_path)
+    damaged.views[3].image_path.write_bytes(b"")
+    with pytest.raises(ImageError, match=re.escape(damaged.views[3].image_path.name)):
+        ClickServer(damaged, 1.0, SavedClicks(), print)
 
 
 def test_clicks_are_measured_and_used(scene: Scene, client: Client) -> None:

@@ -83,6 +83,11 @@ def test_a_board_with_two_faces_is_one_board() -> None:
     assert not doubt_boards(scale_of_boards([*faces, other]))
 
 
+def test_a_board_that_a_drift_shows_twice_is_one_board() -> None:
+    places = [board(21, (x, 0.0, 0.0), ["a", "b", "c"], normal=(0.0, 0.0, 1.0)) for x in (0.0, 0.1)]
+    assert [doubt.code for doubt in doubt_boards(scale_of_boards(places))] == [CaptureCode.one_board]
+
+
 def test_boards_that_contradict_are_named() -> None:
     boards = [board(number, (float(number), 0.0, 0.0), ["a", "b", "c"]) for number in (1, 2, 3)]
     assert not doubt_boards(scale_of_boards(boards))
@@ -92,6 +97,11 @@ def test_boards_that_contradict_are_named() -> None:
     # The same board elsewhere, too: photos are in the wrong place, and its print is right.
     twice = board(2, (0.0, 9.0, 0.0), ["p", "q", "r"])
     assert not doubt_boards(scale_of_boards([boards[0], wrong, boards[2], twice]))
+    # Wrong wherever it is seen it is the print, which is told once.
+    twice = replace(twice, verdict=BoardVerdict.outvoted)
+    assert [doubt.code for doubt in doubt_boards(scale_of_boards([boards[0], wrong, boards[2], twice]))] == [
+        CaptureCode.board_outvoted
+    ]
     torn = [replace(boards[0], verdict=BoardVerdict.contradicted)]
     torn.append(replace(boards[1], verdict=BoardVerdict.contradicted, m_per_unit=0.94))
     (told,) = doubt_boards(scale_of_boards(torn))

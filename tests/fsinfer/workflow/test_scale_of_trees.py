@@ -5,17 +5,22 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from fsinfer.errors import CloudError
 from fsinfer.output.plot_json import read_plot
+from fsinfer.plot_border.request import BorderRequest
 from fsinfer.report import make_report
+from fsinfer.scale.find import FoundScale
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scene import read_scene
 from fsinfer.trees import TreeSettings
+from fsinfer.workflow import cloud_origin
 from fsinfer.workflow.measure_cloud import MeasureSettings, measure_cloud_file
 from fsinfer.workflow.single_stages import fuse_scene
 from fsinfer.workflow.tree_stage import TreeStageSettings
+from tests.support.boards import board, scale_of_boards
 from tests.support.synthetic_plot import M_PER_UNIT, STEMS, write_depth_folder, write_scene_folder
 
 FACTOR = ScaleRequest(factor=M_PER_UNIT)
@@ -130,3 +135,21 @@ def test_links_that_lead_round_are_told(tmp_path: Path) -> None:
     (tmp_path / "b.ply").symlink_to(tmp_path / "a.ply")
     with pytest.raises(CloudError, match=r"a\.ply"):
         measure_cloud_file(tmp_path / "a.ply", tmp_path / "other", request=ScaleRequest())
+
+
+def test_boards_that_give_the_scale_now_are_those_of_the_plot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run, or a scene of another program, that had no scale; then ``trees`` is told the length of its boards."""
+    write_scene_folder(tmp_path / "scene")
+    scene = read_scene(tmp_path / "scene")
+    write_depth_folder(scene, tmp_path)
+    fuse_scene(tmp_path / "scene", tmp_path, level=True)
+    cloud_from_scene = np.array(read_plot(tmp_path)["cloud_from_scene"])
+    centers = [tuple(view.camera.center.tolist()) for view in scene.views[:3]]
+    found = scale_of_boards([board(n, place, ["a"]) for n, place in enumerate(centers)], m_per_unit=M_PER_UNIT)
+    monkeypatch.setattr(cloud_origin, "find_scale", lambda *_, **__: FoundScale(scale=found))
+    border = MeasureSettings(stage=TreeStageSettings(border=BorderRequest(radius_m=1.0, marker=2)))
+    measure_cloud_file(tmp_path / "cloud.ply", tmp_path, request=ScaleRequest(aruco_length_m=0.25), settings=border)
+    plot = read_plot(tmp_path)
+    assert scale_told(plot) == ("m", pytest.approx(M_PER_UNIT), "aruco")
+    place = M_PER_UNIT * (cloud_from_scene @ [*centers[2], 1.0])[:2]
+    assert plot["plot_border"]["center"] == pytest.approx(place.tolist(), abs=1e-6)
