@@ -64,7 +64,7 @@ class PlotCloud:
 DEPTH = Stage(name="depth", version=5, result=DepthResult, outputs=("depth", "confidence"), keeps_partial=True)
 CHECK = Stage(name="check", version=1, result=DepthCheck)
 FUSE = Stage(name="fuse", version=3, result=FusedCloud, outputs=("fused",))
-SCALE = Stage(name="scale", version=4, result=FoundScale)
+SCALE = Stage(name="scale", version=5, result=FoundScale)
 CLOUD = Stage(name="cloud", version=4, result=PlotCloud, outputs=("cloud.ply", "cloud.laz"))
 
 
