@@ -1,4 +1,4 @@
-"""Three round stems on flat ground, seen from a ring of cameras with exact depth: a plot in milliseconds.
+"""Three round stems on flat ground, seen from a ring of cameras with the depth of patches: a plot in milliseconds.
 
 The scene is written in model units (0.5 m each) and turned, as structure from motion would leave it.
 """
@@ -16,6 +16,7 @@ from fsinfer.io.files import write_text
 from fsinfer.io.images import write_image
 from fsinfer.io.pfm import write_pfm
 from fsinfer.scene import Camera, Scene, write_camera, write_pairs
+from fsinfer.trees.points.smoothing import MOST_OF_RADIUS, PATCH_PX
 
 M_PER_UNIT = 0.5
 # x_m, y_m, radius_m
@@ -50,7 +51,10 @@ def _rotation(angle: float) -> NDArray[np.float64]:
 
 
 def depth_map(index: int) -> NDArray[np.float32]:
-    """Exact z depth of view ``index``, (h, w), model units; 0 where nothing is within 12 m."""
+    """z depth of view ``index``, (h, w), model units; 0 where nothing is within 12 m.
+
+    That of the ground is exact; of stems it is the mean over a patch of pixels, as depth maps have it: thinner ones.
+    """
     angle = index * 2 * np.pi / VIEWS
     u, v = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
     rays = np.stack([(u - (SIZE[0] - 1) / 2) / FOCAL_PX, (v - (SIZE[1] - 1) / 2) / FOCAL_PX, np.ones(u.shape)], axis=-1)
@@ -60,9 +64,11 @@ def depth_map(index: int) -> NDArray[np.float32]:
         depth = np.where(rays[..., 2] < 0, -center[2] / rays[..., 2], np.inf)
         for x_m, y_m, radius_m in STEMS:
             offset = center[:2] - (x_m, y_m)
+            patch_m = min(PATCH_PX * float(np.linalg.norm(offset)) / FOCAL_PX, MOST_OF_RADIUS * radius_m)
+            seen_m = radius_m - patch_m**2 / (2 * radius_m)
             a = (rays[..., :2] ** 2).sum(-1)
             b = rays[..., :2] @ offset
-            root = b**2 - a * (offset @ offset - radius_m**2)
+            root = b**2 - a * (offset @ offset - seen_m**2)
             hit = (-b - np.sqrt(root)) / a
             height = center[2] + hit * rays[..., 2]
             depth = np.where((root > 0) & (hit > 0) & (height > 0) & (height < HEIGHT_M), np.minimum(depth, hit), depth)
@@ -70,7 +76,7 @@ def depth_map(index: int) -> NDArray[np.float32]:
 
 
 def write_scene_folder(folder: Path) -> None:
-    """Write images, cams and pair.txt; the images are grey noise, since depth is exact without them."""
+    """Write images, cams and pair.txt; the images are grey noise, since depth is made without them."""
     rng = np.random.default_rng(0)
     for index, camera in enumerate(cameras()):
         name = f"view_{index:02d}"
@@ -81,7 +87,7 @@ def write_scene_folder(folder: Path) -> None:
 
 
 def write_depth_folder(scene: Scene, out: Path) -> None:
-    """Write exact depth and full confidence as the depth stage does."""
+    """Write depth and full confidence as the depth stage does."""
     for index, view in enumerate(scene.views):
         depth = depth_map(index)
         write_pfm(out / "depth" / f"{view.name}.pfm", depth)
