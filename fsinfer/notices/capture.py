@@ -26,6 +26,7 @@ class CaptureCode(StrEnum):
     names_not_by_time = "names_not_by_time"
     photos_in_folders = "photos_in_folders"
     photos_not_read = "photos_not_read"
+    video_cut_short = "video_cut_short"
     # Poses
     photo_of_same_name = "photo_of_same_name"
     photo_unreadable = "photo_unreadable"
@@ -179,6 +180,10 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
     ),
     CaptureCode.photos_in_folders: _in_folders,
     CaptureCode.photos_not_read: _not_read,
+    CaptureCode.video_cut_short: (
+        "{name} can be read for {read_s:.0f} of the {length_s:.0f} s that it says it lasts, so that the rest of the "
+        "walk is missing; copy it again from the camera"
+    ),
     CaptureCode.photo_of_same_name: "{name} was left out: {other} has the same name",
     CaptureCode.photo_unreadable: "left out: {error}",
     CaptureCode.photos_unplaced: _left_out(

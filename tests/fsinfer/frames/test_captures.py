@@ -180,6 +180,24 @@ class UnevenClip:
         return True, texture(0, 300)[:150, self.at // 2 : self.at // 2 + 200]
 
 
+@pytest.mark.parametrize(("share", "told"), [(1.0, False), (0.97, False), (0.5, True)])
+def test_a_video_that_was_cut_short_is_told_of(tmp_path: Path, share: float, told: bool) -> None:
+    """Half of the walk is missing then; a container whose index is not at its end can be read all the same."""
+    wide = texture(3, 900)
+    write_video(tmp_path / "whole.avi", [wide[:240, 4 * k : 4 * k + 320] for k in range(100)], codec="MJPG")
+    content = (tmp_path / "whole.avi").read_bytes()
+    folder = tmp_path / "walk"
+    folder.mkdir()
+    (folder / "walk.avi").write_bytes(content[: int(share * len(content))])
+    result = select_frames(folder, tmp_path / "out")
+    cut = [warning for warning in result.warnings if warning.code == CaptureCode.video_cut_short]
+    assert bool(cut) is told
+    if told:
+        assert cut[0].values["name"] == "walk.avi"
+        assert cut[0].values["read_s"] == pytest.approx(5.0, abs=0.5)
+        assert "of the 10 s" in sentence(cut[0])
+
+
 def test_uneven_frame_times_count_by_their_stamps() -> None:
     def times() -> Iterator[float]:
         at = 0.0
