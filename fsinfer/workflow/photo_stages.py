@@ -110,6 +110,8 @@ def register_photos(
 def is_registered(files: Sequence[Path], out: Path) -> bool:
     """Whether ``out`` holds finished poses of frames of just these source files, whatever the settings were."""
     ledger = Ledger(out)
+    if ledger.recall(POSES) is None:
+        return False  # its pictures are most of a run's bytes, and may have been deleted since
     frames, poses = ledger.inputs_of(FRAMES.name), ledger.inputs_of(POSES.name)
     if frames is None or poses is None or frames.get("source") != _digests(files):
         return False
