@@ -106,6 +106,7 @@ class Ledger:
         *,
         inputs: Mapping[str, Any],
         after: Sequence[StageRecord[Any]] = (),
+        again: bool = False,
     ) -> StageRecord[T]:
         """Do ``work`` unless it was done before with the same inputs.
 
@@ -116,6 +117,7 @@ class Ledger:
         inputs: everything the result depends on (settings dataclasses, digests of files); made JSON by
             :func:`fsinfer.output.json_values.as_json`.
         after: records of the stages whose outputs this one reads.
+        again: do it though it was done before: something that the inputs do not tell has changed.
 
         Raises
         ------
@@ -127,7 +129,7 @@ class Ledger:
             Whatever ``work`` raises; the stage stays not done.
         """
         with alone_in(self.out):
-            return self._run(stage, work, inputs=inputs, after=after)
+            return self._run(stage, work, inputs=inputs, after=after, again=again)
 
     def _run(
         self,
@@ -136,6 +138,7 @@ class Ledger:
         *,
         inputs: Mapping[str, Any],
         after: Sequence[StageRecord[Any]],
+        again: bool,
     ) -> StageRecord[T]:
         told = {
             "format": RECORD_FORMAT,
@@ -147,7 +150,7 @@ class Ledger:
         fingerprint = _digest(told)
         saved = self._read(stage.name)
         same = saved.get("fingerprint") == fingerprint
-        if same and self._is_done(stage, saved):
+        if same and not again and self._is_done(stage, saved):
             try:
                 record = self._record(stage, saved, ran=False)
             except _UNREADABLE:
