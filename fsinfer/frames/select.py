@@ -193,6 +193,8 @@ def _from_photos(
     found = reasons_to_drop([scores[path] for path in usable], settings.limits, [_camera(path) for path in usable])
     for path, reason in zip(usable, found, strict=True):
         reasons[path] = reason
+    kept = {path: scores[path] for path in usable if reasons[path] is None}
+    reasons |= {path: notice(CaptureCode.same_picture, other=one.name) for path, one in _copies(kept).items()}
 
     def write(path: Path) -> Tile | None:
         reason = reasons[path]
@@ -209,6 +211,22 @@ def _from_photos(
             tiles.append(tile)
     progress(2 * len(paths), 2 * len(paths), "writing frames")
     return [_row(stems[path], path.name, None, scores.get(path), reasons[path]) for path in paths]
+
+
+def _copies(scores: Mapping[Path, FrameScore]) -> dict[Path, Path]:
+    """Photos that are the same picture as another, with that one: of each picture the photo of the shortest name stays.
+
+    ``Copy of IMG_1.jpg`` stands far from ``IMG_1.jpg``. Both would be source views of others, and one witness of their
+    depth would count as two.
+    """
+    same: dict[tuple[object, ...], list[Path]] = {}
+    for path, score in scores.items():
+        same.setdefault((score.sharpness, score.mean_luminance, score.thumbnail.tobytes()), []).append(path)
+    found: dict[Path, Path] = {}
+    for paths in same.values():
+        first = min(paths, key=lambda path: len(path.stem))
+        found |= {path: first for path in paths if path != first}
+    return found
 
 
 def _camera(path: Path) -> tuple[str, ...]:

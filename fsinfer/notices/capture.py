@@ -20,6 +20,7 @@ class CaptureCode(StrEnum):
     too_bright = "too_bright"
     blurred = "blurred"
     repeated = "repeated"
+    same_picture = "same_picture"
     unreadable = "unreadable"
     same_name = "same_name"
     frames_not_used = "frames_not_used"
@@ -171,6 +172,7 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
     CaptureCode.too_bright: "too bright",
     CaptureCode.blurred: "blurred",
     CaptureCode.repeated: "same as the one before",
+    CaptureCode.same_picture: "same picture as {other}",
     CaptureCode.unreadable: "cannot be read: {error}",
     CaptureCode.same_name: "same name as {other}",
     CaptureCode.frames_not_used: _frames_not_used,

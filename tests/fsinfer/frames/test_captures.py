@@ -288,6 +288,25 @@ def test_a_repetition_is_one_whatever_its_exposure() -> None:
     assert reasons_to_drop(scores, QualityLimits()) == [None, notice(CaptureCode.repeated), None]
 
 
+def test_copies_of_photos_under_other_names_are_left_out(tmp_path: Path) -> None:
+    """Both would be source views of others, one witness of their depth that counts as two."""
+    folder = tmp_path / "photos"
+    for number in range(6):
+        write_image(folder / f"IMG_{number}.jpg", photo(number))
+    for number in (1, 3):
+        shutil.copy(folder / f"IMG_{number}.jpg", folder / f"Copy of IMG_{number}.jpg")
+    shutil.copy(folder / "IMG_4.jpg", folder / "Kopie von IMG_4.jpg")
+    result = select_frames(folder, tmp_path / "out")
+    # The copies go, and not the photos in their places in the walk.
+    assert [path.stem for path in result.images] == [f"IMG_{number}" for number in range(6)]
+    dropped = {row.source: row.reason for row in result.rows if not row.kept}
+    assert dropped == {
+        "Copy of IMG_1.jpg": "same picture as IMG_1.jpg",
+        "Copy of IMG_3.jpg": "same picture as IMG_3.jpg",
+        "Kopie von IMG_4.jpg": "same picture as IMG_4.jpg",
+    }
+
+
 def test_the_clips_of_live_photos_are_no_videos(tmp_path: Path) -> None:
     folder = tmp_path / "day"
     wide = texture(1, 400)
