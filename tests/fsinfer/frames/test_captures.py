@@ -91,6 +91,22 @@ def test_photos_and_clips_in_one_folder(tmp_path: Path) -> None:
     assert len(keys["a"] | keys["b"] | keys["c"]) == 3
 
 
+@pytest.mark.parametrize(("one", "other"), [("west", "east"), ("запад", "север"), ("Plot Ä", "Plot Ö")])
+def test_clips_have_cameras_of_their_own_in_any_letters(tmp_path: Path, one: str, other: str) -> None:
+    wide = texture(9, 500)
+    (tmp_path / "clips").mkdir()
+    for row, name in enumerate((one, other)):
+        tile = wide[200 * row : 200 * row + 150]
+        write_video(tmp_path / "clips" / f"{name}.avi", [tile[:, 2 * i : 2 * i + 200] for i in range(25)], codec="MJPG")
+    result = select_frames(tmp_path / "clips", tmp_path / "out")
+    keys = {
+        name: {camera_key(path) for path in result.images if path.stem.startswith(name.replace(" ", "_"))}
+        for name in (one, other)
+    }
+    assert [len(keys[name]) for name in (one, other)] == [1, 1]
+    assert keys[one] != keys[other]
+
+
 def test_a_folder_of_clips_alone_and_an_empty_one(tmp_path: Path) -> None:
     (tmp_path / "clips").mkdir()
     write_video(tmp_path / "clips" / "walk.mp4", [texture(1, 400)[:150, 2 * i : 2 * i + 200] for i in range(25)])
