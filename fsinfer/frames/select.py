@@ -132,11 +132,12 @@ def select_frames(
     if photos:
         rows += _from_photos(photos, stems, out / "images", settings, tiles, progress)
     names = [row.name for row in rows]
+    cut: list[Notice] = []
     for clip in clips:
         # Clips of several phones may have one size: the name of the clip in the metadata keeps their lenses apart.
         exif = named_camera_exif(f"clip {clip.name}") if len(paths) > 1 else None
         try:
-            rows += _from_video(clip, stems[clip], out / "images", settings, exif, names, tiles, progress)
+            rows += _from_video(clip, stems[clip], out / "images", settings, exif, names, tiles, cut, progress)
         except ImageError as error:
             if len(paths) == 1:
                 raise
@@ -144,7 +145,7 @@ def select_frames(
     rows.sort(key=lambda row: row.name)
     write_contact_sheet(out / CONTACT_SHEET, tiles, total=len(rows))
     write_text(out / "frames.csv", frames_csv(rows))
-    warnings = (*_warnings(rows), *names_against_times(photos), *_beside(source, out))
+    warnings = (*_warnings(rows), *cut, *names_against_times(photos), *_beside(source, out))
     result = FramesResult(folder=out, rows=tuple(rows), warnings=warnings)
     if not result.images:
         counts = "; ".join(sorted({row.reason for row in rows if row.reason}))
@@ -192,6 +193,8 @@ def _from_photos(
     found = reasons_to_drop([scores[path] for path in usable], settings.limits, [_camera(path) for path in usable])
     for path, reason in zip(usable, found, strict=True):
         reasons[path] = reason
+    kept = {path: scores[path] for path in usable if reasons[path] is None}
+    reasons |= {path: notice(CaptureCode.same_picture, other=one.name) for path, one in _copies(kept).items()}
 
     def write(path: Path) -> Tile | None:
         reason = reasons[path]
@@ -208,6 +211,22 @@ def _from_photos(
             tiles.append(tile)
     progress(2 * len(paths), 2 * len(paths), "writing frames")
     return [_row(stems[path], path.name, None, scores.get(path), reasons[path]) for path in paths]
+
+
+def _copies(scores: Mapping[Path, FrameScore]) -> dict[Path, Path]:
+    """Photos that are the same picture as another, with that one: of each picture the photo of the shortest name stays.
+
+    ``Copy of IMG_1.jpg`` stands far from ``IMG_1.jpg``. Both would be source views of others, and one witness of their
+    depth would count as two.
+    """
+    same: dict[tuple[object, ...], list[Path]] = {}
+    for path, score in scores.items():
+        same.setdefault((score.sharpness, score.mean_luminance, score.thumbnail.tobytes()), []).append(path)
+    found: dict[Path, Path] = {}
+    for paths in same.values():
+        first = min(paths, key=lambda path: len(path.stem))
+        found |= {path: first for path in paths if path != first}
+    return found
 
 
 def _camera(path: Path) -> tuple[str, ...]:
@@ -232,6 +251,7 @@ def _from_video(
     exif: bytes | None,
     taken: list[str],
     tiles: list[Tile],
+    cut: list[Notice],
     progress: Progress,
 ) -> list[FrameRow]:
     found: list[tuple[str, float, FrameScore]] = []
@@ -240,7 +260,13 @@ def _from_video(
     while any(name.startswith(f"{stem}_") for name in taken):
         stem += "_clip"
     video = VideoSettings(interval_s=settings.interval_s, window_s=settings.window_s, max_shift=settings.max_shift)
-    frames = sharpest_frames(path, settings=video, progress=progress)
+
+    def cut_short(read_s: float, length_s: float) -> None:
+        cut.append(
+            notice(CaptureCode.video_cut_short, name=path.name, read_s=round(read_s, 1), length_s=round(length_s, 1))
+        )
+
+    frames = sharpest_frames(path, settings=video, progress=progress, cut_short=cut_short)
     for frame in frames:
         name = f"{stem}_{frame.index:06d}"
         score = score_frame(frame.image)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,6 +28,9 @@ _SHARP_ENOUGH, _REMEMBERED = 0.7, 20
 _USUAL_RATE = 30.0
 #: Time stamps nearer than this are the same, seconds. Source: numerics.
 _SAME_S = 1e-6
+#: A video that can be read for less of what it says it holds is cut short. Source: judgement; containers without an
+#: index estimate the number of their frames.
+_WHOLE = 0.9
 #: A clip that a phone records round a photo lasts no longer, seconds. Source: format; Apple's Live Photos have 3 s.
 _LIVE_S = 4.0
 
@@ -41,8 +44,16 @@ class VideoFrame:
     image: NDArray[np.uint8]
 
 
-def sharpest_frames(path: Path, *, settings: VideoSettings, progress: Progress) -> Iterator[VideoFrame]:
+def sharpest_frames(
+    path: Path,
+    *,
+    settings: VideoSettings,
+    progress: Progress,
+    cut_short: Callable[[float, float], None] = lambda _read_s, _length_s: None,
+) -> Iterator[VideoFrame]:
     """Yield the frames that ``settings`` ask for, in order; the rotation that the phone noted in the file is applied.
+
+    ``cut_short`` is called at the end of a video that says it lasts longer than it can be read: both in seconds.
 
     Raises
     ------
@@ -62,7 +73,7 @@ def sharpest_frames(path: Path, *, settings: VideoSettings, progress: Progress) 
             raise ImageError(msg)
         capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1)
         found = False
-        for frame in _readable(_choose(capture, settings, progress), path):
+        for frame in _readable(_choose(capture, settings, progress, cut_short), path):
             found = True
             yield frame
         if not found:
@@ -76,9 +87,7 @@ def is_live_photo(path: Path) -> bool:
     """Whether a clip is as short as those that phones record by themselves round each photo."""
     capture = cv2.VideoCapture(str(path))
     try:
-        rate, count = capture.get(cv2.CAP_PROP_FPS), capture.get(cv2.CAP_PROP_FRAME_COUNT)
-        rate = rate if np.isfinite(rate) and rate > 0 else _USUAL_RATE
-        return bool(0 < count <= _LIVE_S * rate)
+        return bool(0 < capture.get(cv2.CAP_PROP_FRAME_COUNT) <= _LIVE_S * _rate(capture))
     finally:
         capture.release()
 
@@ -92,7 +101,12 @@ def _readable(frames: Iterator[VideoFrame], path: Path) -> Iterator[VideoFrame]:
         raise ImageError(msg) from error
 
 
-def _choose(capture: cv2.VideoCapture, settings: VideoSettings, progress: Progress) -> Iterator[VideoFrame]:
+def _choose(
+    capture: cv2.VideoCapture,
+    settings: VideoSettings,
+    progress: Progress,
+    cut_short: Callable[[float, float], None] = lambda _read_s, _length_s: None,
+) -> Iterator[VideoFrame]:
     total = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
     window_s = min(settings.window_s, settings.interval_s)
     change, shift, looked_s = ViewChange(), 0.0, -np.inf
@@ -101,6 +115,7 @@ def _choose(capture: cv2.VideoCapture, settings: VideoSettings, progress: Progre
     ripe_s: float | None = None
     best, best_score = None, -1.0
     taken: list[float] = []
+    index, time_s = -1, 0.0
     for index, time_s in _times(capture):
         look = time_s >= looked_s + _LOOK_S
         if not look and not is_open:
@@ -131,12 +146,21 @@ def _choose(capture: cv2.VideoCapture, settings: VideoSettings, progress: Progre
                 best, best_score = frame, score
     if best is not None:
         yield best
+    length_s = total / _rate(capture)
+    # Of a varying rate frames and seconds tell apart.
+    if index + 1 < _WHOLE * total and time_s < _WHOLE * length_s:
+        cut_short(time_s, length_s)
+
+
+def _rate(capture: cv2.VideoCapture) -> float:
+    """Frames a second."""
+    rate = float(capture.get(cv2.CAP_PROP_FPS))
+    return rate if np.isfinite(rate) and rate > 0 else _USUAL_RATE
 
 
 def _times(capture: cv2.VideoCapture) -> Iterator[tuple[int, float]]:
     """Number and time of every frame, which is ready to be decoded when it is named."""
-    rate = capture.get(cv2.CAP_PROP_FPS)
-    rate = rate if np.isfinite(rate) and rate > 0 else _USUAL_RATE
+    rate = _rate(capture)
     index, last_s = -1, -1.0
     while capture.grab():
         index += 1

@@ -72,7 +72,8 @@ def named_camera_exif(model: str) -> bytes:
     from PIL import Image
 
     kept = Image.Exif()
-    kept[_MODEL] = model
+    # The tag holds ASCII, and Pillow makes every other letter a question mark: two clips would have one camera.
+    kept[_MODEL] = model.encode("ascii", "backslashreplace").decode("ascii")
     return kept.tobytes()
 
 

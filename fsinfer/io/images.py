@@ -91,6 +91,15 @@ def read_image(path: Path | str, *, upright: bool = True, at_least_px: int | Non
         return as_rgb(path, whole)
 
 
+def can_be_read(path: Path | str) -> bool:
+    """Whether :func:`read_image` reads a photograph, to its end; a JPEG is decoded at an eighth of its size for it."""
+    try:
+        read_image(path, at_least_px=1)
+    except ImageError:
+        return False
+    return True
+
+
 def read_reduced(path: Path | str, longest_px: int, *, upright: bool = True) -> NDArray[np.uint8]:
     """:func:`read_image`, then :func:`reduce_image`; a JPEG that comes to a half is decoded at that size."""
     longer = max(image_size(path))

@@ -20,12 +20,14 @@ class CaptureCode(StrEnum):
     too_bright = "too_bright"
     blurred = "blurred"
     repeated = "repeated"
+    same_picture = "same_picture"
     unreadable = "unreadable"
     same_name = "same_name"
     frames_not_used = "frames_not_used"
     names_not_by_time = "names_not_by_time"
     photos_in_folders = "photos_in_folders"
     photos_not_read = "photos_not_read"
+    video_cut_short = "video_cut_short"
     # Poses
     photo_of_same_name = "photo_of_same_name"
     photo_unreadable = "photo_unreadable"
@@ -170,6 +172,7 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
     CaptureCode.too_bright: "too bright",
     CaptureCode.blurred: "blurred",
     CaptureCode.repeated: "same as the one before",
+    CaptureCode.same_picture: "same picture as {other}",
     CaptureCode.unreadable: "cannot be read: {error}",
     CaptureCode.same_name: "same name as {other}",
     CaptureCode.frames_not_used: _frames_not_used,
@@ -179,6 +182,10 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
     ),
     CaptureCode.photos_in_folders: _in_folders,
     CaptureCode.photos_not_read: _not_read,
+    CaptureCode.video_cut_short: (
+        "{name} can be read for {read_s:.0f} of the {length_s:.0f} s that it says it lasts, so that the rest of the "
+        "walk is missing; copy it again from the camera"
+    ),
     CaptureCode.photo_of_same_name: "{name} was left out: {other} has the same name",
     CaptureCode.photo_unreadable: "left out: {error}",
     CaptureCode.photos_unplaced: _left_out(

@@ -18,6 +18,7 @@ import secrets
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -105,6 +106,7 @@ class Ledger:
         *,
         inputs: Mapping[str, Any],
         after: Sequence[StageRecord[Any]] = (),
+        again: bool = False,
     ) -> StageRecord[T]:
         """Do ``work`` unless it was done before with the same inputs.
 
@@ -115,6 +117,7 @@ class Ledger:
         inputs: everything the result depends on (settings dataclasses, digests of files); made JSON by
             :func:`fsinfer.output.json_values.as_json`.
         after: records of the stages whose outputs this one reads.
+        again: do it though it was done before: something that the inputs do not tell has changed.
 
         Raises
         ------
@@ -126,7 +129,7 @@ class Ledger:
             Whatever ``work`` raises; the stage stays not done.
         """
         with alone_in(self.out):
-            return self._run(stage, work, inputs=inputs, after=after)
+            return self._run(stage, work, inputs=inputs, after=after, again=again)
 
     def _run(
         self,
@@ -135,6 +138,7 @@ class Ledger:
         *,
         inputs: Mapping[str, Any],
         after: Sequence[StageRecord[Any]],
+        again: bool,
     ) -> StageRecord[T]:
         told = {
             "format": RECORD_FORMAT,
@@ -146,7 +150,7 @@ class Ledger:
         fingerprint = _digest(told)
         saved = self._read(stage.name)
         same = saved.get("fingerprint") == fingerprint
-        if same and self._is_done(stage, saved):
+        if same and not again and self._is_done(stage, saved):
             try:
                 record = self._record(stage, saved, ran=False)
             except _UNREADABLE:
@@ -156,10 +160,11 @@ class Ledger:
                 return record
         carried_on = same and saved.get("state") == "started" and stage.keeps_partial
         if not carried_on:
-            self._empty(stage, known=bool(saved))
+            self._empty(stage, owned=_owned(stage, saved))
         spent_s = (_number(saved.get("seconds")) or 0.0) if carried_on else 0.0
         entry: dict[str, Any] = {"state": "started", "fingerprint": fingerprint, "run_id": secrets.token_hex(8)}
         entry |= {"version": stage.version, "made_by": __version__, "inputs": told["inputs"]}
+        entry["owned"] = sorted(_owned(stage, saved) | set(stage.outputs))
         self._write(stage.name, entry | {"seconds": spent_s})
         start = time.perf_counter()
         hand_back()
@@ -229,7 +234,7 @@ class Ledger:
         except FileNotFoundError:
             return {}
         except (OSError, ValueError):
-            # A damaged record only costs a repetition; "known" stays true, so that the folder may be emptied.
+            # A damaged record only costs a repetition; it is not none, so that the folders may be emptied.
             return {"state": "damaged"}
         return saved if isinstance(saved, dict) else {"state": "damaged"}
 
@@ -250,12 +255,12 @@ class Ledger:
         """Say what lies at each output, so that a deleted, emptied or overwritten one is noticed."""
         return {output: _describe_path(self.out / output) for output in outputs}
 
-    def _empty(self, stage: Stage[T], *, known: bool) -> None:
+    def _empty(self, stage: Stage[T], *, owned: AbstractSet[str]) -> None:
         for output in stage.outputs:
             folder = self.out / output
             if not folder.is_dir() or all(is_by_system(item.name) for item in folder.iterdir()):
                 continue
-            if not known:
+            if output not in owned:
                 msg = f"{folder} holds files that this run did not make; choose another output folder or move them away"
                 raise InputError(msg)
             try:
@@ -270,6 +275,21 @@ def _number(value: Any) -> float | None:
     """A finite number of a record, None for anything else."""
     sound = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
     return float(value) if sound else None
+
+
+def _owned(stage: Stage[Any], saved: Mapping[str, Any]) -> set[str]:
+    """The outputs that this stage made before, here, and may empty.
+
+    ``fsinfer run`` writes frames and scene into folders of their own, ``fsinfer frames`` and ``fsinfer poses`` into
+    folders that may be the user's beside a run: ``PLOT/images`` of ``fsinfer run PLOT/images PLOT``.
+    """
+    told, described = saved.get("owned"), saved.get("outputs")
+    if isinstance(told, list):
+        return {output for output in told if isinstance(output, str)}
+    # Records of before tell the outputs of a stage that is done; what they do not tell, and damaged ones, is believed.
+    if isinstance(described, dict):
+        return set(described)
+    return set(stage.outputs) if saved else set()
 
 
 def _digest(value: Any) -> str:

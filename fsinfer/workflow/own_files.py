@@ -1,4 +1,4 @@
-"""Files that the tree stage writes into an output folder: old ones go, those of others stay."""
+"""Files that stages write straight into an output folder: old ones go, those of others stay."""
 
 from __future__ import annotations
 
@@ -7,12 +7,22 @@ from pathlib import Path
 
 from fsinfer.errors import CloudError, InputError
 from fsinfer.io.files import remove_old
-from fsinfer.output.layout import FIGURES_FOLDER, METRIC_TREE_FILES, TREE_FIGURE, TREES_CSV, TREES_JSON
+from fsinfer.output.layout import (
+    CLOUD_LAZ,
+    CLOUD_PLY,
+    FIGURES_FOLDER,
+    METRIC_TREE_FILES,
+    TREE_FIGURE,
+    TREES_CSV,
+    TREES_JSON,
+)
 from fsinfer.output.plot_json import read_plot
 from fsinfer.workflow.ledger import Ledger
 
 #: Stages that write the tables and figures of trees, by their names in the ledger.
 _WRITERS = ("trees", "measure")
+#: Stages that write the cloud, likewise.
+_CLOUD_WRITERS = ("cloud", "fuse_scene")
 _TABLES = (TREES_CSV, TREES_JSON, *METRIC_TREE_FILES)
 #: What a measurement makes beside trees.csv.
 BESIDE_TREES = (TREES_JSON, *METRIC_TREE_FILES, FIGURES_FOLDER)
@@ -37,6 +47,20 @@ def refuse_files_of_others(out: Path) -> None:
         raise InputError(msg)
 
 
+def refuse_clouds_of_others(out: Path) -> None:
+    """Raise :class:`InputError` where a cloud that would be written over is none of ours, as of a scanner.
+
+    It is ours by the record of the stage that wrote it, or, where the folder was copied without records, by a
+    ``plot.json`` that tells where its photographs stand in it.
+    """
+    ledger = Ledger(out)
+    if any(ledger.has(stage) for stage in _CLOUD_WRITERS) or _has_plot_of_ours(out, key="cloud_from_scene"):
+        return
+    for found in _there(out, (CLOUD_PLY, CLOUD_LAZ)):
+        msg = f"{found} would be replaced, and no run of fsinfer made it; choose another output folder"
+        raise InputError(msg)
+
+
 def refuse_to_write_over(cloud_path: Path, out: Path) -> None:
     """Raise :class:`CloudError` where the cloud that is to be read is a file that would be written into ``out``."""
     # By the file, not by its name: links, and disks that do not tell TREES.LAZ from trees.laz.
@@ -49,12 +73,14 @@ def refuse_to_write_over(cloud_path: Path, out: Path) -> None:
             raise CloudError(msg)
 
 
-def _has_plot_of_ours(out: Path) -> bool:
+def _has_plot_of_ours(out: Path, *, key: str = "versions") -> bool:
+    """Whether fsinfer wrote the folder's ``plot.json``, and it tells something of ``key``."""
     try:
-        versions = read_plot(out).get("versions")
+        plot = read_plot(out)
     except InputError:  # damaged: it tells nothing
         return False
-    return isinstance(versions, dict) and "fsinfer" in versions
+    versions = plot.get("versions")
+    return isinstance(versions, dict) and "fsinfer" in versions and plot.get(key) is not None
 
 
 def _there(out: Path, names: tuple[str, ...]) -> Iterator[Path]:

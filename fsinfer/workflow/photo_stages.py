@@ -5,6 +5,7 @@ Whichever comes first does them, into ``OUT/frames`` and ``OUT/scene``; the othe
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,9 @@ from fsinfer.errors import InputError
 from fsinfer.frames.select import FramesResult, list_captures, select_frames
 from fsinfer.frames.settings import FrameSettings
 from fsinfer.io.digest import file_digest
-from fsinfer.io.photo_folders import list_images
+from fsinfer.io.images import can_be_read
+from fsinfer.io.photo_folders import PHOTO_SUFFIXES, list_images
+from fsinfer.notices.capture import CaptureCode
 from fsinfer.poses.colmap_calls import require_pycolmap
 from fsinfer.poses.estimate import PosesResult
 from fsinfer.poses.settings import PoseSettings
@@ -72,11 +75,12 @@ def choose_frames(
     progress: StageProgress = silent_stages,
 ) -> StageRecord[FramesResult]:
     """Stage ``frames``: the photos worth using into ``folder`` (``OUT/frames``), unless that was done before."""
-    target = folder or ledger.out / "frames"
+    target, stage = folder or ledger.out / "frames", replace(FRAMES, outputs=outputs)
     return ledger.run(
-        replace(FRAMES, outputs=outputs),
+        stage,
         lambda _: select_frames(source, target, settings=settings, progress=progress("frames")),
         inputs=_frames_inputs(files, settings),
+        again=_reads_more_frames(ledger.recall(stage), files),
     )
 
 
@@ -97,19 +101,23 @@ def register_photos(
     """
     target = folder or ledger.out / "scene"
     kept_clicks(ledger.out)  # pixels in the pictures of the scene that is replaced
+    stage, photos = replace(POSES, outputs=outputs), list_images(images)
     return ledger.run(
-        replace(POSES, outputs=outputs),
+        stage,
         lambda resume: estimate_poses_apart(
             images, target, settings=settings, origin=origin, resume=resume, progress=progress("poses")
         ),
-        inputs=_poses_inputs(list_images(images), settings),
+        inputs=_poses_inputs(photos, settings),
         after=after,
+        again=_reads_more_photos(ledger.recall(stage), photos),
     )
 
 
 def is_registered(files: Sequence[Path], out: Path) -> bool:
     """Whether ``out`` holds finished poses of frames of just these source files, whatever the settings were."""
     ledger = Ledger(out)
+    if ledger.recall(POSES) is None:
+        return False  # its pictures are most of a run's bytes, and may have been deleted since
     frames, poses = ledger.inputs_of(FRAMES.name), ledger.inputs_of(POSES.name)
     if frames is None or poses is None or frames.get("source") != _digests(files):
         return False
@@ -124,6 +132,32 @@ def is_registered_so(out: Path, *, frames: FrameSettings, poses: PoseSettings) -
     ledger = Ledger(out)
     made = [(ledger.inputs_of(name) or {}).get("settings") for name in (FRAMES.name, POSES.name)]
     return made == [speedless(frames), speedless(poses)]
+
+
+def _reads_more_frames(before: StageRecord[FramesResult] | None, files: Sequence[Path]) -> bool:
+    """Whether a photo that could not be read when the frames were chosen can be read now.
+
+    Its digest need not tell: a photo that was damaged in its middle and copied once more has the ends that it had, and
+    one whose reader was missing is the same.
+    """
+    rows = () if before is None else before.result.rows
+    scored = {row.name for row in rows if row.sharpness is not None}
+    unread = {row.source for row in rows if row.sharpness is None and row.name not in scored}
+    # An unreadable video is one by what stands at its ends.
+    return any(can_be_read(path) for path in files if path.name in unread and path.suffix.lower() in PHOTO_SUFFIXES)
+
+
+def _reads_more_photos(before: StageRecord[PosesResult] | None, photos: Sequence[Path]) -> bool:
+    """The same of the photos that were to be placed."""
+    if before is None:
+        return False
+    unread = sum(told.code == CaptureCode.photo_unreadable for told in before.result.warnings)
+    if not unread:
+        return False
+    # One of two of the same name may have been placed.
+    named = Counter(path.stem for path in photos)
+    asked = [path for path in photos if path.stem in before.result.left_out or named[path.stem] > 1]
+    return sum(not can_be_read(path) for path in asked) < unread
 
 
 def _frames_inputs(files: Sequence[Path], settings: FrameSettings) -> dict[str, Any]:

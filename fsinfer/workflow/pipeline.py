@@ -42,7 +42,7 @@ from fsinfer.workflow.given_edits import note_edits
 from fsinfer.workflow.joined_parts import digests_of
 from fsinfer.workflow.kept_clicks import kept_clicks
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
-from fsinfer.workflow.own_files import BESIDE_TREES, refuse_files_of_others
+from fsinfer.workflow.own_files import BESIDE_TREES, refuse_clouds_of_others, refuse_files_of_others
 from fsinfer.workflow.parts import PartResult, measure_parts
 from fsinfer.workflow.photo_stages import choose_frames, register_photos, require_poses, source_files
 from fsinfer.workflow.run_photos import photos_of_run
@@ -114,9 +114,10 @@ def run(
     source, out = Path(source), Path(out)
     settings = _with_clicks(settings or RunSettings(), out)
     files = source_files(source, out)
-    # A wrong model name, an edit that cannot be read, or tables of others in OUT must not show after an hour of
-    # structure from motion.
+    # A wrong model name, an edit that cannot be read, or tables and clouds of others in OUT must not show after an hour
+    # of structure from motion.
     refuse_files_of_others(out)
+    refuse_clouds_of_others(out)
     model_digest(settings.depth)
     find_edits(out, edits)
     require_poses(out)

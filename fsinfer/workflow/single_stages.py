@@ -29,6 +29,7 @@ from fsinfer.threads import one_blas_thread
 from fsinfer.workflow.camera_size import refuse_cameras_of_other_size
 from fsinfer.workflow.cloud_stages import compute_depth, model_digest, require_workers
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
+from fsinfer.workflow.own_files import refuse_clouds_of_others
 from fsinfer.workflow.photo_stages import choose_frames, register_photos, require_poses
 from fsinfer.workflow.scene_source import imported_scene, our_scene
 from fsinfer.workflow.settings import speedless
@@ -133,6 +134,7 @@ def fuse_scene(
         mean nothing, and keeps the coordinates of any other scene, whose axes may.
     """
     settings = settings or FusionSettings()
+    refuse_clouds_of_others(out)
     scene_folder = imported_scene(scene_folder, out)
     scene = read_scene(scene_folder)
     origin = read_origin(scene_folder)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -290,6 +291,21 @@ def test_check_and_run_place_the_photos_once(tmp_path: Path, calls: Counter[str]
     more = check_capture(folder, out, settings=CheckSettings(poses=poses))
     assert (more.photos, more.registered, calls["poses"]) == (9, 9, 2)
     assert not any("other settings" in note for note in more.notes)
+
+
+@pytest.mark.parametrize("lost", ["scene", "scene/cams/r3_cam.txt"])
+def test_what_was_deleted_of_a_runs_scene_is_made_again(tmp_path: Path, calls: Counter[str], lost: str) -> None:
+    """Its pictures take room; a check of the same photographs ended without a way out."""
+    folder, out = tmp_path / "photos", tmp_path / "out"
+    for index, image in enumerate(photographs()):
+        write_image(folder / f"r{index}.jpg", image)
+    poses = PoseSettings(max_features=1500)
+    with pytest.raises(KeyboardInterrupt):
+        pipeline.run(folder, out, settings=RunSettings(poses=poses))
+    path = out / lost
+    path.unlink() if path.is_file() else shutil.rmtree(path)
+    again = check_capture(folder, out, settings=CheckSettings(poses=poses))
+    assert (again.registered, calls["poses"]) == (8, 2)
 
 
 def test_photos_whose_numbers_are_of_unequal_length_are_not_missing(

@@ -91,6 +91,22 @@ def test_photos_and_clips_in_one_folder(tmp_path: Path) -> None:
     assert len(keys["a"] | keys["b"] | keys["c"]) == 3
 
 
+@pytest.mark.parametrize(("one", "other"), [("west", "east"), ("запад", "север"), ("Plot Ä", "Plot Ö")])
+def test_clips_have_cameras_of_their_own_in_any_letters(tmp_path: Path, one: str, other: str) -> None:
+    wide = texture(9, 500)
+    (tmp_path / "clips").mkdir()
+    for row, name in enumerate((one, other)):
+        tile = wide[200 * row : 200 * row + 150]
+        write_video(tmp_path / "clips" / f"{name}.avi", [tile[:, 2 * i : 2 * i + 200] for i in range(25)], codec="MJPG")
+    result = select_frames(tmp_path / "clips", tmp_path / "out")
+    keys = {
+        name: {camera_key(path) for path in result.images if path.stem.startswith(name.replace(" ", "_"))}
+        for name in (one, other)
+    }
+    assert [len(keys[name]) for name in (one, other)] == [1, 1]
+    assert keys[one] != keys[other]
+
+
 def test_a_folder_of_clips_alone_and_an_empty_one(tmp_path: Path) -> None:
     (tmp_path / "clips").mkdir()
     write_video(tmp_path / "clips" / "walk.mp4", [texture(1, 400)[:150, 2 * i : 2 * i + 200] for i in range(25)])
@@ -178,6 +194,24 @@ class UnevenClip:
 
     def retrieve(self) -> tuple[bool, NDArray[np.uint8]]:
         return True, texture(0, 300)[:150, self.at // 2 : self.at // 2 + 200]
+
+
+@pytest.mark.parametrize(("share", "told"), [(1.0, False), (0.97, False), (0.5, True)])
+def test_a_video_that_was_cut_short_is_told_of(tmp_path: Path, share: float, told: bool) -> None:
+    """Half of the walk is missing then; a container whose index is not at its end can be read all the same."""
+    wide = texture(3, 900)
+    write_video(tmp_path / "whole.avi", [wide[:240, 4 * k : 4 * k + 320] for k in range(100)], codec="MJPG")
+    content = (tmp_path / "whole.avi").read_bytes()
+    folder = tmp_path / "walk"
+    folder.mkdir()
+    (folder / "walk.avi").write_bytes(content[: int(share * len(content))])
+    result = select_frames(folder, tmp_path / "out")
+    cut = [warning for warning in result.warnings if warning.code == CaptureCode.video_cut_short]
+    assert bool(cut) is told
+    if told:
+        assert cut[0].values["name"] == "walk.avi"
+        assert cut[0].values["read_s"] == pytest.approx(5.0, abs=0.5)
+        assert "of the 10 s" in sentence(cut[0])
 
 
 def test_uneven_frame_times_count_by_their_stamps() -> None:
@@ -268,6 +302,25 @@ def test_a_repetition_is_one_whatever_its_exposure() -> None:
     darker = (image * 0.7).astype(np.uint8)
     scores = [score_frame(one) for one in (image, darker, photo(1))]
     assert reasons_to_drop(scores, QualityLimits()) == [None, notice(CaptureCode.repeated), None]
+
+
+def test_copies_of_photos_under_other_names_are_left_out(tmp_path: Path) -> None:
+    """Both would be source views of others, one witness of their depth that counts as two."""
+    folder = tmp_path / "photos"
+    for number in range(6):
+        write_image(folder / f"IMG_{number}.jpg", photo(number))
+    for number in (1, 3):
+        shutil.copy(folder / f"IMG_{number}.jpg", folder / f"Copy of IMG_{number}.jpg")
+    shutil.copy(folder / "IMG_4.jpg", folder / "Kopie von IMG_4.jpg")
+    result = select_frames(folder, tmp_path / "out")
+    # The copies go, and not the photos in their places in the walk.
+    assert [path.stem for path in result.images] == [f"IMG_{number}" for number in range(6)]
+    dropped = {row.source: row.reason for row in result.rows if not row.kept}
+    assert dropped == {
+        "Copy of IMG_1.jpg": "same picture as IMG_1.jpg",
+        "Copy of IMG_3.jpg": "same picture as IMG_3.jpg",
+        "Kopie von IMG_4.jpg": "same picture as IMG_4.jpg",
+    }
 
 
 def test_the_clips_of_live_photos_are_no_videos(tmp_path: Path) -> None:

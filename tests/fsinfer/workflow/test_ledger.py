@@ -198,6 +198,37 @@ def test_foreign_files_are_never_deleted(tmp_path: Path) -> None:
     assert mine.read_text(encoding="utf-8") == "precious"
 
 
+def test_folders_of_a_stage_that_it_made_nowhere_here_are_the_users(tmp_path: Path) -> None:
+    """Of ``fsinfer run PLOT/images PLOT`` and then ``fsinfer frames VIDEO PLOT``, which owns PLOT/images."""
+    mine = tmp_path / "images" / "IMG_1.jpg"
+    mine.parent.mkdir()
+    mine.write_text("precious", encoding="utf-8")
+    run_stage(tmp_path, Counter(tmp_path / "frames" / "a"), outputs=("frames",))
+    alone = Counter(tmp_path / "images" / "a")
+    with pytest.raises(InputError, match="choose another output folder"):
+        run_stage(tmp_path, alone, inputs={"other": 1}, outputs=("images", "frames.csv"))
+    assert mine.read_text(encoding="utf-8") == "precious"
+    # Moved away, both ways of the stage go on in one folder, each emptying what it made.
+    mine.rename(tmp_path / "IMG_1.jpg")
+    for _ in range(2):
+        assert run_stage(tmp_path, alone, inputs={"other": 1}, outputs=("images", "frames.csv")).ran
+        assert run_stage(tmp_path, Counter(tmp_path / "frames" / "b"), outputs=("frames",)).ran
+        assert [path.name for path in (tmp_path / "frames").iterdir()] == ["b"]
+
+
+def test_records_of_before_own_what_they_tell(tmp_path: Path) -> None:
+    run_stage(tmp_path, Counter(tmp_path / "frames" / "a"), outputs=("frames",))
+    path = tmp_path / ".fsinfer" / "s.json"
+    record = json.loads(path.read_text(encoding="utf-8"))
+    del record["owned"]
+    path.write_text(json.dumps(record), encoding="utf-8")
+    (tmp_path / "images").mkdir()
+    (tmp_path / "images" / "IMG_1.jpg").write_text("precious", encoding="utf-8")
+    with pytest.raises(InputError, match="images holds files"):
+        run_stage(tmp_path, Counter(tmp_path / "images" / "a"), inputs={"other": 1}, outputs=("images",))
+    assert run_stage(tmp_path, Counter(tmp_path / "frames" / "b"), inputs={"other": 1}, outputs=("frames",)).ran
+
+
 def test_damaged_record_costs_a_repetition_only(tmp_path: Path) -> None:
     work = Counter(tmp_path / "maps" / "a")
     run_stage(tmp_path, work, outputs=("maps",))

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fsinfer.errors import CloudError, InputError
 from fsinfer.io.cloud import PointCloud, write_cloud
 from fsinfer.io.files import make_folder
+from fsinfer.io.pfm import write_pfm
 from fsinfer.scale.request import ScaleRequest
+from fsinfer.scene import read_scene
 from fsinfer.workflow.measure_cloud import measure_cloud_file
 from fsinfer.workflow.pipeline import run
+from fsinfer.workflow.single_stages import fuse_scene
+from tests.support.plane_scene import write_plane_scene
 from tests.support.stem_clouds import stem_plot
 
 
@@ -50,6 +56,37 @@ def test_a_run_looks_before_it_begins(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"trees\.xlsx would be replaced"):
         run(photos, tmp_path / "out")
     assert mine.read_text(encoding="utf-8") == "precious"
+
+
+@pytest.mark.parametrize("name", ["cloud.ply", "cloud.laz"])
+def test_a_cloud_of_others_is_never_replaced(scan: Path, tmp_path: Path, name: str) -> None:
+    """A scan that lies beside the photographs; that its trees were measured there makes it none of ours."""
+    photos, out = tmp_path / "photos", tmp_path / "out"
+    put(photos / "a.jpg")
+    make_folder(out)
+    mine = out / name
+    write_cloud(mine, PointCloud(xyz=stem_plot(trees=1, seed=2).points))
+    content = mine.read_bytes()
+    for _ in range(2):
+        with pytest.raises(InputError, match="would be replaced, and no run of fsinfer made it"):
+            run(photos, out)
+        with pytest.raises(InputError, match="would be replaced, and no run of fsinfer made it"):
+            fuse_scene(tmp_path / "scene", out)
+        measure_cloud_file(mine, out, request=ScaleRequest())
+    assert mine.read_bytes() == content
+
+
+def test_a_cloud_of_ours_is_replaced_also_in_a_copy_of_the_folder(tmp_path: Path) -> None:
+    scene = read_scene(write_plane_scene(tmp_path / "scene", height=240, width=320))
+    out = tmp_path / "out"
+    for view in scene.views:
+        write_pfm(out / "depth" / f"{view.name}.pfm", np.full((240, 320), 3.0, np.float32))
+        write_pfm(out / "confidence" / f"{view.name}.pfm", np.full((240, 320), 0.9, np.float32))
+    (out / "depth" / "depth.json").write_text(json.dumps({"pixel_step": 1.0}))
+    assert fuse_scene(scene.folder, out).ran
+    assert not fuse_scene(scene.folder, out).ran
+    shutil.rmtree(out / ".fsinfer")
+    assert fuse_scene(scene.folder, out).ran
 
 
 def test_a_folder_that_was_copied_without_its_records_is_ours_by_its_plot(scan: Path, tmp_path: Path) -> None:

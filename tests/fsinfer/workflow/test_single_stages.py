@@ -12,16 +12,19 @@ import pytest
 
 from fsinfer.errors import ImageError
 from fsinfer.frames.settings import FrameSettings
-from fsinfer.io.images import write_image
+from fsinfer.io.images import can_be_read, write_image
 from fsinfer.io.pfm import read_pfm, write_pfm
+from fsinfer.notices.capture import CaptureCode
+from fsinfer.notices.notice import notice
 from fsinfer.output.json_values import as_json
 from fsinfer.output.plot_json import read_plot
+from fsinfer.poses.estimate import PosesResult
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.scale.find import FoundScale
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scale.scale import Scale
 from fsinfer.scene import read_scene
-from fsinfer.workflow import cloud_origin, measure_cloud
+from fsinfer.workflow import cloud_origin, measure_cloud, photo_stages
 from fsinfer.workflow.ledger import Ledger
 from fsinfer.workflow.single_stages import frames_of, fuse_scene, poses_of
 from fsinfer.workflow.summary import update_plot
@@ -112,3 +115,52 @@ def test_nothing_is_written_among_the_photos(tmp_path: Path) -> None:
     with pytest.raises(ImageError, match="the scene would be written among the photos"):
         poses_of(tmp_path, tmp_path, settings=PoseSettings())
     assert [path.name for path in tmp_path.iterdir()] == ["a.jpg"]
+
+
+def damaged(path: Path) -> bytes:
+    """Make a PNG one that ends in its middle with an error; returns what it was. Its length and its ends stay."""
+    whole = path.read_bytes()
+    middle = len(whole) // 2
+    path.write_bytes(whole[: middle - 3000] + bytes(6000) + whole[middle + 3000 :])
+    return whole
+
+
+def test_a_photo_that_was_copied_once_more_is_taken_into_the_frames(tmp_path: Path) -> None:
+    """As its message asks for: a hole in the middle of the first copy does not show in the digest."""
+    folder, out = tmp_path / "photos", tmp_path / "out"
+    rng = np.random.default_rng(0)
+    for name in ("a.png", "b.png", "c.png", "c.jpg"):
+        write_image(folder / name, rng.integers(0, 255, (500, 700, 3), np.uint8))
+    whole = damaged(folder / "b.png")
+    settings = FrameSettings()
+    rows = frames_of(folder, out, settings=settings).result.rows
+    assert [row.source for row in rows if not row.kept] == ["b.png", "c.png"]
+    assert not frames_of(folder, out, settings=settings).ran
+    (folder / "b.png").write_bytes(whole)
+    again = frames_of(folder, out, settings=settings)
+    assert again.ran
+    assert [row.source for row in again.result.rows if not row.kept] == ["c.png"]  # of the same name as another
+    assert not frames_of(folder, out, settings=settings).ran
+
+
+def test_a_photo_that_was_copied_once_more_is_placed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, out = tmp_path / "photos", tmp_path / "out"
+    rng = np.random.default_rng(0)
+    for name in ("a.png", "b.png", "c.jpg", "c.png"):
+        write_image(folder / name, rng.integers(0, 255, (500, 700, 3), np.uint8))
+    # Of c one file can be read, and of b none.
+    wholes = {name: damaged(folder / name) for name in ("b.png", "c.png")}
+
+    def place(images: Path, scene: Path, **_: object) -> PosesResult:
+        unread = [path for path in sorted(images.iterdir()) if not can_be_read(path)]
+        told = tuple(notice(CaptureCode.photo_unreadable, error=path.name) for path in unread)
+        left_out = ("b",) if folder / "b.png" in unread else ()
+        return PosesResult(scene=scene, photos=4, registered=3, left_out=left_out, warnings=told)
+
+    monkeypatch.setattr(photo_stages, "estimate_poses_apart", place)
+    assert poses_of(folder, out, settings=PoseSettings()).ran
+    assert not poses_of(folder, out, settings=PoseSettings()).ran
+    for name, whole in wholes.items():
+        (folder / name).write_bytes(whole)
+        assert poses_of(folder, out, settings=PoseSettings()).ran
+        assert not poses_of(folder, out, settings=PoseSettings()).ran
