@@ -40,7 +40,7 @@ from fsinfer.workflow.cloud_origin import cloud_scale, is_of_run, known_path, li
 from fsinfer.workflow.cloud_units import CLOUD_KEYS, plot_of_cloud, scale_of_trees
 from fsinfer.workflow.given_edits import note_edits
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
-from fsinfer.workflow.measurable import refuse_fused, refuse_other_units
+from fsinfer.workflow.measurable import refuse_fused, refuse_no_file, refuse_other_units
 from fsinfer.workflow.own_files import BESIDE_TREES, refuse_files_of_others, refuse_to_write_over
 from fsinfer.workflow.settings import speedless
 from fsinfer.workflow.summary import (
@@ -131,6 +131,7 @@ def measure_cloud_file(
         where its unit cannot be told.
     """
     settings = settings or MeasureSettings()
+    refuse_no_file(cloud_path)
     links = links_of(cloud_path)
     for path in links:
         refuse_fused(path)
