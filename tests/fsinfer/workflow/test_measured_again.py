@@ -15,6 +15,7 @@ from fsinfer.notices.notice import notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.output.plot_json import read_plot
 from fsinfer.plot_border.request import BorderRequest
+from fsinfer.report import make_report
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.trees import TreeSettings
 from fsinfer.workflow.measure_cloud import MeasureSettings, measure_cloud_file
@@ -74,3 +75,15 @@ def test_its_settings_stand_beside_those_of_the_stages_before(folder: Path) -> N
     assert plot["settings"]["trees"]["bh_m"] == 1.37
     assert plot["settings"]["trees"]["bh_rule"] == "uphill"
     assert plot["settings"]["poses"] == {"threads": 2}
+
+
+def test_parts_of_the_walk_that_a_run_had_joined_stand_alone_again(folder: Path) -> None:
+    """The report said that stems of a part had been put into a table that had none of them any more."""
+    part = {"folder": "part-2", "photos": 20, "registered": 20, "trees": 7, "trees_with_dbh": 6, "error": ""}
+    joined = {"name": "part-2", "common": 5, "new": 2}
+    told = read_plot(folder) | {"photos": 60, "registered": 40, "parts": [part | {"joined": joined}]}
+    (folder / "plot.json").write_text(json.dumps(told), encoding="utf-8")
+    assert measured_again(folder)["parts"] == [part | {"joined": None}]
+    page = make_report(folder).read_text(encoding="utf-8")
+    assert "7 trees, 6 with a DBH, in a frame of their own" in page
+    assert "put into this plot" not in page

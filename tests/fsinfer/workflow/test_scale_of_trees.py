@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from fsinfer.errors import CloudError
+from fsinfer.io.cloud import PointCloud, write_cloud
 from fsinfer.output.plot_json import read_plot
 from fsinfer.report import make_report
 from fsinfer.scale.request import ScaleRequest
@@ -16,6 +18,7 @@ from fsinfer.trees import TreeSettings
 from fsinfer.workflow.measure_cloud import MeasureSettings, measure_cloud_file
 from fsinfer.workflow.single_stages import fuse_scene
 from fsinfer.workflow.tree_stage import TreeStageSettings
+from tests.support.stem_clouds import stem_plot
 from tests.support.synthetic_plot import M_PER_UNIT, STEMS, write_depth_folder, write_scene_folder
 
 FACTOR = ScaleRequest(factor=M_PER_UNIT)
@@ -115,6 +118,34 @@ def test_a_run_s_cloud_that_was_moved_and_linked_keeps_its_unit(out: Path, tmp_p
     (out / "cloud.ply").rename(tmp_path / "disk" / "3f29c1")
     (out / "cloud.ply").symlink_to(tmp_path / "disk" / "3f29c1")
     assert not measure_cloud_file(out / "cloud.ply", tmp_path / "other", request=ScaleRequest()).result.metric
+
+
+def test_trees_of_another_cloud_are_not_looked_up_in_the_photographs_of_the_folder(out: Path, tmp_path: Path) -> None:
+    """The report showed crops of photographs, and the walk on its map, for trees that stand elsewhere."""
+    before = read_plot(out)
+    assert before["cloud_from_scene"] is not None
+    shutil.copytree(out.parent / "scene", out / "scene")
+    measure_cloud_file(out / "cloud.ply", out, request=FACTOR)
+    assert ", as wide as the measured stem" in make_report(out).read_text(encoding="utf-8")
+    (tmp_path / "scan").mkdir()
+    write_cloud(tmp_path / "scan" / "scan.ply", PointCloud(xyz=stem_plot(seed=4, trees=4, spacing_m=0.02).points))
+    measure_cloud_file(tmp_path / "scan" / "scan.ply", out, request=ScaleRequest())
+    assert "breast height, as wide" not in make_report(out).read_text(encoding="utf-8")
+    # The folder's own cloud is where it was.
+    measure_cloud_file(out / "cloud.ply", out, request=FACTOR)
+    after = read_plot(out)
+    assert all(after[key] == before[key] for key in ("cloud_from_scene", "camera_height"))
+
+
+def test_a_cloud_that_a_link_in_the_folder_leads_to_is_the_folder_s_own(out: Path, tmp_path: Path) -> None:
+    before = read_plot(out)
+    (tmp_path / "disk").mkdir()
+    (out / "cloud.ply").rename(tmp_path / "disk" / "cloud.ply")
+    (out / "cloud.ply").symlink_to(tmp_path / "disk" / "cloud.ply")
+    measure_cloud_file(out / "cloud.ply", out, request=ScaleRequest())
+    plot = read_plot(out)
+    told = ("units", "cloud_from_scene", "camera_height", "scale_source")
+    assert [plot[key] for key in told] == [before[key] for key in told]
 
 
 def test_a_link_to_what_was_fused_is_refused_as_that_is(out: Path, tmp_path: Path) -> None:
