@@ -6,10 +6,11 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from fsinfer.errors import CloudError
-from fsinfer.io.cloud import PointCloud, write_cloud
+from fsinfer.io.cloud import PointCloud, read_cloud, write_cloud
 from fsinfer.output.plot_json import read_plot
 from fsinfer.report import make_report
 from fsinfer.scale.request import ScaleRequest
@@ -18,7 +19,6 @@ from fsinfer.trees import TreeSettings
 from fsinfer.workflow.measure_cloud import MeasureSettings, measure_cloud_file
 from fsinfer.workflow.single_stages import fuse_scene
 from fsinfer.workflow.tree_stage import TreeStageSettings
-from tests.support.stem_clouds import stem_plot
 from tests.support.synthetic_plot import M_PER_UNIT, STEMS, write_depth_folder, write_scene_folder
 
 FACTOR = ScaleRequest(factor=M_PER_UNIT)
@@ -121,16 +121,18 @@ def test_a_run_s_cloud_that_was_moved_and_linked_keeps_its_unit(out: Path, tmp_p
 
 
 def test_trees_of_another_cloud_are_not_looked_up_in_the_photographs_of_the_folder(out: Path, tmp_path: Path) -> None:
-    """The report showed crops of photographs, and the walk on its map, for trees that stand elsewhere."""
+    """The report drew the walk on its map, and crops of photographs, for trees that stand elsewhere."""
     before = read_plot(out)
     assert before["cloud_from_scene"] is not None
     shutil.copytree(out.parent / "scene", out / "scene")
     measure_cloud_file(out / "cloud.ply", out, request=FACTOR)
-    assert ", as wide as the measured stem" in make_report(out).read_text(encoding="utf-8")
+    assert "photo taken here" in make_report(out).read_text(encoding="utf-8")
     (tmp_path / "scan").mkdir()
-    write_cloud(tmp_path / "scan" / "scan.ply", PointCloud(xyz=stem_plot(seed=4, trees=4, spacing_m=0.02).points))
+    # The same stems by a scanner, which has x and y of its own.
+    xyz = M_PER_UNIT * read_cloud(out / "cloud.ply").xyz
+    write_cloud(tmp_path / "scan" / "scan.ply", PointCloud(xyz=xyz + np.array([0.4, -0.3, 0.0])))
     measure_cloud_file(tmp_path / "scan" / "scan.ply", out, request=ScaleRequest())
-    assert "breast height, as wide" not in make_report(out).read_text(encoding="utf-8")
+    assert "photo taken here" not in make_report(out).read_text(encoding="utf-8")
     # The folder's own cloud is where it was.
     measure_cloud_file(out / "cloud.ply", out, request=FACTOR)
     after = read_plot(out)
