@@ -17,6 +17,7 @@ from fsinfer.cli.options import (
     Out,
     SizeForDepth,
     decimal,
+    decimal_within,
     frame_settings,
     pose_settings,
     scale_request,
@@ -89,7 +90,10 @@ def check(
     aruco_dictionary: ArucoDictionary = ScaleRequest.aruco_dictionary,
     interval_s: IntervalS = FrameSettings.interval_s,
     margin_m: Annotated[
-        float, typer.Option("--margin-m", min=0.0, help="Judge stems up to so many metres outside your walk.")
+        float,
+        typer.Option(
+            "--margin-m", parser=decimal_within(0.0), help="Judge stems up to so many metres outside your walk."
+        ),
     ] = CoverageSettings.margin_m,
     max_size: SizeForDepth = DepthSettings.max_size_px,
     quiet: Quiet = False,

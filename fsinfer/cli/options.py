@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -41,10 +43,29 @@ def decimal(text: str) -> float:
         raise typer.BadParameter(msg) from None
 
 
+def decimal_within(least: float, most: float = math.inf) -> Callable[[str], float]:
+    """What reads a number as :func:`decimal` does and refuses one below ``least``, above ``most``, or that is none."""
+
+    def read(text: str) -> float:
+        value = decimal(text)
+        if not least <= value <= most:
+            span = f"between {least:g} and {most:g}" if math.isfinite(most) else f"at least {least:g}"
+            msg = f"{text}: it must be {span}"
+            raise typer.BadParameter(msg)
+        return value
+
+    return read
+
+
 Out = Annotated[Path, typer.Argument(help="Output folder; made if missing.", show_default=False)]
 Threads = Annotated[int, typer.Option("--jobs", "-j", "--threads", min=0, help="Processor cores to use; 0 = all.")]
 MemoryGb = Annotated[
-    float, typer.Option("--memory-gb", min=0.5, help="Memory to stay within, in GB; less keeps less at hand.")
+    float,
+    typer.Option(
+        "--memory-gb",
+        parser=decimal_within(0.5),
+        help="Memory to stay within, in GB; less keeps less at hand.",
+    ),
 ]
 Provider = Annotated[
     str,
@@ -100,7 +121,12 @@ EndpointsLength = Annotated[
 
 
 IntervalS = Annotated[
-    float, typer.Option("--interval-s", min=0.05, help="Seconds of video between frames at most; less where you turn.")
+    float,
+    typer.Option(
+        "--interval-s",
+        parser=decimal_within(0.05),
+        help="Seconds of video between frames at most; less where you turn.",
+    ),
 ]
 EqualizeHow = Annotated[
     Equalize, typer.Option("--equalize", help="Even out brightness: not at all, locally (clahe), or the histogram.")
@@ -144,7 +170,10 @@ SizeForDepth = Annotated[
     ),
 ]
 BreastHeight = Annotated[
-    float, typer.Option("--bh", min=0.3, max=3.0, help="Breast height above the ground, in metres (US: 1.37).")
+    float,
+    typer.Option(
+        "--bh", parser=decimal_within(0.3, 3.0), help="Breast height above the ground, in metres, 0.3 to 3 (US: 1.37)."
+    ),
 ]
 
 

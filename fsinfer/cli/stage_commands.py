@@ -39,6 +39,7 @@ from fsinfer.cli.options import (
     Threads,
     TrustModel,
     Views,
+    decimal_within,
     depth_settings,
     frame_settings,
     plot_border,
@@ -241,7 +242,12 @@ def evaluate(
     measured: Annotated[Path, typer.Argument(help="CSV: tree_id, x_m, y_m, dbh_cm.", show_default=False)],
     extracted: Annotated[Path, typer.Argument(help="trees.csv of fsinfer.", show_default=False)],
     max_distance_m: Annotated[
-        float, typer.Option("--max-distance-m", min=0.0, help="Farthest that two positions of one tree may lie apart.")
+        float,
+        typer.Option(
+            "--max-distance-m",
+            parser=decimal_within(0.0),
+            help="Farthest that two positions of one tree may lie apart.",
+        ),
     ] = MAX_DISTANCE_M,
     by_id: Annotated[bool, typer.Option("--by-id", help="Match by tree_id instead of by position.")] = False,
     align: Annotated[
@@ -250,7 +256,9 @@ def evaluate(
     area_margin_m: Annotated[
         float | None,
         typer.Option(
-            "--area-margin-m", min=0.0, help="Do not judge trees farther than this outside the measured ones' hull."
+            "--area-margin-m",
+            parser=decimal_within(0.0),
+            help="Do not judge trees farther than this outside the measured ones' hull.",
         ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,

@@ -23,6 +23,8 @@ _NAMES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int
 _NAMES["f8"] = "double"
 #: A header longer than this is none: a random binary file is not searched to its end. Source: numerics.
 _MAX_HEADER_BYTES = 65536
+#: Of a row that cannot be read so much is shown, characters. Source: layout.
+_SHOWN_CHARACTERS = 60
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,6 +191,13 @@ def _read_ascii(path: Path, body: bytes, element: _Element, *, skip_rows: int) -
     try:
         values = np.loadtxt(lines, dtype=np.float64, ndmin=2, comments=None)
     except ValueError as error:
+        with_comma = next((line.strip() for line in lines if "," in line), "")
+        if with_comma:
+            msg = (
+                f"{path} has commas in its numbers, as in {with_comma[:_SHOWN_CHARACTERS]!r}; export the cloud with "
+                "decimal points, or as binary PLY, LAS or LAZ"
+            )
+            raise CloudError(msg) from error
         msg = f"{path} is cut short or damaged ({error}); export or copy it again"
         raise CloudError(msg) from error
     if values.shape != (element.count, len(element.properties)):

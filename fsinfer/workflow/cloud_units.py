@@ -77,6 +77,9 @@ def scale_of_trees(
     }
     if scale.m_per_unit is not None:
         told |= {"units": "m", "density_per_m2": density_per_m2}
+    if not own_cloud:
+        # They stand in a frame of their own: the photographs of this folder show other places.
+        told |= {"cloud_from_scene": None, "camera_height": None}
     there = own_cloud or OutputFolder(out).cloud_ply.exists() or OutputFolder(out).cloud_laz.exists()
     return told | {OF_FILE: {key: before.get(key) for key in CLOUD_KEYS} if there else None}
 

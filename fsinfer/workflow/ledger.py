@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from fsinfer._version import __version__
-from fsinfer.errors import InputError, OutputError
+from fsinfer.errors import FsinferError, InputError, OutputError
 from fsinfer.io.digest import file_digest
 from fsinfer.io.files import disk_full, is_by_system, is_disk_full, make_folder, write_text
 from fsinfer.io.json_text import read_json
@@ -126,7 +126,8 @@ class Ledger:
         OutputError
             Another run is at work in the folder, or the disk is full.
         FsinferError
-            Whatever ``work`` raises; the stage stays not done.
+            Whatever ``work`` raises; the stage stays not done. One that was done with other inputs, and whose outputs
+            are still what it wrote, stays done with those.
         """
         with alone_in(self.out):
             return self._run(stage, work, inputs=inputs, after=after, again=again)
@@ -174,9 +175,15 @@ class Ledger:
         except BaseException as error:
             # Before the record is written: libraries have errors of their own for a full disk.
             full = isinstance(error, Exception) and not isinstance(error, OutputError) and is_disk_full(self.out)
-            # Only for the clock: the time of an attempt that a later one goes on from is part of the cost.
+            # What was refused before it wrote anything leaves the results of before whole, and theirs is the record.
+            refused = isinstance(error, FsinferError) and not isinstance(error, OutputError)
+            if refused and self._is_done(stage, saved):
+                left = saved
+            else:
+                # Only for the clock: the time of an attempt that a later one goes on from is part of the cost.
+                left = entry | {"seconds": spent_s + time.perf_counter() - start}
             with suppress(OutputError):
-                self._write(stage.name, entry | {"seconds": spent_s + time.perf_counter() - start})
+                self._write(stage.name, left)
             if full:
                 raise disk_full(self.out) from error
             raise

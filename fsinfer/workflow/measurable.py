@@ -8,7 +8,7 @@ import numpy as np
 
 from fsinfer.errors import CloudError
 from fsinfer.io.las import IN_DEGREES, LAS_SUFFIXES, open_las, read_epsg, read_units_m
-from fsinfer.output.layout import RECORDS_FOLDER
+from fsinfer.output.layout import RECORDS_FOLDER, TREES_LAZ, OutputFolder
 
 #: Lengths of two units that differ by less, metres, are the same: feet of the US survey are 0.6 micrometres longer than
 #: others. Source: numerics.
@@ -22,6 +22,39 @@ _NO_METRES = {
 }
 #: No degree is beyond, and no plot is wider, degrees. Source: definition; judgement, 11 km.
 _MOST_DEGREES, _WIDEST_DEGREES = 360.0, 0.1
+
+#: What in a folder is a cloud; a text may be any table. Source: format.
+_SHOWN_SUFFIXES = (".ply", *LAS_SUFFIXES)
+
+
+def refuse_no_file(cloud_path: Path) -> None:
+    """Refuse what is not there, and a folder, as ``fsinfer run`` and ``fsinfer report`` take one: its clouds are named.
+
+    Raises
+    ------
+    CloudError
+        There is no such file.
+    """
+    if not cloud_path.exists():
+        msg = f"there is no file {cloud_path}; check the path"
+        raise CloudError(msg)
+    if not cloud_path.is_dir():
+        return
+    try:
+        inside = sorted(path for path in cloud_path.iterdir() if path.suffix.lower() in _SHOWN_SUFFIXES)
+    except OSError:
+        inside = []
+    finished = OutputFolder(cloud_path).cloud_ply
+    # The points with numbers of trees are a result.
+    clouds = [finished] if finished in inside else [path for path in inside if path.name != TREES_LAZ]
+    if not clouds:
+        way_out = "a point cloud (.ply, .las, .laz or .xyz); a folder of photos is for fsinfer run"
+    elif len(clouds) == 1:
+        way_out = f"the cloud in it, {clouds[0]}"
+    else:
+        way_out = f"one of the {len(clouds)} clouds in it, such as {clouds[0]}"
+    msg = f"{cloud_path} is a folder; give {way_out}"
+    raise CloudError(msg)
 
 
 def refuse_fused(cloud_path: Path) -> None:

@@ -48,7 +48,7 @@ from fsinfer.workflow.cloud_origin import (
 from fsinfer.workflow.cloud_units import CLOUD_KEYS, plot_of_cloud, scale_of_trees
 from fsinfer.workflow.given_edits import note_edits
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
-from fsinfer.workflow.measurable import refuse_fused, refuse_other_units
+from fsinfer.workflow.measurable import refuse_fused, refuse_no_file, refuse_other_units
 from fsinfer.workflow.own_files import BESIDE_TREES, refuse_files_of_others, refuse_to_write_over
 from fsinfer.workflow.settings import speedless
 from fsinfer.workflow.summary import (
@@ -139,6 +139,7 @@ def measure_cloud_file(
         where its unit cannot be told.
     """
     settings = settings or MeasureSettings()
+    refuse_no_file(cloud_path)
     links = links_of(cloud_path)
     for path in links:
         refuse_fused(path)
@@ -207,7 +208,8 @@ def measure_cloud_file(
     }
     record = Ledger(out).run(MEASURE, work, inputs=inputs)
     note_edits(out, edits)
-    _tell(record, cloud_path, out, settings.stage)
+    own_cloud = known_as.parent.resolve() == out.resolve()
+    _tell(record, cloud_path, out, settings.stage, own_cloud=own_cloud)
     return record
 
 
@@ -272,13 +274,17 @@ def _measure(
         return measure_plot(turned, out, settings=settings, progress=progress), turned, (error.warning,)
 
 
-def _tell(record: StageRecord[MeasuredCloud], cloud_path: Path, out: Path, settings: TreeStageSettings) -> None:
-    """Put into ``plot.json`` what was found, instead of what an earlier measurement found."""
+def _tell(
+    record: StageRecord[MeasuredCloud], cloud_path: Path, out: Path, settings: TreeStageSettings, *, own_cloud: bool
+) -> None:
+    """Put into ``plot.json`` what was found, instead of what an earlier measurement found.
+
+    ``own_cloud``: it lies in ``out``, or a link there leads to it, and is in the frame that is told there.
+    """
     found = record.result
     scale = found.scale
     values = tree_values(found.trees) | border_values(found.trees)
     values["trees_scale"] = {"m_per_unit": scale.m_per_unit, "source": scale.source, "rel_std": scale.rel_std}
-    own_cloud = cloud_path.resolve().parent == out.resolve()
     before = plot_of_cloud(out) if own_cloud else of_file(read_plot(out))
     if own_cloud:
         values = {key: before[key] for key in CLOUD_KEYS if key in before} | values
@@ -302,5 +308,8 @@ def _tell(record: StageRecord[MeasuredCloud], cloud_path: Path, out: Path, setti
     )
     said = tuple(item for item in told if item.code not in past)
     values |= warning_values((*said, *no_scale_once(said, found.trees.warnings)))
+    if before.get("parts"):
+        # Their stems are in the tables of a run only.
+        values["parts"] = [part | {"joined": None} for part in before["parts"]]
     values["settings"] = (before.get("settings") or {}) | as_json(settings)
     update_plot(out, source=cloud_path.name, stage="trees", seconds=record.seconds, values=values)

@@ -75,6 +75,15 @@ def test_an_ascii_file_is_read_whole_only(tmp_path: Path) -> None:
     assert find_table(path) is None
 
 
+def test_decimal_commas_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "c.ply"
+    head = "ply\nformat ascii 1.0\nelement vertex 2\n"
+    head += "".join(f"property float {axis}\n" for axis in "xyz") + "end_header\n"
+    path.write_text(f"{head}1,5 2,5 3,5\n1,0 2,0 3,0\n", encoding="ascii")
+    with pytest.raises(CloudError, match="commas in its numbers, as in '1,5 2,5 3,5'; export the cloud with decimal"):
+        read_ply(path)
+
+
 def test_a_file_cut_while_it_is_read_in_pieces_is_told(tmp_path: Path) -> None:
     path = tmp_path / "c.ply"
     write_ply(path, {"x": np.arange(10.0)})

@@ -15,11 +15,13 @@ from fsinfer.notices.notice import notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.output.plot_json import read_plot
 from fsinfer.plot_border.request import BorderRequest
+from fsinfer.report import make_report
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.trees import TreeSettings
 from fsinfer.workflow.measure_cloud import MeasureSettings, measure_cloud_file
 from fsinfer.workflow.summary import warning_values
 from fsinfer.workflow.tree_stage import TreeStageSettings
+from tests.support.command_line import Call
 from tests.support.stem_clouds import stem_plot
 
 OF_POSES = notice(CaptureCode.one_board, number=7, length_m=0.25, given=True)
@@ -74,3 +76,32 @@ def test_its_settings_stand_beside_those_of_the_stages_before(folder: Path) -> N
     assert plot["settings"]["trees"]["bh_m"] == 1.37
     assert plot["settings"]["trees"]["bh_rule"] == "uphill"
     assert plot["settings"]["poses"] == {"threads": 2}
+
+
+def test_parts_of_the_walk_that_a_run_had_joined_stand_alone_again(folder: Path) -> None:
+    """The report said that stems of a part had been put into a table that had none of them any more."""
+    part = {"folder": "part-2", "photos": 20, "registered": 20, "trees": 7, "trees_with_dbh": 6, "error": ""}
+    joined = {"name": "part-2", "common": 5, "new": 2}
+    told = read_plot(folder) | {"photos": 60, "registered": 40, "parts": [part | {"joined": joined}]}
+    (folder / "plot.json").write_text(json.dumps(told), encoding="utf-8")
+    assert measured_again(folder)["parts"] == [part | {"joined": None}]
+    page = make_report(folder).read_text(encoding="utf-8")
+    assert "7 trees, 6 with a DBH, in a frame of their own" in page
+    assert "put into this plot" not in page
+
+
+def test_a_measurement_that_is_refused_leaves_the_one_before(folder: Path, call: Call) -> None:
+    """The report said of whole tables that a measurement had been stopped while it wrote them."""
+    first = measured_again(folder)
+    table = (folder / "trees.csv").read_bytes()
+    (folder / "edits.csv").write_text("action,tree_id\ndelete,99\n", encoding="utf-8")
+    code, _, error = call("trees", folder / "cloud.ply", folder)
+    assert (code, "which is not there" in error) == (2, True)
+    assert (folder / "trees.csv").read_bytes() == table
+    code, _, error = call("report", folder)
+    assert (code, error) == (0, "")
+    (folder / "edits.csv").unlink()
+    settings = MeasureSettings(stage=TreeStageSettings())
+    again = measure_cloud_file(folder / "cloud.ply", folder, request=ScaleRequest(), settings=settings)
+    assert not again.ran
+    assert read_plot(folder)["trees"] == first["trees"]

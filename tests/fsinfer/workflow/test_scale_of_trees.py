@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from fsinfer.errors import CloudError
+from fsinfer.io.cloud import PointCloud, read_cloud, write_cloud
 from fsinfer.output.plot_json import read_plot
 from fsinfer.plot_border.request import BorderRequest
 from fsinfer.report import make_report
@@ -120,6 +122,36 @@ def test_a_run_s_cloud_that_was_moved_and_linked_keeps_its_unit(out: Path, tmp_p
     (out / "cloud.ply").rename(tmp_path / "disk" / "3f29c1")
     (out / "cloud.ply").symlink_to(tmp_path / "disk" / "3f29c1")
     assert not measure_cloud_file(out / "cloud.ply", tmp_path / "other", request=ScaleRequest()).result.metric
+
+
+def test_trees_of_another_cloud_are_not_looked_up_in_the_photographs_of_the_folder(out: Path, tmp_path: Path) -> None:
+    """The report drew the walk on its map, and crops of photographs, for trees that stand elsewhere."""
+    before = read_plot(out)
+    assert before["cloud_from_scene"] is not None
+    shutil.copytree(out.parent / "scene", out / "scene")
+    measure_cloud_file(out / "cloud.ply", out, request=FACTOR)
+    assert "photo taken here" in make_report(out).read_text(encoding="utf-8")
+    (tmp_path / "scan").mkdir()
+    # The same stems by a scanner, which has x and y of its own.
+    xyz = M_PER_UNIT * read_cloud(out / "cloud.ply").xyz
+    write_cloud(tmp_path / "scan" / "scan.ply", PointCloud(xyz=xyz + np.array([0.4, -0.3, 0.0])))
+    measure_cloud_file(tmp_path / "scan" / "scan.ply", out, request=ScaleRequest())
+    assert "photo taken here" not in make_report(out).read_text(encoding="utf-8")
+    # The folder's own cloud is where it was.
+    measure_cloud_file(out / "cloud.ply", out, request=FACTOR)
+    after = read_plot(out)
+    assert all(after[key] == before[key] for key in ("cloud_from_scene", "camera_height"))
+
+
+def test_a_cloud_that_a_link_in_the_folder_leads_to_is_the_folder_s_own(out: Path, tmp_path: Path) -> None:
+    before = read_plot(out)
+    (tmp_path / "disk").mkdir()
+    (out / "cloud.ply").rename(tmp_path / "disk" / "cloud.ply")
+    (out / "cloud.ply").symlink_to(tmp_path / "disk" / "cloud.ply")
+    measure_cloud_file(out / "cloud.ply", out, request=ScaleRequest())
+    plot = read_plot(out)
+    told = ("units", "cloud_from_scene", "camera_height", "scale_source")
+    assert [plot[key] for key in told] == [before[key] for key in told]
 
 
 def test_a_link_to_what_was_fused_is_refused_as_that_is(out: Path, tmp_path: Path) -> None:
