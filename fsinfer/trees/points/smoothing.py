@@ -2,7 +2,7 @@
 
 The depth of a pixel is that of a patch of them. A patch of a plane has its middle's, but bark bends away from the
 camera on both sides of it: over a patch with the standard deviation s along a circle of the radius R the mean lies by
-s^2 / 2R behind the surface (the second-order term of the arc's sagitta). From six metres that makes a stem of 15 cm
+s^2 / 2R behind the surface (the second-order term of the arc's sagitta). From six metres that makes a stem of 10 cm
 two millimetres thinner. What is known of the patch and of the stem is put back before the stem is measured.
 """
 
