@@ -38,6 +38,15 @@ class EdgeSettings:
     half_seen: as ``min_seen``, of the half of the near side that belongs to an edge, where the photograph does not show
         both edges. Source: renders only, 74 stems of six plots (docs/trials-accuracy.md, "Sharp faces").
     tolerance_of_depth: of the depth map, share of the depth. Source: renders only, two renders.
+    inside: where an edge is asked by :func:`fsinfer.silhouettes.edge_depths.may_be_edges` whether the stem is there,
+        from and to so many radii inside of it. Source: renders only, seven plots, which hang little on it
+        (docs/trials-accuracy.md, "Edges of others").
+    outside: and from and to so many outside, whether something stands before the stem. Source: as ``inside``.
+    asked: places on each side. Source: numerics.
+    beyond_radii: what lies so many radii behind the axis is not the stem, and what is as much nearer than its near side
+        stands before it. Source: as ``inside``.
+    fringe_px: depth maps go on so far beside what is nearer. Source: as ``inside``.
+    against: share of the places on one side that make an edge another's. Source: as ``inside``.
     """
 
     light_power: float = 1.0
@@ -56,3 +65,9 @@ class EdgeSettings:
     max_hidden: float = 0.2
     half_seen: float = 0.6
     tolerance_of_depth: float = 0.05
+    inside: tuple[float, float] = (0.15, 0.45)
+    outside: tuple[float, float] = (0.1, 0.4)
+    asked: int = 4
+    beyond_radii: float = 0.5
+    fringe_px: float = 2.0
+    against: float = 0.75

@@ -2,7 +2,8 @@
 
 For every photograph that shows a stem unhidden (its depth map agrees), a strip is cut out along the stem's axis, in the
 plane through the axis that faces the camera. In bands along the axis the colour gradient across it is averaged: a
-stem's edge is straight and adds up, bark and leaves do not.
+stem's edge is straight and adds up, bark and leaves do not. Which of them the depth map shows to be another's is told
+with them (:mod:`fsinfer.silhouettes.edge_depths`).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from fsinfer.geometry.similarity import scale_of, scaling
 from fsinfer.processes import shared_out
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Camera, Scene, project, read_view_image
+from fsinfer.silhouettes.edge_depths import may_be_edges
 from fsinfer.silhouettes.edge_settings import EdgeSettings
 from fsinfer.silhouettes.stem_axis import StemAxis, facing
 from fsinfer.silhouettes.visibility import BOTH_SIDES, in_reach, sides_shown
@@ -35,6 +37,8 @@ SAMPLES_PER_PX, MOST_SAMPLES_OF_RADIUS, LEAST_ROW_M, LEAST_ROWS = 2.0, 60.0, 0.0
 #: Where the strip of one half begins beside the axis, in radii. Source: judgement, what lies before the other half ends
 #: at the axis at the nearest.
 HALF_FROM = 0.15
+#: Of the rows of candidates. Source: layout.
+HEIGHT_COLUMN = 4
 #: The greatest grey value. Source: format.
 WHITE = np.float32(255.0)
 #: Share of its rows that must lie inside the photograph, or a strip is not used. Source: not recorded.
@@ -106,9 +110,28 @@ def _look_at(
     *,
     with_strips: bool,
 ) -> list[tuple[int, Strip | None, Floats]]:
-    """Of photograph ``index`` the stems' numbers, their strips where those are wanted, and candidates."""
-    strips = strips_of_photo(stems, index, scene, maps, cloud_from_scene, settings=s)
-    return [(number, strip if with_strips else None, _candidates(strip, stems[number], s)) for number, strip in strips]
+    """Of photograph ``index`` the stems' numbers, their strips where those are wanted, and candidates.
+
+    Their last column is 1 where they may be the stem's own.
+    """
+    seen: list[tuple[int, Strip | None, Floats]] = []
+    camera, metres = _in_cloud(scene.views[index].camera, cloud_from_scene), scale_of(cloud_from_scene)
+    for number, strip in strips_of_photo(stems, index, scene, maps, cloud_from_scene, settings=s):
+        stem = stems[number]
+        offsets, rows = _candidates(strip, stem, s)
+        own = may_be_edges(
+            offsets,
+            rows[:, HEIGHT_COLUMN],
+            strip.right,
+            strip.pixel_m,
+            stem=stem,
+            camera=camera,
+            depth_map=maps.get(index),
+            metres=metres,
+            settings=s,
+        )
+        seen.append((number, strip if with_strips else None, np.column_stack([rows, own])))
+    return seen
 
 
 def strips_of_photo(
@@ -186,8 +209,8 @@ def _cut(
     )
 
 
-def _candidates(strip: Strip, stem: StemAxis, s: EdgeSettings) -> Floats:
-    """Rows of support, angle, strength, side, height, pixel, photo and band for every edge of a strip."""
+def _candidates(strip: Strip, stem: StemAxis, s: EdgeSettings) -> tuple[Floats, Floats]:
+    """Of every edge of a strip its offset, and a row of support, angle, strength, side, height, pixel, photo, band."""
     step = strip.offsets_m[1] - strip.offsets_m[0]
     samples_per_px = strip.pixel_m / step
     light = strip.image
@@ -200,7 +223,7 @@ def _candidates(strip: Strip, stem: StemAxis, s: EdgeSettings) -> Floats:
         means.append(gradient[band == number].mean(axis=0))
         heights.append(strip.heights_m[band == number].mean())
     strengths = _whitened(np.array(means), np.abs(strip.offsets_m) <= s.inner * stem.radius_m, s)
-    rows = []
+    rows, offsets = [], []
     for number, (e, height) in enumerate(zip(strengths, heights, strict=True)):
         peak = np.flatnonzero((e[1:-1] >= e[:-2]) & (e[1:-1] > e[2:]) & (e[1:-1] >= s.min_strength)) + 1
         bend = np.minimum(e[peak - 1] - 2 * e[peak] + e[peak + 1], -1e-9)
@@ -213,7 +236,8 @@ def _candidates(strip: Strip, stem: StemAxis, s: EdgeSettings) -> Floats:
         fixed = np.array([height, strip.pixel_m, strip.photo, number])
         of_all = np.broadcast_to(fixed, (len(peak), 4))
         rows.append(np.column_stack([support, angle, np.minimum(e[peak], s.clip), side, of_all]))
-    return np.vstack(rows)
+        offsets.append(place)
+    return np.concatenate(offsets), np.vstack(rows)
 
 
 def normal_angles(strip: Strip, stem: StemAxis, offsets_m: Floats, side: Floats | float) -> Floats:
@@ -237,15 +261,16 @@ def _whitened(gradients: Floats, inner: NDArray[np.bool_], s: EdgeSettings) -> F
 
 
 def _edges(strips: list[Floats]) -> Edges:
-    rows = np.vstack(strips) if strips else np.zeros((0, 8))
+    rows = np.vstack(strips) if strips else np.zeros((0, 9))
     # Photograph, side and band
     ray = np.unique(rows[:, [6, 3, 7]], axis=0, return_inverse=True)[1] if len(rows) else np.zeros(0)
     return Edges(
         support_m=rows[:, 0],
         angle_rad=rows[:, 1],
         strength=rows[:, 2],
-        height_m=rows[:, 4],
+        height_m=rows[:, HEIGHT_COLUMN],
         pixel_m=rows[:, 5],
         photo=rows[:, 6].astype(np.int64),
         ray=np.asarray(ray, dtype=np.int64).reshape(-1),
+        own=rows[:, 8] > 0,
     )

@@ -23,7 +23,7 @@ from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene
 from fsinfer.silhouettes.edge_settings import EdgeSettings
 from fsinfer.silhouettes.edges import Strip, find_edges
-from fsinfer.silhouettes.one_look import Look, Looked, LookSettings, Surface, fitted_looks, fuller_looks
+from fsinfer.silhouettes.one_look import Look, Looked, LookSettings, Surface, fitted_looks, fuller_looks, own_looks
 from fsinfer.silhouettes.stem_axis import StemAxis
 from fsinfer.silhouettes.strips import keep_strip
 from fsinfer.silhouettes.visibility import BOTH_SIDES
@@ -98,7 +98,7 @@ def look_at_stems(
     for number, new in zip(moved, surest, strict=True):
         looked[number] = new
 
-    return fuller_looks(looked, points, fit, s, surface)
+    return fuller_looks(own_looks(looked, points, fit, s), points, fit, s, surface)
 
 
 def again(

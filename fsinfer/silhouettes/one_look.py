@@ -26,6 +26,10 @@ from fsinfer.trees.diameter.silhouette_settings import SilhouetteSettings
 Floats = NDArray[np.float64]
 
 
+#: Edges that are less likely the stem's do not move its fit. Source: numerics.
+LEAST_OF_OTHERS = 0.01
+
+
 @dataclass(frozen=True, kw_only=True)
 class LookSettings:
     """Constants of a look and of looking again. "Five plots": docs/trials-accuracy.md, "A second look".
@@ -147,6 +151,38 @@ def _fitted(
     return fitted_look(stem, moved, edges, [], points, fit, s)
 
 
+def own_look(looked: Looked, points: tuple[float, float] | None, fit: SilhouetteSettings, s: LookSettings) -> Looked:
+    """The look fitted without the edges that are another's, where the fit rests on such.
+
+    Whether there is a stem is asked of all edges: where the depth map has one, those that are left would agree on it in
+    a picture of leaves.
+    """
+    first, edges = looked.fit, looked.of_fit
+    if first is None or not looked.clear(s) or not (first.weight[~edges.own] > LEAST_OF_OTHERS).any():
+        return looked
+    own = chosen_edges(edges, edges.own)
+    found = fit_silhouette(own, looked.stem.radius_m, taper=looked.stem.taper, settings=fit, points=points)
+    if found is None:
+        return looked
+    of_all = replace(found, contrast=first.contrast, share=found.rays * first.share / first.rays)
+    new = replace(looked, fit=of_all, of_fit=own)
+    return new if new.clear(s) else looked
+
+
+def own_looks(
+    looked: Sequence[Looked], points: Sequence[tuple[float, float] | None], fit: SilhouetteSettings, s: LookSettings
+) -> list[Looked]:
+    """:func:`own_look` of each."""
+    asked = ((replace(one, strips=[]), radius) for one, radius in zip(looked, points, strict=True))
+    found = shared_out(partial(_own, fit, s), asked)
+    return [replace(one, strips=before.strips) for one, before in zip(found, looked, strict=True)]
+
+
+def _own(fit: SilhouetteSettings, s: LookSettings, asked: tuple[Looked, tuple[float, float] | None]) -> Looked:
+    looked, points = asked
+    return own_look(looked, points, fit, s)
+
+
 def fuller_look(
     looked: Looked,
     points: tuple[float, float] | None,
@@ -161,9 +197,9 @@ def fuller_look(
     if not asks_for_more(looked, s):
         return looked
     best = looked
-    large = _is_large(looked.single, looked.stem, s)
+    large = _is_large(looked.single, looked.stem, s) & looked.single.own
     if large.any():
-        more = joined_edges(looked.fitted, chosen_edges(looked.single, large))
+        more = joined_edges(looked.of_fit, chosen_edges(looked.single, large))
         best = _unless_against(looked, best, more, None, points, fit, s)
     faces = None if surface is None else _faces(best, *surface(looked.stem), fit)
     return best if faces is None else _unless_against(looked, best, best.of_fit, faces, points, fit, s)

@@ -110,6 +110,7 @@ def edges_from_rows(rows: Sequence[Sequence[float]]) -> Edges:
         pixel_m=table[:, 4],
         ray=table[:, 5].astype(np.int64),
         photo=table[:, 6].astype(np.int64),
+        own=np.ones(len(table), dtype=bool),
     )
 
 

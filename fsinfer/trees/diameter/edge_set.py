@@ -24,6 +24,7 @@ class Edges:
     pixel_m: (N,) one pixel of the photograph at the stem.
     ray: (N,) number of photograph, side and band: of those with the same number at most one is the stem's edge.
     photo: (N,) index of the photograph in the scene.
+    own: (N,) bool, False where something tells that it is the edge of another thing.
     """
 
     support_m: Floats
@@ -33,6 +34,7 @@ class Edges:
     pixel_m: Floats
     ray: Ints
     photo: Ints
+    own: NDArray[np.bool_]
 
 
 def chosen_edges(edges: Edges, chosen: NDArray[np.bool_] | Ints) -> Edges:
@@ -45,6 +47,7 @@ def chosen_edges(edges: Edges, chosen: NDArray[np.bool_] | Ints) -> Edges:
         pixel_m=edges.pixel_m[chosen],
         ray=edges.ray[chosen],
         photo=edges.photo[chosen],
+        own=edges.own[chosen],
     )
 
 
@@ -58,6 +61,7 @@ def joined_edges(first: Edges, second: Edges) -> Edges:
         pixel_m=np.r_[first.pixel_m, second.pixel_m],
         ray=np.r_[first.ray, second.ray],
         photo=np.r_[first.photo, second.photo],
+        own=np.r_[first.own, second.own],
     )
 
 

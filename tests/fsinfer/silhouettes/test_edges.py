@@ -119,6 +119,54 @@ def test_a_stem_behind_something_nearer_gives_no_edges(tmp_path: Path, screen: f
     assert (len(edges.support_m) > 0) == seen
 
 
+def strongest_beyond(scene: Scene, folder: Path, photo: int) -> list[tuple[float, bool]]:
+    """Of one photograph where the strong edges right of the axis lie across it, and whether each may be the stem's."""
+    (edges,) = find_edges([STEM], scene, DepthMaps(scene, folder), np.eye(4))
+    right = (edges.photo == photo) & (np.cos(edges.angle_rad - (0.3 + np.pi / 2)) > 0.0) & (edges.strength > 15.0)
+    return sorted(
+        {(round(float(s), 2), bool(own)) for s, own in zip(edges.support_m[right], edges.own[right], strict=True)}
+    )
+
+
+@pytest.mark.parametrize(
+    ("depth_m", "own"),
+    [
+        (2.4, [(0.15, True), (0.26, False)]),  # a stem of the same colour behind it
+        (1.1, [(0.15, True), (0.26, True)]),  # the bark goes on
+    ],
+)
+def test_the_far_edge_of_what_stands_behind_is_not_the_stems(
+    tmp_path: Path, depth_m: float, own: list[tuple[float, bool]]
+) -> None:
+    scene = write_plot(tmp_path)
+    column = np.arange(WIDTH) - 149.5
+    half_px = FOCAL * np.tan(np.arcsin(RADIUS / DISTANCE_M))
+    behind = (column > half_px) & (column <= FOCAL * np.tan(np.arcsin(0.26 / DISTANCE_M)))
+    path = tmp_path / "images" / "p0.png"
+    image = read_image(path)
+    image[:, behind] = (140, 40, 90)
+    write_image(path, image)
+    depth = read_pfm(tmp_path / "depth" / "p0.pfm").copy()
+    depth[:, behind] = depth_m
+    write_pfm(tmp_path / "depth" / "p0.pfm", depth)
+    assert strongest_beyond(scene, tmp_path, 0) == own
+
+
+@pytest.mark.parametrize(("depth_m", "own"), [(0.6, False), (1.05, True), (30.0, True)])
+def test_the_edge_of_what_stands_before_is_not_the_stems(tmp_path: Path, depth_m: float, own: bool) -> None:
+    scene = write_plot(tmp_path)
+    column = np.arange(WIDTH) - 149.5
+    before = (column > FOCAL * np.tan(np.arcsin(0.12 / DISTANCE_M))) & (column < 90)
+    path = tmp_path / "images" / "p0.png"
+    image = read_image(path)
+    image[:, before] = (60, 140, 50)
+    write_image(path, image)
+    depth = read_pfm(tmp_path / "depth" / "p0.pfm").copy()
+    depth[:, before] = depth_m
+    write_pfm(tmp_path / "depth" / "p0.pfm", depth)
+    assert strongest_beyond(scene, tmp_path, 0) == [(0.12, own)]
+
+
 def test_a_half_that_the_depth_map_does_not_show_has_no_edge(tmp_path: Path) -> None:
     """One half hidden, and behind where the other should be the map has what lies far beyond."""
     scene = write_plot(tmp_path)

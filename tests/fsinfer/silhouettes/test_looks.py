@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fsinfer.silhouettes.edges import Strip
 from fsinfer.silhouettes.looks import again
-from fsinfer.silhouettes.one_look import Looked, LookSettings, Surface, fitted_look, fuller_look
+from fsinfer.silhouettes.one_look import Looked, LookSettings, Surface, fitted_look, fuller_look, own_looks
 from fsinfer.silhouettes.stem_axis import StemAxis
 from fsinfer.trees.diameter.edge_set import Edges, chosen_edges
 from fsinfer.trees.diameter.silhouette import SilhouetteFit
@@ -123,6 +123,62 @@ def test_looks_end_though_the_radius_does_not_stay() -> None:
     assert after[0].fit is not None
     assert after[0].fit.radius_m == pytest.approx(0.08 * 0.8**3, abs=0.001)
     np.testing.assert_allclose(after[0].moved_m, [0.01, 0.0], atol=0.002)  # of the first look, and nothing since
+
+
+def with_edges_of_others(others_of: int) -> Edges:
+    """Edges at 8 cm on every ray but those of one photograph, and of the first ones stronger edges at 9 cm, which
+    are another's."""
+    stem, beside = edges_at(0.08, photos=9), edges_at(0.09, photos=9)
+    stem = chosen_edges(stem, stem.photo > 0)
+    there = beside.photo < others_of
+    return Edges(
+        **{
+            name: np.concatenate([getattr(stem, name), getattr(beside, name)[there]])
+            for name in vars(stem)
+            if name not in {"own", "strength"}
+        },
+        strength=np.r_[stem.strength, 20.0 * beside.strength[there]],
+        own=np.r_[stem.own, np.zeros(there.sum(), dtype=bool)],
+    )
+
+
+def test_edges_of_others_do_not_move_a_stem() -> None:
+    edges, fit, s = with_edges_of_others(9), SilhouetteSettings(), LookSettings()
+    stem = replace(UPRIGHT, radius_m=0.085)
+    looked = fitted_look(stem, NOWHERE, edges, [], None, fit, s)
+    assert looked.fit is not None
+    assert looked.fit.radius_m > 0.088
+    (own,) = own_looks([looked], [None], fit, s)
+    assert own.fit is not None
+    assert own.fit.radius_m == pytest.approx(0.08, abs=0.0005)
+    # Whether there is a stem, and on how many of all rays, was said by all.
+    assert own.fit.contrast == looked.fit.contrast
+    assert own.fit.share == pytest.approx(own.fit.rays / len(np.unique(edges.ray)), rel=0.01)
+    assert len(own.fit.weight) == len(own.of_fit.ray) == edges.own.sum()
+    more = edges_at(0.08, photos=9)
+    more = replace(more, photo=more.photo + 100, ray=more.ray + 1000)
+    little = LookSettings(well_seen=1.1)
+    for own_too in (True, False):
+        single = replace(own, single=replace(more, own=np.full(len(more.ray), own_too)))
+        fuller = fuller_look(single, None, fit, little, None).fit
+        assert fuller is not None
+        assert fuller.fuller is own_too
+
+
+def test_a_stem_that_others_edges_do_not_touch_stays_as_it_is() -> None:
+    fit, s = SilhouetteSettings(), LookSettings()
+    plain = fitted_look(UPRIGHT, NOWHERE, edges_at(0.08, photos=9), [], None, fit, s)
+    far = replace(plain, of_fit=replace(plain.of_fit, own=np.arange(len(plain.of_fit.ray)) > 0))
+    assert plain.fit is not None
+    weight = plain.fit.weight.copy()
+    weight[0] = 0.0
+    far = replace(far, fit=replace(plain.fit, weight=weight))
+    none = looked_at(None)
+    # What is left has to be seen by enough photographs.
+    few = fitted_look(UPRIGHT, NOWHERE, with_edges_of_others(9), [], None, fit, s)
+    few = replace(few, of_fit=replace(few.of_fit, own=few.of_fit.own & (few.of_fit.photo < 3)))
+    looked = own_looks([plain, far, none, few], [None] * 4, fit, s)
+    assert [one.fit is before.fit for one, before in zip(looked, (plain, far, none, few), strict=True)] == [True] * 4
 
 
 def test_small_pictures_of_a_stem_are_fitted_only_where_large_ones_are_too_few() -> None:
