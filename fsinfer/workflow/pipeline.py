@@ -206,6 +206,7 @@ def _measure_trees(
 ) -> StageRecord[TreesResult]:
     """Stage ``trees``: tables, maps and figures; with the stems of ``parts``, folders of those measured apart."""
     out, scale, cloud = ledger.out, found.result.scale, placed.result
+    boards = found.result.boards
 
     def work(_resume: bool) -> TreesResult:
         given = PlotCloudInput(
@@ -213,12 +214,12 @@ def _measure_trees(
             metric=scale.m_per_unit is not None,
             scale_rel_std=scale.rel_std or 0.0,
             camera_height=cloud.camera_height,
-            marker_xyz=marker_centers(scale, cloud.cloud_from_scene),
-            marker_numbers=tuple(marker.id for marker in scale.markers),
+            marker_xyz=marker_centers(boards, cloud.cloud_from_scene),
+            marker_numbers=tuple(marker.id for marker in boards.markers),
             photos=photos_of_run(out, scene_of(out), cloud.cloud_from_scene),
             edits=edits,
             parts=parts,
-            doubt=doubt_about_all(scale),
+            doubt=doubt_about_all(boards),
         )
         try:
             return measure_plot(given, out, settings=of_trees, progress=progress("trees"))

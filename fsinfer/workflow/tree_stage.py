@@ -65,7 +65,7 @@ class PlotCloudInput:
     scale_rel_std: relative standard deviation of the scale; it widens every interval.
     camera_height: median height of the cameras above the ground, in units of the cloud; a person holds a camera at
         about 1.5 m, which tells roughly how large the trees are while the scale is unknown.
-    marker_xyz: (M, 3) centres of the markers that gave the scale: see :func:`fsinfer.trees.posts.without_posts`.
+    marker_xyz: (M, 3) centres of the markers in the photographs: see :func:`fsinfer.trees.posts.without_posts`.
     marker_numbers: (M,) their numbers, for a border round one of them.
     epsg: code of the cloud's horizontal frame; None for local metres.
     frame_of: the LAS or LAZ file whose header names the cloud's frame; None where it is in none, or was moved.
@@ -136,8 +136,8 @@ def measure_plot(
 
 
 def _measure_plot(given: PlotCloudInput, out: Path, settings: TreeStageSettings, progress: Progress) -> TreesResult:
-    found = _find(given, settings, progress)
-    edited = _edit(found, given, settings)
+    found, posts = _find(given, settings, progress)
+    edited = _edit(found, given, settings, posts)
     clear_outputs(out)
     measured = _look_at_photos(edited, given, out, settings, found=found, progress=progress)
     if given.metric:
@@ -189,8 +189,8 @@ def no_trees(out: Path, *, reason: Notice) -> TreesResult:
     return TreesResult(diagnosis=reason, warnings=(reason,))
 
 
-def _find(given: PlotCloudInput, settings: TreeStageSettings, progress: Progress) -> PlotResult:
-    """The stems of the cloud, without the posts of markers."""
+def _find(given: PlotCloudInput, settings: TreeStageSettings, progress: Progress) -> tuple[PlotResult, frozenset[int]]:
+    """The stems of the cloud, without the posts of markers, and the numbers that those had."""
     height = given.camera_height
     hint = None if height is None or height <= 0 else height / CAMERA_HEIGHT_M
     result = analyse_plot(
@@ -204,18 +204,21 @@ def _find(given: PlotCloudInput, settings: TreeStageSettings, progress: Progress
         progress=progress,
     )
     if given.marker_xyz is None or not given.metric:
-        return result
-    return without_posts(result, given.marker_xyz)
+        return result, frozenset()
+    kept = without_posts(result, given.marker_xyz)
+    return kept, frozenset(tree.tree_id for tree in result.trees) - {tree.tree_id for tree in kept.trees}
 
 
-def _edit(found: PlotResult, given: PlotCloudInput, settings: TreeStageSettings) -> PlotResult:
+def _edit(found: PlotResult, given: PlotCloudInput, settings: TreeStageSettings, posts: frozenset[int]) -> PlotResult:
     """The stem map as corrected by hand."""
-    if not given.edits:
+    # Who deleted a post by hand, before its board was known, has what was wanted.
+    edits = [edit for edit in given.edits if edit.action != "delete" or edit.tree_id not in posts]
+    if not edits:
         return found
     return apply_edits(
         found,
         given.cloud.xyz,
-        given.edits,
+        edits,
         settings=settings.trees,
         scale_rel_std=given.scale_rel_std,
         metric=given.metric,
