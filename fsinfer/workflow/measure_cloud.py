@@ -188,6 +188,7 @@ def measure_cloud_file(
             edits=corrections,
             doubt=doubt_about_all(boards) if is_of_run(known_as, origin) else None,
             write_labelled=opened.labelled,
+            unit=per_unit * (scale_of(origin.cloud_from_scene) if origin.cloud_from_scene is not None else 1.0),
         )
         trees, given, turned = _measure(given, out, settings.stage, progress)
         said = (*found.warnings, *doubts, *unknown_error(found.scale), *opened.warnings, *degrees, *turned)

@@ -13,6 +13,7 @@ from typing import Any
 
 from fsinfer.errors import CloudError
 from fsinfer.frames.select import FramesResult
+from fsinfer.geometry.similarity import scale_of
 from fsinfer.io.cloud import read_cloud
 from fsinfer.io.files import make_folder
 from fsinfer.notices.notice import notice
@@ -220,6 +221,7 @@ def _measure_trees(
             edits=edits,
             parts=parts,
             doubt=doubt_about_all(boards),
+            unit=scale_of(cloud.cloud_from_scene),
         )
         try:
             return measure_plot(given, out, settings=of_trees, progress=progress("trees"))

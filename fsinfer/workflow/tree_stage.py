@@ -29,6 +29,7 @@ from fsinfer.silhouettes.walk import WalkSettings, apart_from_walk, camera_place
 from fsinfer.threads import cores
 from fsinfer.trees import PlotResult, TreeSettings, analyse_plot
 from fsinfer.trees.edit_rows import TreeEdit
+from fsinfer.trees.edited_trees import of_these_trees
 from fsinfer.trees.edits import apply_edits
 from fsinfer.trees.forks import forks
 from fsinfer.trees.outputs.labels import label_points
@@ -43,6 +44,7 @@ from fsinfer.trees.posts import without_posts
 from fsinfer.trees.stand import sizes_unknown
 from fsinfer.trees.stem_curve import CurvePoint, CurveSettings, stem_curves, write_curves
 from fsinfer.trees.tree import Tree
+from fsinfer.workflow.given_edits import stood_before
 from fsinfer.workflow.joined_parts import JoinedParts, cameras_of, copy_figures, join_measured
 from fsinfer.workflow.own_files import clear_outputs
 from fsinfer.workflow.trees_result import TreesResult, summarized
@@ -75,6 +77,7 @@ class PlotCloudInput:
         tells how (metres only).
     doubt: why no stem of this cloud is sure, if there is a reason.
     write_labelled: writes ``trees.laz`` instead, for a cloud of which only a part is in memory.
+    unit: of the cloud, that one of its scene or its file makes: trees are known again in a cloud of another scale.
     """
 
     cloud: PointCloud
@@ -90,6 +93,7 @@ class PlotCloudInput:
     parts: Sequence[Path] = ()
     doubt: Notice | None = None
     write_labelled: Callable[[Path, PlotResult], None] | None = None
+    unit: float = 1.0
 
     @property
     def errors(self) -> PointErrors | None:
@@ -137,7 +141,7 @@ def measure_plot(
 
 def _measure_plot(given: PlotCloudInput, out: Path, settings: TreeStageSettings, progress: Progress) -> TreesResult:
     found, posts = _find(given, settings, progress)
-    edited = _edit(found, given, settings, posts)
+    edited = _edit(found, given, settings, posts, out)
     clear_outputs(out)
     measured = _look_at_photos(edited, given, out, settings, found=found, progress=progress)
     if given.metric:
@@ -209,10 +213,15 @@ def _find(given: PlotCloudInput, settings: TreeStageSettings, progress: Progress
     return kept, frozenset(tree.tree_id for tree in result.trees) - {tree.tree_id for tree in kept.trees}
 
 
-def _edit(found: PlotResult, given: PlotCloudInput, settings: TreeStageSettings, posts: frozenset[int]) -> PlotResult:
+def _edit(
+    found: PlotResult, given: PlotCloudInput, settings: TreeStageSettings, posts: frozenset[int], out: Path
+) -> PlotResult:
     """The stem map as corrected by hand."""
     # Who deleted a post by hand, before its board was known, has what was wanted.
     edits = [edit for edit in given.edits if edit.action != "delete" or edit.tree_id not in posts]
+    stood = stood_before(out, edits, found.trees, given.unit)
+    edits, told = of_these_trees(edits, found.trees, stood, unit=found.units_per_m or 1.0)
+    found = replace(found, warnings=(*found.warnings, *told))
     if not edits:
         return found
     return apply_edits(
