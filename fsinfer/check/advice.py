@@ -130,13 +130,15 @@ def _gaps_of_the_walk(given: Sequence[str], left_out: set[str]) -> list[str]:
     return lines
 
 
-def marker_lines(scale: Scale, rejected: Sequence[RejectedMarker] = (), *, given: bool) -> list[str]:
+def marker_lines(
+    scale: Scale, rejected: Sequence[RejectedMarker] = (), *, given: bool, elsewhere: bool = False
+) -> list[str]:
     """How well each board was seen, and what to do about it.
 
     Parameters
     ----------
     scale: by the boards, whatever their length. rejected: those that were seen where there is no such scale.
-    given: whether their length is known.
+    given: whether their length is known. elsewhere: whether something else gives the scale.
     """
     found = scale.markers
     lines = []
@@ -155,12 +157,12 @@ def marker_lines(scale: Scale, rejected: Sequence[RejectedMarker] = (), *, given
     for number in (number for number in reasons if number not in {entry.id for entry in found}):
         why = "; ".join(reasons[number])
         lines.append(f"Board {number} cannot be used ({why}): pass it again at 2 to 3 m, facing it.")
-    if not found:
+    if not found and not elsewhere:
         lines.append(
             "No board can be used: no diameter is measured, unless something else of known length is in the photos, "
             "whose two ends you give to fsinfer run later (--endpoints)."
         )
-    elif (boards := number_of_boards(found)) < 3:
+    elif found and (boards := number_of_boards(found)) < 3:
         lines.append(f"{boards} board{'s' if boards > 1 else ''}: three or more, spread out, show a wrong one.")
     if found and not given:
         lines.append("The boards do not tell their length: give --aruco-length-m to fsinfer run.")

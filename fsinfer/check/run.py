@@ -28,6 +28,7 @@ from fsinfer.geometry.similarity import scale_of
 from fsinfer.io.files import make_folder, write_text
 from fsinfer.io.photo_folders import list_images
 from fsinfer.notices.capture import CaptureCode
+from fsinfer.notices.notice import Notice
 from fsinfer.notices.sentences import sentences
 from fsinfer.output.layout import CHECK_WORK, OutputFolder
 from fsinfer.poses.settings import PoseSettings
@@ -49,6 +50,7 @@ from fsinfer.scale.scale import (
 from fsinfer.scene import Scene, read_scene, scene_digest
 from fsinfer.threads import one_blas_thread
 from fsinfer.workflow.cloud_stages import DEPTH
+from fsinfer.workflow.kept_clicks import kept_clicks
 from fsinfer.workflow.ledger import Ledger, Stage
 from fsinfer.workflow.photo_stages import (
     POSES,
@@ -63,6 +65,8 @@ from fsinfer.workflow.photo_stages import (
 #: A board's middle lies so near to the wall of its post, which a few points put a little off. Source: judgement, on
 #: rendered plots; renders only.
 _POST_M = 0.35
+#: What is told of a scale by clicks.
+_OF_CLICKS = frozenset({CaptureCode.clicks_do_not_fit, CaptureCode.boards_contradict_scale})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,6 +116,7 @@ def check_capture(
     source, out = Path(source), Path(out)
     files = source_files(source, out)
     require_poses(out)
+    settings = replace(settings, scale=_with_clicks(settings.scale, out))
     ledger = Ledger(make_folder(out))
     start = time.monotonic()
     seconds: dict[str, float] = {}
@@ -134,7 +139,8 @@ def check_capture(
     given = list(originals)
     scene, sparse = read_scene(OutputFolder(out).scene), read_sparse(OutputFolder(out).sparse)
     report = progress("check")
-    scale, visible, rejected = _scale(settings.scale, scene, report)
+    scale, visible, rejected, doubts = _scale(settings.scale, scene, report)
+    notes += [f"{text[0].upper()}{text[1:]}." for text in sentences(doubts)]
     seconds["boards"] = time.monotonic() - start - sum(seconds.values())
     glance = _coarse_depth(ledger, scene, settings.glance, report)
     seconds["depth"] = time.monotonic() - start - sum(seconds.values())
@@ -231,7 +237,9 @@ def judge_survey(
     )
     if scale.m_per_unit is None:
         notes.append(f"No scale: lengths are guessed from a phone held {CAMERA_HEIGHT_M:g} m high.")
-    notes += marker_lines(boards, rejected, given=settings.scale.given or scale.m_per_unit is not None)
+    known = scale.m_per_unit is not None
+    elsewhere = known and scale.source != "aruco"
+    notes += marker_lines(boards, rejected, given=settings.scale.given or known, elsewhere=elsewhere)
     within = [entry for entry in judged if entry.inside]
     good = sum(entry.verdict in ("good", "far") for entry in within)
     if judged:
@@ -264,22 +272,34 @@ def _beyond(entry: StemCoverage, sides: Sequence[OpenSide]) -> StemCoverage:
     return replace(entry, verdict="beyond") if there and not entry.inside and entry.one_sided else entry
 
 
-def _scale(request: ScaleRequest, scene: Scene, progress: Progress) -> tuple[Scale, Scale, tuple[RejectedMarker, ...]]:
-    """The metric scale, how the boards are seen where it is not theirs, and those seen where none can be used."""
+def _with_clicks(request: ScaleRequest, out: Path) -> ScaleRequest:
+    """The request with the ends that were clicked for this folder, as a run takes them."""
+    return request if request.given or request.clicks is not None else replace(request, clicks=kept_clicks(out).used)
+
+
+def _scale(
+    request: ScaleRequest, scene: Scene, progress: Progress
+) -> tuple[Scale, Scale, tuple[RejectedMarker, ...], tuple[Notice, ...]]:
+    """The metric scale, how the boards are seen where it is not theirs, those seen where none can be used, and doubts.
+
+    The doubts are those that a scale by clicks raises; what boards raise is found in them again.
+    """
     seen = None
-    if request.given:
-        scale = find_scale(request, scene=scene, progress=progress).scale
+    doubts: tuple[Notice, ...] = ()
+    if request.given or request.clicks is not None:
+        found = find_scale(request, scene=scene, progress=progress)
+        scale, doubts = found.scale, tuple(told for told in found.warnings if told.code in _OF_CLICKS)
     else:
         seen = look_for_markers(scene, progress=progress)
         scale = scale_from_printed_boards(scene, seen) or UNKNOWN
     if scale.source == "aruco":
-        return scale, scale, ()
+        return scale, scale, (), doubts
     try:
         # The length does not matter for how well a board is seen.
         dictionary = request.aruco_dictionary
-        return scale, scale_from_aruco(scene, 1.0, dictionary=dictionary, progress=progress, seen=seen), ()
+        return scale, scale_from_aruco(scene, 1.0, dictionary=dictionary, progress=progress, seen=seen), (), doubts
     except NoUsableMarkersError as error:
-        return scale, UNKNOWN, error.rejected
+        return scale, UNKNOWN, error.rejected, doubts
 
 
 def _write(result: CheckResult, folder: OutputFolder, seconds: dict[str, float]) -> CheckResult:

@@ -51,6 +51,7 @@ class CaptureCode(StrEnum):
     board_outvoted = "board_outvoted"
     boards_contradict = "boards_contradict"
     printed_length_differs = "printed_length_differs"
+    boards_contradict_scale = "boards_contradict_scale"
     board_at_two_places = "board_at_two_places"
     endpoints_of_metric_cloud = "endpoints_of_metric_cloud"
     end_beside_cloud = "end_beside_cloud"
@@ -143,6 +144,17 @@ def _printed(values: Mapping[str, Any]) -> str:
         f"board{'s' if len(numbers) > 1 else ''} {', '.join(numbers)}: fsinfer marker prints this number with a side "
         f"of {printed_m:g} m, and --aruco-length-m says {given_m:g} m. If the boards are those, every DBH is "
         f"{percent:.0f} % too {'large' if given_m > printed_m else 'small'}: run again without --aruco-length-m"
+    )
+
+
+def _contradict_scale(values: Mapping[str, Any]) -> str:
+    numbers, percent = values["numbers"], 100 * values["apart_rel"]
+    several = len(numbers) > 1
+    size = f"{abs(percent):.1f} % too {'large' if percent > 0 else 'small'}"
+    return (
+        f"by the length{'s' if several else ''} that board{'s' if several else ''} {', '.join(numbers)} "
+        f"tell{'' if several else 's'} by number, the scale that was given makes everything {size}, every DBH too: "
+        f"measure {'their black squares' if several else 'its black square'} with a ruler, and look at what was given"
     )
 
 
@@ -246,6 +258,7 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
     CaptureCode.board_outvoted: _outvoted,
     CaptureCode.boards_contradict: _contradict,
     CaptureCode.printed_length_differs: _printed,
+    CaptureCode.boards_contradict_scale: _contradict_scale,
     CaptureCode.board_at_two_places: _two_places,
     CaptureCode.endpoints_of_metric_cloud: (
         "the end points count in the model units of the cloud without a scale, and cloud.ply was in metres before this "

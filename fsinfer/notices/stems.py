@@ -94,6 +94,7 @@ class StemCode(StrEnum):
     stems_outside_walk = "stems_outside_walk"
     part_joined = "part_joined"
     corrected_by_hand = "corrected_by_hand"
+    edits_left_out = "edits_left_out"
     sizes_unknown = "sizes_unknown"
     # Parts of ``corrected_by_hand``.
     tree_added = "tree_added"
@@ -225,6 +226,11 @@ SENTENCES: dict[StemCode, str] = {
     StemCode.sizes_unknown: (
         "of the basal area {percent:.0f} % are taken to be that of stems without a diameter ({trees}), by the mean "
         "section of the others; what is no tree among them makes the figures a hectare too large"
+    ),
+    StemCode.edits_left_out: (
+        "corrections by hand were left out (rows {rows}): they were written for another map, on which the trees of "
+        "these numbers ({trees}) stood elsewhere; write the rows anew by this map, each with the place of its tree in "
+        "x_m and y_m"
     ),
     StemCode.corrected_by_hand: "stem map corrected by hand: tree {changes}",
     StemCode.tree_added: "{tree_id} added",

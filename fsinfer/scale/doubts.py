@@ -17,6 +17,7 @@ from fsinfer.scale.agreement import back_to_back, markers_of_boards
 from fsinfer.scale.printed_boards import DICTIONARY, board_lengths
 from fsinfer.scale.request import Point, ScaleRequest
 from fsinfer.scale.scale import CAMERA_HEIGHT_M, BoardVerdict, MarkerDetails, MarkerScale, Scale
+from fsinfer.trees.points.sums import Z95
 
 Floats = NDArray[np.float64]
 
@@ -32,6 +33,9 @@ _WRONG_APART_M, _WRONG_NUMBERS, _WRONG_SHARE = 0.3, 2, 1 / 3
 #: A given length that differs by more from the printed one is not that of a print which came out a little smaller, and
 #: was measured. Source: judgement; the three sizes differ by a quarter and more.
 _OTHER_LENGTH = 0.1
+#: A scale from elsewhere that differs by less from that of the boards is not called in question. Source: judgement; one
+#: per cent of the scale is one of every DBH, and rulers and factors are not rounded by more.
+_GIVEN_APART = 0.01
 #: An end of a pole may lie beside the cloud by this share of the cloud's size. Source: judgement; the top of a pole may
 #: have no point, and a digit or a sign that is wrong leads farther.
 _BESIDE_CLOUD = 0.1
@@ -175,6 +179,20 @@ def doubt_boards(scale: Scale) -> tuple[Notice, ...]:
             notice(CaptureCode.printed_length_differs, numbers=numbers, given_m=lengths[0], printed_m=lengths[1])
         )
     return tuple(found)
+
+
+def contradicts_given(scale: Scale, boards: Scale) -> tuple[Notice, ...]:
+    """Warn where boards that tell their length make the scene another size than a ``scale`` from elsewhere does."""
+    if scale.m_per_unit is None or boards.m_per_unit is None:
+        return ()
+    apart_rel = scale.m_per_unit / boards.m_per_unit - 1
+    # The 95 % intervals of the two do not meet; of a scale that was given as a number there is none.
+    unsure = Z95 * ((scale.rel_std or 0.0) + (boards.rel_std or 0.0))
+    if abs(apart_rel) <= max(unsure, _GIVEN_APART):
+        return ()
+    agreeing = {marker.id for marker in boards.markers if marker.verdict != BoardVerdict.outvoted}
+    numbers = tuple(str(number) for number in sorted(agreeing))
+    return (notice(CaptureCode.boards_contradict_scale, numbers=numbers, apart_rel=apart_rel),)
 
 
 def boards_at_two_places(boards: Scale, m_per_unit: float) -> tuple[Notice, ...]:

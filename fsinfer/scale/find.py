@@ -11,8 +11,8 @@ from fsinfer.notices.notice import Notice, notice
 from fsinfer.progress import Progress, silent
 from fsinfer.scale.aruco import scale_from_aruco
 from fsinfer.scale.clicks.sizes import fit_clicks, picture_sizes
-from fsinfer.scale.doubts import boards_at_two_places, doubt_boards
-from fsinfer.scale.marker_search import SeenMarkers, look_for_markers
+from fsinfer.scale.doubts import boards_at_two_places, contradicts_given, doubt_boards
+from fsinfer.scale.marker_search import SeenMarkers, are_known, look_for_markers
 from fsinfer.scale.printed_boards import DICTIONARY, board_lengths
 from fsinfer.scale.request import ClickedLength, ScaleRequest
 from fsinfer.scale.scale import UNKNOWN, Scale, scale_from_factor
@@ -25,10 +25,20 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True)
 class FoundScale:
-    """The scale of a scene, unknown where nothing gave one, with warnings."""
+    """The scale of a scene, unknown where nothing gave one, with warnings.
+
+    ``others`` are the boards that are seen where the scale comes from elsewhere, whatever their length
+    (:func:`seen_boards`).
+    """
 
     scale: Scale
     warnings: tuple[Notice, ...] = ()
+    others: Scale = UNKNOWN
+
+    @property
+    def boards(self) -> Scale:
+        """What is known of the boards in the photographs, whether they gave the scale or not."""
+        return self.scale if self.scale.markers else self.others
 
 
 def find_scale(
@@ -41,13 +51,30 @@ def find_scale(
     """Turn the request into a scale.
 
     Markers that were asked for and not found are a warning, not an error: everything computed so far stays useful in
-    model units, and the next run with another source of scale takes seconds.
+    model units, and the next run with another source of scale takes seconds. Where the scale comes from elsewhere, and
+    it is known where the markers are in the images, the boards check it.
 
     Raises
     ------
     ScaleError
         ArUco markers were asked for where there are no photographs to look for them in.
     """
+    found = _by_request(request, scene, settings, progress)
+    m_per_unit, dictionary = found.scale.m_per_unit, request.aruco_dictionary
+    if scene is None or m_per_unit is None or found.scale.markers or not are_known(scene, dictionary, settings):
+        return found
+    seen = look_for_markers(scene, dictionary=dictionary, settings=settings, progress=progress)
+    boards = seen_boards(scene, seen, m_per_unit=m_per_unit, settings=settings)
+    printed = scale_from_printed_boards(scene, seen, settings=settings) if dictionary == DICTIONARY else None
+    doubts = () if printed is None else contradicts_given(found.scale, printed)
+    told = (*found.warnings, *doubts, *boards_at_two_places(boards, m_per_unit))
+    return replace(found, others=boards, warnings=told)
+
+
+def _by_request(
+    request: ScaleRequest, scene: Scene | None, settings: MarkerSettings | None, progress: Progress
+) -> FoundScale:
+    """The scale by the source that was asked for."""
     if request.factor is not None:
         return FoundScale(scale=scale_from_factor(request.factor))
     if request.endpoints is not None and request.length_m is not None:
@@ -86,8 +113,22 @@ def _by_clicks(
         return FoundScale(scale=scale_from_clicks(scene, fitted.by_view, fitted.length_m, settings=settings))
     except ScaleError as error:
         told = notice(CaptureCode.clicks_do_not_fit, error=str(error))
-        other = find_scale(replace(request, clicks=None), scene=scene, settings=settings, progress=progress)
+        other = _by_request(replace(request, clicks=None), scene, settings, progress)
         return replace(other, warnings=(told, *other.warnings))
+
+
+def seen_boards(scene: Scene, seen: SeenMarkers, *, m_per_unit: float, settings: MarkerSettings | None = None) -> Scale:
+    """The boards among the markers ``seen``, whatever their length, in a scene of ``m_per_unit``.
+
+    Lengths, residuals and verdicts of its markers mean nothing. :data:`fsinfer.scale.scale.UNKNOWN` where none can be
+    used.
+    """
+    try:
+        boards = scale_from_aruco(scene, 1.0, dictionary=seen.dictionary, settings=settings, seen=seen)
+    except ScaleError as error:
+        _log.info("no boards: %s", error)
+        return UNKNOWN
+    return replace(UNKNOWN, m_per_unit=m_per_unit, details=boards.details)
 
 
 def scale_from_printed_boards(

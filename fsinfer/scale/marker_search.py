@@ -23,6 +23,12 @@ class SeenMarkers:
     sightings: tuple[Sighting, ...]
 
 
+def are_known(scene: Scene, dictionary: str = DICTIONARY, settings: MarkerSettings | None = None) -> bool:
+    """Whether the poses stage told where markers of ``dictionary`` are, so that a look for them takes no time."""
+    known, least = read_markers_seen(scene), (settings or MarkerSettings()).min_side_px
+    return any(known.of(view.name, dictionary, least) is not None for view in scene.views)
+
+
 def look_for_markers(
     scene: Scene,
     *,

@@ -6,14 +6,19 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from fsinfer.errors import InputError
 from fsinfer.io.files import write_text
 from fsinfer.io.json_text import read_json
 from fsinfer.output.layout import RECORDS_FOLDER, OutputFolder
+from fsinfer.trees.edit_rows import TreeEdit
+from fsinfer.trees.edited_trees import RowPlaces, places_of, row_key
+from fsinfer.trees.tree import Tree
 
-_NOTE_FILE = "edits.json"
+_NOTE_FILE, _TREES_FILE = "edits.json", "edited_trees.json"
 
 
 def note_edits(out: Path, given: Path | None) -> None:
@@ -50,6 +55,40 @@ def last_edits(out: Path) -> Path | None:
         f"copy it to {own}. To do without them, give the command of the last measurement again without --edits first"
     )
     raise InputError(msg)
+
+
+def stood_before(out: Path, edits: Sequence[TreeEdit], trees: Sequence[Tree], unit: float) -> RowPlaces:
+    """Where the trees stood that these rows were written for: on the map before the first measurement with them.
+
+    That is noted in ``OUT/.fsinfer/edited_trees.json``, with the ``trees`` found now, for the rows to come. There
+    places are in units of the scene or file, of which one is ``unit`` of the trees' frame: a cloud of another scale is
+    the same.
+    """
+    note = out / RECORDS_FOLDER / _TREES_FILE
+    told = _read_places(note)
+    last, rows = told.get("trees", {}), told.get("rows", {})
+    now = {tree.tree_id: (tree.x_m / unit, tree.y_m / unit) for tree in trees}
+    stood = {row_key(edit): rows.get(row_key(edit)) or places_of(edit, last or now) for edit in edits}
+    stood.pop("", None)
+    content = json.dumps({"trees": {"": now}, "rows": stood}, indent=1) + "\n"
+    write_text(note, content)
+    return {key: {number: (x * unit, y * unit) for number, (x, y) in places.items()} for key, places in stood.items()}
+
+
+def _read_places(note: Path) -> dict[str, Any]:
+    """``trees`` (of the last map) and ``rows``, places by numbers; empty where nothing was noted."""
+    try:
+        told = read_json(note)
+        kinds = {
+            kind: {
+                str(key): {int(number): (float(x), float(y)) for number, (x, y) in places.items()}
+                for key, places in told[kind].items()
+            }
+            for kind in ("trees", "rows")
+        }
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, OverflowError):
+        return {}
+    return {"trees": kinds["trees"].get("", {}), "rows": kinds["rows"]}
 
 
 def _read(note: Path) -> str | None:

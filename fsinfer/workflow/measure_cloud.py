@@ -11,6 +11,7 @@ import numpy as np
 
 from fsinfer.depth.maps import maps_digest
 from fsinfer.errors import InputError
+from fsinfer.geometry.similarity import scale_of
 from fsinfer.io.chunks import ChunkedCloud, open_chunks
 from fsinfer.io.cloud import PointCloud, read_and_tell
 from fsinfer.io.digest import file_digest
@@ -26,6 +27,8 @@ from fsinfer.placement.place import density_per_m2, transform_cloud
 from fsinfer.plot_border.request import BorderRequest
 from fsinfer.progress import Progress, silent
 from fsinfer.scale.doubts import doubt_about_all, doubt_ends, unknown_error
+from fsinfer.scale.find import seen_boards
+from fsinfer.scale.marker_search import are_known, look_for_markers
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scale.scale import UNKNOWN, Scale, marker_centers
 from fsinfer.scene import scene_digest
@@ -154,13 +157,16 @@ def measure_cloud_file(
         refuse_other_units(cloud_path)
     per_unit = found.scale.m_per_unit or 1.0
     photos = own_photos(known_as, origin, per_unit)
-    boards = _boards(found.scale, origin)
+    told = _boards(found.scale, origin)
     _refuse_center_unknown(settings.stage.border, cloud_path, photos)
     make_folder(out)
 
     def work(_resume: bool) -> MeasuredCloud:
         # Nothing said and nothing known to the contrary: other people's clouds are in metres.
         metric = found.scale.m_per_unit is not None or origin.units != MODEL_UNITS
+        boards = told
+        if photos is not None and metric and not told.markers:
+            boards = _boards_in(photos, request, settings.stage.border, progress)
         opened = _open(cloud_path, chunks, per_unit, settings.thinning, progress)
         doubts = doubt_ends(request, opened.cloud.xyz, per_unit)
         # A cloud that had to be scaled is not in the frame that its header may name.
@@ -182,6 +188,7 @@ def measure_cloud_file(
             edits=corrections,
             doubt=doubt_about_all(boards) if is_of_run(known_as, origin) else None,
             write_labelled=opened.labelled,
+            unit=per_unit * (scale_of(origin.cloud_from_scene) if origin.cloud_from_scene is not None else 1.0),
         )
         trees, given, turned = _measure(given, out, settings.stage, progress)
         said = (*found.warnings, *doubts, *unknown_error(found.scale), *opened.warnings, *degrees, *turned)
@@ -217,6 +224,18 @@ def _boards(scale: Scale, origin: CloudOrigin) -> Scale:
     """The markers in the scene of the cloud: those that it gets its ``scale`` from now, or that it had its own from."""
     # Without the metres per unit, which are of the cloud here and of the scene there.
     return replace(UNKNOWN, details=scale.details) if scale.markers else origin.markers
+
+
+def _boards_in(photos: StemPhotos, request: ScaleRequest, border: BorderRequest, progress: Progress) -> Scale:
+    """The boards in the photographs of a cloud in metres whose scale is not theirs.
+
+    Where nobody told where they are, a look at every photograph takes long: only if the border lies round one.
+    """
+    scene, dictionary = photos.scene, request.aruco_dictionary
+    if border.marker is None and not are_known(scene, dictionary):
+        return UNKNOWN
+    seen = look_for_markers(scene, dictionary=dictionary, progress=progress)
+    return seen_boards(scene, seen, m_per_unit=scale_of(photos.cloud_from_scene))
 
 
 def _refuse_center_unknown(border: BorderRequest, cloud_path: Path, photos: StemPhotos | None) -> None:

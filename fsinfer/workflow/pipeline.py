@@ -13,6 +13,7 @@ from typing import Any
 
 from fsinfer.errors import CloudError
 from fsinfer.frames.select import FramesResult
+from fsinfer.geometry.similarity import scale_of
 from fsinfer.io.cloud import read_cloud
 from fsinfer.io.files import make_folder
 from fsinfer.notices.notice import notice
@@ -206,6 +207,7 @@ def _measure_trees(
 ) -> StageRecord[TreesResult]:
     """Stage ``trees``: tables, maps and figures; with the stems of ``parts``, folders of those measured apart."""
     out, scale, cloud = ledger.out, found.result.scale, placed.result
+    boards = found.result.boards
 
     def work(_resume: bool) -> TreesResult:
         given = PlotCloudInput(
@@ -213,12 +215,13 @@ def _measure_trees(
             metric=scale.m_per_unit is not None,
             scale_rel_std=scale.rel_std or 0.0,
             camera_height=cloud.camera_height,
-            marker_xyz=marker_centers(scale, cloud.cloud_from_scene),
-            marker_numbers=tuple(marker.id for marker in scale.markers),
+            marker_xyz=marker_centers(boards, cloud.cloud_from_scene),
+            marker_numbers=tuple(marker.id for marker in boards.markers),
             photos=photos_of_run(out, scene_of(out), cloud.cloud_from_scene),
             edits=edits,
             parts=parts,
-            doubt=doubt_about_all(scale),
+            doubt=doubt_about_all(boards),
+            unit=scale_of(cloud.cloud_from_scene),
         )
         try:
             return measure_plot(given, out, settings=of_trees, progress=progress("trees"))

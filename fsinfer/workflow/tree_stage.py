@@ -29,6 +29,7 @@ from fsinfer.silhouettes.walk import WalkSettings, apart_from_walk, camera_place
 from fsinfer.threads import cores
 from fsinfer.trees import PlotResult, TreeSettings, analyse_plot
 from fsinfer.trees.edit_rows import TreeEdit
+from fsinfer.trees.edited_trees import of_these_trees
 from fsinfer.trees.edits import apply_edits
 from fsinfer.trees.forks import forks
 from fsinfer.trees.outputs.labels import label_points
@@ -43,6 +44,7 @@ from fsinfer.trees.posts import without_posts
 from fsinfer.trees.stand import sizes_unknown
 from fsinfer.trees.stem_curve import CurvePoint, CurveSettings, stem_curves, write_curves
 from fsinfer.trees.tree import Tree
+from fsinfer.workflow.given_edits import stood_before
 from fsinfer.workflow.joined_parts import JoinedParts, cameras_of, copy_figures, join_measured
 from fsinfer.workflow.own_files import clear_outputs
 from fsinfer.workflow.trees_result import TreesResult, summarized
@@ -65,7 +67,7 @@ class PlotCloudInput:
     scale_rel_std: relative standard deviation of the scale; it widens every interval.
     camera_height: median height of the cameras above the ground, in units of the cloud; a person holds a camera at
         about 1.5 m, which tells roughly how large the trees are while the scale is unknown.
-    marker_xyz: (M, 3) centres of the markers that gave the scale: see :func:`fsinfer.trees.posts.without_posts`.
+    marker_xyz: (M, 3) centres of the markers in the photographs: see :func:`fsinfer.trees.posts.without_posts`.
     marker_numbers: (M,) their numbers, for a border round one of them.
     epsg: code of the cloud's horizontal frame; None for local metres.
     frame_of: the LAS or LAZ file whose header names the cloud's frame; None where it is in none, or was moved.
@@ -75,6 +77,7 @@ class PlotCloudInput:
         tells how (metres only).
     doubt: why no stem of this cloud is sure, if there is a reason.
     write_labelled: writes ``trees.laz`` instead, for a cloud of which only a part is in memory.
+    unit: of the cloud, that one of its scene or its file makes: trees are known again in a cloud of another scale.
     """
 
     cloud: PointCloud
@@ -90,6 +93,7 @@ class PlotCloudInput:
     parts: Sequence[Path] = ()
     doubt: Notice | None = None
     write_labelled: Callable[[Path, PlotResult], None] | None = None
+    unit: float = 1.0
 
     @property
     def errors(self) -> PointErrors | None:
@@ -136,8 +140,8 @@ def measure_plot(
 
 
 def _measure_plot(given: PlotCloudInput, out: Path, settings: TreeStageSettings, progress: Progress) -> TreesResult:
-    found = _find(given, settings, progress)
-    edited = _edit(found, given, settings)
+    found, posts = _find(given, settings, progress)
+    edited = _edit(found, given, settings, posts, out)
     clear_outputs(out)
     measured = _look_at_photos(edited, given, out, settings, found=found, progress=progress)
     if given.metric:
@@ -189,8 +193,8 @@ def no_trees(out: Path, *, reason: Notice) -> TreesResult:
     return TreesResult(diagnosis=reason, warnings=(reason,))
 
 
-def _find(given: PlotCloudInput, settings: TreeStageSettings, progress: Progress) -> PlotResult:
-    """The stems of the cloud, without the posts of markers."""
+def _find(given: PlotCloudInput, settings: TreeStageSettings, progress: Progress) -> tuple[PlotResult, frozenset[int]]:
+    """The stems of the cloud, without the posts of markers, and the numbers that those had."""
     height = given.camera_height
     hint = None if height is None or height <= 0 else height / CAMERA_HEIGHT_M
     result = analyse_plot(
@@ -204,18 +208,26 @@ def _find(given: PlotCloudInput, settings: TreeStageSettings, progress: Progress
         progress=progress,
     )
     if given.marker_xyz is None or not given.metric:
-        return result
-    return without_posts(result, given.marker_xyz)
+        return result, frozenset()
+    kept = without_posts(result, given.marker_xyz)
+    return kept, frozenset(tree.tree_id for tree in result.trees) - {tree.tree_id for tree in kept.trees}
 
 
-def _edit(found: PlotResult, given: PlotCloudInput, settings: TreeStageSettings) -> PlotResult:
+def _edit(
+    found: PlotResult, given: PlotCloudInput, settings: TreeStageSettings, posts: frozenset[int], out: Path
+) -> PlotResult:
     """The stem map as corrected by hand."""
-    if not given.edits:
+    # Who deleted a post by hand, before its board was known, has what was wanted.
+    edits = [edit for edit in given.edits if edit.action != "delete" or edit.tree_id not in posts]
+    stood = stood_before(out, edits, found.trees, given.unit)
+    edits, told = of_these_trees(edits, found.trees, stood, unit=found.units_per_m or 1.0)
+    found = replace(found, warnings=(*found.warnings, *told))
+    if not edits:
         return found
     return apply_edits(
         found,
         given.cloud.xyz,
-        given.edits,
+        edits,
         settings=settings.trees,
         scale_rel_std=given.scale_rel_std,
         metric=given.metric,

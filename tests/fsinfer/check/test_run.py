@@ -34,9 +34,11 @@ from fsinfer.poses.settings import PoseSettings
 from fsinfer.poses.sparse import SparseModel
 from fsinfer.poses.sure_pairs import SurePairs, map_sure
 from fsinfer.progress import silent
+from fsinfer.scale.clicks.file import SavedClicks, clicked_length, write_clicks
+from fsinfer.scale.clicks.sizes import picture_sizes
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scale.scale import MarkerScale, NoUsableMarkersError, RejectedMarker, Scale
-from fsinfer.scene import Scene
+from fsinfer.scene import Scene, project, read_scene
 from fsinfer.trees import StemSettings
 from fsinfer.workflow import photo_stages, pipeline
 from fsinfer.workflow.settings import RunSettings
@@ -221,7 +223,7 @@ def test_boards_of_which_none_can_be_used_are_told(plot: Plot, monkeypatch: pyte
     monkeypatch.setattr("fsinfer.scale.find.scale_from_aruco", none)
     monkeypatch.setattr("fsinfer.check.run.scale_from_aruco", none)
     for request in (ScaleRequest(), ScaleRequest(aruco_length_m=0.25)):
-        scale, boards, rejected = boards_seen(request, plot({})[0], silent)
+        scale, boards, rejected, _ = boards_seen(request, plot({})[0], silent)
         found = survey(plot({}))
         notes = judge_survey(found, found.names, scale, boards, rejected=rejected).notes
         assert any(note.startswith("Board 7 cannot be used (2 views: fewer than 3 agree") for note in notes)
@@ -362,6 +364,35 @@ def test_how_the_photos_were_taken_is_told(tmp_path: Path, monkeypatch: pytest.M
     # It is known as well where the photos were placed before.
     assert check_capture(folder, out).notes == result.notes
     assert placed["poses"] == 1
+
+
+def test_the_ends_that_were_clicked_give_the_scale_of_a_check(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, out = tmp_path / "photos", tmp_path / "out"
+    for number, image in enumerate(photographs(5)):
+        write_image(folder / f"r{number}.jpg", image)
+
+    def mapped(walk: Walk, *_: Any) -> MappedWalk:
+        return MappedWalk(model=room_model(walk.files, poses(5)), misplaced={})
+
+    monkeypatch.setattr("fsinfer.poses.estimate.map_walk", mapped)
+    monkeypatch.setattr(photo_stages, "estimate_poses_apart", estimate_poses)
+    monkeypatch.setattr("fsinfer.check.run._coarse_depth", lambda *_: None)
+    before = check_capture(folder, out)
+    assert not before.metric
+    assert any(note.startswith("No scale") for note in before.notes)
+    scene = read_scene(out / "scene")
+    ends = np.array([[-0.3, 0.0, 0.0], [0.3, 0.1, 0.1]])
+    clicks = {view.name: project(ends, view.camera)[0].tolist() for view in scene.views}
+    write_clicks(out, SavedClicks(used=clicked_length(clicks, 1.0, picture_sizes(scene))))
+    clicked = check_capture(folder, out)
+    assert clicked.metric
+    assert not any("No scale" in note or "no diameter is measured" in note for note in clicked.notes)
+    # Clicks that fit no more are told, as a run does.
+    clicks["r0"] = clicks["r0"][::-1]
+    write_clicks(out, SavedClicks(used=clicked_length(clicks, 1.0, picture_sizes(scene))))
+    lost = check_capture(folder, out)
+    assert not lost.metric
+    assert any("clicked with fsinfer scale give no scale any more" in note for note in lost.notes)
 
 
 def test_a_check_that_was_stopped_goes_on(tmp_path: Path, calls: Counter[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,6 +20,7 @@ from fsinfer.scale.aruco import scale_from_aruco
 from fsinfer.scale.detection import detect_markers, make_detector
 from fsinfer.scale.find import find_scale
 from fsinfer.scale.marker_search import SeenMarkers, look_for_markers
+from fsinfer.scale.markers_seen import MarkersSeen, write_markers_seen
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scale.scale import UNKNOWN, BoardVerdict, NoUsableMarkersError
 from fsinfer.scale.square_fit import MarkerSettings, Sighting, find_markers
@@ -167,7 +168,7 @@ def test_photographs_are_searched_once_whatever_the_boards_tell(
     assert told.code == CaptureCode.markers_of_unknown_length
     assert sorted(read) == once
     read.clear()
-    scale, boards, _ = boards_seen(ScaleRequest(), scene, silent)
+    scale, boards, *_ = boards_seen(ScaleRequest(), scene, silent)
     assert scale is UNKNOWN
     assert sorted(marker.id for marker in boards.markers) == [5, 6, 7]
     assert sorted(read) == once
@@ -336,6 +337,38 @@ def test_printed_boards_need_no_option(tmp_path: Path) -> None:
     found = find_scale(ScaleRequest(), scene=make_scene(tmp_path / "none", {}))
     assert found.scale == UNKNOWN
     assert [item.code for item in found.warnings] == [CaptureCode.no_scale_given]
+
+
+def test_boards_check_a_scale_from_elsewhere_where_it_is_known_where_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Numbers 23 and 24 tell 0.15 m, so that a unit is half a metre; 7 tells nothing and is a board all the same."""
+    scene = make_scene(tmp_path, {0: 7, 1: 23, 2: 24})
+    with monkeypatch.context() as patched:
+        patched.setattr(marker_search, "read_view_image", lambda _: pytest.fail("photos are searched for nothing"))
+        unsearched = find_scale(ScaleRequest(factor=0.6), scene=scene)
+    assert (unsearched.warnings, unsearched.boards.markers) == ((), ())
+    detector = make_detector("4X4_50")
+    places = {view.name: tuple(detect_markers(read_view_image(view), detector)) for view in scene.views}
+    write_markers_seen(tmp_path, MarkersSeen(dictionary="4X4_50", min_side_px=8.0, places=places))
+    for factor in (0.5, 0.504):
+        found = find_scale(ScaleRequest(factor=factor), scene=scene)
+        assert (found.scale.m_per_unit, found.scale.source, found.warnings) == (factor, "factor", ())
+        assert [entry.id for entry in found.boards.markers] == [7, 23, 24]
+    (told,) = find_scale(ScaleRequest(factor=0.52), scene=scene).warnings
+    assert told.code == CaptureCode.boards_contradict_scale
+    assert told.values["numbers"] == ("23", "24")
+    assert told.values["apart_rel"] == pytest.approx(0.04, abs=0.005)
+    assert "everything 4." in sentences([told])[0] or "everything 3." in sentences([told])[0]
+    assert "too large, every DBH too" in sentences([told])[0]
+    # A length of 0.3 m that was read off as 0.15 m.
+    ends = ((0.0, 0.0, 0.0), (0.3, 0.0, 0.0))
+    assert not find_scale(ScaleRequest(endpoints=ends, length_m=0.15), scene=scene).warnings
+    (small,) = find_scale(ScaleRequest(endpoints=ends, length_m=0.11), scene=scene).warnings
+    assert "too small" in sentences([small])[0]
+    # Boards of another dictionary tell no length.
+    other = find_scale(ScaleRequest(factor=0.52, aruco_dictionary="5X5_50"), scene=scene)
+    assert (other.warnings, other.boards.markers) == ((), ())
 
 
 def test_boards_of_different_lengths_give_one_scale(tmp_path: Path) -> None:

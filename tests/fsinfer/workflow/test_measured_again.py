@@ -6,18 +6,21 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from fsinfer.conventions.breast_height import BhRule
 from fsinfer.io.cloud import PointCloud, write_cloud
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import notice
+from fsinfer.notices.sentences import sentence
 from fsinfer.notices.stems import StemCode
 from fsinfer.output.plot_json import read_plot
 from fsinfer.plot_border.request import BorderRequest
 from fsinfer.report import make_report
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.trees import TreeSettings
+from fsinfer.trees.outputs.table import read_trees
 from fsinfer.workflow.measure_cloud import MeasureSettings, measure_cloud_file
 from fsinfer.workflow.summary import warning_values
 from fsinfer.workflow.tree_stage import TreeStageSettings
@@ -61,6 +64,37 @@ def test_its_warnings_take_the_place_of_those_of_the_trees_before(folder: Path) 
     # Once more, without the border: what was said of it is gone, and nothing is said twice.
     plot = measured_again(folder)
     assert [entry["code"] for entry in plot["warning_codes"]] == [CaptureCode.one_board]
+
+
+def test_corrections_written_for_another_map_are_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file left in a folder had taken out whatever tree had the number in the next cloud, without a word."""
+    monkeypatch.setattr("fsinfer.trees.outputs.figures.write_figures", lambda *_, **__: None)
+    cloud, out = tmp_path / "scan.ply", tmp_path / "out"
+    points = stem_plot(seed=4, trees=4, spacing_m=0.02).points + np.array([50.0, 0.0, 0.0])
+    write_cloud(cloud, PointCloud(xyz=points))
+
+    def measured(factor: float | None = None) -> tuple[set[int], list[str]]:
+        trees = measure_cloud_file(cloud, out, request=ScaleRequest(factor=factor)).result.trees
+        numbers = {row.tree_id for row in read_trees(out / "trees.csv")}
+        return numbers, [sentence(told) for told in trees.warnings if told.code == StemCode.edits_left_out]
+
+    assert measured() == ({1, 2, 3, 4}, [])
+    rows = "action,tree_id,x_m,y_m\ndelete,2,,\n"
+    (out / "edits.csv").write_text(rows, encoding="utf-8")
+    assert measured() == ({1, 3, 4}, [])
+    # The same trees, of which each stands ten metres farther from the origin.
+    assert measured(1.2) == ({1, 3, 4}, [])
+    write_cloud(cloud, PointCloud(xyz=points + np.array([3.0, 0.0, 0.0])))
+    numbers, (told,) = measured()
+    assert numbers == {1, 2, 3, 4}
+    assert "(rows 2)" in told
+    assert "trees of these numbers (2) stood elsewhere" in told
+    # The way out: the row tells where its tree stands.
+    tree = next(row for row in read_trees(out / "trees.csv") if row.tree_id == 2)
+    (out / "edits.csv").write_text(f"{rows.splitlines()[0]}\ndelete,2,{tree.x_m},{tree.y_m}\n", encoding="utf-8")
+    assert measured() == ({1, 3, 4}, [])
+    write_cloud(cloud, PointCloud(xyz=points))
+    assert measured()[0] == {1, 2, 3, 4}
 
 
 @pytest.mark.parametrize("name", ["trees.json", "trees.gpkg", "trees.laz", "trees.xlsx", "stem_curve.csv"])

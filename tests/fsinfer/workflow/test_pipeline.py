@@ -22,6 +22,7 @@ import pytest
 import fsinfer
 import fsinfer.silhouettes.looks as silhouettes
 import fsinfer.workflow.cloud_stages as cloud_stages
+import fsinfer.workflow.measure_cloud as measure_cloud
 import fsinfer.workflow.photo_stages as photo_stages
 import fsinfer.workflow.pipeline as pipeline
 import fsinfer.workflow.tree_stage as tree_stage
@@ -46,6 +47,7 @@ from fsinfer.poses.estimate import PosesResult
 from fsinfer.scale.doubts import boards_at_two_places
 from fsinfer.scale.find import FoundScale
 from fsinfer.scale.request import ScaleRequest
+from fsinfer.scale.scale import scale_from_factor
 from fsinfer.scene import project, read_camera, read_scene, write_camera
 from fsinfer.silhouettes.edges import find_edges
 from fsinfer.silhouettes.join import measure_silhouettes
@@ -54,13 +56,13 @@ from fsinfer.trees.outputs.figures import write_figures as real_figures
 from fsinfer.trees.outputs.table import read_trees
 from fsinfer.trees.pattern.match import PatternSettings
 from fsinfer.workflow.clicked_scale import click_scale
-from fsinfer.workflow.measure_cloud import measure_cloud_file
+from fsinfer.workflow.measure_cloud import MeasureSettings, measure_cloud_file
 from fsinfer.workflow.parts import PartResult
 from fsinfer.workflow.pipeline import run
 from fsinfer.workflow.settings import RunSettings
 from fsinfer.workflow.single_stages import depth_of
 from fsinfer.workflow.summary import PLOT_KEYS
-from fsinfer.workflow.tree_stage import PlotCloudInput
+from fsinfer.workflow.tree_stage import PlotCloudInput, TreeStageSettings
 from fsinfer.workflow.tree_stage import measure_plot as real_trees
 from tests.support.boards import board, scale_of_boards
 from tests.support.report_plot import plot_cloud
@@ -691,6 +693,27 @@ def test_a_border_goes_through_a_run(fakes: Fakes, photos: Path, tmp_path: Path)
     marker = run(photos, out, settings=replace(METRIC, border=BorderRequest(radius_m=1.38, marker=7))).plot
     assert (marker["per_hectare_of"], marker["plot_border"]) == ("seen ground only", None)
     assert "marker 7, was not found" in marker["warnings"][-1]
+
+
+def test_a_border_lies_round_a_board_whose_length_nobody_knows(
+    fakes: Fakes, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    others = replace(scale_of_boards([board(7, (0.0, 0.0, 0.0), "abc")], m_per_unit=M_PER_UNIT), source="none")
+
+    def find_scale(*_: Any, **__: Any) -> FoundScale:
+        return FoundScale(scale=scale_from_factor(M_PER_UNIT), others=others)
+
+    monkeypatch.setattr(cloud_stages, "find_scale", find_scale)
+    monkeypatch.setattr(measure_cloud, "seen_boards", lambda *_, **__: others)
+    out, border = tmp_path / "out", BorderRequest(radius_m=1.38, marker=7)
+    plot = run(photos, out, settings=replace(METRIC, border=border)).plot
+    assert plot["plot_border"]["origin"] == "marker 7"
+    assert not plot["scale_details"]
+    # So it does where its trees are measured again.
+    stage = TreeStageSettings(border=border)
+    measure_cloud_file(out / "cloud.ply", out, request=ScaleRequest(), settings=MeasureSettings(stage=stage))
+    again = json.loads((out / "plot.json").read_text(encoding="utf-8"))
+    assert again["plot_border"]["center"] == pytest.approx(plot["plot_border"]["center"])
 
 
 def test_what_is_known_of_scale_cameras_and_boards_is_given_to_the_trees(

@@ -17,8 +17,11 @@ from fsinfer.notices.stems import StemCode
 from fsinfer.scale.scale import UNKNOWN, marker_centers
 from fsinfer.trees import analyse_plot
 from fsinfer.trees.diameter.dbh_settings import DbhSettings
+from fsinfer.trees.edit_rows import TreeEdit
+from fsinfer.trees.outputs.table import read_trees
 from fsinfer.trees.plot_doubt import all_doubtful
 from fsinfer.trees.posts import without_posts
+from fsinfer.workflow import tree_stage
 from fsinfer.workflow.tree_stage import PlotCloudInput, TreeStageSettings, measure_plot
 from tests.support.boards import board, scale_of_boards
 from tests.support.stem_clouds import stem_plot
@@ -53,6 +56,21 @@ def test_a_doubtful_stem_at_a_marker_is_taken_for_its_post() -> None:
     assert [given.code for given in kept.warnings] == [StemCode.post_of_marker]
     assert is_remark(kept.warnings[0])
     assert without_posts(changed, np.empty((0, 3))).trees == changed.trees
+
+
+def test_a_post_that_was_deleted_by_hand_may_be_known_as_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plot = stem_plot(trees=4, seed=3)
+    result = analyse_plot(plot.points)
+    posts = replace(result, trees=(replace(result.trees[0], status="doubtful"), *result.trees[1:]))
+    monkeypatch.setattr(tree_stage, "analyse_plot", lambda *_, **__: posts)
+    post, other = posts.trees[0], posts.trees[1]
+    edits = [TreeEdit(action="delete", row=row, tree_id=n) for row, n in ((2, post.tree_id), (3, other.tree_id))]
+    given = PlotCloudInput(
+        cloud=PointCloud(xyz=plot.points), edits=edits, marker_xyz=np.array([[post.x_m, post.y_m, 1.0]])
+    )
+    assert measure_plot(given, tmp_path).trees == len(result.trees) - 2
+    numbers = [row.tree_id for row in read_trees(tmp_path / "trees.csv")]
+    assert numbers == [tree.tree_id for tree in posts.trees[2:]]
 
 
 def test_what_speaks_against_all_stems_leaves_none_that_is_ok(tmp_path: Path) -> None:
