@@ -18,6 +18,7 @@ import pytest
 from typer.testing import CliRunner
 
 from fsinfer.batch.attempt import stop_batch
+from fsinfer.batch.guard import Ended, GuardResult
 from fsinfer.batch.outcome import State
 from fsinfer.batch.remaining import RemainingPlots
 from fsinfer.batch.rows import PlotRow
@@ -124,6 +125,7 @@ def test_a_finished_plot_whose_photos_are_not_there_keeps_its_trees(tmp_path: Pa
     trees, summary = (out / "trees.csv").read_bytes(), read_csv(out / "summary.csv")
     put_away(tmp_path)
     (tmp_path / "photos" / "b").mkdir(parents=True)  # where a disk is hung in
+    (tmp_path / "photos" / "b" / "Thumbs.db").write_bytes(b"of Explorer")
     second = run(table, out)
     assert (second.ran, second.counts) == (0, first.counts)
     assert (out / "trees.csv").read_bytes() == trees
@@ -402,6 +404,13 @@ def test_a_batch_that_was_stopped_starts_nothing_more(tmp_path: Path) -> None:
     task = PlotTask(batch="token", photos=tmp_path / "photos" / "a", out=tmp_path / "out", command=STAND_IN)
     assert attempt(task).message == "was stopped; run again to go on"
     assert table.is_file()
+
+
+def test_why_a_plot_could_not_be_started_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told = GuardResult(ended=Ended.unable, returncode=None, seconds=0.0, peak_gb=None, message="cannot be taken away")
+    monkeypatch.setattr("fsinfer.batch.attempt._under_guard", lambda *_: told)
+    result = run(write_table(tmp_path, [{"name": "a"}]), tmp_path / "out", retries=0)
+    assert messages(result) == {"a": "cannot be taken away"}
 
 
 def test_a_worker_with_another_version_measures_nothing(tmp_path: Path) -> None:
