@@ -187,6 +187,8 @@ def _judge(told: GuardResult | None, task: PlotTask, words: str) -> tuple[bool, 
     """Whether the plot is done, else why not, and whether to try again."""
     if told is None:
         return False, "was killed from outside, with the process that watched over it", True
+    if told.ended is Ended.unable:
+        return False, told.message, True
     if told.ended is Ended.time:
         return False, f"took longer than --limit-minutes {task.limit_minutes:g}; run again with more to go on", False
     if told.ended is Ended.memory:

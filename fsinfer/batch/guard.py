@@ -22,6 +22,7 @@ from typing import IO
 
 from fsinfer.batch.lease import Lease
 from fsinfer.batch.tree_memory import resident_gb
+from fsinfer.errors import OutputError
 
 #: Between two looks at the command; between two at its memory, which costs more. Seconds. Source: numerics.
 LOOK_S, MEMORY_S = 0.1, 0.5
@@ -37,6 +38,7 @@ class Ended(StrEnum):
     time = "time"
     memory = "memory"
     stopped = "stopped"
+    unable = "unable"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,19 +62,26 @@ class GuardTask:
 
 @dataclass(frozen=True, kw_only=True)
 class GuardResult:
-    """How it ended: exit status (negative: the signal), seconds, largest memory seen (None where it cannot be)."""
+    """How it ended: exit status (negative: the signal), seconds, largest memory seen (None where it cannot be).
+
+    ``message``: why it could not be run at all.
+    """
 
     ended: Ended
     returncode: int | None
     seconds: float
     peak_gb: float | None
+    message: str = ""
 
 
 def guard(task: GuardTask, stop: threading.Event, report_pid: IO[str] | None = None) -> GuardResult:
     """Run the command to its end, or end it: for its time, its memory, or because ``stop`` is set."""
     lease = Lease(Path(task.lease_folder))
-    if not lease.take(stop.is_set):
-        return GuardResult(ended=Ended.stopped, returncode=None, seconds=0.0, peak_gb=None)
+    try:
+        if not lease.take(stop.is_set):
+            return GuardResult(ended=Ended.stopped, returncode=None, seconds=0.0, peak_gb=None)
+    except OutputError as error:
+        return GuardResult(ended=Ended.unable, returncode=None, seconds=0.0, peak_gb=None, message=str(error))
     try:
         with Path(task.log).open("ab") as log:
             return _watch(task, stop, lease, log, report_pid)

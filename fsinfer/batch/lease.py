@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from fsinfer.errors import OutputError
 from fsinfer.io.files import make_folder
 
 LEASE_FILE = "batch-lease.json"
@@ -24,6 +25,9 @@ FRESH_S = 5.0
 #: A file that has not changed for so long has lost its holder, seconds. Source: judgement; network file systems show
 #: changes up to a minute late.
 STALE_S = 90.0
+#: A file that has lost its holder and cannot be moved for so long never can be, seconds. Source: judgement; on Windows
+#: none can be while another process reads it.
+STUCK_S = 5.0
 
 
 class Lease:
@@ -36,9 +40,16 @@ class Lease:
         self._kept = -FRESH_S
 
     def take(self, stop: Callable[[], bool], *, pause_s: float = 0.2) -> bool:
-        """Wait for the folder; False when ``stop`` says that it is no longer wanted."""
+        """Wait for the folder; False when ``stop`` says that it is no longer wanted.
+
+        Raises
+        ------
+        OutputError
+            Nothing can be written into the folder, or the file of one who is gone cannot be taken away.
+        """
         make_folder(self._path.parent)
         seen, since = "", time.monotonic()
+        stuck: float | None = None
         while not stop():
             try:
                 with self._path.open("x", encoding="utf-8") as stream:
@@ -47,10 +58,21 @@ class Lease:
                 now = self._look()
                 if now != seen:
                     seen, since = now, time.monotonic()
-                if now and (_is_dead(now) or time.monotonic() - since > self._stale_s):
-                    self._throw_out(now)
-                else:
+                if not (now and (_is_dead(now) or time.monotonic() - since > self._stale_s)):
+                    stuck = None
                     time.sleep(pause_s)
+                elif (error := self._throw_out(now)) is not None:
+                    stuck = time.monotonic() if stuck is None else stuck
+                    if time.monotonic() - stuck > STUCK_S:
+                        msg = (
+                            f"{self._path} is of a run that is gone, and cannot be taken away "
+                            f"({error.strerror or error}); delete it, or make the folder writable"
+                        )
+                        raise OutputError(msg) from error
+                    time.sleep(pause_s)
+            except OSError as error:
+                msg = f"cannot write {self._path}: {error.strerror or error}; make the folder writable"
+                raise OutputError(msg) from error
             else:
                 return True
         return False
@@ -77,16 +99,20 @@ class Lease:
         except OSError:
             return ""
 
-    def _throw_out(self, seen: str) -> None:
+    def _throw_out(self, seen: str) -> OSError | None:
+        """Take the file of one who is gone away; why that cannot be done, None where it is no longer there."""
         if self._look() != seen:
-            return
+            return None
         aside = self._path.with_name(f".{LEASE_FILE}.{secrets.token_hex(4)}")
         try:
             # Of several who try only one can move it.
             self._path.replace(aside)
             aside.unlink()
-        except OSError:
+        except FileNotFoundError:
             pass
+        except OSError as error:
+            return error
+        return None
 
 
 def _is_dead(seen: str) -> bool:

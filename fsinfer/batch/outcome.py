@@ -11,7 +11,7 @@ from pathlib import Path
 
 from fsinfer._version import __version__
 from fsinfer.io.digest import file_digest
-from fsinfer.io.files import write_text
+from fsinfer.io.files import is_by_system, write_text
 from fsinfer.output.json_values import as_json, of_json
 from fsinfer.output.layout import CLICKS_FILE, EDITS_FILE, PLOT_FILE, REPORT_FILE, TREES_CSV
 
@@ -23,9 +23,10 @@ CORRECTIONS = (EDITS_FILE, CLICKS_FILE)
 
 
 class State(StrEnum):
-    """Where a plot stands."""
+    """Where a plot stands; ``outdated`` has results, which are not those that it is to have now."""
 
     done = "done"
+    outdated = "outdated"
     failed = "failed"
     waiting = "waiting"
 
@@ -36,12 +37,14 @@ class Outcome:
 
     Attributes
     ----------
-    state: done or failed. message: why it failed, one line. again: whether another attempt may go better.
+    state: any but waiting. message: why it failed, or what else is to be known, one line. again: whether another
+        attempt may go better.
     ran: False where it was done before and nothing has changed.
     attempts: that were made. seconds: that all of them took, those of earlier batches too.
     host: the computer of the last one. peak_gb: largest memory, where there was a limit on it.
     place_deg: latitude and longitude in WGS84, the middle of those that the photographs carry; None without any.
-    inputs: digest of what it was made from. results: digests of its main files.
+    inputs: digest of what it was made from; options: of that without the photographs, empty where it was not kept.
+    results: digests of its main files.
     """
 
     state: State
@@ -54,14 +57,16 @@ class Outcome:
     peak_gb: float | None = None
     place_deg: tuple[float, float] | None = None
     inputs: str = ""
+    options: str = ""
     results: tuple[str, ...] = ()
 
 
 def read_outcome(out: Path) -> Outcome | None:
-    """The outcome kept in a plot's folder; None where there is none, or one of another version."""
+    """The outcome kept in a plot's folder; None where there is none, or one that cannot be read."""
     try:
         kept = json.loads((out / OUTCOME_FILE).read_text(encoding="utf-8"))
-        return of_json(Outcome, kept)
+        # Earlier versions kept no digest of the options alone.
+        return of_json(Outcome, {"options": ""} | kept)
     except (OSError, ValueError, TypeError, KeyError):
         return None
 
@@ -71,13 +76,13 @@ def write_outcome(out: Path, outcome: Outcome) -> None:
     write_text(out / OUTCOME_FILE, json.dumps(as_json(outcome), indent=1, ensure_ascii=False) + "\n")
 
 
-def inputs_digest(photos: Path, out: Path, options: Sequence[str], files: Iterable[Path]) -> str:
+def inputs_digest(photos: Sequence[Path], out: Path, options: Sequence[str], files: Iterable[Path]) -> str:
     """Digest of the options, the version, and names, sizes and times of all files that a run would read.
 
     Quick for thousands of plots; what it takes for new, such as photographs that were copied, ``fsinfer run`` looks at
-    more closely and does not do again.
+    more closely and does not do again. Without ``photos`` it is that of the options.
     """
-    read = [*sorted(photo_files(photos)), *files, *(out / name for name in CORRECTIONS)]
+    read = [*sorted(photos), *files, *(out / name for name in CORRECTIONS)]
     told = [__version__, list(options), [_describe(path) for path in read]]
     return hashlib.sha256(json.dumps(told).encode()).hexdigest()
 
@@ -86,7 +91,7 @@ def photo_files(photos: Path) -> list[Path]:
     """The files of a folder of photographs, or the video; none where there is neither."""
     try:
         if photos.is_dir():
-            return [path for path in photos.iterdir() if path.is_file() and not path.name.startswith(".")]
+            return [path for path in photos.iterdir() if path.is_file() and not is_by_system(path.name)]
     except OSError:
         return []
     return [photos] if photos.is_file() else []

@@ -74,9 +74,10 @@ class PlotsView:
 
 @dataclass(frozen=True, kw_only=True)
 class FailedView:
-    """Plots that are not done, and why; how many wait."""
+    """Plots that failed, and those whose results are outdated, and why; how many wait."""
 
     failed: tuple[tuple[str, str], ...]
+    outdated: tuple[tuple[str, str], ...]
     waiting: int
 
 
@@ -96,6 +97,8 @@ def write_report(out: Path, rows: Sequence[PlotRow], *, title: str) -> Path:
 def _tiles(rows: Sequence[PlotRow]) -> Part:
     counts = count(rows)
     tiles = [(f"{counts.done} of {counts.plots}", "plots done")]
+    if counts.outdated:
+        tiles.append((str(counts.outdated), "plots with outdated results"))
     if counts.failed:
         tiles.append((str(counts.failed), "plots failed"))
     if counts.waiting:
@@ -108,9 +111,12 @@ def _tiles(rows: Sequence[PlotRow]) -> Part:
 
 
 def _failed(rows: Sequence[PlotRow]) -> Part:
-    failed = tuple((row.plot, row.message) for row in rows if row.state is State.failed)
+    failed, outdated = (
+        tuple((row.plot, row.message) for row in rows if row.state is state) for state in (State.failed, State.outdated)
+    )
     waiting = sum(row.state is State.waiting for row in rows)
-    return Part(anchor="failed", title="Failed plots", view=FailedView(failed=failed, waiting=waiting))
+    view = FailedView(failed=failed, outdated=outdated, waiting=waiting)
+    return Part(anchor="failed", title="Failed plots", view=view)
 
 
 def _map(rows: Sequence[PlotRow]) -> Part:
@@ -184,12 +190,12 @@ def _link(row: PlotRow) -> str:
 
 
 def _said(row: PlotRow) -> str:
-    if row.state is not State.done:
+    if row.state in (State.failed, State.waiting):
         return f"{row.plot}: {row.state.value}" + (f", {row.message}" if row.message else "")
     figures = [f"{row.trees} trees"] if row.trees is not None else []
     if row.basal_area_m2_per_ha is not None:
         figures.append(f"{row.basal_area_m2_per_ha:.1f} m²/ha")
-    return ": ".join([row.plot, ", ".join(figures)])
+    return ": ".join([row.plot, ", ".join([*figures, *([row.message] if row.message else [])])])
 
 
 def _table(rows: Sequence[PlotRow]) -> Part:
@@ -207,7 +213,7 @@ def _table(rows: Sequence[PlotRow]) -> Part:
 
 def _cells(row: PlotRow) -> tuple[PlotCell, ...]:
     used = "" if row.photos is None else f"{row.registered} of {row.photos}"
-    remark = row.message or "; ".join(filter(None, (row.per_hectare_of, row.warning_text)))
+    remark = "; ".join(filter(None, (row.message, row.per_hectare_of, row.warning_text)))
     return (
         PlotCell(text=row.plot, key=row.plot, link=_link(row)),
         PlotCell(text=row.state.value, key=row.state.value),

@@ -29,7 +29,8 @@ class PlotRow:
 
     Attributes
     ----------
-    plot: its name. state: done, failed or waiting. message: why it failed.
+    plot: its name. state: done, outdated (its results are not those of the options that it has now), failed or
+        waiting. message: why it is not done, or that its photographs are not there.
     trees, trees_with_dbh: numbers of stems. trees_on_area: those of them that the figures a hectare count, in the
         plot's border or on the seen ground. per_hectare_of: what the figures a hectare refer to.
     stems_per_ha, basal_area_m2_per_ha: with 95 % intervals where the plot has a border.
@@ -90,7 +91,7 @@ def cells(row: PlotRow) -> tuple[Cell, ...]:
 
 
 def plot_row(plot: Plot, out: Path, outcome: Outcome | None) -> tuple[PlotRow, PlotTrees]:
-    """The row of a plot whose folder is ``out``, and its trees; nothing of a plot that is not done is counted."""
+    """The row of a plot whose folder is ``out``, and its trees; nothing of a plot without results is counted."""
     place = plot.place_deg or (None if outcome is None else outcome.place_deg)
     known: dict[str, Any] = {"plot": plot.name, "state": State.waiting}
     if place is not None:
@@ -99,8 +100,9 @@ def plot_row(plot: Plot, out: Path, outcome: Outcome | None) -> tuple[PlotRow, P
     if outcome is None:
         return PlotRow(**known), PlotTrees()
     known |= {"state": outcome.state, "attempts": outcome.attempts, "seconds": outcome.seconds, "host": outcome.host}
-    if outcome.state is not State.done:
-        return PlotRow(**known | {"message": outcome.message}), PlotTrees()
+    known |= {"message": outcome.message}
+    if outcome.state not in (State.done, State.outdated):
+        return PlotRow(**known), PlotTrees()
     try:
         found = read_plot(out)
         trees = _trees(plot.name, out / TREES_CSV)

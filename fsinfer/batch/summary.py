@@ -30,6 +30,7 @@ class Counts:
 
     plots: int
     done: int
+    outdated: int
     failed: int
     waiting: int
     trees: int
@@ -42,6 +43,7 @@ def count(rows: Sequence[PlotRow]) -> Counts:
     return Counts(
         plots=len(rows),
         done=of[State.done],
+        outdated=of[State.outdated],
         failed=of[State.failed],
         waiting=of[State.waiting],
         trees=sum(row.trees or 0 for row in rows),

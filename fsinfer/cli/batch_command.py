@@ -111,8 +111,9 @@ def batch(
     of fsinfer run), latitude_deg, longitude_deg. A plot that fails touches no other. Run again to go on: what is
     finished and unchanged is not repeated.
 
-    Exit code: 0 when all plots are measured; 3 when some failed, each with its reason in OUT/summary.csv; 2 when the
-    table, an option or the cluster cannot be used.
+    Exit code: 0 when all plots are measured; 3 when some failed, or have only results of earlier options because their
+    photos are not there, each with its reason in OUT/summary.csv; 2 when the table, an option or the cluster cannot be
+    used.
     """
     from fsinfer.batch.run import run_batch
     from fsinfer.batch.settings import BatchSettings
@@ -137,7 +138,7 @@ def batch(
     result = run_batch(plots, out, settings=settings, news=_say_nothing if quiet else _say_news)
     for line in _lines(result):
         typer.echo(line)
-    if result.counts.failed:
+    if result.counts.failed or result.counts.outdated:
         raise typer.Exit(EXIT_SOME_FAILED)
 
 
@@ -179,6 +180,7 @@ def _say_news(news: PlotNews) -> None:
     else:
         told = f"{row.trees} trees, {row.trees_with_dbh} with DBH"
         told += f", {as_words(row.seconds or 0.0)}" if news.ran else ", done before"
+        told += f"; {row.message}" if row.message else ""
     left = "" if not news.seconds_left else f"; about {as_words(news.seconds_left)} left"
     say(f"{news.finished}/{news.plots} {row.plot}: {told}{left}")
 
@@ -193,13 +195,17 @@ def _why_none(row: PlotRow) -> str:
 
 def _lines(result: BatchResult) -> list[str]:
     counts = result.counts
-    lines = [] if result.ran else ["Nothing to do: everything was finished before."]
-    lines.append(f"Plots: {counts.done} of {counts.plots} measured, {counts.failed} failed")
+    lines = [] if result.ran or counts.outdated else ["Nothing to do: everything was finished before."]
+    outdated = f", {counts.outdated} with outdated results" if counts.outdated else ""
+    lines.append(f"Plots: {counts.done} of {counts.plots} measured{outdated}, {counts.failed} failed")
     lines.append(f"Trees: {counts.trees}, with DBH {counts.trees_with_dbh}")
     for row in result.rows:
         if row.state.value == "failed":
             lines.append(f"  {row.plot} failed: {row.message}")
-        elif row.state.value == "done" and not row.trees_with_dbh:
+            continue
+        if row.message:
+            lines.append(f"  {row.plot}: {row.message}")
+        if row.state.value == "done" and not row.trees_with_dbh:
             lines.append(f"  {row.plot} has no DBH: {_why_none(row)}")
     lines.append(f"Summary: {result.out / 'summary.csv'}, {result.out / 'summary.xlsx'}")
     lines.append(f"Report: {result.report}")

@@ -76,8 +76,7 @@ def make_report(out: Path | str) -> Path:
     title = f"Forest plot {out.resolve().name if plain else source}"
     versions = contents.plot.get("versions")
     version = versions.get("fsinfer") if isinstance(versions, dict) else None
-    photographed = contents.plot.get("photos") or any((out / name).is_dir() for name in ("scene", "depth"))
-    source_of_trees = "from photographs" if photographed else "in a point cloud"
+    source_of_trees = "from photographs" if contents.photographed else "in a point cloud"
     subtitle = f"Trees measured {source_of_trees} with fsinfer" + (f" {version}" if version else "")
     # The stems are looked at by other processes, if by any; meanwhile this one draws the cloud.
     with beside(lambda _: draw_cloud(contents)) as drawn:

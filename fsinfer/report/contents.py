@@ -15,6 +15,7 @@ from fsinfer.errors import FsinferError
 from fsinfer.io.csv_text import read_rows
 from fsinfer.io.json_text import read_json
 from fsinfer.notices.stems import StemCode
+from fsinfer.output.plot_json import OF_FILE
 from fsinfer.scale.scale import CAMERA_HEIGHT_M
 from fsinfer.trees.tree import OUTSIDE
 
@@ -71,6 +72,13 @@ class Contents:
     def counted(self) -> list[dict[str, str]]:
         """The rows of ``trees.csv`` that count in the figures of the stand."""
         return [tree for tree in self.trees or () if tree_number(tree) not in self.outside]
+
+    @property
+    def photographed(self) -> bool:
+        """Whether the trees are of photographs, not of a cloud of other origin in whatever folder."""
+        if self.plot.get(OF_FILE) and self.cloud_from_scene is None and not self.plot.get("photos"):
+            return False
+        return bool(self.plot.get("photos")) or any((self.out / name).is_dir() for name in ("scene", "depth"))
 
     @property
     def metric(self) -> bool:

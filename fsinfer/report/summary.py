@@ -65,7 +65,7 @@ def plot_part(contents: Contents) -> Part:
 def _stand_facts(contents: Contents) -> list[tuple[str, str]]:
     rows: list[tuple[str, str]] = []
     if contents.plot.get("source"):
-        rows.append(("Photos from", str(contents.plot["source"])))
+        rows.append(("Photos from" if contents.photographed else "Cloud", str(contents.plot["source"])))
     if contents.trees is None:
         return [*rows, ("Trees", contents.why_missing("trees.csv"))]
     stand = stand_of(contents)

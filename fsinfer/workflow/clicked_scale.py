@@ -12,7 +12,7 @@ from pathlib import Path
 
 from fsinfer.errors import InputError
 from fsinfer.output.json_values import of_json
-from fsinfer.output.plot_json import read_plot
+from fsinfer.output.plot_json import of_file, read_plot
 from fsinfer.progress import StageProgress, silent_stages
 from fsinfer.scale.clicks.file import write_clicks
 from fsinfer.scale.clicks.server import Clicked, ClickServer
@@ -72,7 +72,7 @@ def _run_again(out: Path, clicked: Clicked, edits: Path | None, progress: StageP
     """The stages from the scene on, with the settings and corrections of the last run; None where it has no end."""
     ledger = Ledger(out)
     frames, poses = ledger.recall(FRAMES), ledger.recall(POSES)
-    plot = read_plot(out)
+    plot = of_file(read_plot(out))
     if frames is None or poses is None or not plot.get("settings"):
         return None
     try:

@@ -23,7 +23,7 @@ from fsinfer.scale.scale import Scale
 from fsinfer.workflow.cloud_stages import CLOUD, SCALE, PlotCloud
 from fsinfer.workflow.ledger import Ledger, StageRecord
 from fsinfer.workflow.single_stages import FUSE_SCENE, SceneCloud
-from fsinfer.workflow.summary import MODEL_UNITS
+from fsinfer.workflow.summary import MODEL_UNITS, PHOTO_KEYS
 
 #: What ``plot.json`` tells of the cloud itself.
 CLOUD_KEYS = (
@@ -64,7 +64,8 @@ def scale_of_trees(
     """What ``plot.json`` tells of trees that were measured at a ``scale`` of their own, or in another folder's cloud.
 
     Metres a unit are those of the scene, or of a cloud that came from none. ``before`` is what is known of the cloud's
-    file in ``out``, which is kept under ``OF_FILE``. Nothing changes for trees of that cloud as it is.
+    file in ``out``, which is kept under ``OF_FILE``; with ``PHOTO_KEYS`` where the trees are not of its photographs.
+    Nothing changes for trees of that cloud as it is.
     """
     if own_cloud and scale.m_per_unit is None:
         return {OF_FILE: None}
@@ -79,9 +80,15 @@ def scale_of_trees(
         told |= {"units": "m", "density_per_m2": density_per_m2}
     if not own_cloud:
         # They stand in a frame of their own: the photographs of this folder show other places.
-        told |= {"cloud_from_scene": None, "camera_height": None}
+        told |= dict.fromkeys((*PHOTO_KEYS, "cloud_from_scene", "camera_height"))
     there = own_cloud or OutputFolder(out).cloud_ply.exists() or OutputFolder(out).cloud_laz.exists()
-    return told | {OF_FILE: {key: before.get(key) for key in CLOUD_KEYS} if there else None}
+    kept = CLOUD_KEYS if own_cloud else (*CLOUD_KEYS, *PHOTO_KEYS)
+    return told | {OF_FILE: {key: before.get(key) for key in kept} if there or is_of_photos(before) else None}
+
+
+def is_of_photos(plot: Mapping[str, Any]) -> bool:
+    """Whether ``plot.json`` tells of photographs, by a run or by a scene."""
+    return plot.get("photos") is not None or plot.get("cloud_from_scene") is not None
 
 
 def _tells_of(plot: dict[str, Any], made: StageRecord[PlotCloud] | StageRecord[SceneCloud]) -> bool:

@@ -48,7 +48,7 @@ from fsinfer.workflow.cloud_origin import (
     origin_of_cloud,
     own_photos,
 )
-from fsinfer.workflow.cloud_units import CLOUD_KEYS, plot_of_cloud, scale_of_trees
+from fsinfer.workflow.cloud_units import CLOUD_KEYS, is_of_photos, plot_of_cloud, scale_of_trees
 from fsinfer.workflow.given_edits import note_edits
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
 from fsinfer.workflow.measurable import refuse_fused, refuse_no_file, refuse_other_units
@@ -56,6 +56,7 @@ from fsinfer.workflow.own_files import BESIDE_TREES, refuse_files_of_others, ref
 from fsinfer.workflow.settings import speedless
 from fsinfer.workflow.summary import (
     MODEL_UNITS,
+    PHOTO_KEYS,
     SCENE_UNITS,
     border_values,
     no_scale_once,
@@ -306,7 +307,7 @@ def _tell(
     values["trees_scale"] = {"m_per_unit": scale.m_per_unit, "source": scale.source, "rel_std": scale.rel_std}
     before = plot_of_cloud(out) if own_cloud else of_file(read_plot(out))
     if own_cloud:
-        values = {key: before[key] for key in CLOUD_KEYS if key in before} | values
+        values = {key: before[key] for key in (*CLOUD_KEYS, *PHOTO_KEYS) if key in before} | values
     # A cloud of unknown unit that was measured as it is was taken to be in metres.
     taken = before.get("units") == SCENE_UNITS and (scale.m_per_unit or 1.0) == 1.0
     other = not own_cloud or before.get("units") is None or taken
@@ -318,16 +319,19 @@ def _tell(
             "versions": package_versions(),
         }
     values |= scale_of_trees(scale, before, out, own_cloud=own_cloud, density_per_m2=found.density_per_m2)
+    if not own_cloud or not is_of_photos(before):
+        values["source"] = cloud_path.name
     told = () if other else tuple(item for item in of_other_stages(before) if item not in found.trees.warnings)
     # What an earlier measurement at a scale of its own said of that scale, and that there was none before this one.
+    kept = before.get(OF_FILE) or {}
     past = (
         {CaptureCode.end_beside_cloud}
-        | (REMARKS if before.get(OF_FILE) else frozenset())
+        | (REMARKS if "units" in kept and "warning_codes" not in kept else frozenset())
         | (NO_SCALE if scale.m_per_unit else frozenset())
     )
     said = tuple(item for item in told if item.code not in past)
     values |= warning_values((*said, *no_scale_once(said, found.trees.warnings)))
-    if before.get("parts"):
+    if own_cloud and before.get("parts"):
         # Their stems are in the tables of a run only.
         values["parts"] = [part | {"joined": None} for part in before["parts"]]
     values["settings"] = (before.get("settings") or {}) | as_json(settings)

@@ -33,7 +33,7 @@ from fsinfer.workflow.own_files import refuse_clouds_of_others
 from fsinfer.workflow.photo_stages import choose_frames, register_photos, require_poses
 from fsinfer.workflow.scene_source import imported_scene, our_scene
 from fsinfer.workflow.settings import speedless
-from fsinfer.workflow.summary import MODEL_UNITS, SCENE_UNITS, update_plot
+from fsinfer.workflow.summary import MODEL_UNITS, PHOTO_KEYS, SCENE_UNITS, update_plot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,7 +159,9 @@ def fuse_scene(
         "levelled": levelled,
     }
     record = Ledger(out).run(FUSE_SCENE, work, inputs=inputs)
-    values = {
+    # What is told already, maybe of trees that were measured at a scale of their own, stays.
+    told = of_file(read_plot(out))
+    values = {key: told[key] for key in PHOTO_KEYS if key in told} | {
         # The scenes of others may well be in metres; those of structure from motion never are.
         "units": "m" if metric else MODEL_UNITS if ours or origin is not None else SCENE_UNITS,
         "scale_m_per_unit": 1.0 if metric else None,
@@ -173,8 +175,6 @@ def fuse_scene(
         "camera_height": record.result.camera_height,
         "versions": package_versions(),
     }
-    # What is told already, maybe of trees that were measured at a scale of their own, stays.
-    told = of_file(read_plot(out))
     known = all(told.get(key) == as_json(values[key]) for key in ("units", "points", "cloud_from_scene"))
     if record.ran or not known:
         update_plot(out, source=scene_folder.name, stage="fuse", seconds=record.seconds, values=values)

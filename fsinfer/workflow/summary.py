@@ -40,6 +40,12 @@ PLOT_KEYS = (
     "parts",
 )  # fmt: skip
 
+#: Of these, what is of the photographs that a cloud was made of, and of what was warned of on the way to it.
+PHOTO_KEYS = (
+    "source", "photos_given", "rejected", "photos", "registered", "left_out", "depth_vs_sfm_median_rel", "model",
+    "model_sha256", "model_precision", "warnings", "warning_codes", "parts",
+)  # fmt: skip
+
 
 @dataclass(frozen=True, kw_only=True)
 class PlotRecords:

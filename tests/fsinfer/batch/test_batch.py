@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -15,6 +18,7 @@ import pytest
 from typer.testing import CliRunner
 
 from fsinfer.batch.attempt import stop_batch
+from fsinfer.batch.guard import Ended, GuardResult
 from fsinfer.batch.outcome import State
 from fsinfer.batch.remaining import RemainingPlots
 from fsinfer.batch.rows import PlotRow
@@ -107,6 +111,93 @@ def test_finished_plots_are_not_run_again_unless_something_has_changed(tmp_path:
     write_table(tmp_path, rows[:1])
     assert run(table, out).counts.plots == 1
     assert before.splitlines()[1] == (out / "summary.csv").read_bytes().splitlines()[1]
+
+
+def put_away(folder: Path) -> None:
+    """Take the photographs away, as with the memory card that they lie on."""
+    (folder / "photos").rename(folder / "in the drawer")
+
+
+def test_a_finished_plot_whose_photos_are_not_there_keeps_its_trees(tmp_path: Path) -> None:
+    table, out = write_table(tmp_path, [{"name": "a", "scale": 0.5}, {"name": "b"}]), tmp_path / "out"
+    first = run(table, out)
+    kept = [(out / "plots" / name / "batch.json").read_bytes() for name in "ab"]
+    trees, summary = (out / "trees.csv").read_bytes(), read_csv(out / "summary.csv")
+    put_away(tmp_path)
+    (tmp_path / "photos" / "b").mkdir(parents=True)  # where a disk is hung in
+    (tmp_path / "photos" / "b" / "Thumbs.db").write_bytes(b"of Explorer")
+    second = run(table, out)
+    assert (second.ran, second.counts) == (0, first.counts)
+    assert (out / "trees.csv").read_bytes() == trees
+    told = read_csv(out / "summary.csv")
+    for name, before, row in zip("ab", summary, told, strict=True):
+        assert row == before | {"message": f"its photos are not there at the moment ({tmp_path / 'photos' / name})"}
+        assert started(out / "plots" / name) == 1
+    assert "photos are not there" in (out / "report.html").read_text(encoding="utf-8")
+    # Nothing is forgotten: with the card they are done, and not run again.
+    assert [(out / "plots" / name / "batch.json").read_bytes() for name in "ab"] == kept
+    shutil.rmtree(tmp_path / "photos")
+    (tmp_path / "in the drawer").rename(tmp_path / "photos")
+    third = run(table, out)
+    assert (third.ran, third.rows) == (0, first.rows)
+
+
+def test_without_photos_a_plot_is_not_done_with_what_has_changed_since(tmp_path: Path) -> None:
+    names = ("same", "option", "edited", "measured", "before", "never", "broken")
+    rows: list[dict[str, object]] = [{"name": name, "scale": 0.5} for name in names]
+    out = tmp_path / "out"
+    behave(write_table(tmp_path, rows).parent, "never", exit=2, say="Error: too dark")
+    first = run(tmp_path / "plots.csv", out)
+    trees = (out / "trees.csv").read_bytes()
+    kept = {name: (out / "plots" / name / "batch.json").read_bytes() for name in names}
+    put_away(tmp_path)
+    rows[1]["scale"] = 0.6
+    (out / "plots" / "edited" / "edits.csv").write_text("action,tree_id\ndelete,1\n", encoding="utf-8")
+    table = out / "plots" / "measured" / "trees.csv"
+    table.write_text(table.read_text(encoding="utf-8").replace(",0.20,", ",0.30,"), encoding="utf-8")
+    old = json.loads(kept["before"])
+    old.pop("options")  # as earlier versions wrote it
+    (out / "plots" / "before" / "batch.json").write_text(json.dumps(old), encoding="utf-8")
+    (out / "plots" / "broken" / "trees.csv").unlink()
+    for row in rows:
+        row["photos"] = f"photos/{row['name']}"
+    with (tmp_path / "plots.csv").open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.DictWriter(stream, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    second = run(tmp_path / "plots.csv", out)
+    by_name = {row.plot: row for row in second.rows}
+    assert {name: row.state.value for name, row in by_name.items()} == {
+        "same": "done", "option": "outdated", "edited": "outdated", "measured": "outdated", "before": "outdated",
+        "never": "failed", "broken": "failed",
+    }  # fmt: skip
+    assert (second.counts.done, second.counts.outdated, second.counts.failed) == (1, 4, 2)
+    assert "still has the results of earlier options" in by_name["option"].message
+    assert "still has the results of earlier options, corrections" in by_name["edited"].message
+    assert "results were changed since" in by_name["measured"].message
+    assert "did not note its options" in by_name["before"].message
+    assert all("does not exist" in by_name[name].message for name in ("never", "broken"))
+    before = {row.plot: row for row in first.rows}
+    for name in ("option", "edited", "before"):
+        again = by_name[name]
+        assert replace(again, state=State.done, message="") == before[name]
+    assert {row["plot"] for row in read_csv(out / "trees.csv")} == {"same", "option", "edited", "measured", "before"}
+    assert len(trees.splitlines()) > len((out / "trees.csv").read_bytes().splitlines())
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "plots with outdated results" in page
+    assert "plots/option/report.html" in page
+    assert any("option: its photos are not there" in line for line in _lines(second))
+    # What is kept of the plots stays, be they finished or not.
+    for name in set(names) - {"before"}:
+        assert (out / "plots" / name / "batch.json").read_bytes() == kept[name]
+    # With the photos the changes are done.
+    (tmp_path / "in the drawer").rename(tmp_path / "photos")
+    (tmp_path / "photos" / "never" / "behave.json").unlink()
+    third = run(tmp_path / "plots.csv", out)
+    assert third.counts.done == len(names)
+    assert {name: started(out / "plots" / name) for name in names} == {
+        "same": 1, "option": 2, "edited": 2, "measured": 2, "before": 1, "never": 2, "broken": 2,
+    }  # fmt: skip
 
 
 def test_options_reach_the_run(tmp_path: Path) -> None:
@@ -315,6 +406,13 @@ def test_a_batch_that_was_stopped_starts_nothing_more(tmp_path: Path) -> None:
     assert table.is_file()
 
 
+def test_why_a_plot_could_not_be_started_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told = GuardResult(ended=Ended.unable, returncode=None, seconds=0.0, peak_gb=None, message="cannot be taken away")
+    monkeypatch.setattr("fsinfer.batch.attempt._under_guard", lambda *_: told)
+    result = run(write_table(tmp_path, [{"name": "a"}]), tmp_path / "out", retries=0)
+    assert messages(result) == {"a": "cannot be taken away"}
+
+
 def test_a_worker_with_another_version_measures_nothing(tmp_path: Path) -> None:
     from fsinfer.batch.attempt import PlotTask, attempt
 
@@ -351,6 +449,14 @@ def test_the_exit_code_tells_whether_plots_failed(tmp_path: Path, monkeypatch: p
     code, said = invoke(str(table), str(out))
     assert code == 0
     assert "done before" in said
+    (tmp_path / "photos").rename(tmp_path / "away")
+    code, said = invoke(str(table), str(out))
+    assert code == 0
+    assert "done before; its photos are not there at the moment" in said
+    code, said = invoke(str(table), str(out), "--precision", "float32")
+    assert code == 3
+    assert "Plots: 0 of 2 measured, 2 with outdated results, 0 failed" in said
+    (tmp_path / "away").rename(tmp_path / "photos")
     code, said = invoke(str(table), str(out), "--quiet")
     assert code == 0
     assert said.startswith("Nothing to do: everything was finished before. Plots: 2 of 2 measured, 0 failed")

@@ -14,7 +14,7 @@ import pytest
 from fsinfer.batch.guard import Ended, GuardTask, guard
 from fsinfer.batch.lease import LEASE_FILE, Lease
 from fsinfer.batch.tree_memory import check_can_look, resident_gb
-from fsinfer.errors import InputError
+from fsinfer.errors import InputError, OutputError
 from tests.support.batch_plots import is_alive, kill, wait_for
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks processes up in /proc")
@@ -139,6 +139,39 @@ def test_the_folder_of_a_dead_one_is_free_at_once_and_that_of_a_silent_one_later
     start = time.monotonic()
     assert Lease(tmp_path, stale_s=0.4).take(lambda: False, pause_s=0.02)
     assert time.monotonic() - start > 0.35
+
+
+def test_the_file_of_a_dead_one_that_cannot_be_moved_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The folder became read-only, or the file is another user's in a folder that all share."""
+    lease = tmp_path / LEASE_FILE
+    lease.write_text(json.dumps({"host": "elsewhere", "pid": 1, "token": "2"}))
+    tried: list[Path] = []
+
+    def refused(path: Path, _: Path) -> None:
+        tried.append(path)
+        raise PermissionError(1, "Operation not permitted")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", refused)
+        patch.setattr("fsinfer.batch.lease.STUCK_S", 0.5)
+        end = time.monotonic() + 20
+        words = (
+            rf"{LEASE_FILE} is of a run that is gone, and cannot be taken away \(Operation not permitted\); delete it"
+        )
+        with pytest.raises(OutputError, match=words):
+            Lease(tmp_path, stale_s=0.0).take(lambda: time.monotonic() > end)
+        # With a pause between two tries.
+        assert 2 <= len(tried) < 10
+        patch.setattr("fsinfer.batch.guard.Lease", lambda folder: Lease(folder, stale_s=0.0))
+        result = guard(task(tmp_path, ""), threading.Event())
+        assert (result.ended, result.returncode) == (Ended.unable, None)
+        assert "cannot be taken away" in result.message
+    # What stood in the way for a moment is no reason to give up.
+    with monkeypatch.context() as patch:
+        move = Path.replace
+        patch.setattr(Path, "replace", lambda path, to: move(path, to) if len(tried) > 30 else refused(path, to))
+        tried[:] = [lease] * 28
+        assert Lease(tmp_path, stale_s=0.0).take(lambda: False, pause_s=0.02)
 
 
 def test_a_holder_that_shows_itself_keeps_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -681,6 +681,19 @@ def test_a_clicked_scale_keeps_the_corrections_of_trees_measured_alone_in_a_fold
     assert clicked.plot["trees"] == len(STEMS) - 1
 
 
+def test_a_clicked_scale_after_the_trees_of_another_cloud_is_of_the_run_s_photographs(
+    fakes: Fakes, photos: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    before = run(photos, out).plot
+    (out / "cloud.ply").rename(tmp_path / "scan.ply")
+    measure_cloud_file(tmp_path / "scan.ply", out, request=ScaleRequest(factor=M_PER_UNIT))
+    assert read_plot(out)["source"] == "scan.ply"
+    clicked = click_scale(out, 1.0, show=clicking(out, 0, 3)).run
+    assert clicked is not None
+    assert [clicked.plot[key] for key in ("source", "photos")] == [before[key] for key in ("source", "photos")]
+
+
 def test_a_border_goes_through_a_run(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     run(photos, out, settings=METRIC)

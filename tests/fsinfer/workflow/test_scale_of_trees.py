@@ -11,6 +11,8 @@ import pytest
 
 from fsinfer.errors import CloudError
 from fsinfer.io.cloud import PointCloud, read_cloud, write_cloud
+from fsinfer.notices.capture import CaptureCode
+from fsinfer.notices.notice import notice
 from fsinfer.output.plot_json import read_plot
 from fsinfer.plot_border.request import BorderRequest
 from fsinfer.report import make_report
@@ -21,6 +23,7 @@ from fsinfer.trees import TreeSettings
 from fsinfer.workflow import cloud_origin
 from fsinfer.workflow.measure_cloud import MeasureSettings, measure_cloud_file
 from fsinfer.workflow.single_stages import fuse_scene
+from fsinfer.workflow.summary import update_plot, warning_values
 from fsinfer.workflow.tree_stage import TreeStageSettings
 from tests.support.boards import board, scale_of_boards
 from tests.support.synthetic_plot import M_PER_UNIT, STEMS, write_depth_folder, write_scene_folder
@@ -141,6 +144,48 @@ def test_trees_of_another_cloud_are_not_looked_up_in_the_photographs_of_the_fold
     measure_cloud_file(out / "cloud.ply", out, request=FACTOR)
     after = read_plot(out)
     assert all(after[key] == before[key] for key in ("cloud_from_scene", "camera_height"))
+
+
+def test_trees_of_another_cloud_are_not_told_to_be_of_the_folder_s_photographs(out: Path, tmp_path: Path) -> None:
+    shutil.copytree(out.parent / "scene", out / "scene")
+    of_run = {
+        "source": "walk", "photos_given": 42, "rejected": [{"name": "a", "reason": "blur"}], "photos": 40,
+        "registered": 20, "left_out": ["b"], "depth_vs_sfm_median_rel": 0.002, "model": "cascade",
+        "parts": [{"folder": "part-1", "photos": 12, "trees": 3, "trees_with_dbh": 2, "joined": None}],
+    }  # fmt: skip
+    warned = warning_values([notice(CaptureCode.part_apart, names=("b",), photos=1)])
+    update_plot(out, source="", stage="poses", seconds=1.0, values=of_run | warned)
+    measure_cloud_file(out / "cloud.ply", out, request=FACTOR)
+    before = read_plot(out)
+    assert codes(before) >= {"part_apart", "scale_error_unknown"}
+    xyz = M_PER_UNIT * read_cloud(out / "cloud.ply").xyz
+    for name in ("scan.ply", "other scan.ply"):
+        (tmp_path / name).unlink(missing_ok=True)
+        write_cloud(tmp_path / name, PointCloud(xyz=xyz + np.array([0.4, -0.3, 0.0])))
+        measure_cloud_file(tmp_path / name, out, request=ScaleRequest())
+        plot = read_plot(out)
+        assert plot["source"] == name
+        assert [plot[key] for key in of_run if key != "source"] == [None] * (len(of_run) - 1)
+        assert "part_apart" not in codes(plot)
+        page = make_report(out).read_text(encoding="utf-8")
+        assert "Trees measured in a point cloud" in page
+        for words in ("photos used", "could be placed", "Photos from", "from photographs", "part-1"):
+            assert words not in page
+    # The folder's own cloud is of the photographs as before.
+    measure_cloud_file(out / "cloud.ply", out, request=FACTOR)
+    after = read_plot(out)
+    assert {key: after[key] for key in of_run} == of_run
+    assert codes(after) == codes(before)
+    assert after["cloud"] == before["cloud"]
+    page = make_report(out).read_text(encoding="utf-8")
+    assert "Trees measured from photographs" in page
+    assert "20 of 40" in page
+    # And where the cloud is fused of the scene anew.
+    measure_cloud_file(tmp_path / "scan.ply", out, request=ScaleRequest())
+    (out / "cloud.ply").unlink()
+    fuse_scene(out.parent / "scene", out, level=True)
+    plot = read_plot(out)
+    assert {key: plot[key] for key in of_run} == of_run
 
 
 def test_a_cloud_that_a_link_in_the_folder_leads_to_is_the_folder_s_own(out: Path, tmp_path: Path) -> None:
