@@ -33,11 +33,12 @@ def _colmap(kind: str, *, binary: bool) -> Writer:
     return write
 
 
-def _openmvs(version: int, *, normalized: bool = False) -> Writer:
+def _openmvs(version: int, *, normalized: bool = False, from_corner: bool = False) -> Writer:
     def write(scene: Truth, folder: Path) -> Path:
-        made.write_openmvs(scene, folder / "scene.mvs", version=version, normalized=normalized)
+        file = folder / "scene.mvs"
+        made.write_openmvs(scene, file, version=version, normalized=normalized, from_corner=from_corner)
         made.write_photos(scene, folder / "images")
-        return folder / "scene.mvs"
+        return file
 
     return write
 
@@ -70,6 +71,11 @@ FORMATS = {
     **{f"colmap-{kind}-binary": (_colmap(kind, binary=True), lens) for kind, lens in COLMAP_LENSES.items()},
     **{f"openmvs-{version}": (_openmvs(version), PINHOLE) for version in (1, 3, 4, 5, 6, 7)},
     "openmvs-normalized": (_openmvs(7, normalized=True), PINHOLE),
+    "openmvs-normalized-from-corner": (_openmvs(7, normalized=True, from_corner=True), PINHOLE),
+    "openmvs-normalized-middle": (
+        _openmvs(7, normalized=True, from_corner=True),
+        replace(PINHOLE, cx=(SIZE[0] - 1) / 2, cy=(SIZE[1] - 1) / 2),
+    ),
     "metashape-component": (_metashape(component=True), replace(BROWN, fy=129.0)),
     "metashape-chunk": (_metashape(component=False), BROWN),
     "transforms": (_transforms, replace(BROWN, fy=129.0)),
@@ -259,6 +265,12 @@ def test_a_chunk_on_the_earth_gets_z_up_and_small_coordinates(tmp_path: Path) ->
         steps = centers_of(found.photos) - centers_of(found.photos)[0]
     true_centers = np.array([made.world_from_cam(photo)[:3, 3] for photo in scene.photos])
     np.testing.assert_allclose(steps, true_centers - true_centers[0], atol=1e-5)
+
+
+def test_openmvs_without_a_principal_point_has_it_in_the_middle(tmp_path: Path) -> None:
+    scene = made.truth(replace(PINHOLE, cx=0.0, cy=0.0))
+    found = read(_openmvs(7, normalized=True)(scene, tmp_path))
+    assert {(photo.lens.cx, photo.lens.cy) for photo in found.photos} == {((SIZE[0] - 1) / 2, (SIZE[1] - 1) / 2)}
 
 
 def test_pycolmap_and_the_reader_agree(tmp_path: Path) -> None:
