@@ -185,12 +185,32 @@ def test_photographs_of_one_name_are_left_out_and_named(tmp_path: Path) -> None:
     made.write_metashape(replace(scene, photos=tuple(alike)), tmp_path / "cameras.xml")
     found = read(tmp_path / "cameras.xml")
     assert [photo.name for photo in found.photos] == names[1:-1]
-    assert found.left_out.count(names[0]) == 2
-    assert any(f"left out ({names[0]})" in remark for remark in found.remarks)
+    assert found.left_out.count(f"walk/{names[0]}") == 2
+    assert any(f"left out (walk/{names[0]})" in remark for remark in found.remarks)
     both = replace(scene, photos=(alike[0], alike[-1]))
     made.write_metashape(both, tmp_path / "cameras.xml")
-    with pytest.raises(SceneError, match=rf"2 share a file with another \({names[0]}, {names[0]}\).*different names"):
+    with pytest.raises(SceneError, match=rf"2 share a file with another \(walk/{names[0]}, walk/{names[0]}\)"):
         read(tmp_path / "cameras.xml")
+
+
+def test_photographs_of_a_group_lie_in_the_folder_of_its_name(tmp_path: Path) -> None:
+    """Two cards begin their numbers anew, and Metashape makes a group of each folder; its labels have no folder."""
+    scene = made.truth(PINHOLE)
+    alike = tuple(replace(photo, name=f"IMG_{index % 2}") for index, photo in enumerate(scene.photos))
+    made.write_metashape(replace(scene, photos=alike), tmp_path / "cameras.xml")
+    text = (tmp_path / "cameras.xml").read_text(encoding="utf-8")
+    text = text.replace('<group id="0" label="walk">', '<group id="0" label="erste Hälfte">')
+    text = text.replace('<camera id="2"', '</group><group id="1" label="zweite Hälfte"><camera id="2"')
+    (tmp_path / "cameras.xml").write_text(text, encoding="utf-8")
+    for folder, photos in (("erste Hälfte", alike[:2]), ("zweite Hälfte", alike[2:])):
+        made.write_photos(replace(scene, photos=photos), tmp_path / "Fotos" / folder)
+    found = read(tmp_path / "cameras.xml", tmp_path / "Fotos")
+    assert [photo.path.relative_to(tmp_path / "Fotos").as_posix() for photo in found.photos] == [
+        "erste Hälfte/IMG_0.png", "erste Hälfte/IMG_1.png", "zweite Hälfte/IMG_0.png", "zweite Hälfte/IMG_1.png",
+    ]  # fmt: skip
+    for photo, true in zip(found.photos, scene.photos, strict=True):
+        np.testing.assert_allclose(photo.cam_from_world, true.cam_from_world, atol=1e-6)
+    assert found.left_out == ("not aligned",)
 
 
 def test_a_label_that_several_files_fit_is_refused_with_their_names(tmp_path: Path) -> None:
