@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import re
+import unicodedata
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -20,6 +22,8 @@ from fsinfer.io.images import write_image
 from tests.support import foreign_scenes as made
 from tests.support.foreign_scenes import BROWN, COLMAP_LENSES, PINHOLE, SIZE, Truth
 
+#: Of Unicode.
+Form = Literal["NFC", "NFD"]
 #: Writes a scene below a folder and returns what is given to fsinfer, for a lens that the format can say.
 Writer = Callable[[Truth, Path], Path]
 
@@ -211,6 +215,17 @@ def test_photographs_of_a_group_lie_in_the_folder_of_its_name(tmp_path: Path) ->
     for photo, true in zip(found.photos, scene.photos, strict=True):
         np.testing.assert_allclose(photo.cam_from_world, true.cam_from_world, atol=1e-6)
     assert found.left_out == ("not aligned",)
+
+
+@pytest.mark.parametrize(("told", "stored"), [("NFC", "NFD"), ("NFD", "NFC")])
+def test_umlauts_in_one_character_and_in_two_are_the_same(tmp_path: Path, told: Form, stored: Form) -> None:
+    scene = made.truth(PINHOLE)
+    names = [f"Fläche 3 {photo.name}" for photo in scene.photos]
+    called = [unicodedata.normalize(told, name) for name in names]
+    photos = tuple(replace(photo, name=name) for photo, name in zip(scene.photos, called, strict=True))
+    made.write_metashape(replace(scene, photos=photos), tmp_path / "cameras.xml")
+    made.write_photos(scene, tmp_path / "images", [unicodedata.normalize(stored, name) for name in names])
+    assert [photo.name for photo in read(tmp_path / "cameras.xml").photos] == called
 
 
 def test_a_label_that_several_files_fit_is_refused_with_their_names(tmp_path: Path) -> None:
