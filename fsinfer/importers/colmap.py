@@ -39,6 +39,12 @@ _MODELS = {
     9: ("RADIAL_FISHEYE", 5),
     10: ("THIN_PRISM_FISHEYE", 12),
     11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    12: ("SIMPLE_DIVISION", 4),
+    13: ("DIVISION", 5),
+    14: ("SIMPLE_FISHEYE", 3),
+    15: ("FISHEYE", 4),
+    16: ("EUCM", 6),
+    17: ("EQUIRECTANGULAR", 2),
 }
 _READ = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
 
@@ -210,7 +216,7 @@ def _lens(path: Path, model: str, width: int, height: int, given: Sequence[float
 
 def _binary_cameras(path: Path) -> Iterator[tuple[int, Lens]]:
     reader = ByteReader(path)
-    for _ in range(reader.count("Q", 48)):
+    for _ in range(reader.count("Q", 40)):
         number, model, width, height = reader.take("iiQQ")
         if model not in _MODELS:
             raise unfit(path, f"there is no camera model {model}")
@@ -263,9 +269,22 @@ def _text_images(path: Path) -> Iterator[_Image]:
             number, camera, name = int(words[0]), int(words[8]), words[9].strip()
         except (ValueError, IndexError) as error:
             raise unfit(path, f"{line[:60]!r} is no image") from error
-        next(lines, "")  # its observations, which may be none: an empty line
+        _observations(next(lines, ""), path, name)
         pose = numbers(words[1:8], 7, path, f"the pose of {name}")
         yield _Image(number=number, name=name, camera=camera, cam_from_world=_pose(pose, path, name))
+
+
+def _observations(line: str, path: Path, name: str) -> None:
+    """Refuse a line behind that of an image which is not its observations: an empty one, or one that ends in a number.
+
+    Who leaves the empty lines out loses every second image, and COLMAP itself reads no such file.
+    """
+    try:
+        float(line.rsplit(maxsplit=1)[-1] if line.strip() else 0)
+    except ValueError as error:
+        raise unfit(
+            path, f"the line behind {name} is not its observations; each image has two lines, the second may be empty"
+        ) from error
 
 
 def _text_points(path: Path) -> _Points:

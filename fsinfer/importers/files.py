@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import struct
+import unicodedata
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +24,8 @@ _MOST_TEXT_BYTES = 2_000_000_000
 MOST = 1e12
 #: What file systems do not allow in a name. Source: format; Windows, and the control characters.
 _NOT_IN_NAMES = re.compile(r'[\x00-\x1f<>:"/\\|?*]')
+#: Of letters with accents: in one character, and in two. Source: format; Unicode Standard Annex 15.
+_FORMS: Final = ("NFC", "NFD")
 #: Letters of a view's name at most. Source: format; 255 bytes of a file name, less what is added to it.
 _LONGEST_NAME = 120
 
@@ -179,20 +183,20 @@ def find_photo(name: str, folders: Iterable[Path]) -> Path | None:
     parts = _parts(name)
     if not parts:
         return None
-    last = parts[-1]
-    named = Path(last).suffix.lower() in PHOTO_SUFFIXES
-    files = [last] if named else [f"{last}{suffix}" for suffix in _suffixes()]
-    for folder in folders:
-        for start in range(len(parts)):
-            found = _files(folder.joinpath(*parts[start:-1]), files)
-            if len(found) > 1:
-                msg = (
-                    f"the photograph {name} may be {' or '.join(path.name for path in found)} in {found[0].parent}; "
-                    "leave the one there that its cameras were computed from"
-                )
-                raise SceneError(msg)
-            if found:
-                return found[0]
+    named = Path(parts[-1]).suffix.lower() in PHOTO_SUFFIXES
+    # Names from a Mac may have their umlauts in two characters, and other file systems do not tell them as one.
+    forms = {parts: None} | {tuple(unicodedata.normalize(form, part) for part in parts): None for form in _FORMS}
+    for folder, start, form in itertools.product(folders, range(len(parts)), forms):
+        files = [form[-1]] if named else [f"{form[-1]}{suffix}" for suffix in _suffixes()]
+        found = _files(folder.joinpath(*form[start:-1]), files)
+        if len(found) > 1:
+            msg = (
+                f"the photograph {name} may be {' or '.join(path.name for path in found)} in {found[0].parent}; "
+                "leave the one there that its cameras were computed from"
+            )
+            raise SceneError(msg)
+        if found:
+            return found[0]
     return None
 
 

@@ -68,9 +68,11 @@ def read_metashape(path: Path, photos: Sequence[Path]) -> ForeignScene:
         sensor.get("id", ""): _lens(sensor, path) for sensor in chunk.findall("./sensors/sensor")
     }
     remarks, left_out, placed = [], [], []
-    for camera in chunk.findall("./cameras//camera"):
+    for group, camera in _cameras(chunk):
         transform = camera.find("transform")
         label = camera.get("label") or f"camera {camera.get('id')}"
+        # Groups are mostly made of folders, and labels have none: IMG_0001 of two of them are two photographs.
+        label = f"{group}/{label}" if group else label
         if transform is None or camera.get("enabled") in ("false", "0"):
             left_out.append(label)
             continue
@@ -125,6 +127,16 @@ def _chunk(path: Path) -> ElementTree.Element:
     if not chunks:
         raise unfit(path, "it holds no chunk")
     return max(chunks, key=lambda chunk: len(chunk.findall("./cameras//camera/transform")))
+
+
+def _cameras(chunk: ElementTree.Element) -> list[tuple[str, ElementTree.Element]]:
+    """The cameras of a chunk, each with the name of its group, which may be empty."""
+    group_of = {
+        camera: group.get("label", "")
+        for group in chunk.findall("./cameras//group")
+        for camera in group.findall("./camera")
+    }
+    return [(group_of.get(camera, ""), camera) for camera in chunk.findall("./cameras//camera")]
 
 
 def _lens(sensor: ElementTree.Element, path: Path) -> Lens | None:

@@ -2,7 +2,9 @@
 
 A platform holds cameras and poses; an image names one of each. ``x_cam = R (x - C)``; a camera may have a rotation
 and a place on its platform. Integer coordinates are pixel centres; intrinsics without a size are divided by the longer
-side. Images are undistorted already. Source: ``libs/MVS/Interface.h`` of OpenMVS (its structures and their order).
+side, by newer versions with the principal point counted from the corner of the picture; one of 0, 0 is the middle.
+Images are undistorted already. Source: OpenMVS, ``libs/MVS/Interface.h`` (its structures and their order) and
+``Camera.h`` (``GetK``, ``ScaleK``).
 
 Not read: the project format of OpenMVS itself (it begins with MVS instead of MVSI), which its own tools write.
 """
@@ -162,7 +164,7 @@ def _lens(camera: _Camera, photo: Path | None, path: Path) -> Lens | None:
         if photo is None:
             return None
         width, height = image_size(photo, upright=False)
-        intrinsic = intrinsic * max(width, height)
+        intrinsic = _in_pixels(intrinsic, width, height)
     return Lens(
         width=width,
         height=height,
@@ -172,6 +174,21 @@ def _lens(camera: _Camera, photo: Path | None, path: Path) -> Lens | None:
         cy=float(intrinsic[1, 2]),
         skew=float(intrinsic[0, 1]),
     )
+
+
+def _in_pixels(normalized: Floats, width: int, height: int) -> Floats:
+    """Intrinsics (3, 3) that were divided by the longer side, in pixels.
+
+    The file does not tell which way its writer did that. The two differ by half of the longer side, so that only one of
+    them has the principal point anywhere near the middle.
+    """
+    longer = max(width, height)
+    intrinsic = normalized * longer
+    middle = np.array([width - 1, height - 1]) / 2
+    given = normalized[:2, 2]
+    ways = [given * longer, (given + 0.5) * longer - 0.5] if given.any() else [middle]
+    intrinsic[:2, 2] = min(ways, key=lambda point: float(np.linalg.norm(point - middle)))
+    return np.asarray(intrinsic)
 
 
 def _vertices(reader: ByteReader, names: dict[int, str]) -> SparseModel | None:

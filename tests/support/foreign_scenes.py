@@ -203,8 +203,13 @@ def write_colmap(scene: Truth, model: Path, *, kind: str = "OPENCV", binary: boo
     (model / "points3D.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def write_openmvs(scene: Truth, path: Path, *, version: int = 7, normalized: bool = False) -> None:
-    """The interface format; the camera sits turned and shifted on its platform."""
+def write_openmvs(
+    scene: Truth, path: Path, *, version: int = 7, normalized: bool = False, from_corner: bool = False
+) -> None:
+    """The interface format; the camera sits turned and shifted on its platform.
+
+    ``from_corner``: normalized as newer versions of OpenMVS do it, from the corner of the picture and back by half.
+    """
     mounted = Rotation.from_euler("xyz", [3.0, -2.0, 5.0], degrees=True).as_matrix()
     place = np.array([0.05, -0.02, 0.1])
     normalized = normalized or version == 0
@@ -218,6 +223,7 @@ def write_openmvs(scene: Truth, path: Path, *, version: int = 7, normalized: boo
     matrix = scene.lens.matrix.copy()
     if normalized:
         matrix[:2] /= max(SIZE)
+        matrix[:2, 2] += 0.5 / max(SIZE) - 0.5 if from_corner else 0.0
     data = b"MVSI" + struct.pack("<II", version, 0) + struct.pack("<Q", 1) + text("phone")
     data += struct.pack("<Q", 1) + text("main") + (text("RGB") if version > 3 else b"")
     data += struct.pack("<II", *((0, 0) if normalized else SIZE)) + reals(matrix) + reals(mounted) + reals(place)

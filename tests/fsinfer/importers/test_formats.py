@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import re
+import unicodedata
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -20,6 +22,8 @@ from fsinfer.io.images import write_image
 from tests.support import foreign_scenes as made
 from tests.support.foreign_scenes import BROWN, COLMAP_LENSES, PINHOLE, SIZE, Truth
 
+#: Of Unicode.
+Form = Literal["NFC", "NFD"]
 #: Writes a scene below a folder and returns what is given to fsinfer, for a lens that the format can say.
 Writer = Callable[[Truth, Path], Path]
 
@@ -33,11 +37,12 @@ def _colmap(kind: str, *, binary: bool) -> Writer:
     return write
 
 
-def _openmvs(version: int, *, normalized: bool = False) -> Writer:
+def _openmvs(version: int, *, normalized: bool = False, from_corner: bool = False) -> Writer:
     def write(scene: Truth, folder: Path) -> Path:
-        made.write_openmvs(scene, folder / "scene.mvs", version=version, normalized=normalized)
+        file = folder / "scene.mvs"
+        made.write_openmvs(scene, file, version=version, normalized=normalized, from_corner=from_corner)
         made.write_photos(scene, folder / "images")
-        return folder / "scene.mvs"
+        return file
 
     return write
 
@@ -70,6 +75,11 @@ FORMATS = {
     **{f"colmap-{kind}-binary": (_colmap(kind, binary=True), lens) for kind, lens in COLMAP_LENSES.items()},
     **{f"openmvs-{version}": (_openmvs(version), PINHOLE) for version in (1, 3, 4, 5, 6, 7)},
     "openmvs-normalized": (_openmvs(7, normalized=True), PINHOLE),
+    "openmvs-normalized-from-corner": (_openmvs(7, normalized=True, from_corner=True), PINHOLE),
+    "openmvs-normalized-middle": (
+        _openmvs(7, normalized=True, from_corner=True),
+        replace(PINHOLE, cx=(SIZE[0] - 1) / 2, cy=(SIZE[1] - 1) / 2),
+    ),
     "metashape-component": (_metashape(component=True), replace(BROWN, fy=129.0)),
     "metashape-chunk": (_metashape(component=False), BROWN),
     "transforms": (_transforms, replace(BROWN, fy=129.0)),
@@ -179,12 +189,43 @@ def test_photographs_of_one_name_are_left_out_and_named(tmp_path: Path) -> None:
     made.write_metashape(replace(scene, photos=tuple(alike)), tmp_path / "cameras.xml")
     found = read(tmp_path / "cameras.xml")
     assert [photo.name for photo in found.photos] == names[1:-1]
-    assert found.left_out.count(names[0]) == 2
-    assert any(f"left out ({names[0]})" in remark for remark in found.remarks)
+    assert found.left_out.count(f"walk/{names[0]}") == 2
+    assert any(f"left out (walk/{names[0]})" in remark for remark in found.remarks)
     both = replace(scene, photos=(alike[0], alike[-1]))
     made.write_metashape(both, tmp_path / "cameras.xml")
-    with pytest.raises(SceneError, match=rf"2 share a file with another \({names[0]}, {names[0]}\).*different names"):
+    with pytest.raises(SceneError, match=rf"2 share a file with another \(walk/{names[0]}, walk/{names[0]}\)"):
         read(tmp_path / "cameras.xml")
+
+
+def test_photographs_of_a_group_lie_in_the_folder_of_its_name(tmp_path: Path) -> None:
+    """Two cards begin their numbers anew, and Metashape makes a group of each folder; its labels have no folder."""
+    scene = made.truth(PINHOLE)
+    alike = tuple(replace(photo, name=f"IMG_{index % 2}") for index, photo in enumerate(scene.photos))
+    made.write_metashape(replace(scene, photos=alike), tmp_path / "cameras.xml")
+    text = (tmp_path / "cameras.xml").read_text(encoding="utf-8")
+    text = text.replace('<group id="0" label="walk">', '<group id="0" label="erste Hälfte">')
+    text = text.replace('<camera id="2"', '</group><group id="1" label="zweite Hälfte"><camera id="2"')
+    (tmp_path / "cameras.xml").write_text(text, encoding="utf-8")
+    for folder, photos in (("erste Hälfte", alike[:2]), ("zweite Hälfte", alike[2:])):
+        made.write_photos(replace(scene, photos=photos), tmp_path / "Fotos" / folder)
+    found = read(tmp_path / "cameras.xml", tmp_path / "Fotos")
+    assert [photo.path.relative_to(tmp_path / "Fotos").as_posix() for photo in found.photos] == [
+        "erste Hälfte/IMG_0.png", "erste Hälfte/IMG_1.png", "zweite Hälfte/IMG_0.png", "zweite Hälfte/IMG_1.png",
+    ]  # fmt: skip
+    for photo, true in zip(found.photos, scene.photos, strict=True):
+        np.testing.assert_allclose(photo.cam_from_world, true.cam_from_world, atol=1e-6)
+    assert found.left_out == ("not aligned",)
+
+
+@pytest.mark.parametrize(("told", "stored"), [("NFC", "NFD"), ("NFD", "NFC")])
+def test_umlauts_in_one_character_and_in_two_are_the_same(tmp_path: Path, told: Form, stored: Form) -> None:
+    scene = made.truth(PINHOLE)
+    names = [f"Fläche 3 {photo.name}" for photo in scene.photos]
+    called = [unicodedata.normalize(told, name) for name in names]
+    photos = tuple(replace(photo, name=name) for photo, name in zip(scene.photos, called, strict=True))
+    made.write_metashape(replace(scene, photos=photos), tmp_path / "cameras.xml")
+    made.write_photos(scene, tmp_path / "images", [unicodedata.normalize(stored, name) for name in names])
+    assert [photo.name for photo in read(tmp_path / "cameras.xml").photos] == called
 
 
 def test_a_label_that_several_files_fit_is_refused_with_their_names(tmp_path: Path) -> None:
@@ -259,6 +300,12 @@ def test_a_chunk_on_the_earth_gets_z_up_and_small_coordinates(tmp_path: Path) ->
         steps = centers_of(found.photos) - centers_of(found.photos)[0]
     true_centers = np.array([made.world_from_cam(photo)[:3, 3] for photo in scene.photos])
     np.testing.assert_allclose(steps, true_centers - true_centers[0], atol=1e-5)
+
+
+def test_openmvs_without_a_principal_point_has_it_in_the_middle(tmp_path: Path) -> None:
+    scene = made.truth(replace(PINHOLE, cx=0.0, cy=0.0))
+    found = read(_openmvs(7, normalized=True)(scene, tmp_path))
+    assert {(photo.lens.cx, photo.lens.cy) for photo in found.photos} == {((SIZE[0] - 1) / 2, (SIZE[1] - 1) / 2)}
 
 
 def test_pycolmap_and_the_reader_agree(tmp_path: Path) -> None:

@@ -190,6 +190,31 @@ def test_cameras_of_metashape_that_make_no_sense_are_told(tmp_path: Path, old: s
     assert told in message(tmp_path / "cameras.xml")
 
 
+def test_images_of_colmap_without_their_second_lines_are_told(tmp_path: Path) -> None:
+    """Every second photograph would be taken for the observations of the one before, and be missed by nobody."""
+    scene = made.truth(PINHOLE)
+    made.write_colmap(scene, tmp_path / "sparse" / "0", kind="PINHOLE")
+    made.write_photos(scene, tmp_path / "images")
+    path = tmp_path / "sparse" / "0" / "images.txt"
+    header, *lines = path.read_text(encoding="utf-8").splitlines()
+    path.write_text("\n".join([header, *lines[::2]]) + "\n", encoding="utf-8")
+    with pytest.raises(SceneError, match=r"behind IMG_0000\.png is not its observations; each image has two lines"):
+        read(tmp_path)
+
+
+def test_models_of_colmap_that_are_not_read_are_told_by_their_name(tmp_path: Path) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    for name, model in pycolmap.CameraModelId.__members__.items():
+        if model.value < 0 or name in made.COLMAP_MODELS:
+            continue
+        numbers = len(pycolmap.Camera.create_from_model_id(1, model, 100.0, 160, 120).params)
+        camera = struct.pack(f"<QiiQQ{numbers}d", 1, 7, model.value, 160, 120, *[1.0] * numbers)
+        made.write_colmap(made.truth(PINHOLE), tmp_path, kind="PINHOLE", binary=True)
+        (tmp_path / "cameras.bin").write_bytes(camera)
+        with pytest.raises(SceneError, match=f"model {name}, which is not read.*image_undistorter"):
+            read(tmp_path)
+
+
 def test_a_fisheye_of_colmap_is_told_with_the_way_out(tmp_path: Path) -> None:
     made.write_colmap(made.truth(PINHOLE), tmp_path, kind="PINHOLE")
     (tmp_path / "cameras.txt").write_text("7 OPENCV_FISHEYE 160 120 100 100 80 60 0 0 0 0\n", encoding="utf-8")
