@@ -19,6 +19,7 @@ from fsinfer.errors import InputError
 from fsinfer.fusion.fuse import FusionSettings, fuse, most_points
 from fsinfer.io.cloud import read_cloud, write_cloud
 from fsinfer.notices.notice import Notice
+from fsinfer.output.json_values import as_json
 from fsinfer.output.plot_json import of_file, read_plot
 from fsinfer.placement.place import density_per_m2, place_cloud
 from fsinfer.placement.settings import LevelSettings
@@ -27,6 +28,7 @@ from fsinfer.progress import StageProgress, silent_stages
 from fsinfer.scale.doubts import EarlierScale, doubt_endpoints, doubt_height, unknown_error
 from fsinfer.scale.find import FoundScale, find_scale
 from fsinfer.scale.request import ScaleRequest
+from fsinfer.scale.scale import UNKNOWN
 from fsinfer.scale.square_fit import MarkerSettings
 from fsinfer.scene import Scene, read_scene, scene_digest
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
@@ -64,7 +66,7 @@ class PlotCloud:
 DEPTH = Stage(name="depth", version=5, result=DepthResult, outputs=("depth", "confidence"), keeps_partial=True)
 CHECK = Stage(name="check", version=1, result=DepthCheck)
 FUSE = Stage(name="fuse", version=3, result=FusedCloud, outputs=("fused",))
-SCALE = Stage(name="scale", version=5, result=FoundScale)
+SCALE = Stage(name="scale", version=5, result=FoundScale, later={"others": as_json(UNKNOWN)})
 CLOUD = Stage(name="cloud", version=4, result=PlotCloud, outputs=("cloud.ply", "cloud.laz"))
 
 

@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -58,6 +58,7 @@ class Stage(Generic[T]):
         changed by hand, as workbooks are.
     keeps_partial: the work goes on with what an interrupted attempt *with the same fingerprint* left, instead of
         starting with empty folders.
+    later: fields of the result, JSON values, that earlier versions did not write, for what is recalled of theirs.
     """
 
     name: str
@@ -66,6 +67,7 @@ class Stage(Generic[T]):
     outputs: tuple[str, ...] = ()
     beside: tuple[str, ...] = ()
     keeps_partial: bool = False
+    later: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,13 +224,14 @@ class Ledger:
         if seconds is None:
             msg = f"{entry['seconds']!r} are no seconds"
             raise ValueError(msg)
+        told = entry["result"]
         return StageRecord(
             name=stage.name,
             run_id=str(entry["run_id"]),
             seconds=seconds,
             peak_rss_mb=_number(entry.get("peak_rss_mb")),
             made_by=str(entry["made_by"]),
-            result=of_json(stage.result, entry["result"], folder=self.out),
+            result=of_json(stage.result, {**stage.later, **told} if isinstance(told, dict) else told, folder=self.out),
             ran=ran,
         )
 

@@ -543,6 +543,22 @@ def test_the_cloud_of_a_run_that_was_stopped_is_measured_in_its_own_unit(
     assert measured == dbh_cm(out)
 
 
+def test_the_cloud_of_a_run_that_was_stopped_is_known_by_the_records_of_an_earlier_version(
+    fakes: Fakes, photos: Path, tmp_path: Path
+) -> None:
+    """What the boards told of a scale from elsewhere is new in them, and the cloud was of unknown unit without it."""
+    out = tmp_path / "out"
+    fakes.fail_in = "trees"
+    with pytest.raises(KeyboardInterrupt):
+        run(photos, out, settings=METRIC)
+    record = out / ".fsinfer" / "scale.json"
+    told = json.loads(record.read_text(encoding="utf-8"))
+    del told["result"]["others"]
+    record.write_text(json.dumps(told | {"version": 4}), encoding="utf-8")
+    found = measure_cloud_file(out / "cloud.ply", out, request=ScaleRequest()).result
+    assert (found.metric, found.trees.trees_with_dbh) == (True, len(STEMS))
+
+
 def test_a_cloud_whose_unit_nobody_knows_is_refused(
     fakes: Fakes, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
