@@ -164,6 +164,11 @@ class DepthMaps:
         """Keep so many maps from now on, at least two."""
         self._cache_maps = max(2, cache_maps)
 
+    def focal_px(self) -> float:
+        """Median focal length of the maps, in pixels of the maps (not of the photographs)."""
+        views = [self.scene.views[index] for index in self.available]
+        return float(np.median([self._grids[view.name].intrinsic(view.camera.intrinsic)[0, 0] for view in views]))
+
     def most_pixels(self) -> int:
         """Pixels of the largest map; :class:`SceneError` where the size of one cannot be read."""
         return max(math.prod(read_pfm_size(self._depth_path(index))) for index in self.available)

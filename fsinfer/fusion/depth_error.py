@@ -1,4 +1,4 @@
-"""How far a fused point may be off along its line of sight, and how large a pixel is there.
+"""How far a fused point may be off along its line of sight, and how large a pixel of its depth map is there.
 
 A place that two photographs a base b apart show, f pixels of focal length, is known from a match that is off by e
 pixels to ``e Z^2 / (f b)`` at the depth Z: the normal case of stereo photogrammetry (K. Kraus, Photogrammetry, 2007,
@@ -51,15 +51,13 @@ def depth_std(quality: NDArray[np.float64], at_unit_depth: float) -> NDArray[np.
     return _in_steps(at_unit_depth / np.sqrt(quality), _BITS)
 
 
-def pixel_size(
-    quality: NDArray[np.float64], views: NDArray[np.integer], scene: Scene, indices: Sequence[int]
-) -> NDArray[np.float32]:
-    """(N,) length of a pixel of the photographs at points, scene units, in steps of six per cent.
+def pixel_size(quality: NDArray[np.float64], views: NDArray[np.integer], focal_px: float) -> NDArray[np.float32]:
+    """(N,) length of a pixel of the depth maps at points, scene units, in steps of six per cent.
 
-    ``quality`` (N,) as of :func:`depth_std`, ``views`` (N,) how many agree: what both say of the depth. The focal
-    length is the median of those of the views ``indices``.
+    ``quality`` (N,) as of :func:`depth_std`, ``views`` (N,) how many agree: what both say of the depth.
+    ``focal_px`` is in pixels of the depth maps (:meth:`fsinfer.depth.maps.DepthMaps.focal_px`): a depth is the mean
+    over a patch of the picture that it was computed from, which may be smaller than the photograph.
     """
-    focal_px = float(np.median([scene.views[index].camera.intrinsic[0, 0] for index in indices]))
     return _in_steps((views / quality) ** 0.25 / focal_px, _PIXEL_BITS)
 
 

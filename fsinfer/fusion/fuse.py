@@ -178,7 +178,7 @@ def fuse(
             "views": merged.views.astype(np.int32),
             "confidence": merged.confidence,
             DEPTH_STD: depth_std(merged.quality, std_at_unit_depth(scene, maps.available)),
-            PIXEL_SIZE: pixel_size(merged.quality, merged.views, scene, maps.available),
+            PIXEL_SIZE: pixel_size(merged.quality, merged.views, maps.focal_px()),
         },
     )
 

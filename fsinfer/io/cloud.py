@@ -19,8 +19,8 @@ from fsinfer.io.text_cloud import read_text_cloud
 TEXT_SUFFIXES = (".xyz", ".txt", ".asc", ".csv", ".pts")
 #: Of ``PointCloud.extra``: standard deviation of a point along its line of sight, in the unit of the cloud.
 DEPTH_STD = "depth_std"
-#: Of ``PointCloud.extra``: length that a pixel of its photographs has at a point, in the unit of the cloud; the object
-#: sampling distance of photogrammetry.
+#: Of ``PointCloud.extra``: length that a pixel of its depth maps has at a point, in the unit of the cloud; their object
+#: sampling distance.
 PIXEL_SIZE = "pixel_size"
 #: Those of ``PointCloud.extra`` that are lengths.
 LENGTHS = (DEPTH_STD, PIXEL_SIZE)

@@ -43,8 +43,8 @@ class PointErrors:
     """What a cloud of photographs tells of its points.
 
     ``std_m`` (N,) are standard deviations along the lines of sight, metres; ``normals`` (N, 3) unit vectors towards the
-    cameras, or None where they are not to be asked; ``pixel_m`` (N,) the length of a pixel at each, metres, 0 or None
-    where that is not known.
+    cameras, or None where they are not to be asked; ``pixel_m`` (N,) the length of a pixel of the depth maps at
+    each, metres, 0 or None where that is not known.
     """
 
     std_m: NDArray[np.floating]

@@ -16,9 +16,10 @@ from fsinfer.trees.points.sums import lengths
 
 Floats = NDArray[np.float64]
 
-#: Standard deviation of the patch that a depth is the mean of, pixels of the photograph. Source: depth maps of stems of
-#: a rendered plot with its true cameras (docs/trials-accuracy.md).
-PATCH_PX = 1.7
+#: Standard deviation of the patch that a depth is the mean of, pixels of the depth map: of the photograph it is as much
+#: more as that was reduced. Source: depth maps of stems of a rendered plot with its true cameras
+#: (docs/trials-accuracy.md).
+PATCH_PX = 0.85
 #: A patch is no larger than this share of the radius: beyond it the arc is no parabola. Source: geometry.
 MOST_OF_RADIUS = 0.5
 #: Nearer to the axis than this, metres, no way is outward. Source: numerics.

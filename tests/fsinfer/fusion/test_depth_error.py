@@ -12,7 +12,7 @@ from fsinfer.fusion.fuse import fuse
 from fsinfer.io.cloud import DEPTH_STD, PIXEL_SIZE
 from fsinfer.placement.place import transform_cloud
 from fsinfer.scene import Camera, Scene, View
-from tests.fsinfer.fusion.test_fuse import make_scene
+from tests.fsinfer.fusion.test_fuse import STEP, make_scene
 
 FOCAL_PX = 800.0
 
@@ -54,12 +54,11 @@ def test_steps_are_fine_and_few() -> None:
 
 
 def test_a_pixel_is_as_long_as_its_place_is_deep() -> None:
-    scene = cameras((0, 0, 0), (0.5, 0, 0), sources=((1,), (0,)))
     depth, views = np.array([1.0, 4.0, 8.0]), np.array([1, 3, 9])
-    size = pixel_size(views * depth**-4.0, views, scene, [0, 1])
+    size = pixel_size(views * depth**-4.0, views, FOCAL_PX)
     assert size.dtype == np.float32
     assert size == pytest.approx(depth / FOCAL_PX, rel=0.04)
-    fine = pixel_size(np.linspace(1.0, 2.0, 1000) ** -4.0, np.ones(1000, np.int32), scene, [0])
+    fine = pixel_size(np.linspace(1.0, 2.0, 1000) ** -4.0, np.ones(1000, np.int32), FOCAL_PX)
     assert 16 <= len(np.unique(fine)) <= 18
 
 
@@ -74,7 +73,8 @@ def test_a_fused_cloud_tells_it_in_its_own_unit(tmp_path: Path) -> None:
     assert (std > 0.6 * at_unit * depth.min(axis=0) ** 2 / np.sqrt(5.0)).all()
     assert (std < 1.02 * at_unit * depth.max(axis=0) ** 2).all()
     size = cloud.extra[PIXEL_SIZE]
-    focal_px = scene.views[0].camera.intrinsic[0, 0]
+    # Of the depth maps: the patch that a depth is the mean of is one of the reduced picture.
+    focal_px = scene.views[0].camera.intrinsic[0, 0] / STEP
     assert (size > 0.6 * depth.min(axis=0) / focal_px).all()
     assert (size < 1.5 * depth.max(axis=0) / focal_px).all()
     moved = transform_cloud(cloud, np.diag([2.0, 2.0, 2.0, 1.0]))
