@@ -16,7 +16,7 @@ from fsinfer.output.layout import (
     TREES_CSV,
     TREES_JSON,
 )
-from fsinfer.output.plot_json import read_plot
+from fsinfer.output.plot_json import of_file, read_plot
 from fsinfer.workflow.ledger import Ledger
 
 #: Stages that write the tables and figures of trees, by their names in the ledger.
@@ -76,7 +76,7 @@ def refuse_to_write_over(cloud_path: Path, out: Path) -> None:
 def _has_plot_of_ours(out: Path, *, key: str = "versions") -> bool:
     """Whether fsinfer wrote the folder's ``plot.json``, and it tells something of ``key``."""
     try:
-        plot = read_plot(out)
+        plot = of_file(read_plot(out))  # of the cloud, whatever cloud the trees are of
     except InputError:  # damaged: it tells nothing
         return False
     versions = plot.get("versions")

@@ -76,7 +76,7 @@ def test_a_cloud_of_others_is_never_replaced(scan: Path, tmp_path: Path, name: s
     assert mine.read_bytes() == content
 
 
-def test_a_cloud_of_ours_is_replaced_also_in_a_copy_of_the_folder(tmp_path: Path) -> None:
+def test_a_cloud_of_ours_is_replaced_also_in_a_copy_of_the_folder(scan: Path, tmp_path: Path) -> None:
     scene = read_scene(write_plane_scene(tmp_path / "scene", height=240, width=320))
     out = tmp_path / "out"
     for view in scene.views:
@@ -85,6 +85,10 @@ def test_a_cloud_of_ours_is_replaced_also_in_a_copy_of_the_folder(tmp_path: Path
     (out / "depth" / "depth.json").write_text(json.dumps({"pixel_step": 1.0}))
     assert fuse_scene(scene.folder, out).ran
     assert not fuse_scene(scene.folder, out).ran
+    shutil.rmtree(out / ".fsinfer")
+    assert fuse_scene(scene.folder, out).ran
+    # Its trees are those of another cloud, which has no place in the scene.
+    measure_cloud_file(scan, out, request=ScaleRequest())
     shutil.rmtree(out / ".fsinfer")
     assert fuse_scene(scene.folder, out).ran
 
