@@ -306,6 +306,10 @@ def _tell(
     values = tree_values(found.trees) | border_values(found.trees)
     values["trees_scale"] = {"m_per_unit": scale.m_per_unit, "source": scale.source, "rel_std": scale.rel_std}
     before = plot_of_cloud(out) if own_cloud else of_file(read_plot(out))
+    kept = before.get(OF_FILE) or {}
+    if "units" in kept and "warning_codes" not in kept:
+        # What an earlier measurement at a scale of its own said of that scale is not of the cloud.
+        before |= warning_values(item for item in of_other_stages(before) if item.code not in REMARKS)
     if own_cloud:
         values = {key: before[key] for key in (*CLOUD_KEYS, *PHOTO_KEYS) if key in before} | values
     # A cloud of unknown unit that was measured as it is was taken to be in metres.
@@ -322,13 +326,8 @@ def _tell(
     if not own_cloud or not is_of_photos(before):
         values["source"] = cloud_path.name
     told = () if other else tuple(item for item in of_other_stages(before) if item not in found.trees.warnings)
-    # What an earlier measurement at a scale of its own said of that scale, and that there was none before this one.
-    kept = before.get(OF_FILE) or {}
-    past = (
-        {CaptureCode.end_beside_cloud}
-        | (REMARKS if "units" in kept and "warning_codes" not in kept else frozenset())
-        | (NO_SCALE if scale.m_per_unit else frozenset())
-    )
+    # What an earlier measurement said of its ends, and that there was no scale before this one.
+    past = {CaptureCode.end_beside_cloud} | (NO_SCALE if scale.m_per_unit else frozenset())
     said = tuple(item for item in told if item.code not in past)
     values |= warning_values((*said, *no_scale_once(said, found.trees.warnings)))
     if own_cloud and before.get("parts"):

@@ -103,6 +103,16 @@ def test_a_cloud_of_other_origin_has_the_scale_that_was_given(out: Path, tmp_pat
     assert "model units" not in (other / "report.html").read_text(encoding="utf-8")
 
 
+def test_what_was_said_of_a_scale_of_their_own_is_not_kept_of_the_cloud(out: Path, tmp_path: Path) -> None:
+    """That a factor has no known error was told of trees without any scale, by way of another cloud."""
+    measure_cloud_file(out / "cloud.ply", out, request=FACTOR)
+    assert codes(read_plot(out)) == {"scale_error_unknown"}
+    write_cloud(tmp_path / "scan.ply", PointCloud(xyz=M_PER_UNIT * read_cloud(out / "cloud.ply").xyz))
+    measure_cloud_file(tmp_path / "scan.ply", out, request=ScaleRequest())
+    measure_cloud_file(out / "cloud.ply", out, request=ScaleRequest())
+    assert codes(read_plot(out)) == {"no_scale_given"}
+
+
 @pytest.mark.parametrize("links", [1, 2])
 def test_a_link_to_a_run_s_cloud_has_the_unit_of_that(out: Path, tmp_path: Path, links: int) -> None:
     """By absolute and relative links, under other names, into a folder that knows nothing of it."""
