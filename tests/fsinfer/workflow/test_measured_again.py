@@ -97,6 +97,24 @@ def test_corrections_written_for_another_map_are_left_out(tmp_path: Path, monkey
     assert measured()[0] == {1, 2, 3, 4}
 
 
+@pytest.mark.parametrize(("factor", "moved_m", "left"), [(1.0, 3.0, {1, 2, 3, 4}), (1.2, 0.0, {1, 3, 4})])
+def test_corrections_of_a_map_of_an_earlier_version_are_known_by_its_table(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, factor: float, moved_m: float, left: set[int]
+) -> None:
+    """It noted no places; the next one numbered the trees anew, and another than the tree that was meant was gone."""
+    monkeypatch.setattr("fsinfer.trees.outputs.figures.write_figures", lambda *_, **__: None)
+    cloud, out = tmp_path / "scan.ply", tmp_path / "out"
+    points = stem_plot(seed=4, trees=4, spacing_m=0.02).points + np.array([50.0, 0.0, 0.0])
+    write_cloud(cloud, PointCloud(xyz=points / 1.1))
+    measure_cloud_file(cloud, out, request=ScaleRequest(factor=1.1))
+    (out / ".fsinfer" / "edited_trees.json").unlink()
+    (out / "edits.csv").write_text("action,tree_id\ndelete,2\n", encoding="utf-8")
+    write_cloud(cloud, PointCloud(xyz=(points + np.array([moved_m, 0.0, 0.0])) / 1.1))
+    trees = measure_cloud_file(cloud, out, request=ScaleRequest(factor=1.1 * factor)).result.trees
+    assert {row.tree_id for row in read_trees(out / "trees.csv")} == left
+    assert (StemCode.edits_left_out in [told.code for told in trees.warnings]) == (2 in left)
+
+
 @pytest.mark.parametrize("name", ["trees.json", "trees.gpkg", "trees.laz", "trees.xlsx", "stem_curve.csv"])
 def test_a_table_that_was_deleted_is_made_again(folder: Path, name: str) -> None:
     measured_again(folder)
