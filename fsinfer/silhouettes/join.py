@@ -206,7 +206,8 @@ def _tree(tree: Tree, section: Section, stem: StemAxis, fit: SilhouetteFit) -> T
 def _shrub_warning(shrubs: Sequence[Tree]) -> tuple[Notice, ...]:
     if not shrubs:
         return ()
-    places = tuple(f"({tree.x_m:.1f}, {tree.y_m:.1f})" for tree in shrubs)
+    # With their numbers: by hand one comes back by a row that deletes its number and one that adds its place.
+    places = tuple(f"tree {tree.tree_id} at ({tree.x_m:.1f}, {tree.y_m:.1f})" for tree in shrubs)
     return (notice(StemCode.shrubs_left_out, places=places),)
 
 

@@ -183,7 +183,8 @@ def _refuse_within(place: Floats, trees: Mapping[int, _Entry], row: int) -> None
         if entry.holds(place):
             msg = (
                 f"row {row} of the edits adds a tree at ({place[0]:.2f}, {place[1]:.2f}), which lies in tree "
-                f"{number}; delete that one first, or leave the row out"
+                f"{number}; leave the row out, or, where that is no tree of the map (a warning of the last run may say "
+                f"that it was left out), delete {number} in a row above"
             )
             raise InputError(msg)
 

@@ -769,7 +769,9 @@ def test_a_doubtful_stem_that_many_photographs_do_not_show_is_a_shrub(photos: St
     assert gone.trees == ()
     assert gone.sections == ()
     assert gone.diagnosis == notice(StemCode.none_in_photos)
-    assert gone.warnings == (notice(StemCode.shrubs_left_out, places=("(0.3, -0.2)",)),)
+    assert gone.warnings == (
+        notice(StemCode.shrubs_left_out, places=(f"tree {doubtful.trees[0].tree_id} at (0.3, -0.2)",)),
+    )
     # One photograph too few, a sound stem of the cloud, or a person who said so: it stays.
     fewer = replace(few, shrub_photos=PHOTOS + 1)
     assert len(measure_silhouettes(doubtful, shrub, settings=fewer).trees) == 1
