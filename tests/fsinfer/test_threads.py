@@ -99,12 +99,12 @@ def test_every_way_into_fsinfer_sets_it(tmp_path: Path, monkeypatch: pytest.Monk
     folder = write_plane_scene(tmp_path / "scene")
     scene = read_scene(folder)
     out = tmp_path / "out"
+    cloud = tmp_path / "a.ply"
+    cloud.touch()
     ways: dict[str, Callable[[], Any]] = {
         "fsinfer.workflow.pipeline.Ledger": lambda: run(folder / "images", out),
         "fsinfer.depth.job.view_image_size": lambda: estimate_depth(scene, out, settings=DepthSettings(threads=1)),
-        "fsinfer.workflow.measure_cloud.find_edits": lambda: measure_cloud_file(
-            tmp_path / "a.ply", out, request=ScaleRequest()
-        ),
+        "fsinfer.workflow.measure_cloud.find_edits": lambda: measure_cloud_file(cloud, out, request=ScaleRequest()),
         "fsinfer.check.run.Ledger": lambda: check_capture(folder / "images", out),
         "fsinfer.trees.measure.clean": lambda: fsinfer.measure_trees(np.zeros((10, 3))),
     }
