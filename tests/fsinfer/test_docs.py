@@ -65,6 +65,10 @@ def test_the_walk_through_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     )
     out = write_report_folder(tmp_path / "plot")
     write_cloud(out / "cloud.ply", plot_cloud(points_per_stem=12_000, ground=30_000))
+    # The numbers of its table are those that the cloud's trees get when they are measured.
+    head, first, second, third = (out / "trees.csv").read_text(encoding="utf-8").splitlines()
+    renumbered = [head, first, f"2{third.removeprefix('3')}", f"3{second.removeprefix('2')}"]
+    (out / "trees.csv").write_text("\n".join(renumbered) + "\n", encoding="utf-8")
     rows = ["tree_id,x_m,y_m,dbh_cm", *(f"{r['tree_id']},{r['x_m']},{r['y_m']},{r['dbh_cm'] + 1}" for r in tree_rows())]
     (out / "truth.csv").write_text("\n".join(rows), encoding="utf-8")
     monkeypatch.chdir(tmp_path)
