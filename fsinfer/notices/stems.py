@@ -94,6 +94,7 @@ class StemCode(StrEnum):
     stems_outside_walk = "stems_outside_walk"
     part_joined = "part_joined"
     corrected_by_hand = "corrected_by_hand"
+    edits_followed = "edits_followed"
     edits_left_out = "edits_left_out"
     sizes_unknown = "sizes_unknown"
     # Parts of ``corrected_by_hand``.
@@ -226,6 +227,9 @@ SENTENCES: dict[StemCode, str] = {
     StemCode.sizes_unknown: (
         "of the basal area {percent:.0f} % are taken to be that of stems without a diameter ({trees}), by the mean "
         "section of the others; what is no tree among them makes the figures a hectare too large"
+    ),
+    StemCode.edits_followed: (
+        "the trees of corrections by hand have other numbers on this map: {trees}; the corrections follow the trees"
     ),
     StemCode.edits_left_out: (
         "corrections by hand were left out (rows {rows}): they were written for another map, on which the trees of "

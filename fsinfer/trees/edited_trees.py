@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
@@ -17,6 +18,9 @@ RowPlaces = Mapping[str, Places]
 #: A tree is another one if it stands farther than this from where the one of its number stood, metres. Source:
 #: judgement; another scale or depth moves a tree by less, and few stems of a stand are so near to each other.
 ELSEWHERE_M = 1.0
+#: The tree that stands as near to that place, metres, is the one that is meant, whatever its number is now. Source:
+#: judgement; the same stem in another version's map is found within centimetres.
+SAME_PLACE_M = 0.3
 
 
 def row_key(edit: TreeEdit) -> str:
@@ -33,7 +37,10 @@ def places_of(edit: TreeEdit, places: Places) -> Places:
 def of_these_trees(
     edits: Sequence[TreeEdit], trees: Sequence[Tree], stood: RowPlaces, *, unit: float = 1.0
 ) -> tuple[list[TreeEdit], tuple[Notice, ...]]:
-    """The edits without those whose trees stood elsewhere, and a notice of these.
+    """The edits of the trees that stand where those of the rows stood, by their numbers now, and notices of the others.
+
+    Another version, or other photographs, number the same stems anew: a row follows its tree. One whose tree stands
+    nowhere near is left out.
 
     Parameters
     ----------
@@ -44,14 +51,32 @@ def of_these_trees(
     now = {tree.tree_id: (tree.x_m, tree.y_m) for tree in trees}
     kept: list[TreeEdit] = []
     left_out: list[TreeEdit] = []
+    followed: list[str] = []
     for edit in edits:
         before = stood.get(row_key(edit), {})
         if edit.action != "add" and edit.tree_id is not None and edit.x_m is not None and edit.y_m is not None:
             before = {edit.tree_id: (edit.x_m, edit.y_m)}
-        gone = any(n not in now or math.dist(now[n], place) > ELSEWHERE_M * unit for n, place in before.items())
-        (left_out if gone else kept).append(edit)
-    if not left_out:
-        return kept, ()
-    rows = ", ".join(str(edit.row) for edit in left_out)
-    named = sorted({n for edit in left_out for n in (edit.tree_id, edit.other_id) if n is not None})
-    return kept, (notice(StemCode.edits_left_out, rows=rows, trees=", ".join(map(str, named))),)
+        found = {number: _number_at(number, place, now, unit) for number, place in before.items()}
+        if None in found.values() or len(set(found.values())) < len(found):
+            left_out.append(edit)
+            continue
+        first, other = ((None if n is None else found.get(n, n)) for n in (edit.tree_id, edit.other_id))
+        kept.append(replace(edit, tree_id=first, other_id=other))
+        followed += [f"{n} is {to}" for n, to in found.items() if n != to]
+    told: list[Notice] = []
+    if followed:
+        told.append(notice(StemCode.edits_followed, trees=", ".join(dict.fromkeys(followed))))
+    if left_out:
+        rows = ", ".join(str(edit.row) for edit in left_out)
+        named = sorted({n for edit in left_out for n in (edit.tree_id, edit.other_id) if n is not None})
+        told.append(notice(StemCode.edits_left_out, rows=rows, trees=", ".join(map(str, named))))
+    return kept, tuple(told)
+
+
+def _number_at(number: int, place: tuple[float, float], now: Places, unit: float) -> int | None:
+    """The number that a tree has now which stood at ``place`` and had ``number``; None where it is gone."""
+    away = {other: math.dist(at, place) for other, at in now.items()}
+    nearest = min(away, key=lambda other: (away[other], other != number), default=None)
+    if nearest is not None and away[nearest] <= SAME_PLACE_M * unit:
+        return nearest
+    return number if away.get(number, math.inf) <= ELSEWHERE_M * unit else None
