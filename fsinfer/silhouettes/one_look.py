@@ -158,7 +158,7 @@ def own_look(looked: Looked, points: tuple[float, float] | None, fit: Silhouette
     a picture of leaves.
     """
     first, edges = looked.fit, looked.of_fit
-    if first is None or not looked.clear(s) or not (first.weight[~edges.own] > LEAST_OF_OTHERS).any():
+    if first is None or not rests_on_others(looked, s):
         return looked
     own = chosen_edges(edges, edges.own)
     found = fit_silhouette(own, looked.stem.radius_m, taper=looked.stem.taper, settings=fit, points=points)
@@ -173,9 +173,18 @@ def own_looks(
     looked: Sequence[Looked], points: Sequence[tuple[float, float] | None], fit: SilhouetteSettings, s: LookSettings
 ) -> list[Looked]:
     """:func:`own_look` of each."""
-    asked = ((replace(one, strips=[]), radius) for one, radius in zip(looked, points, strict=True))
-    found = shared_out(partial(_own, fit, s), asked)
-    return [replace(one, strips=before.strips) for one, before in zip(found, looked, strict=True)]
+    best = list(looked)
+    asking = [number for number, one in enumerate(best) if rests_on_others(one, s)]
+    asked = ((replace(looked[number], strips=[]), points[number]) for number in asking)
+    for number, found in zip(asking, shared_out(partial(_own, fit, s), asked), strict=True):
+        best[number] = replace(found, strips=looked[number].strips)
+    return best
+
+
+def rests_on_others(looked: Looked, s: LookSettings) -> bool:
+    """Whether there is a stem whose fit has edges that are another's."""
+    fit = looked.fit
+    return fit is not None and looked.clear(s) and bool((fit.weight[~looked.of_fit.own] > LEAST_OF_OTHERS).any())
 
 
 def _own(fit: SilhouetteSettings, s: LookSettings, asked: tuple[Looked, tuple[float, float] | None]) -> Looked:

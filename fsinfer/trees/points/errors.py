@@ -36,6 +36,8 @@ SHARP_PERCENTILE = 25.0
 #: What the points of one of so many sides share of their errors, beside those of a mean, in units of one's own noise.
 #: Source: chosen on six rendered plots; 0.2 to 0.5 are as good (docs/trials-accuracy.md).
 SIDES, TOGETHER = 24, 0.3
+#: Nearer to the axis than this, metres, no way is outward. Source: numerics.
+_LEAST_M = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,12 +121,19 @@ def worth_of_word(points: Floats, parameters: Floats, height_m: float) -> Floats
         return np.ones(len(points))
     # Alike sure: standard deviations within a factor of two.
     level = np.rint(0.5 * np.log2(1.0 + (points[:, STD] / SHARED_M) ** 2)).astype(np.int64)
-    cell = level * SIDES + sector_of(outward_of(points, parameters, height_m), SIDES)
+    cell = level * SIDES + sector_of(_away(points, parameters, height_m), SIDES)
     count = np.bincount(cell)[cell]
     return np.asarray(1.0 / (1.0 + TOGETHER**2 * count))
 
 
 def outward_of(points: Floats, parameters: Floats, height_m: float) -> Floats:
+    """(N, 2) unit vectors from the axis to each point, at the point's own height; shorter ones on the axis."""
+    away = _away(points, parameters, height_m)
+    away /= np.maximum(lengths(away), _LEAST_M)[:, None]
+    return away
+
+
+def _away(points: Floats, parameters: Floats, height_m: float) -> Floats:
     """(N, 2) from the axis to each point, at the point's own height."""
     return points[:, :2] - (parameters[:2] + parameters[2:4] * (points[:, 2:3] - height_m))
 
@@ -132,6 +141,5 @@ def outward_of(points: Floats, parameters: Floats, height_m: float) -> Floats:
 def _turned(points: Floats, parameters: Floats, height_m: float) -> Floats:
     """(N,) how far normals turn away from the direction from the axis, beyond what they may."""
     outward = outward_of(points, parameters, height_m)
-    outward /= np.maximum(lengths(outward), 1e-6)[:, None]
     along = outward[:, 0] * points[:, NORMAL] + outward[:, 1] * points[:, NORMAL + 1]
     return np.maximum(np.sqrt(np.maximum(2.0 - 2.0 * along, 0.0)) - TURNED, 0.0)

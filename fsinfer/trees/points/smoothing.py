@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.trees.points.errors import PIXEL, outward_of, tells_errors
-from fsinfer.trees.points.sums import lengths
 
 Floats = NDArray[np.float64]
 
@@ -22,8 +21,6 @@ Floats = NDArray[np.float64]
 PATCH_PX = 0.85
 #: A patch is no larger than this share of the radius: beyond it the arc is no parabola. Source: geometry.
 MOST_OF_RADIUS = 0.5
-#: Nearer to the axis than this, metres, no way is outward. Source: numerics.
-_LEAST_M = 1e-6
 
 
 def unsmoothed(points: Floats, parameters: Floats, height_m: float) -> Floats:
@@ -37,7 +34,6 @@ def unsmoothed(points: Floats, parameters: Floats, height_m: float) -> Floats:
     radius = float(parameters[4])
     patch = np.minimum(PATCH_PX * points[:, PIXEL], MOST_OF_RADIUS * radius)
     outward = outward_of(points, parameters, height_m)
-    outward /= np.maximum(lengths(outward), _LEAST_M)[:, None]
     moved = points.copy(order="K")
     moved[:, :2] += outward * (patch**2 / (2.0 * radius))[:, None]
     return moved

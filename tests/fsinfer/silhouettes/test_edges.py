@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from fsinfer.depth.maps import DepthMaps, seen_and_hidden
@@ -119,6 +120,15 @@ def test_a_stem_behind_something_nearer_gives_no_edges(tmp_path: Path, screen: f
     assert (len(edges.support_m) > 0) == seen
 
 
+def put(folder: Path, columns: NDArray[np.bool_], colour: tuple[int, int, int], depth_m: float) -> None:
+    """Something of one colour and depth into the columns of the first photograph and its depth map."""
+    photo, depth = folder / "images" / "p0.png", folder / "depth" / "p0.pfm"
+    image, found = read_image(photo), read_pfm(depth).copy()
+    image[:, columns], found[:, columns] = colour, depth_m
+    write_image(photo, image)
+    write_pfm(depth, found)
+
+
 def strongest_beyond(scene: Scene, folder: Path, photo: int) -> list[tuple[float, bool]]:
     """Of one photograph where the strong edges right of the axis lie across it, and whether each may be the stem's."""
     (edges,) = find_edges([STEM], scene, DepthMaps(scene, folder), np.eye(4))
@@ -142,13 +152,7 @@ def test_the_far_edge_of_what_stands_behind_is_not_the_stems(
     column = np.arange(WIDTH) - 149.5
     half_px = FOCAL * np.tan(np.arcsin(RADIUS / DISTANCE_M))
     behind = (column > half_px) & (column <= FOCAL * np.tan(np.arcsin(0.26 / DISTANCE_M)))
-    path = tmp_path / "images" / "p0.png"
-    image = read_image(path)
-    image[:, behind] = (140, 40, 90)
-    write_image(path, image)
-    depth = read_pfm(tmp_path / "depth" / "p0.pfm").copy()
-    depth[:, behind] = depth_m
-    write_pfm(tmp_path / "depth" / "p0.pfm", depth)
+    put(tmp_path, behind, (140, 40, 90), depth_m)
     assert strongest_beyond(scene, tmp_path, 0) == own
 
 
@@ -157,13 +161,7 @@ def test_the_edge_of_what_stands_before_is_not_the_stems(tmp_path: Path, depth_m
     scene = write_plot(tmp_path)
     column = np.arange(WIDTH) - 149.5
     before = (column > FOCAL * np.tan(np.arcsin(0.12 / DISTANCE_M))) & (column < 90)
-    path = tmp_path / "images" / "p0.png"
-    image = read_image(path)
-    image[:, before] = (60, 140, 50)
-    write_image(path, image)
-    depth = read_pfm(tmp_path / "depth" / "p0.pfm").copy()
-    depth[:, before] = depth_m
-    write_pfm(tmp_path / "depth" / "p0.pfm", depth)
+    put(tmp_path, before, (60, 140, 50), depth_m)
     assert strongest_beyond(scene, tmp_path, 0) == [(0.12, own)]
 
 
@@ -183,13 +181,7 @@ def test_where_one_half_is_hidden_the_edge_of_the_other_is_found(tmp_path: Path,
     scene = write_plot(tmp_path)
     column = np.arange(WIDTH) - 149.5
     screen = np.abs(column - 8.25) < 11.25 if hidden == 0.0 else hidden * column > 5
-    path = tmp_path / "images" / "p0.png"
-    image = read_image(path)
-    image[:, screen] = (60, 140, 50)
-    write_image(path, image)
-    depth = read_pfm(tmp_path / "depth" / "p0.pfm").copy()
-    depth[:, screen] = 0.6
-    write_pfm(tmp_path / "depth" / "p0.pfm", depth)
+    put(tmp_path, screen, (60, 140, 50), 0.6)
     maps = DepthMaps(scene, tmp_path)
     strips = strips_of_photo([STEM], 0, scene, maps, np.eye(4))
     if hidden == 0.0:
