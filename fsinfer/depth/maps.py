@@ -39,6 +39,14 @@ class PixelGrid:
     offset_x_px: float = 0.0
     offset_y_px: float = 0.0
 
+    @property
+    def reduced(self) -> float:
+        """Pixels of the image to one of the picture that the map was computed from; that is no larger than the image.
+
+        The map's first pixel is the picture's first, whose centre is the middle of the pixels that it was made of.
+        """
+        return max(1.0, 1.0 + 2.0 * self.offset_x_px)
+
     def intrinsic(self, image_intrinsic: NDArray[np.float64]) -> NDArray[np.float64]:
         """(3, 3) intrinsics of the depth map from those of the image."""
         map_from_image = np.array(
@@ -168,6 +176,14 @@ class DepthMaps:
         """Median focal length of the maps, in pixels of the maps (not of the photographs)."""
         views = [self.scene.views[index] for index in self.available]
         return float(np.median([self._grids[view.name].intrinsic(view.camera.intrinsic)[0, 0] for view in views]))
+
+    def picture_focals_px(self) -> NDArray[np.float64]:
+        """Focal lengths of the ``available`` views in pixels of the pictures that their maps were computed from.
+
+        A photograph that is larger than what the network is given was reduced to that.
+        """
+        views = [self.scene.views[index] for index in self.available]
+        return np.array([view.camera.intrinsic[0, 0] / self._grids[view.name].reduced for view in views])
 
     def most_pixels(self) -> int:
         """Pixels of the largest map; :class:`SceneError` where the size of one cannot be read."""

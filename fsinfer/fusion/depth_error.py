@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.scene import Scene, View
 
-#: Standard deviation of a match, pixels of the photograph, with what the cameras' errors add. Source: chosen on the
-#: stems of one rendered plot (docs/trials-accuracy.md).
+#: Standard deviation of a match, pixels of the picture that the network is given, with what the cameras' errors add: of
+#: a larger photograph it is as much more as that was reduced. Source: chosen on the stems of one rendered plot
+#: (docs/trials-accuracy.md).
 MATCH_PX = 0.15
 #: Sources whose bases count: those that a view is compared with. Source: option; that of depth.
 SOURCES = DepthSettings.source_views
@@ -26,10 +27,14 @@ SOURCES = DepthSettings.source_views
 _BITS, _PIXEL_BITS = 5, 4
 
 
-def std_at_unit_depth(scene: Scene, views: Sequence[int]) -> float:
+def std_at_unit_depth(scene: Scene, views: Sequence[int], focals_px: Sequence[float] | NDArray[np.float64]) -> float:
     """Standard deviation of a depth of 1 from one view, scene units: the median of the ``views``; 0 where none has a
-    source."""
-    per_px = [scene.views[v].camera.intrinsic[0, 0] * _base(scene, scene.views[v]) for v in views]
+    source.
+
+    ``focals_px``, one for each of the ``views``, are in pixels of the pictures that were matched
+    (:meth:`fsinfer.depth.maps.DepthMaps.picture_focals_px`), which may be smaller than the photographs.
+    """
+    per_px = [focal_px * _base(scene, scene.views[v]) for v, focal_px in zip(views, focals_px, strict=True)]
     each = [1.0 / focal_times_base for focal_times_base in per_px if focal_times_base > 0.0]
     return MATCH_PX * float(np.median(each)) if each else 0.0
 

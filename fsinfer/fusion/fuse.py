@@ -177,7 +177,7 @@ def fuse(
         extra={
             "views": merged.views.astype(np.int32),
             "confidence": merged.confidence,
-            DEPTH_STD: depth_std(merged.quality, std_at_unit_depth(scene, maps.available)),
+            DEPTH_STD: depth_std(merged.quality, std_at_unit_depth(scene, maps.available, maps.picture_focals_px())),
             PIXEL_SIZE: pixel_size(merged.quality, merged.views, maps.focal_px()),
         },
     )

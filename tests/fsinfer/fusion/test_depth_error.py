@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +12,9 @@ import pytest
 from fsinfer.fusion.depth_error import MATCH_PX, depth_std, pixel_size, std_at_unit_depth
 from fsinfer.fusion.fuse import fuse
 from fsinfer.io.cloud import DEPTH_STD, PIXEL_SIZE
+from fsinfer.io.images import write_image
 from fsinfer.placement.place import transform_cloud
-from fsinfer.scene import Camera, Scene, View
+from fsinfer.scene import Camera, Scene, View, read_view_image
 from tests.fsinfer.fusion.test_fuse import STEP, make_scene
 
 FOCAL_PX = 800.0
@@ -31,7 +34,7 @@ def cameras(*places: tuple[float, float, float], sources: tuple[tuple[int, ...],
 
 def test_the_normal_case_of_stereo() -> None:
     scene = cameras((0, 0, 0), (0.5, 0, 0), sources=((1,), (0,)))
-    at_unit = std_at_unit_depth(scene, [0, 1])
+    at_unit = std_at_unit_depth(scene, [0, 1], [FOCAL_PX, FOCAL_PX])
     assert at_unit == pytest.approx(MATCH_PX / (FOCAL_PX * 0.5))
     depth = np.array([1.0, 4.0, 8.0])
     assert depth_std(depth**-4.0, at_unit) == pytest.approx(at_unit * depth**2, rel=0.02)
@@ -41,9 +44,10 @@ def test_the_normal_case_of_stereo() -> None:
 
 def test_a_step_along_the_line_of_sight_is_no_base() -> None:
     ahead = cameras((0, 0, 0), (0, 0, 2.0), (0.3, 0.4, 1.0), sources=((1, 2), (0, 2), (0, 1)))
-    assert std_at_unit_depth(ahead, [0]) == pytest.approx(MATCH_PX / (FOCAL_PX * 0.5))
-    assert std_at_unit_depth(cameras((0, 0, 0), (0, 0, 2.0), sources=((1,), (0,))), [0, 1]) == 0.0
-    assert std_at_unit_depth(cameras((0, 0, 0), sources=((),)), [0]) == 0.0
+    assert std_at_unit_depth(ahead, [0], [FOCAL_PX]) == pytest.approx(MATCH_PX / (FOCAL_PX * 0.5))
+    behind_each_other = cameras((0, 0, 0), (0, 0, 2.0), sources=((1,), (0,)))
+    assert std_at_unit_depth(behind_each_other, [0, 1], [FOCAL_PX, FOCAL_PX]) == 0.0
+    assert std_at_unit_depth(cameras((0, 0, 0), sources=((),)), [0], [FOCAL_PX]) == 0.0
 
 
 def test_steps_are_fine_and_few() -> None:
@@ -68,7 +72,7 @@ def test_a_fused_cloud_tells_it_in_its_own_unit(tmp_path: Path) -> None:
     std = cloud.extra[DEPTH_STD]
     assert std.dtype == np.float32
     depth = np.linalg.norm(cloud.xyz - np.array([view.camera.center for view in scene.views])[:, None], axis=2)
-    at_unit = std_at_unit_depth(scene, range(len(scene.views)))
+    at_unit = std_at_unit_depth(scene, range(len(scene.views)), [view.camera.intrinsic[0, 0] for view in scene.views])
     # Of five views that agree, at the nearest camera, and of one, at the farthest: depths are shorter than distances.
     assert (std > 0.6 * at_unit * depth.min(axis=0) ** 2 / np.sqrt(5.0)).all()
     assert (std < 1.02 * at_unit * depth.max(axis=0) ** 2).all()
@@ -81,3 +85,19 @@ def test_a_fused_cloud_tells_it_in_its_own_unit(tmp_path: Path) -> None:
     assert moved.extra[PIXEL_SIZE] == pytest.approx(2.0 * size)
     assert moved.extra[DEPTH_STD] == pytest.approx(2.0 * std)
     assert moved.extra["confidence"] is cloud.extra["confidence"]
+
+
+def test_of_reduced_photographs_a_match_is_as_much_less_sure(tmp_path: Path) -> None:
+    scene = make_scene(tmp_path / "scene", tmp_path)
+    given = fuse(scene, tmp_path).extra[DEPTH_STD]
+    # The same maps of photographs of twice the size, which the network was given at half of it.
+    views = []
+    for view in scene.views:
+        camera = replace(view.camera, intrinsic=np.array([[2, 0, 0.5], [0, 2, 0.5], [0, 0, 1]]) @ view.camera.intrinsic)
+        path = tmp_path / view.image_path.name
+        write_image(path, read_view_image(view).repeat(2, axis=0).repeat(2, axis=1))
+        views.append(replace(view, camera=camera, image_path=path))
+    index = {"pixel_step": 2 * STEP, "offset_x_px": 0.5, "offset_y_px": 0.5}
+    (tmp_path / "depth" / "depth.json").write_text(json.dumps(index))
+    reduced = fuse(replace(scene, views=tuple(views)), tmp_path).extra[DEPTH_STD]
+    assert reduced == pytest.approx(given, rel=0.04)
