@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from fsinfer.errors import ImageError
+from fsinfer.depth.settings import DepthSettings
+from fsinfer.errors import ImageError, SceneError
 from fsinfer.frames.settings import FrameSettings
 from fsinfer.io.images import can_be_read, write_image
 from fsinfer.io.pfm import read_pfm, write_pfm
@@ -23,10 +25,10 @@ from fsinfer.poses.settings import PoseSettings
 from fsinfer.scale.find import FoundScale
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scale.scale import Scale
-from fsinfer.scene import read_scene
+from fsinfer.scene import read_scene, write_camera
 from fsinfer.workflow import cloud_origin, measure_cloud, photo_stages
 from fsinfer.workflow.ledger import Ledger
-from fsinfer.workflow.single_stages import frames_of, fuse_scene, poses_of
+from fsinfer.workflow.single_stages import depth_of, frames_of, fuse_scene, poses_of
 from fsinfer.workflow.summary import update_plot
 from tests.support.plane_scene import write_plane_scene
 from tests.support.synthetic_plot import write_depth_folder, write_scene_folder
@@ -77,6 +79,23 @@ def test_maps_that_were_edited_are_fused_again(tmp_path: Path, part: str) -> Non
     again = fuse_scene(scene.folder, tmp_path)
     assert again.ran
     assert again.result.points < 0.85 * first.result.points
+
+
+def test_maps_of_cameras_of_before_are_not_fused(tmp_path: Path) -> None:
+    """Photographs that are placed once more have another unit, in which the depths of before are others."""
+    scene = read_scene(write_plane_scene(tmp_path / "scene"))
+    depth_of(scene.folder, tmp_path / "out", settings=DepthSettings())
+    fused = fuse_scene(scene.folder, tmp_path / "out")
+    for view in scene.views:
+        pose = view.camera.cam_from_world.copy()
+        pose[:3, 3] *= 1.03
+        write_camera(scene.folder / "cams" / f"{view.name}_cam.txt", replace(view.camera, cam_from_world=pose))
+    with pytest.raises(SceneError, match=r"changed since; run again: fsinfer depth"):
+        fuse_scene(scene.folder, tmp_path / "out")
+    depth_of(scene.folder, tmp_path / "out", settings=DepthSettings())
+    again = fuse_scene(scene.folder, tmp_path / "out")
+    assert again.ran
+    assert again.run_id != fused.run_id
 
 
 @pytest.mark.parametrize("part", ["depth", "confidence"])
