@@ -189,6 +189,14 @@ class DepthMaps:
         """Pixels of the largest map; :class:`SceneError` where the size of one cannot be read."""
         return max(math.prod(read_pfm_size(self._depth_path(index))) for index in self.available)
 
+    def most_photo_pixels(self) -> int:
+        """Pixels of the largest photograph that has a map, as far as that reaches; errors as :meth:`most_pixels`."""
+        most = 0.0
+        for index in self.available:
+            grid = self._grids[self.scene.views[index].name]
+            most = max(most, math.prod(read_pfm_size(self._depth_path(index))) * grid.step_x * grid.step_y)
+        return math.ceil(most)
+
     def get(self, index: int) -> DepthMap:
         """Return the map of view ``index``; :class:`SceneError` where it cannot be read."""
         with self._lock:

@@ -192,6 +192,7 @@ def _plan(maps: DepthMaps, settings: FusionSettings) -> FusionPlan:
     return plan_fusion(
         settings.memory_gb,
         map_pixels=maps.most_pixels(),
+        photo_pixels=maps.most_photo_pixels(),
         cache_maps=settings.cache_maps,
         max_points=settings.max_points,
         batch_points=settings.batch_points,

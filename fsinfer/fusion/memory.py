@@ -22,7 +22,10 @@ _LEAST_BATCH_POINTS = _LEAST_POINTS = 250_000
 _BYTES_PER_PIXEL = 12
 #: Comparing two views takes about as much as so many maps. Source: numerics; measured.
 _MAPS_OF_A_PAIR = 10
-#: Share of the memory that maps may take, and maps kept at least. Source: numerics.
+#: Reading a photograph and smoothing its colours, bytes a pixel of it: of one of a dozen megapixels or more that is the
+#: most that a view takes. Source: numerics; measured, two of 39 megapixels at a time take 0.65 GB.
+_BYTES_PER_PHOTO_PIXEL = 9
+#: Share of the memory that maps and photographs may take, and maps kept at least. Source: numerics.
 _SHARE_OF_MAPS, _LEAST_MAPS = 0.2, 4
 
 
@@ -47,13 +50,21 @@ class FusionPlan:
 
 
 def plan_fusion(
-    memory_gb: float, *, map_pixels: int, cache_maps: int, max_points: int, batch_points: int, at_once: int
+    memory_gb: float,
+    *,
+    map_pixels: int,
+    photo_pixels: int,
+    cache_maps: int,
+    max_points: int,
+    batch_points: int,
+    at_once: int,
 ) -> FusionPlan:
     """Keep fewer depth maps, fewer views at a time and smaller batches where the limit asks for it, then fewer points.
 
     Parameters
     ----------
     map_pixels: pixels of one depth map; it, its confidence and what is nearest round each pixel are kept.
+    photo_pixels: pixels of one photograph, of which a view takes the colours of its points.
     cache_maps, at_once, max_points, batch_points: what fusion would like.
 
     Raises
@@ -63,10 +74,12 @@ def plan_fusion(
     """
     limit = memory_gb * GIGABYTE - BASE_BYTES
     of_map = _BYTES_PER_PIXEL * map_pixels
-    room = int(_SHARE_OF_MAPS * limit / of_map)
-    views = max(1, min(at_once, (room - _LEAST_MAPS) // _MAPS_OF_A_PAIR))
-    maps = min(cache_maps, max(_LEAST_MAPS, room - views * _MAPS_OF_A_PAIR))
-    of_maps = (maps + views * _MAPS_OF_A_PAIR) * of_map
+    # One after the other: a view is compared, and then coloured.
+    of_view = max(_MAPS_OF_A_PAIR * of_map, _BYTES_PER_PHOTO_PIXEL * photo_pixels)
+    room = int(_SHARE_OF_MAPS * limit)
+    views = max(1, min(at_once, (room - _LEAST_MAPS * of_map) // of_view))
+    maps = min(cache_maps, max(_LEAST_MAPS, (room - views * of_view) // of_map))
+    of_maps = maps * of_map + views * of_view
     points = int((limit - of_maps) / _BYTES_PER_MERGED_POINT)
     if points < _LEAST_POINTS + _LEAST_BATCH_POINTS:
         msg = f"{memory_gb:g} GB of --memory-gb are too few for a cloud; give 1 or more"

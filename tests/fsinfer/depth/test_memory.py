@@ -29,6 +29,8 @@ from tests.support.plane_scene import write_plane_scene
 
 #: What the shipped model says of itself.
 FIELD: dict[str, Any] = {"planes": 192, "groups": 4, "feature_channels": 16, "refine_channels": 8}
+#: What fusion would like.
+WANTED: dict[str, Any] = {"cache_maps": 40, "max_points": 4_000_000, "batch_points": 1_500_000, "at_once": 4}
 
 
 def _depth(memory_gb: float, width: int = 1280, height: int = 720) -> DepthPlan:
@@ -36,9 +38,7 @@ def _depth(memory_gb: float, width: int = 1280, height: int = 720) -> DepthPlan:
 
 
 def _fusion(memory_gb: float) -> FusionPlan:
-    return plan_fusion(
-        memory_gb, map_pixels=640 * 360, cache_maps=40, max_points=4_000_000, batch_points=1_500_000, at_once=4
-    )
+    return plan_fusion(memory_gb, map_pixels=640 * 360, photo_pixels=1280 * 720, **WANTED)
 
 
 def test_a_common_photo_has_everything_kept_in_three_gigabytes() -> None:
@@ -101,11 +101,31 @@ def test_the_largest_depth_map_is_planned_for(tmp_path: Path) -> None:
     maps = DepthMaps(scene, tmp_path)
     assert maps.most_pixels() == 60_000
     tight = FusionSettings(memory_gb=1.0)
-    known = plan_fusion(1.0, map_pixels=60_000, cache_maps=40, max_points=4_000_000, batch_points=1_500_000, at_once=4)
+    known = plan_fusion(1.0, map_pixels=60_000, photo_pixels=60_000, **WANTED)
     assert most_points(scene, tmp_path, settings=tight) == known.max_points < 4_000_000
     (tmp_path / "depth" / "1.pfm").write_bytes(b"Pf\n300 200\n-1.0\n")
     with pytest.raises(SceneError, match=r"1\.pfm is not a complete"):
         maps.most_pixels()
+
+
+def test_the_photographs_of_other_programs_are_planned_for_at_their_size(tmp_path: Path) -> None:
+    """They are fused as they are, of a mirrorless camera with 39 megapixels."""
+    scene = read_scene(write_plane_scene(tmp_path / "scene"))
+    for view in scene.views:
+        write_pfm(tmp_path / "depth" / f"{view.name}.pfm", np.ones((480, 640), np.float32))
+    index = tmp_path / "depth" / "depth.json"
+    tight, points = FusionSettings(memory_gb=1.0), {}
+    for megapixels, step in ((1.2, 2.0), (39.0, 11.25)):
+        index.write_text(f'{{"pixel_step": {step}}}')
+        maps = DepthMaps(scene, tmp_path)
+        assert maps.most_photo_pixels() == pytest.approx(megapixels * 1e6, rel=0.03)
+        points[megapixels] = most_points(scene, tmp_path, settings=tight)
+    assert points[39.0] < points[1.2] - 600_000
+    plan = plan_fusion(1.0, map_pixels=640 * 480, photo_pixels=39_000_000, **WANTED)
+    assert plan.at_once == 1
+    assert plan.peak_bytes <= 1e9
+    # As a run has them.
+    assert plan_fusion(3.0, map_pixels=640 * 480, photo_pixels=2016 * 1512, **WANTED).at_once == 4
 
 
 def test_int8_takes_less() -> None:
@@ -228,9 +248,7 @@ def test_fusion_shrinks_its_batches_before_it_drops_points() -> None:
     least = _fusion(0.8)
     assert least.max_points < 4_000_000
     assert least.cache_maps < 40
-    large = plan_fusion(
-        2.0, map_pixels=3_000_000, cache_maps=40, max_points=4_000_000, batch_points=1_500_000, at_once=4
-    )
+    large = plan_fusion(2.0, map_pixels=3_000_000, photo_pixels=12_000_000, **WANTED)
     assert (large.at_once, large.cache_maps) == (1, 4)
     for limit in (3.0, 1.7, 0.8):
         assert _fusion(limit).peak_bytes <= limit * 1e9
