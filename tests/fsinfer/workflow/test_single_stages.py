@@ -98,6 +98,25 @@ def test_maps_of_cameras_of_before_are_not_fused(tmp_path: Path) -> None:
     assert again.run_id != fused.run_id
 
 
+def test_photos_that_were_placed_once_more_are_not_those_of_the_cloud(tmp_path: Path) -> None:
+    """A run that is stopped after its poses leaves the cloud of before beside cameras in another frame and unit."""
+    write_scene_folder(tmp_path / "scene")
+    scene = read_scene(tmp_path / "scene")
+    write_depth_folder(scene, tmp_path)
+    fuse_scene(scene.folder, tmp_path, level=True)
+    origin = cloud_origin.origin_of_cloud(tmp_path)
+    cloud, markers = tmp_path / "cloud.ply", ScaleRequest(aruco_length_m=0.25)
+    assert cloud_origin.own_photos(cloud, origin, 1.0) is not None
+    for view in scene.views:
+        pose = view.camera.cam_from_world.copy()
+        pose[:3, 3] *= 1.1
+        write_camera(scene.folder / "cams" / f"{view.name}_cam.txt", replace(view.camera, cam_from_world=pose))
+    with pytest.raises(SceneError, match="were placed once more"):
+        cloud_origin.own_photos(cloud, origin, 1.0)
+    with pytest.raises(SceneError, match="were placed once more"):
+        cloud_origin.cloud_scale(markers, cloud, tmp_path, origin)
+
+
 @pytest.mark.parametrize("part", ["depth", "confidence"])
 def test_maps_that_were_edited_are_measured_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part: str) -> None:
     write_scene_folder(tmp_path / "scene")
