@@ -1,3 +1,4 @@
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -32,6 +33,33 @@ def test_looking_ahead_finds_the_stems_of_one_round_after_the_other(monkeypatch:
     assert ahead.rejected == in_turn.rejected
     for stem, same in zip(ahead.stems, in_turn.stems, strict=True):
         np.testing.assert_allclose(stem.axis.parameters, same.axis.parameters, atol=1e-6)
+
+
+def test_a_walk_along_a_road_asks_for_no_memory_of_the_land_beside_it() -> None:
+    """The box of a walk of 280 m holds two hundred million cells, of which a few thousand are occupied."""
+    plot = stem_plot(seed=5, trees=1, spacing_m=0.012, sigma_m=0.004, ground=False)
+    ends = [plot.points, plot.points + np.array([200.0, 200.0, 0.0])]
+    tracemalloc.start()
+    try:
+        found = find_stems(np.concatenate(ends)).stems
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    centers = np.array([stem.axis.center_at(1.3) for stem in found])
+    np.testing.assert_allclose(centers, [plot.xy[0], plot.xy[0] + 200.0], atol=0.01)
+    assert most < 6e8
+
+
+@pytest.mark.parametrize("cells", [0, 10**9])
+def test_stems_do_not_hang_on_how_cells_are_counted(monkeypatch: pytest.MonkeyPatch, cells: int) -> None:
+    plot = stem_plot(seed=3, trees=16, sigma_m=0.012, shrubs=12, hidden=0.3)
+    usual = find_stems(plot.points)
+    monkeypatch.setattr("fsinfer.trees.search.hough.MAX_TABLE", cells)
+    other = find_stems(plot.points)
+    assert len(usual.stems) > 12
+    assert (other.candidates, other.rejected) == (usual.candidates, usual.rejected)
+    for stem, same in zip(usual.stems, other.stems, strict=True):
+        np.testing.assert_array_equal(stem.axis.parameters, same.axis.parameters)
 
 
 def test_leaning_stem_keeps_its_axis() -> None:
