@@ -9,8 +9,10 @@ from fsinfer.trees.cylinder.axis import Axis, axis_coordinates, fit_axis
 from fsinfer.trees.height import axis_path
 from fsinfer.trees.points.cells import PlanIndex
 from fsinfer.trees.search.find import _in_order, _resolve_overlaps
+from fsinfer.trees.search.giants import find_giants
 from fsinfer.trees.search.stem import Stem, StemSettings
 from tests.support.stem_clouds import board, post, stem_plot
+from tests.support.time_limit import within
 
 
 def test_every_stem_is_found_between_shrubs() -> None:
@@ -124,3 +126,13 @@ def test_neighbours_and_crowns_follow_the_breast_height_that_was_asked_for() -> 
     path = axis_path(stems[0], 11.3, bh_m=1.3)
     np.testing.assert_allclose(path[0], [-0.3 * 0.15, 0.0])
     np.testing.assert_allclose(axis_path(stems[0], 11.3, bh_m=2.0)[0], [0.7 * 0.3 - 1.0 * 0.15, 0.0])
+
+
+def test_thousands_of_stems_are_told_apart_in_seconds() -> None:
+    """Each against each, and each against all points, would be minutes of a few hectares."""
+    stems = [_leaning(2.0 * (n % 50), 2.0 * (n // 50), 0.0) for n in range(4000)]
+    rng = np.random.default_rng(2)
+    points = np.column_stack([rng.uniform(0.0, 160.0, (400_000, 2)), rng.uniform(0.5, 2.5, 400_000)])
+    with within(20):
+        assert len(_resolve_overlaps(stems, PlanIndex(np.zeros((0, 3)), 0.5), 0.015, 1.3, StemSettings())) == 4000
+        assert find_giants(points, stems, 0.1, StemSettings()) == ()
