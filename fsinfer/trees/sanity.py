@@ -190,9 +190,14 @@ def _why_coarse(step_m: float) -> str:
             "are they millimetres or centimetres? Give the scale (--scale 0.001 or 0.01), or export the cloud with "
             "more decimals"
         )
+    if np.isclose(np.frexp(step_m)[0], 0.5, rtol=1e-3):
+        return (
+            "the cloud was stored in single precision far from its origin; export it as LAS/LAZ or with double "
+            "coordinates, or shift it to a local origin first"
+        )
     return (
-        "the cloud was stored in single precision far from its origin; export it as LAS/LAZ or with double "
-        "coordinates, or shift it to a local origin first"
+        "the cloud was thinned to a grid (voxels) of that width, or stored with too few digits; give it as it was "
+        "before, or thinned to 1 cm at most, or export it as LAS/LAZ or with double coordinates"
     )
 
 
