@@ -51,6 +51,8 @@ class SanitySettings:
         :func:`thin_upwards`.
     thicker_trees, thicker_share: of at least so many stems at most this share grows thinner upwards, where a cloud may
         be on its head. Source: judgement.
+    thick_trees, thick_cm: of so many stems beyond doubt or more half are thicker than this: more is said. Source:
+        judgement; stems of 21 cm measured in feet; stands whose median stem is as thick are old reserves.
     turned_ground: times more ground seen than the other way round, where both ways show stems. Source: not recorded.
     """
 
@@ -68,6 +70,8 @@ class SanitySettings:
     thinner_share: float = 0.7
     thicker_trees: int = 4
     thicker_share: float = 0.2
+    thick_trees: int = 5
+    thick_cm: float = 70.0
     turned_ground: float = 1.5
 
 
@@ -132,6 +136,16 @@ def thicker_upwards(tapers: Sequence[float], sanity: SanitySettings) -> bool:
     """Whether so many stems with these tapers (dr/dh) grow thicker upwards that the cloud may be on its head."""
     thinner = sum(taper < 0.0 for taper in tapers)
     return len(tapers) >= sanity.thicker_trees and thinner <= sanity.thicker_share * len(tapers)
+
+
+def all_thick(dbh_cm: Sequence[float], sanity: SanitySettings) -> tuple[Notice, ...]:
+    """What to say where stems of these diameters, beyond doubt, are so thick that the unit may be another; or nothing.
+
+    Only the size of what is known tells a unit: in feet a stand is as dense and as slender as in metres.
+    """
+    if len(dbh_cm) < sanity.thick_trees or (middle := float(np.median(dbh_cm))) <= sanity.thick_cm:
+        return ()
+    return (notice(StemCode.all_thick, stems=len(dbh_cm), dbh_cm=middle),)
 
 
 def coordinate_step(xyz: Floats) -> float:
