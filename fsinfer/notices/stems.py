@@ -82,6 +82,7 @@ class StemCode(StrEnum):
     little_ground = "little_ground"
     far_apart = "far_apart"
     lean_alike = "lean_alike"
+    all_thick = "all_thick"
     thicker_upwards = "thicker_upwards"
     level_top = "level_top"
     turned = "turned"
@@ -195,6 +196,10 @@ SENTENCES: dict[StemCode, str] = {
         "the stems lean the same way, {lean_deg:.0f} degrees in the mean of {stems}: either the stand does, or the "
         "cloud does not stand upright, and then heights, breast heights and slopes are wrong"
     ),
+    StemCode.all_thick: (
+        "half of the {stems} stems are thicker than {dbh_cm:.0f} cm, which few stands are: a cloud in feet has them "
+        "3.28 times too thick"
+    ),
     StemCode.level_top: (
         "the top of the cloud is more like a ground than its bottom, but its stems grow thinner upwards"
     ),
@@ -260,6 +265,7 @@ ADVICE: dict[StemCode, str] = {
     StemCode.none_at_stem_height: "check the scale, or photograph the stems as well as the ground",
     StemCode.none_round: "check the scale",
     StemCode.lean_alike: "compare with a plumb line or with a stem that you know to be upright, and level the cloud",
+    StemCode.all_thick: "compare one with a tape, and mend the scale: --scale 0.3048 for a cloud in feet",
     StemCode.far_apart: "give a cloud that was thinned less, or look round the plot from more places",
     StemCode.level_top: "it was left as it stands; look at it in a viewer if it was not cut off level",
     StemCode.thicker_upwards: "look at the cloud in a viewer, and turn it if it stands on its head",

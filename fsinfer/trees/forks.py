@@ -7,8 +7,7 @@ can be made of a count of stems.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import combinations
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +31,7 @@ def forks(trees: Sequence[Tree], sections: Sequence[Section]) -> tuple[Notice, .
     """What to say of every two stems that meet below breast height, of those that are measured and not outside."""
     told = []
     stems = [pair for pair in zip(trees, sections, strict=True) if pair[1].dbh_m is not None and not pair[0].outside]
-    for first, second in combinations(stems, 2):
+    for first, second in _beside_each_other(stems):
         (one, _), (other, _) = first, second
         height = fork_height(first, second)
         if height is not None:
@@ -40,6 +39,32 @@ def forks(trees: Sequence[Tree], sections: Sequence[Section]) -> tuple[Notice, .
             ids = sorted((one.tree_id, other.tree_id))
             told.append(notice(StemCode.forked, tree_id=ids[0], other_id=ids[1], height_m=max(height - ground, 0.0)))
     return tuple(told)
+
+
+def _beside_each_other(
+    stems: Sequence[tuple[Tree, Section]],
+) -> Iterator[tuple[tuple[Tree, Section], tuple[Tree, Section]]]:
+    """The pairs of stems near enough for a fork, in their order; of thousands hardly any pair is, of millions."""
+    places = np.array([_at_breast(tree) for tree, _ in stems]).reshape(-1, 3)
+    slopes = np.array([section.slope for _, section in stems]).reshape(-1, 2)
+    radii = np.array([float(section.dbh_m or 0.0) / 2 for _, section in stems])
+    for row in range(len(stems) - 1):
+        later = slice(row + 1, None)
+        apart = _apart(places[row], slopes[row], places[later], slopes[later])
+        near = np.hypot(apart[:, 0], apart[:, 1]) <= _MOST_APART * (radii[row] + radii[later])
+        for other in (row + 1 + np.flatnonzero(near)).tolist():
+            yield stems[row], stems[other]
+
+
+def _apart(
+    one: NDArray[np.float64], slope: NDArray[np.float64], others: NDArray[np.float64], slopes: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """From axes ``others`` (..., 3) with ``slopes`` (..., 2) to ``one`` (3,) in plan, (..., 2).
+
+    All at the lower breast height of the two: on a slope these differ.
+    """
+    top = np.minimum(one[2], others[..., 2:])
+    return np.asarray((one[:2] - (one[2] - top) * slope) - (others[..., :2] - (others[..., 2:] - top) * slopes))
 
 
 def fork_height(first: tuple[Tree, Section], second: tuple[Tree, Section]) -> float | None:
@@ -57,8 +82,7 @@ def _meeting_height(
     """Height (z of the cloud) at which two axes come nearest to each other, if that is a fork; positions (3,)."""
     reach = float(first.dbh_m or 0.0) / 2 + float(second.dbh_m or 0.0) / 2
     top = min(one[2], other[2])
-    # Both at the lower breast height: on a slope these differ.
-    apart = (one[:2] - (one[2] - top) * first.slope) - (other[:2] - (other[2] - top) * second.slope)
+    apart = _apart(one, first.slope, other, second.slope)
     parting = np.asarray(first.slope - second.slope, np.float64)
     lean = float(np.linalg.norm(parting))
     if np.linalg.norm(apart) > _MOST_APART * reach or lean < np.tan(np.radians(_LEAST_ANGLE_DEG)):

@@ -28,6 +28,7 @@ from fsinfer.trees.sanity import (
     TURNED_POINTS,
     TURNS,
     TurnedCloudError,
+    all_thick,
     as_numbers,
     check_unit,
     clean,
@@ -154,7 +155,9 @@ def analyse_plot(
         raise CloudError(msg)
     if not metric:
         return _without_scale(points, settings, units_per_m_hint, progress, turned=turned)
-    return _analysed(points, settings, scale_rel_std, progress, turned=turned, all_sides=not turned, errors=errors)
+    result = _analysed(points, settings, scale_rel_std, progress, turned=turned, all_sides=not turned, errors=errors)
+    sure_cm = [tree.dbh_cm for tree in result.trees if tree.status == "ok" and tree.dbh_cm is not None]
+    return replace(result, warnings=(*result.warnings, *all_thick(sure_cm, settings.sanity)))
 
 
 def _analysed(

@@ -52,12 +52,15 @@ def one_entry_a_stem(pairs: Sequence[Pair], kept: Collection[int] = ()) -> tuple
     """
     order = sorted(range(len(pairs)), key=lambda i: _rank(pairs[i], kept))
     places = np.array([[tree.x_m, tree.y_m] for tree, _ in pairs]).reshape(-1, 2)
+    radii = np.array([_radius_m(section) for _, section in pairs])
     standing: list[int] = []
     forks: dict[int, Pair] = {}
     told = []
     for i in order:
         tree = pairs[i][0]
-        inside = next((j for j in standing if _same(pairs[i], pairs[j], places[i] - places[j])), None)
+        # Of thousands of stems only those that reach so far can be the same (:func:`_same`).
+        near = np.hypot(*(places - places[i]).T) < (1.0 + HAZE_SHARE) * radii[i] + radii
+        inside = next((j for j in standing if near[j] and _same(pairs[i], pairs[j], places[i] - places[j])), None)
         if inside is None or tree.tree_id in kept:
             standing.append(i)
             continue

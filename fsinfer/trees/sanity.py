@@ -51,6 +51,8 @@ class SanitySettings:
         :func:`thin_upwards`.
     thicker_trees, thicker_share: of at least so many stems at most this share grows thinner upwards, where a cloud may
         be on its head. Source: judgement.
+    thick_trees, thick_cm: of so many stems beyond doubt or more half are thicker than this: more is said. Source:
+        judgement; stems of 21 cm measured in feet; stands whose median stem is as thick are old reserves.
     turned_ground: times more ground seen than the other way round, where both ways show stems. Source: not recorded.
     """
 
@@ -68,6 +70,8 @@ class SanitySettings:
     thinner_share: float = 0.7
     thicker_trees: int = 4
     thicker_share: float = 0.2
+    thick_trees: int = 5
+    thick_cm: float = 70.0
     turned_ground: float = 1.5
 
 
@@ -134,6 +138,16 @@ def thicker_upwards(tapers: Sequence[float], sanity: SanitySettings) -> bool:
     return len(tapers) >= sanity.thicker_trees and thinner <= sanity.thicker_share * len(tapers)
 
 
+def all_thick(dbh_cm: Sequence[float], sanity: SanitySettings) -> tuple[Notice, ...]:
+    """What to say where stems of these diameters, beyond doubt, are so thick that the unit may be another; or nothing.
+
+    Only the size of what is known tells a unit: in feet a stand is as dense and as slender as in metres.
+    """
+    if len(dbh_cm) < sanity.thick_trees or (middle := float(np.median(dbh_cm))) <= sanity.thick_cm:
+        return ()
+    return (notice(StemCode.all_thick, stems=len(dbh_cm), dbh_cm=middle),)
+
+
 def coordinate_step(xyz: Floats) -> float:
     """Smallest step between different x or y coordinates of a sample of points (N, 3): the resolution of storage."""
     sample = xyz[:: max(len(xyz) // STEP_POINTS, 1), :2]
@@ -190,9 +204,14 @@ def _why_coarse(step_m: float) -> str:
             "are they millimetres or centimetres? Give the scale (--scale 0.001 or 0.01), or export the cloud with "
             "more decimals"
         )
+    if np.isclose(np.frexp(step_m)[0], 0.5, rtol=1e-3):
+        return (
+            "the cloud was stored in single precision far from its origin; export it as LAS/LAZ or with double "
+            "coordinates, or shift it to a local origin first"
+        )
     return (
-        "the cloud was stored in single precision far from its origin; export it as LAS/LAZ or with double "
-        "coordinates, or shift it to a local origin first"
+        "the cloud was thinned to a grid (voxels) of that width, or stored with too few digits; give it as it was "
+        "before, or thinned to 1 cm at most, or export it as LAS/LAZ or with double coordinates"
     )
 
 

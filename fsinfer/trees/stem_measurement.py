@@ -82,10 +82,12 @@ def measure_stems(
     index = PlanIndex(slab if errors is None else errors.select(in_slab).beside(slab), INDEX_CELL_M)
     measured = []
     feet = np.array([stem.axis.center_at(0.0) for stem in standing]).reshape(-1, 2)
-    unsure = level_std(ground, feet, np.array([stem.axis.radius_m for stem in standing]))
+    radii = np.array([stem.axis.radius_m for stem in standing])
+    unsure = level_std(ground, feet, radii)
     levels = [_own_level(stem, ground, settings) for stem in standing]
     placed = [(_on_level(stem, ground, level), level) for stem, level in zip(standing, levels, strict=True)]
     centers = np.array([stem.axis.center_at(settings.bh_m) for stem, _ in placed]).reshape(-1, 2)
+    stand_at = np.array([stem.axis.center_at(settings.bh_m) for stem in standing]).reshape(-1, 2)
 
     highest = float(stand[:, 2].max(initial=0.0))
     slab_m = (low - SLAB_MARGIN_M, high + SLAB_MARGIN_M)
@@ -98,7 +100,9 @@ def measure_stems(
         # Heights above the one level that counts for this stem, so that it stays straight on a slope.
         z = near[:, 2] + ground.height_at(near[:, :2]) - level
         near = np.column_stack([near[:, :2], z, near[:, 3:]])
-        return _without_neighbours(near, stem, standing, ground, level, settings.bh_m)
+        reach = radii + stem.axis.radius_m + NEIGHBOUR_M + LEANT_M
+        beside = np.flatnonzero(np.hypot(*(stand_at - centers[number]).T) <= reach)
+        return _without_neighbours(near, stem, [standing[other] for other in beside], ground, level, settings.bh_m)
 
     def together() -> Iterator[_Together]:
         for first in range(0, len(search.stems), TOGETHER):
@@ -234,16 +238,17 @@ def _on_level(stem: Stem, ground: Ground, level: float) -> Stem:
 
 
 def _without_neighbours(
-    near: Floats, stem: Stem, stems: tuple[Stem, ...], ground: Ground, level: float, bh_m: float
+    near: Floats, stem: Stem, beside: Sequence[Stem], ground: Ground, level: float, bh_m: float
 ) -> Floats:
-    """Drop points that lie closer to the surface of another stem; ``near`` and ``stem`` are above ``level``."""
+    """Drop points that lie closer to the surface of another stem of those ``beside``.
+
+    ``near`` and ``stem`` are above ``level``, the others above the ground.
+    """
     keep = np.ones(len(near), dtype=bool)
     own = np.abs(_surface_distance(near, stem))
     center = stem.axis.center_at(bh_m)
-    for other in stems:
+    for other in beside:
         reach = other.axis.radius_m + stem.axis.radius_m + NEIGHBOUR_M
-        if np.linalg.norm(other.axis.center_at(bh_m) - center) > reach + LEANT_M:
-            continue
         other = _on_level(other, ground, level)
         if SAME_M < np.linalg.norm(other.axis.center_at(bh_m) - center) < reach:
             keep &= own <= np.abs(_surface_distance(near, other))

@@ -161,10 +161,12 @@ def _resolve_overlaps(
 ) -> list[Stem]:
     """Let the better stem own its wall: a weaker one that touches it must stand without those points."""
     kept: list[Stem] = []
+    places, radii = np.empty((len(stems), 2)), np.empty(len(stems))  # of those kept
     for stem in sorted(stems, key=lambda item: -item.quality):
         center = stem.axis.center_at(bh_m)
         reach = stem.axis.radius_m + BESIDE_M
-        rivals = [o for o in kept if np.linalg.norm(o.axis.center_at(bh_m) - center) < reach + o.axis.radius_m]
+        apart = np.hypot(*(places[: len(kept)] - center).T)
+        rivals = [kept[row] for row in np.flatnonzero(apart < reach + radii[: len(kept)])]
         if rivals:
             (alone,) = candidates_at(np.append(center, bh_m)[None], index, s, gradient_at)
             near = alone.near
@@ -186,5 +188,6 @@ def _resolve_overlaps(
             if clash or feeble or shift > KEPT_PLACE * stem.axis.radius_m:
                 continue
             stem = again
+        places[len(kept)], radii[len(kept)] = stem.axis.center_at(bh_m), stem.axis.radius_m
         kept.append(stem)
     return kept

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, uniform_filter
 
-from fsinfer.trees.points.cells import column_max, column_min, rows
+from fsinfer.trees.points.cells import MAX_TABLE, column_max, column_min, rows
 from fsinfer.trees.search.stem import StemSettings
 
 Floats = NDArray[np.float64]
@@ -76,10 +76,7 @@ def _wall_cells(points: Floats, cell_m: float, band_m: float) -> tuple[Floats, F
     rise = np.minimum((points[:, 2] - low[2]) / (band_m / steps), steps - 1).astype(np.int64)
     width = int(row.max()) + 1 + margin
     size = (int(column.max()) + 1 + margin) * width
-    occupied = np.zeros(steps * size, dtype=np.uint8)
-    occupied[rise * size + column * width + row] = 1
-    filled = occupied.reshape(steps, size).sum(axis=0, dtype=np.uint8)
-    key = np.flatnonzero(filled > 0)
+    key, filled = _filled(rise, column * width + row, size)
     share = filled[key] / steps
     center = low[:2] + (np.column_stack([key // width, key % width]) - margin + 0.5) * cell_m
     moments, count = _moments(filled, key, width)
@@ -95,6 +92,23 @@ def _wall_cells(points: Floats, cell_m: float, band_m: float) -> tuple[Floats, F
     normal = np.column_stack([-np.sin(angle), np.cos(angle)])
     alone = count < 3
     return center[~alone], normal[~alone], (share * np.minimum(linear, 1.0))[~alone]
+
+
+def _filled(rise: Ints, own: Ints, size: int) -> tuple[Ints, NDArray[np.uint8]]:
+    """The occupied cells (C,), ascending, and in how many of the steps ``rise`` (N,) each of all ``size`` cells is.
+
+    ``own`` (N,) is the cell of each point. Where most of many cells are empty, as about a walk along a road, they are
+    neither looked at nor written: memory that is only asked for is none yet.
+    """
+    if _STEPS * size <= MAX_TABLE:
+        occupied = np.zeros(_STEPS * size, dtype=np.uint8)
+        occupied[rise * size + own] = 1
+        filled = occupied.reshape(_STEPS, size).sum(axis=0, dtype=np.uint8)
+        return np.flatnonzero(filled > 0), filled
+    key, count = np.unique(np.unique(own * _STEPS + rise) // _STEPS, return_counts=True)
+    filled = np.zeros(size, dtype=np.uint8)
+    filled[key] = count
+    return key, filled
 
 
 def _moments(filled: NDArray[np.uint8], key: Ints, width: int) -> tuple[Floats, Ints]:

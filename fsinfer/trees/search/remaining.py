@@ -54,11 +54,16 @@ def search_again(
 def _without(points: Floats, stems: Sequence[Stem]) -> Floats:
     """Points (N, 3) that are not on or in one of the stems."""
     free = np.ones(len(points), dtype=bool)
+    # By x in order: each stem is asked for a strip of the plot, not for all of it.
+    order = np.argsort(points[:, 0])
+    x = points[order, 0]
+    highest = float(points[:, 2].max(initial=0.0))
     for stem in stems:
         reach = stem.axis.radius_m + OWN_M
-        low, high = (stem.axis.center_at(height) for height in (0.0, float(points[:, 2].max())))
+        low, high = (stem.axis.center_at(height) for height in (0.0, highest))
         box_low, box_high = np.minimum(low, high) - reach, np.maximum(low, high) + reach
-        near = np.flatnonzero(((points[:, :2] >= box_low) & (points[:, :2] <= box_high)).all(axis=1))
+        strip = order[np.searchsorted(x, box_low[0]) : np.searchsorted(x, box_high[0], side="right")]
+        near = strip[(points[strip, 1] >= box_low[1]) & (points[strip, 1] <= box_high[1])]
         offset, _ = axis_coordinates(points[near], stem.axis.parameters, stem.axis.height_m)
         free[near[lengths(offset) <= reach]] = False
     return rows(points, free)

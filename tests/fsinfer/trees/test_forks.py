@@ -14,6 +14,7 @@ from fsinfer.trees.forks import forks
 from fsinfer.trees.stem_measurement import tree_of
 from fsinfer.trees.tree import Tree
 from tests.support.stem_clouds import forked_stem
+from tests.support.time_limit import within
 
 DBH_M = 0.24
 
@@ -78,6 +79,14 @@ def test_on_a_slope_breast_heights_differ_and_the_fork_is_the_same() -> None:
 
 def test_stems_without_a_diameter_are_not_compared() -> None:
     assert told(stem(1, -0.14, -10), stem(2, 0.14, 10, measured=False)) == []
+
+
+def test_among_thousands_of_stems_a_fork_is_found_in_seconds() -> None:
+    """Stems of a carried scanner's hectares: every pair looked at by itself would take a minute, with no word of it."""
+    many = [stem(number, 3.0 * number, 0.0) for number in range(3, 3_500)]
+    with within(20):
+        ((one, other, _),) = told(*many, stem(1, -0.14, -10), stem(2, 0.14, 10))
+    assert (one, other) == (1, 2)
 
 
 @pytest.mark.parametrize("height_m", [0.9, 1.15, 1.2, 1.3, 1.4, 1.7])

@@ -14,6 +14,7 @@ from fsinfer.trees.diameter.silhouette import SilhouetteFit
 from fsinfer.trees.one_entry import one_entry_a_stem
 from fsinfer.trees.stem_measurement import tree_of
 from fsinfer.trees.tree import Tree
+from tests.support.time_limit import within
 
 WALL = notice(StemCode.double_wall, gap_cm=3.0)
 EDGES = SilhouetteFit(
@@ -47,6 +48,13 @@ def test_three_entries_of_one_far_stem_are_one() -> None:
     assert numbers(left) == [2, 4]
     assert [why.code for why in told] == [StemCode.same_stem] * 2
     assert (told[0].values["x_m"], told[0].values["other_x_m"]) == (0.0, 0.01)
+
+
+def test_thousands_of_stems_are_compared_in_seconds() -> None:
+    many = [entry(number, 3.0 * number, 0.30) for number in range(1, 5_000)]
+    with within(20):
+        left, _ = one_entry_a_stem([*many, entry(5_000, 9.02, 0.2, status="doubtful")])
+    assert numbers(left) == list(range(1, 5_000))
 
 
 @pytest.mark.parametrize(("gap_m", "left"), [(-0.03, [1]), (-0.005, [1, 2]), (0.08, [1, 2])])

@@ -25,6 +25,7 @@ from fsinfer.trees.stem_curve import stem_curves
 from fsinfer.trees.stem_measurement import doubt_the_rough, measure_stems, tree_of
 from fsinfer.trees.tree import Tree
 from tests.support.stem_clouds import wall
+from tests.support.time_limit import within
 
 WALL = notice(StemCode.double_wall, gap_cm=3.0)
 NONE = unmeasured_section(np.array([2.0, 3.0]), 1.3, (WALL,), radius_m=0.1)
@@ -217,3 +218,10 @@ def test_a_tree_that_leans_over_a_slope_is_as_high_as_it_stands_above_its_foot(l
     settings = replace(TreeSettings(), bh_rule=rule)
     ((tree, _),) = measure_stems(stand, search, ground, settings, 0.0, np.zeros(3))
     assert tree.height_m == pytest.approx(19.8 - tree.z_ground_m, abs=0.06)
+
+
+def test_thousands_of_stems_are_asked_for_their_neighbours_in_seconds() -> None:
+    with within(20):
+        found = measured({3.0 * number: 0.1 for number in range(2500)}, stem_points(3.0, 0.1))
+    ((tree, _),) = [pair for pair in found if pair[1].dbh_m is not None]
+    assert tree.x_m == pytest.approx(103.0, abs=0.01)

@@ -17,6 +17,7 @@ from fsinfer.io.linear_units import US_FOOT_M
 from fsinfer.notices.sentences import sentence
 from fsinfer.notices.stems import StemCode
 from fsinfer.scale.request import ScaleRequest
+from fsinfer.trees import analyse_plot
 from fsinfer.trees.outputs.table import read_trees
 from fsinfer.trees.thinning import ThinningSettings
 from fsinfer.workflow.measurable import refuse_other_units
@@ -115,3 +116,15 @@ def test_the_labelled_points_keep_the_frame_of_the_cloud(tmp_path: Path) -> None
     cloud.write(path)
     measure_cloud_file(path, out, request=ScaleRequest())
     assert read_epsg(out / "trees.laz") == 32632
+
+
+@pytest.mark.parametrize(("unit_m", "metric", "told"), [(1.0, True, 0), (0.3048, True, 1), (0.3048, False, 0)])
+def test_stems_measured_in_feet_by_a_file_that_says_nothing_are_too_thick(
+    unit_m: float, metric: bool, told: int
+) -> None:
+    plot = stem_plot(trees=9, seed=5, dbh_cm=(25.0, 45.0))
+    result = analyse_plot(plot.points / unit_m, metric=metric)
+    warnings = [sentence(warning) for warning in result.warnings if warning.code == StemCode.all_thick]
+    assert len(result.trees) == 9
+    assert len(warnings) == told
+    assert all("--scale 0.3048" in text for text in warnings)

@@ -1,3 +1,4 @@
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -8,8 +9,10 @@ from fsinfer.trees.cylinder.axis import Axis, axis_coordinates, fit_axis
 from fsinfer.trees.height import axis_path
 from fsinfer.trees.points.cells import PlanIndex
 from fsinfer.trees.search.find import _in_order, _resolve_overlaps
+from fsinfer.trees.search.giants import find_giants
 from fsinfer.trees.search.stem import Stem, StemSettings
 from tests.support.stem_clouds import board, post, stem_plot
+from tests.support.time_limit import within
 
 
 def test_every_stem_is_found_between_shrubs() -> None:
@@ -32,6 +35,33 @@ def test_looking_ahead_finds_the_stems_of_one_round_after_the_other(monkeypatch:
     assert ahead.rejected == in_turn.rejected
     for stem, same in zip(ahead.stems, in_turn.stems, strict=True):
         np.testing.assert_allclose(stem.axis.parameters, same.axis.parameters, atol=1e-6)
+
+
+def test_a_walk_along_a_road_asks_for_no_memory_of_the_land_beside_it() -> None:
+    """The box of a walk of 280 m holds two hundred million cells, of which a few thousand are occupied."""
+    plot = stem_plot(seed=5, trees=1, spacing_m=0.012, sigma_m=0.004, ground=False)
+    ends = [plot.points, plot.points + np.array([200.0, 200.0, 0.0])]
+    tracemalloc.start()
+    try:
+        found = find_stems(np.concatenate(ends)).stems
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    centers = np.array([stem.axis.center_at(1.3) for stem in found])
+    np.testing.assert_allclose(centers, [plot.xy[0], plot.xy[0] + 200.0], atol=0.01)
+    assert most < 6e8
+
+
+@pytest.mark.parametrize("cells", [0, 10**9])
+def test_stems_do_not_hang_on_how_cells_are_counted(monkeypatch: pytest.MonkeyPatch, cells: int) -> None:
+    plot = stem_plot(seed=3, trees=16, sigma_m=0.012, shrubs=12, hidden=0.3)
+    usual = find_stems(plot.points)
+    monkeypatch.setattr("fsinfer.trees.search.hough.MAX_TABLE", cells)
+    other = find_stems(plot.points)
+    assert len(usual.stems) > 12
+    assert (other.candidates, other.rejected) == (usual.candidates, usual.rejected)
+    for stem, same in zip(usual.stems, other.stems, strict=True):
+        np.testing.assert_array_equal(stem.axis.parameters, same.axis.parameters)
 
 
 def test_leaning_stem_keeps_its_axis() -> None:
@@ -96,3 +126,13 @@ def test_neighbours_and_crowns_follow_the_breast_height_that_was_asked_for() -> 
     path = axis_path(stems[0], 11.3, bh_m=1.3)
     np.testing.assert_allclose(path[0], [-0.3 * 0.15, 0.0])
     np.testing.assert_allclose(axis_path(stems[0], 11.3, bh_m=2.0)[0], [0.7 * 0.3 - 1.0 * 0.15, 0.0])
+
+
+def test_thousands_of_stems_are_told_apart_in_seconds() -> None:
+    """Each against each, and each against all points, would be minutes of a few hectares."""
+    stems = [_leaning(2.0 * (n % 50), 2.0 * (n // 50), 0.0) for n in range(4000)]
+    rng = np.random.default_rng(2)
+    points = np.column_stack([rng.uniform(0.0, 160.0, (400_000, 2)), rng.uniform(0.5, 2.5, 400_000)])
+    with within(20):
+        assert len(_resolve_overlaps(stems, PlanIndex(np.zeros((0, 3)), 0.5), 0.015, 1.3, StemSettings())) == 4000
+        assert find_giants(points, stems, 0.1, StemSettings()) == ()
