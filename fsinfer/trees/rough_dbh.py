@@ -14,8 +14,9 @@ from fsinfer.trees.tree import Tree
 #: Half of an interval, as a share of its diameter or in cm, above which it says nothing of the size. Source: judgement;
 #: 7 +- 4 cm is thin for sure, corners of a car are "47 cm +- 47 cm".
 _MOST_REL_HALF, _MOST_HALF_CM = 0.5, 8.0
-#: As the reason is written in a ``trees.csv``. Source: format; the sentence of ``too_uncertain``.
-_WRITTEN = re.compile(r"too uncertain: (\d+) cm \+- (\d+) cm")
+#: As the reason is written in a ``trees.csv``: a reason of its own between semicolons, not one that another reason
+#: names in brackets, which the measurement does not count either. Source: format; the sentence of ``too_uncertain``.
+_WRITTEN = re.compile(r"(?:^|; )too uncertain: (\d+) cm \+- (\d+) cm")
 
 
 def rough_dbh_cm(tree: Tree) -> tuple[float, float] | None:

@@ -55,6 +55,15 @@ def test_a_table_tells_the_same_as_the_measurement() -> None:
     assert rough_dbh_cm(tree(1, None, notice(StemCode.as_written, text="double wall"))) is None
 
 
+def test_what_another_reason_tells_in_brackets_is_no_size_in_a_table_either() -> None:
+    """Else the report would share out the basal area of a run by other sections than the run added up."""
+    edges = notice(StemCode.edges_unsupported, photos=8, edges_cm=34.0, refused=uncertain(31.0, 13.0))
+    assert rough_dbh_cm(tree(1, None, edges)) is None
+    assert rough_dbh_cm(tree(1, None, notice(StemCode.as_written, text=sentence(edges)))) is None
+    after = notice(StemCode.as_written, text=f"added by hand; {sentence(uncertain(31.0, 13.0))}")
+    assert rough_dbh_cm(tree(1, None, after)) == rough_dbh_cm(tree(1, None, uncertain(31.0, 13.0)))
+
+
 def test_a_sapling_is_no_mean_tree_in_the_stand() -> None:
     trees = [tree(1, 40.0), tree(2, 40.0), tree(3, None, uncertain(6.0, 2.0))]
     section = 3.14159265 / 4 * 0.16
