@@ -15,12 +15,13 @@ from fsinfer.report.stand_figures import is_changed
 
 NO_SCALE = (
     "No scale is known: all lengths, positions and densities are in model units, not metres, and no DBH is given. "
-    "Photograph a marker of known size and run again with --aruco-length-m, or give --endpoints with --length-m."
+    "Is something of known length in the photos? Click its two ends with fsinfer scale OUT --click --length-m (its "
+    "length). Before new photos put up boards printed by fsinfer marker, or markers of your own and give "
+    "--aruco-length-m."
 )
-# Warnings of stages that NO_SCALE says in other words. That markers of unknown length were seen is another one.
-NO_SCALE_CODES = frozenset(
-    {CaptureCode.no_scale_given.value, CaptureCode.no_scale_from_markers.value, StemCode.model_units.value}
-)
+# Warnings of stages that NO_SCALE says in other words. That markers of unknown length were seen is another one, and why
+# those that were asked for gave no scale: who gave --aruco-length-m must not only be told to give it.
+NO_SCALE_CODES = frozenset({CaptureCode.no_scale_given.value, StemCode.model_units.value})
 #: Below this share of the photos registered, parts of the plot are likely to be missing. Source: judgement.
 LEAST_PLACED = 0.8
 #: Median difference between depth maps and tie points from which it is large. Source: field photos with good poses

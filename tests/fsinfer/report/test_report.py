@@ -331,10 +331,13 @@ def test_without_a_scale_the_units_are_said(tmp_path: Path) -> None:
     codes = [
         coded("no_scale_given", "no scale was given: the cloud is in model units"),
         coded("markers_of_unknown_length", "no scale: markers are seen, but their length was not given"),
+        coded("no_scale_from_markers", "no scale from ArUco markers: 7 is in one photo only"),
     ]
     full_folder(tmp_path, plot=plot | {"warning_codes": codes})
     page = make_report(tmp_path).read_text(encoding="utf-8")
     assert "No scale is known: all lengths" in page
+    assert "fsinfer scale OUT --click" in page
+    assert "<li>No scale from ArUco markers: 7 is in one photo only.</li>" in page
     assert "o scale was given" not in page
     assert "<li>No scale: markers are seen, but their length was not given.</li>" in page
     assert "x (units)" in page
