@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.notice import Notice, notice, notice_json, notice_of_json
 from fsinfer.notices.sentences import sentence
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees.measure import analyse_plot
@@ -55,13 +55,18 @@ def test_a_table_tells_the_same_as_the_measurement() -> None:
     assert rough_dbh_cm(tree(1, None, notice(StemCode.as_written, text="double wall"))) is None
 
 
-def test_what_another_reason_tells_in_brackets_is_no_size_in_a_table_either() -> None:
-    """Else the report would share out the basal area of a run by other sections than the run added up."""
-    edges = notice(StemCode.edges_unsupported, photos=8, edges_cm=34.0, refused=uncertain(31.0, 13.0))
-    assert rough_dbh_cm(tree(1, None, edges)) is None
-    assert rough_dbh_cm(tree(1, None, notice(StemCode.as_written, text=sentence(edges)))) is None
-    after = notice(StemCode.as_written, text=f"added by hand; {sentence(uncertain(31.0, 13.0))}")
-    assert rough_dbh_cm(tree(1, None, after)) == rough_dbh_cm(tree(1, None, uncertain(31.0, 13.0)))
+def test_edges_that_are_no_measurement_leave_what_the_points_say() -> None:
+    """The run counted such a sapling as a mean tree, and the report, by the same sentence, as a sapling."""
+    edges = notice(StemCode.edges_unsupported, photos=9, edges_cm=7.0, refused=uncertain(7.0, 3.0))
+    known = rough_dbh_cm(tree(1, None, uncertain(7.0, 3.0)))
+    assert known is not None
+    assert rough_dbh_cm(tree(1, None, edges)) == known
+    assert rough_dbh_cm(tree(1, None, notice_of_json(notice_json(edges)))) == known
+    assert rough_dbh_cm(tree(1, None, notice(StemCode.as_written, text=sentence(edges)))) == known
+    other = notice(StemCode.too_few_on_bark, points=9)
+    refused = notice(StemCode.edges_unsupported, photos=9, edges_cm=7.0, refused=other)
+    assert rough_dbh_cm(tree(1, None, refused)) is None
+    assert sizes_unknown([tree(1, 20.0), tree(2, 20.0), tree(3, None, edges)]) == ()
 
 
 def test_a_sapling_is_no_mean_tree_in_the_stand() -> None:
