@@ -203,6 +203,17 @@ def test_stems_off_the_seen_ground_are_told_and_count_to_no_hectare(tmp_path: Pa
     assert stand_of(read_contents(tmp_path)).stems_per_ha == pytest.approx(3 / 0.05 * 4 / 6)
 
 
+def test_a_stem_off_the_ground_that_counts_is_in_no_figure_of_it(tmp_path: Path) -> None:
+    """It was said to be counted by the mean of the others; and means of some stems stood there as those of all."""
+    given = {"stems": 3, "measured": 2, "plot_area_m2": 500.0, "stems_per_ha": 20.0, "stems_on_area": 1}
+    given |= {"basal_area_m2_per_ha": np.pi / 4 * 0.09 / 0.05, "mean_dbh_cm": 30.0, "quadratic_mean_dbh_cm": 30.0}
+    full_folder(tmp_path, plot=PLOT | {"stand": given | {"off_area": [2, 3]}})
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    assert '<th scope="row">Basal area per hectare</th><td>1.4 m²/ha</td>' in page
+    assert '<th scope="row">Mean DBH</th><td>30.0 cm, of those on the ground that counts to the hectare</td>' in page
+    assert '<th scope="row">Stems with a DBH</th><td>2</td>' in page
+
+
 @pytest.mark.parametrize("far_stems", [False, True])
 def test_stems_outside_of_the_walk_count_in_no_figure(tmp_path: Path, *, far_stems: bool) -> None:
     stems = [TREE, TREE | {"tree_id": 2, "dbh_cm": 40.0}, TREE | {"tree_id": 3, "dbh_cm": "", "status": "outside"}]
