@@ -53,7 +53,8 @@ def tiles_part(contents: Contents) -> Part:
         if own.measured:
             shown.append((f"{basal_area_m2(diameters_cm(contents)):.2f} m²", "basal area of these stems"))
     if plot.get("photos") is not None:
-        shown.append((f"{plot.get('registered', '?')} of {plot['photos']}", "photos used"))
+        used = "?" if contents.registered is None else f"{contents.registered:.0f}"
+        shown.append((f"{used} of {plot['photos']}", "photos used"))
     points = number(plot.get("points"))
     if points is not None:
         shown.append((f"{int(points):,}", "points in the cloud"))

@@ -95,7 +95,7 @@ def warnings_part(contents: Contents) -> Part:
 
 
 def _parts_apart(contents: Contents) -> Iterator[PartApart]:
-    for part in _parts(contents.plot):
+    for part in contents.parts:
         folder = str(part.get("folder", ""))
         # What a file says becomes a link: only what this program writes.
         if re.fullmatch(r"part-[0-9]+", folder):
@@ -120,19 +120,9 @@ def _parts_apart(contents: Contents) -> Iterator[PartApart]:
             yield PartApart(link=link, text=_sentence(text))
 
 
-def _parts(plot: Mapping[str, object]) -> list[Mapping[str, object]]:
-    """The parts of the walk that ``plot.json`` tells of."""
-    parts = plot.get("parts")
-    return [part for part in parts if isinstance(part, dict)] if isinstance(parts, list) else []
-
-
 def _measurement_warnings(contents: Contents) -> list[str]:
     plot, texts = contents.plot, [f"{CHANGED_TABLE}."] if is_changed(contents) else []
-    photos, registered = number(plot.get("photos")), number(plot.get("registered"))
-    if photos and registered is not None:
-        registered += sum(
-            number(part.get("registered")) or 0.0 for part in _parts(plot) if isinstance(part.get("joined"), dict)
-        )
+    photos, registered = number(plot.get("photos")), contents.registered
     if photos and registered is not None and registered < LEAST_PLACED * photos:
         texts.append(
             f"Only {registered:.0f} of {photos:.0f} photos could be placed: parts of the plot may be missing. Take "

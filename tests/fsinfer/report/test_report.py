@@ -403,6 +403,7 @@ def test_a_part_that_was_joined_is_said_with_its_stems_and_counts_as_placed(tmp_
     assert page.count(remark) == 3  # on the card, in the table, and what that is sorted by
     # 25 of 40 photos and the 14 of the part are nearly all.
     assert "photos could be placed" not in page
+    assert "39 of 40" in page  # the large number says the same
     full_folder(tmp_path, plot=PLOT | {"parts": [part | {"joined": None}]}, trees=rows)
     assert "Only 25 of 40 photos could be placed" in make_report(tmp_path).read_text(encoding="utf-8")
 
