@@ -165,7 +165,7 @@ def _tree_warnings(contents: Contents) -> list[TreesWarning]:
         text = f"{verb} doubtful: look at the card, and check with a tape before you use the diameter."
         items.append(TreesWarning(trees=doubtful, text=text))
     if missing and contents.metric:
-        items.append(_without_diameter(missing, contents.revisit_advised))
+        items.append(_without_diameter(missing, contents))
     if one_side:
         text = (
             f"{'was' if len(one_side) == 1 else 'were'} seen from one side only (less than {100 * ONE_SIDE:.0f} % of "
@@ -175,14 +175,14 @@ def _tree_warnings(contents: Contents) -> list[TreesWarning]:
     return items
 
 
-def _without_diameter(missing: Sequence[tuple[int, str]], revisit_advised: frozenset[int]) -> TreesWarning:
+def _without_diameter(missing: Sequence[tuple[int, str]], contents: Contents) -> TreesWarning:
     """``missing``: number and reason of each tree without a diameter."""
     trees, reasons = tuple(i for i, _ in missing), [reason for _, reason in missing]
     shown = len(missing) <= MOST_REASONS and all(reasons)
     text = "has no diameter" if len(missing) == 1 else "have no diameter"
     text += f": {'; '.join(reasons)}." if shown else "; the card says why."
-    # Where a reason that is shown says it already, not twice.
-    if not (shown and revisit_advised.intersection(trees)):
+    # Where a reason that is shown says it already, not twice; and three to six metres are those of photographs.
+    if contents.photographed and not (shown and contents.revisit_advised.intersection(trees)):
         text += " Mostly it helps to walk round the stem again, within three to six metres."
     return TreesWarning(trees=trees, text=text)
 

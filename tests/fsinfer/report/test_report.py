@@ -439,6 +439,15 @@ def test_the_advice_to_walk_round_is_given_once(tmp_path: Path) -> None:
     assert advice in page
 
 
+def test_a_cloud_of_a_scanner_is_not_advised_to_be_photographed(tmp_path: Path) -> None:
+    lost = TREE | {"tree_id": 2, "dbh_cm": "", "status": "unmeasured", "reason": "w"}
+    write_csv(tmp_path / "trees.csv", [TREE, lost])
+    (tmp_path / "plot.json").write_text(json.dumps({"source": "a.laz", "units": "m", "warnings": []}))
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    assert "has no diameter: w.</li>" in page
+    assert "walk round" not in page
+
+
 def test_a_run_that_has_only_begun_gives_a_page_that_says_what_is_missing(tmp_path: Path) -> None:
     (tmp_path / ".fsinfer").mkdir()
     page = make_report(tmp_path).read_text(encoding="utf-8")
