@@ -36,7 +36,7 @@ class PlotRow:
     stems_per_ha, basal_area_m2_per_ha: with 95 % intervals where the plot has a border.
     quadratic_mean_dbh_cm: of the stems that these figures count. area_m2: of the plot, or of the seen ground.
     photos, registered: numbers of photographs. units: m, or model units without a scale. scale_source: of the metre.
-    warnings: how many; warning_text: they themselves.
+    warnings: how many, without mere remarks; warning_text: they themselves.
     latitude_deg, longitude_deg: WGS84. place_source: who says so.
     attempts, seconds: of all attempts. host: the computer that measured it. report: path below the output folder.
     """
@@ -116,8 +116,7 @@ def plot_row(plot: Plot, out: Path, outcome: Outcome | None) -> tuple[PlotRow, P
 def _figures(plot: Mapping[str, Any]) -> dict[str, Any]:
     """What ``plot.json`` tells, whatever shape it has."""
     border, stand = _mapping(plot.get("plot_border")), _mapping(plot.get("stand"))
-    warnings = plot.get("warnings")
-    texts = [str(text) for text in warnings] if isinstance(warnings, list) else []
+    texts = _warnings(plot)
     figures: dict[str, Any] = {
         "trees": _whole(plot.get("trees")),
         "trees_with_dbh": _whole(plot.get("trees_with_dbh")),
@@ -155,6 +154,15 @@ def _trees(name: str, path: Path) -> PlotTrees:
         text=tuple((name, *(row.text(column) for column in COLUMNS)) for row in table.rows),
         values=tuple((name, *table_row(tree)) for tree in read_trees(path)),
     )
+
+
+def _warnings(plot: Mapping[str, Any]) -> list[str]:
+    """What asks for something: remarks do not, and a plot that has no others has nothing to look out for."""
+    coded, warnings = plot.get("warning_codes"), plot.get("warnings")
+    if isinstance(coded, list):
+        said = (one for one in coded if isinstance(one, dict) and one.get("remark") is not True)
+        return [str(one["text"]) for one in said if one.get("text")]
+    return [str(text) for text in warnings] if isinstance(warnings, list) else []
 
 
 def _rounded(name: str, value: Any) -> Cell:

@@ -160,7 +160,7 @@ def marker_lines(
     if not found and not elsewhere:
         lines.append(
             "No board can be used: no diameter is measured, unless something else of known length is in the photos, "
-            "whose two ends you give to fsinfer run later (--endpoints)."
+            "whose two ends you click later (fsinfer scale OUT --click --length-m)."
         )
     elif found and (boards := number_of_boards(found)) < 3:
         lines.append(f"{boards} board{'s' if boards > 1 else ''}: three or more, spread out, show a wrong one.")

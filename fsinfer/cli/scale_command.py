@@ -48,10 +48,9 @@ def scale(
     from fsinfer.workflow.clicked_scale import click_scale
 
     if not click or length_m is None:
-        missing = " and ".join(
-            option for option, there in (("--click", click), ("--length-m", length_m is not None)) if not there
-        )
-        msg = f"{missing} is missing; for example: fsinfer scale {out} --click --length-m 1.0"
+        missing = [option for option, there in (("--click", click), ("--length-m", length_m is not None)) if not there]
+        told = f"{' and '.join(missing)} {'is' if len(missing) == 1 else 'are'}"
+        msg = f"{told} missing; for example: fsinfer scale {out} --click --length-m 1.0"
         raise InputError(msg)
 
     def show(url: str) -> None:

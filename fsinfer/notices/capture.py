@@ -62,9 +62,10 @@ class CaptureCode(StrEnum):
 
 def _frames_not_used(values: Mapping[str, Any]) -> str:
     listed = "; ".join(values["rejected"][:MOST_REASONS])
-    more = len(values["rejected"]) - MOST_REASONS
+    count = len(values["rejected"])
+    more = count - MOST_REASONS
     return (
-        f"{len(values['rejected'])} of {values['frames']} frames were not used "
+        f"{count} of {values['frames']} frames {'was' if count == 1 else 'were'} not used "
         f"({listed}{f'; and {more} more' if more > 0 else ''})"
     )
 
@@ -243,7 +244,8 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
     CaptureCode.views_without_sources: _without_sources,
     CaptureCode.no_scale_given: (
         "no scale was given: the cloud is in model units and no DBH is measured; photograph boards printed by fsinfer "
-        "marker, or ArUco markers of your own and give --aruco-length-m, or give --endpoints with --length-m (two "
+        "marker, or ArUco markers of your own and give --aruco-length-m, or click the two ends of a known length in "
+        "the photos that you have (fsinfer scale OUT --click --length-m), or give --endpoints with --length-m (two "
         "points read off cloud.ply), or --scale"
     ),
     CaptureCode.no_scale_from_markers: (

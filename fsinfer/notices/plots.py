@@ -40,7 +40,7 @@ SENTENCES: dict[PlotCode, str] = {
         "hectare are given; give its place in metres of the cloud's own frame"
     ),
     PlotCode.outside_walk_in_plot: (
-        "outside of the walk, but in the plot, stand {stems} stems: {trees}; they count there, with the mean section "
+        "stems outside of the walk, but in the plot ({stems}): {trees}; they count there, with the mean section "
         "of the others; go nearer, or measure them with --far-stems"
     ),
     PlotCode.border_not_placed: "the plot has no border ({why}): figures a hectare are of seen ground only",

@@ -25,7 +25,7 @@ from fsinfer.plot_border.sight import SeenShare
 from fsinfer.trees.points.sums import Z95
 from fsinfer.trees.rough_dbh import rough_dbh_cm
 from fsinfer.trees.stand import stand_of_diameters
-from fsinfer.trees.tree import Tree
+from fsinfer.trees.tree import OUTSIDE, Tree
 
 Floats = NDArray[np.float64]
 #: Standard deviation of the place of a stem that could not be measured, metres. Source: judgement; half the radius of
@@ -213,7 +213,8 @@ def _warnings(trees: Sequence[Tree], seen: SeenShare, middle: Place) -> tuple[No
     )
     if cases:
         told.append(notice(PlotCode.border_cases, trees=cases))
-    beyond = tuple(str(tree.tree_id) for tree in trees if tree.outside and tree.in_plot)
+    # By the status: those that were measured all the same (--far-stems) count with their own section.
+    beyond = tuple(str(tree.tree_id) for tree in trees if tree.status == OUTSIDE and tree.in_plot)
     if beyond:
         told.append(notice(PlotCode.outside_walk_in_plot, stems=len(beyond), trees=beyond))
     percent = 100.0 * seen.share

@@ -115,6 +115,19 @@ class Contents:
         return factor if factor is not None and factor > 0 else 1.0
 
     @property
+    def parts(self) -> list[Mapping[str, Any]]:
+        """The parts of the walk that ``plot.json`` tells of."""
+        parts = self.plot.get("parts")
+        return [part for part in parts if isinstance(part, dict)] if isinstance(parts, list) else []
+
+    @property
+    def registered(self) -> float | None:
+        """Photos that the plot is of: those that were placed, and those of the parts that were put into it."""
+        own = number(self.plot.get("registered"))
+        joined = (part for part in self.parts if isinstance(part.get("joined"), dict))
+        return None if own is None else own + sum(number(part.get("registered")) or 0.0 for part in joined)
+
+    @property
     def warnings(self) -> tuple[StageWarning, ...]:
         """What the stages warned of; without ``warning_codes`` every sentence is an ordinary warning."""
         coded = self.plot.get("warning_codes")

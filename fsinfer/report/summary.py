@@ -4,10 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fsinfer.report.contents import Contents, number
+from fsinfer.report.contents import Contents, measured_cm, number, tree_number
 from fsinfer.report.number_table import NumberTable
 from fsinfer.report.page import Part
-from fsinfer.report.plot_border import SEEN_GROUND_ONLY, WITHOUT_BORDER, border_facts, border_of, lost_border
+from fsinfer.report.plot_border import (
+    SEEN_GROUND_ONLY,
+    WITHOUT_BORDER,
+    border_facts,
+    border_of,
+    lost_border,
+    same_mean,
+)
 from fsinfer.report.stand_figures import basal_area_m2, class_table, diameters_cm, stand_of
 
 SCALE_SOURCES = {
@@ -46,7 +53,8 @@ def tiles_part(contents: Contents) -> Part:
         if own.measured:
             shown.append((f"{basal_area_m2(diameters_cm(contents)):.2f} m²", "basal area of these stems"))
     if plot.get("photos") is not None:
-        shown.append((f"{plot.get('registered', '?')} of {plot['photos']}", "photos used"))
+        used = "?" if contents.registered is None else f"{contents.registered:.0f}"
+        shown.append((f"{used} of {plot['photos']}", "photos used"))
     points = number(plot.get("points"))
     if points is not None:
         shown.append((f"{int(points):,}", "points in the cloud"))
@@ -74,9 +82,12 @@ def _stand_facts(contents: Contents) -> list[tuple[str, str]]:
         rows.append(("Outside of the walk", f"{outside} more, listed and not counted"))
     if stand.mean_dbh_cm is None or stand.quadratic_mean_dbh_cm is None:
         return rows
+    # Otherwise whoever takes the mean of the table finds another one.
+    everywhere = same_mean(measured_cm(contents.counted), stand.mean_dbh_cm)
+    of_which = "" if everywhere else ", of those on the ground that counts to the hectare"
     rows += [
-        ("Mean DBH", f"{stand.mean_dbh_cm:.1f} cm"),
-        ("Quadratic mean DBH", f"{stand.quadratic_mean_dbh_cm:.1f} cm"),
+        ("Mean DBH", f"{stand.mean_dbh_cm:.1f} cm{of_which}"),
+        ("Quadratic mean DBH", f"{stand.quadratic_mean_dbh_cm:.1f} cm{of_which}"),
         ("Basal area of these stems", f"{basal_area_m2(diameters_cm(contents, everywhere=True)):.3f} m²"),
     ]
     plot = border_of(contents)
@@ -90,7 +101,8 @@ def _stand_facts(contents: Contents) -> list[tuple[str, str]]:
         rows.append(("Stems on that ground", of))
     rows.append(("Stems per hectare", f"{stand.stems_per_ha:.0f}"))
     if stand.basal_area_m2_per_ha is not None:
-        unknown = stand.stems - stand.measured
+        counted = [tree for tree in contents.counted if tree_number(tree) not in stand.off_area]
+        unknown = len(counted) - len(measured_cm(counted))
         told = "counted with what is roughly known of them, or the mean of the others"
         by_mean = f" ({unknown} without a DBH {told})" if unknown else ""
         rows.append(("Basal area per hectare", f"{stand.basal_area_m2_per_ha:.1f} m²/ha{by_mean}"))

@@ -15,12 +15,13 @@ from fsinfer.report.stand_figures import is_changed
 
 NO_SCALE = (
     "No scale is known: all lengths, positions and densities are in model units, not metres, and no DBH is given. "
-    "Photograph a marker of known size and run again with --aruco-length-m, or give --endpoints with --length-m."
+    "Is something of known length in the photos? Click its two ends with fsinfer scale OUT --click --length-m (its "
+    "length). Before new photos put up boards printed by fsinfer marker, or markers of your own and give "
+    "--aruco-length-m."
 )
-# Warnings of stages that NO_SCALE says in other words. That markers of unknown length were seen is another one.
-NO_SCALE_CODES = frozenset(
-    {CaptureCode.no_scale_given.value, CaptureCode.no_scale_from_markers.value, StemCode.model_units.value}
-)
+# Warnings of stages that NO_SCALE says in other words. That markers of unknown length were seen is another one, and why
+# those that were asked for gave no scale: who gave --aruco-length-m must not only be told to give it.
+NO_SCALE_CODES = frozenset({CaptureCode.no_scale_given.value, StemCode.model_units.value})
 #: Below this share of the photos registered, parts of the plot are likely to be missing. Source: judgement.
 LEAST_PLACED = 0.8
 #: Median difference between depth maps and tie points from which it is large. Source: field photos with good poses
@@ -94,7 +95,7 @@ def warnings_part(contents: Contents) -> Part:
 
 
 def _parts_apart(contents: Contents) -> Iterator[PartApart]:
-    for part in _parts(contents.plot):
+    for part in contents.parts:
         folder = str(part.get("folder", ""))
         # What a file says becomes a link: only what this program writes.
         if re.fullmatch(r"part-[0-9]+", folder):
@@ -119,19 +120,9 @@ def _parts_apart(contents: Contents) -> Iterator[PartApart]:
             yield PartApart(link=link, text=_sentence(text))
 
 
-def _parts(plot: Mapping[str, object]) -> list[Mapping[str, object]]:
-    """The parts of the walk that ``plot.json`` tells of."""
-    parts = plot.get("parts")
-    return [part for part in parts if isinstance(part, dict)] if isinstance(parts, list) else []
-
-
 def _measurement_warnings(contents: Contents) -> list[str]:
     plot, texts = contents.plot, [f"{CHANGED_TABLE}."] if is_changed(contents) else []
-    photos, registered = number(plot.get("photos")), number(plot.get("registered"))
-    if photos and registered is not None:
-        registered += sum(
-            number(part.get("registered")) or 0.0 for part in _parts(plot) if isinstance(part.get("joined"), dict)
-        )
+    photos, registered = number(plot.get("photos")), contents.registered
     if photos and registered is not None and registered < LEAST_PLACED * photos:
         texts.append(
             f"Only {registered:.0f} of {photos:.0f} photos could be placed: parts of the plot may be missing. Take "
@@ -174,7 +165,7 @@ def _tree_warnings(contents: Contents) -> list[TreesWarning]:
         text = f"{verb} doubtful: look at the card, and check with a tape before you use the diameter."
         items.append(TreesWarning(trees=doubtful, text=text))
     if missing and contents.metric:
-        items.append(_without_diameter(missing, contents.revisit_advised))
+        items.append(_without_diameter(missing, contents))
     if one_side:
         text = (
             f"{'was' if len(one_side) == 1 else 'were'} seen from one side only (less than {100 * ONE_SIDE:.0f} % of "
@@ -184,14 +175,14 @@ def _tree_warnings(contents: Contents) -> list[TreesWarning]:
     return items
 
 
-def _without_diameter(missing: Sequence[tuple[int, str]], revisit_advised: frozenset[int]) -> TreesWarning:
+def _without_diameter(missing: Sequence[tuple[int, str]], contents: Contents) -> TreesWarning:
     """``missing``: number and reason of each tree without a diameter."""
     trees, reasons = tuple(i for i, _ in missing), [reason for _, reason in missing]
     shown = len(missing) <= MOST_REASONS and all(reasons)
     text = "has no diameter" if len(missing) == 1 else "have no diameter"
     text += f": {'; '.join(reasons)}." if shown else "; the card says why."
-    # Where a reason that is shown says it already, not twice.
-    if not (shown and revisit_advised.intersection(trees)):
+    # Where a reason that is shown says it already, not twice; and three to six metres are those of photographs.
+    if contents.photographed and not (shown and contents.revisit_advised.intersection(trees)):
         text += " Mostly it helps to walk round the stem again, within three to six metres."
     return TreesWarning(trees=trees, text=text)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from dataclasses import dataclass, replace
 
 from fsinfer.errors import ScaleError
@@ -152,10 +153,20 @@ def _of_unknown_length(
         seen = scale_from_aruco(
             scene, 1.0, dictionary=request.aruco_dictionary, settings=settings, progress=progress, seen=looked
         )
-    except ScaleError:
+    except ScaleError as error:
+        # Who put boards up is told why they do not do, not to put boards up.
+        if _shows_printed_board(looked):
+            return notice(CaptureCode.no_scale_from_markers, error=str(error))
         return notice(CaptureCode.no_scale_given)
     numbers = tuple(str(marker.id) for marker in seen.markers)
     return notice(CaptureCode.markers_of_unknown_length, numbers=numbers)
+
+
+def _shows_printed_board(seen: SeenMarkers) -> bool:
+    """Whether one of our boards is in two photographs: in one alone, bark and twigs are taken for a marker too."""
+    own = board_lengths()
+    views = Counter(number for number, _ in {(one.marker_id, one.view) for one in seen.sightings} if number in own)
+    return seen.dictionary == DICTIONARY and max(views.values(), default=0) > 1
 
 
 def _twice(scale: Scale) -> tuple[Notice, ...]:

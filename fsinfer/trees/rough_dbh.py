@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 
+from fsinfer.notices.notice import Notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees.points.sums import Z95
 from fsinfer.trees.tree import Tree
@@ -14,7 +15,8 @@ from fsinfer.trees.tree import Tree
 #: Half of an interval, as a share of its diameter or in cm, above which it says nothing of the size. Source: judgement;
 #: 7 +- 4 cm is thin for sure, corners of a car are "47 cm +- 47 cm".
 _MOST_REL_HALF, _MOST_HALF_CM = 0.5, 8.0
-#: As the reason is written in a ``trees.csv``. Source: format; the sentence of ``too_uncertain``.
+#: As the reason is written in a ``trees.csv``, by itself or in the brackets of another one. Source: format; the
+#: sentence of ``too_uncertain``.
 _WRITTEN = re.compile(r"too uncertain: (\d+) cm \+- (\d+) cm")
 
 
@@ -22,8 +24,10 @@ def rough_dbh_cm(tree: Tree) -> tuple[float, float] | None:
     """Diameter and standard deviation, cm, by the reason of a tree without a DBH; None where it tells none."""
     if tree.dbh_cm is not None:
         return None
-    for reason in tree.reasons:
-        if reason.code == StemCode.too_uncertain:
+    for given in tree.reasons:
+        # Where edges alone are no measurement, what the points say is in their notice.
+        reason = given.values.get("refused") if given.code == StemCode.edges_unsupported else given
+        if isinstance(reason, Notice) and reason.code == StemCode.too_uncertain:
             # Whole centimetres, as a table has them.
             return _known(*(round(float(str(reason.values[name]))) for name in ("dbh_cm", "half_width_cm")))
     written = (rough_of_text(str(reason.values.get("text", ""))) for reason in tree.reasons)

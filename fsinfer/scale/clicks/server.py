@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import mimetypes
 import secrets
+import sys
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -176,6 +177,11 @@ class _Server(ThreadingHTTPServer):
     daemon_threads = True
     clicks: ClickServer
 
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Say nothing of a browser that does not wait for its answer: of a page that is loaded anew, or was closed."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
+
 
 class _Handler(BaseHTTPRequestHandler):
     server: _Server
@@ -225,9 +231,12 @@ class _Handler(BaseHTTPRequestHandler):
         except (ValueError, TypeError, KeyError, RecursionError):
             self._say(HTTPStatus.BAD_REQUEST, "these are no clicks")
             return
-        self._answer(HTTPStatus.OK, "application/json", json.dumps(told).encode())
-        if rest == "use":
-            clicks.finish()
+        try:
+            self._answer(HTTPStatus.OK, "application/json", json.dumps(told).encode())
+        finally:
+            # Also where the page was closed at once: its clicks are kept, and nobody is left to end the waiting.
+            if rest == "use":
+                clicks.finish()
 
     def _allowed(self) -> str | None:
         """The address behind the token; None where the request was refused."""

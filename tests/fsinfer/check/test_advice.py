@@ -157,7 +157,7 @@ def test_boards_seen_too_seldom_or_from_far() -> None:
     assert lines[1].startswith("Board 41: in 4 photos, in all of them its side is at least 80 pixels: pass it again")
     five = marker_lines(scale_of_boards([entry(40, 5, 60.0)]), given=True)[0]
     assert five == "Board 40: in 5 photos, in all of them its side is at least 60 pixels: good."
-    assert "--endpoints" in marker_lines(NO_SCALE, given=False)[0]
+    assert "fsinfer scale OUT --click" in marker_lines(NO_SCALE, given=False)[0]
     # Where none can be used they are told all the same, each once.
     reasons = [(43, "3 views: the corners do not make a square"), (43, "2 views: too few"), (44, "1 views: too few")]
     alone = [RejectedMarker(id=number, reason=reason) for number, reason in reasons]

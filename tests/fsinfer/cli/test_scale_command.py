@@ -102,7 +102,7 @@ def test_ctrl_c_loses_nothing(out: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ([], "--click and --length-m is missing"),
+        ([], "--click and --length-m are missing"),
         (["--click"], "--length-m is missing; for example: fsinfer scale"),
         (["--click", "--length-m", "0"], "--length-m is 0.0; give a number above 0"),
         (["--click", "--length-m", "-1"], "give a number above 0"),

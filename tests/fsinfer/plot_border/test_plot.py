@@ -18,6 +18,7 @@ from fsinfer.plot_border.rows import figure_rows
 from fsinfer.plot_border.sight import Cameras, SeenShare, plot_cells, seen_share, views_of
 from fsinfer.scene import Scene
 from fsinfer.trees import Ground, Tree
+from fsinfer.trees.tree import OUTSIDE
 from tests.support.walked_plot import STEMS, UNIT, make_plot
 
 CIRCLE = Border(center=(0.0, 0.0), radius_m=10.0, origin="walk", moves_along=True)
@@ -158,11 +159,18 @@ def test_a_border_beside_the_cloud_is_said_to_be_elsewhere() -> None:
 
 def test_stems_outside_of_the_walk_that_stand_in_the_plot_are_told() -> None:
     beyond = (notice(StemCode.outside_walk, nearest_m=9.0),)
-    trees = [at(0.0), *(replace(unmeasured(x_m, n), reasons=beyond) for x_m, n in ((5.0, 2), (30.0, 3)))]
-    plot = plot_of(trees, CIRCLE, ALL, slope_deg=0.0)
+    far = [replace(unmeasured(x_m, n), reasons=beyond, status=OUTSIDE) for x_m, n in ((5.0, 2), (30.0, 3))]
+    plot = plot_of([at(0.0), *far], CIRCLE, ALL, slope_deg=0.0)
     (told,) = plot.warnings
     assert (told.code, told.values["trees"]) == (PlotCode.outside_walk_in_plot, ("2",))
     assert (plot.figures.stems, plot.figures.unmeasured) == (2, 1)
+
+
+def test_those_that_were_measured_all_the_same_are_not_to_be_measured() -> None:
+    """With --far-stems they count with their own section, and not, as was said, with the mean one of the others."""
+    beyond = (notice(StemCode.outside_walk, nearest_m=9.0),)
+    trees = [replace(at(0.0), reasons=beyond), at(5.0)]
+    assert plot_of(trees, CIRCLE, ALL, slope_deg=0.0).warnings == ()
 
 
 def test_an_empty_plot_has_figures() -> None:

@@ -203,6 +203,17 @@ def test_stems_off_the_seen_ground_are_told_and_count_to_no_hectare(tmp_path: Pa
     assert stand_of(read_contents(tmp_path)).stems_per_ha == pytest.approx(3 / 0.05 * 4 / 6)
 
 
+def test_a_stem_off_the_ground_that_counts_is_in_no_figure_of_it(tmp_path: Path) -> None:
+    """It was said to be counted by the mean of the others; and means of some stems stood there as those of all."""
+    given = {"stems": 3, "measured": 2, "plot_area_m2": 500.0, "stems_per_ha": 20.0, "stems_on_area": 1}
+    given |= {"basal_area_m2_per_ha": np.pi / 4 * 0.09 / 0.05, "mean_dbh_cm": 30.0, "quadratic_mean_dbh_cm": 30.0}
+    full_folder(tmp_path, plot=PLOT | {"stand": given | {"off_area": [2, 3]}})
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    assert '<th scope="row">Basal area per hectare</th><td>1.4 m²/ha</td>' in page
+    assert '<th scope="row">Mean DBH</th><td>30.0 cm, of those on the ground that counts to the hectare</td>' in page
+    assert '<th scope="row">Stems with a DBH</th><td>2</td>' in page
+
+
 @pytest.mark.parametrize("far_stems", [False, True])
 def test_stems_outside_of_the_walk_count_in_no_figure(tmp_path: Path, *, far_stems: bool) -> None:
     stems = [TREE, TREE | {"tree_id": 2, "dbh_cm": 40.0}, TREE | {"tree_id": 3, "dbh_cm": "", "status": "outside"}]
@@ -331,10 +342,13 @@ def test_without_a_scale_the_units_are_said(tmp_path: Path) -> None:
     codes = [
         coded("no_scale_given", "no scale was given: the cloud is in model units"),
         coded("markers_of_unknown_length", "no scale: markers are seen, but their length was not given"),
+        coded("no_scale_from_markers", "no scale from ArUco markers: 7 is in one photo only"),
     ]
     full_folder(tmp_path, plot=plot | {"warning_codes": codes})
     page = make_report(tmp_path).read_text(encoding="utf-8")
     assert "No scale is known: all lengths" in page
+    assert "fsinfer scale OUT --click" in page
+    assert "<li>No scale from ArUco markers: 7 is in one photo only.</li>" in page
     assert "o scale was given" not in page
     assert "<li>No scale: markers are seen, but their length was not given.</li>" in page
     assert "x (units)" in page
@@ -389,6 +403,7 @@ def test_a_part_that_was_joined_is_said_with_its_stems_and_counts_as_placed(tmp_
     assert page.count(remark) == 3  # on the card, in the table, and what that is sorted by
     # 25 of 40 photos and the 14 of the part are nearly all.
     assert "photos could be placed" not in page
+    assert "39 of 40" in page  # the large number says the same
     full_folder(tmp_path, plot=PLOT | {"parts": [part | {"joined": None}]}, trees=rows)
     assert "Only 25 of 40 photos could be placed" in make_report(tmp_path).read_text(encoding="utf-8")
 
@@ -422,6 +437,15 @@ def test_the_advice_to_walk_round_is_given_once(tmp_path: Path) -> None:
     page = page_with("{}")
     assert "trees.json could not be read" in page
     assert advice in page
+
+
+def test_a_cloud_of_a_scanner_is_not_advised_to_be_photographed(tmp_path: Path) -> None:
+    lost = TREE | {"tree_id": 2, "dbh_cm": "", "status": "unmeasured", "reason": "w"}
+    write_csv(tmp_path / "trees.csv", [TREE, lost])
+    (tmp_path / "plot.json").write_text(json.dumps({"source": "a.laz", "units": "m", "warnings": []}))
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    assert "has no diameter: w.</li>" in page
+    assert "walk round" not in page
 
 
 def test_a_run_that_has_only_begun_gives_a_page_that_says_what_is_missing(tmp_path: Path) -> None:

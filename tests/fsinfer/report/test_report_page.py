@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import zlib
 from collections.abc import Iterator
@@ -186,3 +187,15 @@ def test_without_webgl_the_still_pictures_are_shown(chromium: Browser, report: P
     page.locator(".still img").first.wait_for(state="visible")
     assert not page.locator("#viewer").is_visible()
     page.close()
+
+
+def test_a_long_name_in_a_warning_does_not_widen_a_phone_s_page(chromium: Browser, tmp_path: Path) -> None:
+    out = write_report_folder(tmp_path)
+    plot = json.loads((out / "plot.json").read_text(encoding="utf-8"))
+    plot["warnings"] = [f"left out: {'Forstrevier_Nord_' * 5}.jpg cannot be read"]
+    (out / "plot.json").write_text(json.dumps(plot), encoding="utf-8")
+    opened = chromium.new_page(viewport={"width": 390, "height": 844})
+    opened.goto(make_report(out).as_uri())
+    width, inner = opened.evaluate("[document.documentElement.scrollWidth, window.innerWidth]")
+    opened.close()
+    assert width <= inner

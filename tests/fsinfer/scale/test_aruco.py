@@ -339,6 +339,19 @@ def test_printed_boards_need_no_option(tmp_path: Path) -> None:
     assert [item.code for item in found.warnings] == [CaptureCode.no_scale_given]
 
 
+@pytest.mark.parametrize(("views", "number", "told"), [(2, 23, True), (1, 23, False), (2, 7, False)])
+def test_printed_boards_that_do_not_do_are_told(tmp_path: Path, views: int, number: int, *, told: bool) -> None:
+    """Who had put boards up was told to put boards up. In a single photo it may be none; others may be anything."""
+    from fsinfer.scale.find import find_scale
+    from fsinfer.scale.request import ScaleRequest
+
+    found = find_scale(ScaleRequest(), scene=make_scene(tmp_path, {0: number}, views=views))
+    (warning,) = found.warnings
+    assert found.scale == UNKNOWN
+    assert (warning.code == CaptureCode.no_scale_from_markers) == told
+    assert (f"marker {number}: " in sentences(found.warnings)[0]) == told
+
+
 def test_boards_check_a_scale_from_elsewhere_where_it_is_known_where_they_are(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

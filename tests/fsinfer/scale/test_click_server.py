@@ -5,6 +5,9 @@ from __future__ import annotations
 import http.client
 import json
 import re
+import socket
+import struct
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -216,6 +219,46 @@ def test_drafts_are_kept_and_shown_again(scene: Scene, client: Client) -> None:
     assert page.opened[0] == 5
     assert len(page.opened) == 2
     assert set(page.draft) == {"view_05"}
+
+
+def _reset(connection: socket.socket) -> None:
+    """Go away as a browser does that a tab is closed in: the other side cannot answer any more."""
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    connection.close()
+
+
+def test_a_browser_that_goes_away_is_nothing_to_tell(
+    scene: Scene, client: Client, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Browsers drop what they load when the page is left or shown anew; the terminal showed a trace each time."""
+    host, port = client.server.host.split(":")
+    before = threading.active_count()
+    gone = socket.create_connection((host, int(port)), timeout=20)
+    gone.sendall(f"GET {client.at('photo/0')} HTTP/1.0\r\n".encode())
+    # Answered after that one was taken up.
+    assert client.ask("GET", client.at("photo/1"))[0] == 200
+    _reset(gone)
+    for _ in range(200):
+        if threading.active_count() <= before:
+            break
+        threading.Event().wait(0.05)
+    assert client.ask("GET", client.at("photo/0"))[0] == 200
+    assert capfd.readouterr().err == ""
+
+
+def test_clicks_are_used_where_the_page_is_closed_at_once(scene: Scene, capfd: pytest.CaptureFixture[str]) -> None:
+    """They are kept by then, and whoever waits for the page would wait forever."""
+    clicks = true_clicks(scene, 0, 2)
+    body = json.dumps({"clicks": clicks}).encode()
+    with socket.socket() as browser, ClickServer(scene, 1.0, SavedClicks(), lambda _: _reset(browser)) as server:
+        host, port = server.host.split(":")
+        browser.settimeout(20)
+        browser.connect((host, int(port)))
+        head = f"POST /{server.token}/use HTTP/1.0\r\nHost: {server.host}\r\nContent-Length: {len(body)}\r\n\r\n"
+        browser.sendall(head.encode() + body)
+        assert server._done.wait(20)
+        assert set(server.wait().clicks.by_view) == set(clicks)
+    assert capfd.readouterr().err == ""
 
 
 def test_the_file_round_trip(tmp_path: Path, scene: Scene) -> None:

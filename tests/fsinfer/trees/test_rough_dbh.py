@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.notice import Notice, notice, notice_json, notice_of_json
 from fsinfer.notices.sentences import sentence
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees.measure import analyse_plot
@@ -53,6 +53,20 @@ def test_a_table_tells_the_same_as_the_measurement() -> None:
     written = notice(StemCode.as_written, text=f"{sentence(uncertain(6.0, 2.0))}; wide interval (+- 2.0 cm)")
     assert rough_dbh_cm(tree(1, None, written)) == rough_dbh_cm(tree(1, None, uncertain(6.0, 2.0)))
     assert rough_dbh_cm(tree(1, None, notice(StemCode.as_written, text="double wall"))) is None
+
+
+def test_edges_that_are_no_measurement_leave_what_the_points_say() -> None:
+    """The run counted such a sapling as a mean tree, and the report, by the same sentence, as a sapling."""
+    edges = notice(StemCode.edges_unsupported, photos=9, edges_cm=7.0, refused=uncertain(7.0, 3.0))
+    known = rough_dbh_cm(tree(1, None, uncertain(7.0, 3.0)))
+    assert known is not None
+    assert rough_dbh_cm(tree(1, None, edges)) == known
+    assert rough_dbh_cm(tree(1, None, notice_of_json(notice_json(edges)))) == known
+    assert rough_dbh_cm(tree(1, None, notice(StemCode.as_written, text=sentence(edges)))) == known
+    other = notice(StemCode.too_few_on_bark, points=9)
+    refused = notice(StemCode.edges_unsupported, photos=9, edges_cm=7.0, refused=other)
+    assert rough_dbh_cm(tree(1, None, refused)) is None
+    assert sizes_unknown([tree(1, 20.0), tree(2, 20.0), tree(3, None, edges)]) == ()
 
 
 def test_a_sapling_is_no_mean_tree_in_the_stand() -> None:

@@ -207,7 +207,7 @@ def test_plot_json(fakes: Fakes, photos: Path, tmp_path: Path) -> None:
     assert (plot["photos_given"], plot["rejected"]) == (VIEWS + 2, [{"name": "dark", "reason": "too dark"}])
     assert [entry["code"] for entry in plot["warning_codes"]][:2] == ["frames_not_used", "photos_loose"]
     assert [entry["text"] for entry in plot["warning_codes"]] == plot["warnings"]
-    assert plot["warnings"][0] == f"1 of {VIEWS + 2} frames were not used (dark: too dark)"
+    assert plot["warnings"][0] == f"1 of {VIEWS + 2} frames was not used (dark: too dark)"
     assert {name: made for name, made in plot["made_by"].items() if made != fsinfer.__version__} == {}
     assert (plot["units"], plot["scale_m_per_unit"], plot["scale_source"]) == ("m", M_PER_UNIT, "factor")
     assert plot["depth_vs_sfm_median_rel"] == 0.0025

@@ -11,9 +11,14 @@
   const MUCH_PX = 6;
   let asked = 0, over = false;
 
+  // What a browser says by itself, such as "Failed to fetch", tells nobody what to do.
+  const GONE = 'The program that shows this page was ended, and what is clicked now is not kept. Run fsinfer scale ' +
+    'again: its page has the clicks until then.';
+
   function post(what, clicks) {
     const body = JSON.stringify({ clicks: clicks });
     return fetch(what, { method: 'POST', headers: { 'Content-Type': 'application/json' }, body: body })
+      .catch(function () { throw new Error(GONE); })
       .then(function (answer) {
         return answer.json().then(function (content) {
           if (!answer.ok) { throw new Error(content.error || 'the answer was ' + answer.status); }
