@@ -53,6 +53,7 @@ def advice(
             "judged without them, and some may be named that they saw."
         )
     lines += _sides_left_open(names, stems, sides)
+    lines += _all_beside(stems)
     for entry, offsets in zip(stems, offsets_m, strict=True):
         if entry.verdict == "one side":
             side = compass.side(entry.gap_center_deg)
@@ -107,6 +108,20 @@ def _sides_left_open(names: Sequence[str], stems: Sequence[StemCoverage], sides:
             f"there if {which} belong{'s' if len(there) == 1 else ''} to your plot."
         )
     return lines
+
+
+def _all_beside(stems: Sequence[StemCoverage]) -> list[str]:
+    """One sentence where the walk went round no stem at all: nothing was judged, and nothing is not all good."""
+    if any(entry.inside for entry in stems):
+        return []
+    count = sum(entry.verdict == "outside" and entry.one_sided for entry in stems)
+    if not count:
+        return []
+    were = "stems beside it were" if count > 1 else "stem beside it was"
+    return [
+        f"No stem stands within your walk, and {count} {were} seen from one side only. Walk round those that belong to "
+        "your plot."
+    ]
 
 
 def _trees(numbers: Sequence[str]) -> str:

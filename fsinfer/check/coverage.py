@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fsinfer.check.settings import CoverageSettings
 from fsinfer.check.visible_stems import VisibleStem
+from fsinfer.geometry.hull import in_hull
 
 Floats = NDArray[np.float64]
 
@@ -17,6 +18,9 @@ Floats = NDArray[np.float64]
 #: A stem was hardly seen by fewer photos than this, however few there are; and it is far that no five are near. Source:
 #: judgement.
 _FEWEST_PHOTOS, _NEAR_PHOTOS = 4, 5
+#: A walk that is no wider than this, and longer than that, metres, is a line: nobody walks straight, and what so narrow
+#: a strip encloses is the walker. Source: judgement; photos within a metre of a path are on it.
+_LINE_WIDTH_M, _LINE_LENGTH_M = 2.0, 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,6 +109,26 @@ def judge_stems(
     # People look for "the tree after this one" on their way; those outside come last.
     found.sort(key=lambda entry: (not entry.inside, entry.nearest, -len(entry.views)))
     return [replace(entry, number=rank + 1) for rank, entry in enumerate(found)]
+
+
+def within_walk(cameras: Floats, places: Floats, *, settings: CoverageSettings | None = None) -> NDArray[np.bool_]:
+    """Whether places (K, 2) are enclosed by the walk of the photos (P, 2), or so near to it that they are judged, (K,).
+
+    A walk along a line has no inside: what is beside it, and not far, can be walked round as well.
+    """
+    settings = settings or CoverageSettings()
+    if not len(cameras) or not len(places) or not _is_line(cameras):
+        return in_hull(cameras, places, settings.margin_m)
+    apart = np.linalg.norm(places[:, None] - cameras[None], axis=2).min(axis=1)
+    return np.asarray(apart <= max(settings.far_m, settings.margin_m))
+
+
+def _is_line(cameras: Floats) -> bool:
+    """Whether the strip that holds all of the walk is narrow and long."""
+    directions = np.radians(np.arange(0.0, 180.0))
+    across = np.stack([-np.sin(directions), np.cos(directions)])
+    widths = np.ptp(cameras @ across, axis=0)
+    return bool(widths.min() <= _LINE_WIDTH_M and widths.max() >= _LINE_LENGTH_M)
 
 
 def widest_gap(azimuths_deg: Floats) -> tuple[float, float]:

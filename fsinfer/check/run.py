@@ -15,7 +15,7 @@ import numpy as np
 from fsinfer.check.advice import advice, marker_lines
 from fsinfer.check.coarse_depth import Glance, GlanceSettings, read_glance, take_glance
 from fsinfer.check.compass import find_compass, gnss_places
-from fsinfer.check.coverage import StemCoverage, judge_stems
+from fsinfer.check.coverage import StemCoverage, judge_stems, within_walk
 from fsinfer.check.habits import habits
 from fsinfer.check.open_sides import OpenSide, open_sides
 from fsinfer.check.result import CheckResult
@@ -23,7 +23,6 @@ from fsinfer.check.settings import CoverageSettings
 from fsinfer.check.survey import Survey, SurveySettings, survey_scene
 from fsinfer.frames.select import frame_stems, list_captures
 from fsinfer.frames.settings import FrameSettings
-from fsinfer.geometry.hull import in_hull
 from fsinfer.geometry.similarity import scale_of
 from fsinfer.io.files import make_folder, write_text
 from fsinfer.io.photo_folders import list_images
@@ -215,8 +214,8 @@ def judge_survey(
         if all(np.linalg.norm(stem.center - place) - stem.radius > _POST_M for place in at_boards)
     ]
     stems = [survey.stems[row] for row in kept]
-    # A straight walk has no inside: everything beside it can be walked round as well.
-    inside = in_hull(cameras, np.array([stem.center for stem in stems]).reshape(-1, 2), settings.coverage.margin_m)
+    places = np.array([stem.center for stem in stems]).reshape(-1, 2)
+    inside = within_walk(cameras, places, settings=settings.coverage)
     judged = judge_stems(stems, survey.seen[kept], cameras, inside, settings=settings.coverage)
     sides = open_sides(cameras)
     judged = [_beyond(entry, sides) for entry in judged]

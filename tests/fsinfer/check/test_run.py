@@ -23,6 +23,7 @@ from fsinfer.check.run import judge_survey
 from fsinfer.check.settings import SightingSettings, SparseStemSettings
 from fsinfer.check.sparse_stems import find_sparse_stems
 from fsinfer.check.survey import Survey, SurveySettings, survey_scene
+from fsinfer.check.visible_stems import VisibleStem
 from fsinfer.errors import InputError
 from fsinfer.frames.settings import FrameSettings
 from fsinfer.io.images import read_image, write_image
@@ -179,6 +180,36 @@ def test_trees_beyond_the_open_side_of_a_walk_that_stopped_early_are_named(plot:
     assert set(numbers) == {2}
     assert result.lines[0].startswith("Between the places of photos p00 and p26 no photo was placed for 10 m.")
     assert f"if tree {numbers[2]} beyond it, seen from one side only, belongs to your plot" in result.lines[0]
+
+
+def beside(cameras: NDArray[np.float64], places: Sequence[tuple[float, float]]) -> CheckResult:
+    """The check of a walk whose photos see every stem that is within 8 m of them."""
+    stems = [VisibleStem(center=np.array(place), radius=0.15, lean=np.zeros(2)) for place in places]
+    seen = np.array([np.linalg.norm(cameras - stem.center, axis=1) < 8 for stem in stems])
+    names = tuple(f"p{number:02d}" for number in range(len(cameras)))
+    found = Survey(names=names, cameras=cameras, plot_from_scene=np.eye(4), stems=tuple(stems), seen=seen)
+    return judge_survey(found, names, METRIC, NO_SCALE)
+
+
+@pytest.mark.parametrize("aside_m", [0.0, 0.15])
+def test_stems_beside_a_straight_walk_are_named_however_straight_it_is(aside_m: float) -> None:
+    along = np.arange(0, 30, 0.5)
+    walk = np.column_stack([along, np.random.default_rng(0).normal(0, aside_m, len(along))])
+    turn = np.radians(25)
+    rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    places = np.array([(10.0, 3.0), (14.0, -3.0), (18.0, 4.0), (18.0, -20.0)])
+    result = beside(walk @ rotation, [(x, y) for x, y in places @ rotation])
+    assert [entry.verdict for entry in result.stems] == ["one side"] * 3 + ["outside"]
+    assert len(result.lines) == 3
+
+
+def test_a_walk_that_went_round_no_stem_is_told_so() -> None:
+    along = np.arange(0, 30, 0.5)
+    there, back = np.column_stack([along, 0 * along]), np.column_stack([along[::-1], 0 * along + 3])
+    result = beside(np.concatenate([there, back]), [(10.0, 7.0), (20.0, -4.0)])
+    assert [entry.verdict for entry in result.stems] == ["outside"] * 2
+    (line,) = result.lines
+    assert line.startswith("No stem stands within your walk, and 2 stems beside it were seen from one side only.")
 
 
 def test_the_map_shows_the_missing_side(tmp_path: Path, plot: Plot) -> None:
