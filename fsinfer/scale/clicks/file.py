@@ -36,7 +36,8 @@ def read_clicks(out: Path) -> SavedClicks:
     path = out / CLICKS_FILE
     try:
         content = read_json(path)
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
+        # Where a file was given as the folder, whoever makes the folder says so.
         return SavedClicks()
     except (OSError, ValueError) as error:
         msg = f"{path} cannot be read ({error}); delete it, and click the ends again with fsinfer scale"

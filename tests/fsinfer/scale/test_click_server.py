@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fsinfer.errors import ImageError, InputError
+from fsinfer.check import check_capture
+from fsinfer.errors import ImageError, InputError, OutputError
 from fsinfer.scale.clicks.file import CLICKS_FILE, SavedClicks, clicked_length, read_clicks, write_clicks
 from fsinfer.scale.clicks.page import click_page
 from fsinfer.scale.clicks.server import MOST_BYTES, ClickServer
@@ -282,6 +283,17 @@ def test_the_file_round_trip(tmp_path: Path, scene: Scene) -> None:
         (tmp_path / CLICKS_FILE).write_text(text, encoding="utf-8")
         with pytest.raises(InputError, match="click the ends again"):
             read_clicks(tmp_path)
+
+
+def test_a_file_for_a_folder_is_no_damaged_file_of_clicks(tmp_path: Path) -> None:
+    given = tmp_path / "plot"
+    given.write_text("", encoding="utf-8")
+    assert read_clicks(given) == SavedClicks()
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    (photos / "a.jpg").touch()
+    with pytest.raises(OutputError, match="choose another output folder"):
+        check_capture(photos, given)
 
 
 def test_find_scale_takes_clicks_and_says_when_they_do_not_fit(scene: Scene) -> None:
