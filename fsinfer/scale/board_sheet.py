@@ -253,8 +253,8 @@ def _write_text(axes: Axes, board: Board, top_mm: float) -> None:
         f'1. Print at 100 % ("actual size", not "fit to page"). The bar must be {_BAR_MM:g} mm long, the black square',
         f"    {side_mm:g} mm wide and high.{other}",
         "2. Glue it flat on something stiff. Keep the white rim free; matt paper, no shiny film.",
-        "3. Put up three or more, spread over the plot, upright at chest height, facing your path, not in broken",
-        "    shade. Pass each at 2 to 3 m, so that it is sharp in at least five photos from different places.",
+        "3. Put up three or more, each number once, spread over the plot, upright at chest height, facing your",
+        "    path, not in broken shade. Pass each at 2 to 3 m: sharp in at least five photos from different places.",
         f"4. {told}",
     )
     left_mm, lines_mm = middle - _HALF_LINES_MM, top_mm - _LINES_DOWN_MM

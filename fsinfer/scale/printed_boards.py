@@ -58,6 +58,11 @@ def numbers_of_length(length_m: float, count: int) -> list[int]:
     own = [number for number, meant_m in board_lengths().items() if abs(meant_m - length_m) < SAME_LENGTH_M]
     free = own or list(range(RANGES[0][0]))
     if not 1 <= count <= len(free):
-        msg = f"{count} boards of {length_m:g} m: there are 1 to {len(free)} numbers for them; print some of them twice"
+        # A number at two places is what photos in a wrong place look like.
+        told = ", ".join(f"{meant_m:g}" for _, _, meant_m in RANGES)
+        msg = (
+            f"{count} boards of {length_m:g} m: there are 1 to {len(free)} numbers for them, and each may hang in one "
+            f"place only; print fewer, or give the others another length that fsinfer knows by the number ({told} m)"
+        )
         raise InputError(msg)
     return free[:count]

@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 from fsinfer.errors import InputError, ScaleError
 from fsinfer.scale.board_sheet import PAPERS_MM, Board, draw_board, square_place_mm, write_marker_pdf
 from fsinfer.scale.detection import detect_markers, make_detector
+from fsinfer.scale.doubts import doubt_about_all
 from fsinfer.scale.printed_boards import DICTIONARY, RANGES, board_lengths, numbers_of_length
+from tests.support.boards import board as seen_board
+from tests.support.boards import scale_of_boards
 
 DPI = 150
 
@@ -107,6 +110,15 @@ def test_numbers_and_lengths_agree() -> None:
     assert numbers_of_length(0.12, 3) == [0, 1, 2]
     # What people print first when they make boards of their own must mean nothing.
     assert min(lengths) == 20
+
+
+def test_nobody_is_told_to_hang_a_number_twice() -> None:
+    with pytest.raises(InputError, match="one place only") as told:
+        numbers_of_length(0.15, 14)
+    assert "twice" not in str(told.value)
+    # It would be doubted, as photos in a wrong place are.
+    boards = [seen_board(20 + rank % 10, (3.0 * rank, 0.0, 1.0), ["a"], length_m=0.15) for rank in range(14)]
+    assert doubt_about_all(scale_of_boards(boards)) is not None
 
 
 def test_boards_of_a_larger_dictionary_are_not_taken_for_those_that_tell_their_length(tmp_path: Path) -> None:
