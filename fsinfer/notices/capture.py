@@ -25,6 +25,7 @@ class CaptureCode(StrEnum):
     same_name = "same_name"
     frames_not_used = "frames_not_used"
     names_not_by_time = "names_not_by_time"
+    cameras_alternate = "cameras_alternate"
     photos_in_folders = "photos_in_folders"
     photos_not_read = "photos_not_read"
     video_cut_short = "video_cut_short"
@@ -159,6 +160,14 @@ def _contradict_scale(values: Mapping[str, Any]) -> str:
     )
 
 
+def _alternate(values: Mapping[str, Any]) -> str:
+    return (
+        f"photos of {' and '.join(values['cameras'])} alternate by name: {values['changes']} of {values['photos']} "
+        "follow one of another camera; photos with neighbouring names are taken for neighbours of one walk, so rename "
+        "them, with a letter for each camera in front, for each camera's photos to follow each other"
+    )
+
+
 def _two_places(values: Mapping[str, Any]) -> str:
     apart_m = values["apart_m"]
     apart = f"{apart_m:.1f} m" if apart_m >= 0.1 else f"{100 * apart_m:.0f} cm"
@@ -193,6 +202,7 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
         "the names of the photos do not follow the walk: by name {backwards} of {photos} were taken before the one "
         "before them; photos with neighbouring names are matched first, so rename them in the order of their times"
     ),
+    CaptureCode.cameras_alternate: _alternate,
     CaptureCode.photos_in_folders: _in_folders,
     CaptureCode.photos_not_read: _not_read,
     CaptureCode.video_cut_short: (

@@ -62,7 +62,19 @@ def test_clocks_of_two_cameras_are_not_compared(tmp_path: Path) -> None:
     """Photos of two people that were named through each other: the second clock is an hour behind."""
     first, second = photos(tmp_path, list(range(3600, 3612)), camera="A"), photos(tmp_path, list(range(12)), camera="B")
     mixed = [path for pair in zip(first, second, strict=True) for path in pair]
-    assert names_against_times(mixed) == ()
+    assert CaptureCode.names_not_by_time not in [told.code for told in names_against_times(mixed)]
+    assert names_against_times([*first, *second]) == ()
+
+
+def test_photos_of_two_people_that_are_named_through_each_other_are_told(tmp_path: Path) -> None:
+    """Each walked a way of his own, and where the ways meet photos that follow each other stand far too near."""
+    first, second = photos(tmp_path, list(range(12)), camera="A"), photos(tmp_path, list(range(12)), camera="B")
+    (told,) = names_against_times([path for pair in zip(first, second, strict=True) for path in pair])
+    assert told.code == CaptureCode.cameras_alternate
+    assert sentence(told).startswith("photos of A and B alternate by name: 23 of 24 follow one of another camera")
+    # A few of another phone, or one phone after the other, are no walk of two.
+    assert names_against_times([*first, *second[:6]]) == ()
+    assert names_against_times([*first[:6], *second[:3], *first[6:], *second[3:]]) == ()
 
 
 def test_a_moment_has_decimals_and_may_be_none(tmp_path: Path) -> None:
