@@ -35,7 +35,7 @@ class Tile:
 
 def thumbnail(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """The (H, W, 3) RGB picture made to fit a tile."""
-    scale = TILE_PX / max(image.shape[:2])
+    scale = max(TILE_PX / max(image.shape[:2]), 1 / min(image.shape[:2]))
     if scale >= 1:
         return image
     return np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)

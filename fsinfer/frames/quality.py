@@ -64,7 +64,8 @@ class FrameScore:
 def score_frame(image: NDArray[np.uint8]) -> FrameScore:
     """Score an (H, W, 3) RGB uint8 photograph."""
     grey = luminance(image)
-    scale = SCORE_SIZE_PX / max(grey.shape)
+    # A strip keeps a pixel of its width.
+    scale = max(SCORE_SIZE_PX / max(grey.shape), 1 / min(grey.shape))
     if scale < 1:
         grey = np.asarray(cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     values = grey.astype(np.float32)

@@ -75,6 +75,15 @@ def test_each_bad_photo_has_its_reason(photos: Path, tmp_path: Path) -> None:
     assert "6 of 15 frames were not used" in sentence(result.warnings[0])
 
 
+@pytest.mark.parametrize("value", [0, 120])
+def test_a_strip_among_the_photos_is_not_the_end(photos: Path, tmp_path: Path, value: int) -> None:
+    """Left there by another program: no photo, and looked at like one, whether it is kept or shown on the sheet."""
+    write_image(photos / "strip.png", np.full((1, 3000, 3), value, np.uint8))
+    result = select_frames(photos, tmp_path / "out")
+    assert {f"p{index}" for index in range(8)} <= {row.name for row in result.rows if row.kept}
+    assert "strip" in {row.name for row in result.rows}
+
+
 def test_never_more_than_a_share_is_called_blurred() -> None:
     # Half of a set out of focus by intent (near bark) must not lose the walk.
     scores = [score_frame(photo(i)) for i in range(12)] + [score_frame(blurred(photo(20 + i), 21)) for i in range(8)]
