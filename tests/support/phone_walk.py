@@ -89,20 +89,21 @@ def disturbed(truth: Unknowns, seed: int = 2) -> Unknowns:
 
 
 def model_of(seen: Observations, unknowns: Unknowns) -> Any:
-    """A ``pycolmap.Reconstruction`` with a SIMPLE_RADIAL lens that holds these observations and unknowns."""
+    """A ``pycolmap.Reconstruction`` with SIMPLE_RADIAL lenses that holds these observations and unknowns."""
     import pycolmap
 
     model = pycolmap.Reconstruction()
-    focal, _, *center, k1 = unknowns.lenses[0, :5]
-    params = [focal, *center, k1]
-    camera = pycolmap.Camera(camera_id=1, model="SIMPLE_RADIAL", width=WIDTH, height=HEIGHT, params=params)
-    model.add_camera_with_trivial_rig(camera)
+    for number, (focal, _, *center, k1) in enumerate(unknowns.lenses[:, :5], 1):
+        params = [focal, *center, k1]
+        camera = pycolmap.Camera(camera_id=number, model="SIMPLE_RADIAL", width=WIDTH, height=HEIGHT, params=params)
+        model.add_camera_with_trivial_rig(camera)
     rank = np.zeros(len(seen.photo), np.int64)
     for photo, pose in enumerate(np.concatenate([unknowns.rotations, unknowns.translations[:, :, None]], axis=2)):
         rows = np.flatnonzero(seen.photo == photo)
         rank[rows] = np.arange(len(rows))
         points2d = pycolmap.Point2DList([pycolmap.Point2D(xy) for xy in seen.xy[rows]])
-        image = pycolmap.Image(name=f"{photo:05d}.jpg", points2D=points2d, camera_id=1, image_id=photo + 1)
+        number = int(seen.camera[photo]) + 1
+        image = pycolmap.Image(name=f"{photo:05d}.jpg", points2D=points2d, camera_id=number, image_id=photo + 1)
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose))
     order = np.argsort(seen.point, kind="stable")
     for point, rows in enumerate(np.split(order, np.cumsum(np.bincount(seen.point))[:-1])):

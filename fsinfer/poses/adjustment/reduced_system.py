@@ -117,7 +117,7 @@ def blocks_of(structure: Structure, rows: Rows) -> Blocks:
     for photo, part in structure.photos():
         at = slice(photo * size, (photo + 1) * size)
         jacobian = rows.by_photo[part].reshape(-1, size)
-        lens = rows.by_lens[part].reshape(-1, lenses)
+        lens = _stacked(rows.by_lens[part])
         cameras[at, at] = jacobian.T @ jacobian
         cameras[at, border] = jacobian.T @ lens
         cameras[border, border] += lens.T @ lens
@@ -141,6 +141,12 @@ def blocks_of(structure: Structure, rows: Rows) -> Blocks:
         points=summed(by_point_times(rows.by_point)),
         points_right=summed(by_point_times(rows.residuals[:, :, None])[:, :, 0]),
     )
+
+
+def _stacked(blocks: Floats) -> Floats:
+    """Blocks (n, r, M) one below the other, (n r, M). M is 0 where no lens may change: of several with few photos."""
+    count, height, width = blocks.shape
+    return blocks.reshape(count * height, width)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,9 +185,9 @@ def reduce_points(structure: Structure, blocks: Blocks, damping: float) -> Reduc
         own = half[part].reshape(-1, size)
         point = structure.seen.point[part]
         matrix[at, at] -= own.T @ own
-        matrix[at, border] -= own.T @ half_lens[point].reshape(-1, lenses)
+        matrix[at, border] -= own.T @ _stacked(half_lens[point])
         right[at] -= own.T @ half_right[point].ravel()
-    flat = half_lens.reshape(-1, lenses)
+    flat = _stacked(half_lens)
     matrix[border, border] -= flat.T @ flat
     right[border] -= flat.T @ half_right.ravel()
     for one, others, rows, columns, ends in structure.pairs_by_photo():

@@ -13,7 +13,7 @@ from fsinfer.notices.sentences import sentence, sentences
 from fsinfer.poses.adjustment.adjust import PhotoAdjustment, adjust_photos
 from fsinfer.poses.adjustment.fit import fit
 from fsinfer.poses.adjustment.last_fit import like, weighting_of
-from fsinfer.poses.adjustment.problem import from_model
+from fsinfer.poses.adjustment.problem import Group, from_model
 from fsinfer.poses.adjustment.projection import OWN
 from fsinfer.poses.adjustment.reduced_system import Structure
 from fsinfer.poses.adjustment.settings import AdjustmentSettings
@@ -64,6 +64,20 @@ def test_a_model_that_is_not_adjusted_photo_by_photo_is_settled(photos: int) -> 
     told = [[found.center_std for found in each.precisions.values()] for each in (adjustment, again)]
     assert len(told[0]) == (photos if photos == 16 else 0)
     assert told[0] == pytest.approx(told[1], rel=0.05)
+
+
+def test_two_cameras_of_few_photos_are_adjusted_and_their_lenses_kept() -> None:
+    """A small plot of which half was photographed upright and half across, or by two phones."""
+    seen, truth = phone_walk(photos=14, effects=EFFECTS, noise_px=0.2)
+    seen = replace(seen, camera=np.repeat([0, 1], 7))
+    truth = replace(truth, lenses=np.repeat(truth.lenses, 2, axis=0))
+    model = model_of(seen, disturbed(truth))
+    lenses = [list(camera.params) for camera in model.cameras.values()]
+    adjusted, adjustment = adjust_photos(model, AdjustmentSettings())
+    assert len(adjusted.cameras) == 2
+    assert len(adjustment.precisions) == 14
+    assert Group.turn.name in adjustment.groups
+    assert [list(camera.params) for camera in adjusted.cameras.values()] == lenses
 
 
 @pytest.mark.parametrize("least", [AdjustmentSettings().min_gain_beside, 2.0], ids=["all are kept", "some go again"])

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from fsinfer.poses.adjustment.reduced_system import Rows, Structure, blocks_of, reduce_points, solve
 from tests.support.phone_walk import observations
 
-PHOTOS, POINTS, OWN, LENS = 4, 30, 5, 3
+PHOTOS, POINTS, OWN = 4, 30, 5
 
 
-def test_step_is_that_of_all_equations_at_once() -> None:
+@pytest.mark.parametrize("lens", [3, 0], ids=["lens", "no lens may change"])
+def test_step_is_that_of_all_equations_at_once(lens: int) -> None:
     rng = np.random.default_rng(3)
     seen_by = np.argwhere(rng.random((PHOTOS, POINTS)) < 0.9)
     # A wrong match may put a point twice into one photo.
@@ -21,12 +23,12 @@ def test_step_is_that_of_all_equations_at_once() -> None:
         residuals=rng.normal(size=(count, 2)),
         by_photo=rng.normal(size=(count, 2, OWN)),
         by_point=rng.normal(size=(count, 2, 3)),
-        by_lens=rng.normal(size=(count, 2, LENS)),
+        by_lens=rng.normal(size=(count, 2, lens)),
     )
     seen = observations(photo, point, PHOTOS)
     structure = Structure(seen, POINTS)
     blocks = blocks_of(structure, rows)
-    size = PHOTOS * OWN + LENS
+    size = PHOTOS * OWN + lens
     jacobian = np.zeros((count, 2, size + 3 * POINTS))
     for row in range(count):
         jacobian[row, :, photo[row] * OWN : (photo[row] + 1) * OWN] = rows.by_photo[row]
