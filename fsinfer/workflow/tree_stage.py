@@ -154,6 +154,7 @@ def _measure_plot(given: PlotCloudInput, out: Path, settings: TreeStageSettings,
         settings=settings.pattern,
         ground=settings.trees.ground,
         walk=settings.walk,
+        gone=sorted(set(found.trees) - set(edited.trees), key=lambda tree: tree.tree_id),
     )
     if given.doubt is not None:
         whole = all_doubtful(whole, given.doubt)
@@ -232,6 +233,7 @@ def _edit(
         scale_rel_std=given.scale_rel_std,
         metric=given.metric,
         errors=given.errors,
+        parts=[folder.name for folder in given.parts],
     )
 
 
