@@ -706,6 +706,21 @@ def test_photographs_lift_the_doubts_of_the_cloud_but_not_that_of_its_height() -
     assert (found.status, found.reasons) == ("doubtful", (fork,))
     found = joined(replace(section_of(0.300, 0.002, unsure), status="doubtful"), fit_of(0.15, 0.002))
     assert (found.status, found.reasons) == ("ok", ())
+    ground = notice(StemCode.ground_unsure, std_cm=30.0)
+    found = joined(replace(section_of(0.300, 0.002, ground, unsure), status="doubtful"), fit_of(0.15, 0.002))
+    assert (found.status, found.reasons) == ("doubtful", (ground,))
+
+
+@pytest.mark.parametrize(
+    "end", [notice(StemCode.top_seen, top_m=1.7), notice(StemCode.hangs, bottom_m=0.9)], ids=["top", "bottom"]
+)
+@pytest.mark.parametrize("of_points", [0.300, None])
+def test_edges_do_not_make_a_tree_of_a_post(end: Notice, of_points: float | None) -> None:
+    """Those of a post, or of a person who stood still, are as sharp as a tree's."""
+    refused = () if of_points else (ROUGH,)
+    found = joined(replace(section_of(of_points, 0.002, *refused, end), status="doubtful"), fit_of(0.15, 0.002))
+    assert found.dbh_m == pytest.approx(0.300)
+    assert (found.status, found.reasons) == ("doubtful", (end,))
 
 
 def test_processes_see_what_threads_see(photos: StemPhotos, tmp_path: Path) -> None:
