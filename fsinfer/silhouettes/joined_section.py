@@ -15,7 +15,7 @@ from fsinfer.notices.stems import StemCode
 from fsinfer.silhouettes.combine import Combined, combine
 from fsinfer.silhouettes.join_settings import SilhouetteJoinSettings
 from fsinfer.silhouettes.points_alone import NOT_OF_POINTS, OF_SHAPE
-from fsinfer.silhouettes.support import refusal
+from fsinfer.silhouettes.support import refusal, said_by_hand
 from fsinfer.trees import DbhSettings, Section
 from fsinfer.trees.diameter.budget import effective_dof, factor95, shared_std, total_std
 from fsinfer.trees.diameter.outline import Outline
@@ -104,7 +104,7 @@ def join(
         dof=dof,
         parts_m=parts,
         status=status,
-        reasons=reasons,
+        reasons=(*said_by_hand(section), *reasons),
         circle_m=np.array([*fit.shift_m, radius - section.by_taper_m]),
         outline=_outline(fit, radius) if measured and fit.sectors >= dbh.outline_coverage else None,
         silhouette=fit,

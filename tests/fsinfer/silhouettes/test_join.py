@@ -711,6 +711,18 @@ def test_photographs_lift_the_doubts_of_the_cloud_but_not_that_of_its_height() -
     assert (found.status, found.reasons) == ("doubtful", (ground,))
 
 
+def test_a_tree_by_hand_is_told_to_be_one_whatever_the_photographs_show(photos: StemPhotos, tmp_path: Path) -> None:
+    """As in a cloud without photographs: the table is where it is looked up later."""
+    by_hand = notice(StemCode.added_by_hand)
+    found = joined(section_of(0.300, 0.002, by_hand), fit_of(0.15, 0.002))
+    assert (found.status, found.reasons) == ("ok", (by_hand,))
+    found = joined(section_of(None, 0.002, by_hand, ROUGH), fit_of(0.15, 0.002), supported=False)
+    assert [why.code for why in found.reasons] == [StemCode.added_by_hand, StemCode.edges_unsupported]
+    nothing = without_stem(photos, tmp_path)
+    far = measure_silhouettes(plot_of(section_of(0.28, 0.011, by_hand)), nothing, kept=(1,))
+    assert [why.code for why in far.trees[0].reasons] == [StemCode.added_by_hand, StemCode.too_uncertain]
+
+
 @pytest.mark.parametrize(
     "end", [notice(StemCode.top_seen, top_m=1.7), notice(StemCode.hangs, bottom_m=0.9)], ids=["top", "bottom"]
 )
