@@ -57,6 +57,7 @@ def may_be_edges(
 
     plane, found = depths(-radius * np.linspace(*s.inside, s.asked))
     behind = found > plane + np.maximum(s.beyond_radii * radius, s.tolerance_of_depth * plane)
-    plane, found = depths(np.maximum(radius * np.linspace(*s.outside, s.asked), s.fringe_px * pixel_m))
+    fringe_m = s.fringe_px * depth_map.grid.reduced * pixel_m
+    plane, found = depths(np.maximum(radius * np.linspace(*s.outside, s.asked), fringe_m))
     before = found < plane - radius - np.maximum(s.beyond_radii * radius, s.tolerance_of_depth * plane)
     return np.asarray(np.maximum(behind.mean(axis=0), before.mean(axis=0)) < s.against)

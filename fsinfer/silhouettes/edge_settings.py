@@ -45,7 +45,8 @@ class EdgeSettings:
     asked: places on each side. Source: numerics.
     beyond_radii: what lies so many radii behind the axis is not the stem, and what is as much nearer than its near side
         stands before it. Source: as ``inside``.
-    fringe_px: depth maps go on so far beside what is nearer. Source: as ``inside``.
+    fringe_px: depth maps go on so far beside what is nearer, pixels of the picture that they were computed from: of a
+        larger photograph it is as much more as that was reduced. Source: as ``inside``.
     against: share of the places on one side that make an edge another's. Source: as ``inside``.
     """
 

@@ -15,7 +15,7 @@ from fsinfer.notices.stems import StemCode
 from fsinfer.silhouettes.combine import Combined, combine
 from fsinfer.silhouettes.join_settings import SilhouetteJoinSettings
 from fsinfer.silhouettes.points_alone import NOT_OF_POINTS, OF_SHAPE
-from fsinfer.silhouettes.support import refusal
+from fsinfer.silhouettes.support import refusal, said_by_hand
 from fsinfer.trees import DbhSettings, Section
 from fsinfer.trees.diameter.budget import effective_dof, factor95, shared_std, total_std
 from fsinfer.trees.diameter.outline import Outline
@@ -24,8 +24,17 @@ from fsinfer.trees.diameter.silhouette import SilhouetteFit
 from fsinfer.trees.diameter.verdict import too_uncertain, wide_interval
 from fsinfer.trees.one_entry import HAZE_NOISE_M
 
-#: Doubts of the cloud that photographs do not lift.
-NOT_LIFTED = frozenset({StemCode.above_breast_height, StemCode.below_breast_height, StemCode.forks_here})
+#: Doubts of the cloud about its diameter that photographs do not lift: at which height it is, and whose it is.
+NOT_LIFTED = frozenset(
+    {
+        StemCode.above_breast_height,
+        StemCode.below_breast_height,
+        StemCode.ground_unsure,
+        StemCode.forks_here,
+    }
+)
+#: Those whether it is a stem at all, which stay without a diameter of the cloud, too: the edges of a post are as sharp.
+OF_ENDS = frozenset({StemCode.top_seen, StemCode.hangs})
 #: Points that weigh less than this leave the diameter to the edges, and where they are a haze they do not vouch for
 #: those: not for few, either. Source: definition, the half; that few count, renders only, seed 955057, afterwards: a
 #: stem of 43 cm, of which six photos show a quarter, came out as 52 cm +- 5 cm.
@@ -95,7 +104,7 @@ def join(
         dof=dof,
         parts_m=parts,
         status=status,
-        reasons=reasons,
+        reasons=(*said_by_hand(section), *reasons),
         circle_m=np.array([*fit.shift_m, radius - section.by_taper_m]),
         outline=_outline(fit, radius) if measured and fit.sectors >= dbh.outline_coverage else None,
         silhouette=fit,
@@ -179,7 +188,8 @@ def _status(
     uncertain = too_uncertain(dbh_m, half_m, dbh)
     if uncertain:
         return "unmeasured", uncertain
-    doubts = [why for why in section.reasons if why.code in NOT_LIFTED and section.dbh_m is not None]
+    stays = OF_ENDS if section.dbh_m is None else OF_ENDS | NOT_LIFTED
+    doubts = [why for why in section.reasons if why.code in stays]
     faint = fit.contrast < s.wider.sure_contrast
     few = fit.photos < s.sure_photos or fit.sectors < s.sure_sectors or faint
     # Two walls are poses that do not agree: the distance of two edges stands it, but somebody should look.

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 from fsinfer.notices.notice import notice
 from fsinfer.notices.stems import StemCode
+from fsinfer.silhouettes.support import said_by_hand
 from fsinfer.trees import DbhSettings, Section, Tree
 from fsinfer.trees.diameter.budget import shared_std, total_std
 from fsinfer.trees.diameter.verdict import too_uncertain, wide_interval
@@ -37,7 +38,8 @@ def by_points_alone(tree: Tree, section: Section, factor: float, *, dbh: DbhSett
     wider = replace(section, sd_m=sd, parts_m=parts, shared_sd_m=2.0 * shared_std(parts))
     uncertain = too_uncertain(section.dbh_m, wider.half95_m, dbh)
     if uncertain:
-        refused = replace(wider, dbh_m=None, status="unmeasured", reasons=uncertain, outline=None)
+        reasons = (*said_by_hand(section), *uncertain)
+        refused = replace(wider, dbh_m=None, status="unmeasured", reasons=reasons, outline=None)
         return with_diameter(tree, refused), refused
     kept = tuple(why for why in section.reasons if why.code != StemCode.wide_interval)
     said = (*kept, notice(StemCode.points_alone), *wide_interval(section.dbh_m, wider.half95_m, dbh))

@@ -105,6 +105,11 @@ def points_support(
     return near and points_std_m <= enough * fit.radius_m
 
 
+def said_by_hand(section: Section) -> tuple[Notice, ...]:
+    """That a person put the stem on the map, which stays said whatever is found of it."""
+    return tuple(why for why in section.reasons if why.code in BY_HAND)
+
+
 def refusal(section: Section) -> Notice | None:
     """Why the cloud gave no diameter; None where it gave one."""
     if section.dbh_m is not None:

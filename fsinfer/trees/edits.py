@@ -18,7 +18,7 @@ from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees.by_hand import PlotAgain
 from fsinfer.trees.diameter.section import Section, unmeasured_section
-from fsinfer.trees.edit_rows import TreeEdit
+from fsinfer.trees.edit_rows import EDITS_FILE, TreeEdit
 from fsinfer.trees.measure import PlotResult
 from fsinfer.trees.points.errors import PointErrors
 from fsinfer.trees.search.stem import Stem
@@ -66,6 +66,7 @@ def apply_edits(
     scale_rel_std: float = 0.0,
     metric: bool = True,
     errors: PointErrors | None = None,
+    parts: Sequence[str] = (),
 ) -> PlotResult:
     """Apply ``edits`` to the trees of a plot; trees that they do not name stay as they are, with their numbers.
 
@@ -75,6 +76,7 @@ def apply_edits(
     points: (N, 3), z up, in the frame of the trees' positions.
     metric: False where positions are in model units: then trees are moved about, but nothing is measured.
     errors: of a cloud of photographs, by which the points of a stem are weighed.
+    parts: folders of parts of the walk, whose trees come into the plot's table later and are corrected there.
 
     Raises
     ------
@@ -110,11 +112,11 @@ def apply_edits(
             trees[number] = _by_hand(place[None], said, again, trees.values(), settings.bh_m)
             done.append(notice(StemCode.tree_added, tree_id=number))
         elif edit.action == "delete":
-            number = _known(edit.tree_id, trees, edit.row)
+            number = _known(edit.tree_id, trees, edit.row, parts)
             del trees[number]
             done.append(notice(StemCode.tree_deleted, tree_id=number))
         else:
-            number, other = _known(edit.tree_id, trees, edit.row), _known(edit.other_id, trees, edit.row)
+            number, other = (_known(named, trees, edit.row, parts) for named in (edit.tree_id, edit.other_id))
             if metric:
                 _refuse_far(trees, number, other, edit.row)
             places = np.array([trees.pop(number).place, trees.pop(other).place])
@@ -234,11 +236,14 @@ def _numbered(
     return replace(tree, tree_id=number), section
 
 
-def _known(number: int | None, trees: Iterable[int], row: int) -> int:
+def _known(number: int | None, trees: Iterable[int], row: int, parts: Sequence[str]) -> int:
     known = sorted(trees)
     if number is None or number not in known:
         there = ", ".join(map(str, known)) or "none"
         msg = f"row {row} of the edits names tree {number}, which is not there (any more); the trees are: {there}"
+        if parts:
+            files = " or ".join(f"{part}/{EDITS_FILE}" for part in parts)
+            msg += f"; one that only a part of the walk saw is corrected in {files}, by the number it has there"
         raise InputError(msg)
     return number
 

@@ -109,9 +109,11 @@ def with_ends(section: Section, ends: Ends, bh_m: float) -> Section:
     told = [notice(StemCode.top_seen, top_m=round(ends.top_m, 2))] if ends.top_m is not None else []
     if ends.bottom_m is not None:
         told.append(notice(StemCode.hangs, bottom_m=round(ends.bottom_m, 2)))
-    if not told or section.dbh_m is None:
+    if not told:
         return section
-    return replace(section, status="doubtful", reasons=(*section.reasons, *told))
+    # Of one without a diameter it is told as well: its edges in photographs may give it one.
+    status = section.status if section.dbh_m is None else "doubtful"
+    return replace(section, status=status, reasons=(*section.reasons, *told))
 
 
 def without_stumps(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -121,21 +121,22 @@ def _rough_cm(trees: Sequence[Tree]) -> list[float | None]:
     return [None if (known := rough_dbh_cm(tree)) is None else known[0] for tree in trees]
 
 
-def sizes_unknown(counted: Sequence[Tree]) -> tuple[Notice, ...]:
+def sizes_unknown(trees: Sequence[Tree], off_area: Collection[int] = ()) -> tuple[Notice, ...]:
     """A warning where much of a basal area a hectare is that of stems of whose size nothing is known.
 
-    ``counted`` are the trees that it counts.
+    ``off_area`` are the numbers of those of the ``trees`` that it does not count. Measured ones among them have a say
+    in what those of unknown size are taken for all the same, as in the figure (:func:`counted_basal_area_m2`).
     """
-    dbh_cm, rough_cm = or_nan([tree.dbh_cm for tree in counted]), or_nan(_rough_cm(counted))
-    unknown = np.isnan(dbh_cm) & np.isnan(rough_cm)
-    everywhere = np.ones(len(counted), dtype=bool)
-    whole, rest = (counted_basal_area_m2(dbh_cm, rough_cm, on) for on in (everywhere, ~unknown))
+    dbh_cm, rough_cm = or_nan([tree.dbh_cm for tree in trees]), or_nan(_rough_cm(trees))
+    on = np.array([tree.tree_id not in off_area for tree in trees], dtype=bool)
+    unknown = on & np.isnan(dbh_cm) & np.isnan(rough_cm)
+    whole, rest = (counted_basal_area_m2(dbh_cm, rough_cm, some) for some in (on, on & ~unknown))
     if not unknown.any() or whole is None or rest is None:
         return ()
     percent = 100.0 * (1.0 - rest / whole)
     if percent < _MOST_UNSAID_PERCENT:
         return ()
-    names = tuple(str(tree.tree_id) for tree, lost in zip(counted, unknown, strict=True) if lost)
+    names = tuple(str(tree.tree_id) for tree, lost in zip(trees, unknown, strict=True) if lost)
     return (notice(StemCode.sizes_unknown, percent=percent, trees=names),)
 
 

@@ -10,12 +10,16 @@ from fsinfer.scene import Scene, view_image_size
 #: lesser share of both, its principal point is that of another size. Source: judgement; pictures that were cropped
 #: to less than half of one side have it elsewhere, and cameras for pictures of half the size have it at a quarter.
 _OFF_MIDDLE, _OFF_MIDDLE_OF_BOTH = 0.25, 0.2
+#: Within this share of the middle of a picture that is as high as this one is wide, and as wide as it is high, it is of
+#: one that was turned since; those of squares look alike. Source: judgement; lenses miss it by a hundredth or two.
+_TURNED, _NO_SQUARE = 0.03, 1.15
 
 
 def refuse_cameras_of_other_size(scene: Scene) -> None:
     """Refuse a scene whose principal points lie nowhere near the middle of the pictures.
 
-    Some releases in MVSNet format have cameras for pictures of a quarter of the size, which is not told anywhere.
+    Some releases in MVSNet format have cameras for pictures of a quarter of the size, which is not told anywhere. And
+    pictures that were turned upright after they were placed have a principal point that may pass for that of a crop.
 
     Raises
     ------
@@ -28,6 +32,13 @@ def refuse_cameras_of_other_size(scene: Scene) -> None:
         width, height = view_image_size(view)
         # The centre of the top left pixel is (0, 0).
         across, down = view.camera.intrinsic[0, 2] + 0.5, view.camera.intrinsic[1, 2] + 0.5
+        if _is_turned(across, down, width, height):
+            msg = (
+                f"{scene.folder / CAMERAS_FOLDER / f'{view.name}_cam.txt'}: its principal point ({across:.0f}, "
+                f"{down:.0f}) is the middle of a picture of {height}x{width} pixels, and {view.image_path.name} has "
+                f"{width}x{height}: it was turned by 90 degrees. Give the pictures as they were placed"
+            )
+            raise SceneError(msg)
         off = abs(across / width - 0.5), abs(down / height - 0.5)
         if max(off) <= _OFF_MIDDLE and min(off) <= _OFF_MIDDLE_OF_BOTH:
             continue
@@ -42,3 +53,9 @@ def refuse_cameras_of_other_size(scene: Scene) -> None:
             times = f" by about {width / (2 * across):.3g}"
         msg += f". Give the pictures in the cameras' size, or multiply the first two rows of each intrinsic{times}"
         raise SceneError(msg)
+
+
+def _is_turned(across: float, down: float, width: int, height: int) -> bool:
+    """Whether a principal point is the middle of the picture as it was before it was turned by a quarter."""
+    square = max(width, height) < _NO_SQUARE * min(width, height)
+    return not square and abs(across / height - 0.5) <= _TURNED and abs(down / width - 0.5) <= _TURNED

@@ -79,6 +79,9 @@ def _run_again(out: Path, clicked: Clicked, edits: Path | None, progress: StageP
         settings = of_json(RunSettings, plot["settings"])
     except (TypeError, ValueError, KeyError, OverflowError):
         return None  # of another version of fsinfer: what its settings mean now is for its user to say
-    settings = replace(settings, scale=ScaleRequest(clicks=clicked.clicks))
+    # Another source gives way; which boards are looked for, round which the border may lie, stays.
+    dictionary, printed = settings.scale.aruco_dictionary, settings.scale.printed_boards
+    by_clicks = ScaleRequest(clicks=clicked.clicks, aruco_dictionary=dictionary, printed_boards=printed)
+    settings = replace(settings, scale=by_clicks)
     source = str(plot.get("source") or out.name)
     return run_from_scene(ledger, frames, poses, settings=settings, source=source, edits=edits, progress=progress)

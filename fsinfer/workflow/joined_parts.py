@@ -63,6 +63,7 @@ def join_measured(
     settings: PatternSettings,
     ground: GroundSettings,
     walk: WalkSettings,
+    gone: Sequence[Tree] = (),
 ) -> tuple[PlotResult, JoinedParts]:
     """The plot with the stems of the parts in ``folders``, each stem once.
 
@@ -70,6 +71,7 @@ def join_measured(
     ----------
     folders: of parts that were measured; one without metres, or that cannot be read, stays apart.
     walk: says which of the ground that a part saw belongs to it, where it has photographs.
+    gone: trees of the plot that were taken out by hand; they do not come back by a part that saw them too.
 
     Returns
     -------
@@ -78,7 +80,7 @@ def join_measured(
     if not folders:
         return result, JoinedParts()
     stems = [part for folder in folders if (part := _stems_of(folder)) is not None]
-    joined = join_parts(result.trees, stems, settings=settings)
+    joined = join_parts(result.trees, stems, settings=settings, gone=gone)
     if not joined.parts:
         return result, JoinedParts()
     stay = {tree.tree_id for tree in joined.stay}

@@ -43,7 +43,6 @@ from fsinfer.trees.points.errors import PointErrors
 from fsinfer.trees.posts import without_posts
 from fsinfer.trees.stand import sizes_unknown
 from fsinfer.trees.stem_curve import CurvePoint, CurveSettings, stem_curves, write_curves
-from fsinfer.trees.tree import Tree
 from fsinfer.workflow.given_edits import stood_before
 from fsinfer.workflow.joined_parts import JoinedParts, cameras_of, copy_figures, join_measured
 from fsinfer.workflow.own_files import clear_outputs
@@ -155,25 +154,27 @@ def _measure_plot(given: PlotCloudInput, out: Path, settings: TreeStageSettings,
         settings=settings.pattern,
         ground=settings.trees.ground,
         walk=settings.walk,
+        gone=sorted(set(found.trees) - set(edited.trees), key=lambda tree: tree.tree_id),
     )
     if given.doubt is not None:
         whole = all_doubtful(whole, given.doubt)
     bordered, plot = _draw_border(whole, given, settings, added, out)
     if given.metric:
-        bordered = replace(bordered, warnings=(*bordered.warnings, *sizes_unknown(_counted(bordered, plot))))
+        bordered = replace(bordered, warnings=(*bordered.warnings, *_sizes_unknown(bordered, plot)))
     _write(bordered, given, out, curves, plot, progress)
     copy_figures(out, bordered, added.numbers)
     return replace(summarized(bordered, plot), joined=added.parts)
 
 
-def _counted(result: PlotResult, plot: PlotFigures | None) -> list[Tree]:
-    """The trees that a basal area a hectare counts; none where there is no such figure."""
+def _sizes_unknown(result: PlotResult, plot: PlotFigures | None) -> tuple[Notice, ...]:
+    """What is to be told of the trees that a basal area a hectare counts; nothing where there is no such figure."""
     if plot is not None:
-        return [tree for tree in result.all_trees if tree.in_plot] if plot.basal_area_m2_per_ha is not None else []
+        within = [tree for tree in result.all_trees if tree.in_plot]
+        return sizes_unknown(within) if plot.basal_area_m2_per_ha is not None else ()
     stand = result.stand
     if stand.basal_area_m2_per_ha is None:
-        return []
-    return [tree for tree in result.all_trees if not tree.outside and tree.tree_id not in stand.off_area]
+        return ()
+    return sizes_unknown([tree for tree in result.all_trees if not tree.outside], stand.off_area)
 
 
 def tree_workers(points: int, threads: int = 0) -> AbstractContextManager[None]:
@@ -232,6 +233,7 @@ def _edit(
         scale_rel_std=given.scale_rel_std,
         metric=given.metric,
         errors=given.errors,
+        parts=[folder.name for folder in given.parts],
     )
 
 

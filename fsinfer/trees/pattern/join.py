@@ -74,7 +74,11 @@ class JoinedStems:
 
 
 def join_parts(
-    trees: Sequence[Tree], parts: Sequence[PartStems], *, settings: PatternSettings | None = None
+    trees: Sequence[Tree],
+    parts: Sequence[PartStems],
+    *,
+    settings: PatternSettings | None = None,
+    gone: Sequence[Tree] = (),
 ) -> JoinedStems:
     """Put the stems of each part whose place the pattern tells into the plot.
 
@@ -85,6 +89,7 @@ def join_parts(
     Parameters
     ----------
     trees: of the rest, in metres; those outside of the walk count as seen, and give way to a part that measured them.
+    gone: those that a person took out of it: what a part has there is no new stem.
     """
     now = list(trees)
     numbers: dict[int, int] = {}
@@ -96,7 +101,7 @@ def join_parts(
         if part is None or match is None:
             break
         left.remove(part)
-        now, common, new = _put(now, part, match, numbers)
+        now, common, new = _put(now, part, match, numbers, gone)
         done.append(
             JoinedPart(
                 name=part.name,
@@ -132,7 +137,7 @@ def _match(trees: Sequence[Tree], part: PartStems, settings: PatternSettings | N
 
 
 def _put(
-    trees: Sequence[Tree], part: PartStems, match: PatternMatch, numbers: dict[int, int]
+    trees: Sequence[Tree], part: PartStems, match: PatternMatch, numbers: dict[int, int], gone: Sequence[Tree]
 ) -> tuple[list[Tree], int, int]:
     """The trees with those of the part, and how many of its stems were there already and how many are new."""
     now = list(trees)
@@ -146,7 +151,7 @@ def _put(
         at = same[index] if index in same else _standing_in(moved, trees, free)
         free.discard(-1 if at is None else at)
         if at is None:
-            if tree.outside:
+            if tree.outside or _standing_in(moved, gone, range(len(gone))) is not None:
                 continue
             numbers[first_free] = tree.tree_id
             now.append(replace(moved, tree_id=first_free))

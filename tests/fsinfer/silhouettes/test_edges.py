@@ -165,6 +165,42 @@ def test_the_edge_of_what_stands_before_is_not_the_stems(tmp_path: Path, depth_m
     assert strongest_beyond(scene, tmp_path, 0) == [(0.12, own)]
 
 
+@pytest.mark.parametrize("reduced", [1, 4])
+def test_a_depth_map_goes_on_by_pixels_of_the_picture_that_it_was_computed_from(tmp_path: Path, reduced: int) -> None:
+    """Something stands before a thin stem; the map has the stem's depth on for two pixels of its picture."""
+    radius, distance, focal = 0.15, 9.6, 400.0
+    fine = 8 * reduced
+    column = ((np.arange(WIDTH * fine) + 0.5) / fine - 0.5) - 149.5  # pixels of the picture
+    half_px = focal * np.tan(np.arcsin(radius / distance))
+    before = (column > 0.7 * half_px) & (column < 60)
+    row = np.where((np.abs(column) <= half_px)[:, None], [110.0, 80.0, 60.0], [70.0, 130.0, 60.0])
+    row[before] = [60.0, 60.0, 160.0]
+    row = row.reshape(WIDTH * reduced, 8, 3).mean(axis=1)
+    seen = looking_at_the_axis(0.3)
+    pose = seen.cam_from_world.copy()
+    pose[2, 3] += distance - DISTANCE_M
+    of_photo = np.array([[reduced, 0, (reduced - 1) / 2], [0, reduced, (reduced - 1) / 2], [0, 0, 1]])
+    camera = Camera(intrinsic=of_photo @ seen.intrinsic, cam_from_world=pose, depth_min=0.1, depth_max=100.0)
+    grain = np.random.default_rng(0).normal(0, 2, (HEIGHT * reduced, WIDTH * reduced, 1))
+    coarse = np.arange(WIDTH) - 149.5
+    depth = np.where(np.abs(coarse) < half_px, distance - radius, 30.0)
+    depth[(coarse > 0.7 * half_px) & (coarse < 60)] = 5.0
+    depth[(coarse > 0.7 * half_px) & (coarse < 0.7 * half_px + 1.5)] = distance - radius
+    for index in range(2):
+        write_image(tmp_path / "images" / f"p{index}.png", (row[None] + grain).clip(0, 255).astype(np.uint8))
+        write_camera(tmp_path / "cams" / f"p{index}_cam.txt", camera)
+        maps = np.broadcast_to(depth, (HEIGHT, WIDTH)).astype(np.float32)
+        write_pfm(tmp_path / "depth" / f"p{index}.pfm", maps)
+    grid = {"pixel_step": reduced, "offset_x_px": (reduced - 1) / 2, "offset_y_px": (reduced - 1) / 2}
+    (tmp_path / "depth" / "depth.json").write_text(json.dumps(grid))
+    write_pairs(tmp_path / "pair.txt", {0: [(1, 1.0)], 1: [(0, 1.0)]})
+    scene = read_scene(tmp_path)
+    (edges,) = find_edges([replace(STEM, radius_m=radius)], scene, DepthMaps(scene, tmp_path), np.eye(4))
+    of_other = np.isclose(edges.support_m, 0.7 * radius, atol=0.006) & (edges.strength > 2.5)
+    assert of_other.any()
+    assert not edges.own[of_other].any()
+
+
 def test_a_half_that_the_depth_map_does_not_show_has_no_edge(tmp_path: Path) -> None:
     """One half hidden, and behind where the other should be the map has what lies far beyond."""
     scene = write_plot(tmp_path)

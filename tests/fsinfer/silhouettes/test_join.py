@@ -706,6 +706,33 @@ def test_photographs_lift_the_doubts_of_the_cloud_but_not_that_of_its_height() -
     assert (found.status, found.reasons) == ("doubtful", (fork,))
     found = joined(replace(section_of(0.300, 0.002, unsure), status="doubtful"), fit_of(0.15, 0.002))
     assert (found.status, found.reasons) == ("ok", ())
+    ground = notice(StemCode.ground_unsure, std_cm=30.0)
+    found = joined(replace(section_of(0.300, 0.002, ground, unsure), status="doubtful"), fit_of(0.15, 0.002))
+    assert (found.status, found.reasons) == ("doubtful", (ground,))
+
+
+def test_a_tree_by_hand_is_told_to_be_one_whatever_the_photographs_show(photos: StemPhotos, tmp_path: Path) -> None:
+    """As in a cloud without photographs: the table is where it is looked up later."""
+    by_hand = notice(StemCode.added_by_hand)
+    found = joined(section_of(0.300, 0.002, by_hand), fit_of(0.15, 0.002))
+    assert (found.status, found.reasons) == ("ok", (by_hand,))
+    found = joined(section_of(None, 0.002, by_hand, ROUGH), fit_of(0.15, 0.002), supported=False)
+    assert [why.code for why in found.reasons] == [StemCode.added_by_hand, StemCode.edges_unsupported]
+    nothing = without_stem(photos, tmp_path)
+    far = measure_silhouettes(plot_of(section_of(0.28, 0.011, by_hand)), nothing, kept=(1,))
+    assert [why.code for why in far.trees[0].reasons] == [StemCode.added_by_hand, StemCode.too_uncertain]
+
+
+@pytest.mark.parametrize(
+    "end", [notice(StemCode.top_seen, top_m=1.7), notice(StemCode.hangs, bottom_m=0.9)], ids=["top", "bottom"]
+)
+@pytest.mark.parametrize("of_points", [0.300, None])
+def test_edges_do_not_make_a_tree_of_a_post(end: Notice, of_points: float | None) -> None:
+    """Those of a post, or of a person who stood still, are as sharp as a tree's."""
+    refused = () if of_points else (ROUGH,)
+    found = joined(replace(section_of(of_points, 0.002, *refused, end), status="doubtful"), fit_of(0.15, 0.002))
+    assert found.dbh_m == pytest.approx(0.300)
+    assert (found.status, found.reasons) == ("doubtful", (end,))
 
 
 def test_processes_see_what_threads_see(photos: StemPhotos, tmp_path: Path) -> None:

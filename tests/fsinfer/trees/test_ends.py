@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from fsinfer.notices.notice import notice
+from fsinfer.notices.stems import StemCode
 from fsinfer.trees import PlotResult, analyse_plot
+from fsinfer.trees.diameter.section import unmeasured_section
+from fsinfer.trees.ends import Ends, with_ends
 from tests.support.stem_clouds import wall
 
 Floats = NDArray[np.float64]
@@ -102,6 +106,14 @@ def test_a_square_post_is_no_sure_tree(side: float) -> None:
     ((status, reasons),) = here(measured(np.column_stack([faces, rng.uniform(0.0, 2.6, 8000)])))
     assert status != "ok"
     assert "far_from_round" in reasons
+
+
+def test_what_could_not_be_measured_has_its_ends_told_as_well() -> None:
+    """Photographs may give it a diameter by its edges, and they do not know that it is a post."""
+    refused = notice(StemCode.too_rough, residual_cm=3.0)
+    section = unmeasured_section(np.zeros(2), 1.3, (refused,), radius_m=0.1)
+    told = with_ends(section, Ends(top_m=1.62), 1.3)
+    assert (told.status, told.reasons) == ("unmeasured", (refused, notice(StemCode.top_seen, top_m=1.62)))
 
 
 def test_what_hangs_in_the_air_is_told() -> None:

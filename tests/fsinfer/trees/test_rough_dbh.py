@@ -14,7 +14,7 @@ from fsinfer.trees.measure import analyse_plot
 from fsinfer.trees.rough_dbh import rough_dbh_cm
 from fsinfer.trees.stand import SeenCells, sizes_unknown, stand_table
 from fsinfer.trees.tree import Tree
-from fsinfer.workflow.tree_stage import _counted
+from fsinfer.workflow.tree_stage import _sizes_unknown
 from tests.support.stem_clouds import stem_plot
 from tests.support.stem_maps import tree_of
 
@@ -92,7 +92,21 @@ def test_a_tenth_of_the_basal_area_by_nothing_known_is_told() -> None:
 def test_only_what_a_figure_a_hectare_counts_is_told() -> None:
     """Stems off the ground that was seen are in no figure, and without a figure nothing is too large."""
     found = analyse_plot(stem_plot(seed=1, trees=4, spacing_m=0.03, top_m=3.5).points)
-    assert len(_counted(found, None)) == len(found.trees) == 4
+    found = replace(found, trees=(*found.trees[:3], replace(found.trees[3], dbh_cm=None, reasons=())))
+    assert [told.code for told in _sizes_unknown(found, None)] == [StemCode.sizes_unknown]
     nowhere = SeenCells(seen=np.zeros((2, 2), dtype=bool), corner=np.zeros(2))
-    assert _counted(replace(found, seen_ground=nowhere), None) == []
-    assert _counted(replace(found, plot_area_m2=0.0), None) == []
+    assert _sizes_unknown(replace(found, seen_ground=nowhere), None) == ()
+    assert _sizes_unknown(replace(found, plot_area_m2=0.0), None) == ()
+
+
+def test_what_is_told_of_a_figure_is_its_own_share() -> None:
+    """Measured stems off the ground that was seen stand for those of unknown size on it, in the figure."""
+    on_ground, off = [tree(1, 10.0), tree(2, None)], [tree(3, 50.0), tree(4, 50.0), tree(5, 50.0)]
+    stand = stand_table([*on_ground, *off], 100.0, on_area=np.array([True, True, False, False, False]))
+    of_known = np.pi / 4 * 0.1**2 / 0.01
+    basal = stand.basal_area_m2_per_ha
+    assert basal is not None
+    (told,) = sizes_unknown([*on_ground, *off], stand.off_area)
+    assert told.values["percent"] == pytest.approx(100.0 * (1.0 - of_known / basal))
+    assert told.values["trees"] == ("2",)
+    assert sizes_unknown([on_ground[0], *off, tree(6, None)], (*stand.off_area, 6)) == ()

@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fsinfer.errors import SceneError
+from fsinfer.io.images import write_image
 from fsinfer.scene import Scene, read_scene
 from fsinfer.workflow.camera_size import refuse_cameras_of_other_size
 from tests.support.synthetic_plot import SIZE, write_scene_folder
@@ -33,3 +35,18 @@ def test_others_are_refused(tmp_path: Path, across: float, down: float) -> None:
     with pytest.raises(SceneError, match=r"view_00_cam\.txt: its principal point .* is not near the middle") as told:
         refuse_cameras_of_other_size(scene_with_principal_point(tmp_path, across, down))
     assert ("would fit it" in str(told.value)) == (across > 0)
+
+
+@pytest.mark.parametrize("size", [(120, 160), (160, 120), (108, 192), (200, 300)])
+def test_pictures_that_were_turned_since_are_refused(tmp_path: Path, size: tuple[int, int]) -> None:
+    """A phone's picture of 4 to 3, turned upright by another program, passed for a crop."""
+    scene = scene_with_principal_point(tmp_path, 0.5, 0.5)
+    view = scene.views[0]
+    write_image(view.image_path, np.zeros((size[1], size[0], 3), np.uint8))
+    intrinsic = view.camera.intrinsic.copy()
+    intrinsic[:2, 2] = 0.51 * size[1] - 0.5, 0.49 * size[0] - 0.5
+    turned = replace(scene, views=(replace(view, camera=replace(view.camera, intrinsic=intrinsic)),))
+    with pytest.raises(SceneError, match=r"view_00_cam\.txt: .* it was turned by 90 degrees"):
+        refuse_cameras_of_other_size(turned)
+    intrinsic[:2, 2] = 0.51 * size[0] - 0.5, 0.49 * size[1] - 0.5
+    refuse_cameras_of_other_size(turned)

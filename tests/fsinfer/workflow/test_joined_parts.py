@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from fsinfer.errors import InputError
 from fsinfer.io.cloud import PointCloud, write_cloud
 from fsinfer.io.images import read_image
 from fsinfer.notices.stems import StemCode
@@ -20,6 +21,7 @@ from fsinfer.output.plot_json import write_plot
 from fsinfer.plot_border.request import BorderRequest
 from fsinfer.scene import write_camera, write_pairs
 from fsinfer.silhouettes.walk import WalkSettings
+from fsinfer.trees.edit_rows import TreeEdit
 from fsinfer.trees.outputs.table import read_trees
 from fsinfer.workflow.joined_parts import digests_of
 from fsinfer.workflow.tree_stage import PlotCloudInput, TreeStageSettings, measure_plot
@@ -89,6 +91,29 @@ def test_all_stems_stand_in_the_table_once_and_where_they_are(plot: StemPlot, to
     beyond = plot.xy[nearest, 0] > _REST_TO_M + 0.3
     assert beyond.sum() >= 4
     assert all(tree.part == "part-2" for tree, far in zip(trees, beyond, strict=True) if far)
+
+
+def test_a_tree_that_was_taken_out_by_hand_does_not_come_back_by_a_part_that_saw_it(
+    plot: StemPlot, torn: tuple[Path, TreesResult], tmp_path: Path
+) -> None:
+    both = next(tree for tree in read_trees(torn[0] / "trees.csv") if _PART_FROM_M + 1.0 < tree.x_m < _REST_TO_M - 1.0)
+    deleted = TreeEdit(action="delete", row=2, tree_id=both.tree_id)
+    folder = torn[0] / "part-2"
+    measure_plot(replace(given(plot, folder), edits=(deleted,)), tmp_path, settings=settings())
+    left = read_trees(tmp_path / "trees.csv")
+    assert len(left) == len(plot.xy) - 1
+    assert min(np.hypot(tree.x_m - both.x_m, tree.y_m - both.y_m) for tree in left) > 0.5
+
+
+def test_a_tree_of_a_part_alone_is_corrected_there(
+    plot: StemPlot, torn: tuple[Path, TreesResult], tmp_path: Path
+) -> None:
+    trees = read_trees(torn[0] / "trees.csv")
+    (last,) = (tree for tree in trees if tree.tree_id == max(other.tree_id for other in trees))
+    assert last.part == "part-2"
+    deleted = TreeEdit(action="delete", row=2, tree_id=last.tree_id)
+    with pytest.raises(InputError, match=r"is corrected in part-2/edits\.csv, by the number it has there"):
+        measure_plot(replace(given(plot, torn[0] / "part-2"), edits=(deleted,)), tmp_path, settings=settings())
 
 
 def test_stand_plot_and_words_count_them(plot: StemPlot, torn: tuple[Path, TreesResult]) -> None:

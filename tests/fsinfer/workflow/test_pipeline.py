@@ -46,6 +46,7 @@ from fsinfer.plot_border.request import BorderRequest
 from fsinfer.poses.estimate import PosesResult
 from fsinfer.scale.doubts import boards_at_two_places
 from fsinfer.scale.find import FoundScale
+from fsinfer.scale.find import find_scale as real_find_scale
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scale.scale import scale_from_factor
 from fsinfer.scene import project, read_camera, read_scene, write_camera
@@ -682,6 +683,26 @@ def test_a_clicked_scale_keeps_the_corrections_that_the_run_was_given(
     without = click_scale(out, 2.0, show=clicking(out, 0, 3)).run
     assert without is not None
     assert without.plot["trees"] == len(STEMS)
+
+
+def test_a_clicked_scale_keeps_the_boards_that_the_run_was_told_to_look_for(
+    fakes: Fakes, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Boards of another dictionary, without a length: the border lies round one of them."""
+    others = replace(scale_of_boards([board(7, (0.0, 0.0, 0.0), "abc")], m_per_unit=M_PER_UNIT), source="none")
+
+    def find(request: ScaleRequest, **given: Any) -> FoundScale:
+        found = real_find_scale(request, **given)
+        return replace(found, others=others) if request.aruco_dictionary == "5X5_50" else found
+
+    monkeypatch.setattr(cloud_stages, "find_scale", find)
+    out, border = tmp_path / "out", BorderRequest(radius_m=1.38, marker=7)
+    settings = RunSettings(scale=ScaleRequest(aruco_dictionary="5X5_50"), border=border)
+    run(photos, out, settings=settings)
+    clicked = click_scale(out, 1.0, show=clicking(out, 0, 3)).run
+    assert clicked is not None
+    assert clicked.plot["plot_border"]["origin"] == "marker 7"
+    assert ran(run(photos, out, settings=settings)) == []
 
 
 def test_a_clicked_scale_keeps_the_corrections_of_trees_measured_alone_in_a_folder_that_was_moved(
