@@ -89,6 +89,12 @@ def test_an_unknown_rule_of_breast_height_is_refused() -> None:
         analyse_plot(ground(), settings=TreeSettings(bh_rule="downhill"))
 
 
+@pytest.mark.parametrize("bh_m", [130.0, 4.5, 0.0, -1.0, float("nan")])
+def test_a_breast_height_in_other_units_is_refused(bh_m: float) -> None:
+    with pytest.raises(CloudError, match="give breast height in metres"):
+        analyse_plot(ground(), settings=TreeSettings(bh_m=bh_m))
+
+
 def test_the_diagnosis_says_what_the_cloud_lacks() -> None:
     rng = np.random.default_rng(1)
     # Known to stand upright, so that nobody looks at it from its other sides.
