@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -147,8 +148,8 @@ def analyse_plot(
     weighed.
 
     Raises :class:`~fsinfer.errors.CloudError` for clouds that hold no plot (too few points, no ground, wrong unit) and
-    for a breast height that is none, and its subclass :class:`~fsinfer.trees.sanity.TurnedCloudError` for one that
-    would be a plot if it were turned.
+    for a breast height or an error of the scale that is none, and its subclass
+    :class:`~fsinfer.trees.sanity.TurnedCloudError` for a cloud that would be a plot if it were turned.
     """
     settings = settings or TreeSettings()
     if settings.bh_rule not in tuple(BhRule):
@@ -157,6 +158,9 @@ def analyse_plot(
     least_m, most_m = BREAST_HEIGHTS_M
     if not least_m <= settings.bh_m <= most_m:
         msg = f"bh_m is {settings.bh_m:g}; give breast height in metres, {least_m:g} to {most_m:g}"
+        raise CloudError(msg)
+    if not 0.0 <= scale_rel_std < math.inf:
+        msg = f"scale_rel_std is {scale_rel_std}; give the relative standard deviation of the scale, 0 or more"
         raise CloudError(msg)
     if not metric:
         return _without_scale(points, settings, units_per_m_hint, progress, turned=turned)
