@@ -13,6 +13,7 @@ from fsinfer.batch.outcome import State
 from fsinfer.batch.rows import PlotRow
 from fsinfer.batch.summary import count
 from fsinfer.io.files import write_text
+from fsinfer.notices.numbers import counted, noun
 from fsinfer.report.page import Part, missing_part, render_page, render_part
 from fsinfer.report.summary import TilesView
 
@@ -98,15 +99,18 @@ def _tiles(rows: Sequence[PlotRow]) -> Part:
     counts = count(rows)
     tiles = [(f"{counts.done} of {counts.plots}", "plots done")]
     if counts.outdated:
-        tiles.append((str(counts.outdated), "plots with outdated results"))
+        tiles.append((str(counts.outdated), f"{noun(counts.outdated, 'plot', 'plots')} with outdated results"))
     if counts.failed:
-        tiles.append((str(counts.failed), "plots failed"))
+        tiles.append((str(counts.failed), f"{noun(counts.failed, 'plot', 'plots')} failed"))
     if counts.waiting:
-        tiles.append((str(counts.waiting), "plots not yet measured"))
-    tiles += [(str(counts.trees), "stems found"), (str(counts.trees_with_dbh), "with a DBH")]
+        tiles.append((str(counts.waiting), f"{noun(counts.waiting, 'plot', 'plots')} not yet measured"))
+    tiles += [
+        (str(counts.trees), f"{noun(counts.trees, 'stem', 'stems')} found"),
+        (str(counts.trees_with_dbh), "with a DBH"),
+    ]
     warned = sum(1 for row in rows if row.warnings)
     if warned:
-        tiles.append((str(warned), "plots with warnings"))
+        tiles.append((str(warned), f"{noun(warned, 'plot', 'plots')} with warnings"))
     return Part(anchor="tiles", view=TilesView(tiles=tuple(tiles)))
 
 
@@ -155,9 +159,11 @@ def _map(rows: Sequence[PlotRow]) -> Part:
     bar_m = _round_length(MAP_WIDTH / 4 / unit)
     without = len(rows) - len(placed)
     by_photos = sum(row.place_source == "photos" for row, _, _ in placed)
-    notes = [f"{without} of {len(rows)} plots have no place and are not on the map."] if without else []
+    have_none = noun(without, "has no place and is", "have no place and are")
+    notes = [f"{without} of {len(rows)} plots {have_none} not on the map."] if without else []
     if by_photos:
-        notes.append(f"{by_photos} stand where their photos say, which phones know to some metres.")
+        stand = noun(by_photos, "stands where its", "stand where their")
+        notes.append(f"{by_photos} {stand} photos say, which phones know to some metres.")
     view = MapView(
         width=MAP_WIDTH,
         height=round(height, 1),
@@ -165,11 +171,18 @@ def _map(rows: Sequence[PlotRow]) -> Part:
         with_names=len(dots) <= MOST_NAMES,
         bar=round(bar_m * unit, 1),
         bar_text=f"{bar_m / 1000:g} km" if bar_m >= 1000 else f"{bar_m:g} m",
-        corners=f"{min(latitudes):.5f}° to {max(latitudes):.5f}° N, "
-        f"{min(longitudes):.5f}° to {max(longitudes):.5f}° E (WGS84)",
+        corners=f"{_from_to(latitudes, 'N', 'S')}, {_from_to(longitudes, 'E', 'W')} (WGS84)",
         note=" ".join(notes),
     )
     return Part(anchor="map", title="Map", view=view, template="plots_map")
+
+
+def _from_to(degrees: Sequence[float], positive: str, negative: str) -> str:
+    """The least and the greatest angle, each with its side; those beyond 180 degrees are of the other side."""
+    return " to ".join(
+        f"{abs(angle):.5f}° {positive if angle >= 0 else negative}"
+        for angle in ((value + 180.0) % 360.0 - 180.0 for value in (min(degrees), max(degrees)))
+    )
 
 
 def _unwrapped(longitudes: Sequence[float]) -> list[float]:
@@ -192,7 +205,7 @@ def _link(row: PlotRow) -> str:
 def _said(row: PlotRow) -> str:
     if row.state in (State.failed, State.waiting):
         return f"{row.plot}: {row.state.value}" + (f", {row.message}" if row.message else "")
-    figures = [f"{row.trees} trees"] if row.trees is not None else []
+    figures = [counted(row.trees, "tree", "trees")] if row.trees is not None else []
     if row.basal_area_m2_per_ha is not None:
         figures.append(f"{row.basal_area_m2_per_ha:.1f} m²/ha")
     return ": ".join([row.plot, ", ".join([*figures, *([row.message] if row.message else [])])])

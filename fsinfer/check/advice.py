@@ -12,6 +12,7 @@ from fsinfer.check.compass import Compass
 from fsinfer.check.coverage import StemCoverage
 from fsinfer.check.open_sides import OpenSide
 from fsinfer.check.settings import CoverageSettings
+from fsinfer.notices.numbers import counted
 from fsinfer.scale.aruco import GOOD_SIGHTINGS
 from fsinfer.scale.doubts import number_of_boards
 from fsinfer.scale.scale import RejectedMarker, Scale
@@ -65,8 +66,8 @@ def advice(
         if entry.verdict == "hardly seen":
             side = f", above all from {compass.side(entry.gap_center_deg)}" if entry.one_sided else ""
             lines.append(
-                f"Photograph tree {entry.number} again from nearer, all round{side}: only {len(entry.views)} photos "
-                f"show it (nearest photo {names[entry.nearest]})."
+                f"Photograph tree {entry.number} again from nearer, all round{side}: only "
+                f"{counted(len(entry.views), 'photo shows', 'photos show')} it (nearest photo {names[entry.nearest]})."
             )
     far = [str(entry.number) for entry in stems if entry.verdict == "far"]
     if far:
@@ -162,9 +163,10 @@ def marker_lines(
         good = views >= GOOD_SIGHTINGS and side_px >= _BOARD_SIDE_PX
         hint = "good" if good else "pass it again at 2 to 3 m, facing it, for five sharp photos"
         # One sharp photo from near by does not make five: what is told is what five of them have.
-        where = "the five nearest" if views > GOOD_SIGHTINGS else "all of them"
+        where = "the five nearest" if views > GOOD_SIGHTINGS else "all of them" if views > 1 else "it"
         lines.append(
-            f"Board {entry.id}: in {views} photos, in {where} its side is at least {side_px:.0f} pixels: {hint}."
+            f"Board {entry.id}: in {counted(views, 'photo', 'photos')}, in {where} its side is at least "
+            f"{side_px:.0f} pixels: {hint}."
         )
     reasons: dict[int, list[str]] = {}
     for marker in (*scale.rejected, *rejected):

@@ -64,6 +64,7 @@ from fsinfer.cli.tables import demo_rows, plot_rows, unmeasured_rows
 from fsinfer.conventions.breast_height import BREAST_HEIGHT_M, BhRule
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.frames.settings import FrameSettings
+from fsinfer.notices.numbers import counted
 from fsinfer.scale.request import ScaleRequest
 
 EXAMPLES = {
@@ -227,7 +228,7 @@ def run(
         typer.echo(row)
     typer.echo(f"Report: {result.report.result.path}")
     for part in result.plot["parts"]:
-        told = part["error"] or f"{part['trees']} trees, with DBH {part['trees_with_dbh']}"
+        told = part["error"] or f"{counted(part['trees'], 'tree', 'trees')}, with DBH {part['trees_with_dbh']}"
         typer.echo(f"Apart from the rest, {part['photos']} photos: {told}, {out / part['folder'] / 'report.html'}")
 
 

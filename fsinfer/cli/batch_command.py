@@ -11,6 +11,7 @@ from fsinfer.cli.console import Debug, Quiet, reports_errors, say
 from fsinfer.cli.options import DEFAULT_PRECISION, MemoryGb, Model, PrecisionHow, Provider, decimal
 from fsinfer.cli.remaining import as_words
 from fsinfer.depth.settings import DepthSettings
+from fsinfer.notices.numbers import counted, noun
 
 if TYPE_CHECKING:
     from fsinfer.batch.rows import PlotRow
@@ -178,7 +179,7 @@ def _say_news(news: PlotNews) -> None:
     if row.state.value == "failed":
         told = f"failed: {row.message}"
     else:
-        told = f"{row.trees} trees, {row.trees_with_dbh} with DBH"
+        told = f"{counted(row.trees or 0, 'tree', 'trees')}, {row.trees_with_dbh} with DBH"
         told += f", {as_words(row.seconds or 0.0)}" if news.ran else ", done before"
         told += f"; {row.message}" if row.message else ""
     left = "" if not news.seconds_left else f"; about {as_words(news.seconds_left)} left"
@@ -190,7 +191,8 @@ def _why_none(row: PlotRow) -> str:
         return "no tree was found; see warning_text in summary.csv"
     if row.units != "m":
         return "it has no scale; give its aruco_length_m or scale, see warning_text in summary.csv"
-    return f"none of its {row.trees} trees could be measured; see its report"
+    none = noun(row.trees, "its only tree could not", f"none of its {row.trees} trees could")
+    return f"{none} be measured; see its report"
 
 
 def _lines(result: BatchResult) -> list[str]:

@@ -24,6 +24,7 @@ from fsinfer.cli.options import (
 )
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.frames.settings import FrameSettings
+from fsinfer.notices.numbers import counted
 from fsinfer.scale.printed_boards import BOARDS, DICTIONARY, Paper
 from fsinfer.scale.request import ScaleRequest
 
@@ -78,7 +79,8 @@ def marker(
     )
     side_mm = 1000 * boards[0].length_m
     listed = ", ".join(str(board.number) for board in boards)
-    typer.echo(f"{len(boards)} boards ({listed}), black square {side_mm:g} mm, {boards[0].paper}: {out}")
+    many = counted(len(boards), "board", "boards")
+    typer.echo(f"{many} ({listed}), black square {side_mm:g} mm, {boards[0].paper}: {out}")
     typer.echo('Print at 100 % ("actual size") and check the bar with a ruler.')
 
 

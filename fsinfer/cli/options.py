@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fsinfer.conventions.breast_height import BhRule
+from fsinfer.conventions.breast_height import BREAST_HEIGHTS_M, BhRule
 from fsinfer.depth.settings import DepthSettings, Precision
 from fsinfer.frames.settings import Equalize, FrameSettings
 from fsinfer.io.photo_size import PHOTO_SIZE_PX
@@ -172,7 +172,9 @@ SizeForDepth = Annotated[
 BreastHeight = Annotated[
     float,
     typer.Option(
-        "--bh", parser=decimal_within(0.3, 3.0), help="Breast height above the ground, in metres, 0.3 to 3 (US: 1.37)."
+        "--bh",
+        parser=decimal_within(*BREAST_HEIGHTS_M),
+        help="Breast height above the ground, in metres, 0.3 to 3 (US: 1.37).",
     ),
 ]
 

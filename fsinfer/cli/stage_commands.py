@@ -189,7 +189,9 @@ def fuse(
 
 @reports_errors
 def trees(
-    cloud: Annotated[Path, typer.Argument(help="Point cloud with z up: PLY, LAS or LAZ.", show_default=False)],
+    cloud: Annotated[
+        Path, typer.Argument(help="Point cloud with z up: PLY, LAS, LAZ or text (x y z).", show_default=False)
+    ],
     out: Out,
     scale: ScaleFactor = None,
     aruco_length_m: ArucoLength = None,
@@ -301,7 +303,10 @@ def evaluate(
 
 
 @reports_errors
-def report(out: Out, debug: Debug = False) -> None:
+def report(
+    out: Annotated[Path, typer.Argument(help="Output folder of fsinfer run or trees.", show_default=False)],
+    debug: Debug = False,
+) -> None:
     """Write report.html from what the output folder holds."""
     from fsinfer.report import make_report
     from fsinfer.workflow.ledger import Ledger

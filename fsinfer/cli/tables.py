@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from fsinfer.notices.numbers import counted
 from fsinfer.notices.sentences import joined
 from fsinfer.notices.stems import StemCode
 
@@ -98,8 +99,9 @@ def plot_rows(plot: PlotFigures | None) -> list[str]:
     shape = f"radius {plot.radius_m:g} m" if plot.radius_m is not None else "a polygon"
     unseen = f", {plot.on_unseen} where it was not seen" if plot.on_unseen else ""
     rows = [
-        f"Plot: {shape} ({plot.origin}), {plot.area_m2:.0f} m², {100 * plot.seen_share:.0f} % of it seen; {plot.stems} "
-        f"stems in ({plot.doubtful} doubtful, {plot.unmeasured} without a DBH{unseen}), {plot.outside} out"
+        f"Plot: {shape} ({plot.origin}), {plot.area_m2:.0f} m², {100 * plot.seen_share:.0f} % of it seen; "
+        f"{counted(plot.stems, 'stem', 'stems')} in ({plot.doubtful} doubtful, {plot.unmeasured} without a "
+        f"DBH{unseen}), {plot.outside} out"
     ]
     if plot.stems_per_ha is not None:
         rows.append(f"  stems/ha {_interval(plot.stems_per_ha, '.0f')}")

@@ -112,7 +112,7 @@ class DepthSettings:
     Raises
     ------
     InputError
-        Copying without a cluster.
+        No source view, photographs of no size, or copying without a cluster.
     """
 
     model: str = "cascade"
@@ -131,6 +131,12 @@ class DepthSettings:
     copy_photos: bool = False
 
     def __post_init__(self) -> None:
+        if self.source_views < 1 or self.max_size_px < 1:
+            msg = (
+                f"source_views is {self.source_views} and max_size_px {self.max_size_px}; depth takes at least one "
+                "source view, and photographs of some hundred pixels"
+            )
+            raise InputError(msg)
         if self.copy_photos and not self.scheduler:
             msg = "--copy was given without --scheduler; on this computer the photos are where they are needed already"
             raise InputError(msg)

@@ -18,6 +18,7 @@ from fsinfer.importers.files import MOST, ByteReader, numbers, read_text, unfit
 from fsinfer.importers.foreign import Floats, ForeignScene, near_origin, rotation_of_quaternion
 from fsinfer.importers.lens import Lens
 from fsinfer.importers.photos import Registered, gather
+from fsinfer.notices.numbers import counted
 from fsinfer.poses.sparse import SparseModel
 
 PROGRAM = "COLMAP"
@@ -128,7 +129,7 @@ def _others(folder: Path, others: Sequence[Path]) -> tuple[str, ...]:
     """What to tell of models that are not used."""
     if not others:
         return ()
-    told = [f"{other} ({_images_in(other)} images)" for other in others[:_MODELS_TOLD]]
+    told = [f"{other} ({counted(_images_in(other), 'image', 'images')})" for other in others[:_MODELS_TOLD]]
     told += ["..."] if len(others) > _MODELS_TOLD else []
     return (
         f"the project has {len(others) + 1} models that were not joined; {folder}, with the most images "

@@ -11,6 +11,7 @@ from fsinfer.errors import SceneError
 from fsinfer.importers.files import find_photo, view_names
 from fsinfer.importers.foreign import Floats, ForeignPhoto
 from fsinfer.importers.lens import Lens
+from fsinfer.notices.numbers import counted
 
 #: Photographs that depth can be computed of at least. Source: format; two from different places.
 LEAST_PHOTOS = 2
@@ -62,9 +63,8 @@ def gather(registered: Sequence[Registered], folders: Sequence[Path], *, source:
         Fewer than two have a pose, or fewer than two of them are there; ``source`` is the file that names them.
     """
     if len(registered) < LEAST_PHOTOS:
-        msg = (
-            f"{source} holds {len(registered)} photographs with a pose; depth needs two from different places at least"
-        )
+        many = counted(len(registered), "photograph", "photographs")
+        msg = f"{source} holds {many} with a pose; depth needs two from different places at least"
         raise SceneError(msg)
     photos, numbers, missing = [], {}, []
     paths = [find_photo(item.name, folders) for item in registered]

@@ -18,6 +18,7 @@ from fsinfer.io.exif import gravity_exif
 from fsinfer.io.files import copy_file, write_text
 from fsinfer.io.images import image_size, is_upright_jpeg_or_png, read_image, write_image
 from fsinfer.io.turned import sensor_exif
+from fsinfer.notices.numbers import counted, noun
 from fsinfer.poses.sparse import SparseModel
 from fsinfer.poses.undistortion import undistort
 from fsinfer.poses.view_selection import SelectionSettings, choose_sources, depth_range, select_views
@@ -261,7 +262,9 @@ def told(imported: ImportedScene) -> list[str]:
     sentences = [f"{imported.program}: {remark}" for remark in imported.remarks]
     if imported.left_out:
         names = ", ".join(imported.left_out[:_NAMES_TOLD]) + (", ..." if len(imported.left_out) > _NAMES_TOLD else "")
-        sentences.append(f"{len(imported.left_out)} photographs have no pose or no file and are left out: {names}")
+        many = counted(len(imported.left_out), "photograph has", "photographs have")
+        which = noun(len(imported.left_out), "is", "are")
+        sentences.append(f"{many} no pose or no file and {which} left out: {names}")
     if not imported.tie_points:
         sentences.append(
             f"{imported.program} gives no tie points: depth ranges and source views are taken from where the cameras "

@@ -105,7 +105,7 @@ def _by_pyproj(xy: Floats, epsg: int) -> Floats | None:
     except ImportError:
         _log.warning(
             "EPSG:%d is no UTM zone of WGS84, so that longitude and latitude take one more package: "
-            "pip install fsinfer[gis]",
+            "pip install 'fsinfer[gis]'",
             epsg,
         )
         return None

@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
 from typing import Any
 
+from fsinfer.notices.numbers import counted
+
 #: Names of photographs that a sentence lists. Source: three lines of a terminal.
 MOST_NAMES = 20
 #: Rejected frames that a sentence lists with their reasons. Source: two lines of a terminal.
@@ -83,8 +85,10 @@ def _not_read(values: Mapping[str, Any]) -> str:
 
 
 def _in_folders(values: Mapping[str, Any]) -> str:
+    found = counted(values["photos"], "photo or video", "photos and videos")
     return (
-        f"{values['photos']} photos and videos in folders within it ({_shown(values['names'])}) were not looked at: "
+        f"{found} in folders within it ({_shown(values['names'])}) {'was' if values['photos'] == 1 else 'were'} not "
+        "looked at: "
         "put what belongs to the plot into one folder"
     )
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from fsinfer.notices import capture, plots, stems
 from fsinfer.notices.notice import Notice, Value
+from fsinfer.notices.numbers import Counting
 
 _SAID: dict[str, str | Callable[[Mapping[str, Any]], str]] = {
     **{code.value: text for code, text in capture.SENTENCES.items()},
@@ -15,6 +16,7 @@ _SAID: dict[str, str | Callable[[Mapping[str, Any]], str]] = {
 }
 _ADVICE: Mapping[str, str] = {code.value: text for code, text in stems.ADVICE.items()}
 _REMARKS = frozenset(code.value for code in (*capture.REMARKS, *stems.REMARKS))
+_TEMPLATES = Counting()
 _ADVISES_REVISIT = frozenset(code.value for code in stems.ADVISES_REVISIT)
 
 
@@ -33,7 +35,7 @@ def headline(given: Notice) -> str:
         return f"{given.code}: {values}" if values else given.code
     if not isinstance(said, str):
         return said(given.values)
-    return said.format(**{key: _in_words(value) for key, value in given.items})
+    return _TEMPLATES.format(said, **{key: _in_words(value) for key, value in given.items})
 
 
 def _in_words(value: Value) -> str | int | float | None:

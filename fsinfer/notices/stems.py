@@ -104,7 +104,7 @@ class StemCode(StrEnum):
     tree_merged = "tree_merged"
 
 
-#: What each code says; ``{name}`` is filled with the notice's values.
+#: What each code says; ``{name}`` is filled with the notice's values, ``{name:tree|trees}`` with a number and its noun.
 SENTENCES: dict[StemCode, str] = {
     StemCode.no_scale: "no scale",
     StemCode.too_few_at_breast_height: "too few points at breast height: fewer than {least}",
@@ -119,7 +119,7 @@ SENTENCES: dict[StemCode, str] = {
     StemCode.no_stem_here: "no stem to be measured is seen here",
     StemCode.ends_low: "it ends {top_m:.1f} m above the ground, below breast height",
     StemCode.edges_unsupported: (
-        "edges alone are no measurement: {photos} photos have some {edges_cm:.0f} cm apart, "
+        "edges alone are no measurement: {photos:photo has|photos have} some {edges_cm:.0f} cm apart, "
         "and no second pair of sides agrees on the size ({refused})"
     ),
     StemCode.outside_walk: "outside of the walk: the nearest photo was taken {nearest_m:.0f} m away",
@@ -138,9 +138,9 @@ SENTENCES: dict[StemCode, str] = {
     StemCode.forks_here: "it forks at breast height: a second stem, of {dbh_cm:.0f} cm, stands in it there",
     StemCode.top_seen: "its top is seen {top_m:.1f} m above the ground: a stump, a post, a person?",
     StemCode.hangs: "nothing of it is seen below {bottom_m:.1f} m, as if it hung there",
-    StemCode.edges_alone: "only from its edges in {photos} photos ({refused})",
-    StemCode.faint_edges: "mostly from its edges in {photos} photos, which agree on it only a little",
-    StemCode.few_edges: "mostly from its edges in {photos} photos: few, or from few of its sides",
+    StemCode.edges_alone: "only from its edges in {photos:photo|photos} ({refused})",
+    StemCode.faint_edges: "mostly from its edges in {photos:photo|photos}, which agree on it only a little",
+    StemCode.few_edges: "mostly from its edges in {photos:photo|photos}: few, or from few of its sides",
     StemCode.points_alone: "only from its points: no photo shows its edges clearly",
     StemCode.sources_disagree: "the points say {points_cm:.1f} cm, the edges in the photos {edges_cm:.1f} cm",
     StemCode.parts_disagree: "another part of the walk says {other_cm:.1f} cm",
@@ -167,24 +167,28 @@ SENTENCES: dict[StemCode, str] = {
     StemCode.candidate_filled: "{count} filled inside",
     StemCode.candidate_flush: "{count} does not stand out",
     StemCode.candidate_post: "{count} post or board",
-    StemCode.trees_found: "{trees} trees found, {measured} with a DBH",
-    StemCode.trees_corrected: "{trees} trees after corrections by hand, {measured} with a DBH",
+    StemCode.trees_found: "{trees:tree|trees} found, {measured} with a DBH",
+    StemCode.trees_corrected: "{trees:tree|trees} after corrections by hand, {measured} with a DBH",
     StemCode.none_in_photos: "no trees found: what looked like stems in the cloud are none in the photos",
     StemCode.none_at_stem_height: (
         "no trees found: hardly a point lies {low_m}-{high_m} m above the ground (the cloud reaches {top_m:.2f} m)"
     ),
-    StemCode.none_holds: "no trees found: {candidates} candidates, none holds as a stem ({rejected})",
-    StemCode.none_round: ("no trees found: {points} points at stem height, but no round vertical surface among them"),
+    StemCode.none_holds: "no trees found: {candidates:candidate|candidates}, none holds as a stem ({rejected})",
+    StemCode.none_round: (
+        "no trees found: {points:point|points} at stem height, but no round vertical surface among them"
+    ),
     StemCode.nothing_measured: "no trees measured: {error}",
     StemCode.model_units: "no scale: positions are in model units and no diameter is given",
-    StemCode.not_finite: "{points} points with NaN or infinite coordinates were left out",
+    StemCode.not_finite: (
+        "{points:point with NaN or infinite coordinates was|points with NaN or infinite coordinates were} left out"
+    ),
     StemCode.flagged: (
         "points that the file marks as withheld, or classes as noise (7 and 18), were left out: {points}"
     ),
     StemCode.frame_in_degrees: (
         "the header says degrees (EPSG:{epsg}), and the coordinates were taken as metres: maps and points get no frame"
     ),
-    StemCode.far_outside: "{points} points far outside the plot were left out",
+    StemCode.far_outside: "{points:point far outside the plot was|points far outside the plot were} left out",
     StemCode.coarse_steps: ("the coordinates come in steps of {step_mm:.0f} mm: diameters cannot be better than that"),
     StemCode.ground_in_part: "ground seen in only {percent:.0f} % of the lowest parts of the plot",
     StemCode.little_ground: "little ground is seen: breast height is counted from the lowest points of the stems",

@@ -20,6 +20,8 @@ RADII_M = (0.5, 500.0)
 #: A polygon of less has its corners in degrees or kilometres, square metres. Source: as the least radius.
 LEAST_AREA_M2 = 1.0
 _WAYS = "write marker:7 (the number of a board), x,y (metres of the cloud, like 1.5,-2.0), or walk"
+#: Files of other programs with polygons in them, which need a reader of their own. Source: format; OGC, Esri, Garmin.
+_OTHER_MAPS = frozenset({".gpkg", ".shp", ".shx", ".dbf", ".zip", ".kml", ".kmz", ".gpx", ".dxf", ".gml", ".sqlite"})
 _POLYGON = "give a GeoJSON with one Polygon, or a CSV with the columns x_m,y_m, a corner a row, in metres of the plot"
 
 
@@ -148,6 +150,12 @@ def _read_csv(path: Path) -> tuple[Place, ...]:
 
 
 def _read_geojson(path: Path) -> tuple[Place, ...]:
+    if path.suffix.lower() in _OTHER_MAPS and path.exists():
+        msg = (
+            f"the plot's polygon {path} is a {path.suffix} file, which is not read: export it from the GIS as GeoJSON, "
+            "in metres of the plot, not in longitude and latitude"
+        )
+        raise InputError(msg)
     try:
         content = read_json(path, encoding="utf-8-sig")
     except FileNotFoundError as error:

@@ -20,6 +20,7 @@ from fsinfer.io.images import is_upright_jpeg_or_png, read_image, read_reduced, 
 from fsinfer.io.photo_folders import list_images
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
+from fsinfer.notices.numbers import counted
 from fsinfer.notices.sentences import sentences
 from fsinfer.poses.adjustment.adjust import adjust_photos
 from fsinfer.poses.adjustment.tell import told
@@ -112,7 +113,8 @@ def estimate_poses(
     warnings: list[Notice] = []
     photos = _prepare(paths, work / "images", settings, warnings, progress)
     if len(photos) < settings.min_registered:
-        msg = f"{given} holds {len(photos)} photos that can be used, {settings.min_registered} are needed: {ADVICE}"
+        many = counted(len(photos), "photo", "photos")
+        msg = f"{given} holds {many} that can be used, {settings.min_registered} are needed: {ADVICE}"
         raise PosesError(msg)
     with colmap_errors("finding poses", work):
         mapped = map_walk(_walk_of(photos), given, work, settings, progress)

@@ -112,8 +112,8 @@ def _parts_apart(contents: Contents) -> Iterator[PartApart]:
                 text += f"could not be measured: {part['error']}"
             else:
                 text += (
-                    f"were measured on their own scale: {trees} trees, {measured} with a DBH, in a frame of their own. "
-                    "Trees that both see are in both reports."
+                    f"were measured on their own scale: {trees} {'tree' if trees == 1 else 'trees'}, "
+                    f"{measured} with a DBH, in a frame of their own. Trees that both see are in both reports."
                 )
             # What lies in the folder of one that failed is of an earlier run, and may be of other photos.
             link = "" if part.get("error") else f"{folder}/report.html"

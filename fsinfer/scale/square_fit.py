@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from fsinfer.geometry.triangulation import triangulate
+from fsinfer.notices.numbers import counted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,7 +156,7 @@ def find_markers(
         else:
             reasons.append(f"{len(members)} views: {reason}")
     if left:
-        reasons.append(f"{len(left)} views: fewer than {settings.min_views} agree on one place")
+        reasons.append(f"{counted(len(left), 'view', 'views')}: fewer than {settings.min_views} agree on one place")
     return found, reasons
 
 

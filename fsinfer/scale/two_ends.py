@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import ScaleError
 from fsinfer.geometry.triangulation import TriangulatedPoint, triangulate
+from fsinfer.notices.numbers import counted
 from fsinfer.scale.agreement import agreement
 from fsinfer.scale.scale import EndpointDetails, Scale, check_length
 from fsinfer.scale.square_fit import MarkerSettings
@@ -94,7 +95,8 @@ def scale_from_clicks(
         msg = f"{unknown[0]} is no view of {scene.folder}; its views are {', '.join(sorted(cameras)[:5])}, ..."
         raise ScaleError(msg)
     if len(clicks) < 2 or any(len(ends) != 2 for ends in clicks.values()):
-        msg = f"the ends were clicked in {len(clicks)} photos; click both ends in at least two photos"
+        many = counted(len(clicks), "photo", "photos")
+        msg = f"the ends were clicked in {many}; click both ends in at least two photos"
         raise ScaleError(msg)
     projections = [cameras[name].intrinsic @ cameras[name].cam_from_world[:3] for name in clicks]
     pixels = np.array([clicks[name] for name in clicks], dtype=np.float64)

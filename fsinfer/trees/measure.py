@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fsinfer.conventions.breast_height import BhRule
+from fsinfer.conventions.breast_height import BREAST_HEIGHTS_M, BhRule
 from fsinfer.errors import CloudError
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
@@ -146,12 +147,20 @@ def analyse_plot(
     (``PointErrors.of(cloud)``) are what a cloud of photographs tells of its points, by which those of a stem are
     weighed.
 
-    Raises :class:`~fsinfer.errors.CloudError` for clouds that hold no plot (too few points, no ground, wrong unit), and
-    its subclass :class:`~fsinfer.trees.sanity.TurnedCloudError` for one that would be a plot if it were turned.
+    Raises :class:`~fsinfer.errors.CloudError` for clouds that hold no plot (too few points, no ground, wrong unit) and
+    for a breast height or an error of the scale that is none, and its subclass
+    :class:`~fsinfer.trees.sanity.TurnedCloudError` for a cloud that would be a plot if it were turned.
     """
     settings = settings or TreeSettings()
     if settings.bh_rule not in tuple(BhRule):
         msg = f"bh_rule must be {' or '.join(repr(rule.value) for rule in BhRule)}, got {settings.bh_rule!r}"
+        raise CloudError(msg)
+    least_m, most_m = BREAST_HEIGHTS_M
+    if not least_m <= settings.bh_m <= most_m:
+        msg = f"bh_m is {settings.bh_m:g}; give breast height in metres, {least_m:g} to {most_m:g}"
+        raise CloudError(msg)
+    if not 0.0 <= scale_rel_std < math.inf:
+        msg = f"scale_rel_std is {scale_rel_std}; give the relative standard deviation of the scale, 0 or more"
         raise CloudError(msg)
     if not metric:
         return _without_scale(points, settings, units_per_m_hint, progress, turned=turned)

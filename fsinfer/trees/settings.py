@@ -21,7 +21,7 @@ class TreeSettings:
 
     Attributes
     ----------
-    bh_m: breast height. Source: option; convention, 1.3 m; 1.37 m in the US.
+    bh_m: breast height, metres, 0.3 to 3. Source: option; convention, 1.3 m; 1.37 m in the US.
     bh_rule: it counts from the ground at the stem's middle (``midpoint``) or from the highest ground at its
         foot (``uphill``), one of :class:`BhRule`. Source: option; forest inventories of many countries.
     min_dbh_cm: below lies undergrowth. Source: forest inventories start at 4 to 7 cm.

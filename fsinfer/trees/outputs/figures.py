@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fsinfer.io.files import atomic_path
 from fsinfer.io.images import PNG_LEVEL, read_image
+from fsinfer.notices.numbers import counted
 from fsinfer.processes import shared_out
 from fsinfer.progress import Progress, silent
 from fsinfer.trees.measure import PlotResult
@@ -248,7 +249,8 @@ def _sources(section: Section) -> str:
     fit = section.silhouette
     if fit is None:
         return ""
-    text = f"edges in {fit.photos} photos: {200 * fit.radius_m:.1f} cm ± {Z95 * 200 * fit.std_m:.1f} cm"
+    many = counted(fit.photos, "photo", "photos")
+    text = f"edges in {many}: {200 * fit.radius_m:.1f} cm ± {Z95 * 200 * fit.std_m:.1f} cm"
     if section.cloud_dbh_m is None:
         return f"{text}; not measurable from the points"
     return f"{text}; points alone: {100 * section.cloud_dbh_m:.1f} cm"

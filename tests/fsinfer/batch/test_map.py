@@ -66,7 +66,7 @@ def test_north_is_up_and_the_bar_is_true(tmp_path: Path) -> None:
     assert set(place) == {"south", "north", "east"}
     assert place["north"][1] < place["south"][1] == place["east"][1]
     assert place["north"][0] == place["south"][0] < place["east"][0]
-    assert "1 of 4 plots have no place" in text
+    assert "1 of 4 plots has no place and is not on the map" in text
     up, right = place["south"][1] - place["north"][1], place["east"][0] - place["south"][0]
     # A degree of longitude is shorter there.
     assert right / up == pytest.approx(math.cos(math.radians(47.05)), abs=0.01)
@@ -88,6 +88,30 @@ def test_plots_at_one_place_or_across_the_date_line_are_on_the_map(
     assert all(0 < x < width and 0 < y < height for x, y in place.values())
     if places[0][1] == 179.9:
         assert place["p0"][0] < place["p1"][0]
+
+
+@pytest.mark.parametrize(
+    ("places", "told"),
+    [
+        ([(47.0, 8.0), (47.5, 8.25)], "47.00000° N to 47.50000° N, 8.00000° E to 8.25000° E"),
+        ([(-33.2, -70.5), (-33.1, -70.25)], "33.20000° S to 33.10000° S, 70.50000° W to 70.25000° W"),
+        ([(-0.5, -0.25), (0.5, 0.25)], "0.50000° S to 0.50000° N, 0.25000° W to 0.25000° E"),
+        ([(-17.0, 179.75), (-17.0, -179.5)], "17.00000° S to 17.00000° S, 179.75000° E to 179.50000° W"),
+    ],
+)
+def test_the_corners_of_the_map_name_their_side(tmp_path: Path, places: list[tuple[float, float]], told: str) -> None:
+    rows = [row(f"p{i}", *place) for i, place in enumerate(places)]
+    assert f"{told} (WGS84)" in write_report(tmp_path, rows, title="Plots").read_text(encoding="utf-8")
+
+
+def test_one_plot_is_one(tmp_path: Path) -> None:
+    one = [PlotRow(plot="a", state=State.failed, message="dark"), PlotRow(plot="b", state=State.done, trees=1)]
+    text = re.sub(r"<[^>]*>", " ", write_report(tmp_path, one, title="Plots").read_text(encoding="utf-8"))
+    assert re.search(r"\b1\s+plot failed", text)
+    assert re.search(r"\b1\s+stem found", text)
+    two = [PlotRow(plot=name, state=State.failed, message="dark") for name in "ab"]
+    text = re.sub(r"<[^>]*>", " ", write_report(tmp_path, two, title="Plots").read_text(encoding="utf-8"))
+    assert re.search(r"\b2\s+plots failed", text)
 
 
 def test_what_failed_and_what_waits_is_told(tmp_path: Path) -> None:

@@ -48,6 +48,18 @@ def test_a_stem_seen_from_half_of_the_ring_is_one_sided() -> None:
     assert judge_stems([STEM], np.ones((1, 36), bool), ring(10.0), np.array([True]))[0].verdict == "far"
 
 
+def test_one_photo_that_shows_a_stem_is_one() -> None:
+    names = [f"p{index:02d}" for index in range(36)]
+    compass = find_compass(ring(), {})
+    told = []
+    for photos in (1, 2):
+        judged = judge_stems([STEM], (np.arange(36) < photos)[None], ring(), np.array([True]))
+        told += advice(
+            names=names, left_out=[], given=names, stems=judged, compass=compass, offsets_m=[ring() - STEM.center]
+        )
+    assert ["only 1 photo shows it" in told[0], "only 2 photos show it" in told[1]] == [True, True]
+
+
 def test_stems_are_numbered_in_the_order_of_walking() -> None:
     cameras = np.column_stack([np.arange(36.0), np.zeros(36)])
     stems = [VisibleStem(center=np.array([x, 1.0]), radius=0.1, lean=np.zeros(2)) for x in (30.0, 3.0, 17.0, 9.0)]
@@ -157,6 +169,8 @@ def test_boards_seen_too_seldom_or_from_far() -> None:
     assert lines[1].startswith("Board 41: in 4 photos, in all of them its side is at least 80 pixels: pass it again")
     five = marker_lines(scale_of_boards([entry(40, 5, 60.0)]), given=True)[0]
     assert five == "Board 40: in 5 photos, in all of them its side is at least 60 pixels: good."
+    one = marker_lines(scale_of_boards([entry(40, 1, 60.0)]), given=True)[0]
+    assert one.startswith("Board 40: in 1 photo, in it its side is at least 60 pixels: pass it again")
     assert "fsinfer scale OUT --click" in marker_lines(NO_SCALE, given=False)[0]
     # Where none can be used they are told all the same, each once.
     reasons = [(43, "3 views: the corners do not make a square"), (43, "2 views: too few"), (44, "1 views: too few")]

@@ -51,7 +51,7 @@ def test_the_plot_in_two_lines() -> None:
     plot = plot_of([TREE], border, SeenShare(share=0.9, method="by eye"), slope_deg=0.0)
     first, stems, basal = plot_rows(plot.figures)
     assert first == (
-        "Plot: radius 12.62 m (marker 7), 500 m², 90 % of it seen; 1 stems in (0 doubtful, 0 without a DBH), 0 out"
+        "Plot: radius 12.62 m (marker 7), 500 m², 90 % of it seen; 1 stem in (0 doubtful, 0 without a DBH), 0 out"
     )
     assert stems.startswith("  stems/ha 22 [20 - ")
     assert basal.startswith("  basal area m²/ha 1.6 [1.4 - ")

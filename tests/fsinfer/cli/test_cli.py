@@ -58,6 +58,14 @@ def test_every_command_explains_itself(call: Call, command: str) -> None:
     assert "--debug" in out
 
 
+def test_what_a_command_takes_is_told(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    # A report is made of what is there; its folder is not made.
+    assert "made if missing" not in call("report", "--help")[1]
+    assert "made if missing" in call("trees", "--help")[1]
+    assert "LAZ or text" in call("trees", "--help")[1]
+
+
 @pytest.mark.parametrize("command", ["run", "trees"])
 def test_scale_options_are_there(call: Call, command: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "200")

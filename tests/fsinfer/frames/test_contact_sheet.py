@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
+from PIL import ImageDraw
 
 from fsinfer.frames.contact_sheet import TILE_PX, Tile, thumbnail, write_contact_sheet
 from fsinfer.io.images import read_image
@@ -41,6 +43,15 @@ def test_a_long_list_is_cut_and_says_so(tmp_path: Path) -> None:
     assert one.shape == other.shape
     ink = [(picture[:40].max(axis=2) < 128).sum() for picture in (one, other)]
     assert ink[1] > 1.3 * ink[0]
+
+
+def test_one_frame_was_and_two_were(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written: list[str] = []
+    monkeypatch.setattr(ImageDraw.ImageDraw, "text", lambda _, place, text, **style: written.append(text))
+    for count in (1, 2):
+        write_contact_sheet(tmp_path / "dropped.jpg", [tile(COLOURS[0])] * count, total=9)
+    assert "1 of 9 frames was not used" in written
+    assert "2 of 9 frames were not used" in written
 
 
 def test_nothing_dropped_leaves_no_sheet_of_an_earlier_run(tmp_path: Path) -> None:

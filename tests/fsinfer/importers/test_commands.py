@@ -106,7 +106,7 @@ def test_cameras_of_metashape_become_a_cloud_in_metres(call: Call, tmp_path: Pat
     code, _, err = call("depth", base / "cameras.xml", out, "--images", base / "my photos", "--jobs", 1, "-q")
     assert code == 0
     assert "Metashape gives no tie points" in err
-    assert "1 photographs have no pose" in err
+    assert "1 photograph has no pose" in err
     assert wall_error(out) < 0.03
     centers = np.array([view.camera.center for view in read_scene(out / "scene").views])
     assert np.linalg.norm(centers[1] - centers[0]) == pytest.approx(0.3, abs=0.06)

@@ -103,7 +103,7 @@ def test_what_cannot_be_told_is_left_out_with_a_reason(
     assert caplog.text == ""
     monkeypatch.setitem(sys.modules, "pyproj", None)
     assert to_wgs84(local, 25832) is None
-    assert "pip install fsinfer[gis]" in caplog.text
+    assert "pip install 'fsinfer[gis]'" in caplog.text
     assert to_wgs84(np.array([[500_000.0, 0.0]]), 32632) is not None
     monkeypatch.undo()
     pytest.importorskip("pyproj")

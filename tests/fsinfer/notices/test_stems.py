@@ -68,6 +68,17 @@ def test_advice_follows_behind_a_semicolon_and_is_left_out_of_the_headline() -> 
     assert joined([few, notice(StemCode.no_scale)]) == f"only from its edges in 5 photos ({said}); no scale"
 
 
+def test_one_is_one() -> None:
+    told = [sentence(notice(StemCode.trees_found, trees=trees, measured=trees)) for trees in (0, 1, 2)]
+    assert told == [f"{trees} found, {n} with a DBH" for n, trees in enumerate(("0 trees", "1 tree", "2 trees"))]
+    few = notice(StemCode.few_edges, photos=1)
+    assert headline(few) == "mostly from its edges in 1 photo: few, or from few of its sides"
+    left = [sentence(notice(StemCode.far_outside, points=points)) for points in (1, 820)]
+    assert left == [
+        "1 point far outside the plot was left out", "820 points far outside the plot were left out",
+    ]  # fmt: skip
+
+
 def test_notices_within_notices_go_through_json() -> None:
     changes = (notice(StemCode.tree_added, tree_id=7), notice(StemCode.tree_merged, other_id=6, tree_id=1))
     given = notice(StemCode.corrected_by_hand, changes=changes)

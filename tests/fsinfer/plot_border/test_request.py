@@ -130,3 +130,13 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     (tmp_path / "plot.csv").write_text("x,y\n1,2\n3,a\n", encoding="utf-8")
     with pytest.raises(InputError, match="row 3, column y"):
         read_polygon(tmp_path / "plot.csv")
+
+
+@pytest.mark.parametrize("name", ["Stichprobe 7.gpkg", "plot.shp", "plot.KML"])
+def test_maps_of_a_gis_are_asked_for_as_geojson(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_bytes(b"SQLite format 3\x00\xff")
+    with pytest.raises(InputError, match="export it from the GIS as GeoJSON, in metres") as told:
+        read_polygon(tmp_path / name)
+    assert "column" not in str(told.value)
+    with pytest.raises(InputError, match="no such file"):
+        read_polygon(tmp_path / "other.gpkg")

@@ -179,8 +179,8 @@ def test_a_click_beside_shows_as_residual_and_uncertainty(scene: Scene, client: 
     ("clicks", "words"),
     [
         ({}, "clicked in 0 photos"),
-        ({"view_00": [[1, 1], [5, 5]]}, "clicked in 1 photos"),
-        ({"view_00": [[1, 1], None], "view_03": [[1, 1], [5, 5]]}, "clicked in 1 photos"),
+        ({"view_00": [[1, 1], [5, 5]]}, "clicked in 1 photo;"),
+        ({"view_00": [[1, 1], None], "view_03": [[1, 1], [5, 5]]}, "clicked in 1 photo;"),
         ({"view_00": [[1, 1], [5, 5]], "other": [[1, 1], [5, 5]]}, "no view"),
         ({"view_00": [[0, 0], [159, 119]], "view_03": [[159, 119], [0, 0]]}, "the rays to end 1"),
         ({"view_00": [[1, 1]]}, "two ends"),

@@ -89,6 +89,18 @@ def test_an_unknown_rule_of_breast_height_is_refused() -> None:
         analyse_plot(ground(), settings=TreeSettings(bh_rule="downhill"))
 
 
+@pytest.mark.parametrize("bh_m", [130.0, 4.5, 0.0, -1.0, float("nan")])
+def test_a_breast_height_in_other_units_is_refused(bh_m: float) -> None:
+    with pytest.raises(CloudError, match="give breast height in metres"):
+        analyse_plot(ground(), settings=TreeSettings(bh_m=bh_m))
+
+
+@pytest.mark.parametrize("scale_rel_std", [-0.01, float("nan"), float("inf")])
+def test_an_error_of_the_scale_that_is_none_is_refused(scale_rel_std: float) -> None:
+    with pytest.raises(CloudError, match="scale_rel_std"):
+        analyse_plot(ground(), scale_rel_std=scale_rel_std)
+
+
 def test_the_diagnosis_says_what_the_cloud_lacks() -> None:
     rng = np.random.default_rng(1)
     # Known to stand upright, so that nobody looks at it from its other sides.

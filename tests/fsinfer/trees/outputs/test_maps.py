@@ -76,7 +76,7 @@ def test_etrs89_gets_a_geojson_where_pyproj_is(
     monkeypatch.setitem(sys.modules, "pyproj", None)
     with caplog.at_level("WARNING"):
         assert [p.name for p in write_maps(tmp_path, at_utm, epsg=25832)] == ["trees.gpkg"]
-    assert "pip install fsinfer[gis]" in caplog.text
+    assert "pip install 'fsinfer[gis]'" in caplog.text
     monkeypatch.undo()
     pytest.importorskip("pyproj")
     assert [p.name for p in write_maps(tmp_path, at_utm, epsg=25832)] == ["trees.gpkg", "trees.geojson"]
