@@ -22,6 +22,7 @@ from fsinfer.poses.adjustment.patches import PATCH_SIDE, Floats32, Matches, alig
 from fsinfer.poses.adjustment.problem import Ints, Numbers, Observations, Unknowns
 from fsinfer.poses.adjustment.projection import FOCAL, Floats, project, read_at_of
 from fsinfer.poses.adjustment.settings import RematchSettings
+from fsinfer.threads import in_order
 
 _log = logging.getLogger(__name__)
 
@@ -76,7 +77,9 @@ class Pairs:
     affine: Floats
 
 
-def rematched(seen: Observations, at: Unknowns, photos: Photos, settings: RematchSettings) -> Observations:
+def rematched(
+    seen: Observations, at: Unknowns, photos: Photos, settings: RematchSettings, *, threads: int = 1
+) -> Observations:
     """Observations of some of the points, as many as each photo needs, by their patches where they are found.
 
     Parameters
@@ -90,8 +93,9 @@ def rematched(seen: Observations, at: Unknowns, photos: Photos, settings: Rematc
     inside = at.in_cameras(seen)
     chosen = spread(seen, photos.sizes, len(at.points), settings)
     reference = np.where(chosen, references(seen, inside, len(at.points)), -1)
-    pairs = pairs_to_look_for(seen, at, reference, photos, settings)
-    good, xy = _matched(seen, reference, pairs, photos, settings)
+    near = shared_by(seen, len(at.points)) >= settings.min_shared
+    pairs = pairs_to_look_for(seen, at, reference, near, photos, settings)
+    good, xy = matched(seen, reference, pairs, photos, settings, threads=threads)
     found = np.bincount(pairs.point[good], minlength=len(chosen)) > 0
     of_patch = np.flatnonzero(chosen & found)
     rows = reference[of_patch]
@@ -124,16 +128,31 @@ def references(seen: Observations, inside: Floats, points: int) -> Ints:
     return found
 
 
+def shared_by(seen: Observations, points: int) -> Floats32:
+    """(N, N) how many of ``points`` points two photos both see."""
+    sees = _sees(seen, points)
+    return np.asarray((sees.T @ sees).toarray(), np.float32)
+
+
+def _sees(seen: Observations, points: int) -> csr_matrix:
+    """(points, N) which photos see which."""
+    shape = (points, len(seen.camera))
+    return csr_matrix((np.ones(len(seen.photo), np.float32), (seen.point, seen.photo)), shape=shape)
+
+
 def pairs_to_look_for(
-    seen: Observations, at: Unknowns, reference: Ints, photos: Photos, settings: RematchSettings
+    seen: Observations,
+    at: Unknowns,
+    reference: Ints,
+    near: NDArray[np.bool_],
+    photos: Photos,
+    settings: RematchSettings,
 ) -> Pairs:
-    """In which photos a point may be found: those that see it, and that share points with the one of its patch.
+    """In which photos a point may be found: those that see it, and that are ``near`` (N, N) the one of its patch.
 
     ``reference`` (P,) is the observation about which the patch of each point is; -1 where it has none.
     """
-    points, count = len(at.points), len(at.rotations)
-    sees = csr_matrix((np.ones(len(seen.photo), np.float32), (seen.point, seen.photo)), shape=(points, count))
-    near = (sees.T @ sees).toarray() >= settings.min_shared
+    sees = _sees(seen, len(at.points))
     patches = seen.of(reference[reference >= 0])
     found = [_pairs_of(part, sees[part.point].toarray() > 0, near, at, photos, settings) for _, part in patches.parts()]
     return Pairs(**{name: np.concatenate([getattr(one, name) for one in found]) for name in Pairs.__dataclass_fields__})
@@ -210,30 +229,43 @@ def spread(seen: Observations, sizes: Ints, points: int, settings: RematchSettin
     return chosen
 
 
-def _matched(
-    seen: Observations, reference: Ints, pairs: Pairs, photos: Photos, settings: RematchSettings
+def matched(
+    seen: Observations,
+    reference: Ints,
+    pairs: Pairs,
+    photos: Photos,
+    settings: RematchSettings,
+    *,
+    threads: int = 1,
 ) -> tuple[NDArray[np.bool_], Floats]:
-    """Which pairs were found, and (m, 2) where."""
+    """Which pairs were found, and (m, 2) where; patches are those about the observations ``reference`` (P,)."""
     step = photos.step_px
     with_patch = np.flatnonzero(reference >= 0)
-    owner = seen.photo[reference[with_patch]]
+    own = seen.of(reference[with_patch])
     values = np.empty((len(with_patch), PATCH_SIDE, PATCH_SIDE), np.float32)
     place = np.empty(len(reference), np.int64)
     place[with_patch] = np.arange(len(with_patch))
 
-    for photo in range(len(photos.files)):
-        rows = np.flatnonzero(owner == photo)
+    def take(photo: int) -> None:
+        rows = np.flatnonzero(own.photo == photo)
         if len(rows):
-            values[rows] = patches_at(photos.smooth(photo), seen.xy[reference[with_patch[rows]]], step)
+            values[rows] = patches_at(photos.smooth(photo), own.xy[rows], step)
+
     good, xy = np.zeros(len(pairs.point), dtype=bool), np.array(pairs.xy)
-    order = np.argsort(pairs.photo, kind="stable")
-    for rows in np.split(order, np.searchsorted(pairs.photo[order], np.arange(1, len(photos.files)))):
+
+    def lay(rows: Ints) -> None:
         if len(rows):
-            patches = values[place[pairs.point[rows]]]
             image = photos.smooth(int(pairs.photo[rows[0]]))
-            found = align(patches, image, pairs.xy[rows], pairs.affine[rows], step)
+            found = align(values[place[pairs.point[rows]]], image, pairs.xy[rows], pairs.affine[rows], step)
             good[rows] = _is_good(found, pairs.xy[rows], step, settings)
             xy[rows] = found.xy
+
+    order = np.argsort(pairs.photo, kind="stable")
+    by_photo = np.split(order, np.searchsorted(pairs.photo[order], np.arange(1, len(photos.files))))
+    for _ in in_order(take, range(len(photos.files)), threads):
+        pass
+    for _ in in_order(lay, by_photo, threads):
+        pass
     return good, xy
 
 
