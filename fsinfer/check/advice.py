@@ -118,9 +118,9 @@ def _all_beside(stems: Sequence[StemCoverage]) -> list[str]:
     count = sum(entry.verdict == "outside" and entry.one_sided for entry in stems)
     if not count:
         return []
-    were = "stems beside it were" if count > 1 else "stem beside it was"
+    were = counted(count, "stem beside it was", "stems beside it were")
     return [
-        f"No stem stands within your walk, and {count} {were} seen from one side only. Walk round those that belong to "
+        f"No stem stands within your walk, and {were} seen from one side only. Walk round those that belong to "
         "your plot."
     ]
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.io.images import write_image
+from fsinfer.notices.numbers import noun
 
 #: Longest side of a picture on the sheet, pixels. Source: layout.
 TILE_PX = 240
@@ -61,7 +62,7 @@ def write_contact_sheet(path: Path, tiles: Sequence[Tile], *, total: int) -> Non
     sheet = Image.new("RGB", (width, rows * cell_h + _TEXT_PX + _MARGIN_PX), _PAPER)
     draw = ImageDraw.Draw(sheet)
     font = ImageFont.load_default(_FONT_PX)
-    were = "was" if len(tiles) == 1 else "were"
+    were = noun(len(tiles), "was", "were")
     more = f"; the first {len(shown)} are shown" if len(shown) < len(tiles) else ""
     draw.text((_MARGIN_PX, 10), f"{len(tiles)} of {total} frames {were} not used{more}", fill=(0, 0, 0), font=font)
     for index, tile in enumerate(shown):

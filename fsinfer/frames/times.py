@@ -53,5 +53,6 @@ def _alternating(told: Sequence[tuple[str, str]]) -> tuple[Notice, ...]:
     changes = sum(one != other for (one, _), (other, _) in pairwise(told))
     if changes <= MOST_CHANGES * max(0, len(told) - 1):
         return ()
-    cameras = tuple(sorted({camera.strip() for camera, _ in told}))
+    # Some apps do not write which phone it was.
+    cameras = tuple(sorted({camera.strip() or "a camera without a name" for camera, _ in told}))
     return (notice(CaptureCode.cameras_alternate, cameras=cameras, changes=changes, photos=len(told)),)

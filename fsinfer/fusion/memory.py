@@ -5,6 +5,7 @@ It follows the number of points kept, which has a limit of its own. Measured as 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from fsinfer.depth.memory import BASE_BYTES, GIGABYTE
@@ -82,7 +83,11 @@ def plan_fusion(
     of_maps = maps * of_map + views * of_view
     points = int((limit - of_maps) / _BYTES_PER_MERGED_POINT)
     if points < _LEAST_POINTS + _LEAST_BATCH_POINTS:
-        msg = f"{memory_gb:g} GB of --memory-gb are too few for a cloud; give 1 or more"
+        # With the fewest maps and one view at a time, or with what their share has room for.
+        beside = (_LEAST_POINTS + _LEAST_BATCH_POINTS) * _BYTES_PER_MERGED_POINT
+        least = BASE_BYTES + max(_LEAST_MAPS * of_map + of_view + beside, beside / (1.0 - _SHARE_OF_MAPS))
+        enough = max(1.0, math.ceil(10 * least / GIGABYTE) / 10)
+        msg = f"{memory_gb:g} GB of --memory-gb are too few for a cloud; give {enough:g} or more"
         raise InputError(msg)
     batch = min(batch_points, max(_LEAST_BATCH_POINTS, points - max_points))
     kept = min(max_points, points - batch)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
 from typing import Any
 
-from fsinfer.notices.numbers import counted
+from fsinfer.notices.numbers import counted, noun
 
 #: Names of photographs that a sentence lists. Source: three lines of a terminal.
 MOST_NAMES = 20
@@ -68,7 +68,7 @@ def _frames_not_used(values: Mapping[str, Any]) -> str:
     count = len(values["rejected"])
     more = count - MOST_REASONS
     return (
-        f"{count} of {values['frames']} frames {'was' if count == 1 else 'were'} not used "
+        f"{count} of {values['frames']} frames {noun(count, 'was', 'were')} not used "
         f"({listed}{f'; and {more} more' if more > 0 else ''})"
     )
 
@@ -87,9 +87,8 @@ def _not_read(values: Mapping[str, Any]) -> str:
 def _in_folders(values: Mapping[str, Any]) -> str:
     found = counted(values["photos"], "photo or video", "photos and videos")
     return (
-        f"{found} in folders within it ({_shown(values['names'])}) {'was' if values['photos'] == 1 else 'were'} not "
-        "looked at: "
-        "put what belongs to the plot into one folder"
+        f"{found} in folders within it ({_shown(values['names'])}) {noun(values['photos'], 'was', 'were')} not "
+        "looked at: put what belongs to the plot into one folder"
     )
 
 

@@ -25,16 +25,10 @@ from fsinfer.trees.diameter.verdict import too_uncertain, wide_interval
 from fsinfer.trees.one_entry import HAZE_NOISE_M
 
 #: Doubts of the cloud about its diameter that photographs do not lift: at which height it is, and whose it is.
-NOT_LIFTED = frozenset(
-    {
-        StemCode.above_breast_height,
-        StemCode.below_breast_height,
-        StemCode.ground_unsure,
-        StemCode.forks_here,
-    }
-)
-#: Those whether it is a stem at all, which stay without a diameter of the cloud, too: the edges of a post are as sharp.
-OF_ENDS = frozenset({StemCode.top_seen, StemCode.hangs})
+NOT_LIFTED = frozenset({StemCode.above_breast_height, StemCode.below_breast_height, StemCode.forks_here})
+#: Those that stay without a diameter of the cloud, too: whether it is a stem at all, and where its breast height is;
+#: the edges of a post are as sharp, and none tells the ground.
+NEVER_LIFTED = frozenset({StemCode.top_seen, StemCode.hangs, StemCode.ground_unsure})
 #: Points that weigh less than this leave the diameter to the edges, and where they are a haze they do not vouch for
 #: those: not for few, either. Source: definition, the half; that few count, renders only, seed 955057, afterwards: a
 #: stem of 43 cm, of which six photos show a quarter, came out as 52 cm +- 5 cm.
@@ -188,7 +182,7 @@ def _status(
     uncertain = too_uncertain(dbh_m, half_m, dbh)
     if uncertain:
         return "unmeasured", uncertain
-    stays = OF_ENDS if section.dbh_m is None else OF_ENDS | NOT_LIFTED
+    stays = NEVER_LIFTED if section.dbh_m is None else NEVER_LIFTED | NOT_LIFTED
     doubts = [why for why in section.reasons if why.code in stays]
     faint = fit.contrast < s.wider.sure_contrast
     few = fit.photos < s.sure_photos or fit.sectors < s.sure_sectors or faint

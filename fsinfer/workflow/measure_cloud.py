@@ -180,7 +180,7 @@ def measure_cloud_file(
             cloud=opened.cloud,
             metric=metric,
             scale_rel_std=(found.scale.rel_std if found.scale.rel_std is not None else origin.scale_rel_std) or 0.0,
-            camera_height=origin.camera_height,
+            camera_height=None if origin.camera_height is None else per_unit * origin.camera_height,
             marker_xyz=None if photos is None else marker_centers(boards, photos.cloud_from_scene),
             marker_numbers=() if photos is None else tuple(marker.id for marker in boards.markers),
             epsg=None if frame_of is None else named,

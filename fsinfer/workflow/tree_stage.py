@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fsinfer.io.cloud import PointCloud, write_cloud
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.plots import PlotCode
+from fsinfer.notices.stems import StemCode
 from fsinfer.placement.settings import LevelSettings
 from fsinfer.plot_border.place import place_border
 from fsinfer.plot_border.plot import PlotFigures, Upright, plot_of, stem_circles
@@ -21,6 +22,7 @@ from fsinfer.plot_border.rows import figure_rows
 from fsinfer.plot_border.sight import Cameras, seen_share
 from fsinfer.processes import MOST_WORKERS, worker_processes
 from fsinfer.progress import Progress, silent
+from fsinfer.scale.doubts import doubt_height
 from fsinfer.scale.scale import CAMERA_HEIGHT_M
 from fsinfer.silhouettes.join import StemPhotos, measure_silhouettes, write_sources
 from fsinfer.silhouettes.join_settings import SilhouetteJoinSettings
@@ -208,6 +210,9 @@ def _find(given: PlotCloudInput, settings: TreeStageSettings, progress: Progress
         errors=given.errors,
         progress=progress,
     )
+    if height is not None and not doubt_height(height):
+        # Held at such a height a camera vouches for the metre: stems of a metre are what they are.
+        result = replace(result, warnings=tuple(told for told in result.warnings if told.code != StemCode.all_thick))
     if given.marker_xyz is None or not given.metric:
         return result, frozenset()
     kept = without_posts(result, given.marker_xyz)

@@ -37,7 +37,7 @@ from fsinfer.trees.diameter.section import Section, as_searched, unmeasured_sect
 from fsinfer.trees.diameter.slice import fit_slice
 from fsinfer.trees.diameter.spread import Spread, fit_spread
 from fsinfer.trees.diameter.tapered_fit import joint_fits, wall_coverage
-from fsinfer.trees.diameter.verdict import doubts_about, may_be_measured, refused, walls_std_m
+from fsinfer.trees.diameter.verdict import doubts_about, ground_doubt, may_be_measured, refused, walls_std_m
 from fsinfer.trees.points.smoothing import unsmoothed
 from fsinfer.trees.points.sums import lengths
 from fsinfer.trees.points.surface import LAYER_M, WALL_SIGMAS
@@ -105,7 +105,7 @@ def _section(
         return unmeasured_section(
             fit.center_at(height),
             height,
-            (few if used is None else notice(StemCode.too_few_on_bark, points=0),),
+            (few if used is None else notice(StemCode.too_few_on_bark, points=0), *ground_doubt(ground_noise_m, s)),
             radius_m=fit.radius_m,
             lean_deg=fit.lean_deg,
             slope=fit.parameters[2:4],
@@ -175,7 +175,9 @@ def _section(
     if astray and not reasons:
         reasons = (notice(StemCode.not_round),)
     status = "unmeasured" if reasons else "ok"
-    if not reasons:
+    if reasons:
+        reasons = (*reasons, *ground_doubt(ground_noise_m, s))
+    else:
         reasons = doubts_about(fit, coverage, 2.0 * radius, half, walls, off, ground_noise_m, s)
         status = "doubtful" if reasons else "ok"
     measured = Section(

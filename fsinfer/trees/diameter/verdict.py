@@ -51,6 +51,16 @@ def wide_interval(dbh_m: float, half_m: float, s: DbhSettings) -> tuple[Notice, 
     return ()
 
 
+def ground_doubt(level_std_m: float, s: DbhSettings) -> tuple[Notice, ...]:
+    """The doubt about where breast height is, if there is one: of a stem without a diameter, too.
+
+    Its edges in photographs may give it one, and they do not know the ground.
+    """
+    if level_std_m > s.doubtful_level_m:
+        return (notice(StemCode.ground_unsure, std_cm=100.0 * level_std_m),)
+    return ()
+
+
 def doubts_about(
     fit: AxisFit,
     coverage: float,
@@ -67,8 +77,7 @@ def doubts_about(
         doubts.append(notice(StemCode.double_wall, gap_cm=100.0 * walls.gap_m))
     if fit.sigma_m > s.max_sigma_m:
         doubts.append(notice(StemCode.blurred_points, residual_cm=100.0 * fit.sigma_m))
-    if level_std_m > s.doubtful_level_m:
-        doubts.append(notice(StemCode.ground_unsure, std_cm=100.0 * level_std_m))
+    doubts += ground_doubt(level_std_m, s)
     if shift > s.max_off_m:
         doubts.append(notice(StemCode.above_breast_height, off_cm=100.0 * shift))
     elif shift < -s.max_off_m:

@@ -128,6 +128,16 @@ def test_the_photographs_of_other_programs_are_planned_for_at_their_size(tmp_pat
     assert plan_fusion(3.0, map_pixels=640 * 480, photo_pixels=2016 * 1512, **WANTED).at_once == 4
 
 
+@pytest.mark.parametrize("megapixels", [24, 50, 100, 200])
+def test_who_gives_too_little_for_large_photographs_is_told_what_is_enough(megapixels: int) -> None:
+    """One gigabyte is not, of a hundred megapixels."""
+    sizes: dict[str, Any] = {"map_pixels": 640 * 480, "photo_pixels": megapixels * 1_000_000, **WANTED}
+    with pytest.raises(InputError, match="too few") as caught:
+        plan_fusion(0.4, **sizes)
+    enough = float(str(caught.value).split("give ")[1].split()[0])
+    assert plan_fusion(enough, **sizes).max_points >= 250_000
+
+
 def test_int8_takes_less() -> None:
     whole = plan_depth(3.0, width=2400, height=1350, **FIELD, views=5, most_cached=24, int8=True)
     assert whole.tile_size == 0

@@ -75,6 +75,10 @@ def test_photos_of_two_people_that_are_named_through_each_other_are_told(tmp_pat
     # A few of another phone, or one phone after the other, are no walk of two.
     assert names_against_times([*first, *second[:6]]) == ()
     assert names_against_times([*first[:6], *second[:3], *first[6:], *second[3:]]) == ()
+    # Some apps do not write which phone it was.
+    nameless = photos(tmp_path, list(range(12)), camera="")
+    (told,) = names_against_times([path for pair in zip(first, nameless, strict=True) for path in pair])
+    assert sentence(told).startswith("photos of A and a camera without a name alternate by name")
 
 
 def test_a_moment_has_decimals_and_may_be_none(tmp_path: Path) -> None:

@@ -709,6 +709,8 @@ def test_photographs_lift_the_doubts_of_the_cloud_but_not_that_of_its_height() -
     ground = notice(StemCode.ground_unsure, std_cm=30.0)
     found = joined(replace(section_of(0.300, 0.002, ground, unsure), status="doubtful"), fit_of(0.15, 0.002))
     assert (found.status, found.reasons) == ("doubtful", (ground,))
+    found = joined(section_of(None, 0.002, ROUGH, ground), fit_of(0.15, 0.002))
+    assert (found.status, found.reasons) == ("doubtful", (ground,))
 
 
 def test_a_tree_by_hand_is_told_to_be_one_whatever_the_photographs_show(photos: StemPhotos, tmp_path: Path) -> None:

@@ -50,3 +50,15 @@ def test_pictures_that_were_turned_since_are_refused(tmp_path: Path, size: tuple
         refuse_cameras_of_other_size(turned)
     intrinsic[:2, 2] = 0.51 * size[0] - 0.5, 0.49 * size[1] - 0.5
     refuse_cameras_of_other_size(turned)
+
+
+@pytest.mark.parametrize("size", [(160, 160), (160, 150)])
+def test_squares_look_alike_however_they_are_turned(tmp_path: Path, size: tuple[int, int]) -> None:
+    scene = scene_with_principal_point(tmp_path, 0.5, 0.5)
+    view = scene.views[0]
+    write_image(view.image_path, np.zeros((size[1], size[0], 3), np.uint8))
+    intrinsic = view.camera.intrinsic.copy()
+    intrinsic[:2, 2] = 0.5 * size[0] - 0.5, 0.5 * size[1] - 0.5
+    refuse_cameras_of_other_size(
+        replace(scene, views=(replace(view, camera=replace(view.camera, intrinsic=intrinsic)),))
+    )

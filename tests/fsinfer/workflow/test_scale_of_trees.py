@@ -20,6 +20,7 @@ from fsinfer.scale.find import FoundScale
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scene import read_scene
 from fsinfer.trees import TreeSettings
+from fsinfer.trees.sanity import SanitySettings
 from fsinfer.workflow import cloud_origin
 from fsinfer.workflow.measure_cloud import MeasureSettings, measure_cloud_file
 from fsinfer.workflow.single_stages import fuse_scene
@@ -240,3 +241,13 @@ def test_boards_that_give_the_scale_now_are_those_of_the_plot(tmp_path: Path, mo
     assert scale_told(plot) == ("m", pytest.approx(M_PER_UNIT), "aruco")
     place = M_PER_UNIT * (cloud_from_scene @ [*centers[2], 1.0])[:2]
     assert plot["plot_border"]["center"] == pytest.approx(place.tolist(), abs=1e-6)
+
+
+@pytest.mark.parametrize(("times", "told"), [(1.0, False), (1 / 0.3048, True)])
+def test_the_height_of_the_cameras_is_at_the_scale_of_the_trees(out: Path, times: float, told: bool) -> None:
+    """It is noted in units of the file, and vouches for the metre by which the trees are measured."""
+    request = ScaleRequest(factor=times * M_PER_UNIT)
+    thick = SanitySettings(thick_trees=len(STEMS), thick_cm=10.0)
+    settings = MeasureSettings(stage=TreeStageSettings(trees=TreeSettings(sanity=thick)))
+    measure_cloud_file(out / "cloud.ply", out, request=request, settings=settings)
+    assert ("all_thick" in codes(read_plot(out))) == told

@@ -118,3 +118,14 @@ def test_two_walls_of_a_cloud_of_photographs_are_refused(
     cloud = PointCloud(xyz=np.zeros((1, 3)))
     measure_plot(PlotCloudInput(cloud=cloud, photos=cast(Any, object()) if with_photos else None), tmp_path)
     assert asked == [0.0 if with_photos else DbhSettings().most_walls_m]
+
+
+@pytest.mark.parametrize(("camera_height", "told"), [(None, True), (1.5, False), (4.9, True)])
+def test_thick_stems_are_of_another_unit_unless_cameras_vouch_for_the_metre(
+    camera_height: float | None, told: bool, tmp_path: Path
+) -> None:
+    """Veteran trees that were photographed are thick; a phone is not held at 4.9 m, which are 1.5 m in feet."""
+    plot = stem_plot(trees=5, seed=5, spacing_m=0.03, dbh_cm=(80.0, 110.0))
+    given = PlotCloudInput(cloud=PointCloud(xyz=plot.points), camera_height=camera_height)
+    warnings = measure_plot(given, tmp_path).warnings
+    assert (StemCode.all_thick in [warning.code for warning in warnings]) == told

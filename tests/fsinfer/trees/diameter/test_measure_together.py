@@ -101,6 +101,10 @@ def test_ground_that_is_not_sure_makes_a_stem_doubtful_and_its_interval_wide() -
     assert (sure.status, unsure.status) == ("ok", "doubtful")
     assert codes(unsure) == {StemCode.ground_unsure}
     assert unsure.parts_m["level"] == pytest.approx(0.3 * 0.022, rel=0.1)
+    # Of what has no diameter, too: its edges in photographs may give it one at that height.
+    few, side = measure_together([points_of()[:5], points_of(arc_deg=50.0)], [stem] * 2, ground_noise_m=[0.3, 0.3])
+    assert [why.code for why in few.reasons] == [StemCode.too_few_at_breast_height, StemCode.ground_unsure]
+    assert [why.code for why in side.reasons] == [StemCode.too_little_seen, StemCode.ground_unsure]
 
 
 def test_a_leaning_stem_is_looked_for_where_it_is_at_that_height() -> None:
