@@ -7,6 +7,7 @@ show, good or bad. The headline takes blind sets only.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from statistics import median
 
 from tests.bench.cells import Lines, counted, known, number, source, table
 from tests.bench.results import RESULTS, Result, read_result
@@ -27,6 +28,10 @@ EFFECT_WORDS = {
     "phone": "all together (`--phone`)",
     "video": "all together, 1 m/s (`--phone-video`)",
 }
+
+#: Photographs from which on a walk is a long one, and figures that are summed over plots.
+_LONG_WALK = 200
+_SUMMED = ("photos", "photos_registered", "trees", "matched", "false", "inside_interval", "with_interval")
 
 Template = Callable[[Sequence[Result]], Lines]
 
@@ -98,13 +103,57 @@ HEADLINES: dict[str, Callable[[Result], tuple[str, str]]] = {
 
 def headline(results: Sequence[Result]) -> Lines:
     """One row a result; raises ValueError for a set that is not blind."""
+    return _blind_rows(results, "docs/results")
+
+
+def each(results: Sequence[Result]) -> Lines:
+    """As :func:`headline`, in a document that lies beside the results."""
+    return _blind_rows(results, "results")
+
+
+def _blind_rows(results: Sequence[Result], folder: str) -> Lines:
     rows = []
+    for result in _blind(results):
+        what, found = HEADLINES[result.benchmark](result)
+        rows.append([what, found, f"[{result.name}]({folder}/{result.name}.json)"])
+    return table(["blind set", "result", "file, with its command"], rows)
+
+
+def _blind(results: Sequence[Result]) -> Sequence[Result]:
     for result in results:
         if result.kind != "blind":
             raise ValueError(f"{result.name} is a {result.kind} set: the headline takes blind sets only")
-        what, found = HEADLINES[result.benchmark](result)
-        rows.append([what, found, f"[{result.name}](docs/results/{result.name}.json)"])
-    return table(["blind set", "result", "file, with its command"], rows)
+    return results
+
+
+def together(results: Sequence[Result]) -> Lines:
+    """Blind rendered plots, a row each kind: those that went wrong count as all others do."""
+    kinds: dict[str, list[Mapping[str, float]]] = {}
+    for result in _blind(results):
+        drawn = result.settings.get("plot", {})
+        phone = drawn.get("phone") == "True" or drawn.get("phone_video") == "True"
+        length = "up to 138 photographs" if result.figures["photos"] < _LONG_WALK else "200 to 300 photographs"
+        what = (
+            f"with a phone's effects in a breeze, {length}" if phone else "without a phone's effects, 120 photographs"
+        )
+        kinds.setdefault(what, []).append(result.figures)
+    rows = []
+    for what, figures in kinds.items():
+        errors = sorted(f["rmse_cm"] for f in figures)
+        total = {key: sum(f[key] for f in figures) for key in _SUMMED}
+        rows.append(
+            [
+                what,
+                f"{len(figures)}",
+                f"{total['photos_registered']:g} of {total['photos']:g}",
+                f"{total['matched']:g} of {total['trees']:g}",
+                f"{total['false']:g}",
+                f"{number(float(median(errors)), '.2f')} cm, {number(errors[-1], '.2f')} cm",
+                f"{total['inside_interval']:g} of {total['with_interval']:g}",
+            ]
+        )
+    head = ["blind rendered plots", "plots", "photographs placed", "trees with a DBH", "false trees"]
+    return table([*head, "RMSE of the median plot, of the worst", "inside their 95 % interval"], rows)
 
 
 def plots(results: Sequence[Result]) -> Lines:
@@ -218,6 +267,8 @@ def ways(results: Sequence[Result]) -> Lines:
 
 TEMPLATES: dict[str, Template] = {
     "headline": headline,
+    "each": each,
+    "together": together,
     "plots": plots,
     "stems": stems,
     "classes": classes,

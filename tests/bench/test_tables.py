@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -143,3 +144,29 @@ def test_effects_are_listed_with_who_placed_how_many(tmp_path: Path) -> None:
         "| leaves and undergrowth move 1.5 cm, doubled | 26 of 26, 3.6 mm | 26 of 26, 3.6 mm | not measured | "
         "16 of 26, 21.6 mm |",
     ]
+
+
+def test_plots_together_hide_none_that_went_wrong(folder: Path) -> None:
+    plots = {
+        "good": (300, 300, 40, 40, 0, 0.2, 40, "True"),
+        "lost": (300, 280, 40, 7, 105, 11.8, 1, "True"),
+        "fair": (300, 299, 40, 39, 1, 0.4, 38, "True"),
+        "short": (90, 90, 14, 14, 0, 0.3, 14, "True"),
+        "clean": (120, 120, 16, 16, 0, 0.1, 16, "None"),
+    }
+    names = ("photos", "photos_registered", "trees", "matched", "false", "rmse_cm", "inside_interval")
+    for name, (*figures, phone) in plots.items():
+        record = dict(zip(names, figures, strict=True)) | {"with_interval": figures[3]}
+        settings = {"plot": {"phone": phone}}
+        write_result(
+            name, record, command="python -m tests.bench.plot P O", kind="blind", folder=folder, settings=settings
+        )
+    results = [read_result(name, folder) for name in plots]
+    lines = TEMPLATES["together"](results)
+    assert [line for line in lines if "200 to 300" in line] == [
+        "| with a phone's effects in a breeze, 200 to 300 photographs | 3 | 879 of 900 | 86 of 120 | 106 "
+        "| 0.40 cm, 11.80 cm | 79 of 86 |"
+    ]
+    assert len(lines) == 5
+    with pytest.raises(ValueError, match="blind sets only"):
+        TEMPLATES["together"]([replace(results[0], kind="development")])
