@@ -30,7 +30,7 @@ from fsinfer.workflow.settings import speedless
 #: Folders that a run empties and fills.
 STAGE_FOLDERS = ("frames", "scene", "depth", "confidence", "fused", "figures")
 FRAMES = Stage(name="frames", version=3, result=FramesResult, outputs=("frames",))
-POSES = Stage(name="poses", version=22, result=PosesResult, outputs=("scene",), keeps_partial=True)
+POSES = Stage(name="poses", version=21, result=PosesResult, outputs=("scene",), keeps_partial=True)
 
 
 def source_files(source: Path, out: Path) -> list[Path]:

@@ -16,7 +16,7 @@ from tests.support.phone_walk import FOCAL_PX, HEIGHT, WIDTH, look_at, observati
 #: Metres of a texel, and metres of the wall and the floor.
 _TEXEL, _SIDE = 0.004, 9.0
 #: How far the wall is from the middle of the walk, and the floor below it.
-WALL_M, FLOOR_M = 4.0, 1.5
+_WALL_M, _FLOOR_M = 4.0, 1.5
 
 
 def painted_corner(
@@ -38,7 +38,7 @@ def painted_corner(
     centers = np.stack(
         [np.linspace(-1.5, 1.5, photos), rng.normal(0, 0.3, photos), rng.normal(0, 0.15, photos)], axis=1
     )
-    targets = np.stack([0.5 * centers[:, 0], np.full(photos, WALL_M), np.full(photos, -0.8)], axis=1)
+    targets = np.stack([0.5 * centers[:, 0], np.full(photos, _WALL_M), np.full(photos, -0.8)], axis=1)
     rotations = np.array([look_at(c, t, rng.normal(0, 0.4)) for c, t in zip(centers, targets, strict=True)])
     own = np.zeros((photos, OWN)) if effects is None else effects * rng.standard_normal((photos, OWN))
     lens = np.zeros((1, LENS))
@@ -55,13 +55,13 @@ def painted_corner(
     for photo in range(photos):
         xy = np.stack(np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5), axis=-1).reshape(-1, 2)
         shift = rng.normal(0, shifted_px, 2) if shifted_px else np.zeros(2)
-        places, on_floor = hits(truth, photo, xy + shift)
+        places, on_floor = _hits(truth, photo, xy + shift)
         grey = np.where(on_floor, _painted(paints[0], places[:, [0, 1]]), _painted(paints[1], places[:, [0, 2]]))
         grey = grey.reshape(HEIGHT, WIDTH) if painted else rng.uniform(0, 255, (HEIGHT, WIDTH))
         noisy = np.clip(grey + rng.normal(0, 1.5, grey.shape), 0, 255).astype(np.uint8)
         cv2.imwrite(str(folder / f"{photo:05d}.jpg"), noisy, [cv2.IMWRITE_JPEG_QUALITY, 95])
         chosen = rng.uniform([40, 40], [WIDTH - 40, HEIGHT - 40], (60, 2))
-        points.append(hits(truth, photo, chosen)[0])
+        points.append(_hits(truth, photo, chosen)[0])
     truth = replace(truth, points=np.concatenate(points))
     return _seen(truth, noise_px, rng), truth
 
@@ -79,7 +79,7 @@ def _seen(truth: Unknowns, noise_px: float, rng: np.random.Generator) -> Observa
     return found.of(np.bincount(found.point, minlength=len(truth.points))[found.point] > 1)
 
 
-def hits(truth: Unknowns, photo: int, xy: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+def _hits(truth: Unknowns, photo: int, xy: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     """(n, 3) what pixels show, and whether it is the floor: the nearer of the two planes before the row's camera."""
     own = truth.own[photo]
     tau = read_at(xy, WIDTH, HEIGHT)
@@ -91,8 +91,8 @@ def hits(truth: Unknowns, photo: int, xy: Floats) -> tuple[Floats, NDArray[np.bo
     shift = (np.eye(3) + tau[:, None, None] * cross) @ truth.translations[photo] + tau[:, None] * own[DRIFT]
     centers = -(back @ shift[:, :, None])[:, :, 0]
     ways = (back @ rays[:, :, None])[:, :, 0]
-    to_wall = (WALL_M - centers[:, 1]) / ways[:, 1]
-    to_floor = (-FLOOR_M - centers[:, 2]) / ways[:, 2]
+    to_wall = (_WALL_M - centers[:, 1]) / ways[:, 1]
+    to_floor = (-_FLOOR_M - centers[:, 2]) / ways[:, 2]
     on_floor = (to_floor > 0) & ((to_floor < to_wall) | (to_wall <= 0))
     return centers + ways * np.where(on_floor, to_floor, to_wall)[:, None], on_floor
 

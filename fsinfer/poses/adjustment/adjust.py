@@ -114,7 +114,7 @@ def adjust_photos(
     seen, start, numbers = from_model(model)
     weighting = weighting_of(model, seen, start, numbers, settings, larger)
     photos = None if images is None else photos_of(model, numbers, images, larger)
-    sought = Sought(seen=seen, start=start, photos=photos, settings=settings, threads=threads)
+    sought = Sought(seen=seen, start=start, photos=photos, settings=settings)
     found = found_with(sought, weighting, progress, threads=threads)
     groups, trials = found.evidence.groups, found.evidence.trials
     if not groups and not found.patches:

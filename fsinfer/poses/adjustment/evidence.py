@@ -122,17 +122,9 @@ class InTurn:
 
 
 def tried_in_turn(
-    seen: Observations,
-    start: Unknowns,
-    weighting: Weighting,
-    settings: AdjustmentSettings,
-    *,
-    known: tuple[Group, ...] = (),
+    seen: Observations, start: Unknowns, weighting: Weighting, settings: AdjustmentSettings
 ) -> InTurn | None:
-    """Try each group on top of those that were kept before it; None where there is no point to hold out.
-
-    ``known`` groups are kept without a trial, and what comes beside them must gain ``settings.min_gain_beside``.
-    """
+    """Try each group on top of those that were kept before it; None where there is no point to hold out."""
     held, fitted = split(seen, len(start.points), settings)
     judged, judged_points = seen.of_points(held)
     learned, learned_points = seen.of_points(fitted)
@@ -140,21 +132,18 @@ def tried_in_turn(
         return None
     structure = Structure(learned, len(learned_points))
     first = replace(start, points=start.points[learned_points])
-    current = fit(structure, first, known, weighting, enough=_ENOUGH, foreseen=_FORESEEN)
+    current = fit(structure, first, (), weighting, enough=_ENOUGH, foreseen=_FORESEEN)
     weighting = replace(weighting, noise_px=noise_of(current.residuals(learned)))
     judge = _Judge(
         seen=judged, points=start.points[judged_points], loss_px=weighting.loss_px, noise_px=weighting.noise_px
     )
     errors = judge.errors_of(current)
-    least = settings.min_gain_beside if known else settings.min_gain
-    kept = list(known)
+    kept: list[Group] = []
     trials: dict[Group, Trial] = {}
     for group in ORDER:
-        if group in known:
-            continue
         tried = fit(structure, current, (*kept, group), weighting, enough=_ENOUGH, foreseen=_FORESEEN)
         there = judge.errors_of(tried)
-        trials[group] = _trial(group, errors, there, least, settings)
+        trials[group] = _trial(group, errors, there, settings.min_gain, settings)
         if trials[group].kept:
             kept, current, errors = [*kept, group], tried, there
             weighting = replace(weighting, noise_px=noise_of(current.residuals(learned)))
@@ -168,28 +157,6 @@ def tried_in_turn(
         current=current,
         errors=errors,
     )
-
-
-def asked_again(
-    evidence: Evidence, seen: Observations, at: Unknowns, weighting: Weighting, settings: AdjustmentSettings
-) -> Evidence:
-    """Patches are asked for the groups that features do not bear out, beside those that they do.
-
-    Patches see what is lost in the features' noise. Where features show no effect at all they are not asked: of photos
-    of a flat scene patches follow what a fit does not know.
-
-    Parameters
-    ----------
-    seen, at, weighting: of patches, and where cameras and points are by them.
-    """
-    if not evidence.groups or set(evidence.groups) == set(ORDER):
-        return evidence
-    found = tried_in_turn(seen, at, weighting, settings, known=evidence.groups)
-    if found is None:
-        return evidence
-    more = [trial for trial in found.trials.values() if trial.kept]
-    before = [trial for trial in evidence.trials if trial.group not in found.kept or trial.kept]
-    return replace(evidence, groups=found.kept, trials=(*before, *more))
 
 
 def confirmed(found: InTurn, settings: AdjustmentSettings) -> Evidence:

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 
 from fsinfer.geometry.similarity import apply, fit_similarity, rotation_of, scale_of
-from fsinfer.poses.adjustment.evidence import Evidence, asked_again, confirmed, tried_in_turn
+from fsinfer.poses.adjustment.evidence import Evidence, confirmed, tried_in_turn
 from fsinfer.poses.adjustment.fit import Weighting, fit, noise_of, with_points_fitted
-from fsinfer.poses.adjustment.new_points import with_new_points
 from fsinfer.poses.adjustment.precision import CameraPrecision, camera_precisions
 from fsinfer.poses.adjustment.problem import Numbers, Observations, Unknowns, free_directions
 from fsinfer.poses.adjustment.projection import DRIFT, FOCAL, LENS, OWN, PRINCIPAL, TURN, rows_axis
@@ -57,14 +56,12 @@ class Sought:
     ----------
     seen, start: features, and where cameras and points are.
     photos: in which patches are looked for, None for none.
-    threads: photos worked on at a time.
     """
 
     seen: Observations
     start: Unknowns
     photos: Photos | None
     settings: AdjustmentSettings
-    threads: int = 1
 
     def fitted(self, evidence: Evidence) -> Found:
         """The fit of everything with the groups of ``evidence``: by patches, or by features."""
@@ -87,23 +84,17 @@ class Sought:
     def _by_patches(self, evidence: Evidence, photos: Photos) -> Found | None:
         """None where features contradict what the patches say, or there are hardly any."""
         settings, near = self.settings.rematch, self._near(evidence)
-        there = rematched(self.seen, near, photos, settings, threads=self.threads)
-        if (there.weight == 1).sum() < settings.min_patches * len(near.rotations):
-            _log.info("%d patches are too few", (there.weight == 1).sum())
+        there = rematched(self.seen, near, photos, settings)
+        patches = int((there.weight == 1).sum())
+        if patches < settings.min_patches * len(near.rotations):
+            _log.info("%d patches are too few", patches)
             return None
         seen, used = there.of_points_seen(len(near.points))
         loss_px = settings.loss_px * photos.step_px
         start = with_points_fitted(seen, replace(near, points=near.points[used]), loss_px)
         weighting = replace(evidence.weighting, loss_px=loss_px, noise_px=noise_of(start.residuals(seen)))
-        evidence = asked_again(evidence, seen, start, weighting, self.settings)
         structure = Structure(seen, len(used))
         placed = fit(structure, start, evidence.groups, weighting, enough=_ENOUGH)
-        seen, points = with_new_points(seen, placed, photos, self.settings, threads=self.threads)
-        if len(points) > len(used):
-            structure, loss_px = Structure(seen, len(points)), settings.last_loss_px * photos.step_px
-            start = with_points_fitted(seen, replace(placed, points=points), loss_px)
-            weighting = replace(weighting, loss_px=loss_px, noise_px=noise_of(start.residuals(seen)))
-            placed = fit(structure, start, evidence.groups, weighting, enough=_ENOUGH)
         weighting = replace(weighting, noise_px=noise_of(placed.residuals(seen)))
         # Points are those of the features, all of them.
         found = with_points_fitted(self.seen, replace(placed, points=near.points), evidence.weighting.loss_px)
@@ -112,7 +103,6 @@ class Sought:
         if after > settings.max_loss_of_features * before:
             return None
         precisions = camera_precisions(structure, placed, evidence.groups, weighting)
-        patches = int((seen.weight == 1).sum())
         return Found(evidence=evidence, unknowns=like(found, self.start), precisions=precisions, patches=patches)
 
 
@@ -137,15 +127,8 @@ def found_with(sought: Sought, weighting: Weighting, progress: Progress, *, thre
         with beside(lambda _: next(shared_out(sought.fitted, [usual], threads=1))) as fitted:
             evidence = confirmed(in_turn, sought.settings)
             if evidence.groups == usual.groups:
-                return _with_trials(fitted(), evidence)
+                return replace(fitted(), evidence=evidence)
         return sought.fitted(evidence)
-
-
-def _with_trials(found: Found, confirmed: Evidence) -> Found:
-    """``found``, with the trials of the groups that were tried once more meanwhile."""
-    trials = {trial.group: trial for trial in (*found.evidence.trials, *confirmed.trials) if trial.kept}
-    failed = [trial for trial in confirmed.trials if trial.group not in trials]
-    return replace(found, evidence=replace(found.evidence, trials=(*trials.values(), *failed)))
 
 
 def weighting_of(

@@ -22,7 +22,6 @@ from fsinfer.poses.adjustment.patches import PATCH_SIDE, Floats32, Matches, alig
 from fsinfer.poses.adjustment.problem import Ints, Numbers, Observations, Unknowns
 from fsinfer.poses.adjustment.projection import FOCAL, Floats, project, read_at_of
 from fsinfer.poses.adjustment.settings import RematchSettings
-from fsinfer.threads import in_order
 
 _log = logging.getLogger(__name__)
 
@@ -77,9 +76,7 @@ class Pairs:
     affine: Floats
 
 
-def rematched(
-    seen: Observations, at: Unknowns, photos: Photos, settings: RematchSettings, *, threads: int = 1
-) -> Observations:
+def rematched(seen: Observations, at: Unknowns, photos: Photos, settings: RematchSettings) -> Observations:
     """Observations of some of the points, as many as each photo needs, by their patches where they are found.
 
     Parameters
@@ -93,9 +90,8 @@ def rematched(
     inside = at.in_cameras(seen)
     chosen = spread(seen, photos.sizes, len(at.points), settings)
     reference = np.where(chosen, references(seen, inside, len(at.points)), -1)
-    near = shared_by(seen, len(at.points)) >= settings.min_shared
-    pairs = pairs_to_look_for(seen, at, reference, near, photos, settings)
-    good, xy = matched(seen, reference, pairs, photos, settings, threads=threads)
+    pairs = pairs_to_look_for(seen, at, reference, photos, settings)
+    good, xy = _matched(seen, reference, pairs, photos, settings)
     found = np.bincount(pairs.point[good], minlength=len(chosen)) > 0
     of_patch = np.flatnonzero(chosen & found)
     rows = reference[of_patch]
@@ -128,31 +124,16 @@ def references(seen: Observations, inside: Floats, points: int) -> Ints:
     return found
 
 
-def shared_by(seen: Observations, points: int) -> Floats32:
-    """(N, N) how many of ``points`` points two photos both see."""
-    sees = _sees(seen, points)
-    return np.asarray((sees.T @ sees).toarray(), np.float32)
-
-
-def _sees(seen: Observations, points: int) -> csr_matrix:
-    """(points, N) which photos see which."""
-    shape = (points, len(seen.camera))
-    return csr_matrix((np.ones(len(seen.photo), np.float32), (seen.point, seen.photo)), shape=shape)
-
-
 def pairs_to_look_for(
-    seen: Observations,
-    at: Unknowns,
-    reference: Ints,
-    near: NDArray[np.bool_],
-    photos: Photos,
-    settings: RematchSettings,
+    seen: Observations, at: Unknowns, reference: Ints, photos: Photos, settings: RematchSettings
 ) -> Pairs:
-    """In which photos a point may be found: those that see it, and that are ``near`` (N, N) the one of its patch.
+    """In which photos a point may be found: those that see it, and that share points with the one of its patch.
 
     ``reference`` (P,) is the observation about which the patch of each point is; -1 where it has none.
     """
-    sees = _sees(seen, len(at.points))
+    points, count = len(at.points), len(at.rotations)
+    sees = csr_matrix((np.ones(len(seen.photo), np.float32), (seen.point, seen.photo)), shape=(points, count))
+    near = (sees.T @ sees).toarray() >= settings.min_shared
     patches = seen.of(reference[reference >= 0])
     found = [_pairs_of(part, sees[part.point].toarray() > 0, near, at, photos, settings) for _, part in patches.parts()]
     return Pairs(**{name: np.concatenate([getattr(one, name) for one in found]) for name in Pairs.__dataclass_fields__})
@@ -229,43 +210,30 @@ def spread(seen: Observations, sizes: Ints, points: int, settings: RematchSettin
     return chosen
 
 
-def matched(
-    seen: Observations,
-    reference: Ints,
-    pairs: Pairs,
-    photos: Photos,
-    settings: RematchSettings,
-    *,
-    threads: int = 1,
+def _matched(
+    seen: Observations, reference: Ints, pairs: Pairs, photos: Photos, settings: RematchSettings
 ) -> tuple[NDArray[np.bool_], Floats]:
-    """Which pairs were found, and (m, 2) where; patches are those about the observations ``reference`` (P,)."""
+    """Which pairs were found, and (m, 2) where."""
     step = photos.step_px
     with_patch = np.flatnonzero(reference >= 0)
-    own = seen.of(reference[with_patch])
+    owner = seen.photo[reference[with_patch]]
     values = np.empty((len(with_patch), PATCH_SIDE, PATCH_SIDE), np.float32)
     place = np.empty(len(reference), np.int64)
     place[with_patch] = np.arange(len(with_patch))
 
-    def take(photo: int) -> None:
-        rows = np.flatnonzero(own.photo == photo)
+    for photo in range(len(photos.files)):
+        rows = np.flatnonzero(owner == photo)
         if len(rows):
-            values[rows] = patches_at(photos.smooth(photo), own.xy[rows], step)
-
+            values[rows] = patches_at(photos.smooth(photo), seen.xy[reference[with_patch[rows]]], step)
     good, xy = np.zeros(len(pairs.point), dtype=bool), np.array(pairs.xy)
-
-    def lay(rows: Ints) -> None:
+    order = np.argsort(pairs.photo, kind="stable")
+    for rows in np.split(order, np.searchsorted(pairs.photo[order], np.arange(1, len(photos.files)))):
         if len(rows):
+            patches = values[place[pairs.point[rows]]]
             image = photos.smooth(int(pairs.photo[rows[0]]))
-            found = align(values[place[pairs.point[rows]]], image, pairs.xy[rows], pairs.affine[rows], step)
+            found = align(patches, image, pairs.xy[rows], pairs.affine[rows], step)
             good[rows] = _is_good(found, pairs.xy[rows], step, settings)
             xy[rows] = found.xy
-
-    order = np.argsort(pairs.photo, kind="stable")
-    by_photo = np.split(order, np.searchsorted(pairs.photo[order], np.arange(1, len(photos.files))))
-    for _ in in_order(take, range(len(photos.files)), threads):
-        pass
-    for _ in in_order(lay, by_photo, threads):
-        pass
     return good, xy
 
 

@@ -32,8 +32,6 @@ class RematchSettings:
     feature_weight: of a feature that no patch was found for, beside those of patches. Source: their errors, 0.25 to 0.3
         and 0.07 to 0.1 pixels.
     loss_px: scale of the Cauchy loss. Source: docs/trials-accuracy.md; twice the errors of patches; renders only.
-    last_loss_px: the same where corners are points, too. Source: docs/trials-accuracy.md; 0.15 was up to a tenth worse;
-        renders only.
     """
 
     cells: int = 8
@@ -49,44 +47,6 @@ class RematchSettings:
     max_loss_of_features: float = 1.1
     feature_weight: float = 0.25
     loss_px: float = 0.15
-    last_loss_px: float = 0.1
-
-
-@dataclass(frozen=True, kw_only=True)
-class NewPointSettings:
-    """Corners that no feature tells of: how many, in which photos their depth is looked for, and which are kept.
-
-    Attributes
-    ----------
-    per_photo: parts of a photo in each of which one is taken, 0 for none. Source: docs/trials-accuracy.md; with 500
-        the cameras of two walks of 90 photos were up to a third worse beside their neighbours; renders only.
-    most: of all photos together. Source: numerics; seconds and memory of 300 photos.
-    neighbours: that a corner is laid over. Source: judgement; two must agree, and one may have it hidden.
-    min_base, max_base: from a photo to such a neighbour, in median depths of what it shows. Source: judgement; a step
-        of half a metre before things two to twenty metres off.
-    nearer, farther: depths that are tried, times the hundredth nearest and farthest of a photo's points. Source:
-        judgement.
-    min_likeness: mean correlation with the two neighbours most alike. Source: judgement; least-squares matching asks
-        for more.
-    most_photos: that one is looked for in. Source: judgement; half of those of features.
-    min_photos: that must show it, its own among them. Source: docs/trials-accuracy.md; three or four, cameras were as
-        good; renders only.
-    min_angle_deg: between the lines of sight of two of them: clouds and the sky's rim are nowhere. Source:
-        docs/trials-accuracy.md; without it cameras of two walks were 11 and 16 instead of 2.5 and 4.2 mm off; 4 and 8
-        were as good; renders only.
-    """
-
-    per_photo: int = 1000
-    most: int = 60_000
-    neighbours: int = 3
-    min_base: float = 0.02
-    max_base: float = 0.3
-    nearer: float = 0.7
-    farther: float = 1.5
-    min_likeness: float = 0.6
-    most_photos: int = 12
-    min_photos: int = 3
-    min_angle_deg: float = 1.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,7 +90,6 @@ class AdjustmentSettings:
     told_lenses: a change that focusing does not make: photos of two lenses, or of two zooms. Source: judgement; ten
         times what phones breathe; the demo's photos, half of them enlarged by a quarter, 4 %.
     rematch: of points looked for once more by their patches.
-    new_points: of corners that no feature tells of.
     """
 
     min_photos: int = 8
@@ -150,4 +109,3 @@ class AdjustmentSettings:
     told_focal: float = 0.002
     told_lenses: float = 0.02
     rematch: RematchSettings = field(default_factory=RematchSettings)
-    new_points: NewPointSettings = field(default_factory=NewPointSettings)

@@ -14,7 +14,7 @@ from fsinfer.poses.adjustment.adjust import PhotoAdjustment, adjust_photos
 from fsinfer.poses.adjustment.last_fit import like
 from fsinfer.poses.adjustment.problem import Ints, Observations, Unknowns, from_model
 from fsinfer.poses.adjustment.projection import Floats, project
-from fsinfer.poses.adjustment.rematch import Photos, pairs_to_look_for, references, rematched, shared_by, spread
+from fsinfer.poses.adjustment.rematch import Photos, pairs_to_look_for, references, rematched, spread
 from fsinfer.poses.adjustment.settings import AdjustmentSettings, RematchSettings
 from fsinfer.threads import one_blas_thread
 from tests.support.painted_corner import painted_corner
@@ -108,8 +108,7 @@ def test_a_patch_is_looked_for_where_the_photo_shows_it_as_large_and_turned_as_i
     seen = replace(exact, xy=xy + beside, tau=xy[:, 1] / HEIGHT - 0.5)
     reference = references(seen, truth.in_cameras(seen), len(truth.points))
     settings = RematchSettings(most_photos=5)
-    near = shared_by(seen, len(truth.points)) >= settings.min_shared
-    pairs = pairs_to_look_for(seen, truth, reference, near, photos(Path(), len(camera)), settings)
+    pairs = pairs_to_look_for(seen, truth, reference, photos(Path(), len(camera)), settings)
     assert len(pairs.point) > 2000
     assert np.bincount(pairs.point).max() == 5
     own = seen.photo[reference[pairs.point]]
