@@ -65,8 +65,8 @@ class PlotCloud:
 
 DEPTH = Stage(name="depth", version=5, result=DepthResult, outputs=("depth", "confidence"), keeps_partial=True)
 CHECK = Stage(name="check", version=1, result=DepthCheck)
-FUSE = Stage(name="fuse", version=3, result=FusedCloud, outputs=("fused",))
-SCALE = Stage(name="scale", version=5, result=FoundScale, later={"others": as_json(UNKNOWN)})
+FUSE = Stage(name="fuse", version=4, result=FusedCloud, outputs=("fused",))
+SCALE = Stage(name="scale", version=6, result=FoundScale, later={"others": as_json(UNKNOWN)})
 CLOUD = Stage(name="cloud", version=4, result=PlotCloud, outputs=("cloud.ply", "cloud.laz"))
 
 

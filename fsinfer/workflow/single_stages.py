@@ -45,7 +45,7 @@ class SceneCloud:
     camera_height: float | None
 
 
-FUSE_SCENE = Stage(name="fuse_scene", version=4, result=SceneCloud, outputs=("cloud.ply", "cloud.laz"))
+FUSE_SCENE = Stage(name="fuse_scene", version=5, result=SceneCloud, outputs=("cloud.ply", "cloud.laz"))
 
 
 def frames_of(
