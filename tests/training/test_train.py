@@ -234,6 +234,24 @@ def test_evaluate_command(scenes: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert "Error: no scene" in capsys.readouterr().out
 
 
+def test_a_scene_without_truth_in_the_range_leaves_the_others_to_be_judged(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, far_m in (("a", 9.0), ("b", 3.0)):
+        folder = write_plane_scene(tmp_path / "scenes" / name)
+        write_pfm(folder / "depths" / "0.pfm", np.full((108, 140), far_m, np.float32))
+    run = Trainer(_tiny(tmp_path / "scenes", tmp_path / "run"))
+    run.save()
+    arguments = [str(tmp_path / "scenes"), "--checkpoint", str(run.checkpoint), "--json"]
+    capsys.readouterr()
+    assert main([*arguments, "--min-depth", "6"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert list(found["views"]) == ["a/0"]
+    assert found["mean"]["pixels"] == 108 * 140
+    assert main([*arguments, "--min-depth", "50"]) == 2
+    assert capsys.readouterr().out.startswith("Error: no pixel of 6 views has a true depth in the range")
+
+
 def test_command_line_defaults_are_the_papers() -> None:
     settings = parse_arguments(["--data", "a", "b", "--out", "run"])
     assert settings.data == (Path("a"), Path("b"))
