@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from fsinfer.depth.model import DepthModel
+from fsinfer.errors import SceneError
 from fsinfer.io.images import read_image
 from fsinfer.scene import Scene
 from training.model import FSMVSNet
@@ -53,12 +54,18 @@ def whole_parity(
     source_views: int = 4,
     dtype: torch.dtype = torch.float64,
 ) -> Parity:
-    """Compare both paths on the first views of a scene at full image size; ``dtype`` is what PyTorch computes in."""
+    """Compare both paths on the first views of a scene at full image size; ``dtype`` is what PyTorch computes in.
+
+    Raises :class:`SceneError` where no view has a source.
+    """
     network = copy.deepcopy(model).to(dtype)
     network.eval()
     relative, agree, sure = [], [], []
     threshold = deployed.manifest.parity_confidence_threshold
     chosen = [view for view in scene.views if view.sources][:views]
+    if not chosen:
+        msg = f"{scene.folder} has no view with a source in pair.txt; give a scene of two views or more"
+        raise SceneError(msg)
     for view in chosen:
         group = [view, *(scene.views[i] for i in view.sources[:source_views])]
         images = [read_image(v.image_path) for v in group]

@@ -64,10 +64,10 @@ def main(arguments: list[str] | None = None) -> int:
         pixels: list[PixelErrors] = []
         for scene in scenes:
             evaluate_scene(predict, scene.read(), every=args.every, pixels=pixels, true_depth=scene.true_depth)
+        pooled = pool(pixels)
     except FsinferError as error:
         print(f"Error: {error}")
         return 2
-    pooled = pool(pixels)
     confidence = pooled.confidence
     raw, share = fit_calibration(confidence, pooled.relative < 0.01)
     data = json.loads(path.read_text(encoding="utf-8"))

@@ -63,7 +63,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("checkpoint", type=Path)
     parser.add_argument("out", type=Path)
     args = parser.parse_args(arguments)
-    slim(args.checkpoint, args.out)
+    try:
+        slim(args.checkpoint, args.out)
+    except ModelError as error:
+        print(f"Error: {error}")
+        return 2
     print(f"{args.out}: {args.out.stat().st_size / 1e6:.1f} MB")
     return 0
 

@@ -119,15 +119,18 @@ def evaluate_scene(
     """Errors of every ``every``-th view of a scene, by view name.
 
     ``pixels`` is given those of each view, to be pooled (:func:`training.metrics.pool`).
+    A view without a pixel of truth in the range of depths is left out, of many scenes maybe all of one.
     ``true_depth`` is that of a :class:`training.data.true_scene.TrueScene`; without it ``depths/NAME.pfm`` is read.
     """
     true_depth = true_depth or DepthsFolder(folder=scene.folder).true_depth
     rows = {}
+    with_truth = 0
     for view in scene.views[::every]:
         sources = [scene.views[i] for i in view.sources[:source_views]]
         truth = true_depth(view) if sources else None
         if truth is None:
             continue
+        with_truth += 1
         images = [read_image(v.image_path) for v in (view, *sources)]
         depth, confidence, stride = predict(
             images,
@@ -144,7 +147,7 @@ def evaluate_scene(
             pixels.append(pixel_errors(depth, confidence, truth, min_depth=min_depth, max_depth=max_depth))
         if errors is not None:
             rows[f"{scene.folder.name}/{view.name}"] = errors
-    if not rows:
+    if not with_truth:
         msg = f"{scene.folder} has no view with a true depth map and a source; nothing to evaluate"
         raise SceneError(msg)
     return rows
@@ -248,12 +251,13 @@ def main(arguments: list[str] | None = None) -> int:
             if not args.json:
                 for name, errors in found.items():
                     print(_line(name, errors.to_dict()), flush=True)
+        pooled = pool(pixels)
     except FsinferError as error:
         print(f"Error: {error}")
         return 2
     asked, confirmed = (sum(s.counts[i] for s in scenes if isinstance(s, ConfirmedTruth)) for i in (0, 1))
     share = {"confirmed": confirmed / asked} if asked else {}
-    mean, pooled = mean_errors(list(rows.values())), pool(pixels)
+    mean = mean_errors(list(rows.values()))
     flying = {key: mean[key] for key in ("flying", "flying_sure")}
     together = pooled_errors(pooled) | flying
     if args.json:

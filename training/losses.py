@@ -136,11 +136,12 @@ def compute_loss(
 ) -> tuple[Tensor, dict[str, float]]:
     """Loss of one view. ``truth`` is the full-size depth map; ``window`` (x, y, width, height) at a quarter of it."""
     truths = {}
+    x, y = (0, 0) if window is None else (4 * window[0], 4 * window[1])
+    # Levels are counted from the window's corner, which may lie between the pixels of the whole view's coarse level.
+    part = truth[y:, x:]
     for scale in output.scales:
-        level = at_stride(truth, scale.stride)
         height, width = scale.index_hw.shape
-        x, y = (0, 0) if window is None else (4 * window[0] // scale.stride, 4 * window[1] // scale.stride)
-        truths[scale.stride] = level[y : y + height, x : x + width]
+        truths[scale.stride] = at_stride(part, scale.stride)[:height, :width]
     if config.loss == "plane":
         return plane_loss(output, truths)
     return hybrid_loss(output, truths, config)

@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.errors import SceneError
+
 
 @dataclass(frozen=True, kw_only=True)
 class DepthErrors:
@@ -71,7 +73,10 @@ def pixel_errors(
 
 
 def pool(pixels: list[PixelErrors]) -> PixelErrors:
-    """All views' pixels in one."""
+    """All views' pixels in one; :class:`SceneError` where there are none."""
+    if not any(len(part.relative) for part in pixels):
+        msg = f"no pixel of {len(pixels)} views has a true depth in the range asked for; nothing to judge"
+        raise SceneError(msg)
     return PixelErrors(
         confidence=np.concatenate([part.confidence for part in pixels]),
         absolute=np.concatenate([part.absolute for part in pixels]),

@@ -133,6 +133,9 @@ def pixels_of(
     if not good:
         msg = "no view with a true depth map and a source"
         raise SceneError(msg)
+    if not any(len(part) for part in good):
+        msg = f"no pixel of {len(good)} views has a true depth below {max_depth:g}; give a greater --max-depth"
+        raise SceneError(msg)
     return {name: np.concatenate([part[name] for part in parts]) for name in QUANTITIES}, np.concatenate(good)
 
 

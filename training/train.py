@@ -12,7 +12,7 @@ import json
 import math
 import os
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
@@ -22,11 +22,11 @@ import torch
 from torch import nn
 from torch.optim import Optimizer
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
-from torch.utils.data import DataLoader
+from torch.utils.data import DataLoader, IterableDataset
 
-from fsinfer.errors import FsinferError, ModelError
+from fsinfer.errors import FsinferError, ModelError, SceneError
 from training.checkpoint import read_state
-from training.data.find import find_true_scenes
+from training.data.find import find_true_scenes, in_both
 from training.data.samples import Sample, SamplingSettings, SceneSamples, load_sample
 from training.losses import at_stride, compute_loss
 from training.metrics import depth_errors, mean_errors
@@ -96,6 +96,8 @@ class Trainer:
         if given is None:
             return
         state = read_state(given, self.device)
+        if given == self.checkpoint:
+            self._refuse_another_network(state)
         try:
             if given == self.checkpoint:
                 self._load(state)
@@ -104,6 +106,17 @@ class Trainer:
         except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
             msg = f"{given} does not fit the preset {settings.preset} ({error}); give a checkpoint of this network"
             raise ModelError(msg) from error
+
+    def _refuse_another_network(self, state: dict[str, Any]) -> None:
+        """Presets whose losses alone differ have weights of one shape: a run would go on as if it were another."""
+        config = state.get("config")
+        name = config.get("name") if isinstance(config, dict) else None
+        if name not in (None, self.config.name):
+            msg = (
+                f"{self.checkpoint} is a run of the preset {name}, not {self.config.name}; go on with --preset {name}, "
+                "or give another --out and this checkpoint as --init"
+            )
+            raise ModelError(msg)
 
     def _begin_with(self, state: dict[str, Any]) -> None:
         for model in (self.model, self.average.module):
@@ -219,6 +232,13 @@ class Trainer:
 
 def train(settings: TrainSettings) -> Path:
     """Run until the time or the steps are used up, or until it is to stop; returns the checkpoint."""
+    known = in_both(settings.data, settings.validation)
+    if known:
+        msg = (
+            f"{known[0]} is in --data and in --validation{f', and {len(known) - 1} more' if known[1:] else ''}; "
+            "errors on scenes that were trained on tell nothing: keep those of --validation in a folder outside --data"
+        )
+        raise SceneError(msg)
     processes = join_processes(settings.device)
     try:
         return _train(settings, processes)
@@ -233,7 +253,7 @@ def _train(settings: TrainSettings, processes: Processes) -> Path:
     data = SceneSamples(settings.data, seed=settings.seed + 1000 * trainer.step, rank=processes.rank, settings=sampling)
     loader = iter(
         DataLoader(
-            data,
+            _Told(data),
             batch_size=None,
             num_workers=settings.workers,
             prefetch_factor=_PREFETCHED if settings.workers else None,
@@ -246,7 +266,7 @@ def _train(settings: TrainSettings, processes: Processes) -> Path:
     with _log_file(settings.out, processes) as log:
         while trainer.fraction() < 1:
             start = time.monotonic()
-            parts = trainer.train_step([next(loader) for _ in range(settings.accumulate)], rng)
+            parts = trainer.train_step([_taken(loader) for _ in range(settings.accumulate)], rng)
             # The same in all processes: the time decides on the learning rate and on the end.
             trainer.spent_s += processes.mean(time.monotonic() - start, trainer.device)
             for name, value in parts.items():
@@ -268,6 +288,28 @@ def _train(settings: TrainSettings, processes: Processes) -> Path:
     trainer.save()
     processes.wait()
     return trainer.checkpoint
+
+
+class _Told(IterableDataset[Sample | FsinferError]):
+    """Samples, and the error that ends them as the last: raised in a worker it comes with a traceback for a message."""
+
+    def __init__(self, samples: SceneSamples) -> None:
+        super().__init__()
+        self._samples = samples
+
+    def __iter__(self) -> Iterator[Sample | FsinferError]:
+        try:
+            yield from self._samples
+        except FsinferError as error:
+            yield error
+
+
+def _taken(loader: Iterator[Sample | FsinferError]) -> Sample:
+    """The next sample; raises the error that came in its place."""
+    found = next(loader)
+    if isinstance(found, FsinferError):
+        raise found
+    return found
 
 
 def _log_file(folder: Path, processes: Processes) -> IO[str]:

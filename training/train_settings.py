@@ -118,6 +118,14 @@ def parse_arguments(arguments: list[str] | None = None) -> TrainSettings:
             f"--planes {values['planes']}: the networks halve the planes three times, and a depth is read off seven of "
             f"those at a quarter; give a multiple of 8 from {LEAST_PLANES} on"
         )
+    for name, given in (("--crop", min(values["crop"])), ("--min-sources", values["min_sources"])):
+        if given < 1:
+            parser.error(f"{name} {given}: give 1 or more")
+    for name in ("steps", "minutes", "accumulate", "checkpoint_every", "validate_every"):
+        if not values[name] > 0:
+            parser.error(f"--{name.replace('_', '-')} {values[name]}: give more than 0")
+    if values["max_sources"] < values["min_sources"]:
+        parser.error(f"--max-sources {values['max_sources']} is below --min-sources {values['min_sources']}")
     for name in ("data", "validation", "crop"):
         values[name] = tuple(values[name])
     return TrainSettings(**values)

@@ -25,7 +25,7 @@ import numpy as np
 from export.onnx_export import export_model
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.stage import estimate_depth
-from fsinfer.errors import CloudError, FsinferError
+from fsinfer.errors import CloudError, FsinferError, SceneError
 from fsinfer.evaluation.measured import read_measured
 from fsinfer.evaluation.metrics import evaluate
 from fsinfer.fusion.fuse import fuse
@@ -80,6 +80,8 @@ def run_variant(
     kept = base.out / "row.json"
     key = {"steps": base.steps, "crop": list(base.crop), "seed": base.seed, "every": every, "max_depth": max_depth}
     key |= {"planes": base.planes, "first_part": base.first_part}
+    # What it is judged on: with a plot that was not asked for before, a kept row had no diameters.
+    key |= {"test": [str(folder.resolve()) for folder in test], "plot": None if plot is None else str(plot.resolve())}
     if kept.is_file():
         record = json.loads(kept.read_text(encoding="utf-8"))
         if record["key"] == key:
@@ -97,6 +99,9 @@ def run_variant(
             predict, scene.read(), every=every, max_depth=max_depth, true_depth=scene.true_depth
         ).values()
     ]
+    if not errors:
+        msg = f"no view of {[str(folder) for folder in test]} has a true depth below --max-depth {max_depth}"
+        raise SceneError(msg)
     result = AblationRow(
         name=base.preset,
         parameters=sum(p.numel() for p in model.parameters()),

@@ -42,6 +42,14 @@ def test_a_variant_goes_on_gives_a_row_and_is_not_trained_twice(
     before = kept.stat().st_mtime_ns
     assert main(arguments) == 0
     assert kept.stat().st_mtime_ns == before
+    # Judged on others it is another row, of the same weights.
+    write_plane_scene(tmp_path / "others" / "c", seed=2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert main([*arguments, "--test", str(tmp_path / "others")]) == 0
+    other = json.loads(kept.read_text())["row"]
+    assert other["depth"]["median_abs"] != row["depth"]["median_abs"]
+    assert {key: other[key] for key in ("steps", "parameters")} == {key: row[key] for key in ("steps", "parameters")}
 
 
 def test_a_missing_folder_is_one_message(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -17,7 +17,7 @@ from export import __main__ as command
 from export.parity import Parity, whole_parity
 from fsinfer.depth.model import DepthModel
 from fsinfer.errors import SceneError
-from fsinfer.scene import read_scene
+from fsinfer.scene import read_scene, write_pairs
 from tests.support.plane_scene import write_plane_scene
 
 #: As much of a trained network as the command looks at.
@@ -164,3 +164,11 @@ def test_parity_tells_how_far_depth_and_mask_are_apart(tmp_path: Path) -> None:
     assert trained.seen[1:] == [(4, 3, 108, 140, 4, 4)] * 2
     same = whole_parity(Trained(), Deployed(0 * off, 0 * moved), scene)  # type: ignore[arg-type]
     assert (same.views, same.depth_rel_p999, same.mask_agreement) == (3, 0.0, 1.0)
+
+
+def test_parity_of_a_scene_without_sources_is_one_message(tmp_path: Path) -> None:
+    folder = write_plane_scene(tmp_path, views=2)
+    write_pairs(folder / "pair.txt", {0: [], 1: []})
+    deployed = Deployed(np.zeros(SHAPE), np.zeros(SHAPE))
+    with pytest.raises(SceneError, match="no view with a source"):
+        whole_parity(Trained(), deployed, read_scene(folder))  # type: ignore[arg-type]

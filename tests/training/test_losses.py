@@ -89,6 +89,19 @@ def test_a_window_is_compared_with_its_own_part_of_the_truth() -> None:
     assert float(compute_loss(output, truth, (12, 4, 10, 6), PAPER)[0]) > 0.1
 
 
+@pytest.mark.parametrize("corner", [(0, 0), (2, 0), (0, 2), (6, 10)])
+def test_a_window_may_begin_between_the_pixels_of_a_coarse_scale(corner: tuple[int, int]) -> None:
+    # Windows begin at even pixels of a quarter, those of the coarsest scale are four of them apart.
+    x, y = corner
+    truth = truth_of(96, 128)
+    part = truth[4 * y : 4 * y + 32, 4 * x : 4 * x + 48]
+    output = output_of([scale_of(part, stride, 0.0, inverse=True) for stride in (16, 8, 4)])
+    for config in (PAPER, replace(PAPER, loss="plane")):
+        exact = compute_loss(output, part, None, config)[1]
+        windowed = compute_loss(output, truth, (x, y, 12, 8), config)[1]
+        assert windowed == pytest.approx(exact, abs=1e-3)
+
+
 def test_the_loss_of_field_adds_both_scales_and_stops_where_classes_decide() -> None:
     truth = truth_of()
 

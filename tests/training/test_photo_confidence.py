@@ -46,6 +46,16 @@ def test_no_scene_is_one_message(model: Path, tmp_path: Path, capsys: pytest.Cap
     assert capsys.readouterr().out.startswith("Error: ")
 
 
+def test_a_scene_without_truth_in_reach_is_one_message(
+    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = model.read_bytes()
+    folder = write_plane_scene(tmp_path / "scene", height=64, width=80)
+    assert main([str(model), str(folder), "--max-depth", "1"]) == 2
+    assert "true depth below 1;" in capsys.readouterr().out
+    assert model.read_bytes() == before
+
+
 def test_the_shipped_curves_go_the_way_that_they_should() -> None:
     curves = read_manifest("cascade").photo_confidence
     assert curves is not None

@@ -91,7 +91,8 @@ def test_a_step_is_the_mean_over_the_processes(one_step: Path) -> None:
 
 def test_torchrun_trains(scenes: Path, tmp_path: Path) -> None:
     given = ["-m", "training.train", "--data", scenes, "--out", tmp_path, "--preset", "mvsnet", "--device", "cpu"]
-    given += ["--crop", 16, 12, "--max-sources", 2, "--checkpoint-every", 1, "--validation", scenes]
+    given += ["--crop", 16, 12, "--max-sources", 2, "--checkpoint-every", 1]
+    given += ["--validation", write_plane_scene(tmp_path / "validation", seed=9)]
     done = torchrun(*given, "--steps", 2, "--validate-every", 1)
     assert done.returncode == 0, done.stderr
     state = torch.load(tmp_path / "checkpoint.pt", weights_only=True)

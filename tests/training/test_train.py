@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,12 @@ import numpy as np
 import pytest
 import torch
 
-from fsinfer.errors import SceneError
+from fsinfer.errors import ModelError, SceneError
 from fsinfer.io.pfm import read_pfm, write_pfm
-from fsinfer.scene import read_scene
+from fsinfer.scene import read_scene, write_pairs
 from tests.support.plane_scene import PLANE_DEPTH, write_plane_scene
+from training.checkpoint import main as slim_command
+from training.data.find import in_both
 from training.data.samples import (
     Sample,
     SamplingSettings,
@@ -29,6 +32,7 @@ from training.evaluate import confidence_curve, evaluate_scene, main
 from training.full_size import at_full_size, on_truth_grid
 from training.model import ModelConfig
 from training.train import Trainer, pick_window, train
+from training.train import main as train_command
 from training.train_settings import TrainSettings, parse_arguments
 
 
@@ -88,7 +92,7 @@ def test_training_runs_stops_and_resumes(scenes: Path, tmp_path: Path) -> None:
     settings = TrainSettings(
         data=(scenes,),
         out=tmp_path,
-        validation=(scenes,),
+        validation=(write_plane_scene(tmp_path / "validation", seed=9),),
         steps=2,
         crop=(16, 12),
         min_sources=1,
@@ -228,6 +232,24 @@ def test_evaluate_command(scenes: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert found["pooled"]["median_abs"] == pytest.approx(found["mean"]["median_abs"])  # one view
     assert main([str(tmp_path / "nothing"), "--checkpoint", str(checkpoint)]) == 2
     assert "Error: no scene" in capsys.readouterr().out
+
+
+def test_a_scene_without_truth_in_the_range_leaves_the_others_to_be_judged(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, far_m in (("a", 9.0), ("b", 3.0)):
+        folder = write_plane_scene(tmp_path / "scenes" / name)
+        write_pfm(folder / "depths" / "0.pfm", np.full((108, 140), far_m, np.float32))
+    run = Trainer(_tiny(tmp_path / "scenes", tmp_path / "run"))
+    run.save()
+    arguments = [str(tmp_path / "scenes"), "--checkpoint", str(run.checkpoint), "--json"]
+    capsys.readouterr()
+    assert main([*arguments, "--min-depth", "6"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert list(found["views"]) == ["a/0"]
+    assert found["mean"]["pixels"] == 108 * 140
+    assert main([*arguments, "--min-depth", "50"]) == 2
+    assert capsys.readouterr().out.startswith("Error: no pixel of 6 views has a true depth in the range")
 
 
 def test_command_line_defaults_are_the_papers() -> None:
@@ -375,3 +397,69 @@ def test_amp_trains(preset: str, scenes: Path, tmp_path: Path, monkeypatch: pyte
     assert np.isfinite(list(parts.values())).all()
     assert parts["grad"] > 0
     assert all(parameter.dtype == torch.float32 for parameter in trainer.model.parameters())
+
+
+def run_command(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    """``python -m training.train`` with these arguments."""
+    monkeypatch.setattr(sys, "argv", ["training.train", *arguments])
+    return train_command()
+
+
+@pytest.mark.parametrize("workers", ["0", "1"])
+def test_what_ends_the_samples_is_one_message(
+    workers: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["--data", str(tmp_path), "--out", str(tmp_path / "run"), "--steps", "1", "--workers", workers]
+    assert run_command(monkeypatch, *arguments) == 2
+    (line,) = capsys.readouterr().out.splitlines()
+    assert line.startswith("Error: no scene with pair.txt")
+
+
+@pytest.mark.parametrize("lacks", ["sources", "depth"])
+def test_scenes_without_a_sample_are_an_error_and_no_endless_search(lacks: str, tmp_path: Path) -> None:
+    folder = write_plane_scene(tmp_path / "s", views=2)
+    if lacks == "sources":
+        write_pairs(folder / "pair.txt", {0: [], 1: []})
+    else:
+        for name in ("0", "1"):
+            write_pfm(folder / "depths" / f"{name}.pfm", np.zeros((108, 140), np.float32))
+    with pytest.raises(SceneError, match="none has a source"):
+        next(iter(SceneSamples([tmp_path], seed=0, relist_every=10)))
+
+
+def test_a_run_does_not_go_on_as_another_preset_whose_weights_have_the_same_shapes(
+    scenes: Path, tmp_path: Path
+) -> None:
+    Trainer(_tiny(scenes, tmp_path, preset="paper-plane")).save()
+    with pytest.raises(ModelError, match="a run of the preset paper-plane, not paper"):
+        Trainer(_tiny(scenes, tmp_path, preset="paper"))
+    begun = _tiny(scenes, tmp_path / "next", preset="paper", init=tmp_path / "checkpoint.pt")
+    assert Trainer(begun).before[0]["preset"] == "paper-plane"
+
+
+def test_scenes_that_are_trained_on_do_not_validate(scenes: Path, tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match="s1 is in --data and in --validation"):
+        train(_tiny(scenes, tmp_path, validation=(scenes / "s1",)))
+    assert in_both([scenes], [tmp_path]) == []
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        ["--steps", "0"],
+        ["--minutes", "0"],
+        ["--accumulate", "0"],
+        ["--crop", "16", "0"],
+        ["--min-sources", "3", "--max-sources", "2"],
+    ],
+)
+def test_a_run_that_could_learn_nothing_is_refused(wrong: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        parse_arguments(["--data", "scenes", "--out", "run", *wrong])
+    assert stopped.value.code == 2
+    assert wrong[0] in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_what_is_no_checkpoint_is_not_reduced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert slim_command([str(tmp_path), str(tmp_path / "slim.pt")]) == 2
+    assert capsys.readouterr().out.startswith(f"Error: {tmp_path} is not a checkpoint")

@@ -33,3 +33,15 @@ def find_true_scenes(roots: Sequence[Path], split: Split = "train") -> list[True
         else:
             folders |= {p.parent for p in root.rglob("pair.txt") if (p.parent / "depths").is_dir()}
     return [*found, *(DepthsFolder(folder=folder) for folder in sorted(folders))]
+
+
+def in_both(roots: Sequence[Path], others: Sequence[Path]) -> list[Path]:
+    """The folders of scenes in or below ``roots`` that are in or below ``others``, too, sorted.
+
+    Of the DTU release and of BlendedMVS there are none: their splits are kept apart.
+    """
+    ours, theirs = (
+        {scene.folder.resolve() for scene in find_true_scenes(part) if isinstance(scene, DepthsFolder)}
+        for part in (roots, others)
+    )
+    return sorted(ours & theirs)

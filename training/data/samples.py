@@ -19,6 +19,9 @@ from fsinfer.scene import Scene
 from training.data.find import find_true_scenes
 from training.data.true_scene import TrueScene
 
+#: Share of a view's pixels that have a true depth, at least, for it to be a sample. Source: judgement.
+LEAST_KNOWN = 0.1
+
 
 @dataclass(frozen=True, kw_only=True)
 class Sample:
@@ -191,10 +194,18 @@ class SceneSamples(IterableDataset[Sample]):
             if not scenes:
                 msg = f"no scene with pair.txt and depths/ below {self.roots}; make some: python -m training.synthesize"
                 raise SceneError(msg)
+            found = False
             for _ in range(self.relist_every):
                 sample = self._draw(scenes[rng.integers(len(scenes))], rng)
                 if sample is not None:
+                    found = True
                     yield sample
+            if not found:
+                msg = (
+                    f"of {self.relist_every} views drawn from below {self.roots} none has a source in pair.txt and a "
+                    f"true depth for {100 * LEAST_KNOWN:.0f} % of its pixels; give other scenes, of two views or more"
+                )
+                raise SceneError(msg)
 
     def _draw(self, true_scene: TrueScene, rng: np.random.Generator) -> Sample | None:
         settings = self.settings
@@ -206,7 +217,7 @@ class SceneSamples(IterableDataset[Sample]):
         count = min(int(rng.integers(settings.min_sources, settings.max_sources + 1)), len(candidates))
         sources = rng.choice(candidates, size=count, replace=False)
         sample = load_sample(scene, index, [int(s) for s in sources], true_scene.true_depth(scene.views[index]))
-        if (sample.depth > 0).float().mean() < 0.1:
+        if (sample.depth > 0).float().mean() < LEAST_KNOWN:
             return None
         if rng.random() < settings.mirror:
             sample = mirrored(sample)

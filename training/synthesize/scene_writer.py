@@ -17,6 +17,9 @@ from fsinfer.io.pfm import read_pfm, write_pfm
 from fsinfer.scene import Camera, write_camera, write_pairs
 from training.synthesize.forest.stem import Section, Stem
 
+#: Source: format; written last.
+RECORD = "synth.json"
+
 
 def with_depth_range(camera: Camera, depth: NDArray[np.float32], cap_m: float) -> Camera:
     """The camera with depth_min = 0.9 x the 1st percentile and depth_max = the 98th, at most ``cap_m``."""
@@ -111,12 +114,18 @@ def read_view_depth(folder: Path, index: int) -> NDArray[np.float32]:
 
 def write_record(folder: Path, record: dict[str, Any]) -> None:
     """Write synth.json, the mark that the folder is finished."""
-    write_text(folder / "synth.json", json.dumps(record, indent=1, default=str) + "\n")
+    write_text(folder / RECORD, json.dumps(record, indent=1, default=str) + "\n")
+
+
+def read_record(folder: Path, name: str = RECORD) -> dict[str, Any]:
+    """What :func:`write_record` wrote, or another record of its kind; empty where there is none."""
+    path = folder / name
+    return dict(json.loads(path.read_text(encoding="utf-8"))) if path.is_file() else {}
 
 
 def finished(folder: Path) -> bool:
     """Whether ``folder`` holds a finished scene."""
-    return (folder / "synth.json").is_file()
+    return (folder / RECORD).is_file()
 
 
 def finish_scene(folder: Path, cameras: Sequence[Camera], depths: Sequence[NDArray[np.float32]]) -> None:

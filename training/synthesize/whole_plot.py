@@ -22,6 +22,7 @@ from training.synthesize.render import Caster
 from training.synthesize.scene_writer import (
     finish_scene,
     finished,
+    read_record,
     read_view_depth,
     view_written,
     with_depth_range,
@@ -30,6 +31,11 @@ from training.synthesize.scene_writer import (
     write_truth_curves,
     write_view,
 )
+
+#: What a plot that is not finished was begun with: views of two worlds in one folder would have the truth of one.
+BEGUN = "begun.json"
+#: How many plots a command renders, which is nothing of each of them.
+SET_OF_PLOTS = {"scenes"}
 
 
 def plot_settings(args: argparse.Namespace, photos: tuple[Path, ...], effects: PhoneEffects | None) -> WorldSettings:
@@ -104,11 +110,28 @@ def write_share(args: argparse.Namespace, seed: int, photos: tuple[Path, ...], f
         plot.write(folder, i)
 
 
+def _refuse_another_plot(folder: Path, seed: int, options: dict[str, str]) -> None:
+    """End with a message where ``folder`` holds a plot, whole or in part, that was rendered with other options."""
+    for record in (read_record(folder), read_record(folder, BEGUN)):
+        before = record.get("options", {}) | {"seed": str(record.get("seed", seed))}
+        asked = options | {"seed": str(seed)}
+        for name in sorted(asked.keys() & before.keys() - SET_OF_PLOTS):
+            if asked[name] != before[name]:
+                option = "--" + name.replace("_", "-")
+                raise SystemExit(
+                    f"{folder} holds views of a plot with {option} {before[name]}, and {option} {asked[name]} is asked "
+                    "for; give another OUT, or delete it"
+                )
+
+
 def synthesize_plot(args: argparse.Namespace, seed: int, photos: tuple[Path, ...], folder: Path) -> None:
-    """Render one plot into ``folder``; views that are there already are kept."""
+    """Render one plot into ``folder``; views that are there already are kept, and those of another plot refused."""
+    options = {k: str(v) for k, v in vars(args).items() if k not in ("out", "textures", "workers")}
+    _refuse_another_plot(folder, seed, options)
     if finished(folder):
         return
     start = time.perf_counter()
+    write_text(folder / BEGUN, json.dumps({"seed": seed, "options": options}, indent=1) + "\n")
     apart = multiprocessing.get_context("spawn")
     helpers = [
         apart.Process(target=write_share, args=(args, seed, photos, folder, share)) for share in range(1, args.workers)
@@ -136,9 +159,9 @@ def synthesize_plot(args: argparse.Namespace, seed: int, photos: tuple[Path, ...
         if helper.exitcode:
             raise SystemExit(f"a worker ended with exit code {helper.exitcode}; run it again, what is there is kept")
     finish_scene(folder, cameras, [read_view_depth(folder, i) for i in range(len(cameras))])
-    options = {k: str(v) for k, v in vars(args).items() if k not in ("out", "textures", "workers")}
     drawn = vars(plot.settings) | {"photos": [p.name for p in photos]}
     if plot.effects is not None:
         drawn |= {"effects": vars(plot.effects)}
     record = {"seed": seed, "kind": "plot", "options": options, "settings": drawn, "sensor": vars(plot.sensor)}
     write_record(folder, record)
+    (folder / BEGUN).unlink()

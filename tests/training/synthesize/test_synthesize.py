@@ -213,6 +213,28 @@ def test_two_workers_write_the_plot_of_one(tmp_path: Path) -> None:
         assert (shared / path).read_bytes() == (alone / path).read_bytes(), path
 
 
+def test_a_plot_that_was_begun_is_not_finished_as_another(tmp_path: Path) -> None:
+    given = [str(tmp_path), "--kind", "plot", "--seed", "7", "--trees", "2", "--radius-m", "3", "--photos", "4", *SMALL]
+    main([*given, "--undergrowth", "0"])
+    assert not (tmp_path / "begun.json").exists()
+    truth, first = (tmp_path / "truth.csv").read_bytes(), (tmp_path / "depths" / "00000000.pfm").read_bytes()
+    with pytest.raises(SystemExit, match=r"--slope-deg 6\.0, and --slope-deg 20\.0 is asked"):
+        main([*given, "--undergrowth", "0", "--slope-deg", "20"])
+    # As an interruption after the second view leaves it.
+    record = json.loads((tmp_path / "synth.json").read_text(encoding="utf-8"))
+    (tmp_path / "begun.json").write_text(json.dumps({key: record[key] for key in ("seed", "options")}))
+    for name in ("synth.json", "pair.txt", "cams/00000002_cam.txt", "cams/00000003_cam.txt"):
+        (tmp_path / name).unlink()
+    for other in (["--undergrowth", "0", "--slope-deg", "20"], ["--undergrowth", "0", "--seed", "8"]):
+        with pytest.raises(SystemExit, match=other[2]):
+            main([*given, *other])
+    assert (tmp_path / "truth.csv").read_bytes() == truth
+    main([*given, "--undergrowth", "0", "--workers", "2"])
+    assert (tmp_path / "truth.csv").read_bytes() == truth
+    assert (tmp_path / "depths" / "00000000.pfm").read_bytes() == first
+    assert json.loads((tmp_path / "synth.json").read_text(encoding="utf-8")) == record
+
+
 def test_plot_writes_truth_markers_and_walks_clear_of_stems(tmp_path: Path) -> None:
     small = ["--texture-px", "256", "--width", "96", "--height", "54", "--supersample", "1"]
     main([str(tmp_path), "--seed", "4", "--kind", "plot", "--photos", "10", "--trees", "5", "--radius-m", "4", *small])
