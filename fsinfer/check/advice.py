@@ -64,10 +64,13 @@ def advice(
             )
     for entry in stems:
         if entry.verdict == "hardly seen":
-            side = f", above all from {compass.side(entry.gap_center_deg)}" if entry.one_sided else ""
+            many = len(entry.views)
+            # Of a stem that no photo shows every side is missing, and none more than another.
+            side = f", above all from {compass.side(entry.gap_center_deg)}" if many and entry.one_sided else ""
+            shows = f"only {counted(many, 'photo shows', 'photos show')} it" if many else "no photo shows it unhidden"
             lines.append(
-                f"Photograph tree {entry.number} again from nearer, all round{side}: only "
-                f"{counted(len(entry.views), 'photo shows', 'photos show')} it (nearest photo {names[entry.nearest]})."
+                f"Photograph tree {entry.number} again from nearer, all round{side}: {shows} "
+                f"(nearest photo {names[entry.nearest]})."
             )
     far = [str(entry.number) for entry in stems if entry.verdict == "far"]
     if far:

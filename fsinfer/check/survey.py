@@ -88,7 +88,7 @@ def survey_scene(
         There are too few sparse points to tell which side is up.
     """
     settings = settings or SurveySettings()
-    motion, camera_height = level_scene(sparse.points, scene, m_per_unit=m_per_unit)
+    motion, camera_height, _ = level_scene(sparse.points, scene, m_per_unit=m_per_unit)
     if m_per_unit is None:
         guess = CAMERA_HEIGHT_M / max(camera_height, _LEAST_HEIGHT)
         motion = compose(scaling(guess), motion)

@@ -46,6 +46,8 @@ class CaptureCode(StrEnum):
     picture_shifts = "picture_shifts"
     # Depth
     views_without_sources = "views_without_sources"
+    # Cloud
+    no_ground_plane = "no_ground_plane"
     # Scale
     no_scale_given = "no_scale_given"
     no_scale_from_markers = "no_scale_from_markers"
@@ -255,6 +257,10 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
         "was undone, but switch digital stabilisation off (that of the lens cannot be, and does little harm)"
     ),
     CaptureCode.views_without_sources: _without_sources,
+    CaptureCode.no_ground_plane: (
+        "no ground plane found: the lowest points stand for the ground, and breast height may be off; photograph the "
+        "ground between the trees as well"
+    ),
     CaptureCode.no_scale_given: (
         "no scale was given: the cloud is in model units and no DBH is measured; photograph boards printed by fsinfer "
         "marker, or ArUco markers of your own and give --aruco-length-m, or click the two ends of a known length in "

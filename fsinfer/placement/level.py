@@ -12,6 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.errors import CloudError
+from fsinfer.notices.capture import CaptureCode
+from fsinfer.notices.notice import notice
+from fsinfer.notices.sentences import sentence
 from fsinfer.placement.ground_plane import ground_plane
 from fsinfer.placement.settings import LevelSettings
 from fsinfer.placement.up import estimate_up, upright_frame
@@ -35,7 +38,7 @@ def level(
     gravity: Array | None = None,
     normals: NDArray[np.floating] | None = None,
     settings: LevelSettings | None = None,
-) -> Array:
+) -> tuple[Array, bool]:
     """Find the rigid motion into the plot's frame.
 
     Parameters
@@ -49,7 +52,8 @@ def level(
     Returns
     -------
     (4, 4) ``level_from_model``, rotation with determinant +1: z up, the cameras' median at x = y = 0, the ground
-    there at z = 0, x along the model's x axis as far as that is horizontal (else y), so that it is reproducible.
+    there at z = 0, x along the model's x axis as far as that is horizontal (else y), so that it is reproducible; and
+    whether a ground plane was found, without which the lowest points stand for the ground.
 
     Raises
     ------
@@ -80,14 +84,11 @@ def level(
     ground = ground_plane(upright, cameras, settings=settings)
     if ground is None:
         height = float(np.percentile(upright[:, 2], _LOW_PERCENT))
-        _log.warning(
-            "no ground plane found: the lowest points stand for the ground, and breast height may be off; photograph "
-            "the ground between the trees as well"
-        )
+        _log.warning(sentence(notice(CaptureCode.no_ground_plane)))
     else:
         height = float(ground[0] * center[0] + ground[1] * center[1] + ground[2])
     _log.info("up from %s, cameras %.3g above the ground", method, float(np.median(cameras[:, 2])) - height)
     motion = np.eye(4)
     motion[:3, :3] = rotation
     motion[:3, 3] = -rotation @ middle - (center[0], center[1], height)
-    return motion
+    return motion, ground is not None

@@ -12,6 +12,8 @@ from fsinfer.geometry.similarity import apply, compose, rotation_of, scale_of, s
 from fsinfer.io.cloud import LENGTHS, PointCloud
 from fsinfer.io.gravity import noted_gravity
 from fsinfer.io.turned import upright_from_picture
+from fsinfer.notices.capture import CaptureCode
+from fsinfer.notices.notice import Notice, notice
 from fsinfer.placement.level import level
 from fsinfer.placement.on_side import upright_axes
 from fsinfer.placement.settings import LevelSettings
@@ -35,11 +37,13 @@ class PlacedCloud:
     cloud: z up; metres when the scale is known, else model units.
     cloud_from_scene: (4, 4) float64 similarity from scene coordinates to those of ``cloud``.
     camera_height: median height of the cameras over z = 0, in units of ``cloud``; None when the cloud is not levelled.
+    warnings: that no ground plane was found.
     """
 
     cloud: PointCloud
     cloud_from_scene: NDArray[np.float64]
     camera_height: float | None = None
+    warnings: tuple[Notice, ...] = ()
 
 
 def place_cloud(
@@ -58,9 +62,14 @@ def place_cloud(
     CloudError
         The cloud has too few points to find the ground in.
     """
-    cloud_from_scene, camera_height = level_scene(cloud.xyz, scene, m_per_unit=m_per_unit, settings=settings)
+    cloud_from_scene, camera_height, ground_seen = level_scene(
+        cloud.xyz, scene, m_per_unit=m_per_unit, settings=settings
+    )
     return PlacedCloud(
-        cloud=transform_cloud(cloud, cloud_from_scene), cloud_from_scene=cloud_from_scene, camera_height=camera_height
+        cloud=transform_cloud(cloud, cloud_from_scene),
+        cloud_from_scene=cloud_from_scene,
+        camera_height=camera_height,
+        warnings=() if ground_seen else (notice(CaptureCode.no_ground_plane),),
     )
 
 
@@ -70,7 +79,7 @@ def level_scene(
     *,
     m_per_unit: float | None = None,
     settings: LevelSettings | None = None,
-) -> tuple[NDArray[np.float64], float]:
+) -> tuple[NDArray[np.float64], float, bool]:
     """Find the plot's frame from points (N, 3) and cameras in scene units: z up, ground near z = 0.
 
     Parameters
@@ -79,7 +88,8 @@ def level_scene(
 
     Returns
     -------
-    (4, 4) float64 similarity from scene coordinates to the plot's, and the median height of the cameras there.
+    (4, 4) float64 similarity from scene coordinates to the plot's, the median height of the cameras there, and whether
+    a ground plane was found.
 
     Raises
     ------
@@ -95,9 +105,12 @@ def level_scene(
     right = upright[:, 0]
     down, right = upright_axes(points, centers, down, right, settings=settings)
     scale = 1.0 if m_per_unit is None else m_per_unit
-    levelled = level(points, centers, down, camera_right=right, gravity=_gravity_of(scene), settings=settings)
+    levelled, ground_seen = level(
+        points, centers, down, camera_right=right, gravity=_gravity_of(scene), settings=settings
+    )
     plot_from_scene = compose(scaling(scale), levelled)
-    return plot_from_scene, float(np.median(centers @ plot_from_scene[2, :3] + plot_from_scene[2, 3]))
+    height = float(np.median(centers @ plot_from_scene[2, :3] + plot_from_scene[2, 3]))
+    return plot_from_scene, height, ground_seen
 
 
 def _gravity_of(scene: Scene) -> NDArray[np.float64]:

@@ -33,11 +33,12 @@ class Row:
 
 @dataclass(frozen=True, kw_only=True)
 class TableView:
-    """The table; without rows, why there are none."""
+    """The table; without rows, why there are none. ``has_dbh``: a tree has one, and the table the column."""
 
     head: tuple[str, ...]
     rows: tuple[Row, ...]
     diagnosis: str = ""
+    has_dbh: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +58,7 @@ def table_part(contents: Contents) -> Part:
         return Part(anchor=_ANCHOR, title=_TITLE, view=TableView(head=(), rows=(), diagnosis=why))
     columns = _columns("m" if contents.metric else "units")
     # A column without a single value only takes room.
-    columns = [c for c in columns if not c.form or any(number(tree.get(c.name)) is not None for tree in trees)]
+    columns = [c for c in columns if c.name == "status" or any(_cell(c, tree).key for tree in trees)]
     rows = tuple(
         Row(
             tree_id=tree_number(tree),
@@ -66,7 +67,8 @@ def table_part(contents: Contents) -> Part:
         )
         for tree in trees
     )
-    view = TableView(head=(*(column.head for column in columns), "Remark"), rows=rows)
+    has_dbh = any(column.name == "dbh_cm" for column in columns)
+    view = TableView(head=(*(column.head for column in columns), "Remark"), rows=rows, has_dbh=has_dbh)
     return Part(anchor=_ANCHOR, title=_TITLE, view=view)
 
 

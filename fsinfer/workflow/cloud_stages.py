@@ -183,7 +183,7 @@ def place_plot(
             density_per_m2=None if m_per_unit is None else density_per_m2(placed.cloud.xyz),
             cloud_from_scene=placed.cloud_from_scene,
             camera_height=placed.camera_height,
-            warnings=() if m_per_unit is None else doubt_height(placed.camera_height),
+            warnings=(*placed.warnings, *(() if m_per_unit is None else doubt_height(placed.camera_height))),
         )
 
     return ledger.run(CLOUD, work, inputs={"m_per_unit": m_per_unit, "settings": settings}, after=[fused])

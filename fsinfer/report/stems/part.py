@@ -103,7 +103,7 @@ def _card(
         photo_note = "Orange: breast height" + (", as wide as the measured stem." if dbh_cm is not None else ".")
     elif photos:
         guess = "" if contents.metric else " (its height is guessed: no scale is known)"
-        photo_note = f"No photo shows this stem unhidden at breast height{guess}."
+        photo_note = f"No photo shows this stem unhidden and in its whole width at breast height{guess}."
     return Card(
         tree_id=tree_id,
         status=status,

@@ -60,6 +60,16 @@ def test_one_photo_that_shows_a_stem_is_one() -> None:
     assert ["only 1 photo shows it" in told[0], "only 2 photos show it" in told[1]] == [True, True]
 
 
+def test_a_stem_that_no_photo_shows_lacks_no_side_above_others() -> None:
+    names = [f"p{index:02d}" for index in range(36)]
+    judged = judge_stems([STEM], np.zeros((1, 36), bool), ring(), np.array([True]))
+    (told,) = advice(
+        names=names, left_out=[], given=names, stems=judged,
+        compass=find_compass(ring(), {}), offsets_m=[ring() - STEM.center],
+    )  # fmt: skip
+    assert told.startswith("Photograph tree 1 again from nearer, all round: no photo shows it unhidden")
+
+
 def test_stems_are_numbered_in_the_order_of_walking() -> None:
     cameras = np.column_stack([np.arange(36.0), np.zeros(36)])
     stems = [VisibleStem(center=np.array([x, 1.0]), radius=0.1, lean=np.zeros(2)) for x in (30.0, 3.0, 17.0, 9.0)]

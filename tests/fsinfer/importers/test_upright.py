@@ -68,7 +68,7 @@ def test_the_cloud_stands_upright_however_the_phone_was_held(tmp_path: Path, hel
     reader = reader_of(tmp_path / "project")
     assert reader is not None
     write_scene(reader(), tmp_path / "scene")
-    plot_from_scene, height = level_scene(points[:-1], read_scene(tmp_path / "scene"))
+    plot_from_scene, height, _ = level_scene(points[:-1], read_scene(tmp_path / "scene"))
     assert plot_from_scene[2, :3] @ points[-1] > np.cos(np.radians(2))
     assert height == pytest.approx(1.5, abs=0.1)
 
@@ -79,7 +79,7 @@ def test_photographs_that_lost_their_tag_are_righted_by_the_ground(tmp_path: Pat
     reader = reader_of(tmp_path / "project")
     assert reader is not None
     write_scene(reader(), tmp_path / "scene")
-    plot_from_scene, _ = level_scene(points[:-1], read_scene(tmp_path / "scene"))
+    plot_from_scene, _, _ = level_scene(points[:-1], read_scene(tmp_path / "scene"))
     assert plot_from_scene[2, :3] @ points[-1] > np.cos(np.radians(2))
 
 

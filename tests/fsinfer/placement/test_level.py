@@ -78,7 +78,7 @@ def test_up_is_gravity_not_the_normal_of_the_slope(slope_deg: float, lean_deg: f
     up, method = estimate_up(points, None, right, down, camera_centers=centers)
     assert method == "stems"
     assert angle_deg(up, turn[:, 2]) < (0.3 if lean_deg == 0 else 1.5)
-    motion = level(points, centers, down, camera_right=right)
+    motion, _ = level(points, centers, down, camera_right=right)
     levelled = points @ motion[:3, :3].T + motion[:3, 3]
     ground = levelled[:15_000]
     near = np.hypot(ground[:, 0], ground[:, 1]) < 0.7
@@ -159,18 +159,18 @@ def test_given_normals_are_used() -> None:
 
 def test_result_is_reproducible_and_independent_of_the_unit_and_the_origin() -> None:
     _, (points, centers, down, right) = move(make_plot(slope_deg=10))
-    first = level(points, centers, down, camera_right=right)
-    np.testing.assert_array_equal(first, level(points, centers, down, camera_right=right))
-    scaled = level(points * 0.05, centers * 0.05, down, camera_right=right)
+    first, _ = level(points, centers, down, camera_right=right)
+    np.testing.assert_array_equal(first, level(points, centers, down, camera_right=right)[0])
+    scaled, _ = level(points * 0.05, centers * 0.05, down, camera_right=right)
     np.testing.assert_allclose(scaled[:3, :3], first[:3, :3], atol=1e-6)
     far = np.array([5e5, 5.4e6, 300])
-    moved = level(points + far, centers + far, down, camera_right=right)
+    moved, _ = level(points + far, centers + far, down, camera_right=right)
     np.testing.assert_allclose(moved[:3, :3], first[:3, :3], atol=1e-6)
 
 
 def test_georeferenced_model_keeps_its_heading() -> None:
     points, centers, down, right = make_plot(lean_deg=0, noise=0.005)
-    motion = level(points, centers, down, camera_right=right)
+    motion, _ = level(points, centers, down, camera_right=right)
     np.testing.assert_allclose(motion[:3, :3], np.eye(3), atol=0.01)
 
 
@@ -210,7 +210,7 @@ def test_laser_scan_of_pines_is_found_upright() -> None:
     _, centers, down, right = make_plot()
     centers = centers * 0.5 + [0, 0, np.percentile(points[:, 2], 5)]
     turn, (points, centers, down, right) = move((points, centers, down, right))
-    motion = level(points, centers, down, camera_right=right)
+    motion, _ = level(points, centers, down, camera_right=right)
     # The scanner stood level; pines are not quite straight.
     assert angle_deg(motion[2, :3], turn[:, 2]) < 2
     levelled = points @ motion[:3, :3].T + motion[:3, 3]
@@ -279,5 +279,5 @@ def test_a_scene_tells_gravity_by_the_notes_of_its_photographs(tmp_path: Path) -
         image = phone_photo(tmp_path / f"{number}.jpg", list(felt), 6)
         camera = Camera(intrinsic=np.diag([100.0, 100.0, 1.0]), cam_from_world=pose, depth_min=1.0, depth_max=9.0)
         views.append(View(name=str(number), image_path=image, camera=camera, sources=()))
-    plot_from_scene, _ = level_scene(points, Scene(folder=tmp_path, views=tuple(views)))
+    plot_from_scene, _, _ = level_scene(points, Scene(folder=tmp_path, views=tuple(views)))
     assert angle_deg(plot_from_scene[2, :3], turn[:, 2]) < 1.0

@@ -355,6 +355,16 @@ def test_without_a_scale_the_units_are_said(tmp_path: Path) -> None:
     assert "x (m)" not in page
 
 
+def test_where_no_tree_has_a_dbh_the_table_has_no_column_of_its_interval(tmp_path: Path) -> None:
+    bare = TREE | {"dbh_cm": "", "dbh_lo95_cm": "", "dbh_hi95_cm": "", "status": "unmeasured", "reason": "no scale"}
+    full_folder(tmp_path, trees=[bare])
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    assert ["interval (cm)" in page, "An empty DBH" in page] == [False, False]
+    full_folder(tmp_path, trees=[TREE, bare | {"tree_id": 2}])
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    assert ["interval (cm)" in page, "An empty DBH" in page] == [True, True]
+
+
 def test_a_single_tree_without_a_scale_has_a_map_that_can_be_read(tmp_path: Path) -> None:
     plot = PLOT | {"units": "model units", "scale_m_per_unit": None, "scale_source": "none", "camera_height": 0.3}
     full_folder(tmp_path, plot=plot, trees=[TREE])
