@@ -67,7 +67,7 @@ DEPTH = Stage(name="depth", version=5, result=DepthResult, outputs=("depth", "co
 CHECK = Stage(name="check", version=1, result=DepthCheck)
 FUSE = Stage(name="fuse", version=4, result=FusedCloud, outputs=("fused",))
 SCALE = Stage(name="scale", version=6, result=FoundScale, later={"others": as_json(UNKNOWN)})
-CLOUD = Stage(name="cloud", version=4, result=PlotCloud, outputs=("cloud.ply", "cloud.laz"))
+CLOUD = Stage(name="cloud", version=5, result=PlotCloud, outputs=("cloud.ply", "cloud.laz"))
 
 
 def model_digest(settings: DepthSettings) -> str:
