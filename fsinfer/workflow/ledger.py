@@ -205,11 +205,15 @@ class Ledger:
         except _UNREADABLE:
             return None
 
-    def inputs_of(self, name: str) -> dict[str, Any] | None:
-        """The inputs that a stage was done with, JSON values; None where it is not done."""
+    def inputs_of(self, name: str, *, begun: bool = False) -> dict[str, Any] | None:
+        """The inputs that a stage was done with, JSON values; None where it is not done.
+
+        ``begun``: those of one that did not come to its end as well.
+        """
         saved = self._read(name)
         inputs = saved.get("inputs")
-        return inputs if saved.get("state") == "done" and isinstance(inputs, dict) else None
+        known = saved.get("state") == "done" or (begun and saved.get("state") == "started")
+        return inputs if known and isinstance(inputs, dict) else None
 
     def is_begun(self, name: str) -> bool:
         """Whether the stage was begun and did not come to its end."""
