@@ -310,8 +310,13 @@ def report(
     """Write report.html from what the output folder holds."""
     from fsinfer.report import make_report
     from fsinfer.workflow.ledger import Ledger
+    from fsinfer.workflow.measure_cloud import MEASURE
+    from fsinfer.workflow.pipeline import TREES
 
-    if any(Ledger(out).is_begun(stage) for stage in ("trees", "measure")):
+    ledger = Ledger(out)
+    # The other one may have come to its end since: then the tables are its own.
+    whole = ledger.recall(TREES) is not None or ledger.recall(MEASURE) is not None
+    if not whole and any(ledger.is_begun(stage) for stage in (TREES.name, MEASURE.name)):
         warn(
             [
                 f"the trees in {out} were being measured when that was stopped: its tables and figures may be of two "

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fsinfer.errors import InputError
+from fsinfer.io.files import make_folder
 from fsinfer.output.json_values import of_json
 from fsinfer.output.plot_json import of_file, read_plot
 from fsinfer.progress import StageProgress, silent_stages
@@ -51,6 +52,8 @@ def click_scale(
     ------
     SceneError, InputError, ScaleError
         There is no scene, or no length, or corrections of the last run are gone; nothing was written then.
+    OutputError
+        Nothing can be written into ``out``.
     """
     check_length(length_m, "--length-m")
     if not out.is_dir():
@@ -61,7 +64,8 @@ def click_scale(
         msg = f"{out / 'scene'} has {len(scene.views)} photograph; two from different places are needed"
         raise InputError(msg)
     edits = last_edits(out)
-    find_edits(out, edits)  # what cannot be read must not show after the clicks
+    find_edits(out, edits)  # what cannot be read, or written, must not show after the clicks
+    make_folder(out)
     with ClickServer(scene, length_m, kept_clicks(out), lambda saved: write_clicks(out, saved)) as server:
         show(server.url)
         clicked = server.wait()

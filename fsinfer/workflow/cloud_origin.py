@@ -22,6 +22,7 @@ from fsinfer.scale.request import ClickedLength, ScaleRequest
 from fsinfer.scale.scale import UNKNOWN, MarkerDetails, Scale
 from fsinfer.scene import Scene, read_scene
 from fsinfer.silhouettes.join import StemPhotos
+from fsinfer.workflow.cloud_stages import refuse_maps_of_before
 from fsinfer.workflow.cloud_units import plot_of_cloud
 from fsinfer.workflow.run_photos import photos_of_run
 from fsinfer.workflow.summary import MODEL_UNITS
@@ -88,14 +89,23 @@ def is_of_run(cloud_path: Path, origin: CloudOrigin) -> bool:
 
 
 def own_photos(cloud_path: Path, origin: CloudOrigin, factor: float) -> StemPhotos | None:
-    """The photographs of the run that made the cloud, if they still lie beside it."""
+    """The photographs of the run that made the cloud, if they still lie beside it.
+
+    Raises
+    ------
+    SceneError
+        They, or their depth maps, were made once more since, and do not fit to the cloud or to each other.
+    """
     folder = cloud_path.parent
     scene = (folder / "scene" / part for part in ("cams", "images", "pair.txt"))
     parts = (*scene, folder / "depth" / "depth.json", folder / "confidence")
     if not is_of_run(cloud_path, origin) or not all(part.exists() for part in parts):
         return None
+    found = _scene_of(folder, origin)
+    # A run with other photos that was stopped leaves maps in its unit, also where the places of before are back.
+    refuse_maps_of_before(found, folder)
     scaled = np.diag([factor, factor, factor, 1.0]) @ origin.cloud_from_scene
-    return photos_of_run(folder, _scene_of(folder, origin), scaled)
+    return photos_of_run(folder, found, scaled)
 
 
 def _scene_of(folder: Path, origin: CloudOrigin) -> Scene:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from fsinfer.depth.precision import INT8, choose_precision
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.sfm_check import DepthCheck, SfmCheckSettings, check_depth
 from fsinfer.depth.stage import DepthResult, estimate_depth
-from fsinfer.errors import InputError
+from fsinfer.errors import InputError, SceneError
 from fsinfer.fusion.fuse import FusionSettings, fuse, most_points
 from fsinfer.io.cloud import read_cloud, write_cloud
 from fsinfer.notices.notice import Notice
@@ -33,6 +34,8 @@ from fsinfer.scale.square_fit import MarkerSettings
 from fsinfer.scene import Scene, read_scene, scene_digest
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
 from fsinfer.workflow.settings import speedless
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,6 +107,36 @@ def compute_depth(
             "model_sha256": model_digest(settings),
         },
     )
+
+
+def refuse_maps_of_before(scene: Scene, out: Path) -> None:
+    """Refuse depth maps of other cameras: those of photographs placed anew have another unit, and some of both agree.
+
+    Of maps that no depth stage made, or that were replaced since, nobody knows. A stage that was stopped had emptied
+    its folders before, so that what lies there is its own; that some of its maps are missing is logged.
+
+    Raises
+    ------
+    SceneError
+        The maps in ``out`` were computed, as far as they were, of what the scene was before it changed.
+    """
+    ledger = Ledger(out)
+    stopped = ledger.is_begun(DEPTH.name)
+    if not stopped and ledger.recall(DEPTH) is None:
+        return
+    computed_of = (ledger.inputs_of(DEPTH.name, begun=True) or {}).get("scene")
+    if computed_of is not None and computed_of != scene_digest(scene):
+        msg = (
+            f"the depth maps in {out} are not those of {scene.folder} as it is now: its photos, cameras or pairs have "
+            f"changed since; run again: fsinfer depth {scene.folder} {out}"
+        )
+        raise SceneError(msg)
+    if stopped:
+        _log.warning(
+            "depth in %s was stopped before all its maps were made, and fewer photos see each stem; run again first: "
+            "fsinfer run with the same photos, or fsinfer depth",
+            out,
+        )
 
 
 def compare_with_sfm(

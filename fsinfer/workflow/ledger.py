@@ -161,13 +161,16 @@ class Ledger:
             else:
                 _log.info("stage %s: done before, skipped", stage.name)
                 return record
-        carried_on = same and saved.get("state") == "started" and stage.keeps_partial
+        # ``fsinfer poses`` works in other folders than the poses of a run; records of before do not tell in which.
+        there = saved.get("into", sorted(stage.outputs)) == sorted(stage.outputs)
+        carried_on = same and there and saved.get("state") == "started" and stage.keeps_partial
         if not carried_on:
             self._empty(stage, owned=_owned(stage, saved))
         spent_s = (_number(saved.get("seconds")) or 0.0) if carried_on else 0.0
         entry: dict[str, Any] = {"state": "started", "fingerprint": fingerprint, "run_id": secrets.token_hex(8)}
         entry |= {"version": stage.version, "made_by": __version__, "inputs": told["inputs"]}
         entry["owned"] = sorted(_owned(stage, saved) | set(stage.outputs))
+        entry["into"] = sorted(stage.outputs)
         self._write(stage.name, entry | {"seconds": spent_s})
         start = time.perf_counter()
         hand_back()
@@ -205,11 +208,15 @@ class Ledger:
         except _UNREADABLE:
             return None
 
-    def inputs_of(self, name: str) -> dict[str, Any] | None:
-        """The inputs that a stage was done with, JSON values; None where it is not done."""
+    def inputs_of(self, name: str, *, begun: bool = False) -> dict[str, Any] | None:
+        """The inputs that a stage was done with, JSON values; None where it is not done.
+
+        ``begun``: those of one that did not come to its end as well.
+        """
         saved = self._read(name)
         inputs = saved.get("inputs")
-        return inputs if saved.get("state") == "done" and isinstance(inputs, dict) else None
+        known = saved.get("state") == "done" or (begun and saved.get("state") == "started")
+        return inputs if known and isinstance(inputs, dict) else None
 
     def is_begun(self, name: str) -> bool:
         """Whether the stage was begun and did not come to its end."""

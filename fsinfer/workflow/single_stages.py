@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fsinfer.depth.maps import maps_digest
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.depth.stage import DepthResult
-from fsinfer.errors import ImageError, SceneError
+from fsinfer.errors import ImageError
 from fsinfer.frames.select import FrameSettings, FramesResult, list_captures
 from fsinfer.fusion.fuse import FusionSettings, fuse, most_points
 from fsinfer.importers.write import read_origin
@@ -24,10 +24,10 @@ from fsinfer.poses.estimate import PosesResult
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.progress import StageProgress, silent_stages
 from fsinfer.scale.markers_seen import FILE as MARKERS_SEEN
-from fsinfer.scene import Scene, read_scene, scene_digest
+from fsinfer.scene import read_scene, scene_digest
 from fsinfer.threads import one_blas_thread
 from fsinfer.workflow.camera_size import refuse_cameras_of_other_size
-from fsinfer.workflow.cloud_stages import DEPTH, compute_depth, model_digest, require_workers
+from fsinfer.workflow.cloud_stages import compute_depth, model_digest, refuse_maps_of_before, require_workers
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
 from fsinfer.workflow.own_files import refuse_clouds_of_others
 from fsinfer.workflow.photo_stages import choose_frames, register_photos, require_poses
@@ -144,7 +144,7 @@ def fuse_scene(
     refuse_clouds_of_others(out)
     scene_folder = imported_scene(scene_folder, out)
     scene = read_scene(scene_folder)
-    _refuse_maps_of_before(scene, out)
+    refuse_maps_of_before(scene, out)
     origin = read_origin(scene_folder)
     ours = (scene_folder / "poses.json").is_file()
     metric = origin is not None and origin.metric
@@ -187,23 +187,6 @@ def fuse_scene(
     if record.ran or not known:
         update_plot(out, source=scene_folder.name, stage="fuse", seconds=record.seconds, values=values)
     return record
-
-
-def _refuse_maps_of_before(scene: Scene, out: Path) -> None:
-    """Refuse depth maps of other cameras: those of photographs placed anew have another unit, and some of both agree.
-
-    Of maps that no depth stage made, or that were replaced since, nobody knows.
-    """
-    ledger = Ledger(out)
-    if ledger.recall(DEPTH) is None:
-        return
-    computed_of = (ledger.inputs_of(DEPTH.name) or {}).get("scene")
-    if computed_of is not None and computed_of != scene_digest(scene):
-        msg = (
-            f"the depth maps in {out} are not those of {scene.folder} as it is now: its photos, cameras or pairs have "
-            f"changed since; run again: fsinfer depth {scene.folder} {out}"
-        )
-        raise SceneError(msg)
 
 
 def _refuse_overwriting(source: Path, out: Path, what: str) -> None:

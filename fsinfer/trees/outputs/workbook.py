@@ -10,6 +10,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fsinfer.errors import OutputError
 from fsinfer.io.files import atomic_path
 from fsinfer.trees.outputs.table import COLUMNS, table_row
 from fsinfer.trees.stem_curve import COLUMNS as CURVE_COLUMNS
@@ -48,16 +49,31 @@ class Sheet:
 
 
 def write_workbook(path: Path, sheets: Sequence[Sheet], *, title: str) -> None:
-    """Write tables of any length as the sheets of one XLSX workbook, atomically; see :func:`write_tables` for cells."""
-    import xlsxwriter
+    """Write tables of any length as the sheets of one XLSX workbook, atomically; see :func:`write_tables` for cells.
 
-    with atomic_path(path) as temporary:
-        body = io.BytesIO()
+    Raises
+    ------
+    OutputError
+        It cannot be written, or the system's folder for temporary files has no room for its rows.
+    """
+    import xlsxwriter
+    from xlsxwriter.exceptions import FileCreateError
+
+    body = io.BytesIO()
+    try:
         # Rows go to the disk as they come, so that a hundred thousand trees take no memory.
         with xlsxwriter.Workbook(body, _OPTIONS | {"constant_memory": True}) as book:
             book.set_properties({"title": title, "comments": "written by fsinfer", "created": _CREATED})
             for sheet in sheets:
                 _write_sheet(book, sheet.name, sheet.columns, sheet.rows, _format_of_column)
+    except (OSError, FileCreateError) as error:
+        # The workbook itself is in memory yet: only its rows, as temporary files, were written.
+        msg = (
+            f"cannot write temporary files of {path.name}: {error}; free some space where the system keeps them, or "
+            "set TMPDIR (on Windows TEMP) to another folder, and run the same command again"
+        )
+        raise OutputError(msg) from error
+    with atomic_path(path) as temporary:
         temporary.write_bytes(body.getvalue())
 
 

@@ -247,6 +247,13 @@ def test_fuse_then_trees(metric_out: Path, call: Call) -> None:
     code, out, err = call("report", metric_out)
     assert (code, out) == (0, f"{metric_out / 'report.html'}\n")
     assert "may be of two measurements" in err
+    # One that has come to its end since has written them all.
+    code, out, err = call(*again, "--bh", 1.0)
+    assert code == 0, err
+    (metric_out / RECORDS_FOLDER / "trees.json").write_text('{"state": "started"}', encoding="utf-8")
+    code, out, err = call("report", metric_out)
+    assert (code, out) == (0, f"{metric_out / 'report.html'}\n")
+    assert "may be of two measurements" not in err
 
 
 def test_endpoints_may_be_negative(metric_out: Path, call: Call) -> None:

@@ -17,6 +17,7 @@ import pytest
 
 from fsinfer.errors import ScaleError
 from fsinfer.scale.clicks.file import read_clicks
+from fsinfer.scale.clicks.server import ClickServer
 from fsinfer.scene import read_scene
 from tests.fsinfer.scale.test_click_server import true_clicks
 from tests.support.command_line import Call
@@ -153,3 +154,14 @@ def test_the_page_is_opened_in_the_browser(
     assert "Click the two ends here: http://127.0.0.1:1/token/" in said
     # Where no browser shows it, it is said what to do.
     assert ("Open this address in a browser" in said) is not (opened and opens)
+
+
+def test_a_folder_that_cannot_be_written_is_told_before_the_clicks(
+    out: Path, call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Whoever runs the tests as root may write everywhere.
+    monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK or Path(path) != out)
+    monkeypatch.setattr(ClickServer, "wait", lambda _: pytest.fail("the page is not to be shown"))
+    code, said, errors = call("scale", out, "--click", "--length-m", "1", "--no-browser")
+    assert (code, said) == (2, "")
+    assert f"cannot write into {out}: no permission" in errors

@@ -166,6 +166,21 @@ def test_interrupted_stage_goes_on_only_with_the_same_inputs(
     assert work.resumed == [kept]
 
 
+def test_interrupted_stage_goes_on_only_in_the_folders_that_it_was_in(tmp_path: Path) -> None:
+    """fsinfer poses in the folder of a run, stopped with the options that the run is given next."""
+
+    def stop(_resume: bool) -> Counted:
+        raise KeyboardInterrupt
+
+    _interrupted(tmp_path, inputs={"k": 1}, keeps_partial=True)
+    with pytest.raises(KeyboardInterrupt):
+        run_stage(tmp_path, stop, inputs={"k": 2}, outputs=("own",), keeps_partial=True)
+    work = Counter(tmp_path / "maps" / "whole.pfm")
+    run_stage(tmp_path, work, inputs={"k": 2}, outputs=("maps",), keeps_partial=True)
+    assert work.resumed == [False]
+    assert not (tmp_path / "maps" / "half.pfm").exists()
+
+
 def test_time_of_an_interrupted_attempt_is_counted(tmp_path: Path) -> None:
     _interrupted(tmp_path, inputs={}, keeps_partial=True)
     path = tmp_path / ".fsinfer" / "s.json"

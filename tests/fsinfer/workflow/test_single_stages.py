@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -25,8 +26,8 @@ from fsinfer.poses.settings import PoseSettings
 from fsinfer.scale.find import FoundScale
 from fsinfer.scale.request import ScaleRequest
 from fsinfer.scale.scale import Scale
-from fsinfer.scene import read_scene, write_camera
-from fsinfer.workflow import cloud_origin, measure_cloud, photo_stages
+from fsinfer.scene import Scene, read_scene, write_camera
+from fsinfer.workflow import cloud_origin, cloud_stages, measure_cloud, photo_stages
 from fsinfer.workflow.ledger import Ledger
 from fsinfer.workflow.single_stages import depth_of, frames_of, fuse_scene, poses_of
 from fsinfer.workflow.summary import update_plot
@@ -96,6 +97,60 @@ def test_maps_of_cameras_of_before_are_not_fused(tmp_path: Path) -> None:
     again = fuse_scene(scene.folder, tmp_path / "out")
     assert again.ran
     assert again.run_id != fused.run_id
+
+
+def _stop_depth(scene_folder: Path, out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C after the first map of depth with other settings than the defaults."""
+
+    def write_one(scene: Scene, folder: Path, **_: object) -> None:
+        write_depth_folder(scene, folder)
+        for part in ("depth", "confidence"):
+            (folder / part / f"{scene.views[-1].name}.pfm").unlink()
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(cloud_stages, "estimate_depth", write_one)
+        with pytest.raises(KeyboardInterrupt):
+            depth_of(scene_folder, out, settings=DepthSettings(source_views=2))
+
+
+def _place_once_more(scene: Scene, factor: float) -> None:
+    for view in scene.views:
+        pose = view.camera.cam_from_world.copy()
+        pose[:3, 3] *= factor
+        write_camera(scene.folder / "cams" / f"{view.name}_cam.txt", replace(view.camera, cam_from_world=pose))
+
+
+def test_maps_of_a_stage_that_was_stopped_are_those_of_the_cameras_of_then(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Depth is stopped; fewer maps are told, and those of cameras of before are fused no more than finished ones."""
+    write_scene_folder(tmp_path / "scene")
+    scene = read_scene(tmp_path / "scene")
+    _stop_depth(scene.folder, tmp_path, monkeypatch)
+    fuse_scene(scene.folder, tmp_path)
+    assert "stopped before all its maps were made" in caplog.text
+    _place_once_more(scene, 1.1)
+    with pytest.raises(SceneError, match=r"changed since; run again: fsinfer depth"):
+        fuse_scene(scene.folder, tmp_path)
+
+
+def test_stems_are_not_looked_up_by_maps_of_other_cameras(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run with one photo more is stopped in depth, and the check puts the places of before back beside the cloud."""
+    write_scene_folder(tmp_path / "scene")
+    scene = read_scene(tmp_path / "scene")
+    write_depth_folder(scene, tmp_path)
+    fuse_scene(scene.folder, tmp_path, level=True)
+    cloud, origin = tmp_path / "cloud.ply", cloud_origin.origin_of_cloud(tmp_path)
+    for part in ("depth", "confidence"):
+        shutil.rmtree(tmp_path / part)
+    _place_once_more(scene, 1.1)
+    _stop_depth(scene.folder, tmp_path, monkeypatch)
+    _place_once_more(scene, 1.0)
+    with pytest.raises(SceneError, match=r"changed since; run again: fsinfer depth"):
+        cloud_origin.own_photos(cloud, origin, 1.0)
+    _stop_depth(scene.folder, tmp_path, monkeypatch)
+    assert cloud_origin.own_photos(cloud, origin, 1.0) is not None
 
 
 def test_photos_that_were_placed_once_more_are_not_those_of_the_cloud(tmp_path: Path) -> None:

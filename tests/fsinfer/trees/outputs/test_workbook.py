@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 import zipfile
 from collections.abc import Callable
 from dataclasses import fields, replace
@@ -16,7 +17,7 @@ from fsinfer.errors import OutputError
 from fsinfer.io.csv_text import write_table
 from fsinfer.trees.measure import PlotResult, analyse_plot
 from fsinfer.trees.outputs.table import COLUMNS, read_trees, table_row
-from fsinfer.trees.outputs.workbook import write_tables
+from fsinfer.trees.outputs.workbook import Sheet, write_tables, write_workbook
 from fsinfer.trees.stand import StandTable
 from fsinfer.trees.stem_curve import COLUMNS as CURVE_COLUMNS
 from tests.support.workbook import read_sheets
@@ -160,3 +161,23 @@ def test_where_it_cannot_be_written_the_old_one_stays(
         write_tables(path, plot("", ""), {})
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_full_folder_for_temporary_files_is_told(tmp_path: Path) -> None:
+    """A summary of many plots goes through files there, and the disk of the output may have room enough."""
+    resource = pytest.importorskip("resource")
+    sheets = [Sheet(name="plots", columns=("plot",), rows=[(f"plot {number}",) for number in range(2000)])]
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, hard))
+    try:
+        with pytest.raises(OutputError, match=r"temporary files of summary\.xlsx.*TMPDIR"):
+            write_workbook(tmp_path / "summary.xlsx", sheets, title="Plots")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_for_temporary_files_that_is_gone_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "gone"))
+    with pytest.raises(OutputError, match=r"temporary files of summary\.xlsx.*TMPDIR"):
+        write_workbook(tmp_path / "summary.xlsx", [Sheet(name="plots", columns=("plot",), rows=[])], title="Plots")
