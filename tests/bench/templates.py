@@ -128,22 +128,21 @@ def _blind(results: Sequence[Result]) -> Sequence[Result]:
 
 def together(results: Sequence[Result]) -> Lines:
     """Blind rendered plots, a row each kind: those that went wrong count as all others do."""
-    kinds: dict[str, list[Mapping[str, float]]] = {}
+    kinds: dict[tuple[str, bool], list[Mapping[str, float]]] = {}
     for result in _blind(results):
         drawn = result.settings.get("plot", {})
         phone = drawn.get("phone") == "True" or drawn.get("phone_video") == "True"
-        length = "up to 138 photographs" if result.figures["photos"] < _LONG_WALK else "200 to 300 photographs"
-        what = (
-            f"with a phone's effects in a breeze, {length}" if phone else "without a phone's effects, 120 photographs"
-        )
-        kinds.setdefault(what, []).append(result.figures)
+        what = "with a phone's effects in a breeze" if phone else "without a phone's effects"
+        kinds.setdefault((what, result.figures["photos"] >= _LONG_WALK), []).append(result.figures)
     rows = []
-    for what, figures in kinds.items():
+    for (what, _), figures in kinds.items():
+        photos = sorted({f["photos"] for f in figures})
+        length = " to ".join(f"{number_of:g}" for number_of in dict.fromkeys((photos[0], photos[-1])))
         errors = sorted(f["rmse_cm"] for f in figures)
         total = {key: sum(f[key] for f in figures) for key in _SUMMED}
         rows.append(
             [
-                what,
+                f"{what}, {length} photographs",
                 f"{len(figures)}",
                 f"{total['photos_registered']:g} of {total['photos']:g}",
                 f"{total['matched']:g} of {total['trees']:g}",
