@@ -183,7 +183,7 @@ def marker_lines(
             "whose two ends you click later (fsinfer scale OUT --click --length-m)."
         )
     elif found and (boards := number_of_boards(found)) < 3:
-        lines.append(f"{boards} board{'s' if boards > 1 else ''}: three or more, spread out, show a wrong one.")
+        lines.append(f"{counted(boards, 'board', 'boards')}: three or more, spread out, show a wrong one.")
     if found and not given:
         lines.append("The boards do not tell their length: give --aruco-length-m to fsinfer run.")
     return lines

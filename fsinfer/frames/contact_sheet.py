@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.frames.small import small_copy
 from fsinfer.io.images import write_image
 from fsinfer.notices.numbers import noun
 
@@ -36,10 +36,7 @@ class Tile:
 
 def thumbnail(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """The (H, W, 3) RGB picture made to fit a tile."""
-    scale = max(TILE_PX / max(image.shape[:2]), 1 / min(image.shape[:2]))
-    if scale >= 1:
-        return image
-    return np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    return small_copy(image, TILE_PX)
 
 
 def write_contact_sheet(path: Path, tiles: Sequence[Tile], *, total: int) -> None:

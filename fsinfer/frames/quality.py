@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import ImageError
 from fsinfer.frames.settings import Equalize, QualityLimits
+from fsinfer.frames.small import small_copy
 from fsinfer.io.images import luminance
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
@@ -63,11 +64,7 @@ class FrameScore:
 
 def score_frame(image: NDArray[np.uint8]) -> FrameScore:
     """Score an (H, W, 3) RGB uint8 photograph."""
-    grey = luminance(image)
-    # A strip keeps a pixel of its width.
-    scale = max(SCORE_SIZE_PX / max(grey.shape), 1 / min(grey.shape))
-    if scale < 1:
-        grey = np.asarray(cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    grey = small_copy(luminance(image), SCORE_SIZE_PX)
     values = grey.astype(np.float32)
     smooth = cv2.GaussianBlur(values, (0, 0), _SMOOTH_PX)
     response = cv2.Laplacian(smooth, cv2.CV_32F)

@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fsinfer.frames.small import small_copy
+
 #: Longer side at which corners are followed, pixels: a blur of 20 pixels of full HD is 3 there. Source: numerics.
 LOOK_SIZE_PX = 320
 #: Corners followed at most; how good the worst of them is beside the best, and how far apart they are, pixels. Source:
@@ -66,8 +68,4 @@ class ViewChange:
 
 
 def _small(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    scale = LOOK_SIZE_PX / max(grey.shape)
-    if scale < 1:
-        grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    return np.asarray(grey, dtype=np.uint8)
+    return small_copy(np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8), LOOK_SIZE_PX)

@@ -136,6 +136,7 @@ def analyse_plot(
     progress: Progress = silent,
     turned: bool = False,
     errors: PointErrors | None = None,
+    vouched: bool = False,
 ) -> PlotResult:
     """Find the ground and the stems in points (N, 3), metres, z up, and measure each stem.
 
@@ -145,7 +146,7 @@ def analyse_plot(
     model units and no DBH is given. No trees is a valid result: ``diagnosis`` says why. ``turned`` says that z is
     known to point up; without it a cloud with no measurable stem is looked at from its other sides. ``errors``
     (``PointErrors.of(cloud)``) are what a cloud of photographs tells of its points, by which those of a stem are
-    weighed.
+    weighed. ``vouched``: something else than the stems tells the metre, so that thick ones are what they are.
 
     Raises :class:`~fsinfer.errors.CloudError` for clouds that hold no plot (too few points, no ground, wrong unit) and
     for a breast height or an error of the scale that is none, and its subclass
@@ -165,6 +166,8 @@ def analyse_plot(
     if not metric:
         return _without_scale(points, settings, units_per_m_hint, progress, turned=turned)
     result = _analysed(points, settings, scale_rel_std, progress, turned=turned, all_sides=not turned, errors=errors)
+    if vouched:
+        return result
     sure_cm = [tree.dbh_cm for tree in result.trees if tree.status == "ok" and tree.dbh_cm is not None]
     return replace(result, warnings=(*result.warnings, *all_thick(sure_cm, settings.sanity)))
 

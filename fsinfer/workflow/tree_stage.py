@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from fsinfer.io.cloud import PointCloud, write_cloud
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.plots import PlotCode
-from fsinfer.notices.stems import StemCode
 from fsinfer.placement.settings import LevelSettings
 from fsinfer.plot_border.place import place_border
 from fsinfer.plot_border.plot import PlotFigures, Upright, plot_of, stem_circles
@@ -209,10 +208,8 @@ def _find(given: PlotCloudInput, settings: TreeStageSettings, progress: Progress
         turned=height is not None,
         errors=given.errors,
         progress=progress,
+        vouched=height is not None and not doubt_height(height),  # a camera held as people hold them
     )
-    if height is not None and not doubt_height(height):
-        # Held at such a height a camera vouches for the metre: stems of a metre are what they are.
-        result = replace(result, warnings=tuple(told for told in result.warnings if told.code != StemCode.all_thick))
     if given.marker_xyz is None or not given.metric:
         return result, frozenset()
     kept = without_posts(result, given.marker_xyz)

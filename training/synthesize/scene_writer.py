@@ -112,9 +112,9 @@ def read_view_depth(folder: Path, index: int) -> NDArray[np.float32]:
     return read_pfm(folder / "depths" / f"{index:08d}.pfm")
 
 
-def write_record(folder: Path, record: dict[str, Any]) -> None:
-    """Write synth.json, the mark that the folder is finished."""
-    write_text(folder / RECORD, json.dumps(record, indent=1, default=str) + "\n")
+def write_record(folder: Path, record: dict[str, Any], name: str = RECORD) -> None:
+    """Write synth.json, the mark that the folder is finished, or another record of its kind."""
+    write_text(folder / name, json.dumps(record, indent=1, default=str) + "\n")
 
 
 def read_record(folder: Path, name: str = RECORD) -> dict[str, Any]:

@@ -131,7 +131,7 @@ def synthesize_plot(args: argparse.Namespace, seed: int, photos: tuple[Path, ...
     if finished(folder):
         return
     start = time.perf_counter()
-    write_text(folder / BEGUN, json.dumps({"seed": seed, "options": options}, indent=1) + "\n")
+    write_record(folder, {"seed": seed, "options": options}, BEGUN)
     apart = multiprocessing.get_context("spawn")
     helpers = [
         apart.Process(target=write_share, args=(args, seed, photos, folder, share)) for share in range(1, args.workers)

@@ -37,28 +37,25 @@ def test_others_are_refused(tmp_path: Path, across: float, down: float) -> None:
     assert ("would fit it" in str(told.value)) == (across > 0)
 
 
-@pytest.mark.parametrize("size", [(120, 160), (160, 120), (108, 192), (200, 300)])
-def test_pictures_that_were_turned_since_are_refused(tmp_path: Path, size: tuple[int, int]) -> None:
-    """A phone's picture of 4 to 3, turned upright by another program, passed for a crop."""
-    scene = scene_with_principal_point(tmp_path, 0.5, 0.5)
+def scene_of_size(folder: Path, size: tuple[int, int], across: float, down: float) -> Scene:
+    """One view of so many pixels whose lens looks at column ``across`` and row ``down``."""
+    scene = scene_with_principal_point(folder, 0.5, 0.5)
     view = scene.views[0]
     write_image(view.image_path, np.zeros((size[1], size[0], 3), np.uint8))
     intrinsic = view.camera.intrinsic.copy()
-    intrinsic[:2, 2] = 0.51 * size[1] - 0.5, 0.49 * size[0] - 0.5
-    turned = replace(scene, views=(replace(view, camera=replace(view.camera, intrinsic=intrinsic)),))
+    intrinsic[:2, 2] = across - 0.5, down - 0.5
+    return replace(scene, views=(replace(view, camera=replace(view.camera, intrinsic=intrinsic)),))
+
+
+@pytest.mark.parametrize("size", [(120, 160), (160, 120), (108, 192), (200, 300)])
+def test_pictures_that_were_turned_since_are_refused(tmp_path: Path, size: tuple[int, int]) -> None:
+    """A phone's picture of 4 to 3, turned upright by another program, passed for a crop."""
+    width, height = size
     with pytest.raises(SceneError, match=r"view_00_cam\.txt: .* it was turned by 90 degrees"):
-        refuse_cameras_of_other_size(turned)
-    intrinsic[:2, 2] = 0.51 * size[0] - 0.5, 0.49 * size[1] - 0.5
-    refuse_cameras_of_other_size(turned)
+        refuse_cameras_of_other_size(scene_of_size(tmp_path / "turned", size, 0.51 * height, 0.49 * width))
+    refuse_cameras_of_other_size(scene_of_size(tmp_path / "as placed", size, 0.51 * width, 0.49 * height))
 
 
 @pytest.mark.parametrize("size", [(160, 160), (160, 150)])
 def test_squares_look_alike_however_they_are_turned(tmp_path: Path, size: tuple[int, int]) -> None:
-    scene = scene_with_principal_point(tmp_path, 0.5, 0.5)
-    view = scene.views[0]
-    write_image(view.image_path, np.zeros((size[1], size[0], 3), np.uint8))
-    intrinsic = view.camera.intrinsic.copy()
-    intrinsic[:2, 2] = 0.5 * size[0] - 0.5, 0.5 * size[1] - 0.5
-    refuse_cameras_of_other_size(
-        replace(scene, views=(replace(view, camera=replace(view.camera, intrinsic=intrinsic)),))
-    )
+    refuse_cameras_of_other_size(scene_of_size(tmp_path, size, 0.5 * size[0], 0.5 * size[1]))
