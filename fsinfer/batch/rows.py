@@ -31,9 +31,11 @@ class PlotRow:
     ----------
     plot: its name. state: done, outdated (its results are not those of the options that it has now), failed or
         waiting. message: why it is not done, or that its photographs are not there.
-    trees, trees_with_dbh: numbers of stems. trees_on_area: those of them that the figures a hectare count, in the
-        plot's border or on the seen ground. per_hectare_of: what the figures a hectare refer to.
-    stems_per_ha, basal_area_m2_per_ha: with 95 % intervals where the plot has a border.
+    trees, trees_with_dbh: numbers of stems, without those outside of the walk. trees_on_area: those that the figures a
+        hectare count, in the plot's border (outside of the walk or not) or on the seen ground. per_hectare_of: what the
+        figures a hectare refer to.
+    stems_per_ha, basal_area_m2_per_ha: with 95 % intervals where the plot has a border; both are 0 on a plot without
+        stems, of whose basal area there is no interval.
     quadratic_mean_dbh_cm: of the stems that these figures count. area_m2: of the plot, or of the seen ground.
     photos, registered: numbers of photographs. units: m, or model units without a scale. scale_source: of the metre.
     warnings: how many, without mere remarks; warning_text: they themselves.
@@ -137,11 +139,14 @@ def _figures(plot: Mapping[str, Any]) -> dict[str, Any]:
             "basal_area_m2_per_ha": _number(stand.get("basal_area_m2_per_ha")),
         }
     stems, basal = _mapping(border.get("stems_per_ha")), _mapping(border.get("basal_area_m2_per_ha"))
+    basal_area = _number(basal.get("value"))
+    if basal_area is None and border.get("stems") == 0 and stems:
+        basal_area = 0.0  # an empty plot is one of the sample; its figure has no interval
     return figures | {
         "stems_per_ha": _number(stems.get("value")),
         "stems_per_ha_lo95": _number(stems.get("lo95")),
         "stems_per_ha_hi95": _number(stems.get("hi95")),
-        "basal_area_m2_per_ha": _number(basal.get("value")),
+        "basal_area_m2_per_ha": basal_area,
         "basal_area_lo95_m2_per_ha": _number(basal.get("lo95")),
         "basal_area_hi95_m2_per_ha": _number(basal.get("hi95")),
     }

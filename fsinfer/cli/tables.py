@@ -107,6 +107,8 @@ def plot_rows(plot: PlotFigures | None) -> list[str]:
         rows.append(f"  stems/ha {_interval(plot.stems_per_ha, '.0f')}")
     if plot.basal_area_m2_per_ha is not None:
         rows.append(f"  basal area m²/ha {_interval(plot.basal_area_m2_per_ha, '.1f')}")
+    elif plot.no_basal_area:
+        rows.append("  basal area m²/ha 0.0 (no stem)")
     return rows
 
 

@@ -55,7 +55,8 @@ class PlotFigures:
     on_unseen: number of stems that are in and stand on the part that does not count as seen.
     border_cases: numbers of the trees at the border, in or out.
     quadratic_mean_dbh_cm, mean_dbh_cm: of the measured stems that are in.
-    stems_per_ha, basal_area_m2_per_ha: None where too little of the plot was seen.
+    stems_per_ha, basal_area_m2_per_ha: None where too little of the plot was seen; the latter also where no stem that
+        is in was measured, for nothing tells how thick those are that were not seen.
     doubtful_stems_per_ha, doubtful_basal_area_m2_per_ha: how much of these figures rests on doubtful stems.
     """
 
@@ -80,6 +81,11 @@ class PlotFigures:
     doubtful_stems_per_ha: float | None
     doubtful_basal_area_m2_per_ha: float | None
     on_unseen: int = 0
+
+    @property
+    def no_basal_area(self) -> bool:
+        """Whether the basal area is 0, and has no interval: the plot was seen, and no stem stands in it."""
+        return self.stems == 0 and self.stems_per_ha is not None and self.basal_area_m2_per_ha is None
 
     @property
     def border(self) -> Border:

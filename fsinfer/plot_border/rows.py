@@ -32,7 +32,8 @@ def figure_rows(figures: PlotFigures) -> list[Row]:
         ("stems", figures.stems_per_ha, figures.doubtful_stems_per_ha),
         ("basal_area_m2", figures.basal_area_m2_per_ha, figures.doubtful_basal_area_m2_per_ha),
     ):
-        rows += _of(name, figure)
+        empty = name == "basal_area_m2" and figures.no_basal_area
+        rows += [(f"{name}_per_ha", 0.0)] if empty else _of(name, figure)
         rows.append((f"{name}_of_doubtful_per_ha", doubtful))
     return rows
 

@@ -53,8 +53,8 @@ class StandTable:
     ``area_method`` says how it was taken. Only the ``stems_on_area`` count to the hectare: those on other ground, whose
     numbers ``off_area`` are, would make the plot denser than it is. In the basal area those without a DBH count with
     what is roughly known of them (:func:`fsinfer.trees.rough_dbh.rough_dbh_cm`) or the mean section of the others, as
-    on a plot with a border; it is None where too few were measured for that. The mean diameters are those of the
-    measured stems that count to the hectare, or of all where no area is known.
+    on a plot with a border; it is None where too few were measured for that, and 0 without stems. The mean
+    diameters are those of the measured stems that count to the hectare, or of all where no area is known.
     """
 
     stems: int
@@ -147,8 +147,10 @@ def or_nan(values: Sequence[float | None]) -> Floats:
 
 def counted_basal_area_m2(dbh_cm: Floats, rough_cm: Floats, on: NDArray[np.bool_]) -> float | None:
     """Of the stems ``on`` (T,) the plot: those without a DBH (NaN) count as ``rough_cm`` (T,), or, where that is NaN
-    too, with the mean section of all that were measured (T,); None where those are too few.
+    too, with the mean section of all that were measured (T,); None where those are too few, 0 where no stem is ``on``.
     """
+    if not on.any():
+        return 0.0  # nothing stands there: who takes means over plots has to count it, not to leave it out
     sections, rough = (np.pi / 4.0 * (values / 100.0) ** 2 for values in (dbh_cm, rough_cm))
     measured = np.isfinite(sections)
     known = np.where(measured, sections, rough)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fsinfer.cli.tables import plot_rows
 from fsinfer.notices.notice import notice
 from fsinfer.notices.plots import PlotCode
 from fsinfer.notices.sentences import sentence
@@ -23,6 +24,7 @@ from tests.support.walked_plot import STEMS, UNIT, make_plot
 
 CIRCLE = Border(center=(0.0, 0.0), radius_m=10.0, origin="walk", moves_along=True)
 ALL = SeenShare(share=1.0, method="all of it")
+NOT = SeenShare(share=0.1, method="hardly")
 TREE = Tree(
     tree_id=1, x_m=0.0, y_m=0.0, z_ground_m=0.0, dbh_cm=30.0, dbh_lo95_cm=29.6, dbh_hi95_cm=30.4,
     dbh_perimeter_cm=None, dbh_min_cm=None, dbh_max_cm=None, bh_m=1.3, arc_coverage=1.0, points=100, residual_cm=0.2,
@@ -179,6 +181,12 @@ def test_an_empty_plot_has_figures() -> None:
     assert plot.figures.stems_per_ha is not None
     assert (plot.figures.stems_per_ha.value, plot.figures.basal_area_m2_per_ha) == (0.0, None)
     assert stem_circles([]).shape == (0, 3)
+    # Nothing stands there, which a mean over plots must count; how thick it would be nobody can say.
+    assert dict(figure_rows(plot.figures))["basal_area_m2_per_ha"] == 0.0
+    assert plot_rows(plot.figures)[-1].strip() == "basal area m²/ha 0.0 (no stem)"
+    for known in (plot_of([unmeasured(0.0, 1)], CIRCLE, ALL, slope_deg=0.0), plot_of([], CIRCLE, NOT, slope_deg=0.0)):
+        assert dict(figure_rows(known.figures))["basal_area_m2_per_ha"] is None
+        assert "basal area" not in "".join(plot_rows(known.figures))
 
 
 FLAT = Ground(

@@ -41,6 +41,14 @@ def test_a_stray_a_kilometre_away_costs_neither_memory_nor_area() -> None:
     assert seen.area(NO_STEMS) == pytest.approx(np.pi * 100, rel=0.1)
 
 
+def test_a_plot_without_stems_has_no_basal_area_and_not_an_unknown_one() -> None:
+    """It was empty beside 0 stems a hectare: a mean over plots left it out, and came out too large."""
+    stand = stand_of_diameters([], 200.0)
+    assert (stand.stems_per_ha, stand.basal_area_m2_per_ha, stand.quadratic_mean_dbh_cm) == (0.0, 0.0, None)
+    assert stand_of_diameters([None], 200.0).basal_area_m2_per_ha is None
+    assert stand_of_diameters([], 0.0).basal_area_m2_per_ha is None
+
+
 def test_means_are_of_the_stems_that_count_to_the_hectare() -> None:
     on = np.array([True, True, False, True])
     stand = stand_of_diameters([20.0, 30.0, 50.0, None], 200.0, on_area=on)
