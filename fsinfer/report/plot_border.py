@@ -103,6 +103,8 @@ def border_facts(figures: PlotFigures) -> list[tuple[str, str]]:
     if figures.basal_area_m2_per_ha is not None:
         doubtful = figures.doubtful_basal_area_m2_per_ha
         rows += _figure_rows("Basal area per hectare", "{:.1f}", " m²/ha", figures.basal_area_m2_per_ha, doubtful)
+    elif figures.no_basal_area:
+        rows.append(("Basal area per hectare", "0.0 m²/ha: no stem in the plot, and none that would tell an interval"))
     return rows
 
 

@@ -12,7 +12,9 @@ from fsinfer.report.plot_border import (
     WITHOUT_BORDER,
     border_facts,
     border_of,
+    is_in,
     lost_border,
+    rows_in,
     same_mean,
 )
 from fsinfer.report.stand_figures import basal_area_m2, class_table, diameters_cm, stand_of
@@ -46,7 +48,8 @@ def tiles_part(contents: Contents) -> Part:
     shown: list[tuple[str, str]] = []
     if contents.trees is not None:
         own = stand if border is None else border
-        where = "stems found" if border is None else f"stems in the plot, of {stand.stems} found"
+        # Stems outside of the walk are found, too: those of them that stand in the plot count there.
+        where = "stems found" if border is None else f"stems in the plot, of {border.stems + border.outside} found"
         shown += [(str(own.stems), where), (str(own.measured), "with a DBH")]
         if own.quadratic_mean_dbh_cm is not None:
             shown.append((f"{own.quadratic_mean_dbh_cm:.1f} cm", "quadratic mean DBH"))
@@ -78,23 +81,26 @@ def _stand_facts(contents: Contents) -> list[tuple[str, str]]:
         return [*rows, ("Trees", contents.why_missing("trees.csv"))]
     stand = stand_of(contents)
     rows += [("Stems found", str(stand.stems)), ("Stems with a DBH", str(stand.measured))]
-    if outside := len(contents.trees) - len(contents.counted):
-        rows.append(("Outside of the walk", f"{outside} more, listed and not counted"))
-    if stand.mean_dbh_cm is None or stand.quadratic_mean_dbh_cm is None:
-        return rows
-    # Otherwise whoever takes the mean of the table finds another one.
-    everywhere = same_mean(measured_cm(contents.counted), stand.mean_dbh_cm)
-    of_which = "" if everywhere else ", of those on the ground that counts to the hectare"
-    rows += [
-        ("Mean DBH", f"{stand.mean_dbh_cm:.1f} cm{of_which}"),
-        ("Quadratic mean DBH", f"{stand.quadratic_mean_dbh_cm:.1f} cm{of_which}"),
-        ("Basal area of these stems", f"{basal_area_m2(diameters_cm(contents, everywhere=True)):.3f} m²"),
-    ]
     plot = border_of(contents)
+    if outside := len(contents.trees) - len(contents.counted):
+        within = 0 if plot is None else len(rows_in(contents)) - sum(is_in(tree) is True for tree in contents.counted)
+        but = f", but for {within} in the plot" if within else ""
+        rows.append(("Outside of the walk", f"{outside} more, listed and not counted{but}"))
+    if stand.mean_dbh_cm is not None and stand.quadratic_mean_dbh_cm is not None:
+        # Otherwise whoever takes the mean of the table finds another one.
+        everywhere = same_mean(measured_cm(contents.counted), stand.mean_dbh_cm)
+        of_which = "" if everywhere else ", of those on the ground that counts to the hectare"
+        rows += [
+            ("Mean DBH", f"{stand.mean_dbh_cm:.1f} cm{of_which}"),
+            ("Quadratic mean DBH", f"{stand.quadratic_mean_dbh_cm:.1f} cm{of_which}"),
+            ("Basal area of these stems", f"{basal_area_m2(diameters_cm(contents, everywhere=True)):.3f} m²"),
+        ]
+    # A plot without stems, or without diameters, has its area and its stems a hectare all the same.
     if plot is not None:
         return [*rows, *border_facts(plot)]
     if stand.plot_area_m2 is None or stand.stems_per_ha is None:
-        return [*rows, ("Per hectare", "not given: the area of the plot is not known")]
+        why = "not given: the area of the plot is not known"
+        return rows if stand.mean_dbh_cm is None else [*rows, ("Per hectare", why)]
     rows.append(("Plot area", f"{stand.plot_area_m2:.0f} m²"))
     if stand.stems_on_area is not None and stand.stems_on_area < stand.stems:
         of = f"{stand.stems_on_area} of {stand.stems}; only they count to the hectare"

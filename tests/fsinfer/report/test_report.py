@@ -19,6 +19,7 @@ from fsinfer.report import make_report
 from fsinfer.report.contents import number, read_contents
 from fsinfer.report.stand_figures import diameters_cm, stand_of
 from fsinfer.trees.outputs.table import read_trees
+from fsinfer.trees.stand import stand_of_diameters
 
 TREE = {
     "tree_id": 1, "x_m": 1.5, "y_m": -2.0, "z_ground_m": 0.1, "dbh_cm": 30.0, "dbh_lo95_cm": 29.1, "dbh_hi95_cm": 30.9,
@@ -488,6 +489,43 @@ def test_no_trees_is_a_result_with_a_diagnosis(tmp_path: Path) -> None:
     page = make_report(tmp_path).read_text(encoding="utf-8")
     assert "No trees were found." in page
     assert "no stem reaches breast height" in page
+
+
+@pytest.mark.parametrize("bordered", [True, False])
+def test_a_plot_without_stems_has_its_area_and_its_figures(tmp_path: Path, *, bordered: bool) -> None:
+    """The report of a clearing said nothing of the plot: neither its area nor that nothing stands on it."""
+    write_csv(tmp_path / "trees.csv", [], columns=list(TREE))
+    plot = PLOT | {"stand": as_json(stand_of_diameters([], 400.0)), "plot_area_m2": 400.0}
+    if bordered:
+        border = Border(center=(1.0, -2.0), radius_m=12.62, origin="marker 7", moves_along=True)
+        figures = plot_of([], border, SeenShare(share=1.0, method="by eye"), slope_deg=0.0).figures
+        plot |= {"plot_border": as_json(figures)}
+    (tmp_path / "plot.json").write_text(json.dumps(plot))
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    if bordered:
+        assert "<td>circle of 12.62 m round marker 7</td>" in page
+        assert '<th scope="row">Stems per hectare</th><td>0, 95 % interval 0 to 0' in page
+        assert '<th scope="row">Basal area per hectare</th><td>0.0 m²/ha: no stem in the plot' in page
+    else:
+        assert '<th scope="row">Plot area</th><td>400 m²</td>' in page
+        assert '<th scope="row">Stems per hectare</th><td>0</td>' in page
+        assert '<th scope="row">Basal area per hectare</th><td>0.0 m²/ha</td>' in page
+
+
+def test_stems_outside_of_the_walk_that_stand_in_the_plot_are_told_as_such(tmp_path: Path) -> None:
+    """The page said "3 stems in the plot, of 1 found", and of all outside of the walk that they are not counted."""
+    border = Border(center=(1.0, -2.0), radius_m=12.62, origin="marker 7", moves_along=True)
+    beyond = TREE | {"dbh_cm": "", "dbh_lo95_cm": "", "dbh_hi95_cm": "", "status": "outside"}
+    trees = [TREE, *(beyond | {"tree_id": n, "x_m": x} for n, x in ((2, 6.0), (3, 9.0), (4, 30.0)))]
+    write_csv(tmp_path / "rows.csv", trees)
+    plot = plot_of(read_trees(tmp_path / "rows.csv"), border, SeenShare(share=1.0, method="by eye"), slope_deg=0.0)
+    rows = [row | {"in_plot": int(bool(tree.in_plot))} for row, tree in zip(trees, plot.trees, strict=True)]
+    given = PLOT | {"plot_border": as_json(plot.figures), "stand": {"stems": 1, "measured": 1}}
+    page = make_report(full_folder(tmp_path, plot=given, trees=rows)).read_text(encoding="utf-8")
+    assert "stems in the plot, of 4 found" in page
+    assert (
+        '<th scope="row">Outside of the walk</th><td>3 more, listed and not counted, but for 2 in the plot</td>' in page
+    )
 
 
 def test_not_a_folder_is_a_user_error(tmp_path: Path) -> None:
