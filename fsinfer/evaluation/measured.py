@@ -14,6 +14,8 @@ _MOST_DBH_CM = 1000.0
 _LEAST_DBH_CM = 2.0
 #: Columns that a ``trees.csv`` has and no caliper. Source: format; ``trees.csv``.
 _OF_FSINFER = ("status", "dbh_lo95_cm")
+#: How ``in_plot`` says no. Source: format; ``trees.csv``, and the sheet of ``trees.xlsx`` saved as CSV.
+_NO = ("0", "false")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,7 +23,7 @@ class MeasuredTree:
     """A tree from a CSV: identifier as written, position in metres (NaN when not given), DBH in cm or None.
 
     ``status`` is that of a ``trees.csv``, empty where the table has none; ``dbh_lo95_cm`` and ``dbh_hi95_cm`` are its
-    interval.
+    interval; ``in_plot`` is whether it stands within the plot's border, None where that has none.
     """
 
     tree_id: str
@@ -31,6 +33,7 @@ class MeasuredTree:
     status: str = ""
     dbh_lo95_cm: float | None = None
     dbh_hi95_cm: float | None = None
+    in_plot: bool | None = None
 
 
 def read_measured(path: Path, *, need_dbh: bool = True, need_position: bool = True) -> list[MeasuredTree]:
@@ -75,6 +78,7 @@ def read_measured(path: Path, *, need_dbh: bool = True, need_position: bool = Tr
                 # Of a measured table other columns are nobody's business.
                 dbh_lo95_cm=None if need_dbh else row.number("dbh_lo95_cm"),
                 dbh_hi95_cm=None if need_dbh else row.number("dbh_hi95_cm"),
+                in_plot=None if need_dbh or not (inside := row.text("in_plot")) else inside.lower() not in _NO,
             )
         )
     if not need_dbh:

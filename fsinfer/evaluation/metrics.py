@@ -6,8 +6,8 @@ Accuracy without completeness misleads, so both are always given. With ``n_measu
 - *matched*: detected trees whose extracted stem has a DBH. A stem found but not measured counts as detected only;
 - ``r`` = matched / n_measured (the paper's completeness), *omitted* = n_measured - detected, *false* = extracted
   stems that no measured tree explains (with or without a DBH). Photographs also see trees beyond the plot, where nobody
-  measured: those that the table itself calls ``outside`` of the walk, and with an area margin those beyond it, are
-  *outside* and not judged;
+  measured: those that the table itself calls ``outside`` of the walk, or has outside of the plot's border, and with an
+  area margin those beyond it, are *outside* and not judged;
 - over the matched: bias = mean(extracted - measured), MAE, RMSE = sqrt(mean(difference^2)),
   rRMSE = RMSE / mean measured DBH of the matched, AE = 1 - rRMSE (FS-MVSNet, Forests 2025, 16, 927). Omitted trees have
   no error: these are figures of the matched, not of all trees, and are shown as such.
@@ -44,7 +44,7 @@ class HasDbh(Protocol):
     """What :func:`evaluate` needs of a tree.
 
     :class:`fsinfer.evaluation.measured.MeasuredTree` and :class:`fsinfer.trees.Tree` have it, and a ``status`` besides,
-    which says what stands outside of the walk, and the interval of the diameter.
+    which says what stands outside of the walk, ``in_plot``, and the interval of the diameter.
     """
 
     @property
@@ -81,9 +81,9 @@ class Pair:
 class Evaluation:
     """The metrics of :mod:`fsinfer.evaluation.metrics`; those of accuracy are None when nothing matched.
 
-    ``false`` counts extracted trees without a partner, but not those that have the status ``outside``; with an area
-    margin only those inside the measured area. ``outside`` counts those others: nobody measured there, and nothing can
-    be said.
+    ``false`` counts extracted trees without a partner, but not those that have the status ``outside`` or stand outside
+    of the plot's border; with an area margin only those inside the measured area. ``outside`` counts those others:
+    nobody measured there, and nothing can be said.
 
     ``without_dbh`` counts measured trees whose DBH nobody gave, which are none of ``n``: a stem at such a place is no
     false one. Of the matched ``with_interval`` have an interval, and ``in_interval`` lie in theirs.
@@ -183,7 +183,7 @@ def evaluate(
     refuse_other_units([pair.measured_cm for pair in judged], [pair.extracted_cm or 0.0 for pair in judged])
     partners = {j for _, j in links}
     lonely = [j for j in range(len(extracted)) if j not in partners]
-    outside = np.array([getattr(extracted[j], "status", "") == _OUTSIDE for j in lonely], dtype=bool)
+    outside = np.array([_not_judged(extracted[j]) for j in lonely], dtype=bool)
     if area_margin_m is not None and not by_id:
         outside |= ~in_hull(truth, moved[lonely], area_margin_m)
     return _metrics(
@@ -238,6 +238,11 @@ def _metrics(
         with_interval=sum(pair.in_interval is not None for pair in pairs),
         in_interval=sum(pair.in_interval is True for pair in pairs),
     )
+
+
+def _not_judged(tree: HasDbh) -> bool:
+    """Whether its own table says that it stands where nobody measured: outside of the walk, or of the plot's border."""
+    return getattr(tree, "status", "") == _OUTSIDE or getattr(tree, "in_plot", None) is False
 
 
 def _places(trees: Sequence[HasDbh]) -> Floats:

@@ -66,6 +66,17 @@ def test_stems_outside_of_the_walk_are_not_judged(tmp_path: Path) -> None:
     assert (by_id.detected, by_id.outside, by_id.false) == (1, 2, 1)
 
 
+def test_stems_outside_of_the_border_are_not_judged(tmp_path: Path) -> None:
+    """Who measures a plot does not measure beyond its border: every stem there was counted as a false one."""
+    rows = ["tree_id,x_m,y_m,dbh_cm,in_plot", "1,0.1,0,21,0", "2,3,0.2,28,1", "3,8,0,30,0", "4,1,2,15,1", "5,2,2,15,"]
+    rows += ["6,9,0,15,FALSE"]  # trees.xlsx, saved as CSV
+    (tmp_path / "trees.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    found = read_measured(tmp_path / "trees.csv", need_dbh=False)
+    # One that was measured all the same counts; one that stands within, or of which nothing is said, is false.
+    e = evaluate(MEASURED, found, align="never")
+    assert (e.matched, e.outside, e.false) == (2, 2, 2)
+
+
 def test_metrics_by_hand() -> None:
     e = evaluate(MEASURED, FOUND)
     assert (e.n, e.extracted, e.detected, e.matched, e.omitted, e.false) == (4, 4, 3, 2, 1, 1)
