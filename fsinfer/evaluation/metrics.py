@@ -20,6 +20,7 @@ judged.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Protocol
@@ -38,6 +39,8 @@ ALIGNMENTS = tuple(align.value for align in Align)
 
 #: Status of a stem outside of the walk. Source: format; ``trees.csv``.
 _OUTSIDE = "outside"
+#: A whole number, as tables of trees have it. Source: format; ASCII digits, a fraction of zeros.
+_WHOLE = re.compile(r"[0-9]+([.,]0+)?")
 
 
 class HasDbh(Protocol):
@@ -260,9 +263,19 @@ def _positions(trees: Sequence[HasDbh], which: str) -> Floats:
 
 
 def _links_by_id(measured: Sequence[HasDbh], extracted: Sequence[HasDbh]) -> list[tuple[int, int]]:
-    place = {str(tree.tree_id): j for j, tree in enumerate(extracted)}
-    ids = [str(tree.tree_id) for tree in measured]
-    if len(place) != len(extracted) or len(set(ids)) != len(ids):
+    ids, others = ([str(tree.tree_id) for tree in trees] for trees in (measured, extracted))
+    if len(set(others)) != len(others) or len(set(ids)) != len(ids):
         msg = "a tree_id occurs twice; matching by id needs every tree_id once in each file"
         raise InputError(msg)
+    ids, others = _as_numbers(ids), _as_numbers(others)
+    place = {name: j for j, name in enumerate(others)}
     return [(i, place[name]) for i, name in enumerate(ids) if name in place]
+
+
+def _as_numbers(names: list[str]) -> list[str]:
+    """Names that are whole numbers as these are written: a field sheet has 07, a spreadsheet 7.0.
+
+    As they are where two of them would become one.
+    """
+    plain = [str(int(re.split("[.,]", name)[0])) if _WHOLE.fullmatch(name) else name for name in names]
+    return plain if len(set(plain)) == len(plain) else names

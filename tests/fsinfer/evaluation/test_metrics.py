@@ -77,6 +77,16 @@ def test_stems_outside_of_the_border_are_not_judged(tmp_path: Path) -> None:
     assert (e.matched, e.outside, e.false) == (2, 2, 2)
 
 
+@pytest.mark.parametrize(("written", "matched"), [("0{}", 3), ("{}.0", 3), ("{},00", 3), ("T{}", 0), ("{}.5", 0)])
+def test_numbers_are_the_same_however_a_table_writes_them(written: str, matched: int) -> None:
+    """A field sheet has 01 to 12: the first nine were omitted, and as many stems false, without a word."""
+    trees = [replace(tree, tree_id=written.format(k)) for k, tree in enumerate(MEASURED, start=1)]
+    assert evaluate(trees, FOUND, by_id=True).matched == matched
+    # Where that would make two trees one they are what is written.
+    more = [*trees, MeasuredTree(tree_id="1", x_m=0.0, y_m=0.0, dbh_cm=21.0)]
+    assert evaluate(more, FOUND, by_id=True).matched == 1
+
+
 def test_metrics_by_hand() -> None:
     e = evaluate(MEASURED, FOUND)
     assert (e.n, e.extracted, e.detected, e.matched, e.omitted, e.false) == (4, 4, 3, 2, 1, 1)
