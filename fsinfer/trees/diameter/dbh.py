@@ -132,7 +132,8 @@ def _section(
     # Noise along the views does half of that. What lies in between is in the interval, by its share of the noise.
     even = float(np.clip(s.even_noise_m / fit.sigma_m, 0.5, 1.0))
     radius -= even / (2.0 * precision * max(radius, LEAST_RADIUS_M))
-    radius *= _girth_factor(fit, spread)
+    girth = _girth_factor(fit, spread)
+    radius *= girth
     # At breast height, which what was measured is not where undergrowth hides the stem there.
     off = height - bh_m
     at_measured, radius = radius, max(radius - taper * off, LEAST_RADIUS_M)
@@ -166,7 +167,8 @@ def _section(
     if coverage >= s.outline_coverage and walls.gap_m == 0.0:
         scaled = offset * (1.0 - taper * foot / np.maximum(lengths(offset), 1e-6))[:, None]
         scaled *= radius / at_measured
-        outline = fit_outline(scaled, fit.core, radius, fit.sigma_m)
+        # About the mean radius: its own harmonics make the outline's girth longer than that circle's.
+        outline = fit_outline(scaled, fit.core, radius / girth, fit.sigma_m)
     share, metres = s.max_change
     most = share * stem.axis.radius_m + metres
     aside = float(np.linalg.norm(fit.center_at(height) - stem.axis.center_at(height)))

@@ -191,6 +191,18 @@ def test_the_outline_is_that_at_breast_height() -> None:
     assert outline.girth_diameter_m == pytest.approx(0.32, abs=0.004)
 
 
+def test_tape_and_callipers_read_an_oval_stem_as_it_is() -> None:
+    """The outline went about the girth's radius with harmonics on top: girth that was counted twice, 1 % at 12 %."""
+    section = measure(points_of(ovality=0.12))
+    assert section.outline is not None
+    assert section.dbh_m is not None
+    girth = 0.32 * (1.0 + 0.12**2)  # to the fourth power of the ovality
+    assert section.dbh_m == pytest.approx(girth, abs=0.001)
+    assert section.outline.girth_diameter_m == pytest.approx(girth, abs=0.001)
+    assert section.outline.min_diameter_m == pytest.approx(0.32 * 0.88, abs=0.002)
+    assert section.outline.max_diameter_m == pytest.approx(0.32 * 1.12, abs=0.002)
+
+
 @pytest.mark.parametrize(("arc_deg", "drawn"), [(250.0, False), (310.0, True)])
 def test_an_outline_is_drawn_where_nearly_all_of_it_was_seen(arc_deg: float, drawn: bool) -> None:
     assert (measure(points_of(arc_deg=arc_deg)).outline is not None) == drawn
