@@ -85,6 +85,7 @@ class StemCode(StrEnum):
     all_thick = "all_thick"
     thicker_upwards = "thicker_upwards"
     level_top = "level_top"
+    cut_off_level = "cut_off_level"
     turned = "turned"
     thinned = "thinned"
     post_of_marker = "post_of_marker"
@@ -207,6 +208,10 @@ SENTENCES: dict[StemCode, str] = {
     StemCode.level_top: (
         "the top of the cloud is more like a ground than its bottom, but its stems grow thinner upwards"
     ),
+    StemCode.cut_off_level: (
+        "the cloud ends level in the crowns of {stems} stems, as if it had been cut off there: their heights are not "
+        "given"
+    ),
     StemCode.thicker_upwards: "nearly all of the {stems} stems grow thicker upwards, as if z pointed down",
     StemCode.turned: "the cloud did not stand upright: {how} in it",
     StemCode.thinned: (
@@ -272,6 +277,7 @@ ADVICE: dict[StemCode, str] = {
     StemCode.all_thick: "compare one with a tape, and mend the scale: --scale 0.3048 for a cloud in feet",
     StemCode.far_apart: "give a cloud that was thinned less, or look round the plot from more places",
     StemCode.level_top: "it was left as it stands; look at it in a viewer if it was not cut off level",
+    StemCode.cut_off_level: "for heights give the whole cloud; the diameters need only its lowest metres",
     StemCode.thicker_upwards: "look at the cloud in a viewer, and turn it if it stands on its head",
     StemCode.sizes_unknown: "look at them, measure them with a tape, or take them out with edits.csv",
     StemCode.turned: "it was turned, and so is the frame of all results",

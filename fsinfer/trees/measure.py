@@ -20,6 +20,7 @@ from fsinfer.trees.diameter.section import Section
 from fsinfer.trees.ends import without_stumps
 from fsinfer.trees.ground.at_stems import shows_ground
 from fsinfer.trees.ground.ground import Ground, find_ground
+from fsinfer.trees.level_cut import without_cut_tops
 from fsinfer.trees.one_entry import one_entry_a_stem
 from fsinfer.trees.points.cells import BOX_MARGIN_M, BOX_PERCENTILES, rows
 from fsinfer.trees.points.errors import PointErrors
@@ -226,7 +227,9 @@ def _analysed(
     if search.spacing_m > settings.sanity.far_apart_m:
         warnings.append(notice(StemCode.far_apart, spacing_cm=100.0 * search.spacing_m))
     measured = measure_stems(stand, search, ground, settings, scale_rel_std, origin, errors=errors, progress=progress)
-    measured, stumps = without_stumps(measured)
+    uncut = without_cut_tops(measured, local)
+    warnings += uncut.told
+    measured, stumps = without_stumps(uncut.pairs)
     pairs, same = one_entry_a_stem(measured)
     warnings += (*stumps, *same)
     pairs = doubt_the_rough(allow_for_shape(pairs, settings=settings))
