@@ -17,6 +17,9 @@ _SAID: dict[str, str | Callable[[Mapping[str, Any]], str]] = {
 _ADVICE: Mapping[str, str] = {code.value: text for code, text in stems.ADVICE.items()}
 _REMARKS = frozenset(code.value for code in (*capture.REMARKS, *stems.REMARKS))
 _TEMPLATES = Counting()
+#: Names that a sentence has at most; the notice itself keeps all. Source: layout; of a hectare's stems it would fill
+#: screens.
+_MOST_NAMES = 60
 _ADVISES_REVISIT = frozenset(code.value for code in stems.ADVISES_REVISIT)
 
 
@@ -40,7 +43,8 @@ def headline(given: Notice) -> str:
 
 def _in_words(value: Value) -> str | int | float | None:
     if isinstance(value, tuple):
-        return ", ".join(headline(item) if isinstance(item, Notice) else item for item in value)
+        names = [headline(item) if isinstance(item, Notice) else item for item in value[:_MOST_NAMES]]
+        return ", ".join(names) + (f" and {len(value) - _MOST_NAMES} more" if len(value) > _MOST_NAMES else "")
     return headline(value) if isinstance(value, Notice) else value
 
 

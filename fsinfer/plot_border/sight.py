@@ -21,12 +21,15 @@ from fsinfer.trees.stand import CELL_M, near_ground, seen_cells
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
 #: Photographs that must look at a place: depth needs two. Source: geometry.
 LEAST_VIEWS = 2
 #: Heights over the ground of which one must be in the picture, metres. Source: where stems are looked for.
 LOOKED_AT_M = (0.7, 1.3, 2.0)
 #: Cells of a plot at most: larger plots get larger cells. Source: numerics.
 MOST_CELLS = 40_000.0
+#: Bearings are compared with so much to spare, radians; the distance across decides. Source: numerics.
+_BEARING_MARGIN = 1e-6
 BY_GROUND = "ground in the cloud, gaps of up to 2 m closed"
 BY_SIGHT = f"{BY_GROUND}, without what fewer than {LEAST_VIEWS} photos see past the stems"
 
@@ -125,13 +128,31 @@ def _in_picture(columns: Floats, view: View) -> Bools:
 
 def _hidden(eye: Floats, cells: Floats, stems: Floats) -> Bools:
     """Which of cells (C, 2) a stem hides from ``eye`` (2,); the cell that a stem stands in is not hidden by it."""
-    if len(stems) == 0:
-        return np.zeros(len(cells), dtype=bool)
+    result = np.zeros(len(cells), dtype=bool)
     ray = cells - eye
     length = np.maximum(np.hypot(*ray.T), 1e-9)
     direction = ray / length[:, None]
     offset = stems[:, :2] - eye
-    along = direction @ offset.T
-    across = np.abs(direction[:, :1] * offset[:, 1] - direction[:, 1:] * offset[:, 0])
-    radius = stems[:, 2]
-    return np.asarray(((along > 0) & (across < radius) & (along + radius < length[:, None])).any(axis=1))
+    cell, stem = _same_bearing(ray, offset, stems[:, 2])
+    along = (direction[cell] * offset[stem]).sum(axis=1)
+    across = np.abs(direction[cell, 0] * offset[stem, 1] - direction[cell, 1] * offset[stem, 0])
+    radius = stems[stem, 2]
+    result[cell[(along > 0) & (across < radius) & (along + radius < length[cell])]] = True
+    return result
+
+
+def _same_bearing(ray: Floats, offset: Floats, radius: Floats) -> tuple[Ints, Ints]:
+    """Numbers (P,) of cells and of stems that an eye may see in one line: each with each would be gigabytes.
+
+    ``ray`` (C, 2) and ``offset`` (T, 2) lead there from the eye. All that are in line are among them, few others.
+    """
+    bearing = np.arctan2(ray[:, 1], ray[:, 0])
+    order = np.argsort(bearing)
+    # Twice round, so that no stem's bearings have a gap in them.
+    turns = np.concatenate([bearing[order], bearing[order] + 2.0 * np.pi])
+    half = np.arcsin(np.minimum(radius / np.maximum(np.hypot(*offset.T), 1e-9), 1.0)) + _BEARING_MARGIN
+    low = (np.arctan2(offset[:, 1], offset[:, 0]) - half + np.pi) % (2.0 * np.pi) - np.pi
+    first, last = np.searchsorted(turns, low), np.searchsorted(turns, low + 2.0 * half)
+    stem = np.repeat(np.arange(len(offset)), last - first)
+    place = np.arange(len(stem)) + np.repeat(first - (np.cumsum(last - first) - (last - first)), last - first)
+    return order[place % max(len(order), 1)], stem

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csc_matrix
 
 from fsinfer.poses.sparse import LONG_TRACK, SparseModel
 from fsinfer.scene import Camera
+
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +50,8 @@ _ENOUGH_POINTS = 50
 _NEAREST_SHARE = 0.4
 #: A shared point scores at least this. Source: numerics.
 _LEAST_SCORE = 1e-6
+#: Points of pairs that are looked at together: what they need stays in a core's cache. Source: numerics.
+_AT_ONCE = 32_768
 
 
 def score_pairs(
@@ -71,22 +77,37 @@ def score_pairs(
     views from one standpoint still rank before views that share nothing.
     """
     settings = settings or SelectionSettings()
-    scores = np.zeros((len(seen), len(seen)))
-    for i in range(len(seen)):
-        for j in range(i + 1, len(seen)):
-            shared = points[np.intersect1d(seen[i], seen[j], assume_unique=True)]
-            if not len(shared):
-                continue
-            angle_deg = _angles_deg(centers[i] - shared, centers[j] - shared)
+    views = len(seen)
+    scores = np.zeros((views, views))
+    starts = np.concatenate([[0], np.cumsum([len(numbers) for numbers in seen], dtype=np.int64)])
+    numbers = np.concatenate([*seen, np.zeros(0, np.int64)])
+    # Points by views. Only pairs that share points are ever looked at: of a long walk's pairs most share none.
+    sees = csc_matrix((np.ones(len(numbers), np.int8), numbers, starts), shape=(len(points), views)).tocsr()
+    columns = np.ascontiguousarray(points.T)
+    for i, own in enumerate(seen):
+        shared = sees[own, i + 1 :].tocsc()
+        own_columns = columns[:, own]
+        ends = shared.indptr
+        # So many other views at a time as share that many points with this one.
+        cuts = np.unique(np.append(np.searchsorted(ends, np.arange(0, ends[-1], _AT_ONCE)), len(ends) - 1))
+        for first, last in pairwise(cuts.tolist()):
+            other = np.repeat(np.arange(i + 1 + first, i + 1 + last), np.diff(ends[first : last + 1]))
+            places = own_columns[:, shared.indices[ends[first] : ends[last]]]
+            angle_deg = _angles_deg(centers[i][:, None] - places, centers[other].T - places)
             sigma = np.where(angle_deg <= settings.best_angle_deg, settings.narrow_deg, settings.wide_deg)
-            weight = np.exp(-((angle_deg - settings.best_angle_deg) ** 2) / (2 * sigma**2))
-            scores[i, j] = scores[j, i] = float(np.maximum(weight, _LEAST_SCORE).sum())
+            weight = np.maximum(np.exp(-((angle_deg - settings.best_angle_deg) ** 2) / (2 * sigma**2)), _LEAST_SCORE)
+            for j in range(first, last):
+                if ends[j + 1] > ends[j]:
+                    score = float(weight[ends[j] - ends[first] : ends[j + 1] - ends[first]].sum())
+                    scores[i, i + 1 + j] = scores[i + 1 + j, i] = score
     return scores
 
 
-def _angles_deg(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
-    cross = np.linalg.norm(np.cross(first, second), axis=1)
-    return np.asarray(np.degrees(np.arctan2(cross, (first * second).sum(axis=1))))
+def _angles_deg(first: Floats, second: Floats) -> Floats:
+    """Angles (N,) between vectors (3, N): several times faster than of rows (N, 3)."""
+    (ax, ay, az), (bx, by, bz) = first, second
+    x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    return np.asarray(np.degrees(np.arctan2(np.sqrt(x * x + y * y + z * z), ax * bx + ay * by + az * bz)))
 
 
 def choose_sources(scores: NDArray[np.float64], limit: int) -> dict[int, list[tuple[int, float]]]:

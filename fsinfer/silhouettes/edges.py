@@ -25,7 +25,7 @@ from fsinfer.scene import Camera, Scene, project, read_view_image
 from fsinfer.silhouettes.edge_depths import may_be_edges
 from fsinfer.silhouettes.edge_settings import EdgeSettings
 from fsinfer.silhouettes.stem_axis import StemAxis, facing
-from fsinfer.silhouettes.visibility import BOTH_SIDES, in_reach, sides_shown
+from fsinfer.silhouettes.visibility import BOTH_SIDES, sides_shown, stems_in_reach
 from fsinfer.trees.diameter.edge_set import Edges
 
 Floats = NDArray[np.float64]
@@ -148,7 +148,7 @@ def strips_of_photo(
     view = scene.views[index]
     camera = _in_cloud(view.camera, cloud_from_scene)
     metres = scale_of(cloud_from_scene)
-    near = [(n, stem) for n, stem in enumerate(stems) if in_reach(stem, camera, s)]
+    near = [(n, stems[n]) for n in stems_in_reach(stems, camera, s)]
     if not near:
         return []
     depth_map = maps.get(index)

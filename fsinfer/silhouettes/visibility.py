@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,6 +29,8 @@ BOTH_SIDES = (-1.0, 1.0)
 #: Of a half that is looked at by itself: points across it, from and to this share of the radius, and how far the depth
 #: map may be off, in radii. Source: judgement.
 HALF_POINTS, HALF_RANGE, HALF_TOLERANCE = 6, (0.2, 0.9), 0.5
+#: What may be in reach is told with so much to spare, metres: rounding decides nothing. Source: numerics.
+_REACH_MARGIN_M = 1e-6
 
 
 def in_reach(stem: StemAxis, camera: Camera, s: EdgeSettings) -> bool:
@@ -37,6 +41,23 @@ def in_reach(stem: StemAxis, camera: Camera, s: EdgeSettings) -> bool:
     if not nearest <= distance <= s.max_distance_m or depth < LEAST_DEPTH_M:
         return False
     return float(camera.intrinsic[0, 0]) * stem.radius_m / depth >= s.min_radius_px
+
+
+def stems_in_reach(stems: Sequence[StemAxis], camera: Camera, s: EdgeSettings) -> list[int]:
+    """Numbers of the stems that are :func:`in_reach`.
+
+    Those far from it are told all at once: each by itself, a hectare's take minutes in 1,500 photographs.
+    """
+    if not stems:
+        return []
+    breast, along = (np.array([getattr(stem, name) for stem in stems]) for name in ("breast", "along"))
+    radius = np.array([stem.radius_m for stem in stems])
+    offset = camera.center - breast
+    distance = np.linalg.norm(offset - (offset * along).sum(axis=1)[:, None] * along, axis=1)
+    depth = project(breast, camera)[1]
+    may_be = (distance <= s.max_distance_m + _REACH_MARGIN_M) & (depth >= LEAST_DEPTH_M - _REACH_MARGIN_M)
+    may_be &= float(camera.intrinsic[0, 0]) * radius >= s.min_radius_px * (depth - _REACH_MARGIN_M)
+    return [number for number in np.flatnonzero(may_be).tolist() if in_reach(stems[number], camera, s)]
 
 
 def sides_shown(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -21,6 +21,9 @@ from fsinfer.report.stems.stem_map import MapView, stem_map
 #: Photos of all trees and of one at most, and trees of which each gets fewer and smaller ones. Source: layout; the page
 #: stays below 15 MB.
 MAX_PHOTOS, PHOTOS_PER_TREE, MANY_TREES = 180, 3, 90
+#: Trees that have pictures at most; of more the page would grow by 4 MB a hundred, and open no more. Source: layout;
+#: the page stays below 15 MB.
+MOST_PICTURED = 300
 _ROWS = (
     ("DBH as a tape reads it", "dbh_perimeter_cm", "{:.1f} cm"),
     ("Seen of the stem's girth", "arc_coverage", "{:.0%}"),
@@ -80,13 +83,23 @@ def stems_part(contents: Contents) -> Part | None:
         return None
     small = len(trees) > MANY_TREES
     per_tree = min(max(MAX_PHOTOS // len(trees), 1), PHOTOS_PER_TREE)
-    photos, missing = tree_photos(contents, per_tree=per_tree, height_px=330 if small else 480)
-    drawings = shared_out(partial(_drawings, contents.out / "figures", small), [tree_id for tree_id, _ in trees])
-    cards = tuple(
-        _card(contents, tree_id, tree, photos, drawn) for (tree_id, tree), drawn in zip(trees, drawings, strict=True)
-    )
+    pictured = _pictured(trees)
+    of_pictured = replace(contents, trees=[tree for tree_id, tree in trees if tree_id in pictured])
+    photos, missing = tree_photos(of_pictured, per_tree=per_tree, height_px=330 if small else 480)
+    # What is not shown is not looked for either: of three thousand trees that takes many minutes.
+    asked = [tree_id for tree_id, _ in trees if tree_id in pictured]
+    drawings = dict(zip(asked, shared_out(partial(_drawings, contents.out / "figures", small), asked), strict=True))
+    cards = tuple(_card(contents, tree_id, tree, photos, drawings.get(tree_id)) for tree_id, tree in trees)
     view = StemsView(missing=missing, map=stem_map(contents), cards=cards)
     return Part(anchor="stems", title="Stem map and trees", view=view)
+
+
+def _pictured(trees: Sequence[tuple[int, Mapping[str, str]]]) -> frozenset[int]:
+    """Numbers of the trees whose cards have pictures: all, or of too many those that ask to be looked at, then the
+    first.
+    """
+    by_need = sorted(trees, key=lambda numbered: status_of(numbered[1]) != "doubtful")
+    return frozenset(tree_id for tree_id, _ in by_need[:MOST_PICTURED])
 
 
 def _card(
@@ -94,12 +107,18 @@ def _card(
     tree_id: int,
     tree: Mapping[str, str],
     photos: Mapping[int, Sequence[TreePhoto]],
-    drawings: tuple[Drawing, ...],
+    drawings: tuple[Drawing, ...] | None,
 ) -> Card:
+    """The card of a tree; without ``drawings`` (None) it is one of too many to have pictures."""
     status, dbh_cm, interval_cm = status_of(tree), number(tree.get("dbh_cm")), interval_of(tree)
     pictures = tuple(_crop(photo, tree_id, metric=contents.metric) for photo in photos.get(tree_id, ()))
     photo_note = ""
-    if pictures:
+    if drawings is None:
+        photo_note = f"This page has pictures of {MOST_PICTURED} trees only, of the doubtful ones first."
+        section = _section_file(contents.out / "figures", tree_id)
+        if section.is_file():
+            photo_note += f" The section of this tree is {section.parent.name}/{section.name}."
+    elif pictures:
         photo_note = "Orange: breast height" + (", as wide as the measured stem." if dbh_cm is not None else ".")
     elif photos:
         guess = "" if contents.metric else " (its height is guessed: no scale is known)"
@@ -114,7 +133,7 @@ def _card(
         photos=pictures,
         photo_note=photo_note,
         facts=tuple(_facts(tree, "m" if contents.metric else "model units")),
-        drawings=drawings,
+        drawings=drawings or (),
     )
 
 
@@ -146,10 +165,14 @@ def _drawings(folder: Path, small: bool, tree_id: int) -> tuple[Drawing, ...]:
     section = f"Section of tree {tree_id} at breast height, from above"
     edges = f"Edges of tree {tree_id} at breast height, found in the photos (green)"
     drawings = (
-        _drawing(folder / f"tree_{tree_id:03d}.png", section, small=small),
+        _drawing(_section_file(folder, tree_id), section, small=small),
         _drawing(folder / f"tree_{tree_id:03d}_edges.png", edges, small=small),
     )
     return tuple(drawing for drawing in drawings if drawing is not None)
+
+
+def _section_file(folder: Path, tree_id: int) -> Path:
+    return folder / f"tree_{tree_id:03d}.png"
 
 
 def _drawing(path: Path, caption: str, *, small: bool) -> Drawing | None:

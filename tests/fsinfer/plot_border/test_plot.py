@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -274,6 +275,40 @@ def test_a_stem_hides_what_is_behind_it(walked: Cameras) -> None:
     far = replace(walked.scene.views[0], camera=replace(walked.scene.views[0].camera, depth_max=4.0 / UNIT))
     near_only = replace(walked, scene=Scene(folder=Path(), views=(far,)))
     assert views_of(cells, np.zeros(6), np.zeros((0, 3)), near_only).tolist() == [0, 1, 0, 0, 0, 0]
+
+
+def test_what_many_stems_hide_is_what_lies_behind_one(walked: Cameras) -> None:
+    rng = np.random.default_rng(4)
+    cells, stems = (
+        rng.uniform(-6, 6, (400, 2)),
+        np.column_stack([rng.uniform(-6, 6, (60, 2)), rng.uniform(0.02, 1, 60)]),
+    )
+    stems[0] = [*walked.places[0, :2], 0.3]  # round the first camera, which sees nothing past it
+    expected = np.zeros(400, np.int64)
+    for view, eye in zip(walked.scene.views, walked.places[:, :2], strict=True):
+        one = Cameras(scene=Scene(folder=Path(), views=(view,)), cloud_from_scene=walked.cloud_from_scene)
+        seen = views_of(cells, np.zeros(400), np.zeros((0, 3)), one)
+        for number, cell in enumerate(cells):
+            way = (cell - eye) / np.hypot(*(cell - eye))
+            along = (stems[:, :2] - eye) @ way
+            across = np.abs((stems[:, :2] - eye) @ [-way[1], way[0]])
+            behind = (along > 0) & (across < stems[:, 2]) & (along + stems[:, 2] < np.hypot(*(cell - eye)))
+            expected[number] += seen[number] and not behind.any()
+    assert expected.sum() > 0
+    assert views_of(cells, np.zeros(400), stems, walked).tolist() == expected.tolist()
+
+
+def test_a_hectare_of_stems_is_no_matter_of_gigabytes(walked: Cameras) -> None:
+    rng = np.random.default_rng(5)
+    cells, stems = (
+        rng.uniform(-3, 3, (40_000, 2)),
+        np.column_stack([rng.uniform(-50, 50, (3000, 2)), np.full(3000, 0.1)]),
+    )
+    tracemalloc.start()
+    views_of(cells, np.zeros(len(cells)), stems, one_view(walked))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 100e6
 
 
 def test_two_photos_must_look_at_a_place(walked: Cameras) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -41,6 +43,31 @@ def test_views_that_share_nothing_are_no_sources() -> None:
     seen = [np.arange(10), np.arange(10), np.arange(10, 20)]
     sources = choose_sources(score_pairs(points, cameras_on_a_line([0, 5, 10], 5.0), seen), 10)
     assert [[source for source, _ in sources[view]] for view in range(3)] == [[1], [0], []]
+
+
+def test_many_views_score_as_each_pair_alone_does() -> None:
+    rng = np.random.default_rng(3)
+    points, centers = rng.uniform(0, 9, (5000, 3)), rng.uniform(0, 9, (30, 3))
+    # So much in common that a view's partners are not all looked at together, and a view that sees nothing.
+    seen = [np.sort(rng.choice(5000, count, replace=False)) for count in rng.integers(1, 5000, 29)]
+    seen.insert(7, np.zeros(0, np.int64))
+    scores = score_pairs(points, centers, seen)
+    for i in range(30):
+        for j in range(i):
+            alone = score_pairs(points, centers[[j, i]], [seen[j], seen[i]])
+            assert scores[i, j] == scores[j, i] == alone[0, 1]
+    assert not scores.diagonal().any()
+
+
+def test_views_far_apart_take_no_time() -> None:
+    # Each of 1,500 views along a path shares its points with a few of those beside it.
+    points = np.column_stack([np.arange(376_000) * 0.002, np.zeros(376_000), np.full(376_000, 5.0)])
+    centers = points[:375_000:250] * [1, 1, 0]
+    began = time.process_time()
+    scores = score_pairs(points, centers, [np.arange(250 * view, 250 * view + 1000) for view in range(1500)])
+    # Each pair by itself takes a quarter of a minute.
+    assert time.process_time() - began < 5
+    assert np.count_nonzero(scores) == 2 * (1499 + 1498 + 1497)
 
 
 def test_number_of_sources_is_limited() -> None:

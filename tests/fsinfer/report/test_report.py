@@ -387,6 +387,26 @@ def test_stems_far_outside_of_the_walk_do_not_shrink_the_map(tmp_path: Path) -> 
     assert "beyond the map" not in make_report(tmp_path).read_text(encoding="utf-8")
 
 
+def test_a_page_of_very_many_trees_has_pictures_of_those_that_ask_for_them(tmp_path: Path) -> None:
+    doubtful = {500, 777}
+    trees = [TREE | {"tree_id": n, "status": "doubtful" if n in doubtful else "ok"} for n in range(1, 801)]
+    full_folder(tmp_path, trees=trees)
+    picture = np.random.default_rng(0).integers(0, 255, (40, 50, 3), dtype=np.uint8)
+    for n in range(1, 800):
+        write_image(tmp_path / "figures" / f"tree_{n:03d}.png", picture)
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    cards = {
+        int(n): card for n, card in re.findall(r'<article class="card" id="tree-(\d+)"(.*?)</article>', page, re.S)
+    }
+    assert len(cards) == 800
+    assert {n for n, card in cards.items() if "data:image" in card} == doubtful | set(range(1, 299))
+    note = "This page has pictures of 300 trees only, of the doubtful ones first."
+    assert f"{note} The section of this tree is figures/tree_299.png." in cards[299]
+    assert note in cards[800]
+    assert "tree_800.png" not in cards[800]
+    assert note not in cards[777] + cards[1]
+
+
 def test_parts_of_the_walk_have_links_to_their_reports_and_nothing_else_has(tmp_path: Path) -> None:
     part = {"folder": "part-2", "photos": 26, "registered": 26, "trees": 7, "trees_with_dbh": 6, "error": ""}
     failed = part | {"folder": "part-3", "error": "too dark"}
