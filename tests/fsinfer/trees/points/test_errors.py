@@ -39,7 +39,7 @@ def test_of_four_times_the_haze_two_factors_of_two_err_apart() -> None:
     points = np.concatenate([_side(7.0, 1, std_m) for std_m in haze])
     words = worth_of_word(points, UPRIGHT, 1.3).sum() * TOGETHER**2
     # Those about 8, 16 and 32 mm: a side of points that are all alike sure tells one word.
-    assert 2.5 < words < 3.0
+    assert 2.0 < words < 3.0
 
 
 def test_sides_are_those_about_a_leaning_axis() -> None:
