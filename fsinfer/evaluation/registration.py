@@ -26,8 +26,6 @@ _WORTH_OF_NEARNESS = 0.1
 
 def assign(truth: Floats, found: Floats, limit: float) -> list[tuple[int, int]]:
     """Most pairs within ``limit``, then least sum of distances (Hungarian method)."""
-    if len(truth) == 0 or len(found) == 0:
-        return []
     distance = np.linalg.norm(truth[:, None] - found[None], axis=2)
     rows, columns = linear_sum_assignment(np.where(distance <= limit, distance, _FAR))
     return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if distance[i, j] <= limit]

@@ -197,7 +197,7 @@ class SeenCells:
         """With the cells of places (N, 2) where ground was seen, too; gaps between them are closed."""
         cell = np.floor((xy - self.corner) / self.cell_m).astype(np.int64)
         reach = round(CLOSE_M / self.cell_m) + 1
-        low = np.minimum(cell.min(axis=0, initial=0), 0) - reach
+        low = cell.min(axis=0, initial=0) - reach
         high = np.maximum(cell.max(axis=0, initial=0) + 1, self.seen.shape) + reach
         seen = np.zeros(tuple(high - low), dtype=bool)
         seen[-low[0] : self.seen.shape[0] - low[0], -low[1] : self.seen.shape[1] - low[1]] = self.seen

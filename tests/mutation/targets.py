@@ -23,6 +23,8 @@ _INTERVAL = ("tests/fsinfer/trees/diameter/test_interval.py",)
 _DIAMETER = "tests/fsinfer/trees/diameter/"
 _SILHOUETTES = "tests/fsinfer/silhouettes/"
 _SCALE = "tests/fsinfer/scale/"
+_ADJUSTMENT = "tests/fsinfer/poses/adjustment/"
+_TREES = "tests/fsinfer/trees/"
 
 
 def _of_model(*tests: str) -> tuple[str, ...]:
@@ -133,6 +135,105 @@ TARGETS: dict[str, Target] = {
             "fsinfer/placement/level.py",
         ),
         tests=("tests/fsinfer/placement/test_level.py",),
+    ),
+    "subpixel": Target(
+        files=("fsinfer/depth/subpixel.py", "fsinfer/depth/photo_confidence.py"),
+        tests=("tests/fsinfer/depth/test_photo_confidence.py", "tests/fsinfer/depth/test_subpixel.py"),
+    ),
+    "point-errors": Target(
+        files=(
+            "fsinfer/fusion/depth_error.py",
+            "fsinfer/trees/points/errors.py",
+            "fsinfer/trees/points/smoothing.py",
+        ),
+        tests=(
+            "tests/fsinfer/fusion/test_depth_error.py",
+            f"{_TREES}points/test_errors.py",
+            f"{_TREES}points/test_smoothing.py",
+            f"{_TREES}test_point_errors.py",
+        ),
+    ),
+    "edge-depths": Target(
+        files=("fsinfer/silhouettes/edge_depths.py",),
+        tests=(
+            f"{_SILHOUETTES}test_edges.py",
+            f"{_SILHOUETTES}test_looks.py",
+            f"{_SILHOUETTES}test_join.py::test_photographs_mend_a_hazy_stem",
+        ),
+    ),
+    "patches": Target(files=("fsinfer/poses/adjustment/patches.py",), tests=(f"{_ADJUSTMENT}test_patches.py",)),
+    "rematch": Target(
+        files=("fsinfer/poses/adjustment/rematch.py",),
+        tests=tuple(
+            f"{_ADJUSTMENT}test_rematch.py::{test}"
+            for test in (
+                "test_the_patch_of_a_point_is_taken_from_the_photo_with_the_middle_one_of_its_depths",
+                "test_a_patch_is_looked_for_where_the_photo_shows_it_as_large_and_turned_as_it_does",
+                "test_every_cell_has_the_points_it_asks_for_as_far_as_there_are",
+                "test_each_observation_is_one_photo_of_one_point",
+                "test_patches_that_are_not_sharp_enough_do_not_count",
+                "test_in_photos_twice_as_large_patches_may_lie_twice_as_many_pixels_away",
+            )
+        ),
+    ),
+    "last-fit": Target(
+        files=("fsinfer/poses/adjustment/last_fit.py",),
+        tests=(
+            f"{_ADJUSTMENT}test_fit.py",
+            f"{_ADJUSTMENT}test_adjust.py",
+            f"{_ADJUSTMENT}test_precision.py",
+            f"{_ADJUSTMENT}test_rematch.py::test_cameras_are_placed_better_than_by_features[turning]",
+            f"{_ADJUSTMENT}test_rematch.py::"
+            "test_where_patches_find_nothing_or_contradict_the_features_those_count[another place]",
+        ),
+    ),
+    "evidence": Target(files=("fsinfer/poses/adjustment/evidence.py",), tests=(f"{_ADJUSTMENT}test_evidence.py",)),
+    "ground": Target(
+        files=(
+            "fsinfer/trees/ground/ground.py",
+            "fsinfer/trees/ground/lowest.py",
+            "fsinfer/trees/ground/raster.py",
+            "fsinfer/trees/ground/at_stems.py",
+            "fsinfer/trees/ground/settings.py",
+        ),
+        tests=(f"{_TREES}ground",),
+    ),
+    "stand": Target(
+        files=("fsinfer/trees/stand.py",),
+        tests=(f"{_TREES}test_stand.py", f"{_TREES}test_rough_dbh.py", f"{_TREES}ground/test_relief.py"),
+    ),
+    "plot-border": Target(
+        files=(
+            "fsinfer/plot_border/border.py",
+            "fsinfer/plot_border/crossing.py",
+            "fsinfer/plot_border/hectare.py",
+            "fsinfer/plot_border/place.py",
+            "fsinfer/plot_border/plot.py",
+            "fsinfer/plot_border/sight.py",
+        ),
+        tests=("tests/fsinfer/plot_border",),
+    ),
+    "evaluation": Target(
+        files=(
+            "fsinfer/evaluation/metrics.py",
+            "fsinfer/evaluation/alignment.py",
+            "fsinfer/evaluation/registration.py",
+            "fsinfer/evaluation/units.py",
+        ),
+        tests=("tests/fsinfer/evaluation",),
+    ),
+    "height": Target(
+        files=("fsinfer/trees/height.py", "fsinfer/trees/ends.py", "fsinfer/trees/rough_dbh.py"),
+        tests=(f"{_TREES}test_height.py", f"{_TREES}test_ends.py", f"{_TREES}test_rough_dbh.py"),
+    ),
+    "sanity": Target(
+        files=("fsinfer/trees/sanity.py",),
+        tests=(
+            f"{_TREES}test_coarse_steps.py",
+            f"{_TREES}test_units_of_the_file.py::test_stems_measured_in_feet_by_a_file_that_says_nothing_are_too_thick",
+            f"{_TREES}ground/test_at_stems.py",
+            f"{_TREES}test_upright.py",
+        ),
     ),
     "warping": Target(
         files=("fsinfer/depth/warping.py", "fsinfer/depth/cost_volume.py", "fsinfer/depth/plane_volume.py"),

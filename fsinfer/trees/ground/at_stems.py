@@ -59,7 +59,7 @@ def level_std(ground: Ground, feet: Floats, radii: Floats) -> Floats:
 
 def shows_ground(places: Floats, feet: Floats, radii: Floats) -> NDArray[np.bool_]:
     """Which of low places (N, 2) are not the foot of one of the stems at ``feet`` (T, 2) with ``radii`` (T,)."""
-    if len(feet) == 0 or len(places) == 0:
+    if len(feet) == 0:
         return np.ones(len(places), dtype=bool)
     # Of thick stems beside thin ones the nearest foot is not always the one that a place belongs to.
     few = min(STEMS_AT_ONCE, len(feet))

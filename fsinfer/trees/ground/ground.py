@@ -127,7 +127,7 @@ def find_ground(points: Floats, *, settings: GroundSettings | None = None, seed:
     share = float(np.mean(np.abs(relative - surface.ravel()[cell]) <= settings.agree_m))
     if use_raster and settings.min_ground_share <= share < settings.sure_ground_share:
         share = min(share, _share_foretold(cell, relative, shape, settings))
-    if share < settings.min_ground_share or len(cell) < 3:
+    if share < settings.min_ground_share:
         msg = (
             f"no ground in the cloud: only {100 * share:.0f} % of the plot agrees on one surface; "
             "the cloud must be in metres with z up, show the ground around the stems, and have few stray points below "

@@ -164,6 +164,21 @@ def test_the_last_step_tells_how_far_it_was() -> None:
     assert np.median(told[INNER]) == pytest.approx(-0.2, abs=0.04)
 
 
+def test_grey_values_vary_as_much_in_a_smaller_map() -> None:
+    plane = Plane(3.0)
+    greys = [normalised(image) for image in views(plane)]
+    variance = []
+    for stride in (1, 2, 4):
+        depth = true_depth(plane, stride)
+        told = refine_depth(depth, np.ones_like(depth), greys, *cameras()).last
+        assert told is not None
+        inner = slice(12 // stride, -12 // stride)
+        variance.append(float(np.median(told.variance[inner, inner])))
+    # As the grey values themselves do there, which are less their local mean.
+    expected = np.mean(greys[0][12:-12, 12:-12].astype(np.float32) ** 2)
+    assert variance == pytest.approx([expected] * 3, rel=0.1)
+
+
 def test_the_misfit_is_small_where_a_source_looks_the_same_and_grows_beside() -> None:
     right, beside = (last_step(Plane(3.0), px).misfit[INNER] for px in (0.0, 1.0))
     assert np.percentile(right, 95) < 0.02

@@ -71,6 +71,18 @@ def test_within_a_wide_distance_that_has_partners_in_any_frame_the_maps_are_stil
     assert found.doubt == AlignmentDoubt.none
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_places_paced_out_in_another_frame_are_laid_on_each_other_within_a_wide_distance(seed: int) -> None:
+    """Each is off by half a metre either way; as given most trees have a partner, but metres away."""
+    xy = 2.0 * plot(30, seed)
+    middle, turn = xy.mean(axis=0), np.radians(12.0)
+    cosine, sine = np.cos(turn), np.sin(turn)
+    turned = (xy - middle) @ np.array([[cosine, -sine], [sine, cosine]]) + middle
+    found = align_maps(xy, turned + np.random.default_rng(seed).normal(0, 0.5, xy.shape), 4.0, "auto")
+    assert found.motion is not None
+    assert found.motion["rotation_deg"] == pytest.approx(12.0, abs=2.0)
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.1, 0.5])
 @pytest.mark.parametrize("seed", range(3))
 def test_maps_of_one_frame_are_left_as_they_are_within_a_wide_distance(seed: int, noise: float) -> None:

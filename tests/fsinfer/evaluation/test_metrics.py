@@ -87,6 +87,12 @@ def test_numbers_are_the_same_however_a_table_writes_them(written: str, matched:
     assert evaluate(more, FOUND, by_id=True).matched == 1
 
 
+@pytest.mark.parametrize("margin", [-1.0, float("inf"), float("nan")])
+def test_an_area_does_not_end_within_its_trees_nor_nowhere(margin: float) -> None:
+    with pytest.raises(InputError, match="area margin must be a number of metres"):
+        evaluate(MEASURED, FOUND, area_margin_m=margin)
+
+
 def test_metrics_by_hand() -> None:
     e = evaluate(MEASURED, FOUND)
     assert (e.n, e.extracted, e.detected, e.matched, e.omitted, e.false) == (4, 4, 3, 2, 1, 1)

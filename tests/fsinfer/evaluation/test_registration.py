@@ -60,6 +60,19 @@ def test_a_turned_and_shifted_map_with_losses_is_laid_back(away: tuple[float, fl
     assert {(i, i - 2) for i in range(2, 14)} <= set(assign(truth, laid, 0.5))
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_of_two_ways_that_find_all_partners_the_one_with_the_nearer_ones_is_taken(seed: int) -> None:
+    # Turned by half, each of these trees comes to stand within 0.4 m of another one.
+    half = np.array([[6.0, 1.0], [3.0, -5.0], [8.0, 7.0]])
+    off = np.random.default_rng(seed).uniform(-0.2, 0.2, (6, 2))
+    truth = np.concatenate([half, -half]) + off
+    found = apply(np.array([0.8, 20.0, -7.0]), truth)
+    assert len(assign(truth, -truth, 0.5)) == len(truth)
+    motion = register(truth, found, 0.5)
+    assert motion is not None
+    np.testing.assert_allclose(apply(motion, found), truth, atol=1e-6)
+
+
 def test_maps_that_hold_no_long_pair_are_not_laid() -> None:
     one, close = np.zeros((1, 2)), np.array([[0.0, 0.0], [0.5, 0.0]])
     assert register(one, close, 0.5) is None

@@ -52,6 +52,24 @@ def test_a_plot_that_was_seen_whole_is_what_was_counted() -> None:
     assert (basal.value, basal.lo95, basal.hi95) == pytest.approx((33.93, 33.93, 33.93), abs=0.01)
 
 
+def test_of_the_stand_half_a_plot_tells_what_a_plot_of_half_the_size_does() -> None:
+    stems = stems_of(np.random.default_rng(2).uniform(0.1, 0.5, 24))
+    half_seen, half = (
+        (
+            stems_per_ha(stems, area_m2=area_m2, share=share, scale_rel_std=0.0),
+            basal_area_per_ha(stems, area_m2=area_m2, share=share),
+        )
+        for area_m2, share in ((AREA_M2, 0.5), (AREA_M2 / 2, 1.0))
+    )
+    for one, other in zip(half_seen, half, strict=True):
+        assert one is not None
+        assert other is not None
+        assert (one.value, one.stand_lo95, one.stand_hi95) == pytest.approx(
+            (other.value, other.stand_lo95, other.stand_hi95)
+        )
+        assert one.hi95 > other.hi95
+
+
 def test_exact_counts() -> None:
     # 19 of how many, of which each was seen with probability 0.95? At most 23: P(X <= 19 | 24) is 0.03, of 25 0.007 ...
     low, high = count_interval(19, 0.95)

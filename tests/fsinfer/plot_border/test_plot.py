@@ -65,6 +65,11 @@ def test_an_unsure_place_is_a_border_case_farther_off() -> None:
     assert not sort_trees([at(9.7)], fixed)[0].at_border
 
 
+def test_the_place_of_a_stem_without_a_diameter_is_known_to_two_decimetres() -> None:
+    trees = sort_trees([unmeasured(9.85, 1), unmeasured(10.15, 2), unmeasured(9.75, 3), at(9.83, 4)], CIRCLE)
+    assert [tree.at_border for tree in trees] == [True, True, False, False]
+
+
 def test_a_cloud_that_may_not_stand_upright_is_unsure_of_stems_high_on_a_slope() -> None:
     up = Upright(std_rad=float(np.radians(0.7)), z_m=100.0)
     # 8 m above the middle a stem may stand 1.96 * 0.0122 * 8 = 19 cm aside, as high as the middle it may not.

@@ -129,10 +129,13 @@ def put(folder: Path, columns: NDArray[np.bool_], colour: tuple[int, int, int], 
     write_pfm(depth, found)
 
 
-def strongest_beyond(scene: Scene, folder: Path, photo: int) -> list[tuple[float, bool]]:
-    """Of one photograph where the strong edges right of the axis lie across it, and whether each may be the stem's."""
+def strongest_beyond(scene: Scene, folder: Path, photo: int, side: float = 1.0) -> list[tuple[float, bool]]:
+    """Of one photograph where the strong edges right of the axis lie across it, and whether each may be the stem's.
+
+    Those left of it where ``side`` is -1.
+    """
     (edges,) = find_edges([STEM], scene, DepthMaps(scene, folder), np.eye(4))
-    right = (edges.photo == photo) & (np.cos(edges.angle_rad - (0.3 + np.pi / 2)) > 0.0) & (edges.strength > 15.0)
+    right = (edges.photo == photo) & (side * np.cos(edges.angle_rad - (0.3 + np.pi / 2)) > 0.0) & (edges.strength > 15)
     return sorted(
         {(round(float(s), 2), bool(own)) for s, own in zip(edges.support_m[right], edges.own[right], strict=True)}
     )
@@ -156,13 +159,31 @@ def test_the_far_edge_of_what_stands_behind_is_not_the_stems(
     assert strongest_beyond(scene, tmp_path, 0) == own
 
 
-@pytest.mark.parametrize(("depth_m", "own"), [(0.6, False), (1.05, True), (30.0, True)])
-def test_the_edge_of_what_stands_before_is_not_the_stems(tmp_path: Path, depth_m: float, own: bool) -> None:
+# The near side of the stem is 1.04 m away: half a radius nearer may be bark and the map's own error.
+@pytest.mark.parametrize(("depth_m", "own"), [(0.6, False), (0.93, False), (1.0, True), (1.05, True), (30.0, True)])
+@pytest.mark.parametrize("side", [1.0, -1.0], ids=["right", "left"])
+def test_the_edge_of_what_stands_before_is_not_the_stems(
+    tmp_path: Path, depth_m: float, own: bool, side: float
+) -> None:
+    scene = write_plot(tmp_path)
+    column = side * (np.arange(WIDTH) - 149.5)
+    before = (column > FOCAL * np.tan(np.arcsin(0.12 / DISTANCE_M))) & (column < 90)
+    put(tmp_path, before, (60, 140, 50), depth_m)
+    assert strongest_beyond(scene, tmp_path, 0, side) == [(0.12, own)]
+
+
+def test_each_height_of_the_stem_is_asked_whether_something_stands_before_it(tmp_path: Path) -> None:
     scene = write_plot(tmp_path)
     column = np.arange(WIDTH) - 149.5
     before = (column > FOCAL * np.tan(np.arcsin(0.12 / DISTANCE_M))) & (column < 90)
-    put(tmp_path, before, (60, 140, 50), depth_m)
-    assert strongest_beyond(scene, tmp_path, 0) == [(0.12, own)]
+    put(tmp_path, before, (60, 140, 50), 0.6)
+    found = read_pfm(tmp_path / "depth" / "p0.pfm").copy()
+    found[HEIGHT // 2 :, before] = 1.05  # a branch above breast height, and below it a stain on the bark
+    write_pfm(tmp_path / "depth" / "p0.pfm", found)
+    (edges,) = find_edges([STEM], scene, DepthMaps(scene, tmp_path), np.eye(4))
+    there = (edges.photo == 0) & np.isclose(edges.support_m, 0.12, atol=0.006) & (edges.strength > 15.0)
+    assert (edges.height_m[there] > 0.0).any()
+    assert (edges.own == (edges.height_m < 0.0))[there].all()
 
 
 @pytest.mark.parametrize("reduced", [1, 4])

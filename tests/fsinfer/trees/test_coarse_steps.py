@@ -7,6 +7,7 @@ import pytest
 
 from fsinfer.errors import CloudError
 from fsinfer.trees import measure_trees
+from fsinfer.trees.sanity import SanitySettings, check_unit
 
 
 @pytest.mark.parametrize(("unit", "off"), [(1000.0, 0.0), (1.0, 6_000_000.0)], ids=["millimetres", "single precision"])
@@ -26,3 +27,17 @@ def test_a_cloud_thinned_to_voxels_is_not_told_of_single_precision(voxel_m: floa
     with pytest.raises(CloudError, match=r"in steps of [45] cm.*thinned to a grid") as told:
         measure_trees(points)
     assert "single precision" not in str(told.value)
+
+
+@pytest.mark.parametrize("middle", [0.0, 4000.0])
+@pytest.mark.parametrize(
+    ("wide_m", "said"), [(0.2, "only 20.0 cm wide"), (0.4, None), (600.0, None), (800.0, "800 m wide")]
+)
+def test_a_cloud_is_in_metres_by_its_width_wherever_it_lies(wide_m: float, said: str | None, middle: float) -> None:
+    # The longer side counts.
+    box = middle + np.array([[-wide_m / 2, -0.1], [wide_m / 2, 0.1]])
+    if said is None:
+        check_unit(box, SanitySettings())
+    else:
+        with pytest.raises(CloudError, match=said):
+            check_unit(box, SanitySettings())

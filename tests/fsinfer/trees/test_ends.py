@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 from fsinfer.notices.notice import notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees import PlotResult, analyse_plot
+from fsinfer.trees.cylinder.axis import Axis
 from fsinfer.trees.diameter.section import unmeasured_section
-from fsinfer.trees.ends import Ends, with_ends
+from fsinfer.trees.ends import Ends, ends_of, with_ends
+from fsinfer.trees.search.stem import Stem, StemSettings
 from tests.support.stem_clouds import wall
 
 Floats = NDArray[np.float64]
@@ -136,6 +138,58 @@ def test_a_stem_that_leans_ends_where_it_does(radius: float, lean_deg: float) ->
     assert here(measured(leaning(0.0, 5.0))) == [("ok", [])]
     ((status, reasons),) = here(measured(leaning(0.9, 5.0)))
     assert (status, reasons) == ("doubtful", ["hangs"])
+
+
+def ended(
+    radius: float, bottom_m: float, top_m: float, *more: Floats, arc_deg: float = 360.0, slab_m: tuple[float, float]
+) -> Ends:
+    """Of a wall of 2,000 points a metre all round, as much of it as is seen, and ``more`` points within it."""
+    rng = np.random.default_rng(9)
+    angle = np.radians(arc_deg) * rng.random(int(2000 * (top_m - bottom_m) * arc_deg / 360.0))
+    wall_of_it = np.column_stack([np.cos(angle), np.sin(angle), rng.uniform(bottom_m, top_m, len(angle))])
+    axis = Axis(parameters=np.array([0.0, 0.0, 0.0, 0.0, radius, 0.0]), height_m=1.3, sigma_m=0.003)
+    stem = Stem(
+        axis=axis, bottom_m=bottom_m, top_m=top_m, length_m=top_m - bottom_m, arc_coverage=arc_deg / 360.0, quality=1.0
+    )
+    points = np.concatenate([wall_of_it * [radius, radius, 1.0], *more])
+    return ends_of(points, stem, cloud_top_m=6.0, slab_m=slab_m, s=StemSettings())
+
+
+def filling(radius: float, low: float, high: float, count: int, seed: int = 10) -> Floats:
+    """Points evenly spread within a stem."""
+    rng = np.random.default_rng(seed)
+    reach, angle = radius * np.sqrt(rng.random(count)), rng.uniform(0.0, 2.0 * np.pi, count)
+    return np.column_stack([reach * np.cos(angle), reach * np.sin(angle), rng.uniform(low, high, count)])
+
+
+@pytest.mark.parametrize(("of_the_wall", "closed"), [(0.25, False), (1.0, True)])
+def test_a_lid_is_about_as_dense_as_the_part_of_the_wall_that_is_seen(of_the_wall: float, closed: bool) -> None:
+    radius, arc_deg = 0.3, 140.0
+    # 2,000 points a metre of the whole wall: so many of them on a square metre.
+    count = int(of_the_wall * 2000 / (2.0 * np.pi * radius) * np.pi * radius**2)
+    lid_of_it = filling(radius, 1.58, 1.6, count)
+    found = ended(radius, 0.3, 1.6, lid_of_it, arc_deg=arc_deg, slab_m=(0.2, 3.0))
+    assert (found.top_m is not None) == closed
+
+
+@pytest.mark.parametrize(("times", "closed"), [(2.0, False), (4.5, True)])
+def test_a_lid_is_clearly_denser_than_what_fills_the_stem_below_it(times: float, closed: bool) -> None:
+    haze = filling(0.3, 0.3, 1.45, int(1.15 * 400), seed=11)  # 120 in as much height as ends are told to
+    found = ended(0.3, 0.3, 1.6, haze, filling(0.3, 1.58, 1.6, int(times * 120)), arc_deg=140.0, slab_m=(0.2, 3.0))
+    assert (found.top_m is not None) == closed
+
+
+@pytest.mark.parametrize(("radius", "closed"), [(0.08, False), (0.12, True)])
+def test_of_a_thin_stem_no_lid_is_told_from_noise(radius: float, closed: bool) -> None:
+    found = ended(radius, 0.3, 1.6, filling(radius, 1.5, 1.6, 600), arc_deg=140.0, slab_m=(0.2, 3.0))
+    assert (found.top_m is not None) == closed
+
+
+def test_what_hangs_above_herbs_hangs() -> None:
+    herbs = filling(0.1, 0.3, 0.4, 100)
+    assert ended(0.1, 1.0, 4.0, herbs, slab_m=(0.3, 4.0)).bottom_m == 1.0
+    bush = filling(0.1, 0.3, 0.7, 400)
+    assert ended(0.1, 1.0, 4.0, bush, slab_m=(0.3, 4.0)).bottom_m is None
 
 
 def test_trees_have_no_ends() -> None:

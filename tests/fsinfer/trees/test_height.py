@@ -56,10 +56,16 @@ def test_a_cloud_that_ends_in_the_crown_shows_no_top() -> None:
     assert height_of(pole[np.hypot(pole[:, 0], pole[:, 1]) < 0.11], [stem_at(0.0, 0.0)]) is None
 
 
-def test_what_hangs_above_a_gap_belongs_to_another_tree() -> None:
+@pytest.mark.parametrize(("top_m", "gap_m"), [(10.0, 3.0), (10.0, 2.2), (9.4, 2.2)])
+def test_what_hangs_above_a_gap_belongs_to_another_tree(top_m: float, gap_m: float) -> None:
+    points = tree(0.0, 0.0, top_m)
+    low = top_m + gap_m
+    above = np.random.default_rng(1).uniform([-0.5, -0.5, low], [0.5, 0.5, low + 1.0], (300, 3))
+    assert height_of(np.concatenate([points, above]), [stem_at(0.0, 0.0)]) == pytest.approx(top_m, abs=0.06)
+
+
+def test_what_goes_on_without_a_gap_belongs_to_the_tree() -> None:
     points = tree(0.0, 0.0, 10.0)
-    above = np.random.default_rng(1).uniform([-0.5, -0.5, 13.0], [0.5, 0.5, 14.0], (300, 3))
-    assert height_of(np.concatenate([points, above]), [stem_at(0.0, 0.0)]) == pytest.approx(10.0, abs=0.06)
     joined = np.random.default_rng(1).uniform([-0.3, -0.3, 10.0], [0.3, 0.3, 11.2], (300, 3))
     taller = height_of(np.concatenate([points, joined]), [stem_at(0.0, 0.0)])
     assert taller is None or taller > 11.0
@@ -95,6 +101,22 @@ def test_a_straight_tree_that_leans_is_as_high_as_its_top(height_m: float, lean_
     points = tree(0.0, 0.0, height_m)
     points[:, 0] += lean * (points[:, 2] - 1.3)
     assert height_of(points, [stem_at(0.0, 0.0, lean=lean)]) == pytest.approx(height_m, abs=0.06)
+
+
+def test_what_stands_beside_a_leaning_stem_is_not_its_top() -> None:
+    points = tree(0.0, 0.0, 18.0)
+    points[:, 0] += 0.05 * (points[:, 2] - 1.3)
+    # A tip of which no stem is known: a metre and more behind what leans away from it.
+    beside = np.random.default_rng(3).uniform([-0.6, -0.2, 17.0], [-0.3, 0.2, 20.0], (400, 3))
+    assert height_of(np.concatenate([points, beside]), [stem_at(0.0, 0.0, lean=0.1)]) == pytest.approx(18.0, abs=0.06)
+
+
+@pytest.mark.parametrize(("widths", "seen"), [(0.2, False), (0.6, True)])
+def test_a_crown_is_clearly_wider_than_its_stem(widths: float, seen: bool) -> None:
+    points = tree(0.0, 0.0, 18.0)
+    crown = np.arange(len(points)) >= 2000
+    points[crown, :2] *= widths  # of 1.2 m at its foot
+    assert (height_of(points, [stem_at(0.0, 0.0)]) is not None) == seen
 
 
 def test_of_a_top_at_the_side_of_both_no_height_is_told() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from fsinfer.errors import CloudError
 from fsinfer.io.cloud import PointCloud, read_cloud, write_cloud
 from fsinfer.notices.notice import notice
 from fsinfer.notices.sentences import sentences
@@ -18,7 +19,7 @@ from fsinfer.trees import analyse_plot
 from fsinfer.trees.outputs.table import read_trees
 from fsinfer.trees.sanity import TURNS, SanitySettings, TurnedCloudError, thicker_upwards, thin_upwards
 from fsinfer.workflow.measure_cloud import measure_cloud_file
-from tests.support.stem_clouds import stem_plot
+from tests.support.stem_clouds import stem_plot, wall
 
 
 @pytest.mark.parametrize(("how", "turn"), TURNS, ids=[how for how, _ in TURNS])
@@ -66,6 +67,21 @@ def test_a_cloud_cut_off_in_the_crowns_above_thin_ground_is_left_alone() -> None
     codes = {told.code for told in found.warnings}
     assert StemCode.level_top in codes
     assert StemCode.thicker_upwards not in codes
+
+
+def test_pillars_between_a_floor_and_a_ceiling_alike_are_not_set_up_by_a_guess() -> None:
+    rng = np.random.default_rng(2)
+    corners = np.array([[x, y, 0.0] for x, y in product((-1.5, 1.5), repeat=2)])
+    pillars = [wall(rng, radius=0.15, spacing_m=0.02, taper=0.0, top_m=3.5) + corner for corner in corners]
+    level = np.column_stack([rng.uniform(-3.0, 3.0, (15_000, 2)), np.repeat([0.0, 3.5], 7_500)])
+    hall = np.concatenate([level, *pillars])
+    lying = (hall + rng.normal(0.0, 0.003, hall.shape)) @ TURNS[0][1]
+    with pytest.raises(CloudError, match=r"y points (up|down) or y points (up|down)") as told:
+        analyse_plot(lying)
+    assert not isinstance(told.value, TurnedCloudError)
+    # Without the ceiling it is plain.
+    with pytest.raises(TurnedCloudError, match="y points up"):
+        analyse_plot(lying[lying[:, 1] < 3.4])
 
 
 def test_a_cloud_without_a_scale_is_asked_which_way_up_it_stands() -> None:

@@ -14,7 +14,7 @@ from fsinfer.poses.adjustment.adjust import PhotoAdjustment, adjust_photos
 from fsinfer.poses.adjustment.fit import fit
 from fsinfer.poses.adjustment.last_fit import like, weighting_of
 from fsinfer.poses.adjustment.problem import Group, from_model
-from fsinfer.poses.adjustment.projection import OWN
+from fsinfer.poses.adjustment.projection import DRIFT, OWN
 from fsinfer.poses.adjustment.reduced_system import Structure
 from fsinfer.poses.adjustment.settings import AdjustmentSettings
 from fsinfer.poses.adjustment.tell import told
@@ -171,6 +171,22 @@ def test_means_are_held_about_and_across_the_rows() -> None:
     camera.width, camera.height = camera.height, camera.width
     upright = weighting_of(model, seen, start, numbers, settings, 1.0).mean_std
     np.testing.assert_array_equal(np.flatnonzero(np.isfinite(upright[0])), [4, 6])
+
+
+def test_what_is_expected_of_ways_is_in_units_of_the_model() -> None:
+    seen, truth = phone_walk(photos=8, points=300)
+    settings = AdjustmentSettings()
+    expected = []
+    for units in (1.0, 20.0):
+        larger = replace(truth, translations=units * truth.translations, points=units * truth.points)
+        model = model_of(seen, larger)
+        own_seen, start, numbers = from_model(model)
+        expected.append(weighting_of(model, own_seen, start, numbers, settings, 1.0))
+    one, twenty = expected
+    factor = np.ones(OWN)
+    factor[DRIFT] = 20.0
+    np.testing.assert_allclose(twenty.own_std, one.own_std * factor)
+    np.testing.assert_allclose(twenty.mean_std, one.mean_std * factor)
 
 
 def test_large_effects_are_told_with_what_to_do() -> None:

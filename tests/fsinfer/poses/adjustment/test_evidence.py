@@ -10,7 +10,7 @@ import pytest
 from fsinfer.poses.adjustment.evidence import Trial, confirmed, split, tried_in_turn
 from fsinfer.poses.adjustment.fit import Weighting, fit
 from fsinfer.poses.adjustment.problem import Group, Unknowns
-from fsinfer.poses.adjustment.projection import LENS
+from fsinfer.poses.adjustment.projection import LENS, PRINCIPAL
 from fsinfer.poses.adjustment.reduced_system import Structure
 from fsinfer.poses.adjustment.settings import AdjustmentSettings
 from tests.support.phone_walk import PHONE, disturbed, phone_walk
@@ -20,11 +20,21 @@ FREE[:2, 0] = FREE[4, 1] = 1
 NOISE_PX = 0.2
 
 
-def trials_of(effects: np.ndarray | None, outliers: float = 0.0, seed: int = 1) -> dict[Group, Trial]:
+def trials_of(
+    effects: np.ndarray | None, outliers: float = 0.0, seed: int = 1, larger: float = 1.0
+) -> dict[Group, Trial]:
+    """Of photos that are ``larger`` so many times, in each direction."""
     seen, truth = phone_walk(effects=effects, noise_px=NOISE_PX, outliers=outliers, seed=seed)
     own_std = np.tile(PHONE, (len(truth.rotations), 1))
+    seen, truth = replace(seen, xy=larger * seen.xy), replace(truth, lenses=truth.lenses.copy(), own=truth.own.copy())
+    for pixels in (truth.lenses[:, :4], truth.own[:, PRINCIPAL], own_std[:, PRINCIPAL]):
+        pixels *= larger
     weighting = Weighting(
-        loss_px=1.0, noise_px=NOISE_PX, own_std=own_std, mean_std=np.full_like(own_std, np.inf), lens_free=[FREE]
+        loss_px=larger,
+        noise_px=larger * NOISE_PX,
+        own_std=own_std,
+        mean_std=np.full_like(own_std, np.inf),
+        lens_free=[FREE],
     )
     start: Unknowns = fit(Structure(seen, len(truth.points)), disturbed(truth), (), weighting)
     in_turn = tried_in_turn(seen, start, weighting, AdjustmentSettings())
@@ -49,6 +59,23 @@ def test_of_a_camera_that_stood_still_nothing_is_kept(outliers: float) -> None:
 @pytest.mark.parametrize("outliers", [0.0, 0.05], ids=["clean", "with wrong matches"])
 def test_of_a_phone_turning_and_focal_length_are_kept(outliers: float) -> None:
     assert kept(PHONE, outliers) >= {Group.turn, Group.focal}
+
+
+def test_a_gain_and_its_surety_are_the_same_in_larger_photos() -> None:
+    given, larger = (trials_of(PHONE, 0.05, larger=times) for times in (1.0, 4.0))
+    for group, trial in given.items():
+        assert larger[group].kept == trial.kept
+        assert larger[group].gain == pytest.approx(trial.gain, abs=0.01)
+        assert larger[group].surety == pytest.approx(trial.surety, abs=0.3)
+
+
+def test_the_surety_is_that_of_points_counted_one_by_one() -> None:
+    # What is not there falls and rises by chance, and as each number more follows the noise a little.
+    surety = [trial.surety for seed in (1, 2) for trial in trials_of(None, seed=seed).values()]
+    assert min(surety) > -6.0
+    assert max(surety) < 3.0
+    # What is there is sure to some standard errors, not to hundreds.
+    assert 5.0 < trials_of(PHONE)[Group.turn].surety < 20.0
 
 
 def test_only_what_there_is_is_kept() -> None:

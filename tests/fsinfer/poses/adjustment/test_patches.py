@@ -61,6 +61,15 @@ def test_patches_are_found_to_hundredths_of_a_pixel(step: float) -> None:
     np.testing.assert_allclose(np.median(found.affine, axis=0), AFFINE, atol=0.01)
 
 
+def test_in_larger_photos_patches_are_found_from_as_many_more_pixels_away() -> None:
+    share = []
+    for step in (1.0, 3.0):
+        found, true = laid(step=step, off=2.0 * step)
+        share.append(np.mean(found.at_rest & (np.linalg.norm(found.xy - true, axis=1) < 0.1)))
+    assert share[0] > 0.9
+    assert share[1] > 0.9
+
+
 def test_it_is_where_a_plain_fit_finds_the_least_differences() -> None:
     grey = picture(3)
     first = smoothed(noisy(grey, 2, 1), 1.0)

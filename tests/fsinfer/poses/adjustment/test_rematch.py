@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fsinfer.io.images import luminance, read_image
 from fsinfer.poses.adjustment.adjust import PhotoAdjustment, adjust_photos
 from fsinfer.poses.adjustment.last_fit import like
 from fsinfer.poses.adjustment.problem import Ints, Observations, Unknowns, from_model
@@ -87,10 +89,11 @@ def test_too_few_patches_are_none(tmp_path: Path) -> None:
     assert told.patches == 0
 
 
-def test_a_patch_is_looked_for_where_the_photo_shows_it_as_large_and_turned_as_it_does() -> None:
+@pytest.mark.parametrize("breathing", [1.0, 60.0], ids=["as phones breathe", "zoomed"])
+def test_a_patch_is_looked_for_where_the_photo_shows_it_as_large_and_turned_as_it_does(breathing: float) -> None:
     """Photos of two lenses, rolled and read out row by row; every feature lies three pixels beside its point."""
     beside = np.array([2.5, -1.5])
-    exact, truth = phone_walk(effects=PHONE, noise_px=0.0)
+    exact, truth = phone_walk(effects=PHONE * [breathing, 1, 1, 1, 1, 1, 1, 1, 1], noise_px=0.0)
     lenses = np.repeat(truth.lenses, 2, axis=0)
     lenses[1, :2] *= 1.25
     camera = np.arange(len(exact.camera)) % 2
@@ -110,7 +113,12 @@ def test_a_patch_is_looked_for_where_the_photo_shows_it_as_large_and_turned_as_i
     settings = RematchSettings(most_photos=5)
     pairs = pairs_to_look_for(seen, truth, reference, photos(Path(), len(camera)), settings)
     assert len(pairs.point) > 2000
-    assert np.bincount(pairs.point).max() == 5
+    # Of each point five photos, or as many as could show it.
+    all_photos = RematchSettings(most_photos=len(camera))
+    every = pairs_to_look_for(seen, truth, reference, photos(Path(), len(camera)), all_photos)
+    could = np.bincount(every.point, minlength=len(truth.points))
+    assert could.max() > 5
+    np.testing.assert_array_equal(np.bincount(pairs.point, minlength=len(truth.points)), np.minimum(could, 5))
     own = seen.photo[reference[pairs.point]]
     assert (own != pairs.photo).all()
     points = truth.points[pairs.point]
@@ -127,6 +135,43 @@ def test_a_patch_is_looked_for_where_the_photo_shows_it_as_large_and_turned_as_i
     off = np.linalg.norm(shift - pairs.affine, axis=(1, 2))
     assert np.median(off) < 0.1
     assert np.percentile(off, 90) < 0.3
+
+
+def test_the_patch_of_a_point_is_taken_from_the_photo_with_the_middle_one_of_its_depths() -> None:
+    photo = np.array([3, 0, 1, 4, 2, 0, 1, 2, 5, 3, 0])
+    point = np.array([0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 3])
+    depth = np.array([5.0, 2.0, 9.0, 3.0, 7.0, 8.0, 4.0, 6.0, 1.0, 9.0, 2.5])
+    inside = np.column_stack([np.zeros((len(depth), 2)), depth])
+    found = references(observations(photo, point, 6), inside, 4)
+    # Five of the first two points each, none of the third, one of the last.
+    assert found.tolist() == [0, 7, -1, 10]
+    assert depth[found[:2]].tolist() == [np.median(depth[:5]), np.median(depth[5:10])]
+
+
+def test_patches_that_are_not_sharp_enough_do_not_count(tmp_path: Path) -> None:
+    seen, truth = painted_corner(tmp_path, photos=5)
+    patches = [
+        int((rematched(seen, off(truth), photos(tmp_path, 5), settings).weight == 1).sum())
+        for settings in (RematchSettings(), RematchSettings(max_std_px=0.01))
+    ]
+    assert patches[1] < 0.5 * patches[0]
+
+
+def test_in_photos_twice_as_large_patches_may_lie_twice_as_many_pixels_away(tmp_path: Path) -> None:
+    seen, truth = painted_corner(tmp_path, photos=5)
+    start = replace(off(truth), points=truth.points + np.random.default_rng(8).normal(0, 0.006, truth.points.shape))
+    there = photos(tmp_path, 5)
+    small = rematched(seen, start, there, RematchSettings())
+    for file in there.files:
+        grey = luminance(read_image(file))
+        cv2.imwrite(str(file), cv2.resize(grey, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC))
+    lenses = start.lenses.copy()
+    lenses[:, :4] *= 2
+    twice = replace(there, sizes=2 * there.sizes, step_px=2.0)
+    large = rematched(replace(seen, xy=2 * seen.xy), replace(start, lenses=lenses), twice, RematchSettings())
+    patches = [int((found.weight == 1).sum()) for found in (small, large)]
+    assert patches[0] > 500
+    assert patches[1] == pytest.approx(patches[0], rel=0.1)
 
 
 def photos(folder: Path, count: int) -> Photos:

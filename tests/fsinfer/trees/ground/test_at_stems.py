@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
+import pytest
 
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees import analyse_plot, find_ground
@@ -26,6 +29,18 @@ def test_stems_without_ground_are_doubtful_and_have_no_area() -> None:
     assert all(StemCode.ground_unsure in {why.code for why in tree.reasons} for tree in result.trees)
     assert result.stand.stems_per_ha is None
     assert StemCode.little_ground in {warning.code for warning in result.warnings}
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.2, True), (0.5, False)])
+def test_ground_seen_in_less_than_a_third_of_the_plot_is_told_to_be_little(share: float, told: bool) -> None:
+    rng = np.random.default_rng(4)
+    corners = np.array([[x, y, 0.0] for x, y in product((-5.8, 5.8), repeat=2)])
+    stems = [wall(rng, radius=0.15, spacing_m=0.015, taper=-0.01, top_m=4.0) + corner for corner in corners]
+    ground = np.column_stack([rng.uniform(-6.0, 6.0, (20_000, 2)), np.zeros(20_000)])
+    ground = ground[ground[:, 0] < -6.0 + 12.0 * share]
+    points = np.concatenate([ground, *stems])
+    result = analyse_plot(points + rng.normal(0.0, 0.003, points.shape))
+    assert (StemCode.little_ground in {warning.code for warning in result.warnings}) == told
 
 
 def test_ground_that_is_seen_and_followed_is_sure() -> None:
@@ -55,3 +70,4 @@ def test_low_places_of_a_thick_stem_beside_a_thin_one_are_its_own() -> None:
     places = np.array([[0.45, 0.0], [0.45, 0.8], [0.75, 0.0], [1.2, 0.0]])
     assert shows_ground(places, feet, radii).tolist() == [False, True, False, True]
     assert shows_ground(places, np.zeros((0, 2)), np.zeros(0)).all()
+    assert shows_ground(np.zeros((0, 2)), feet, radii).tolist() == []

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from fsinfer.trees import analyse_plot, find_ground
-from fsinfer.trees.ground.lowest import lowest_cells
+from fsinfer.trees.ground.lowest import MOST_CELLS, lowest_cells
 from fsinfer.trees.ground.settings import GroundSettings
 from tests.support.relief import FEET, SHAPES, Shape, gentle, hummocks, relief_plot, stream
 
@@ -91,6 +91,36 @@ def test_the_ground_does_not_climb_onto_undergrowth(shape: Shape) -> None:
     error = find_ground(plot.points).height_at(FEET) - plot.ground_m
     assert np.sqrt((error**2).mean()) < 0.04
     assert error.max() < 0.12
+
+
+@pytest.mark.parametrize("shape", [gentle, hummocks])
+def test_ground_that_undergrowth_leaves_free_on_half_of_the_plot_is_found(shape: Shape) -> None:
+    rng = np.random.default_rng(4)
+    points = surface_points(shape)
+    column, row = np.floor(points[:, :2].T + 10.0).astype(int)
+    # Metres of the plot that show nothing but leaves 15 to 60 cm up.
+    leaves = (rng.random((21, 21)) < 0.5)[column, row]
+    height = rng.uniform(0.25, 0.6, (21, 21))[column, row] * rng.uniform(0.6, 1.0, len(points))
+    ground = find_ground(points + np.column_stack([np.zeros((len(points), 2)), height * leaves]))
+    assert ground.method == "plane + raster"
+    assert 0.5 < ground.share < 0.75
+    free = points[~leaves][::200, :2]
+    error = ground.height_at(free) - shape(*free.T)
+    assert np.sqrt((error**2).mean()) < 0.015
+    assert np.abs(error).max() < 0.1
+
+
+@pytest.mark.parametrize("along", [0, 1])
+def test_a_plot_of_many_hectares_has_no_more_cells_than_can_be_solved(along: int) -> None:
+    size = np.array([200.0, 200.0])
+    size[along] = 600.0
+    xy = np.random.default_rng(6).uniform(0.0, 1.0, (60_000, 2)) * size
+    cells = lowest_cells(np.column_stack([xy, np.zeros(len(xy))]), GroundSettings())
+    assert cells.settings.cell_m == pytest.approx(np.sqrt(size.prod() / MOST_CELLS), rel=0.01)
+    assert cells.shape[0] * cells.shape[1] == pytest.approx(MOST_CELLS, rel=0.02)
+    # One of a hectare keeps its fine ones.
+    near = lowest_cells(np.column_stack([xy / size * 97.0, np.zeros(len(xy))]), GroundSettings())
+    assert near.settings.cell_m == GroundSettings().cell_m
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.1])

@@ -34,6 +34,14 @@ def test_sharp_and_hazy_points_of_a_side_do_not_err_together() -> None:
     assert worth_of_word(np.concatenate([sharp, sharp]), UPRIGHT, 1.3)[0] < 0.6 * alone[0]
 
 
+def test_of_four_times_the_haze_two_factors_of_two_err_apart() -> None:
+    haze = np.geomspace(0.008, 0.032, 600)
+    points = np.concatenate([_side(7.0, 1, std_m) for std_m in haze])
+    words = worth_of_word(points, UPRIGHT, 1.3).sum() * TOGETHER**2
+    # Those about 8, 16 and 32 mm: a side of points that are all alike sure tells one word.
+    assert 2.0 < words < 3.0
+
+
 def test_sides_are_those_about_a_leaning_axis() -> None:
     lean = UPRIGHT.copy()
     lean[2:4] = 0.5, -0.2
