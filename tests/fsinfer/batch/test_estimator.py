@@ -55,10 +55,10 @@ def test_means_over_stems_have_their_numbers_below_the_line() -> None:
 
 def test_strata_by_hand() -> None:
     # 30 ha with 400, 500, 600 and 10 ha with 200, 300 stems/ha: 0.75 * 500 + 0.25 * 250 = 437.5; variances
-    # 0.5625 * 10000 / 3 = 1875 and 0.0625 * 5000 / 2 = 156.25; df = 2031.25² / (1875² / 2 + 156.25²) = 2.3151.
+    # 0.5625 * 10000 / 3 = 1875 and 0.0625 * 5000 / 2 = 156.25; df = 2031.25² / (1875² / 2 + 156.25²) = 2.31507.
     strata: dict[str, Any] = {"stratum": np.array([0, 1, 0, 1, 0]), "stratum_areas": np.array([30.0, 10.0])}
     found = estimate([20, 10, 25, 15, 30], [0.05] * 5, **strata)
-    assert (found.plots, found.value, found.std_error, found.df) == close(5, 437.5, 45.0694, 2.31512)
+    assert (found.plots, found.value, found.std_error, found.df) == close(5, 437.5, 45.0694, 2.31507)
     assert found.cv_percent is None
     # To 40 ha: 17500 +- 1802.8 stems.
     total = found.times(40.0)
