@@ -92,11 +92,19 @@ def forest_estimates(rows: Sequence[PlotRow]) -> ForestEstimates:
     if measured and not any(row.has_border for row in measured):
         told.append(notice(SampleCode.no_borders))
     elif len(plots) < len(rows):
-        told.append(_left_out(rows, {plot.name for plot in plots}))
+        why = _why_left_out(rows, {plot.name for plot in plots})
+        left = len(rows) - len(plots)
+        told.append(
+            notice(SampleCode.plots_left_out, plots=left, of=len(rows), why=why)
+            if plots
+            else notice(SampleCode.no_plot_counts, why=why)
+        )
     if not plots:
         return ForestEstimates(rows=(), notices=tuple(told))
     areas_ha = {row.stratum: row.stratum_ha for row in rows}
-    found = {name: [plot for plot in plots if plot.stratum == name] for name in areas_ha}
+    found: dict[str, list[_Plot]] = {name: [] for name in areas_ha}
+    for plot in plots:
+        found[plot.stratum].append(plot)
     present = {name: own for name, own in found.items() if own}
     is_parted, with_areas = set(areas_ha) != {""}, None not in areas_ha.values()
     strata = [
@@ -139,14 +147,14 @@ def _figures(
     def estimate(
         own: Sequence[_Plot], amount: Callable[[_Plot], float], other: Callable[[_Plot], float]
     ) -> Estimate | None:
-        names = [name for name in areas_ha if any(plot.stratum == name for plot in own)]
-        if by_strata and len(names) < len(areas_ha):
+        if by_strata and {plot.stratum for plot in own} != set(areas_ha):
             return None
         values = [np.array([of(plot) for plot in own], dtype=np.float64) for of in (amount, other, _hectares)]
         if not by_strata:
             return estimate_ratio(*values)
-        place = np.array([names.index(plot.stratum) for plot in own], dtype=np.intp)
-        return estimate_ratio(*values, stratum=place, stratum_areas=np.array(known))
+        number = {name: place for place, name in enumerate(areas_ha)}
+        stratum_of = np.array([number[plot.stratum] for plot in own], dtype=np.intp)
+        return estimate_ratio(*values, stratum=stratum_of, stratum_areas=np.array(known))
 
     with_basal_area = [plot for plot in plots if plot.basal_area_m2 is not None]
     with_mean = [plot for plot in with_basal_area if plot.mean_dbh_cm is not None or not plot.stems]
@@ -194,13 +202,13 @@ def _sum_of_dbh(plot: _Plot) -> float:
     return plot.stems * (plot.mean_dbh_cm or 0.0)
 
 
-def _left_out(rows: Sequence[PlotRow], counted: set[str]) -> Notice:
+def _why_left_out(rows: Sequence[PlotRow], counted: set[str]) -> tuple[Notice, ...]:
+    """Each reason with the names of its plots."""
     left: dict[SampleCode, list[str]] = {}
     for row in rows:
         if row.plot not in counted:
             left.setdefault(_why(row), []).append(row.plot)
-    why = tuple(notice(code, plots=len(left[code]), names=_shown(left[code])) for code in REASONS if code in left)
-    return notice(SampleCode.plots_left_out, plots=len(rows) - len(counted), of=len(rows), why=why)
+    return tuple(notice(code, plots=len(left[code]), names=_shown(left[code])) for code in REASONS if code in left)
 
 
 def _why(row: PlotRow) -> SampleCode:

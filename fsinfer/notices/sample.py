@@ -12,6 +12,7 @@ class SampleCode(StrEnum):
     """What estimates leave out, and what they do not say."""
 
     no_borders = "no_borders"
+    no_plot_counts = "no_plot_counts"
     plots_left_out = "plots_left_out"
     # Why plots are left out.
     left_failed = "left_failed"
@@ -44,6 +45,7 @@ SENTENCES: dict[SampleCode, str] = {
         "no plot has a border, so that the forest is not estimated from them: seen ground has no size that was chosen "
         "beforehand; give plot_radius_m or plot_polygon in the table of plots"
     ),
+    SampleCode.no_plot_counts: "no plot counts ({why}), so that the forest is not estimated",
     SampleCode.plots_left_out: (
         "left out: {plots} of {of} plots ({why}); the estimates are right only as far as it is by chance which ones "
         "are missing"

@@ -112,9 +112,9 @@ def test_many_names_are_cut_short() -> None:
     ("rows", "code"),
     [
         ([plot("a", 77.0, has_border=False), PlotRow(plot="b", state=State.failed)], "no_borders"),
-        ([PlotRow(plot="a", state=State.waiting)], "plots_left_out"),
-        ([plot("a", None)], "plots_left_out"),
-        ([plot("a", 400.0, area_m2=0.0)], "plots_left_out"),
+        ([PlotRow(plot="a", state=State.waiting)], "no_plot_counts"),
+        ([plot("a", None)], "no_plot_counts"),
+        ([plot("a", 400.0, area_m2=0.0)], "no_plot_counts"),
     ],
 )
 def test_without_a_plot_that_counts_there_is_nothing_but_the_reason(rows: list[PlotRow], code: str) -> None:
