@@ -89,7 +89,8 @@ def forest_estimates(rows: Sequence[PlotRow]) -> ForestEstimates:
     plots = [plot for row in rows if (plot := _plot(row)) is not None]
     told: list[Notice] = []
     measured = [row for row in rows if row.has_border is not None]
-    if measured and not any(row.has_border for row in measured):
+    # Without a scale no border is placed, though one may have been given.
+    if measured and not any(row.has_border or row.units != "m" for row in measured):
         told.append(notice(SampleCode.no_borders))
     elif len(plots) < len(rows):
         why = _why_left_out(rows, {plot.name for plot in plots})

@@ -198,11 +198,11 @@ def _why_none(row: PlotRow) -> str:
 
 
 def _forest_lines(estimates: ForestEstimates) -> list[str]:
-    """What the plots say of the forest, and what they do not; nothing where none of them counts."""
-    if not estimates.rows:
-        return []
+    """What the plots say of the forest, and what they do not."""
     from fsinfer.notices.sentences import sentences
 
+    if not estimates.rows:
+        return [f"Forest: {text}" for text in sentences(estimates.notices)]
     of_all = estimates.rows[0]
     figures = ((of_all.stems_per_ha, "stems/ha", 0), (of_all.basal_area_m2_per_ha, "m²/ha", 1))
     told = [_figure(found, unit, digits) for found, unit, digits in figures if found is not None]
@@ -236,7 +236,9 @@ def _lines(result: BatchResult) -> list[str]:
             lines.append(f"  {row.plot}: {row.message}")
         if row.state.value == "done" and not row.trees_with_dbh:
             lines.append(f"  {row.plot} has no DBH: {_why_none(row)}")
-    lines += _forest_lines(result.estimates)
+    # Who neither has given borders nor strata has not asked for it.
+    if any(row.has_border or row.stratum for row in result.rows):
+        lines += _forest_lines(result.estimates)
     lines.append(f"Summary: {result.out / 'summary.csv'}, {result.out / 'summary.xlsx'}")
     lines.append(f"Report: {result.report}")
     return lines

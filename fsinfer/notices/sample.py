@@ -43,7 +43,8 @@ REASONS = (
 SENTENCES: dict[SampleCode, str] = {
     SampleCode.no_borders: (
         "no plot has a border, so that the forest is not estimated from them: seen ground has no size that was chosen "
-        "beforehand; give plot_radius_m or plot_polygon in the table of plots"
+        "beforehand; give plot_radius_m or plot_polygon in the table of plots; where one is given, the plot's warnings "
+        "say why it has no border"
     ),
     SampleCode.no_plot_counts: "no plot counts ({why}), so that the forest is not estimated",
     SampleCode.plots_left_out: (

@@ -112,6 +112,7 @@ def test_many_names_are_cut_short() -> None:
     ("rows", "code"),
     [
         ([plot("a", 77.0, has_border=False), PlotRow(plot="b", state=State.failed)], "no_borders"),
+        ([plot("a", None, has_border=False, units="model units"), plot("b", 77.0, has_border=False)], "no_plot_counts"),
         ([PlotRow(plot="a", state=State.waiting)], "no_plot_counts"),
         ([plot("a", None)], "no_plot_counts"),
         ([plot("a", 400.0, area_m2=0.0)], "no_plot_counts"),

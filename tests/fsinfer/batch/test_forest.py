@@ -107,6 +107,15 @@ def test_without_a_border_there_is_no_estimate_but_its_reason(tmp_path: Path) ->
     assert "No plot has a border, so that the forest is not estimated" in (out / "report.html").read_text("utf-8")
 
 
+@pytest.mark.parametrize("stratum", ["", "oak"])
+def test_who_has_asked_for_the_forest_is_told_why_there_is_none(tmp_path: Path, stratum: str) -> None:
+    table = write_table(tmp_path, [{"name": "a", "stratum": stratum}])
+    border = {"stems_per_ha": None, "basal_area_m2_per_ha": None} if not stratum else None
+    behave(tmp_path, "a", border=border)
+    _, said = batch(table, tmp_path / "out")
+    assert (f"Forest: no plot {'has a border' if stratum else 'counts (1 of which too little was seen: a)'}") in said
+
+
 def test_two_areas_of_one_stratum_are_told_before_anything_runs(tmp_path: Path) -> None:
     rows = [{"name": "a", "stratum": "beech", "stratum_ha": 30}, {"name": "b", "stratum": "Beech", "stratum_ha": 3}]
     code, said = batch(write_table(tmp_path, rows), tmp_path / "out")
