@@ -66,7 +66,7 @@ SENTENCES: dict[SampleCode, str] = {
         "has no stems"
     ),
     SampleCode.strata_without_area: (
-        "{names}: no stratum_ha is given, so the figures of all plots leave strata aside, as if the plots had been "
+        "no stratum_ha is given for {names}: the figures of all plots leave strata aside, as if the plots had been "
         "placed over the whole forest alike"
     ),
     SampleCode.strata_without_plots: (
