@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 pytestmark = pytest.mark.skipif(bool(why_not()), reason=why_not() or "a browser is there")
-NAME = "old_beech_of_the_northern_slopes" * 4
+NAME = "old_beech_of_the_northern_slopes" * 8
 
 
 @pytest.mark.parametrize("width", [1280, 390])
