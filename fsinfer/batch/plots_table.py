@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum, StrEnum
 from pathlib import Path
@@ -53,6 +53,8 @@ OPTIONS: dict[str, tuple[str, _Kind | type[StrEnum]]] = {
 }
 REQUIRED = ("name", "photos")
 PLACE = ("latitude_deg", "longitude_deg")
+#: What the plot is a sample of.
+STRATUM, STRATUM_HA = "stratum", "stratum_ha"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,6 +68,8 @@ class Plot:
     options: of ``fsinfer run``, as written on a command line.
     files: files that options name, by the option; they stand in ``options`` only when the plot is run.
     place_deg: latitude and longitude in WGS84 from the table; None where it says nothing.
+    stratum: part of the forest that it lies in, written as in the first row that names it; empty for none.
+    stratum_ha: its area, hectares, from whichever row says it; None where none does.
     row: file and row of the table, for messages.
     """
 
@@ -74,6 +78,8 @@ class Plot:
     options: tuple[str, ...] = ()
     files: tuple[tuple[str, Path], ...] = ()
     place_deg: tuple[float, float] | None = None
+    stratum: str = ""
+    stratum_ha: float | None = None
     row: str = field(default="", compare=False)
 
 
@@ -83,11 +89,11 @@ def read_plots(path: Path) -> tuple[Plot, ...]:
     Raises
     ------
     InputError
-        It cannot be read, has a column that is none of ours, no row, a name twice, or a cell that does not fit; the
-        message names row and column.
+        It cannot be read, has a column that is none of ours, no row, a name twice, two areas of one stratum, or a cell
+        that does not fit; the message names row and column.
     """
     table = read_table(path, what="the table of plots", required=REQUIRED, way_out=_WAY_OUT)
-    known = (*REQUIRED, *PLACE, *OPTIONS)
+    known = (*REQUIRED, *PLACE, STRATUM, STRATUM_HA, *OPTIONS)
     unknown = [name for name in table.columns if name and name not in known]
     if unknown:
         told = ", ".join(repr(name) for name in unknown)
@@ -103,10 +109,11 @@ def read_plots(path: Path) -> tuple[Plot, ...]:
     folder = path.absolute().parent
     plots: list[Plot] = []
     rows: dict[str, int] = {}
+    strata = _strata(table.rows)
     for row in table.rows:
-        plot = _plot(row, folder)
+        plot = _plot(row, folder, strata)
         # Windows and macOS hold names for the same that differ in capitals or in how an umlaut is put together.
-        key = unicodedata.normalize("NFC", plot.name).casefold()
+        key = _alike(plot.name)
         if key in rows:
             msg = f"{row.place}: the name {plot.name!r} stands in row {rows[key]} already; a plot needs one of its own"
             raise InputError(msg)
@@ -115,7 +122,38 @@ def read_plots(path: Path) -> tuple[Plot, ...]:
     return tuple(plots)
 
 
-def _plot(row: CsvRow, folder: Path) -> Plot:
+def _alike(name: str) -> str:
+    """The same for names that differ in capitals, or in how an umlaut is put together."""
+    return unicodedata.normalize("NFC", name).casefold()
+
+
+def _strata(rows: Sequence[CsvRow]) -> dict[str, tuple[str, float | None]]:
+    """Name and area in hectares of each stratum, by its name as :func:`_alike` has it."""
+    names: dict[str, str] = {}
+    areas: dict[str, tuple[float, int]] = {}
+    for row in rows:
+        name, area_ha = row.text(STRATUM), row.number(STRATUM_HA)
+        key = _alike(name)
+        names.setdefault(key, name)
+        if area_ha is None:
+            continue
+        if not name:
+            msg = f"{row.place}, column {STRATUM_HA}: it is the area of a stratum, which column {STRATUM} does not name"
+            raise InputError(msg)
+        if area_ha <= 0:
+            msg = f"{row.place}, column {STRATUM_HA}: {area_ha:g} is no area; give the hectares of stratum {name!r}"
+            raise InputError(msg)
+        said_ha, said_in = areas.setdefault(key, (area_ha, row.row))
+        if said_ha != area_ha:
+            msg = (
+                f"{row.place}, column {STRATUM_HA}: stratum {name!r} has {area_ha:g} ha here and {said_ha:g} ha in row "
+                f"{said_in}; a stratum has one area, that of all of it"
+            )
+            raise InputError(msg)
+    return {key: (name, areas[key][0] if key in areas else None) for key, name in names.items()}
+
+
+def _plot(row: CsvRow, folder: Path, strata: Mapping[str, tuple[str, float | None]]) -> Plot:
     name, photos = row.text("name"), row.text("photos")
     fault = _fault_of_name(name)
     if fault:
@@ -134,12 +172,15 @@ def _plot(row: CsvRow, folder: Path) -> Plot:
         else:
             options += _written(row, column, flag, kind)
     _check_together(row)
+    stratum, stratum_ha = strata[_alike(row.text(STRATUM))]
     return Plot(
         name=name,
         photos=_path(row, "photos", folder),
         options=tuple(options),
         files=tuple(files),
         place_deg=_place(row),
+        stratum=stratum,
+        stratum_ha=stratum_ha,
         row=row.place,
     )
 

@@ -1,4 +1,4 @@
-"""``report.html`` over all plots: figures, a map, the table with a link to each plot's own report, what failed."""
+"""``report.html`` over all plots: figures, what failed, a map, the forest, the table with links to plots' reports."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from pathlib import Path
 from urllib.parse import quote
 
 from fsinfer._version import __version__
+from fsinfer.batch.estimates import forest_estimates
+from fsinfer.batch.estimates_part import estimates_part
 from fsinfer.batch.outcome import State
 from fsinfer.batch.rows import PlotRow
 from fsinfer.batch.summary import count
@@ -88,6 +90,7 @@ def write_report(out: Path, rows: Sequence[PlotRow], *, title: str) -> Path:
         render_part(_tiles(rows)),
         render_part(_failed(rows), templates=_TEMPLATES),
         render_part(_map(rows), templates=_TEMPLATES),
+        render_part(estimates_part(forest_estimates(rows)), templates=_TEMPLATES),
         render_part(_table(rows), templates=_TEMPLATES),
     ]
     path = out / REPORT_FILE

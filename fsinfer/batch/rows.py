@@ -31,12 +31,14 @@ class PlotRow:
     ----------
     plot: its name. state: done, outdated (its results are not those of the options that it has now), failed or
         waiting. message: why it is not done, or that its photographs are not there.
+    stratum, stratum_ha: part of the forest that it lies in, and the area of all of it; from the table of plots.
     trees, trees_with_dbh: numbers of stems, without those outside of the walk. trees_on_area: those that the figures a
         hectare count, in the plot's border (outside of the walk or not) or on the seen ground. per_hectare_of: what the
-        figures a hectare refer to.
+        figures a hectare refer to; has_border: whether that is the plot within its border.
     stems_per_ha, basal_area_m2_per_ha: with 95 % intervals where the plot has a border; both are 0 on a plot without
         stems, of whose basal area there is no interval.
-    quadratic_mean_dbh_cm: of the stems that these figures count. area_m2: of the plot, or of the seen ground.
+    quadratic_mean_dbh_cm, mean_dbh_cm: of the stems that these figures count.
+    area_m2: of the plot, or of the seen ground.
     photos, registered: numbers of photographs. units: m, or model units without a scale. scale_source: of the metre.
     warnings: how many, without mere remarks; warning_text: they themselves.
     latitude_deg, longitude_deg: WGS84. place_source: who says so.
@@ -46,10 +48,13 @@ class PlotRow:
     plot: str
     state: State
     message: str = ""
+    stratum: str = ""
+    stratum_ha: float | None = None
     trees: int | None = None
     trees_with_dbh: int | None = None
     trees_on_area: int | None = None
     per_hectare_of: str = ""
+    has_border: bool | None = None
     stems_per_ha: float | None = None
     stems_per_ha_lo95: float | None = None
     stems_per_ha_hi95: float | None = None
@@ -57,6 +62,7 @@ class PlotRow:
     basal_area_lo95_m2_per_ha: float | None = None
     basal_area_hi95_m2_per_ha: float | None = None
     quadratic_mean_dbh_cm: float | None = None
+    mean_dbh_cm: float | None = None
     area_m2: float | None = None
     photos: int | None = None
     registered: int | None = None
@@ -76,7 +82,9 @@ class PlotRow:
 #: Columns of the summary.
 PLOT_COLUMNS: tuple[str, ...] = tuple(field.name for field in fields(PlotRow))
 #: Digits behind the point by the end of a name. Source: layout; more than the measurement has.
-_DIGITS = (("_deg", 6), ("_m2_per_ha", 2), ("_lo95", 1), ("_hi95", 1), ("_per_ha", 1), ("_cm", 2), ("_m2", 1))
+_DIGITS = (
+    ("_deg", 6), ("_m2_per_ha", 2), ("_lo95", 1), ("_hi95", 1), ("_per_ha", 1), ("_cm", 2), ("_m2", 1), ("_ha", 4),
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,6 +104,7 @@ def plot_row(plot: Plot, out: Path, outcome: Outcome | None) -> tuple[PlotRow, P
     """The row of a plot whose folder is ``out``, and its trees; nothing of a plot without results is counted."""
     place = plot.place_deg or (None if outcome is None else outcome.place_deg)
     known: dict[str, Any] = {"plot": plot.name, "state": State.waiting}
+    known |= {"stratum": plot.stratum, "stratum_ha": plot.stratum_ha}
     if place is not None:
         source = FROM_TABLE if plot.place_deg is not None else FROM_PHOTOS
         known |= {"latitude_deg": place[0], "longitude_deg": place[1], "place_source": source}
@@ -124,6 +133,7 @@ def _figures(plot: Mapping[str, Any]) -> dict[str, Any]:
         "trees_with_dbh": _whole(plot.get("trees_with_dbh")),
         "trees_on_area": _whole(border.get("stems") if border else stand.get("stems_on_area")),
         "per_hectare_of": _text(plot.get("per_hectare_of")),
+        "has_border": bool(border),
         "photos": _whole(plot.get("photos")),
         "registered": _whole(plot.get("registered")),
         "units": _text(plot.get("units")),
@@ -131,6 +141,7 @@ def _figures(plot: Mapping[str, Any]) -> dict[str, Any]:
         "warnings": len(texts),
         "warning_text": "; ".join(texts),
         "quadratic_mean_dbh_cm": _number((border or stand).get("quadratic_mean_dbh_cm")),
+        "mean_dbh_cm": _number((border or stand).get("mean_dbh_cm")),
         "area_m2": _number(border.get("area_m2") if border else plot.get("plot_area_m2")),
     }
     if not border:

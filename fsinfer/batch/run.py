@@ -12,6 +12,7 @@ from itertools import count as count_from
 from pathlib import Path
 
 from fsinfer.batch.attempt import PlotTask
+from fsinfer.batch.estimates import ForestEstimates, forest_estimates
 from fsinfer.batch.outcome import Outcome, State, read_outcome
 from fsinfer.batch.places_to_run import PlaceToRun, ThisComputer
 from fsinfer.batch.plots_table import Plot, read_plots
@@ -55,6 +56,11 @@ class BatchResult:
     counts: Counts
     ran: int
     report: Path
+
+    @property
+    def estimates(self) -> ForestEstimates:
+        """What the plots say of the forest that they sample."""
+        return forest_estimates(self.rows)
 
 
 def run_batch(

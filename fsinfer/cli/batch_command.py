@@ -14,6 +14,8 @@ from fsinfer.depth.settings import DepthSettings
 from fsinfer.notices.numbers import counted, noun
 
 if TYPE_CHECKING:
+    from fsinfer.batch.estimates import ForestEstimates
+    from fsinfer.batch.estimator import Estimate
     from fsinfer.batch.rows import PlotRow
     from fsinfer.batch.run import BatchResult, PlotNews
 
@@ -109,8 +111,8 @@ def batch(
 
     Columns: name, photos, and any of scale, aruco_length_m, aruco_dictionary, endpoints, length_m, interval_s,
     equalize, views, max_size, bh, bh_rule, plot_radius_m, plot_center, plot_polygon, edits, far_stems (as the options
-    of fsinfer run), latitude_deg, longitude_deg. A plot that fails touches no other. Run again to go on: what is
-    finished and unchanged is not repeated.
+    of fsinfer run), latitude_deg, longitude_deg, stratum, stratum_ha. A plot that fails touches no other. Run again to
+    go on: what is finished and unchanged is not repeated.
 
     Exit code: 0 when all plots are measured; 3 when some failed, or have only results of earlier options because their
     photos are not there, each with its reason in OUT/summary.csv; 2 when the table, an option or the cluster cannot be
@@ -195,6 +197,31 @@ def _why_none(row: PlotRow) -> str:
     return f"{none} be measured; see its report"
 
 
+def _forest_lines(estimates: ForestEstimates) -> list[str]:
+    """What the plots say of the forest, and what they do not."""
+    from fsinfer.notices.sentences import sentences
+
+    if not estimates.rows:
+        return [f"Forest: {text}" for text in sentences(estimates.notices)]
+    of_all = estimates.rows[0]
+    figures = ((of_all.stems_per_ha, "stems/ha", 0), (of_all.basal_area_m2_per_ha, "m²/ha", 1))
+    told = [_figure(found, unit, digits) for found, unit, digits in figures if found is not None]
+    totals = ((of_all.stems, "stems", 0), (of_all.basal_area_m2, "m²", 0))
+    on_area = [f"{found.value:.{digits}f} {unit}" for found, unit, digits in totals if found is not None]
+    lines = [f"Forest by {counted(of_all.plots, 'plot', 'plots')} ({of_all.method}): {'; '.join(told)}"]
+    if on_area:
+        lines.append(f"  On {of_all.area_ha:.10g} ha: {', '.join(on_area)}")
+    return [*lines, *(f"  Beware: {text}" for text in sentences(estimates.notices))]
+
+
+def _figure(found: Estimate, unit: str, digits: int) -> str:
+    if found.lo95 is None or found.hi95 is None:
+        return f"{found.value:.{digits}f} {unit}"
+    told = f"{found.value:.{digits}f} {unit} ({found.lo95:.{digits}f} to {found.hi95:.{digits}f}"
+    share = found.sampling_error_percent
+    return f"{told})" if share is None else f"{told}, sampling error {share:.1f} %)"
+
+
 def _lines(result: BatchResult) -> list[str]:
     counts = result.counts
     lines = [] if result.ran or counts.outdated else ["Nothing to do: everything was finished before."]
@@ -209,6 +236,9 @@ def _lines(result: BatchResult) -> list[str]:
             lines.append(f"  {row.plot}: {row.message}")
         if row.state.value == "done" and not row.trees_with_dbh:
             lines.append(f"  {row.plot} has no DBH: {_why_none(row)}")
+    # Who neither has given borders nor strata has not asked for it.
+    if any(row.has_border or row.stratum for row in result.rows):
+        lines += _forest_lines(result.estimates)
     lines.append(f"Summary: {result.out / 'summary.csv'}, {result.out / 'summary.xlsx'}")
     lines.append(f"Report: {result.report}")
     return lines

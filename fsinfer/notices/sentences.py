@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from fsinfer.notices import capture, plots, stems
+from fsinfer.notices import capture, plots, sample, stems
 from fsinfer.notices.notice import Notice, Value
 from fsinfer.notices.numbers import Counting
 
@@ -13,6 +13,7 @@ _SAID: dict[str, str | Callable[[Mapping[str, Any]], str]] = {
     **{code.value: text for code, text in capture.SENTENCES.items()},
     **{code.value: text for code, text in stems.SENTENCES.items()},
     **{code.value: text for code, text in plots.SENTENCES.items()},
+    **{code.value: text for code, text in sample.SENTENCES.items()},
 }
 _ADVICE: Mapping[str, str] = {code.value: text for code, text in stems.ADVICE.items()}
 _REMARKS = frozenset(code.value for code in (*capture.REMARKS, *stems.REMARKS))

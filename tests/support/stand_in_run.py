@@ -2,8 +2,8 @@
 
 ``python stand_in_run.py PHOTOS OUT [options]``. ``PHOTOS/behave.json`` may hold: ``seconds`` to sleep,
 ``exit`` with ``say``, ``signal`` to die by, ``gb`` to hold, ``child`` (starts another process), ``once`` (only the
-first attempt behaves so), ``cloud`` (how large the cloud is), ``end`` (seconds that it takes to end when it is told to;
-then it writes once more).
+first attempt behaves so), ``cloud`` (how large the cloud is), ``border`` (its figures, null for none), ``end`` (seconds
+that it takes to end when it is told to; then it writes once more).
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def main(photos: Path, out: Path, options: list[str]) -> None:
     (out / "figures").mkdir(exist_ok=True)
     (out / "figures" / "tree_001.png").write_bytes(b"")
     (out / "report.html").write_text(f"<html>{trees}", encoding="utf-8")
-    (out / "plot.json").write_text(json.dumps(plot(name, trees, photos)), encoding="utf-8")
+    (out / "plot.json").write_text(json.dumps(plot(name, trees, photos, behave)), encoding="utf-8")
 
 
 def misbehave(behave: dict[str, Any], out: Path) -> None:
@@ -79,18 +79,20 @@ def tree(number: int, name: str) -> str:
     return f"{number},{number * 1.5:.3f},-1.250,0.000,{interval},,,,1.30,1.00,100,0.20,0.0,,ok,"
 
 
-def plot(name: str, trees: int, photos: Path) -> dict[str, Any]:
+def plot(name: str, trees: int, photos: Path, behave: dict[str, Any]) -> dict[str, Any]:
     """The keys of ``plot.json`` that a summary reads; plots with an even number of trees have a border."""
     figure = {"value": 100.0 * trees, "lo95": 90.0 * trees, "hi95": 120.0 * trees}
     basal = {"value": 8.0 * trees, "lo95": 7.5 * trees, "hi95": 9.0 * trees}
     border = {
-        "area_m2": 500.0, "quadratic_mean_dbh_cm": 31.25, "stems_per_ha": figure, "basal_area_m2_per_ha": basal,
+        "area_m2": 500.0, "quadratic_mean_dbh_cm": 31.25, "mean_dbh_cm": 30.5, "stems_per_ha": figure,
+        "basal_area_m2_per_ha": basal,
     }  # fmt: skip
+    given = behave.get("border", {} if trees % 2 == 0 else None)
     return {
         "source": photos.name, "photos": 12, "registered": 11, "units": "m", "scale_source": "aruco", "trees": trees,
         "trees_with_dbh": trees, "stand": {"stems_per_ha": 77.0, "basal_area_m2_per_ha": 6.5},
-        "plot_area_m2": 321.0, "plot_border": border if trees % 2 == 0 else None,
-        "per_hectare_of": "the plot within its border" if trees % 2 == 0 else "seen ground only",
+        "plot_area_m2": 321.0, "plot_border": None if given is None else border | given,
+        "per_hectare_of": "seen ground only" if given is None else "the plot within its border",
         "warnings": ["one board was not found", "<b>bold</b> & =1+1"] if trees == 3 else [],
     }  # fmt: skip
 

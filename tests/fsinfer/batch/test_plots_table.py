@@ -85,6 +85,10 @@ def test_every_column_is_an_option_of_run() -> None:
         ("name,photos,plot_center\na,p,marker:7\n", "row 2: --plot-center was given without --plot-radius-m"),
         ("name,photos,plot_radius_m,plot_polygon\na,p,5,b.csv\n", "row 2: --plot-radius-m and --plot-polygon"),
         ("name,photos,latitude_deg\na,p,47\n", "belong together"),
+        ("name,photos,stratum,stratum_ha\na,p,oak,3\nb,p,Oak ,4\n", "row 3, column stratum_ha: stratum 'Oak' has 4 ha"),
+        ("name,photos,stratum,stratum_ha\na,p,oak,0\n", "row 2, column stratum_ha: 0 is no area"),
+        ("name,photos,stratum,stratum_ha\na,p,oak,much\n", "row 2, column stratum_ha: 'much' is not a number"),
+        ("name,photos,stratum_ha\na,p,3\n", "row 2, column stratum_ha: it is the area of a stratum"),
         ("name,photos,latitude_deg,longitude_deg\na,p,470,8\n", "no latitude and longitude"),
     ],
 )
@@ -94,6 +98,14 @@ def test_what_does_not_fit_is_told(tmp_path: Path, text: str, words: str) -> Non
         read_plots(path)
     assert words in str(caught.value)
     assert str(path) in str(caught.value)
+
+
+def test_a_stratum_has_the_area_that_any_of_its_rows_says(tmp_path: Path) -> None:
+    text = "name;photos;stratum;stratum_ha\na;p;Buche;\nb;p;buche ;12,5\nc;p;;\nd;p;Fichte;\ne;p;BUCHE;12,50\n"
+    plots = read_plots(write(tmp_path, text))
+    assert [(plot.stratum, plot.stratum_ha) for plot in plots] == [
+        ("Buche", 12.5), ("Buche", 12.5), ("", None), ("Fichte", None), ("Buche", 12.5),
+    ]  # fmt: skip
 
 
 def test_columns_that_a_spreadsheet_leaves_empty_beside_the_table_are_none(tmp_path: Path) -> None:
