@@ -75,9 +75,12 @@ def _like_pairs(truth: Floats, found: Floats, tolerance: float) -> NDArray[np.in
     usable = length_b >= _SHORTEST_PAIR_M
     b, length_b = b[usable], length_b[usable]
     order = np.argsort(length_a)
-    low = np.searchsorted(length_a[order], length_b - tolerance)
-    count = np.searchsorted(length_a[order], length_b + tolerance) - low
     longest = np.argsort(-length_b)
+    low, count = (np.empty(len(length_b), np.int64) for _ in range(2))
+    # Asked in their order: jumping about in the lengths of three thousand trees takes several times as long.
+    lengths_a, ascending = length_a[order], longest[::-1]
+    low[ascending] = np.searchsorted(lengths_a, length_b[ascending] - tolerance)
+    count[ascending] = np.searchsorted(lengths_a, length_b[ascending] + tolerance) - low[ascending]
     enough = int(np.searchsorted(np.cumsum(count[longest]), _MOST_TRIALS))
     # Noise can put a pair before others that are longer by less than it.
     shortest = length_b[longest[enough]] - _TIE if enough < len(longest) else 0.0

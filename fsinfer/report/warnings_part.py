@@ -33,14 +33,22 @@ LARGE_SCALE_STD = 0.01
 MOST_REASONS = 3
 #: Less of the girth than this was seen from one side only. Source: judgement; a side is half of it.
 ONE_SIDE = 0.45
+#: Trees that a warning links to; the others have it in their row of the table. Source: layout; the doubtful ones of a
+#: hectare would fill screens.
+MOST_NAMED = 60
 
 
 @dataclass(frozen=True, kw_only=True)
 class TreesWarning:
-    """A warning about ``trees`` (their numbers): it begins with links to their cards and goes on with text."""
+    """A warning about ``trees`` (their numbers): links to the cards of the first, then text."""
 
     trees: tuple[int, ...]
     text: str
+
+    @property
+    def named(self) -> tuple[int, ...]:
+        """Those that it links to."""
+        return self.trees[:MOST_NAMED]
 
 
 @dataclass(frozen=True, kw_only=True)

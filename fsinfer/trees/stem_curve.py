@@ -22,6 +22,7 @@ from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.sentences import sentence
 from fsinfer.notices.stems import StemCode
 from fsinfer.processes import shared_out
+from fsinfer.progress import Progress, silent
 from fsinfer.trees.cylinder.axis import Axis
 from fsinfer.trees.diameter.budget import relative_scale_std
 from fsinfer.trees.diameter.dbh import measure_together
@@ -109,7 +110,12 @@ COLUMNS = ("tree_id", "height_m", "diameter_cm", "std_cm", "arc_coverage", "poin
 
 
 def stem_curves(
-    points: Floats, result: PlotResult, *, settings: CurveSettings | None = None, errors: PointErrors | None = None
+    points: Floats,
+    result: PlotResult,
+    *,
+    settings: CurveSettings | None = None,
+    errors: PointErrors | None = None,
+    progress: Progress = silent,
 ) -> dict[int, tuple[CurvePoint, ...]]:
     """Stem curves by tree id from points (N, 3) in the cloud's frame, for the trees with a DBH; heights ascend.
 
@@ -134,8 +140,9 @@ def stem_curves(
             some = trees[first : first + TOGETHER]
             yield [(tree, section, _climbs(index, tree, section, origin, s)) for tree, section in some]
 
-    for found in shared_out(partial(_curves_of, s), asked()):
+    for number, found in enumerate(shared_out(partial(_curves_of, s), asked()), start=1):
         curves.update(found)
+        progress(min(number * TOGETHER, len(trees)), len(trees), "measuring stem curves")
     return curves
 
 

@@ -148,7 +148,9 @@ def _measure_plot(given: PlotCloudInput, out: Path, settings: TreeStageSettings,
         measured = replace(measured, warnings=(*measured.warnings, *forks(measured.trees, measured.sections)))
     curves: dict[int, tuple[CurvePoint, ...]] = {}
     if given.metric:
-        curves = stem_curves(given.cloud.xyz, measured, settings=settings.stem_curve, errors=given.errors)
+        curves = stem_curves(
+            given.cloud.xyz, measured, settings=settings.stem_curve, errors=given.errors, progress=progress
+        )
     whole, added = join_measured(
         measured,
         given.parts if given.metric else (),

@@ -19,6 +19,9 @@ from fsinfer.scene import read_scene
 WIDTH, MARGIN = 640.0, 34.0
 #: Least radius of a stem and of the halo round it, which belongs to its button. Source: layout; what a finger hits.
 LEAST_RADIUS, HALO = 6.0, 16.0
+#: The side of the square that a stem and its number need. Source: layout; where there is less for each on average, all
+#: that is not to scale is drawn smaller by as much, and can be read when the page is enlarged.
+ROOM = 32.0
 #: The side of the map in metres is at least this. Source: layout; a single tree must not fill it.
 LEAST_SPAN_M = 4.0
 #: Cameras farther outside the trees than this share of the map, or this distance, are not drawn. Source: layout; one
@@ -56,6 +59,7 @@ class MapView:
 
     Attributes
     ----------
+    crowd: by what marks and their numbers are drawn smaller, 1 where there is room.
     columns, rows: lines of the grid at constant x and at constant y.
     cameras: (u, v) of the photos.
     border: (u, v) of the corners of the plot's border; empty without one.
@@ -66,6 +70,7 @@ class MapView:
     height: float
     margin: float
     unit: str
+    crowd: float
     columns: tuple[GridLine, ...]
     rows: tuple[GridLine, ...]
     cameras: tuple[tuple[float, float], ...]
@@ -106,6 +111,9 @@ def stem_map(contents: Contents) -> MapView | None:
 
     shown = [tree for tree in trees if low[0] <= tree[1] <= high[0] and low[1] <= tree[2] <= high[1]]
 
+    room = (WIDTH - 2 * MARGIN) * (height - 2 * MARGIN) / max(len(shown), 1)
+    crowd = min(math.sqrt(room) / ROOM, 1.0)
+
     def place(x: float, y: float) -> tuple[float, float]:
         return MARGIN + per_unit * (x - low[0]), height - MARGIN - per_unit * (y - low[1])
 
@@ -123,11 +131,12 @@ def stem_map(contents: Contents) -> MapView | None:
         height=height,
         margin=MARGIN,
         unit="m" if contents.metric else "units",
+        crowd=crowd,
         columns=tuple(GridLine(at=place(x, low[1])[0], label=f"{x:g}") for x in _multiples(step, low[0], high[0])),
         rows=tuple(GridLine(at=place(low[0], y)[1], label=f"{y:g}") for y in _multiples(step, low[1], high[1])),
         cameras=tuple(place(x, y) for x, y in walked),
         border=tuple(place(x, y) for x, y in outline),
-        marks=tuple(_mark(tree_id, *place(x, y), tree, per_unit) for tree_id, x, y, tree in shown),
+        marks=tuple(_mark(tree_id, *place(x, y), tree, per_unit, crowd) for tree_id, x, y, tree in shown),
         legend=tuple(legend),
     )
 
@@ -146,16 +155,16 @@ def camera_places(contents: Contents) -> NDArray[np.float64]:
     return np.asarray(contents.trees_per_cloud * placed[:, :2])
 
 
-def _mark(tree_id: int, u: float, v: float, tree: Mapping[str, str], per_unit: float) -> Mark:
+def _mark(tree_id: int, u: float, v: float, tree: Mapping[str, str], per_unit: float, crowd: float) -> Mark:
     dbh_cm, status = number(tree.get("dbh_cm")), status_of(tree)
-    radius = max(0.0 if dbh_cm is None else per_unit * dbh_cm / 200, LEAST_RADIUS)
+    radius = max(0.0 if dbh_cm is None else per_unit * dbh_cm / 200, crowd * LEAST_RADIUS)
     said = f"Tree {tree_id}: " + ("no diameter" if dbh_cm is None else f"DBH {dbh_cm:.1f} cm")
     if status == "doubtful":
         said += ", doubtful"
     outside = is_in(tree) is False
     if outside:
         said += ", outside the plot"
-    halo = max(radius + 5, HALO)
+    halo = max(radius + 5 * crowd, crowd * HALO)
     return Mark(tree_id=tree_id, u=u, v=v, radius=radius, halo=halo, status=status, said=said, outside=outside)
 
 

@@ -30,6 +30,16 @@ _BORDER = "#6a3d9a"
 #: Of the figure of a section, inches: the title, each line below it, axis labels and legend, the labels at the left,
 #: the room at the right; and that between its two parts, of their mean width. Source: layout.
 _TITLE_IN, _DETAIL_LINE_IN, _BELOW_IN, _SIDE_IN, _MARGIN_IN, _BETWEEN = 0.42, 0.145, 1.0, 0.72, 0.12, 0.28
+#: The longer side of the stem map in inches, of few stems and at most. Source: layout; of the 65,535 pixels that a
+#: picture may be wide the most takes a quarter.
+_MAP_IN, _MOST_MAP_IN = 8.5, 120.0
+#: Square inches of a map for each stem with its label, and in all. Source: layout; a label is 0.35 inches wide and 0.2
+#: high, and stems do not stand evenly; the largest map has 39 million pixels.
+_LABELLED_IN2, _MOST_MAP_IN2 = 0.6, 2304.0
+#: Room beside the stems for labels, of the longer side of a map that was not enlarged. Source: layout.
+_MAP_MARGIN = 0.08
+#: Lines of its grid along a short side. Source: layout.
+_LEAST_LINES = 4
 #: Dots an inch, and the height of a line that is added above a figure, pixels. Source: layout.
 _DPI, _LINE_PX = 130, 44
 _KEPT, _DROPPED, _CIRCLE, _CURVE = "#2b5c8a", "#d1495b", "#1b1b1b", "#e08e0b"
@@ -80,9 +90,8 @@ def plot_stem_map(result: PlotResult, path: Path, *, border: NDArray[np.float64]
     metre = result.units_per_m or 1.0
     low_x, low_y, high_x, high_y = result.extent_m
     box = (low_x, low_y, max(high_x - low_x, metre), max(high_y - low_y, metre))
-    x0, y0, x1, y1 = _frame(result, border, metre)
+    (x0, y0, x1, y1), scale = _frame(result, border, metre)
     width, height = max(x1 - x0, metre), max(y1 - y0, metre)
-    scale = 8.5 / max(width, height)
     figure = _figure(max(width * scale, 4.5) + 1.0, max(height * scale, 3.2) + 1.4)
     axes = figure.add_subplot()
     axes.add_patch(Rectangle(box[:2], *box[2:], fill=False, edgecolor="0.75", linestyle="--", linewidth=1.0))
@@ -100,7 +109,7 @@ def plot_stem_map(result: PlotResult, path: Path, *, border: NDArray[np.float64]
         place = (tree.x_m, tree.y_m)
         axes.add_patch(Circle(place, radius, facecolor=face, edgecolor=colour, linewidth=1.2, alpha=alpha))
         label = f"{tree.tree_id}\n" + ("no DBH" if tree.dbh_cm is None else f"{tree.dbh_cm:.1f} cm")
-        axes.annotate(
+        written = axes.annotate(
             label,
             (tree.x_m + 0.75 * radius, tree.y_m + 0.75 * radius),
             xytext=(3, 2),
@@ -109,9 +118,16 @@ def plot_stem_map(result: PlotResult, path: Path, *, border: NDArray[np.float64]
             linespacing=1.1,
             va="bottom",
         )
+        # The frame has room for it; to ask each label takes as long as drawing it.
+        written.set_in_layout(False)
     axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal")
     unit = "m" if result.units_per_m is None else "model units"
     axes.set(xlabel=f"x ({unit})", ylabel=f"y ({unit})")
+    # A northing of 5,812,350 m would be 350, and far from it 5.812e6 to be added.
+    axes.ticklabel_format(useOffset=False, style="plain")
+    # A line of the grid an inch: eastings of six digits do not run together, nor are large maps without lines.
+    for axis, inches in (("x", width * scale), ("y", height * scale)):
+        axes.locator_params(axis=axis, nbins=max(int(inches), _LEAST_LINES))
     found = f"{len(result.all_trees)} tree{'' if len(result.all_trees) == 1 else 's'}"
     measured = sum(tree.dbh_cm is not None for tree in result.all_trees)
     told = f"{measured} with a DBH (circles to scale)" if result.units_per_m is None else "no scale, no DBH"
@@ -137,16 +153,28 @@ def plot_stem_map(result: PlotResult, path: Path, *, border: NDArray[np.float64]
     _save(figure, path)
 
 
-def _frame(result: PlotResult, border: NDArray[np.float64] | None, metre: float) -> tuple[float, float, float, float]:
-    """Least and greatest x and y of the map: its stems, its border, and room for their labels."""
+def _frame(
+    result: PlotResult, border: NDArray[np.float64] | None, metre: float
+) -> tuple[tuple[float, float, float, float], float]:
+    """Least and greatest x and y of the map: its stems, its border, and room for their labels; and inches a unit.
+
+    The map is as large as its labels need: those of a hectare would lie on top of each other on what fills a screen.
+    """
     places = [(tree.x_m, tree.y_m) for tree in result.all_trees if not tree.outside]
+    stems = len(places)
     if not places:
         x0, y0, x1, y1 = result.extent_m
         places = [(x0, y0), (x1, y1), *((tree.x_m, tree.y_m) for tree in result.all_trees)]
     corners = np.array([*places, *([] if border is None else border)])
     (x0, y0), (x1, y1) = corners.min(axis=0), corners.max(axis=0)
-    margin = max(0.08 * max(x1 - x0, y1 - y0), metre)
-    return float(x0 - margin), float(y0 - margin), float(x1 + margin), float(y1 + margin)
+    longer, shorter = (max(float(side), metre) for side in sorted((x1 - x0, y1 - y0), reverse=True))
+    # Labels of stems in a line have the margins, too.
+    shorter = max(shorter, 2.0 * _MAP_MARGIN * longer)
+    area = min(stems * _LABELLED_IN2, _MOST_MAP_IN2)
+    larger = min(max((area * longer / shorter) ** 0.5 / _MAP_IN, 1.0), _MOST_MAP_IN / _MAP_IN)
+    margin = max(_MAP_MARGIN * longer, metre) / larger
+    frame = (float(x0 - margin), float(y0 - margin), float(x1 + margin), float(y1 + margin))
+    return frame, larger * _MAP_IN / max(longer + 2.0 * margin, metre)
 
 
 def plot_section(

@@ -89,6 +89,27 @@ def test_everything_is_in_one_file_without_any_outside_reference(tmp_path: Path)
     assert page.index("What to look out for") < page.index("Stem map and trees") < page.index("How it was made")
 
 
+def test_a_hectare_of_stems_can_be_read(tmp_path: Path) -> None:
+    """Circles of a hectare's map stand apart, as those of a few do, and a warning does not name a thousand trees."""
+    places = [(2.5 * i, 2.5 * j) for i in range(40) for j in range(40)]
+    rows = [TREE | {"tree_id": k, "x_m": x, "y_m": y} for k, (x, y) in enumerate(places, start=1)]
+    doubtful = [row | {"status": "doubtful"} if k < 1000 else row for k, row in enumerate(rows)]
+    for trees, crowd in ((doubtful, True), (rows[:6], False)):
+        write_csv(tmp_path / "trees.csv", trees)
+        (tmp_path / "plot.json").write_text(json.dumps(PLOT))
+        page = make_report(tmp_path).read_text(encoding="utf-8")
+        circles = re.findall(r'class="stem" cx="([\d.]+)" cy="([\d.]+)" r="([\d.]+)"', page)
+        found = np.array(circles, dtype=np.float64)
+        assert len(found) == len(trees)
+        across = float(np.diff(np.unique(np.round(found[:, 1]))).min())
+        assert 2 * found[:, 2].max() < across
+        assert (found[:, 2].min() < 6.0) == crowd
+        assert ("--crowd: 1.000" in page) != crowd
+        if crowd:
+            assert ' data-card="60">60</a> and 940 more are doubtful' in page
+            assert page.count(" more are doubtful") == 1
+
+
 def test_warnings_name_the_trees_to_visit_again(tmp_path: Path) -> None:
     write_csv(
         tmp_path / "trees.csv",

@@ -48,6 +48,13 @@ def test_the_curve_follows_taper_and_swell(plot: StemPlot, result: PlotResult) -
         assert measured[-1][1] < measured[1][1]
 
 
+def test_curves_tell_how_far_they_are(plot: StemPlot, result: PlotResult) -> None:
+    """Those of a hectare take a minute and more."""
+    told: list[tuple[int, int, str]] = []
+    curves = stem_curves(plot.points, result, progress=lambda *said: told.append(said))
+    assert told[-1] == (len(curves), len(curves), "measuring stem curves")
+
+
 def test_the_curve_follows_what_the_photographs_say_at_breast_height(plot: StemPlot, result: PlotResult) -> None:
     def told(dbh_m: float, std_m: float) -> dict[float, float]:
         sections = tuple(
