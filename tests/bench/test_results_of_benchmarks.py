@@ -33,6 +33,7 @@ ARGUMENTS = {
     "depth": ["scenes"],
     "effects": ["out"],
     "epipolar": ["scene"],
+    "halves": ["photos", "out"],
     "judged": ["scene"],
     "kill": ["work"],
     "parity": ["scene"],
