@@ -431,6 +431,7 @@ TARGETS: dict[str, Target] = {
         ),
         tests=(
             f"{_TREES}cylinder",
+            f"{_TREES}test_stem_measurement.py",
             f"{_DIAMETER}test_tapered_fit.py",
             f"{_DIAMETER}test_measure_together.py",
         ),
