@@ -464,7 +464,12 @@ TARGETS: dict[str, Target] = {
             "fsinfer/scale/clicks/sizes.py",
             "fsinfer/scale/clicks/file.py",
         ),
-        tests=("tests/fsinfer/io/test_gravity.py", "tests/fsinfer/io/test_images.py", f"{_SCALE}test_click_sizes.py"),
+        tests=(
+            "tests/fsinfer/io/test_gravity.py",
+            "tests/fsinfer/io/test_images.py",
+            f"{_SCALE}test_click_sizes.py",
+            "tests/fsinfer/frames/test_captures.py",
+        ),
     ),
     "large-clouds": Target(
         files=("fsinfer/trees/thinning.py",),

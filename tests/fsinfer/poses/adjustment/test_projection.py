@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from fsinfer.poses.adjustment.projection import Floats, LENS, OWN, project, project_with_jacobians, read_at, read_at_of
+from fsinfer.poses.adjustment.projection import LENS, OWN, Floats, project, project_with_jacobians, read_at, read_at_of
 
 LENS_OF_ALL_TERMS = [1000.0, 1010.0, 640.0, 360.0, 0.03, -0.01, 0.001, -0.002, 0.003, 0.02, 0.01, -0.005]
 OWN_STD = [0.01, 2, 2, 0.01, 0.01, 0.01, 0.05, 0.05, 0.05]
