@@ -93,9 +93,9 @@ def in_walking_order(inliers: Mapping[Pair, int], count: int, settings: PairSett
     if not apart:
         return False
     matching = sum(found >= MIN_INLIERS for found in following)
-    return matching >= settings.order_share * len(following) and median(following) >= settings.order_ratio * max(
-        1.0, median(apart)
-    )
+    if matching < settings.order_share * len(following):
+        return False
+    return median(following) >= settings.order_ratio * median(apart)
 
 
 def pairs_beside(inliers: Mapping[Pair, int], count: int, settings: PairSettings) -> list[Pair]:

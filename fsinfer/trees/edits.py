@@ -160,7 +160,7 @@ def _measured(trees: Mapping[int, _Entry], result: PlotResult, again: PlotAgain)
     if not own:
         return {}
     found = {number: entry.found for number, entry in trees.items() if entry.found is not None}
-    deleted = {tree.tree_id for tree in result.trees} - set(found)
+    of_trees = {tree.tree_id for tree in result.trees}
     beside = []
     for other in result.stems:
         # What the search found and is no tree's hides others as before, unless a person says that it is one of them.
@@ -169,7 +169,7 @@ def _measured(trees: Mapping[int, _Entry], result: PlotResult, again: PlotAgain)
             np.linalg.norm(stem.axis.center_at(bh_m) - here) < max(stem.axis.radius_m, other.stem.axis.radius_m)
             for stem in own.values()
         )
-        if other.tree_id in found or (other.tree_id not in deleted and not is_own):
+        if other.tree_id in found or (other.tree_id not in of_trees and not is_own):
             beside.append(other.stem)
     measured = dict(zip(own, again.measured(list(own.values()), beside), strict=True))
     pairs = {number: pair for number, pair in measured.items() if pair is not None}

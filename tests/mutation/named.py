@@ -81,11 +81,11 @@ NAMED: dict[str, Named] = {
     ),
     "girth factor": Named(
         file=_DBH,
-        before="    radius *= _girth_factor(fit, spread)\n",
+        before="    girth = _girth_factor(fit, spread)\n",
         after=(
-            "",
-            "    radius *= 0.5 * (1.0 + _girth_factor(fit, spread))\n",
-            "    radius *= _girth_factor(fit, spread) ** 2\n",
+            "    girth = 1.0\n",
+            "    girth = 0.5 * (1.0 + _girth_factor(fit, spread))\n",
+            "    girth = _girth_factor(fit, spread) ** 2\n",
         ),
         tests=_interval("test_an_oval_stem_has_more_girth_than_the_circle_of_its_mean_radius"),
     ),

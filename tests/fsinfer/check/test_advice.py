@@ -79,15 +79,17 @@ def test_stems_are_numbered_in_the_order_of_walking() -> None:
 
 def test_the_other_side_seen_from_too_far_is_said() -> None:
     told = []
-    for other_side_m in (5.0, 12.0):
-        cameras = ring(np.where(HALF, 4.0, other_side_m))
+    # Photos next to those that see it stand at the edge of the other side, and not on it.
+    at_edge = HALF | np.roll(HALF, 1) | np.roll(HALF, -1)
+    for near, other_side_m in ((HALF, 5.0), (HALF, 12.0), (at_edge, 12.0)):
+        cameras = ring(np.where(near, 4.0, other_side_m))
         judged = judge_stems([STEM], HALF[None], cameras, np.array([True]))
         compass = find_compass(cameras, {})
         names = [f"p{index:02d}" for index in range(36)]
         told += advice(
             names=names, left_out=[], given=names, stems=judged, compass=compass, offsets_m=[cameras - STEM.center]
         )
-    assert ["or from more than 9 m" in line for line in told] == [False, True]
+    assert ["or from more than 9 m" in line for line in told] == [False, True, True]
 
 
 def test_sparse_stems_are_added_where_the_surface_has_none() -> None:

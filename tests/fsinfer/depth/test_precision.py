@@ -46,6 +46,7 @@ def cpuinfo(text: str, *flags: str) -> str:
         ("Darwin", "arm64", "", True),
         ("Darwin", "x86_64", "", False),
         ("Windows", "AMD64", "", False),
+        ("FreeBSD", "amd64", cpuinfo(X86, "avx2"), False),  # nobody has measured there
     ],
 )
 def test_processors_that_are_fast_at_8_bit_integers(system: str, machine: str, text: str, expected: bool) -> None:

@@ -56,6 +56,7 @@ def test_each_bad_photo_has_its_reason(photos: Path, tmp_path: Path) -> None:
     write_image(photos / "q_blurred.jpg", blurred(photo(20), 15))
     write_image(photos / "q_dark.jpg", photo(21) // 20)
     write_image(photos / "q_bright.jpg", np.full((150, 200, 3), 254, np.uint8))
+    write_image(photos / "q_pale.png", 238 + photo(24) // 30)  # no pixel is white, and all of them nearly
     write_image(photos / "q_good.jpg", photo(22))
     write_image(photos / "q_good_again.jpg", photo(22), quality=80)
     data = (photos / "p0.jpg").read_bytes()
@@ -68,11 +69,12 @@ def test_each_bad_photo_has_its_reason(photos: Path, tmp_path: Path) -> None:
         "q_blurred.jpg": "blurred",
         "q_dark.jpg": "too dark",
         "q_bright.jpg": "too bright",
+        "q_pale.png": "too bright",
         "q_good_again.jpg": "same as the one before",
         "p0.png": "same name as p0.jpg",
     }
     assert {path.stem for path in (tmp_path / "out" / "images").iterdir()} == {f"p{i}" for i in range(8)} | {"q_good"}
-    assert "6 of 15 frames were not used" in sentence(result.warnings[0])
+    assert "7 of 16 frames were not used" in sentence(result.warnings[0])
 
 
 @pytest.mark.parametrize("value", [0, 120])
@@ -227,6 +229,14 @@ def test_folders_of_the_user_are_not_touched(photos: Path, tmp_path: Path) -> No
     with pytest.raises(OutputError, match="did not make"):
         select_frames(tmp_path / "others", tmp_path)
     assert len(list((tmp_path / "images").iterdir())) == 8
+
+
+def test_other_files_of_the_output_folder_stay(photos: Path, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "notes.txt").write_text("plot 7", encoding="utf-8")
+    for _ in range(2):
+        assert len(select_frames(photos, tmp_path / "out").images) == 8
+    assert (tmp_path / "out" / "notes.txt").read_text(encoding="utf-8") == "plot 7"
 
 
 def test_nothing_usable(tmp_path: Path) -> None:

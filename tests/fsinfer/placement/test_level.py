@@ -184,6 +184,22 @@ def test_ground_plane_ignores_bushes_and_points_below() -> None:
     assert ground_plane(points + np.array([0, 0, 50]), centers) is None
 
 
+@pytest.mark.parametrize("unit", [0.01, 100.0])
+def test_the_ground_plane_is_the_same_in_any_unit(unit: float) -> None:
+    points, centers, _, _ = make_plot(slope_deg=12, foliage=20_000)
+    plane, other = ground_plane(points, centers), ground_plane(unit * points, unit * centers)
+    assert plane is not None
+    assert other is not None
+    np.testing.assert_allclose(other, plane * [1.0, 1.0, unit], rtol=1e-6, atol=1e-9 * unit)
+
+
+@pytest.mark.parametrize(("slope_deg", "is_ground"), [(25.0, True), (60.0, False)])
+def test_a_rock_face_is_no_ground(slope_deg: float, is_ground: bool) -> None:
+    points, _, _, _ = make_plot(slope_deg=slope_deg, stems=0)
+    plane = ground_plane(points, np.array([[0.0, 0.0, 20.0]]))
+    assert (plane is not None) == is_ground
+
+
 def test_normals_of_a_plane() -> None:
     rng = np.random.default_rng(0)
     flat = np.column_stack([rng.uniform(0, 1, (2000, 2)), rng.normal(0, 1e-4, 2000)])
@@ -262,6 +278,22 @@ def test_notes_that_are_worth_nothing_are_left_alone(wrong: str) -> None:
     up, method = estimate_up(points, None, right, down, gravity=gravity, camera_centers=centers)
     assert method == "cameras"
     assert angle_deg(up, turn[:, 2]) < 1.5
+
+
+@pytest.mark.parametrize("pitch_deg", [-35.0, 0.0, 35.0])
+def test_a_scene_stands_upright_whether_its_photographs_look_up_or_down(tmp_path: Path, pitch_deg: float) -> None:
+    turn, (points, centers, down, right) = move(make_plot(pitch_deg=pitch_deg))
+    views = []
+    for number, center in enumerate(centers):
+        pose = np.eye(4)
+        pose[:3, :3] = np.stack([right[number], down[number], np.cross(right[number], down[number])])
+        pose[:3, 3] = -pose[:3, :3] @ center
+        camera = Camera(intrinsic=np.diag([100.0, 100.0, 1.0]), cam_from_world=pose, depth_min=1.0, depth_max=9.0)
+        views.append(View(name=str(number), image_path=tmp_path / f"{number}.jpg", camera=camera, sources=()))
+    plot_from_scene, height, ground_seen = level_scene(points, Scene(folder=tmp_path, views=tuple(views)))
+    assert angle_deg(plot_from_scene[2, :3], turn[:, 2]) < 1.0
+    assert ground_seen
+    assert height == pytest.approx(1.5, abs=0.1)
 
 
 def test_a_scene_tells_gravity_by_the_notes_of_its_photographs(tmp_path: Path) -> None:

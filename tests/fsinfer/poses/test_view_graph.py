@@ -27,10 +27,13 @@ def focal_px(database: Path) -> tuple[float, bool]:
     return float(camera.params[0]), bool(camera.has_prior_focal_length)
 
 
+@pytest.mark.parametrize("rank", [None, RANK])
 @pytest.mark.parametrize("guess", [0.8, 1.25])
-def test_the_pairs_tell_a_focal_length_that_nobody_knows(guess: float, tmp_path: Path) -> None:
+def test_the_pairs_tell_a_focal_length_that_nobody_knows(
+    guess: float, rank: dict[int, int] | None, tmp_path: Path
+) -> None:
     database = pairs_of_walk(tmp_path / "pairs.db", focal_px=guess * FOCAL_PX)
-    calibrate(database, tmp_path)
+    calibrate(database, tmp_path, rank)
     found, known = focal_px(database)
     assert found == pytest.approx(FOCAL_PX, rel=0.02)
     assert known

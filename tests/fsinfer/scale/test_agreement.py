@@ -44,6 +44,17 @@ def test_boards_of_a_warped_model_do_not_contradict_each_other() -> None:
     assert agreement(np.array([1.0, 1.06]), np.array([0.001, 0.02]), SETTINGS).decided
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_of_two_pairs_that_share_a_board_the_surer_counts(turned: bool) -> None:
+    # The outer two contradict each other, and the one between them either neither; it is by far the surest.
+    scales, stds = np.array([0.98, 1.0, 1.02]), np.array([0.004, 0.0005, 0.003])
+    if turned:
+        scales, stds = 2.0 - scales, stds
+    found = agreement(scales, stds, SETTINGS)
+    assert found.agrees.tolist() == [False, True, True]
+    assert found.decided
+
+
 @given(
     scales=st.lists(st.floats(0.9, 1.1), min_size=1, max_size=8),
     seed=st.integers(0, 1000),

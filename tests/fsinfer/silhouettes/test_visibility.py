@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -46,3 +47,15 @@ def test_stems_of_a_hectare_are_in_reach_as_each_by_itself_is() -> None:
     # A tenth of it: most of a hectare is not near.
     assert took < 0.5 * (time.process_time() - began - took)
     assert stems_in_reach([], cameras[0], settings) == []
+
+
+def test_a_thin_stem_before_a_small_picture_is_in_reach() -> None:
+    camera = level_camera(np.array([0.0, 0.0, 1.5]), 0.0)
+    small = replace(camera, intrinsic=camera.intrinsic * [[0.1], [0.1], [1.0]])
+    stems = [
+        StemAxis(breast=np.array([x, 0.0, 1.3]), along=np.array([0.0, 0.0, 1.0]), radius_m=0.03, taper=0.0)
+        for x in (0.6, 0.8, 1.5)
+    ]
+    # 4, 3 and 1.6 pixels.
+    assert stems_in_reach(stems, small, EdgeSettings()) == [0, 1]
+    assert stems_in_reach(stems, camera, EdgeSettings()) == [0, 1, 2]

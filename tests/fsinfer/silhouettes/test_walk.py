@@ -73,6 +73,7 @@ def test_far_stems_come_last_keep_their_number_and_have_no_diameter() -> None:
     assert why.code == StemCode.outside_walk
     assert why.values["nearest_m"] == pytest.approx(13.0)
     assert result.sections[2].dbh_m is None
+    assert result.sections[2].circle_m[2] == pytest.approx(0.15)  # drawn as thick as it is
     assert result.warnings == (notice(StemCode.stems_outside_walk, stems=2, trees="1, 3"),)
     assert result.diagnosis == notice(StemCode.trees_found, trees=2, measured=2)
     assert result.stand.stems == 2

@@ -200,6 +200,25 @@ def test_trees_that_are_deleted_and_added_again_are_as_they_were_found(wood: NDA
             assert again.status == tree.status
 
 
+def test_a_stem_that_is_no_tree_hides_its_part_of_a_tree_that_is_added_again() -> None:
+    """Too thin for the table, it stands before the bark of a thick one as before."""
+    rng = np.random.default_rng(5)
+    floor = np.column_stack([rng.uniform(-2.0, 4.0, (30_000, 2)), rng.normal(0.0, 0.005, 30_000)])
+    thick = wall(rng, radius=0.15, spacing_m=0.015, top_m=4.0)
+    thin = wall(rng, radius=0.06, spacing_m=0.01, top_m=4.0) + np.array([0.26, 0.0, 0.0])
+    points = np.concatenate([thick, thin, floor])
+    settings = replace(SETTINGS, min_dbh_cm=15.0)
+    found = analyse_plot(points, settings=settings)
+    (tree,) = found.trees
+    assert len(found.stems) == 2
+    edits = (TreeEdit(action="delete", row=2, tree_id=tree.tree_id), added(tree))
+    edited = apply_edits(found, points, edits, settings=settings)
+    assert edited.trees[0].dbh_cm == pytest.approx(tree.dbh_cm, abs=0.02)
+    # Half of the gap between the two, and no bark of the thin one beyond it.
+    for section in (*found.sections, *edited.sections):
+        assert np.linalg.norm(section.offsets_m, axis=1).max() < 0.15 + 0.03
+
+
 def test_a_deleted_tree_hides_nothing(wood: NDArray[np.float64]) -> None:
     found = analyse_plot(wood, settings=SETTINGS)
     low, high = (found.trees[found_at(found, *place)] for place in ((7.0, 2.1), (5.87, 2.0)))

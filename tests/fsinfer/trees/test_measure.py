@@ -14,7 +14,7 @@ from fsinfer.notices.notice import notice
 from fsinfer.notices.sentences import sentence
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees import PlotResult, TreeSettings, analyse_plot, measure_trees
-from fsinfer.trees.measure import trees_found
+from fsinfer.trees.measure import near_plot, trees_found
 from tests.support.stem_clouds import StemPlot, stem_plot
 
 
@@ -112,6 +112,11 @@ def test_the_diagnosis_says_what_the_cloud_lacks() -> None:
     assert leaves.trees == ()
     assert sentence(leaves.diagnosis).startswith("no trees found: ")
     assert "hardly a point" not in sentence(leaves.diagnosis)
+    # A roof of leaves with nothing below it.
+    roof = np.column_stack([rng.uniform(0, 8, (2000, 2)), rng.uniform(6.0, 9.0, 2000)])
+    assert "hardly a point lies 0.5-2.5 m above the ground" in sentence(
+        analyse_plot(np.concatenate([ground(), roof]), turned=True).diagnosis
+    )
 
 
 def test_thin_stems_are_left_to_the_undergrowth(plot: StemPlot, result: PlotResult) -> None:
@@ -127,3 +132,24 @@ def test_thin_stems_are_left_to_the_undergrowth(plot: StemPlot, result: PlotResu
 def test_what_is_no_array_of_numbers_is_refused(points: Any, metric: bool) -> None:
     with pytest.raises(CloudError, match=r"\(N, 3\)"):
         measure_trees(points, metric=metric)
+
+
+@pytest.mark.parametrize("shape", [(6000,), (2000, 2), (2000, 4), (20, 100, 3)])
+def test_an_array_of_another_shape_is_no_cloud(shape: tuple[int, ...]) -> None:
+    points = np.random.default_rng(0).uniform(0.0, 10.0, shape)
+    with pytest.raises(CloudError, match=r"array of shape \(N, 3\)"):
+        measure_trees(points)
+
+
+@pytest.mark.parametrize("moved", [(0.0, 0.0, 0.0), (4.5e5, 5.4e6, 800.0)])
+def test_strays_are_told_wherever_the_plot_lies_and_whichever_point_comes_first(
+    moved: tuple[float, float, float],
+) -> None:
+    # A strip of 10 m by 2 m; as far beside it as half its length and two metres more may be crowns of its trees.
+    box = np.array([[0.0, 0.0], [10.0, 2.0]])
+    strays = np.array([[5.0, 1.0, 3e4], [5.0, 10.0, 0.0], [-8.0, 1.0, 0.0], [900.0, 1.0, 0.0]])
+    beside = np.array([[5.0, 8.5, 0.0], [-6.5, 1.0, 5.0]])
+    inside = np.random.default_rng(0).uniform([0.0, 0.0, 0.0], [10.0, 2.0, 20.0], (500, 3))
+    points = np.concatenate([strays, beside, inside]) + moved
+    near = near_plot(points, box + moved[:2])
+    assert near.tolist() == [False] * 4 + [True] * 502

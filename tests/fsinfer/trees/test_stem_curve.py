@@ -75,6 +75,27 @@ def test_the_curve_follows_what_the_photographs_say_at_breast_height(plot: StemP
         assert abs(unsure[height] - alone[height]) < 0.15
 
 
+def test_an_error_of_the_scale_makes_a_stem_unsure_and_moves_no_height_of_it(
+    plot: StemPlot, result: PlotResult
+) -> None:
+    number, first = result.trees[0].tree_id, result.sections[0]
+    assert first.dbh_m is not None
+    # Photographs that say another diameter than the points: how far they move the curve is by how sure they are.
+    sure = replace(first, dbh_m=first.dbh_m + 0.01, sd_m=0.003, dof=float("inf"), parts_m={"scale": 0.0})
+    rel_std = 0.02
+    part_m = rel_std * 0.5 * (first.dbh_m + 0.01)
+    scaled = replace(sure, sd_m=float(np.hypot(0.003, 2 * part_m)), parts_m={"scale": part_m})
+    exact, unsure = (
+        stem_curves(plot.points, replace(result, sections=(section, *result.sections[1:])))[number]
+        for section in (sure, scaled)
+    )
+    assert [p.diameter_cm for p in unsure] == pytest.approx([p.diameter_cm for p in exact])
+    for one, other in zip(exact, unsure, strict=True):
+        assert (one.std_cm is None) == (other.std_cm is None)
+        if one.std_cm is not None and one.diameter_cm is not None:
+            assert other.std_cm == pytest.approx(np.hypot(one.std_cm, rel_std * one.diameter_cm))
+
+
 def test_a_diameter_that_was_measured_elsewhere_counts_there(plot: StemPlot, result: PlotResult) -> None:
     first = result.sections[0]
     lower = replace(first, by_taper_m=-0.01, sd_m=0.0025, dof=float("inf"))

@@ -150,6 +150,33 @@ def test_two_stems_that_nearly_touch_keep_their_own_points() -> None:
     assert (second.x_m, second.y_m) == pytest.approx((100.32, 200.0), abs=0.005)
 
 
+@pytest.mark.parametrize(("along_x", "along_y", "per_m"), [(0.3, 0.1, 0.0), (0.1, 0.3, 0.0), (0.6, 0.0, 0.6)])
+def test_two_stems_that_lean_beside_each_other_keep_their_own_points(
+    along_x: float, along_y: float, per_m: float
+) -> None:
+    """On a slope the place at breast height above the ground there is another one than above the foot."""
+    ground, feet, radii = slope(per_m), (0.0, 0.32), (0.15, 0.12)
+    stands, stems = [], []
+    for seed, (foot, radius) in enumerate(zip(feet, radii, strict=True)):
+        points = stem_points(foot, radius, seed)
+        points[:, :2] += np.outer(points[:, 2], [along_x, along_y])
+        points[:, 2] += per_m * foot
+        stands.append(points - np.column_stack([np.zeros((len(points), 2)), ground.height_at(points[:, :2])]))
+        # What the search sees stands on ground made level, which leans more.
+        lean = np.array([along_x, along_y]) / (1 - along_x * per_m)
+        at = np.array([foot, 0.0]) + 1.3 * lean
+        axis = Axis(parameters=np.array([*at, *lean, radius, -0.005]), height_m=1.3, sigma_m=0.004)
+        stems.append(replace(stem_at(foot, radius), axis=axis))
+    search = StemSearch(stems=tuple(stems), candidates=2, rejected={}, spacing_m=0.01)
+    pairs = measure_stems(np.concatenate(stands), search, ground, TreeSettings(), 0.0, np.zeros(3))
+    # Circles at every height are an oval across the stem, as much thinner one way as it leans.
+    across = 0.5 * (1 + 1 / np.sqrt(1 + along_x**2 + along_y**2))
+    for (tree, section), foot, radius in zip(pairs, feet, radii, strict=True):
+        assert tree.dbh_cm == pytest.approx(200 * radius * across, abs=0.4)
+        assert (tree.x_m, tree.y_m) == pytest.approx((foot + 1.3 * along_x, 1.3 * along_y), abs=0.01)
+        assert np.linalg.norm(section.offsets_m, axis=1).max() < radius + 0.03
+
+
 def test_thin_stems_are_no_trees_but_unmeasured_ones_stay() -> None:
     points = np.concatenate([stem_points(0.0, 0.10), stem_points(3.0, 0.15, 1)])
     pairs = measured({0.0: 0.10, 3.0: 0.15, 6.0: 0.15}, points, min_dbh_cm=25.0)

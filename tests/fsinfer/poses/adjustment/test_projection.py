@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from fsinfer.poses.adjustment.projection import LENS, OWN, Floats, project, project_with_jacobians
+from fsinfer.poses.adjustment.projection import LENS, OWN, Floats, project, project_with_jacobians, read_at, read_at_of
 
 LENS_OF_ALL_TERMS = [1000.0, 1010.0, 640.0, 360.0, 0.03, -0.01, 0.001, -0.002, 0.003, 0.02, 0.01, -0.005]
 OWN_STD = [0.01, 2, 2, 0.01, 0.01, 0.01, 0.05, 0.05, 0.05]
@@ -60,3 +60,13 @@ def test_each_of_a_photo_moves_the_last_row(index: int, value: float, moves_by: 
     still = project(point, last, lens, own)
     own[0, index] = value
     np.testing.assert_allclose(project(point, last, lens, own) - still, [moves_by], atol=1e-9)
+
+
+def test_rows_are_read_across_the_longer_side_of_pictures_held_either_way() -> None:
+    pixels = np.random.default_rng(0).uniform(0.0, 300.0, (40, 2))
+    sizes = np.where(np.arange(40)[:, None] % 2 == 0, [400, 300], [300, 400])
+    expected = [read_at(pixels[i : i + 1], *map(int, sizes[i]))[0] for i in range(40)]
+    np.testing.assert_allclose(read_at_of(pixels, sizes), expected)
+    # The top of a picture that lies, and the left of one that stands, are read first.
+    assert read_at(np.array([[150.0, 0.0]]), 400, 300) == -0.5
+    assert read_at(np.array([[0.0, 150.0]]), 300, 400) == -0.5

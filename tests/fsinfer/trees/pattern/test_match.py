@@ -70,6 +70,16 @@ def test_rows_that_look_alike_after_a_step_are_not_told_apart() -> None:
     assert match_stems(StemMap.of(rows), part) is None
 
 
+def test_stems_that_look_the_same_turned_half_round_do_not_tell_which_way() -> None:
+    """Each has its like on the other side of the middle: a part fits at two places, and no third one."""
+    half = [tree for tree in strewn(24, seed=11) if tree.x_m > 8.5]
+    assert len(half) > 8
+    like = [replace(tree, tree_id=100 + tree.tree_id, x_m=16.0 - tree.x_m, y_m=16.0 - tree.y_m) for tree in half]
+    both, part = StemMap.of([*half, *like]), elsewhere(half)
+    assert match_stems(StemMap.of(half), part) is not None
+    assert match_stems(both, part) is None
+
+
 def test_stems_of_other_diameters_are_others() -> None:
     plot = strewn(24, seed=7)
     other = [replace(tree, dbh_cm=50.0 + 3.0 * k, dbh_lo95_cm=49.5, dbh_hi95_cm=50.5) for k, tree in enumerate(plot)]

@@ -5,17 +5,27 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fsinfer.trees.points.cells import PlanIndex, column_max, column_min, count_cells, near_paths, rows, taken, thin
+from fsinfer.trees.points.cells import (
+    PlanIndex,
+    cell_numbers,
+    column_max,
+    column_min,
+    count_cells,
+    near_paths,
+    rows,
+    taken,
+    thin,
+)
 from fsinfer.trees.search.find import _rounds
 from fsinfer.trees.search.hough import _REACH_CELLS, _moments
 
 
 def test_points_near_a_place_are_all_found() -> None:
-    points = np.random.default_rng(0).uniform(-5.0, 5.0, (4000, 3))
+    points = np.random.default_rng(0).uniform([-5.0, -3.0, 0.0], [5.0, 3.0, 1.0], (4000, 3))
     # Few cells and many: their numbers are sorted in 16 bits and in more.
     for cell_m in (1.0, 0.01):
         index = PlanIndex(points, cell_m)
-        for place in ([0.0, 0.0], [4.9, -4.9], [9.0, 0.0]):
+        for place in ([0.0, 0.0], [4.9, -2.9], [-4.9, 2.9], [9.0, 0.0]):
             away = np.hypot(points[:, 0] - place[0], points[:, 1] - place[1])
             found = index.near(np.array(place), 0.7)
             assert {tuple(p) for p in found} == {tuple(p) for p in points[away <= 0.7]}
@@ -26,6 +36,7 @@ def test_no_point_near_a_path_is_left_out() -> None:
     points = rng.uniform(-3.0, 3.0, (20000, 3))
     starts, ends = rng.uniform(-3.5, 3.5, (6, 2)), rng.uniform(-3.5, 3.5, (6, 2))
     ends[0] = starts[0]
+    starts[1], ends[1] = (3.0, 3.0), (0.0, 0.0)
     share = np.linspace(0.0, 1.0, 600)[:, None]
     path = np.concatenate([a + share * (b - a) for a, b in zip(starts, ends, strict=True)])
     away = cKDTree(path).query(points[:, :2])[0]
@@ -44,6 +55,16 @@ def test_cells_are_counted_once() -> None:
     points = np.random.default_rng(2).uniform(-1.0, 1.0, (500, 2))
     assert count_cells(points, 0.1) == len(np.unique(np.floor(points / 0.1), axis=0))
     assert count_cells(points[:0], 0.1) == 0
+
+
+def test_cells_have_numbers_of_their_own_that_are_not_negative_wherever_the_points_lie() -> None:
+    points = np.random.default_rng(2).uniform(-1.0, 1.0, (500, 2))
+    for moved in (points, points - 7.0, points + 7.0, points * [1.0, 30.0]):
+        numbers = cell_numbers(moved, 0.25)
+        cells = np.floor(moved / 0.25)
+        same = (cells[:, None] == cells[None]).all(axis=2)
+        assert numbers.min() >= 0
+        assert ((numbers[:, None] == numbers[None]) == same).all()
 
 
 def test_columns_have_the_bounds_of_numpy() -> None:
