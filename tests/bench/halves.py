@@ -82,9 +82,10 @@ def cloud_of(out: Path, half: str, all_centers: dict[str, Floats]) -> Floats:
     """Points (N, 3) of a half, in the frame of the cameras of all photographs."""
     own = _centers(out / half / "scene")
     shared = [name for name in own if name in all_centers]
-    move = fit_similarity(np.stack([own[n] for n in shared]), np.stack([all_centers[n] for n in shared]))
+    places = [np.stack([one[name] for name in shared]) for one in (own, all_centers)] if shared else []
+    move = fit_similarity(*places) if places else None
     if move is None:
-        msg = f"the cameras of {out / half} do not tell where they stand among all"
+        msg = f"too few of the cameras of {out / half} are among those of all photographs"
         raise SystemExit(msg)
     return apply(move, read_cloud(out / half / "fused" / "cloud.ply").xyz.astype(np.float64))
 
