@@ -137,7 +137,7 @@ def batch(
             f"--precision={precision.value}",
         ),
     )
-    _check_rows(plots, context)
+    _check_rows(plots, out, context)
     result = run_batch(plots, out, settings=settings, news=_say_nothing if quiet else _say_news)
     for line in _lines(result):
         typer.echo(line)
@@ -145,22 +145,28 @@ def batch(
         raise typer.Exit(EXIT_SOME_FAILED)
 
 
-def _check_rows(table: Path, context: typer.Context) -> None:
+def _check_rows(table: Path, out: Path, context: typer.Context) -> None:
     """What ``fsinfer run`` would refuse of a row is told before any plot is measured.
+
+    A file of a plot that is finished may lie on a disk that is not there, as its photographs may.
 
     Raises
     ------
     InputError
         With the row.
     """
+    from fsinfer.batch.outcome import State, read_outcome
     from fsinfer.batch.plots_table import read_plots
+    from fsinfer.batch.rows import PLOTS_FOLDER
     from fsinfer.errors import InputError
 
     group = context.parent.command if context.parent is not None else None
     run = getattr(group, "commands", {}).get("run")
     for plot in read_plots(table):
+        before = read_outcome(out / PLOTS_FOLDER / plot.name)
+        finished = before is not None and before.state is State.done
         for option, path in plot.files:
-            if not path.is_file():
+            if not path.is_file() and not finished:
                 msg = f"{plot.row}: the file of {option}, {path}, does not exist; correct the cell"
                 raise InputError(msg)
         if run is None:
