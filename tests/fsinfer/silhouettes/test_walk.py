@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fsinfer.notices.notice import notice
+from fsinfer.notices.sentences import sentence
 from fsinfer.notices.stems import StemCode
 from fsinfer.silhouettes.walk import WalkSettings, apart_from_walk, outside_walk
 from fsinfer.trees import PlotResult, Section, Tree
@@ -74,6 +75,8 @@ def test_far_stems_come_last_keep_their_number_and_have_no_diameter() -> None:
     assert why.values["nearest_m"] == pytest.approx(13.0)
     assert result.sections[2].dbh_m is None
     assert result.warnings == (notice(StemCode.stems_outside_walk, stems=2, trees="1, 3"),)
+    # Those in the plot's border count there, which is told by another warning.
+    assert "are listed apart and not counted on the seen ground: 1, 3; go nearer" in sentence(result.warnings[0])
     assert result.diagnosis == notice(StemCode.trees_found, trees=2, measured=2)
     assert result.stand.stems == 2
     assert result.stand.stems_per_ha == pytest.approx(50.0)
