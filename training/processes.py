@@ -14,6 +14,8 @@ import torch
 import torch.distributed as dist
 from torch import nn
 
+from fsinfer.errors import InputError
+
 
 @dataclass(frozen=True, kw_only=True)
 class Processes:
@@ -34,11 +36,20 @@ class Processes:
         return self.rank == 0
 
     def device(self, wanted: str) -> torch.device:
-        """``auto``, ``cpu`` or ``cuda`` as a device; the GPUs are shared out, several processes a GPU if need be."""
+        """``auto``, ``cpu`` or ``cuda`` as a device; the GPUs are shared out, several processes a GPU if need be.
+
+        Raises :class:`InputError` where this computer has no such device.
+        """
         kind = ("cuda" if torch.cuda.is_available() else "cpu") if wanted == "auto" else wanted
-        if kind == "cuda" and self.count > 1:
-            return torch.device("cuda", self.local_rank % torch.cuda.device_count())
-        return torch.device(kind)
+        gpus = torch.cuda.device_count() if torch.cuda.is_available() else 0
+        try:
+            device = torch.device(kind)
+        except RuntimeError:
+            device = None
+        if device is None or (device.type == "cuda" and (device.index or 0) >= gpus):
+            msg = f"--device {wanted}: PyTorch finds no such device on this computer; give auto, or cpu"
+            raise InputError(msg)
+        return torch.device("cuda", self.local_rank % gpus) if kind == "cuda" and self.count > 1 else device
 
     def average_gradients(self, model: nn.Module) -> None:
         """Give every process the mean over all of the gradients and of the batch-norm statistics.

@@ -43,7 +43,8 @@ class Outcome:
     attempts: that were made. seconds: that all of them took, those of earlier batches too.
     host: the computer of the last one. peak_gb: largest memory, where there was a limit on it.
     place_deg: latitude and longitude in WGS84, the middle of those that the photographs carry; None without any.
-    inputs: digest of what it was made from; options: of that without the photographs, empty where it was not kept.
+    inputs: digest of what it was made from; options: of that without the photographs; named: of that
+        without what the files hold that options name. Empty where they were not kept.
     results: digests of its main files.
     """
 
@@ -58,6 +59,7 @@ class Outcome:
     place_deg: tuple[float, float] | None = None
     inputs: str = ""
     options: str = ""
+    named: str = ""
     results: tuple[str, ...] = ()
 
 
@@ -65,8 +67,8 @@ def read_outcome(out: Path) -> Outcome | None:
     """The outcome kept in a plot's folder; None where there is none, or one that cannot be read."""
     try:
         kept = json.loads((out / OUTCOME_FILE).read_text(encoding="utf-8"))
-        # Earlier versions kept no digest of the options alone.
-        return of_json(Outcome, {"options": ""} | kept)
+        # Earlier versions kept no digests of the options alone.
+        return of_json(Outcome, {"options": "", "named": ""} | kept)
     except (OSError, ValueError, TypeError, KeyError):
         return None
 

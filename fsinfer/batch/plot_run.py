@@ -30,16 +30,22 @@ def run_plot(task: PlotTask, files: Files) -> Outcome:
 def measured(task: PlotTask, files: Files, try_it: Callable[[], Attempt]) -> Outcome:
     """The outcome of ``try_it``, or the one kept from earlier where nothing has changed since, or nothing can be done.
 
-    It is kept, unless the photographs are not there: then what was kept of the plot stays.
+    It is kept, unless the photographs are not there, or a file that an option names: then what was kept of the plot
+    stays.
     """
     photos = photo_files(task.photos)
     words, paths = (*task.options, *(flag for flag, _ in files)), [path for _, path in files]
     inputs, options = (inputs_digest(read, task.out, words, paths) for read in (photos, ()))
+    # What a file holds that is not there cannot be compared, but its name can.
+    named = inputs_digest((), task.out, (*words, *(path.name for path in paths)), ())
     before = read_outcome(task.out)
     if before is not None and before.state is State.done:
         results = result_digests(task.out)
-        if results and not photos:
-            told = _without_photos(before, task.photos, options=options, results=results)
+        gone = _gone(task.photos, files)
+        if results and gone:
+            whole = all(path.is_file() for path in paths)
+            kept, now = (before.options, options) if whole else (before.named, named)
+            told = _without_inputs(gone, known=bool(kept), same=kept == now, unchanged=results == before.results)
             return replace(before, ran=False, **told)
         if results and results == before.results and before.inputs == inputs:
             return replace(before, ran=False)
@@ -58,6 +64,7 @@ def measured(task: PlotTask, files: Files, try_it: Callable[[], Attempt]) -> Out
         place_deg=place_of_photos(photos),
         inputs=inputs,
         options=options,
+        named=named,
         results=result_digests(task.out) if tried.done else (),
     )
     if outcome.state is State.done and not outcome.results:
@@ -67,14 +74,23 @@ def measured(task: PlotTask, files: Files, try_it: Callable[[], Attempt]) -> Out
     return outcome
 
 
-def _without_photos(before: Outcome, photos: Path, *, options: str, results: tuple[str, ...]) -> dict[str, Any]:
-    """State and message of a plot that was done ``before``, and whose photographs are on a disk that is not there."""
-    gone = f"its photos are not there at the moment ({photos})"
-    if not before.options:
+def _gone(photos: Path, files: Files) -> str:
+    """What of a plot's inputs lies on a disk that is not there; empty where all are."""
+    gone = [] if photo_files(photos) else [f"its photos are not there at the moment ({photos})"]
+    gone += [f"the file of {flag} is not there at the moment ({path})" for flag, path in files if not path.is_file()]
+    return ", and ".join(gone)
+
+
+def _without_inputs(gone: str, *, known: bool, same: bool, unchanged: bool) -> dict[str, Any]:
+    """State and message of a plot that was done before, and whose photographs or files are not there.
+
+    ``known``: its options were noted; ``same``: it has the same now; ``unchanged``: its results are as they were left.
+    """
+    if not known:
         why = "an earlier fsinfer, which did not note its options"
-    elif before.options != options:
+    elif not same:
         why = "earlier options, corrections, or another version of fsinfer"
-    elif before.results != results:
+    elif not unchanged:
         return {"state": State.outdated, "message": f"{gone}; its results were changed since the batch measured it"}
     else:
         return {"message": gone}

@@ -122,6 +122,14 @@ def read_plots(path: Path) -> tuple[Plot, ...]:
     return tuple(plots)
 
 
+def same_photos(plots: Sequence[Plot]) -> tuple[tuple[str, ...], ...]:
+    """Names of plots that are measured in the same folder of photographs, or the same video, each such group."""
+    groups: dict[Path, list[str]] = {}
+    for plot in plots:
+        groups.setdefault(plot.photos.resolve(), []).append(plot.name)
+    return tuple(tuple(names) for names in groups.values() if len(names) > 1)
+
+
 def _alike(name: str) -> str:
     """The same for names that differ in capitals, or in how an umlaut is put together."""
     return unicodedata.normalize("NFC", name).casefold()

@@ -14,8 +14,8 @@ from fsinfer.check.open_sides import OpenSide
 from fsinfer.check.settings import CoverageSettings
 from fsinfer.notices.numbers import counted
 from fsinfer.scale.aruco import GOOD_SIGHTINGS
-from fsinfer.scale.doubts import number_of_boards
-from fsinfer.scale.scale import RejectedMarker, Scale
+from fsinfer.scale.doubts import by_board, number_of_boards
+from fsinfer.scale.scale import MarkerScale, RejectedMarker, Scale
 
 #: Photos in directions so near to the middle of the unseen side are named as places to stand. Source: judgement.
 _PLACE_DEG = 20.0
@@ -149,6 +149,15 @@ def _gaps_of_the_walk(given: Sequence[str], left_out: set[str]) -> list[str]:
     return lines
 
 
+def _as_seen(markers: Sequence[MarkerScale]) -> list[list[MarkerScale]]:
+    """The markers by their order, with those of one number that are one board at several places of a walk together."""
+    of_board = {id(marker): (index, marker.id) for index, group in enumerate(by_board(markers)) for marker in group}
+    seen: dict[tuple[int, int], list[MarkerScale]] = {}
+    for marker in markers:
+        seen.setdefault(of_board[id(marker)], []).append(marker)
+    return list(seen.values())
+
+
 def marker_lines(
     scale: Scale, rejected: Sequence[RejectedMarker] = (), *, given: bool, elsewhere: bool = False
 ) -> list[str]:
@@ -161,14 +170,16 @@ def marker_lines(
     """
     found = scale.markers
     lines = []
-    for entry in found:
-        views, side_px = len(entry.views), entry.near_side_px
+    for places in _as_seen(found):
+        number, views = places[0].id, len({view for place in places for view in place.views})
+        enough = [place.near_side_px for place in places if len(place.views) >= GOOD_SIGHTINGS]
+        side_px = max(enough) if enough else min(place.near_side_px for place in places)
         good = views >= GOOD_SIGHTINGS and side_px >= _BOARD_SIDE_PX
         hint = "good" if good else "pass it again at 2 to 3 m, facing it, for five sharp photos"
         # One sharp photo from near by does not make five: what is told is what five of them have.
         where = "the five nearest" if views > GOOD_SIGHTINGS else "all of them" if views > 1 else "it"
         lines.append(
-            f"Board {entry.id}: in {counted(views, 'photo', 'photos')}, in {where} its side is at least "
+            f"Board {number}: in {counted(views, 'photo', 'photos')}, in {where} its side is at least "
             f"{side_px:.0f} pixels: {hint}."
         )
     reasons: dict[int, list[str]] = {}

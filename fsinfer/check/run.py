@@ -25,7 +25,7 @@ from fsinfer.frames.select import frame_stems, list_captures
 from fsinfer.frames.settings import FrameSettings
 from fsinfer.geometry.similarity import scale_of
 from fsinfer.io.files import make_folder, write_text
-from fsinfer.io.photo_folders import list_images
+from fsinfer.io.walk_order import list_walk
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice
 from fsinfer.notices.sentences import sentences
@@ -134,7 +134,7 @@ def check_capture(
     seconds["poses"] = time.monotonic() - start - sum(seconds.values())
     photos = {stem: path for path, stem in frame_stems(list_captures(source)).items()}
     # Frames that were coded again lost their place; the photos themselves have it, under names of their own.
-    originals = {path.stem: photos.get(path.stem, path) for path in list_images(OutputFolder(out).frame_images)}
+    originals = {path.stem: photos.get(path.stem, path) for path in list_walk(OutputFolder(out).frame_images)}
     given = list(originals)
     scene, sparse = read_scene(OutputFolder(out).scene), read_sparse(OutputFolder(out).sparse)
     report = progress("check")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fsinfer.cli.console import Debug, Quiet, reports_errors, say
+from fsinfer.cli.console import Debug, Quiet, reports_errors, say, warn
 from fsinfer.cli.options import DEFAULT_PRECISION, MemoryGb, Model, PrecisionHow, Provider, decimal
 from fsinfer.cli.remaining import as_words
 from fsinfer.depth.settings import DepthSettings
@@ -137,7 +137,7 @@ def batch(
             f"--precision={precision.value}",
         ),
     )
-    _check_rows(plots, context)
+    _check_rows(plots, out, context)
     result = run_batch(plots, out, settings=settings, news=_say_nothing if quiet else _say_news)
     for line in _lines(result):
         typer.echo(line)
@@ -145,22 +145,29 @@ def batch(
         raise typer.Exit(EXIT_SOME_FAILED)
 
 
-def _check_rows(table: Path, context: typer.Context) -> None:
-    """What ``fsinfer run`` would refuse of a row is told before any plot is measured.
+def _check_rows(table: Path, out: Path, context: typer.Context) -> None:
+    """What ``fsinfer run`` would refuse of a row is told before any plot is measured, and rows of the same photos.
+
+    A file of a plot that is finished may lie on a disk that is not there, as its photographs may.
 
     Raises
     ------
     InputError
         With the row.
     """
-    from fsinfer.batch.plots_table import read_plots
+    from fsinfer.batch.outcome import State, read_outcome
+    from fsinfer.batch.plots_table import read_plots, same_photos
+    from fsinfer.batch.rows import PLOTS_FOLDER
     from fsinfer.errors import InputError
 
     group = context.parent.command if context.parent is not None else None
     run = getattr(group, "commands", {}).get("run")
-    for plot in read_plots(table):
+    plots = read_plots(table)
+    for plot in plots:
+        before = read_outcome(out / PLOTS_FOLDER / plot.name)
+        finished = before is not None and before.state is State.done
         for option, path in plot.files:
-            if not path.is_file():
+            if not path.is_file() and not finished:
                 msg = f"{plot.row}: the file of {option}, {path}, does not exist; correct the cell"
                 raise InputError(msg)
         if run is None:
@@ -170,6 +177,13 @@ def _check_rows(table: Path, context: typer.Context) -> None:
         except typer.BadParameter as error:
             msg = f"{plot.row}: {error.format_message().rstrip('.')}; correct the cell"
             raise InputError(msg) from error
+    # Nobody's error where one walk is measured with several borders; the sample has one plot fewer all the same.
+    warn(
+        f"{', '.join(names)} have the same photos: as rows of their own they count as {len(names)} plots in the "
+        "summary and in the estimates for the forest, which then seem surer than they are; give each plot its own "
+        "photos, or a table of its own to each border"
+        for names in same_photos(plots)
+    )
 
 
 def _say_nothing(_: PlotNews) -> None:

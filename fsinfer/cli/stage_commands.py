@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -54,6 +55,9 @@ from fsinfer.evaluation.settings import MAX_DISTANCE_M, Align
 from fsinfer.frames.settings import FrameSettings
 from fsinfer.output.layout import FRAMES_FILE, OutputFolder
 from fsinfer.scale.request import ScaleRequest
+
+if TYPE_CHECKING:
+    from fsinfer.workflow.ledger import Ledger
 
 SceneFolder = Annotated[
     Path,
@@ -309,18 +313,29 @@ def report(
 ) -> None:
     """Write report.html from what the output folder holds."""
     from fsinfer.report import make_report
+    from fsinfer.workflow.folder_lock import alone_in
     from fsinfer.workflow.ledger import Ledger
+
+    ledger = Ledger(out)
+    # What a run is at work on would be drawn half old, half new. Where none ever was, the lock's folder is not made.
+    with alone_in(out) if ledger.folder.is_dir() else nullcontext():
+        _tell_mixture(ledger)
+        typer.echo(str(make_report(out)))
+
+
+def _tell_mixture(ledger: Ledger) -> None:
+    """Warn where tables and figures may be of two measurements, because the last one was stopped on the way."""
     from fsinfer.workflow.measure_cloud import MEASURE
     from fsinfer.workflow.pipeline import TREES
 
-    ledger = Ledger(out)
     # The other one may have come to its end since: then the tables are its own.
     whole = ledger.recall(TREES) is not None or ledger.recall(MEASURE) is not None
-    if not whole and any(ledger.is_begun(stage) for stage in (TREES.name, MEASURE.name)):
+    # One that was refused before it wrote any table has mixed nothing.
+    tables = OutputFolder(ledger.out).trees_csv.is_file()
+    if tables and not whole and any(ledger.is_begun(stage) for stage in (TREES.name, MEASURE.name)):
         warn(
             [
-                f"the trees in {out} were being measured when that was stopped: its tables and figures may be of two "
-                "measurements; run the same fsinfer trees, or fsinfer run, again, and then this"
+                f"the trees in {ledger.out} were being measured when that was stopped: its tables and figures may be "
+                "of two measurements; run the same fsinfer trees, or fsinfer run, again, and then this"
             ]
         )
-    typer.echo(str(make_report(out)))

@@ -20,12 +20,14 @@ _MAKE, _MODEL, _FOCAL_LENGTH, _FOCAL_LENGTH_35MM = 0x010F, 0x0110, 0x920A, 0xA40
 _DIGITAL_ZOOM = 0xA404
 #: Tags of the moment, local time without a zone, and the decimals of its seconds. Source: format; Exif 2.32.
 _TAKEN, _TAKEN_DECIMALS = 0x9003, 0x9291
+#: What of the part on the lens goes into copies: the moment tells the order where a counter began anew.
+_KEPT_OF_LENS = (_FOCAL_LENGTH, _FOCAL_LENGTH_35MM, _DIGITAL_ZOOM, _TAKEN, _TAKEN_DECIMALS)
 #: Tags of the place, and the part of the file that they stand in. Source: format; Exif 2.32.
 _GNSS_IFD, _LATITUDE_REF, _LATITUDE, _LONGITUDE_REF, _LONGITUDE = 0x8825, 1, 2, 3, 4
 
 
 def camera_exif(path: Path | str) -> bytes | None:
-    """Metadata for a copy that is written upright: maker, model, focal length, gravity, nothing about the place.
+    """Metadata for a copy that is written upright: maker, model, focal length, moment, gravity, not the place.
 
     Returns
     -------
@@ -43,7 +45,7 @@ def camera_exif(path: Path | str) -> bytes | None:
     for tag in (_MAKE, _MODEL):
         if tag in tags:
             kept[tag] = tags[tag]
-    kept_lens = {tag: lens[tag] for tag in (_FOCAL_LENGTH, _FOCAL_LENGTH_35MM, _DIGITAL_ZOOM) if tag in lens}
+    kept_lens = {tag: lens[tag] for tag in _KEPT_OF_LENS if tag in lens}
     gravity = noted_gravity(path)
     if gravity is not None:
         kept_lens[USER_COMMENT] = gravity_comment(gravity)

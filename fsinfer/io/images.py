@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from fsinfer.errors import ImageError
 from fsinfer.io.files import atomic_path
+from fsinfer.io.jpeg_holes import has_hole
 from fsinfer.io.pixels import as_rgb, has_deep_colours, read_deep, read_tiff, stored_size, turned
 
 if TYPE_CHECKING:
@@ -82,6 +83,9 @@ def read_image(path: Path | str, *, upright: bool = True, at_least_px: int | Non
             image.draft("RGB", (width // shrink, height // shrink))
             if image.width < width:
                 width, height = width // shrink, height // shrink
+        if image.format in _JPEG_FORMATS and has_hole(path.read_bytes()):
+            msg = f"{path} is damaged: a part of it is missing, all zeros; copy it again from the camera or delete it"
+            raise ImageError(msg)
         # Loading first: decoding errors must not hide in a lazy transposition.
         image.load()
         # A decoder makes a pixel of what is left over, too, which is narrower than the others.

@@ -13,7 +13,16 @@ from numpy.typing import NDArray
 from fsinfer.errors import CloudError, FsinferError
 from fsinfer.io.crs import horizontal_epsg
 from fsinfer.io.las_header import why_damaged
-from fsinfer.io.linear_units import LinearUnits, units_of_geo_keys, units_of_wkt
+from fsinfer.io.linear_units import (
+    GEOGRAPHIC_KEY,
+    PROJECTED_KEY,
+    LinearUnits,
+    keys_in_degrees,
+    keys_on_map,
+    units_of_geo_keys,
+    units_of_wkt,
+    wkt_in_degrees,
+)
 
 LAS_SUFFIXES = (".las", ".laz")
 # Names under which CloudCompare stores and finds normals in LAS extra dimensions.
@@ -26,11 +35,8 @@ _PIECE_POINTS, _PIECE_BYTES = 1_000_000, 1 << 28
 #: Classes of points that are noise, below and above; in point formats before the sixth the latter means nothing.
 #: Source: format; LAS 1.4, tables 9 and 17.
 _LOW_NOISE, _HIGH_NOISE, _HIGH_NOISE_FROM = 7, 18, 6
-#: Keys ProjectedCSTypeGeoKey and GeographicTypeGeoKey, and the value for "user defined". Source: format; GeoTIFF 1.1.
-_PROJECTED_KEY, _GEOGRAPHIC_KEY, _USER_DEFINED = 3072, 2048, 32767
-
-#: Frames whose x and y are degrees. Source: format; EPSG registry, those that clouds are delivered in.
-IN_DEGREES = frozenset({4326, 4979, 4258, 4937, 4269, 6318, 7844, 4283, 4167, 4171, 4674})
+#: Value of a GeoTIFF key for "user defined". Source: format; GeoTIFF 1.1.
+_USER_DEFINED = 32767
 
 
 def flagged(record: Any) -> NDArray[np.bool_]:
@@ -160,10 +166,18 @@ def read_epsg(path: Path) -> int | None:
     code = next((code for text in texts if (code := horizontal_epsg(text)) is not None), None)
     if code is not None:
         return code
-    for key_id in (_PROJECTED_KEY, _GEOGRAPHIC_KEY):
+    # On the map longitude and latitude are those that a projection without a code is based on.
+    for key_id in (PROJECTED_KEY,) if keys_on_map(keys) else (GEOGRAPHIC_KEY,):
         if keys.get(key_id, 0) not in (0, _USER_DEFINED):
             return keys[key_id]
     return None
+
+
+def is_in_degrees(path: Path) -> bool:
+    """Whether x and y of a LAS or LAZ file are longitude and latitude, as its header has it."""
+    texts, keys = _frame_records(path)
+    told = next((told for text in texts if (told := wkt_in_degrees(text)) is not None), None)
+    return keys_in_degrees(keys) if told is None else told
 
 
 def read_units_m(path: Path) -> LinearUnits:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.io.files import atomic_path, is_disk_full
-from fsinfer.io.las import IN_DEGREES, KEPT_DIMENSIONS, damaged, flagged, iterate_las, open_las, read_epsg, records_of
+from fsinfer.io.las import KEPT_DIMENSIONS, damaged, flagged, is_in_degrees, iterate_las, open_las, records_of
 
 _log = logging.getLogger(__name__)
 
@@ -188,7 +188,7 @@ def copy_las(
         if there is None:
             header.add_extra_dim(laspy.ExtraBytesParams(name=name, type=np.int32))
         header.scales, header.offsets = old.scales * factor, old.offsets * factor
-        if factor == 1.0 and read_epsg(source) not in IN_DEGREES:
+        if factor == 1.0 and not is_in_degrees(source):
             _take_frame(header, old)
     with atomic_path(target) as temporary, ExitStack() as open_file:
         with _writing(source, target):

@@ -231,8 +231,8 @@ SENTENCES: dict[StemCode, str] = {
         "below breast height, which counts as two stems"
     ),
     StemCode.stems_outside_walk: (
-        "stems outside of the walk ({stems}) are listed apart and not counted in the stand: {trees}; go nearer, or "
-        "measure them with --far-stems"
+        "stems outside of the walk ({stems}) are listed apart and not counted on the seen ground: {trees}; go nearer, "
+        "or measure them with --far-stems"
     ),
     StemCode.part_joined: (
         "{folder} was put into the plot by the pattern of its stems: {common} that the rest saw too, "

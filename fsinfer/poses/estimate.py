@@ -17,7 +17,7 @@ from fsinfer.errors import ImageError, OutputError, PosesError
 from fsinfer.io.exif import camera_exif, camera_key
 from fsinfer.io.files import copy_file, make_folder, write_text
 from fsinfer.io.images import is_upright_jpeg_or_png, read_image, read_reduced, write_image
-from fsinfer.io.photo_folders import list_images
+from fsinfer.io.walk_order import list_walk
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.numbers import counted
@@ -81,7 +81,8 @@ def estimate_poses(
 
     Parameters
     ----------
-    images: folder of photos; above ``settings.pairs.exhaustive_up_to`` of them in the order of walking, by name.
+    images: folder of photos; above ``settings.pairs.exhaustive_up_to`` of them in the order of walking, see
+        :func:`~fsinfer.io.walk_order.list_walk`.
     out: folder for ``images``, ``cams``, ``pair.txt``, ``sparse``, ``markers_seen.json`` and ``poses.json``.
     origin: what messages call the photos: the folder or video that the user gave and ``images`` were chosen from.
     resume: go on from the database in ``out/work``, which an attempt with the same photos and settings left; else it
@@ -99,7 +100,7 @@ def estimate_poses(
     images, out, settings = Path(images), Path(out), settings or PoseSettings()
     given = origin or images
     require_pycolmap()
-    paths = list_images(images)
+    paths = list_walk(images)
     if images.resolve().is_relative_to((out / "images").resolve()):
         msg = f"{images} would be overwritten by the scene; choose another output folder than {out}"
         raise ImageError(msg)

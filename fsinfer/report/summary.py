@@ -89,7 +89,9 @@ def _stand_facts(contents: Contents) -> list[tuple[str, str]]:
     if stand.mean_dbh_cm is not None and stand.quadratic_mean_dbh_cm is not None:
         # Otherwise whoever takes the mean of the table finds another one.
         everywhere = same_mean(measured_cm(contents.counted), stand.mean_dbh_cm)
-        of_which = "" if everywhere else ", of those on the ground that counts to the hectare"
+        # With a border it is the plot that counts to the hectare, and its own means follow.
+        ground = "ground that counts to the hectare" if plot is None else "seen ground, in the plot or not"
+        of_which = "" if everywhere else f", of those on the {ground}"
         rows += [
             ("Mean DBH", f"{stand.mean_dbh_cm:.1f} cm{of_which}"),
             ("Quadratic mean DBH", f"{stand.quadratic_mean_dbh_cm:.1f} cm{of_which}"),

@@ -142,11 +142,17 @@ def _faces(one: MarkerScale, other: MarkerScale) -> bool:
 
 def number_of_boards(markers: Sequence[MarkerScale]) -> int:
     """Boards that these markers are on, each of which checks the others; with its two faces one is one."""
+    return len(by_board(markers))
+
+
+def by_board(markers: Sequence[MarkerScale]) -> list[list[MarkerScale]]:
+    """The markers board by board, in their order: both faces of one, and places of it between which a walk drifted."""
     unknown = (np.nan, np.nan, np.nan)
     centers = np.array([marker.center for marker in markers]).reshape(-1, 3)
     normals = np.array([marker.normal or unknown for marker in markers]).reshape(-1, 3)
     sides = np.array([marker.side_units for marker in markers])
-    return len(markers_of_boards([marker.id for marker in markers], centers, normals, sides))
+    groups = markers_of_boards([marker.id for marker in markers], centers, normals, sides)
+    return [[markers[index] for index in group] for group in groups]
 
 
 def doubt_boards(scale: Scale) -> tuple[Notice, ...]:

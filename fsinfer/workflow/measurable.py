@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from fsinfer.errors import CloudError
-from fsinfer.io.las import IN_DEGREES, LAS_SUFFIXES, open_las, read_epsg, read_units_m
+from fsinfer.io.las import LAS_SUFFIXES, is_in_degrees, open_las, read_epsg, read_units_m
 from fsinfer.output.layout import RECORDS_FOLDER, TREES_LAZ, OutputFolder
 
 #: Lengths of two units that differ by less, metres, are the same: feet of the US survey are 0.6 micrometres longer than
@@ -74,8 +74,9 @@ def refuse_other_units(cloud_path: Path) -> None:
     if epsg in _NO_METRES:
         msg = f"{cloud_path} is in EPSG:{epsg} by its header, {_NO_METRES[epsg]}; convert it to UTM or a national grid"
         raise CloudError(msg)
-    if epsg in IN_DEGREES and _within_degrees(cloud_path):
-        msg = f"{cloud_path} is in degrees by its header (EPSG:{epsg}); convert it to UTM or a national grid"
+    if is_in_degrees(cloud_path) and _within_degrees(cloud_path):
+        code = "" if epsg is None else f" (EPSG:{epsg})"
+        msg = f"{cloud_path} is in degrees by its header{code}; convert it to UTM or a national grid"
         raise CloudError(msg)
     units = read_units_m(cloud_path)
     lengths = [unit for unit in (units.horizontal_m, units.vertical_m) if unit is not None]

@@ -16,7 +16,7 @@ from fsinfer.io.chunks import ChunkedCloud, open_chunks
 from fsinfer.io.cloud import PointCloud, read_and_tell
 from fsinfer.io.digest import file_digest
 from fsinfer.io.files import make_folder
-from fsinfer.io.las import IN_DEGREES, LAS_SUFFIXES, read_epsg
+from fsinfer.io.las import LAS_SUFFIXES, is_in_degrees, read_epsg
 from fsinfer.notices.capture import NO_SCALE, REMARKS, CaptureCode
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
@@ -174,8 +174,10 @@ def measure_cloud_file(
         in_frame = cloud_path.suffix.lower() in LAS_SUFFIXES and per_unit == 1.0
         named = read_epsg(cloud_path) if in_frame else None
         # Nor is one that was taken as it is, in metres, in a frame of degrees.
-        degrees = (notice(StemCode.frame_in_degrees, epsg=named),) if named in IN_DEGREES else ()
-        frame_of = cloud_path if in_frame and not degrees else None
+        in_degrees = in_frame and is_in_degrees(cloud_path)
+        # One without a code would be on no map anyway.
+        degrees = (notice(StemCode.frame_in_degrees, epsg=named),) if in_degrees and named is not None else ()
+        frame_of = cloud_path if in_frame and not in_degrees else None
         given = PlotCloudInput(
             cloud=opened.cloud,
             metric=metric,

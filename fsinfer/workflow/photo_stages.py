@@ -16,7 +16,8 @@ from fsinfer.frames.select import FramesResult, list_captures, select_frames
 from fsinfer.frames.settings import FrameSettings
 from fsinfer.io.digest import file_digest
 from fsinfer.io.images import can_be_read
-from fsinfer.io.photo_folders import PHOTO_SUFFIXES, list_images
+from fsinfer.io.photo_folders import PHOTO_SUFFIXES
+from fsinfer.io.walk_order import list_walk
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.poses.colmap_calls import require_pycolmap
 from fsinfer.poses.estimate import PosesResult
@@ -101,7 +102,7 @@ def register_photos(
     """
     target = folder or ledger.out / "scene"
     kept_clicks(ledger.out)  # pixels in the pictures of the scene that is replaced
-    stage, photos = replace(POSES, outputs=outputs), list_images(images)
+    stage, photos = replace(POSES, outputs=outputs), list_walk(images)
     return ledger.run(
         stage,
         lambda resume: estimate_poses_apart(
@@ -123,7 +124,7 @@ def is_registered(files: Sequence[Path], out: Path) -> bool:
         return False
     # Frames may have been chosen anew since.
     images = out / "frames" / "images"
-    chosen = list_images(images) if images.is_dir() and any(images.iterdir()) else []
+    chosen = list_walk(images) if images.is_dir() and any(images.iterdir()) else []
     return bool(chosen) and poses.get("photos") == _digests(chosen)
 
 

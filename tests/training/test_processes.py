@@ -14,6 +14,7 @@ import torch
 from tests.support.places import ROOT
 from tests.support.plane_scene import write_plane_scene
 from training.processes import Processes, join_processes
+from training.train import main
 
 #: What each process does in the test of one step: everything that two processes share goes through files.
 _ONE_STEP = """
@@ -118,3 +119,25 @@ def test_processes_share_out_the_gpus(monkeypatch: pytest.MonkeyPatch) -> None:
     assert devices == ["cuda:0", "cuda:1", "cuda:0", "cuda:1"]
     assert str(Processes().device("auto")) == "cuda"
     assert str(Processes(rank=1, count=2, local_rank=1).device("cpu")) == "cpu"
+
+
+@pytest.mark.parametrize(("device", "gpus"), [("cuda", 0), ("cuda:0", 0), ("cuda:1", 1), ("gpu", 1)])
+@pytest.mark.parametrize("processes", [1, 2])
+def test_a_device_that_is_not_there_is_one_message(
+    device: str,
+    gpus: int,
+    processes: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: gpus > 0)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: gpus)
+    for name, value in (("WORLD_SIZE", processes), ("RANK", 0), ("LOCAL_RANK", 0)):
+        monkeypatch.setenv(name, str(value))
+    monkeypatch.setattr(
+        sys, "argv", ["train", "--data", str(tmp_path), "--out", str(tmp_path / "run"), "--device", device]
+    )
+    assert main() == 2
+    assert f"Error: --device {device}: PyTorch finds no such device" in capsys.readouterr().out
+    assert not (tmp_path / "run").exists()

@@ -99,9 +99,11 @@ def write_tables(
         _write_sheet(book, "trees", COLUMNS, map(table_row, result.all_trees), _format_of_column)
         stand = asdict(result.stand)
         stand["off_area"] = ", ".join(map(str, stand["off_area"]))
-        _write_sheet(book, "stand", ("figure", "value"), stand.items(), lambda _, row: _number_format(str(row[0])))
+        # Only their heads tell the two apart: both have stems a hectare.
+        of_stand, of_plot = ("of the seen ground", "of the plot within its border") if plot else ("value", "")
+        _write_sheet(book, "stand", ("figure", of_stand), stand.items(), lambda _, row: _number_format(str(row[0])))
         if plot:
-            _write_sheet(book, "plot", ("figure", "value"), plot, lambda _, row: _number_format(str(row[0])))
+            _write_sheet(book, "plot", ("figure", of_plot), plot, lambda _, row: _number_format(str(row[0])))
         points = (curve_row(point) for curve in curves.values() for point in curve)
         _write_sheet(book, "stem curve", CURVE_COLUMNS, points, _format_of_column)
     with atomic_path(path) as temporary:

@@ -200,6 +200,46 @@ def test_without_photos_a_plot_is_not_done_with_what_has_changed_since(tmp_path:
     }  # fmt: skip
 
 
+def test_a_finished_plot_whose_files_are_not_there_keeps_its_trees(tmp_path: Path) -> None:
+    """As without its photos: one polygon on a card in the drawer had made the plot a failed one, without its trees."""
+    names = ("polygon", "both", "option", "renamed", "before")
+    rows: list[dict[str, object]] = [{"name": name, "plot_polygon": f"{name}.csv", "scale": 0.5} for name in names]
+    for name in (*names, "other"):
+        (tmp_path / f"{name}.csv").write_text("x_m,y_m\n0,0\n9,0\n0,9\n", encoding="utf-8")
+    table, out = write_table(tmp_path, rows), tmp_path / "out"
+    first = run(table, out)
+    trees = (out / "trees.csv").read_bytes()
+    kept = {name: (out / "plots" / name / "batch.json").read_bytes() for name in names}
+    old = json.loads(kept["before"])
+    old.pop("named")  # as earlier versions wrote it
+    (out / "plots" / "before" / "batch.json").write_text(json.dumps(old), encoding="utf-8")
+    for name in (*names, "other"):
+        (tmp_path / f"{name}.csv").unlink()
+    shutil.rmtree(tmp_path / "photos" / "both")
+    rows[2]["scale"], rows[3]["plot_polygon"] = 0.6, "other.csv"
+    for row in rows:
+        row["photos"] = f"photos/{row['name']}"
+    with table.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.DictWriter(stream, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    second = run(table, out)
+    by_name = {row.plot: row for row in second.rows}
+    assert {name: row.state.value for name, row in by_name.items()} == {
+        "polygon": "done", "both": "done", "option": "outdated", "renamed": "outdated", "before": "outdated",
+    }  # fmt: skip
+    file = tmp_path / "polygon.csv"
+    assert by_name["polygon"].message == f"the file of --plot-polygon is not there at the moment ({file})"
+    assert by_name["both"].message.startswith("its photos are not there at the moment")
+    assert "and the file of --plot-polygon is not there" in by_name["both"].message
+    assert "still has the results of earlier options" in by_name["option"].message
+    assert "did not note its options" in by_name["before"].message
+    assert (second.ran, (out / "trees.csv").read_bytes()) == (0, trees)
+    for name in set(names) - {"before"}:
+        assert (out / "plots" / name / "batch.json").read_bytes() == kept[name]
+    assert replace(by_name["polygon"], message="") == first.rows[0]
+
+
 def test_options_reach_the_run(tmp_path: Path) -> None:
     (tmp_path / "corner.csv").write_text("", encoding="utf-8")
     table = write_table(tmp_path, [{"name": "a", "plot_center": "-1,2", "plot_radius_m": 12.62, "edits": "corner.csv"}])
@@ -457,6 +497,15 @@ def test_the_exit_code_tells_whether_plots_failed(tmp_path: Path, monkeypatch: p
     assert code == 3
     assert "Plots: 0 of 2 measured, 2 with outdated results, 0 failed" in said
     (tmp_path / "away").rename(tmp_path / "photos")
+    (tmp_path / "corner.csv").write_text("x_m,y_m\n0,0\n9,0\n0,9\n", encoding="utf-8")
+    write_table(tmp_path, [{"name": "a", "plot_polygon": "corner.csv"}, {"name": "b"}])
+    assert invoke(str(table), str(out))[0] == 0
+    (tmp_path / "corner.csv").unlink()
+    code, said = invoke(str(table), str(out))
+    assert code == 0
+    assert "done before; the file of --plot-polygon is not there at the moment" in said
+    write_table(tmp_path, [{"name": "a"}, {"name": "b"}])
+    assert invoke(str(table), str(out))[0] == 0
     code, said = invoke(str(table), str(out), "--quiet")
     assert code == 0
     assert said.startswith("Nothing to do: everything was finished before. Plots: 2 of 2 measured, 0 failed")

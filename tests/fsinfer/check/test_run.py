@@ -7,12 +7,14 @@ import shutil
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL import Image
 
 from fsinfer.check import CheckResult, CheckSettings, check_capture
 from fsinfer.check.coarse_depth import read_glance
@@ -395,6 +397,33 @@ def test_how_the_photos_were_taken_is_told(tmp_path: Path, monkeypatch: pytest.M
     # It is known as well where the photos were placed before.
     assert check_capture(folder, out).notes == result.notes
     assert placed["poses"] == 1
+
+
+def test_a_counter_that_began_anew_is_no_fast_turn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    # From one end of the arc to the other; by name the last photo stands before the first.
+    names = ["IMG_9998", "IMG_9999", "IMG_0001", "IMG_0002", "IMG_0003"]
+    for second, (name, image) in enumerate(zip(names, photographs(5), strict=True)):
+        exif = Image.Exif()
+        exif.get_ifd(0x8769)[0x9003] = f"2026:05:04 10:00:{second:02d}"
+        Image.fromarray(image).save(folder / f"{name}.jpg", quality=95, exif=exif)
+    walks: list[tuple[str, ...]] = []
+
+    def mapped(walk: Walk, *_: Any) -> MappedWalk:
+        walks.append(walk.files)
+        return MappedWalk(model=room_model(walk.files, poses(5)), misplaced={})
+
+    monkeypatch.setattr("fsinfer.poses.estimate.map_walk", mapped)
+    monkeypatch.setattr(photo_stages, "estimate_poses_apart", estimate_poses)
+    monkeypatch.setattr("fsinfer.check.run._coarse_depth", lambda *_: None)
+    # Frames of photos that are too large are coded again.
+    result = check_capture(folder, tmp_path / "out", settings=CheckSettings(frames=FrameSettings(longest_px=400)))
+    assert len(walks) == 1
+    placed = {view.name: view.camera.center for view in read_scene(tmp_path / "out" / "scene").views}
+    steps = [np.linalg.norm(placed[one] - placed[other]) for one, other in pairwise(names)]
+    assert max(steps) < 1.5 * min(steps)
+    assert not any(note.startswith("You turned fast") for note in result.notes)
 
 
 def test_the_ends_that_were_clicked_give_the_scale_of_a_check(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,6 +8,7 @@ import json
 import logging
 import shutil
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,11 +21,12 @@ from fsinfer.check import CheckSettings
 from fsinfer.cli.console import explain, reports_errors, stage_progress, warn
 from fsinfer.depth.manifest import models_folder
 from fsinfer.errors import CloudError, FsinferError
-from fsinfer.io.cloud import read_cloud
+from fsinfer.io.cloud import PointCloud, read_cloud, write_cloud
 from fsinfer.output.layout import RECORDS_FOLDER
 from fsinfer.output.plot_json import read_plot
 from fsinfer.poses.settings import PoseSettings
 from fsinfer.scene import read_scene
+from fsinfer.workflow.folder_lock import alone_in
 from fsinfer.workflow.settings import RunSettings, speedless
 from tests.support.command_line import Call
 from tests.support.synthetic_plot import M_PER_UNIT, STEMS, write_depth_folder, write_scene_folder
@@ -254,6 +256,44 @@ def test_fuse_then_trees(metric_out: Path, call: Call) -> None:
     code, out, err = call("report", metric_out)
     assert (code, out) == (0, f"{metric_out / 'report.html'}\n")
     assert "may be of two measurements" not in err
+
+
+def test_a_report_waits_until_nobody_is_at_work(metric_out: Path, call: Call) -> None:
+    """Beside a run that replaces tables and figures it would draw a mixture."""
+    begun, going = threading.Event(), threading.Event()
+
+    def run() -> None:
+        with alone_in(metric_out):
+            begun.set()
+            going.wait(60)
+
+    other = threading.Thread(target=run)
+    other.start()
+    try:
+        assert begun.wait(60)
+        code, _, err = call("report", metric_out)
+    finally:
+        going.set()
+        other.join()
+    assert code == 2
+    assert "another run of fsinfer is at work" in err
+    assert not (metric_out / "report.html").exists()
+    assert call("report", metric_out)[0] == 0
+
+
+def test_a_measurement_that_was_refused_has_mixed_nothing(metric_out: Path, call: Call, tmp_path: Path) -> None:
+    write_cloud(tmp_path / "few.ply", PointCloud(xyz=np.random.default_rng(0).uniform(0, 1, (50, 3))))
+    code, _, err = call("trees", tmp_path / "few.ply", metric_out, "--quiet")
+    assert code == 2
+    assert "50 usable points" in err
+    code, _, err = call("report", metric_out)
+    assert code == 0
+    assert "of two measurements" not in err
+
+
+def test_a_report_of_no_run_makes_no_folder(tmp_path: Path, call: Call) -> None:
+    assert call("report", tmp_path)[0] == call("report", tmp_path / "none")[0] == 2
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_endpoints_may_be_negative(metric_out: Path, call: Call) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from fsinfer.errors import ImageError
-from fsinfer.io.exif import camera_exif, camera_key
+from fsinfer.io.exif import camera_exif, camera_key, taken_at
 from fsinfer.io.images import image_size, is_upright_jpeg_or_png, read_image, read_reduced, reduce_image, write_image
 from fsinfer.io.photo_folders import list_images
 
@@ -178,6 +178,7 @@ def test_camera_metadata_goes_into_upright_copies_without_place_and_orientation(
     exif = Image.Exif()
     exif[0x010F], exif[0x0110], exif[0x0112] = "Maker", "Phone 1", 6
     exif.get_ifd(0x8769)[0xA405] = 26
+    exif.get_ifd(0x8769)[0x9003], exif.get_ifd(0x8769)[0x9291] = "2026:05:04 10:00:05", "12"
     exif.get_ifd(0x8825)[1] = "N"
     original = tmp_path / "a.jpg"
     Image.fromarray(picture()).save(original, exif=exif.tobytes())
@@ -190,6 +191,7 @@ def test_camera_metadata_goes_into_upright_copies_without_place_and_orientation(
         assert 0x0112 not in kept
         assert not kept.get_ifd(0x8825)
     assert camera_key(copy) == camera_key(original)
+    assert taken_at(copy) == taken_at(original) == ("Maker Phone 1", "2026:05:04 10:00:05.12")
 
 
 def test_digital_zoom_is_another_lens(tmp_path: Path) -> None:

@@ -317,6 +317,23 @@ def test_a_plot_with_a_border_is_told_and_drawn(tmp_path: Path) -> None:
         assert text in page, text
     assert "seen only: the plot has no border" not in page
     assert "trees.csv was changed" not in page
+    # Means of the seen ground are not those of what counts to the hectare here, which is the plot.
+    of_ground: dict[str, object] = {
+        "stems": 3,
+        "measured": 2,
+        "plot_area_m2": 900.0,
+        "stems_per_ha": 11.0,
+        "stems_on_area": 1,
+    }
+    of_ground |= {"basal_area_m2_per_ha": 1.0, "mean_dbh_cm": 30.0, "quadratic_mean_dbh_cm": 30.0, "off_area": [2, 3]}
+    whole = [TREE | {"dbh_cm": 30.0}, TREE | {"tree_id": 2, "dbh_cm": 40.0}, TREE | {"tree_id": 3, "dbh_cm": ""}]
+    write_csv(tmp_path / "rows.csv", whole)
+    found = plot_of(read_trees(tmp_path / "rows.csv"), border, SeenShare(share=0.9, method="by eye"), slope_deg=8.0)
+    within = [row | {"in_plot": int(tree.in_plot or False)} for row, tree in zip(whole, found.trees, strict=True)]
+    told = PLOT | {"plot_border": as_json(found.figures), "stand": of_ground}
+    page = make_report(full_folder(tmp_path, plot=told, trees=within)).read_text(encoding="utf-8")
+    assert '<th scope="row">Mean DBH</th><td>30.0 cm, of those on the seen ground, in the plot or not</td>' in page
+    assert "on the ground that counts to the hectare" not in page
     # A table that was changed since is not that of the figures.
     for changed in ({"in_plot": 0}, {"dbh_cm": 33.3}):
         now = [rows[0] | changed, *rows[1:]]

@@ -88,6 +88,26 @@ def test_a_board_that_a_drift_shows_twice_is_one_board() -> None:
     assert [doubt.code for doubt in doubt_boards(scale_of_boards(places))] == [CaptureCode.one_board]
 
 
+def test_a_board_that_a_drift_shows_twice_is_told_once() -> None:
+    """Seen in six photos it was to be passed again, twice, for the three of each of its places."""
+
+    def lines(apart_m: float, *seen: tuple[str, float]) -> list[str]:
+        places = [
+            board(21, (apart_m * index, 0.0, 0.0), views, near_side_px=side_px, normal=(0.0, 0.0, 1.0))
+            for index, (views, side_px) in enumerate(seen)
+        ]
+        return [line for line in marker_lines(scale_of_boards(places), given=True) if line.startswith("Board 21")]
+
+    once = "Board 21: in 6 photos, in the five nearest its side is at least 60 pixels: good."
+    assert lines(0.1, ("abc", 80.0), ("def", 60.0)) == [once]
+    assert lines(0.1, ("abcde", 60.0), ("f", 30.0)) == [once]
+    # Farther apart there are two of one number, or photos in a wrong place.
+    assert [line.split(":")[1] for line in lines(3.0, ("abc", 80.0), ("def", 60.0))] == [
+        " in 3 photos, in all of them its side is at least 80 pixels",
+        " in 3 photos, in all of them its side is at least 60 pixels",
+    ]
+
+
 def test_boards_that_contradict_are_named() -> None:
     boards = [board(number, (float(number), 0.0, 0.0), ["a", "b", "c"]) for number in (1, 2, 3)]
     assert not doubt_boards(scale_of_boards(boards))

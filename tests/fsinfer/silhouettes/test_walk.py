@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fsinfer.notices.notice import notice
+from fsinfer.notices.sentences import sentence
 from fsinfer.notices.stems import StemCode
 from fsinfer.silhouettes.walk import WalkSettings, apart_from_walk, outside_walk
 from fsinfer.trees import PlotResult, Section, Tree
@@ -75,6 +76,8 @@ def test_far_stems_come_last_keep_their_number_and_have_no_diameter() -> None:
     assert result.sections[2].dbh_m is None
     assert result.sections[2].circle_m[2] == pytest.approx(0.15)  # drawn as thick as it is
     assert result.warnings == (notice(StemCode.stems_outside_walk, stems=2, trees="1, 3"),)
+    # Those in the plot's border count there, which is told by another warning.
+    assert "are listed apart and not counted on the seen ground: 1, 3; go nearer" in sentence(result.warnings[0])
     assert result.diagnosis == notice(StemCode.trees_found, trees=2, measured=2)
     assert result.stand.stems == 2
     assert result.stand.stems_per_ha == pytest.approx(50.0)

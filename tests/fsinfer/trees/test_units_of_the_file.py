@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import struct
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -80,6 +81,50 @@ def test_degrees_are_refused_unless_they_can_be_none(tmp_path: Path) -> None:
     for shift in (10_000.0, 0.0):
         far = replace(plot, points=plot.points + np.array([shift, 0.0, 0.0]))
         refuse_other_units(write_in_feet(path, far, frame))
+
+
+ELLIPSOIDAL = 'CS[ellipsoidal,2],AXIS["lat",north],AXIS["lon",east],ANGLEUNIT["degree",0.0174532925199433]'
+UTM_1 = 'PROJCS["UTM",GEOGCS["g",UNIT["degree",0.0174532925199433]],UNIT["metre",1]]'
+UTM_2 = f'PROJCRS["UTM",BASEGEOGCRS["g",{ELLIPSOIDAL}],CS[Cartesian,2],LENGTHUNIT["metre",1]]'
+
+
+@pytest.mark.parametrize(
+    ("frame", "told"),
+    [
+        # A frame of Austria and one of nobody: what is in degrees says so itself, whatever its code.
+        ('GEOGCS["MGI",UNIT["degree",0.0174532925199433],AUTHORITY["EPSG","4312"]]', r" \(EPSG:4312\)"),
+        (f'COMPD_CS["a",GEOGCS["b",UNIT["degree",0.0174532925199433]],{HEIGHTS_IN_METRES}]', ""),
+        (f'GEOGCRS["MGI",{ELLIPSOIDAL},ID["EPSG",4312]]', r" \(EPSG:4312\)"),
+        (f'GEODCRS["MGI",{ELLIPSOIDAL},ID["EPSG",4312]]', r" \(EPSG:4312\)"),
+        ({1024: 2, 2048: 4312}, r" \(EPSG:4312\)"),
+        ({2048: 4312}, r" \(EPSG:4312\)"),
+        (UTM_1, None),
+        (UTM_2, None),
+        ({1024: 1, 2048: 4326, 3072: 32767}, None),  # a projection of one's own
+        ({2048: 4326, 3072: 32633}, None),
+    ],
+)
+def test_headers_tell_degrees_themselves(frame: str | dict[int, int], told: str | None, tmp_path: Path) -> None:
+    path = tmp_path / "cloud.las"
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales, header.offsets = np.full(3, 1e-8), np.array([14.0, 47.0, 0.0])
+    if isinstance(frame, str):
+        header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(frame))
+        header.global_encoding.wkt = True
+    else:
+        keys = [part for key, value in frame.items() for part in (key, 0, 1, value)]
+        header.vlrs.append(laspy.vlrs.known.GeoKeyDirectoryVlr())
+        header.vlrs[-1].parse_record_data(struct.pack(f"<{4 + len(keys)}H", 1, 1, 0, len(frame), *keys))
+    cloud = laspy.LasData(header)
+    cloud.x, cloud.y, cloud.z = np.array([[14.2, 47.1, 1.0], [14.2003, 47.1002, 2.0]]).T
+    cloud.write(path)
+    if told is None:
+        refuse_other_units(path)
+        # That of the base of a projection is not the frame of what was projected.
+        assert read_epsg(path) in (None, 32633)
+        return
+    with pytest.raises(CloudError, match=rf"is in degrees by its header{told}; convert it to UTM"):
+        refuse_other_units(path)
 
 
 @pytest.mark.parametrize("large", [False, True])

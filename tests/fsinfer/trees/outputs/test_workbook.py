@@ -79,6 +79,7 @@ def test_sheets_hold_what_the_csv_files_hold(plot: Plot, tmp_path: Path) -> None
     assert trees.values["E2"] == 23.46
     assert "N2" not in trees.values
     assert "E3" not in trees.values
+    assert stand.rows()[0][1] == "value"
     assert [row[0] for row in stand.rows()] == ["figure", *(field.name for field in fields(StandTable))]
     assert {row[0]: row[1] for row in stand.rows()[1:]}["stems_per_ha"] == pytest.approx(50.0)
     assert curve.rows() == [
@@ -94,7 +95,10 @@ def test_a_plot_with_a_border_has_a_sheet(plot: Plot, tmp_path: Path) -> None:
         ("border_round", "marker 7"),
     )
     write_tables(tmp_path / "trees.xlsx", plot(""), CURVES, plot=figures)
-    trees, _, sheet, _ = read_sheets(tmp_path / "trees.xlsx")
+    trees, stand, sheet, _ = read_sheets(tmp_path / "trees.xlsx")
+    # Both have stems a hectare, and a forester has to see which are whose.
+    assert (stand.name, stand.rows()[0]) == ("stand", ["figure", "of the seen ground"])
+    assert sheet.rows()[0] == ["figure", "of the plot within its border"]
     assert (sheet.name, sheet.rows()[1:]) == ("plot", [list(row) for row in figures])
     assert (sheet.formats["B2"], sheet.formats["B3"], sheet.formats["B4"]) == ("0.00", "0", "0.0")
     assert trees.rows()[1][-4:-1] == [True, 1.25, False]
