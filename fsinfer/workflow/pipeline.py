@@ -60,7 +60,7 @@ class ReportResult:
     path: Path
 
 
-TREES = Stage(name="trees", version=55, result=TreesResult, outputs=("trees.csv", "figures"), beside=BESIDE_TREES)
+TREES = Stage(name="trees", version=56, result=TreesResult, outputs=("trees.csv", "figures"), beside=BESIDE_TREES)
 REPORT = Stage(name="report", version=1, result=ReportResult, outputs=("report.html",))
 
 
