@@ -37,9 +37,10 @@ Pair = tuple[Tree, Section]
 
 @dataclass(frozen=True, kw_only=True)
 class Uncut:
-    """The stems with their heights, those that a cut made taken away, and what is to be told of it."""
+    """The stems with their heights, those that a cut made taken away, its z (None without one), and what to say."""
 
     pairs: list[Pair]
+    level_m: float | None = None
     told: tuple[Notice, ...] = ()
 
 
@@ -48,16 +49,26 @@ def without_cut_tops(pairs: Sequence[Pair], points: Floats) -> Uncut:
 
     Heights are z of the cloud, metres.
     """
-    tops = np.array([tree.z_ground_m + (np.nan if tree.height_m is None else tree.height_m) for tree, _ in pairs])
+    tops = _tops(pairs)
     level = float(np.nanmax(tops)) if np.isfinite(tops).any() else np.nan
     if np.count_nonzero(level - tops <= _LEVEL_M) < _LEAST_TOPS or not _ends_at(level, points):
         return Uncut(pairs=list(pairs))
-    cut = level - tops <= _NEAR_M
-    kept = [
+    told = notice(StemCode.cut_off_level, stems=int(np.count_nonzero(level - tops <= _NEAR_M)))
+    return Uncut(pairs=without_tops_at(level, pairs), level_m=level, told=(told,))
+
+
+def without_tops_at(level_m: float, pairs: Sequence[Pair]) -> list[Pair]:
+    """The ``pairs`` in their order, without the heights of those that end at the z of a cut, metres."""
+    cut = level_m - _tops(pairs) <= _NEAR_M
+    return [
         (replace(tree, height_m=None) if ends else tree, section)
         for (tree, section), ends in zip(pairs, cut, strict=True)
     ]
-    return Uncut(pairs=kept, told=(notice(StemCode.cut_off_level, stems=int(cut.sum())),))
+
+
+def _tops(pairs: Sequence[Pair]) -> Floats:
+    """z of the tops (T,), NaN where none was seen."""
+    return np.array([tree.z_ground_m + (np.nan if tree.height_m is None else tree.height_m) for tree, _ in pairs])
 
 
 def _ends_at(level_m: float, points: Floats) -> bool:

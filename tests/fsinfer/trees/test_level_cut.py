@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees import analyse_plot
+from fsinfer.trees.edit_rows import TreeEdit
+from fsinfer.trees.edits import apply_edits
+from fsinfer.trees.settings import TreeSettings
 
 HEIGHTS_M = (12.0, 13.1, 14.4, 12.6, 13.7)
 PLACES = ((-4.0, -4.0), (4.0, -4.0), (0.0, 0.0), (-4.0, 4.0), (4.0, 4.0))
@@ -43,8 +46,9 @@ def test_heights_of_a_cloud_that_was_cut_are_not_those_of_its_trees() -> None:
 
 
 def test_trees_below_the_cut_keep_their_heights() -> None:
-    points = stand((9.0, 14.0, 14.0, 14.0, 14.0))
-    cut = analyse_plot(points[points[:, 2] < 11.0])
+    points = stand((12.0, 13.1, 9.0, 12.6, 13.7))
+    cut = analyse_plot(points[points[:, 2] < 10.8])
+    assert StemCode.cut_off_level in {told.code for told in cut.warnings}
     assert [tree.height_m for tree in cut.trees if tree.height_m] == pytest.approx([9.0], abs=0.1)
 
 
@@ -52,3 +56,36 @@ def test_trees_of_the_same_height_are_not_cut() -> None:
     """Their crowns end at one level as well, but thin out towards it."""
     alike = analyse_plot(stand((13.0,) * 5))
     assert [tree.height_m for tree in alike.trees] == pytest.approx([13.0] * 5, abs=0.1)
+
+
+@pytest.mark.parametrize("how", ["added", "merged"])
+def test_a_tree_that_is_measured_by_hand_has_no_height_of_a_cut_either(how: str) -> None:
+    """A tree that was deleted and added anew had the height of the cut, beside the warning that it is not given."""
+    points = stand()
+    cut = points[points[:, 2] < 10.5]
+    found = analyse_plot(cut)
+    tree = found.trees[0]
+    first = TreeEdit(row=2, action="delete", tree_id=tree.tree_id)
+    again = TreeEdit(row=3, action="add", tree_id=tree.tree_id, x_m=tree.x_m, y_m=tree.y_m)
+    edits = [first, again]
+    if how == "merged":
+        beside = TreeEdit(row=2, action="add", x_m=tree.x_m + 0.3, y_m=tree.y_m)
+        number = max(other.tree_id for other in found.trees) + 1
+        edits = [beside, TreeEdit(row=3, action="merge", tree_id=tree.tree_id, other_id=number)]
+    edited = apply_edits(found, cut, edits, settings=TreeSettings())
+    by_hand = next(other for other in edited.trees if other.tree_id == tree.tree_id)
+    assert by_hand.dbh_cm == pytest.approx(tree.dbh_cm, abs=0.05)
+    assert [other.height_m for other in edited.trees] == [None] * 5
+
+
+def test_a_low_tree_that_is_added_below_a_cut_has_its_height() -> None:
+    points = stand((12.0, 13.1, 9.0, 12.6, 13.7))
+    cut = points[points[:, 2] < 10.8]
+    found = analyse_plot(cut)
+    low = next(tree for tree in found.trees if tree.height_m)
+    edits = [
+        TreeEdit(row=2, action="delete", tree_id=low.tree_id),
+        TreeEdit(row=3, action="add", x_m=low.x_m, y_m=low.y_m),
+    ]
+    edited = apply_edits(found, cut, edits, settings=TreeSettings())
+    assert [tree.height_m for tree in edited.trees if tree.height_m] == pytest.approx([9.0], abs=0.1)
