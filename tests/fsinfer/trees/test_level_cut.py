@@ -89,3 +89,28 @@ def test_a_low_tree_that_is_added_below_a_cut_has_its_height() -> None:
     ]
     edited = apply_edits(found, cut, edits, settings=TreeSettings())
     assert [tree.height_m for tree in edited.trees if tree.height_m] == pytest.approx([9.0], abs=0.1)
+
+
+def test_a_cloud_that_goes_on_above_was_not_cut() -> None:
+    """Stems of one crown have one height, which was taken away where thick trees stood whose tops were not seen."""
+    rng = np.random.default_rng(3)
+    parts = [np.column_stack([rng.uniform(-9, 9, (120_000, 2)), rng.normal(0, 0.005, 120_000)])]
+
+    def add_stem(x: float, y: float, height: float, radius_m: float) -> None:
+        angle, z = rng.uniform(0, 2 * np.pi, 20_000), rng.uniform(0, height, 20_000)
+        radius = radius_m * (1.0 - 0.03 * z) + rng.normal(0, 0.003, 20_000)
+        parts.append(np.column_stack([x + radius * np.cos(angle), y + radius * np.sin(angle), z]))
+
+    for x, y, seen_to in ((-5.0, -5.0, 16.45), (5.0, -5.0, 17.45), (-5.0, 5.0, 15.95), (5.0, 5.0, 18.45)):
+        add_stem(x, y, 15.0, 0.3)
+        angle, far = rng.uniform(0, 2 * np.pi, 30_000), 2.5 * np.sqrt(rng.uniform(0, 1, 30_000))
+        z = rng.uniform(9, seen_to, 30_000)
+        parts.append(np.column_stack([x + far * np.cos(angle), y + far * np.sin(angle), z]))
+    for x, y in ((0.35, 0.0), (-0.18, 0.3), (-0.18, -0.3)):
+        add_stem(x, y, 10.0, 0.08)
+    ball = rng.normal(size=(9_000, 3))
+    ball *= (np.cbrt(rng.uniform(0, 1, 9_000)) / np.linalg.norm(ball, axis=1))[:, None]
+    parts.append(np.array([0.0, 0.0, 9.5]) + ball * [2.0, 2.0, 3.5])
+    result = analyse_plot(np.concatenate(parts))
+    assert [tree.height_m for tree in result.trees if tree.height_m] == pytest.approx([12.9] * 3, abs=0.1)
+    assert StemCode.cut_off_level not in {told.code for told in result.warnings}
