@@ -68,7 +68,7 @@ def test_diameters_are_those_of_the_mean_stem_not_of_the_mean_plot() -> None:
     assert row.quadratic_mean_dbh_cm.value == pytest.approx(200.0 * math.sqrt(0.02 / math.pi))
     assert row.mean_dbh_cm is not None
     assert row.mean_dbh_cm.value == pytest.approx(12.0)
-    assert row.mean_dbh_cm.plots == row.quadratic_mean_dbh_cm.plots == 3
+    assert row.mean_dbh_cm.plots == row.quadratic_mean_dbh_cm.plots == 2  # not the empty one
 
 
 def test_what_does_not_count_is_named() -> None:
