@@ -245,7 +245,8 @@ def _of_strata(areas_ha: dict[str, float | None], present: dict[str, list[_Plot]
     no_basal_area = [name for name, own in present.items() if all(plot.basal_area_m2 is None for plot in own)]
     if with_areas and len(present) > 1 and no_basal_area:
         told.append(notice(SampleCode.strata_without_basal_area, names=_shown(no_basal_area)))
-    single = [name for name, own in present.items() if len(own) == 1]
+    # Plots without a stratum are none that a second one could be measured in.
+    single = [name for name, own in present.items() if name and len(own) == 1]
     if single and len(present) > 1:
         told.append(notice(SampleCode.strata_of_one_plot, names=_shown(single)))
     small = [

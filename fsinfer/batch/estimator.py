@@ -29,8 +29,8 @@ class Estimate:
 
     Attributes
     ----------
-    plots: how many it rests on.
-    value: the estimate. std_error: its standard error; None where a stratum has a single plot.
+    plots: how many it rests on; of a mean over stems those that have some.
+    value: the estimate. std_error: its standard error; None where it rests on a single plot of a stratum.
     df: degrees of freedom of Student's t; None without a standard error.
     lo95, hi95: 95 % interval, whose lower end is no less than 0, as no amount is; None without a standard error.
     cv_percent: the coefficient of variation between plots, per cent; None without a standard error, and over several
@@ -97,29 +97,35 @@ def estimate_ratio(
     With A_h the strata's areas, a the plots', and totals T_h(y) = A_h sum(y) / sum(a): R = sum T_h(y) / sum T_h(x).
     Its variance is that of sum T_h(z) of the residuals z = y - R x (Cochran 1977, section 6.11), in each stratum by
     the residuals of z from its own ratio to the area: v_h = A_h² n_h / (n_h - 1) sum(e²) / sum(a)² (section 6.4; its
-    mean of areas is that of the sample). Degrees of freedom are Satterthwaite's (eq. 5.16); in one stratum, n - 1.
+    mean of areas is that of the sample). Degrees of freedom are Satterthwaite's (eq. 5.16); in one stratum, n - 1. Of
+    plots n and n_h count those whose x is above 0: a mean over stems has nothing from empty ones, which would only
+    make its error small.
     """
     if not len(amounts):
         return None
     stratum = np.zeros(len(amounts), dtype=np.intp) if stratum is None else stratum
-    number = np.bincount(stratum)
-    weight = np.ones(len(number)) if stratum_areas is None else stratum_areas
+    # Of a mean over stems a plot without any tells nothing: of one plot with stems among empty ones it has no error.
+    telling = np.bincount(stratum, others > 0.0).astype(np.intp)
+    weight = np.ones(len(telling)) if stratum_areas is None else stratum_areas
     # How much of its stratum each plot's area stands for.
     raised = weight / _sums(stratum, areas)
     of_others = float((raised * _sums(stratum, others)).sum())
     if of_others <= 0.0:
         return None
     ratio = float((raised * _sums(stratum, amounts)).sum()) / of_others
-    if (number < 2).any():
-        return Estimate(plots=len(amounts), value=ratio)
+    plots = int(telling.sum())
+    if (telling == 1).any():
+        return Estimate(plots=plots, value=ratio)
+    # Strata in which none tells anything have no part in either sum, nor in the error.
+    number = np.maximum(telling, 2)
     residuals = amounts - ratio * others
     own_ratio = _sums(stratum, residuals) / _sums(stratum, areas)
     squares = _sums(stratum, (residuals - own_ratio[stratum] * areas) ** 2)
     variances = (raised / of_others) ** 2 * number / (number - 1.0) * squares
     std_error = math.sqrt(float(variances.sum()))
     alone = len(number) == 1
-    variation = math.sqrt(len(amounts)) * std_error / ratio if alone and ratio > 0.0 else None
-    return _estimate(len(amounts), ratio, std_error, _degrees_of_freedom(variances, number), variation=variation)
+    variation = math.sqrt(plots) * std_error / ratio if alone and ratio > 0.0 else None
+    return _estimate(plots, ratio, std_error, _degrees_of_freedom(variances, number), variation=variation)
 
 
 def _sums(stratum: Whole, values: Floats) -> Floats:

@@ -13,7 +13,7 @@ from fsinfer.batch.estimates_table import ESTIMATE_COLUMNS, estimate_rows, estim
 from fsinfer.batch.outcome import State
 from fsinfer.batch.rows import PLOT_COLUMNS, TREE_COLUMNS, PlotRow, PlotTrees, cells
 from fsinfer.io.csv_text import write_table
-from fsinfer.io.files import write_text
+from fsinfer.io.files import remove_old, write_text
 from fsinfer.output.json_values import as_json
 from fsinfer.output.plot_json import finite
 from fsinfer.trees.outputs.workbook import Sheet, write_workbook
@@ -63,8 +63,8 @@ def write_plots(out: Path, rows: Sequence[PlotRow]) -> None:
     estimates = forest_estimates(rows)
     if estimates.rows:
         write_table(out / ESTIMATES_CSV, ESTIMATE_COLUMNS, estimate_rows(estimates))
-    else:
-        (out / ESTIMATES_CSV).unlink(missing_ok=True)
+    elif (out / ESTIMATES_CSV).exists():
+        remove_old(out / ESTIMATES_CSV, way_out="close the program that shows it, and run the same command again")
     told = {"made_by": __version__, **as_json(count(rows)), "estimates": estimates_json(estimates)}
     told |= {"rows": as_json(rows)}
     write_text(out / SUMMARY_JSON, json.dumps(finite(told), indent=1, ensure_ascii=False, allow_nan=False) + "\n")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,8 +15,28 @@ _MOST_DBH_CM = 1000.0
 _LEAST_DBH_CM = 2.0
 #: Columns that a ``trees.csv`` has and no caliper. Source: format; ``trees.csv``.
 _OF_FSINFER = ("status", "dbh_lo95_cm")
-#: How ``in_plot`` says no. Source: format; ``trees.csv``, and the sheet of ``trees.xlsx`` saved as CSV.
-_NO = ("0", "false")
+#: How ``in_plot`` says no: a nought, or a word in small letters. Source: format; ``trees.csv``, which other programs
+#: write anew with decimals, and the sheet of ``trees.xlsx`` saved as CSV, in the language of the spreadsheet.
+_NOUGHT = re.compile(r"0+([.,]0*)?")
+_NO = frozenset(
+    [
+        "false",
+        "no",
+        "falsch",
+        "nein",
+        "faux",
+        "falso",
+        "onwaar",
+        "fałsz",
+        "nepravda",
+        "falsk",
+        "falskt",
+        "usann",
+        "epätosi",
+        "hamis",
+        "ложь",
+    ]
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +99,7 @@ def read_measured(path: Path, *, need_dbh: bool = True, need_position: bool = Tr
                 # Of a measured table other columns are nobody's business.
                 dbh_lo95_cm=None if need_dbh else row.number("dbh_lo95_cm"),
                 dbh_hi95_cm=None if need_dbh else row.number("dbh_hi95_cm"),
-                in_plot=None if need_dbh or not (inside := row.text("in_plot")) else inside.lower() not in _NO,
+                in_plot=None if need_dbh or not (inside := row.text("in_plot")) else not _says_no(inside),
             )
         )
     if not need_dbh:
@@ -94,6 +115,10 @@ def read_measured(path: Path, *, need_dbh: bool = True, need_position: bool = Tr
         msg = f"{path}: no dbh_cm is above {max(known):g} cm; give centimetres, not metres"
         raise InputError(msg)
     return trees
+
+
+def _says_no(inside: str) -> bool:
+    return _NOUGHT.fullmatch(inside) is not None or inside.lower() in _NO
 
 
 def seem_swapped(measured: Path, extracted: Path) -> bool:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fsinfer.errors import SceneError
@@ -90,13 +91,32 @@ def scores_without_points(
         inside = (depth > camera.depth_min) & (depth < camera.depth_max)
         inside &= (pixels >= 0).all(axis=1) & (pixels[:, 0] <= width - 1) & (pixels[:, 1] <= height - 1)
         seen.append(np.flatnonzero(inside))
-    # Of a dense walk every place is seen by a share of all views: the pairs' shares grow with the third power of these.
-    seen_by = np.bincount(np.concatenate([*seen, np.zeros(0, np.int64)]), minlength=len(places)).astype(np.float64)
-    shared = float((seen_by * (seen_by - 1.0)).sum()) / 2.0
-    if shared > settings.most_shared:
-        drawn = np.random.default_rng(settings.seed).random(len(places)) < settings.most_shared / shared
-        seen = [numbers[drawn[numbers]] for numbers in seen]
+    drawn = _drawn(seen, len(places), settings)
+    seen = [numbers[drawn[numbers]] for numbers in seen]
     return score_pairs(places, np.array([camera.center for camera in cameras]), seen)
+
+
+def _drawn(seen: Sequence[NDArray[np.int64]], count: int, settings: GeometricSettings) -> NDArray[np.bool_]:
+    """Which of ``count`` places stand for all, of numbers (N,) of those that each view sees.
+
+    Of a dense walk every place is seen by a share of all views: the pairs' shares grow with the third power of these.
+    """
+    seen_by = np.bincount(np.concatenate([*seen, np.zeros(0, np.int64)]), minlength=count).astype(np.float64)
+    pairs = 0.5 * seen_by * (seen_by - 1.0)
+    shared = float(pairs.sum())
+    if shared <= settings.most_shared:
+        return np.ones(count, dtype=bool)
+    drawn = np.random.default_rng(settings.seed).random(count) < settings.most_shared / shared
+    # Views aside of the dense part share little with few: next to nothing of it is drawn, less than a layer of their
+    # own. What they see is kept, the places of the fewest pairs first, as far as it shares no more than the draw.
+    least = settings.columns * settings.rows
+    aside = np.zeros(count, dtype=bool)
+    for numbers in seen:
+        if np.count_nonzero(drawn[numbers]) < least:
+            aside[numbers] = True
+    cheapest = np.flatnonzero(aside)[np.argsort(pairs[aside], kind="stable")]
+    drawn[cheapest[np.cumsum(pairs[cheapest]) <= settings.most_shared]] = True
+    return drawn
 
 
 def _places(camera: Camera, size: tuple[int, int], settings: GeometricSettings) -> Floats:

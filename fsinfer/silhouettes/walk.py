@@ -104,7 +104,7 @@ def apart_from_walk(
 
 def stems_outside_walk(trees: Sequence[Tree]) -> Notice:
     """That these are listed apart and not counted."""
-    return notice(StemCode.stems_outside_walk, stems=len(trees), trees=", ".join(str(tree.tree_id) for tree in trees))
+    return notice(StemCode.stems_outside_walk, stems=len(trees), trees=tuple(str(tree.tree_id) for tree in trees))
 
 
 def _apart(tree: Tree, section: Section, nearest_m: float, s: WalkSettings) -> tuple[Tree, Section]:

@@ -19,6 +19,7 @@ from fsinfer.notices.stems import StemCode
 from fsinfer.trees.by_hand import PlotAgain
 from fsinfer.trees.diameter.section import Section, unmeasured_section
 from fsinfer.trees.edit_rows import EDITS_FILE, TreeEdit
+from fsinfer.trees.level_cut import without_tops_at
 from fsinfer.trees.measure import PlotResult
 from fsinfer.trees.points.errors import PointErrors
 from fsinfer.trees.search.stem import Stem
@@ -173,10 +174,11 @@ def _measured(trees: Mapping[int, _Entry], result: PlotResult, again: PlotAgain)
             beside.append(other.stem)
     measured = dict(zip(own, again.measured(list(own.values()), beside), strict=True))
     pairs = {number: pair for number, pair in measured.items() if pair is not None}
+    entries = list(pairs.values())
+    if result.cut_level_m is not None:
+        entries = without_tops_at(result.cut_level_m, entries)
     # What is usual in this plot, its other stems tell.
-    allowed = allow_for_shape(
-        list(pairs.values()), beside=[section for _, section in found.values()], settings=again.settings
-    )
+    allowed = allow_for_shape(entries, beside=[section for _, section in found.values()], settings=again.settings)
     return dict(zip(pairs, doubt_the_rough(allowed, beside=[tree for tree, _ in found.values()]), strict=True))
 
 

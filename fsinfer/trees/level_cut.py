@@ -27,6 +27,9 @@ _LEVEL_M, _LEAST_TOPS = 0.05, 3
 #: Points in the last layer of this height, metres, over those in the one below it, from which on the cloud was cut: a
 #: canopy thins out. Source: those scans, 0.7 to 1.0 where they are cut and 0.2 and 0.4 where they are whole.
 _LAYER_M, _LEAST_SHARE = 0.25, 0.6
+#: Points in the layer above over those in the last one, from which on the cloud goes on. Source: judgement; of a cut
+#: cloud as many as lie between the highest top and the cut.
+_MOST_ABOVE = 0.5
 #: Points are thinned to cells of this width before, metres. Source: numerics; as crowns are.
 _CELL_M = 0.05
 #: Tops this near below the level may be cut as well, metres. Source: judgement; two layers.
@@ -37,9 +40,10 @@ Pair = tuple[Tree, Section]
 
 @dataclass(frozen=True, kw_only=True)
 class Uncut:
-    """The stems with their heights, those that a cut made taken away, and what is to be told of it."""
+    """The stems with their heights, those that a cut made taken away, its z (None without one), and what to say."""
 
     pairs: list[Pair]
+    level_m: float | None = None
     told: tuple[Notice, ...] = ()
 
 
@@ -48,21 +52,35 @@ def without_cut_tops(pairs: Sequence[Pair], points: Floats) -> Uncut:
 
     Heights are z of the cloud, metres.
     """
-    tops = np.array([tree.z_ground_m + (np.nan if tree.height_m is None else tree.height_m) for tree, _ in pairs])
+    tops = _tops(pairs)
     level = float(np.nanmax(tops)) if np.isfinite(tops).any() else np.nan
     if np.count_nonzero(level - tops <= _LEVEL_M) < _LEAST_TOPS or not _ends_at(level, points):
         return Uncut(pairs=list(pairs))
-    cut = level - tops <= _NEAR_M
-    kept = [
+    told = notice(StemCode.cut_off_level, stems=int(np.count_nonzero(level - tops <= _NEAR_M)))
+    return Uncut(pairs=without_tops_at(level, pairs), level_m=level, told=(told,))
+
+
+def without_tops_at(level_m: float, pairs: Sequence[Pair]) -> list[Pair]:
+    """The ``pairs`` in their order, without the heights of those that end at the z of a cut, metres."""
+    cut = level_m - _tops(pairs) <= _NEAR_M
+    return [
         (replace(tree, height_m=None) if ends else tree, section)
         for (tree, section), ends in zip(pairs, cut, strict=True)
     ]
-    return Uncut(pairs=kept, told=(notice(StemCode.cut_off_level, stems=int(cut.sum())),))
+
+
+def _tops(pairs: Sequence[Pair]) -> Floats:
+    """z of the tops (T,), NaN where none was seen."""
+    return np.array([tree.z_ground_m + (np.nan if tree.height_m is None else tree.height_m) for tree, _ in pairs])
 
 
 def _ends_at(level_m: float, points: Floats) -> bool:
-    """Whether the last layer of points (N, 3) below a level is nearly as full as the one below it."""
-    below = (points[:, 2] > level_m - 2.0 * _LAYER_M) & (points[:, 2] <= level_m)
-    heights = thin(rows(points, below), _CELL_M)[:, 2]
-    last = np.count_nonzero(heights > level_m - _LAYER_M)
-    return bool(last >= _LEAST_SHARE * (len(heights) - last))
+    """Whether the last layer of points (N, 3) below a level is nearly as full as the one below it, that above is not.
+
+    Trees whose tops were not seen may reach above the highest that was: there the cloud goes on.
+    """
+    near = np.abs(points[:, 2] - (level_m - 0.5 * _LAYER_M)) <= 1.5 * _LAYER_M
+    heights = thin(rows(points, near), _CELL_M)[:, 2]
+    above = np.count_nonzero(heights > level_m)
+    last = np.count_nonzero(heights > level_m - _LAYER_M) - above
+    return bool(last >= _LEAST_SHARE * (len(heights) - last - above) and above < _MOST_ABOVE * last)

@@ -72,7 +72,8 @@ class PlotResult:
     guessed to make a metre, and the sections are in metres by that guess. ``joined`` are stems of other parts of the
     walk, which were measured there: they have no section here. ``seen_ground`` are the cells of which ``plot_area_m2``
     is the area; None where it is not known. ``stems`` are all that the search found, in metres like the ground, whether
-    or not they are trees (any more).
+    or not they are trees (any more). ``cut_level_m`` is the z at which the cloud was cut off level in the crowns, at
+    which no tree has its top, in metres like the ground; None where it was not.
     """
 
     trees: tuple[Tree, ...]
@@ -87,6 +88,7 @@ class PlotResult:
     joined: tuple[Tree, ...] = ()
     seen_ground: SeenCells | None = None
     stems: tuple[FoundStem, ...] = ()
+    cut_level_m: float | None = None
 
     @property
     def all_trees(self) -> tuple[Tree, ...]:
@@ -264,6 +266,7 @@ def _analysed(
         stems=tuple(
             FoundStem(stem=stem.moved(origin[:2]), tree_id=number_of.get(n)) for n, stem in enumerate(search.stems)
         ),
+        cut_level_m=uncut.level_m,
     )
 
 

@@ -132,8 +132,8 @@ def stem_map(contents: Contents) -> MapView | None:
         margin=MARGIN,
         unit="m" if contents.metric else "units",
         crowd=crowd,
-        columns=tuple(GridLine(at=place(x, low[1])[0], label=f"{x:g}") for x in _multiples(step, low[0], high[0])),
-        rows=tuple(GridLine(at=place(low[0], y)[1], label=f"{y:g}") for y in _multiples(step, low[1], high[1])),
+        columns=tuple(GridLine(at=place(x, low[1])[0], label=_digits(x)) for x in _multiples(step, low[0], high[0])),
+        rows=tuple(GridLine(at=place(low[0], y)[1], label=_digits(y)) for y in _multiples(step, low[1], high[1])),
         cameras=tuple(place(x, y) for x, y in walked),
         border=tuple(place(x, y) for x, y in outline),
         marks=tuple(_mark(tree_id, *place(x, y), tree, per_unit, crowd) for tree_id, x, y, tree in shown),
@@ -171,6 +171,11 @@ def _mark(tree_id: int, u: float, v: float, tree: Mapping[str, str], per_unit: f
 def _multiples(step: float, low: float, high: float) -> list[float]:
     """The multiples of ``step`` between ``low`` and ``high``."""
     return [k * step for k in range(math.ceil(low / step), math.floor(high / step) + 1)]
+
+
+def _digits(value: float) -> str:
+    """All of its digits: a northing of 5,812,350 would be 5.81235e+06, and the next line the same."""
+    return f"{value:.10g}"
 
 
 def round_step(least: float) -> float:

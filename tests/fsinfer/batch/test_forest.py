@@ -107,6 +107,16 @@ def test_without_a_border_there_is_no_estimate_but_its_reason(tmp_path: Path) ->
     assert "No plot has a border, so that the forest is not estimated" in (out / "report.html").read_text("utf-8")
 
 
+def test_estimates_of_before_that_cannot_be_taken_away_are_told(tmp_path: Path) -> None:
+    """A spreadsheet that shows them holds them: that was an internal error."""
+    table, out = write_table(tmp_path, [{"name": "a"}]), tmp_path / "out"
+    (out / "estimates.csv").mkdir(parents=True)  # no system removes it as a file
+    code, said = batch(table, out)
+    assert code == 2
+    assert "cannot remove the old" in said
+    assert "close the program that shows it" in said
+
+
 @pytest.mark.parametrize("stratum", ["", "oak"])
 def test_who_has_asked_for_the_forest_is_told_why_there_is_none(tmp_path: Path, stratum: str) -> None:
     table = write_table(tmp_path, [{"name": "a", "stratum": stratum}])

@@ -77,6 +77,19 @@ def test_stems_outside_of_the_border_are_not_judged(tmp_path: Path) -> None:
     assert (e.matched, e.outside, e.false) == (2, 2, 2)
 
 
+@pytest.mark.parametrize(
+    ("inside", "outside"), [("1,0", "0,0"), ("1.0", "0.0"), ("True", "False"), ("WAHR", "FALSCH"), ("PRAWDA", "FAŁSZ")]
+)
+def test_other_programs_say_what_is_outside_of_the_border_in_their_way(
+    tmp_path: Path, inside: str, outside: str
+) -> None:
+    """A spreadsheet in German saves FALSCH, a table whose column has gaps comes back with 0.0: both counted as in."""
+    rows = ["tree_id;x_m;y_m;dbh_cm;in_plot", f"1;9;0;21;{inside}", f"2;9;3;28;{outside}"]
+    (tmp_path / "trees.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    e = evaluate(MEASURED, read_measured(tmp_path / "trees.csv", need_dbh=False), align="never")
+    assert (e.outside, e.false) == (1, 1)
+
+
 @pytest.mark.parametrize(("written", "matched"), [("0{}", 3), ("{}.0", 3), ("{},00", 3), ("T{}", 0), ("{}.5", 0)])
 def test_numbers_are_the_same_however_a_table_writes_them(written: str, matched: int) -> None:
     """A field sheet has 01 to 12: the first nine were omitted, and as many stems false, without a word."""

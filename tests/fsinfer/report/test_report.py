@@ -110,6 +110,20 @@ def test_a_hectare_of_stems_can_be_read(tmp_path: Path) -> None:
             assert page.count(" more are doubtful") == 1
 
 
+def test_lines_of_a_map_in_map_coordinates_tell_where_they_are(tmp_path: Path) -> None:
+    """Northings read 5.81234e+06, on two lines the same, most of it beyond the edge."""
+    places = ((468_000.0, 5_812_350.0), (468_015.0, 5_812_362.0))
+    write_csv(tmp_path / "trees.csv", [TREE | {"tree_id": k, "x_m": x, "y_m": y} for k, (x, y) in enumerate(places)])
+    (tmp_path / "plot.json").write_text(json.dumps(PLOT))
+    page = make_report(tmp_path).read_text(encoding="utf-8")
+    labels = re.findall(r'<text class="axis" x="([\d.]+)" y="[\d.]+"( text-anchor="\w+")?>(\d+)<', page)
+    northings = [(float(x), anchor, int(label)) for x, anchor, label in labels if label.startswith("58")]
+    assert sorted(northing for _, _, northing in northings) == [5_812_350, 5_812_355, 5_812_360]
+    # They begin within the drawing, at its edge.
+    assert all(x >= 0.0 and not anchor for x, anchor, _ in northings)
+    assert {int(label) for _, _, label in labels if label.startswith("468")} >= {468_005, 468_010}
+
+
 def test_warnings_name_the_trees_to_visit_again(tmp_path: Path) -> None:
     write_csv(
         tmp_path / "trees.csv",

@@ -75,12 +75,20 @@ def test_far_stems_come_last_keep_their_number_and_have_no_diameter() -> None:
     assert why.values["nearest_m"] == pytest.approx(13.0)
     assert result.sections[2].dbh_m is None
     assert result.sections[2].circle_m[2] == pytest.approx(0.15)  # drawn as thick as it is
-    assert result.warnings == (notice(StemCode.stems_outside_walk, stems=2, trees="1, 3"),)
+    assert result.warnings == (notice(StemCode.stems_outside_walk, stems=2, trees=("1", "3")),)
     # Those in the plot's border count there, which is told by another warning.
     assert "are listed apart and not counted on the seen ground: 1, 3; go nearer" in sentence(result.warnings[0])
     assert result.diagnosis == notice(StemCode.trees_found, trees=2, measured=2)
     assert result.stand.stems == 2
     assert result.stand.stems_per_ha == pytest.approx(50.0)
+
+
+def test_a_warning_of_very_many_far_stems_can_be_read() -> None:
+    """Of 1,500 beyond a hectare's border it had 8,000 letters."""
+    result = apart_from_walk(plot(entry(1, 0.0), *(entry(k, 30.0) for k in range(2, 102))), RING)
+    (told,) = result.warnings
+    assert told.values["stems"] == 100
+    assert "60, 61 and 40 more; go nearer" in sentence(told)
 
 
 def test_far_stems_are_measured_where_that_is_asked_for_but_do_not_count() -> None:
