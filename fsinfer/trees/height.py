@@ -50,8 +50,8 @@ class TopSettings:
     tip_spread: what ends below a gap with more above it is a top where its highest metre spreads by less than this
         times the widest metre of the upper two thirds; else the tree may go on behind what hid it. Source: gaps cut
         into the columns of scanned pines; 19 of 20 end wider.
-    max_slenderness: a stem so much thinner than what is above the gap is high does not carry it. Source: suppressed
-        trees of dense stands have up to 150.
+    max_slenderness: what is higher than this times the diameter is not carried by it: another tree's crown, above a gap
+        or without one. Source: suppressed trees of dense stands have up to 150.
     """
 
     crown_radius_m: float = 0.8
@@ -195,6 +195,8 @@ def _top_along(
     height = float(near[layer <= top, 2].max())
     diameter = dbh_m if dbh_m is not None else 2.0 * stem.axis.radius_m
     if height < s.min_height_m or height < s.min_slenderness * diameter:
+        return None
+    if dbh_m is not None and height > s.max_slenderness * dbh_m + bh_m:
         return None
     upper = rows(near, (near[:, 2] > FOOT_M + (height - FOOT_M) * 2.0 / 3.0) & (near[:, 2] <= height))
     spread = _width(upper)

@@ -93,6 +93,14 @@ def test_what_is_above_a_gap_at_the_side_or_too_high_for_the_stem_is_another_tre
     assert height_of(np.concatenate([own, above]), [stem_at(0.0, 0.0)], dbh_m=0.12) == pytest.approx(14.0, abs=0.4)
 
 
+def test_a_thin_stem_is_not_as_high_as_the_crown_that_it_grows_into() -> None:
+    # No stem is known of what is above; 16 m are none of a stem of 9 cm, and may be of one of 12 cm.
+    points = np.concatenate([tree(0.0, 0.0, 16.0), tree(0.0, 0.0, 8.0, seed=1)])
+    assert height_of(points, [stem_at(0.0, 0.0)], dbh_m=0.09) is None
+    assert height_of(points, [stem_at(0.0, 0.0)], dbh_m=0.12) == pytest.approx(16.0, abs=0.06)
+    assert height_of(points, [stem_at(0.0, 0.0)], dbh_m=None) == pytest.approx(16.0, abs=0.06)
+
+
 def test_what_goes_on_without_a_gap_belongs_to_the_tree() -> None:
     points = tree(0.0, 0.0, 10.0)
     joined = np.random.default_rng(1).uniform([-0.3, -0.3, 10.0], [0.3, 0.3, 11.2], (300, 3))
