@@ -50,6 +50,8 @@ class TopSettings:
     tip_spread: what ends below a gap with more above it is a top where its highest metre spreads by less than this
         times the widest metre of the upper two thirds; else the tree may go on behind what hid it. Source: gaps cut
         into the columns of scanned pines; 19 of 20 end wider.
+    bare_spread: ... unless it spreads by less than this times the diameter: that is bark, and the stem goes on. Source:
+        bark spreads by half of the diameter, and is noisy; tips of scanned pines spread by 0.9 and more.
     max_slenderness: what is higher than this times the diameter is not carried by it: another tree's crown, above a gap
         or without one. Source: suppressed trees of dense stands have up to 150.
     """
@@ -65,6 +67,7 @@ class TopSettings:
     crown_spread: float = 2.0
     thinning: float = 0.6
     tip_spread: float = 0.5
+    bare_spread: float = 0.6
     max_slenderness: float = 150.0
 
 
@@ -233,7 +236,7 @@ def _may_go_on(near: Floats, height: float, diameter: float, s: TopSettings) -> 
     metre = np.floor((height - near[:, 2]) / TOP_M)
     upper = range(max(int((height - FOOT_M) * 2.0 / 3.0 / TOP_M), 1))
     widths = [_width(rows(near, metre == below)) for below in upper]
-    return widths[0] > s.tip_spread * max(widths)
+    return widths[0] > s.tip_spread * max(widths) or widths[0] < s.bare_spread * diameter
 
 
 def _width(points: Floats) -> float:

@@ -84,6 +84,17 @@ def test_where_a_tree_is_hidden_it_does_not_end(hidden_m: float) -> None:
     assert height_of(few, [stem_at(0.0, 0.0)]) == pytest.approx(14.0, abs=0.4)
 
 
+def test_a_bare_stem_above_its_lower_branches_is_no_tip() -> None:
+    rng = np.random.default_rng(4)
+    angle, z = rng.uniform(0.0, 2.0 * np.pi, 1500), rng.uniform(0.0, 8.0, 1500)
+    bark = np.column_stack([RADIUS * np.cos(angle), RADIUS * np.sin(angle), z])
+    branches = rng.uniform([-0.6, -0.6, 4.0], [0.6, 0.6, 6.8], (3000, 3))
+    below = np.concatenate([bark, branches])
+    whole = tree(0.0, 0.0, 20.0)
+    assert height_of(below, [stem_at(0.0, 0.0)]) == pytest.approx(8.0, abs=0.1)
+    assert height_of(np.concatenate([below, whole[whole[:, 2] > 11.0]]), [stem_at(0.0, 0.0)]) is None
+
+
 def test_what_is_above_a_gap_at_the_side_or_too_high_for_the_stem_is_another_trees() -> None:
     points = hidden_above(14.0, 3.0)
     own, above = points[points[:, 2] < 14.0], points[points[:, 2] > 14.0]
