@@ -32,6 +32,12 @@ _MOST_STEPS = 50
 _MEMBERS_FROM, _MEMBERS_TO = 0.5, 1.15
 #: Points of a slice, and slices, that tell how a stem leans. Source: judgement.
 _LEAN_POINTS, _LEAN_SLICES = 3, 4
+#: Cells in a reach, so that the points of one are within reach of each other; the steps to half of the cells that may
+#: be in reach of it, nearest first. Source: numerics.
+_CELLS_IN_REACH = 1.5
+_STEPS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0), (1, 2), (1, -2), (2, 1), (2, -1), (2, 2), (2, -2))
+#: What is looked at closely, and how far pairs of cells are put apart, in reaches. Source: numerics.
+_BEYOND, _PAIRS_APART = 1.0 + 1e-9, 8.0
 #: What stands for none. Source: numerics.
 _LEAST = 1e-9
 
@@ -100,23 +106,60 @@ def find_sparse_stems(
 
 def _clusters(plan: Floats, heights: Floats, settings: SparseStemSettings) -> Sequence[Ints]:
     """Groups of points whose neighbourhoods are upright, each of indices into ``plan``."""
-    tree = cKDTree(plan)
-    pairs = tree.query_pairs(settings.reach_m, output_type="ndarray")
     slices = ((heights - settings.min_height_m) / settings.slice_m).astype(np.int64)
-    count = int(slices.max()) + 1
-    filled = np.zeros((len(plan), count), dtype=bool)
-    filled[np.arange(len(plan)), slices] = True
-    filled[pairs[:, 0], slices[pairs[:, 1]]] = True
-    filled[pairs[:, 1], slices[pairs[:, 0]]] = True
-    upright = filled.sum(axis=1) >= settings.min_slices
-    kept = pairs[upright[pairs].all(axis=1)]
-    graph = coo_matrix((np.ones(len(kept)), (kept[:, 0], kept[:, 1])), shape=(len(plan), len(plan)))
-    _, labels = connected_components(graph, directed=False)
-    labels[~upright] = -1
+    filled = np.zeros(len(plan), dtype=np.int64)
+    for number in np.unique(slices):
+        filled += _reaches(plan, plan[slices == number], settings.reach_m)
+    upright = np.flatnonzero(filled >= settings.min_slices)
+    if len(upright) == 0:
+        return []
+    labels = _joined(plan[upright], settings.reach_m)
     order = np.argsort(labels, kind="stable")
-    starts = np.flatnonzero(np.diff(labels[order], prepend=-2))
-    groups = np.split(order, starts[1:])
-    return [group for group in groups if labels[group[0]] >= 0 and len(group) >= settings.min_points]
+    groups = np.split(upright[order], np.flatnonzero(np.diff(labels[order])) + 1)
+    return sorted((group for group in groups if len(group) >= settings.min_points), key=lambda group: int(group[0]))
+
+
+def _reaches(places: Floats, others: Floats, reach: float) -> NDArray[np.bool_]:
+    """Whether one of ``others`` (M, D), M > 0, is no farther than ``reach`` from each of ``places`` (N, D)."""
+    tree = cKDTree(others)
+    # The bound itself is left out.
+    _, nearest = tree.query(places, distance_upper_bound=reach * _BEYOND)
+    near = np.zeros(len(places), dtype=bool)
+    found = np.flatnonzero(nearest < len(others))
+    near[found] = ((places[found] - others[nearest[found]]) ** 2).sum(axis=1) <= reach * reach
+    return near
+
+
+def _joined(plan: Floats, reach: float) -> Ints:
+    """Numbers (N,) of the groups that points (N, 2) make with steps of up to ``reach``.
+
+    The pairs of points within reach grow with the square of their density; cells whose points all are, do not.
+    """
+    cell = np.floor(plan * (_CELLS_IN_REACH / reach)).astype(np.int64)
+    cell -= cell.min(axis=0)
+    width = int(cell[:, 1].max()) + 1
+    keys, cell_of = np.unique(cell[:, 0] * width + cell[:, 1], return_inverse=True)
+    labels = np.arange(len(keys))
+    links = np.zeros((2, 0), dtype=np.int64)
+    for dx, dy in _STEPS:
+        wanted = keys + dx * width + dy
+        there = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+        here = np.flatnonzero((keys[there] == wanted) & (labels != labels[there]))
+        if len(here) == 0:
+            continue
+        # No cell begins two pairs or ends two; pairs are put so far apart that nothing reaches from one to another.
+        pair = np.full((2, len(keys)), -1)
+        pair[0, here] = pair[1, there[here]] = np.arange(len(here))
+        start, end = (np.flatnonzero(side[cell_of] >= 0) for side in pair)
+        far = _PAIRS_APART * reach
+        places, others = (
+            np.column_stack([plan[own], far * side[cell_of[own]]]) for own, side in zip((start, end), pair, strict=True)
+        )
+        met = np.unique(pair[0, cell_of[start[_reaches(places, others, reach)]]])
+        links = np.concatenate([links, [here[met], there[here[met]]]], axis=1)
+        graph = coo_matrix((np.ones(links.shape[1]), (links[0], links[1])), shape=(len(keys), len(keys)))
+        labels = connected_components(graph, directed=False)[1]
+    return np.asarray(labels[cell_of], np.int64)
 
 
 def _fit(

@@ -76,7 +76,7 @@ def border_facts(figures: PlotFigures) -> list[tuple[str, str]]:
     """Names and values for the table of the plot."""
     rows = [
         ("Border of the plot", _shape(figures)),
-        ("Plot area, horizontal", f"{figures.area_m2:.0f} m² (the ground slopes by {figures.slope_deg:.0f}°)"),
+        ("Plot area, horizontal", f"{figures.area_m2:,.0f} m² (the ground slopes by {figures.slope_deg:.0f}°)"),
         ("Seen of it", f"{100 * figures.seen_share:.0f} % ({figures.seen_method})"),
         (
             "Stems in the plot",
@@ -99,7 +99,7 @@ def border_facts(figures: PlotFigures) -> list[tuple[str, str]]:
         rows.append(("At the border", f"tree {trees}: measure in the forest whether they are in"))
     if figures.stems_per_ha is None:
         return [*rows, ("Per hectare", "not given: too little of the plot was seen")]
-    rows += _figure_rows("Stems per hectare", "{:.0f}", "", figures.stems_per_ha, figures.doubtful_stems_per_ha)
+    rows += _figure_rows("Stems per hectare", "{:,.0f}", "", figures.stems_per_ha, figures.doubtful_stems_per_ha)
     if figures.basal_area_m2_per_ha is not None:
         doubtful = figures.doubtful_basal_area_m2_per_ha
         rows += _figure_rows("Basal area per hectare", "{:.1f}", " m²/ha", figures.basal_area_m2_per_ha, doubtful)

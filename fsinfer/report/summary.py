@@ -103,11 +103,11 @@ def _stand_facts(contents: Contents) -> list[tuple[str, str]]:
     if stand.plot_area_m2 is None or stand.stems_per_ha is None:
         why = "not given: the area of the plot is not known"
         return rows if stand.mean_dbh_cm is None else [*rows, ("Per hectare", why)]
-    rows.append(("Plot area", f"{stand.plot_area_m2:.0f} m²"))
+    rows.append(("Plot area", f"{stand.plot_area_m2:,.0f} m²"))
     if stand.stems_on_area is not None and stand.stems_on_area < stand.stems:
         of = f"{stand.stems_on_area} of {stand.stems}; only they count to the hectare"
         rows.append(("Stems on that ground", of))
-    rows.append(("Stems per hectare", f"{stand.stems_per_ha:.0f}"))
+    rows.append(("Stems per hectare", f"{stand.stems_per_ha:,.0f}"))
     if stand.basal_area_m2_per_ha is not None:
         counted = [tree for tree in contents.counted if tree_number(tree) not in stand.off_area]
         unknown = len(counted) - len(measured_cm(counted))

@@ -1,6 +1,7 @@
 import csv
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -582,6 +583,27 @@ def test_a_plot_without_stems_has_its_area_and_its_figures(tmp_path: Path, *, bo
         assert '<th scope="row">Plot area</th><td>400 m²</td>' in page
         assert '<th scope="row">Stems per hectare</th><td>0</td>' in page
         assert '<th scope="row">Basal area per hectare</th><td>0.0 m²/ha</td>' in page
+
+
+@pytest.mark.parametrize("bordered", [True, False])
+def test_large_areas_and_numbers_of_stems_are_written_as_other_large_numbers(tmp_path: Path, *, bordered: bool) -> None:
+    plots = [PLOT | {"plot_area_m2": area_m2} for area_m2 in (10_007, 10)]
+    if bordered:
+        border = Border(center=(1.0, -2.0), radius_m=60.0, origin="marker 7", moves_along=True)
+        figures = plot_of([], border, SeenShare(share=1.0, method="by eye"), slope_deg=0.0).figures
+        assert figures.stems_per_ha is not None
+        many = replace(figures.stems_per_ha, value=1606.2, lo95=1411.8, hi95=1800.0)
+        plots = [plots[0] | {"plot_border": as_json(replace(figures, stems_per_ha=many))}]
+    page = ""
+    for plot in plots:
+        full_folder(tmp_path, plot=plot)
+        page += make_report(tmp_path).read_text(encoding="utf-8")
+    if bordered:
+        assert '<th scope="row">Plot area, horizontal</th><td>11,310 m² (' in page
+        assert '<th scope="row">Stems per hectare</th><td>1,606, 95 % interval 1,412 to 1,800' in page
+    else:
+        assert '<th scope="row">Plot area</th><td>10,007 m²</td>' in page
+        assert '<th scope="row">Stems per hectare</th><td>3,000</td>' in page
 
 
 def test_stems_outside_of_the_walk_that_stand_in_the_plot_are_told_as_such(tmp_path: Path) -> None:

@@ -64,6 +64,54 @@ def test_what_hangs_above_a_gap_belongs_to_another_tree(top_m: float, gap_m: flo
     assert height_of(np.concatenate([points, above]), [stem_at(0.0, 0.0)]) == pytest.approx(top_m, abs=0.06)
 
 
+def hidden_above(height_m: float, hidden_m: float) -> NDArray[np.float64]:
+    """A tree of 22 m of which ever less is seen up to ``height_m``, nothing for ``hidden_m``, and then the rest."""
+    points = tree(0.0, 0.0, 22.0)
+    z = points[:, 2]
+    seen = np.random.default_rng(2).random(len(points)) < np.clip((height_m - z) / 2.0, 0.0, 1.0)
+    return np.asarray(points[seen | (z > height_m + hidden_m)])
+
+
+@pytest.mark.parametrize("hidden_m", [2.5, 4.0])
+def test_where_a_tree_is_hidden_it_does_not_end(hidden_m: float) -> None:
+    """Twigs hide the middle of a crown: below a gap it thins out like a top, and was believed to end there."""
+    points = hidden_above(14.0, hidden_m)
+    assert height_of(points, [stem_at(0.0, 0.0)]) is None
+    # Where nothing is above, that is all that can be told.
+    assert height_of(points[points[:, 2] < 14.0], [stem_at(0.0, 0.0)]) == pytest.approx(14.0, abs=0.4)
+    # Nor do a few stray points tell that it goes on.
+    few = np.concatenate([points[points[:, 2] < 14.0], points[points[:, 2] > 19.0][:10]])
+    assert height_of(few, [stem_at(0.0, 0.0)]) == pytest.approx(14.0, abs=0.4)
+
+
+def test_a_bare_stem_above_its_lower_branches_is_no_tip() -> None:
+    rng = np.random.default_rng(4)
+    angle, z = rng.uniform(0.0, 2.0 * np.pi, 1500), rng.uniform(0.0, 8.0, 1500)
+    bark = np.column_stack([RADIUS * np.cos(angle), RADIUS * np.sin(angle), z])
+    branches = rng.uniform([-0.6, -0.6, 4.0], [0.6, 0.6, 6.8], (3000, 3))
+    below = np.concatenate([bark, branches])
+    whole = tree(0.0, 0.0, 20.0)
+    assert height_of(below, [stem_at(0.0, 0.0)]) == pytest.approx(8.0, abs=0.1)
+    assert height_of(np.concatenate([below, whole[whole[:, 2] > 11.0]]), [stem_at(0.0, 0.0)]) is None
+
+
+def test_what_is_above_a_gap_at_the_side_or_too_high_for_the_stem_is_another_trees() -> None:
+    points = hidden_above(14.0, 3.0)
+    own, above = points[points[:, 2] < 14.0], points[points[:, 2] > 14.0]
+    aside = np.random.default_rng(1).uniform([0.3, -0.4, 17.0], [0.7, 0.4, 19.0], (300, 3))
+    assert height_of(np.concatenate([own, aside]), [stem_at(0.0, 0.0)]) == pytest.approx(14.0, abs=0.4)
+    # A stem of 12 cm does not carry a crown at 20 m.
+    assert height_of(np.concatenate([own, above]), [stem_at(0.0, 0.0)], dbh_m=0.12) == pytest.approx(14.0, abs=0.4)
+
+
+def test_a_thin_stem_is_not_as_high_as_the_crown_that_it_grows_into() -> None:
+    # No stem is known of what is above; 16 m are none of a stem of 9 cm, and may be of one of 12 cm.
+    points = np.concatenate([tree(0.0, 0.0, 16.0), tree(0.0, 0.0, 8.0, seed=1)])
+    assert height_of(points, [stem_at(0.0, 0.0)], dbh_m=0.09) is None
+    assert height_of(points, [stem_at(0.0, 0.0)], dbh_m=0.12) == pytest.approx(16.0, abs=0.06)
+    assert height_of(points, [stem_at(0.0, 0.0)], dbh_m=None) == pytest.approx(16.0, abs=0.06)
+
+
 def test_what_goes_on_without_a_gap_belongs_to_the_tree() -> None:
     points = tree(0.0, 0.0, 10.0)
     joined = np.random.default_rng(1).uniform([-0.3, -0.3, 10.0], [0.3, 0.3, 11.2], (300, 3))
