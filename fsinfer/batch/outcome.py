@@ -14,6 +14,7 @@ from fsinfer.io.digest import file_digest
 from fsinfer.io.files import is_by_system, write_text
 from fsinfer.output.json_values import as_json, of_json
 from fsinfer.output.layout import CLICKS_FILE, EDITS_FILE, PLOT_FILE, REPORT_FILE, TREES_CSV
+from fsinfer.workflow.pipeline import STAGES
 
 OUTCOME_FILE = "batch.json"
 #: What a finished plot must still have for its run not to be started again; all the rest is the run's own ledger's.
@@ -79,13 +80,17 @@ def write_outcome(out: Path, outcome: Outcome) -> None:
 
 
 def inputs_digest(photos: Sequence[Path], out: Path, options: Sequence[str], files: Iterable[Path]) -> str:
-    """Digest of the options, the version, and names, sizes and times of all files that a run would read.
+    """Digest of the options, the versions, and names, sizes and times of all files that a run would read.
+
+    Versions are that of the package and those of a run's stages, as its ledger has them: a plot whose trees would be
+    measured in another way now is not done.
 
     Quick for thousands of plots; what it takes for new, such as photographs that were copied, ``fsinfer run`` looks at
     more closely and does not do again. Without ``photos`` it is that of the options.
     """
     read = [*sorted(photos), *files, *(out / name for name in CORRECTIONS)]
-    told = [__version__, list(options), [_describe(path) for path in read]]
+    versions = [__version__, *(f"{stage.name} {stage.version}" for stage in STAGES)]
+    told = [versions, list(options), [_describe(path) for path in read]]
     return hashlib.sha256(json.dumps(told).encode()).hexdigest()
 
 

@@ -28,6 +28,11 @@ from fsinfer.scale.scale import marker_centers
 from fsinfer.threads import one_blas_thread
 from fsinfer.trees.edit_rows import TreeEdit, find_edits
 from fsinfer.workflow.cloud_stages import (
+    CHECK,
+    CLOUD,
+    DEPTH,
+    FUSE,
+    SCALE,
     PlotCloud,
     compare_with_sfm,
     compute_depth,
@@ -45,7 +50,7 @@ from fsinfer.workflow.kept_clicks import kept_clicks
 from fsinfer.workflow.ledger import Ledger, Stage, StageRecord
 from fsinfer.workflow.own_files import BESIDE_TREES, refuse_clouds_of_others, refuse_files_of_others
 from fsinfer.workflow.parts import PartResult, measure_parts
-from fsinfer.workflow.photo_stages import choose_frames, register_photos, require_poses, source_files
+from fsinfer.workflow.photo_stages import FRAMES, POSES, choose_frames, register_photos, require_poses, source_files
 from fsinfer.workflow.run_photos import photos_of_run
 from fsinfer.workflow.settings import RunSettings, speedless
 from fsinfer.workflow.summary import PlotRecords, summarize
@@ -62,6 +67,8 @@ class ReportResult:
 
 TREES = Stage(name="trees", version=56, result=TreesResult, outputs=("trees.csv", "figures"), beside=BESIDE_TREES)
 REPORT = Stage(name="report", version=1, result=ReportResult, outputs=("report.html",))
+#: All that a run goes through, in its order.
+STAGES: tuple[Stage[Any], ...] = (FRAMES, POSES, DEPTH, CHECK, FUSE, SCALE, CLOUD, TREES, REPORT)
 
 
 @dataclass(frozen=True, kw_only=True)

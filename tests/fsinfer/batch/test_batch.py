@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
+from fsinfer.batch import outcome
 from fsinfer.batch.attempt import stop_batch
 from fsinfer.batch.guard import Ended, GuardResult
 from fsinfer.batch.outcome import State
@@ -29,6 +30,7 @@ from fsinfer.cli.app import app
 from fsinfer.cli.batch_command import _lines
 from fsinfer.errors import CRASHED, NOT_ENOUGH_MEMORY, InputError
 from fsinfer.io.csv_text import read_table
+from fsinfer.workflow.pipeline import STAGES
 from tests.support.batch_plots import STAND_IN, behave, is_alive, read_csv, started, wait_for, write_table
 from tests.support.places import ROOT
 from tests.support.workbook import read_sheets
@@ -140,6 +142,20 @@ def test_a_finished_plot_whose_photos_are_not_there_keeps_its_trees(tmp_path: Pa
     (tmp_path / "in the drawer").rename(tmp_path / "photos")
     third = run(table, out)
     assert (third.ran, third.rows) == (0, first.rows)
+
+
+def test_a_plot_whose_trees_are_measured_in_another_way_now_is_not_done(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A stage of another version is done anew by its run; a batch that called the plot done never began one."""
+    table, out = write_table(tmp_path, [{"name": "a", "scale": 0.5}]), tmp_path / "out"
+    run(table, out)
+    assert run(table, out).ran == 0
+    *before, trees, report = STAGES
+    newer = replace(trees, version=trees.version + 1)
+    monkeypatch.setattr(outcome, "STAGES", (*before, newer, report))
+    assert run(table, out).ran == 1
+    assert run(table, out).ran == 0
 
 
 def test_without_photos_a_plot_is_not_done_with_what_has_changed_since(tmp_path: Path) -> None:
