@@ -32,9 +32,9 @@ _MOST_STEPS = 50
 _MEMBERS_FROM, _MEMBERS_TO = 0.5, 1.15
 #: Points of a slice, and slices, that tell how a stem leans. Source: judgement.
 _LEAN_POINTS, _LEAN_SLICES = 3, 4
-#: Cells in a reach, so that the points of one are within reach of each other; the steps to half of the cells that may
-#: be in reach of it, nearest first. Source: numerics.
+#: Cells in a reach, so that the points of one are within reach of each other. Source: numerics.
 _CELLS_IN_REACH = 1.5
+#: The steps to half of the cells that may be in reach of one, nearest first. Source: numerics.
 _STEPS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0), (1, 2), (1, -2), (2, 1), (2, -1), (2, 2), (2, -2))
 #: What is looked at closely, and how far pairs of cells are put apart, in reaches. Source: numerics.
 _BEYOND, _PAIRS_APART = 1.0 + 1e-9, 8.0

@@ -140,6 +140,7 @@ def stem_curves(
             some = trees[first : first + TOGETHER]
             yield [(tree, section, _climbs(index, tree, section, origin, s)) for tree, section in some]
 
+    progress(0, len(trees), "measuring stem curves")
     for number, found in enumerate(shared_out(partial(_curves_of, s), asked()), start=1):
         curves.update(found)
         progress(min(number * TOGETHER, len(trees)), len(trees), "measuring stem curves")
