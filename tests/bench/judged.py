@@ -20,11 +20,12 @@ from numpy.typing import NDArray
 
 from fsinfer.io.images import luminance
 from fsinfer.scene import View, read_scene, read_view_image
+from tests.bench.real_pairs import depth_of_views
 from tests.bench.results import add_result_options, check_result_options, save_result
 from training.data.confirmed import agree
 from training.data.true_scene import DepthsFolder
-from training.evaluate import Predict, onnx_predictor
-from training.full_size import at_full_size, on_truth_grid
+from training.evaluate import onnx_predictor
+from training.full_size import on_truth_grid
 
 Float32 = NDArray[np.float32]
 Floats = NDArray[np.float64]
@@ -107,19 +108,6 @@ def verdict(depth: Float32, truth: Float32, view: View, judges: Sequence[View]) 
     return np.where(difference > MARGIN, 1, np.where(difference < -MARGIN, -1, 0)).astype(np.int8)
 
 
-def estimated(predict: Predict, view: View, sources: Sequence[View], shape: tuple[int, int]) -> Float32:
-    """Depth of the view as the depth stage writes it, on the grid of its truth."""
-    views = (view, *sources)
-    images = [read_view_image(v) for v in views]
-    depth, _, stride = predict(
-        images,
-        np.stack([v.camera.intrinsic for v in views]),
-        np.stack([v.camera.cam_from_world for v in views]),
-        (view.camera.depth_min, view.camera.depth_max),
-    )
-    return on_truth_grid(at_full_size(depth, stride, images[0].shape[:2]), shape)
-
-
 def main(argv: list[str] | None = None) -> int:
     """Estimate, judge, print, write."""
     parser = argparse.ArgumentParser(
@@ -142,7 +130,8 @@ def main(argv: list[str] | None = None) -> int:
         if truth is None or len(judges) < 2:
             continue
         views += 1
-        depth = estimated(predict, view, [scene.views[i] for i in view.sources[:SOURCES]], truth.shape)
+        views_compared = (view, *(scene.views[i] for i in view.sources[:SOURCES]))
+        depth = on_truth_grid(depth_of_views(predict, views_compared), truth.shape)
         said = verdict(depth, truth, view, judges)
         votes = np.zeros(truth.shape, np.int64)
         for other in (scene.views[i] for i in view.sources):

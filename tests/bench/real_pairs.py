@@ -11,7 +11,7 @@ not.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -71,15 +71,14 @@ def there(depth: Float32, pair: RealPair, shape: tuple[int, int]) -> Floats:
     return np.asarray(lying[..., :2] / lying[..., 2:])
 
 
-def ours(predict: Predict, pair: RealPair) -> Float32:
-    """Depth (H, W) that the depth stage would write of the two photographs, at full size."""
-    views = (pair.view, pair.other)
+def depth_of_views(predict: Predict, views: Sequence[View]) -> Float32:
+    """Depth (H, W) of the first of some views, compared with the others, as the depth stage writes it, at full size."""
     images = [read_view_image(view) for view in views]
     depth, _, stride = predict(
         images,
         np.stack([view.camera.intrinsic for view in views]),
         np.stack([view.camera.cam_from_world for view in views]),
-        (pair.view.camera.depth_min, pair.view.camera.depth_max),
+        (views[0].camera.depth_min, views[0].camera.depth_max),
     )
     return at_full_size(depth, stride, images[0].shape[:2])
 
@@ -120,7 +119,10 @@ def main(argv: list[str] | None = None) -> int:
     percents = []
     for pair in pairs_of(read_scene(args.scene), args.most_percent):
         percents.append(pair.percent)
-        for side, found in ((args.model, ours(predict, pair)), ("sgbm", semi_global(pair))):
+        for side, found in (
+            (args.model, depth_of_views(predict, (pair.view, pair.other))),
+            ("sgbm", semi_global(pair)),
+        ):
             error = errors_of(found, pair)
             errors[side].append(error)
             print(
