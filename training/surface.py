@@ -259,7 +259,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "scenes", type=Path, nargs="+", help="rendered scenes with true depth, photographs at full size"
     )
-    parser.add_argument("--validation", type=Path, nargs="*", default=[], help="other scenes, which are only looked at")
+    parser.add_argument(
+        "--validation", action="extend", type=Path, nargs="*", default=[], help="other scenes, which are only looked at"
+    )
     parser.add_argument("--out", type=Path, required=True, help="checkpoint")
     parser.add_argument("--steps", type=int, default=6000)
     parser.add_argument("--width", type=int, default=SurfaceTraining.width)

@@ -83,8 +83,10 @@ def parse_arguments(arguments: list[str] | None = None) -> TrainSettings:
         prog="python -m training.train", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     data_help = "folders with training scenes, the DTU training set, BlendedMVS"
-    parser.add_argument("--data", type=Path, nargs="+", required=True, help=data_help)
-    parser.add_argument("--validation", type=Path, nargs="*", default=[], help="likewise; there the validation split")
+    parser.add_argument("--data", action="extend", type=Path, nargs="+", required=True, help=data_help)
+    parser.add_argument(
+        "--validation", action="extend", type=Path, nargs="*", default=[], help="likewise; there the validation split"
+    )
     parser.add_argument("--out", type=Path, required=True, help="folder of the run; resumes from its checkpoint")
     parser.add_argument("--preset", choices=sorted(CONFIGS), default=default.preset)
     parser.add_argument("--minutes", type=float, default=default.minutes, help="training time in all, resumes counted")

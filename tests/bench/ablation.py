@@ -176,8 +176,12 @@ def main(arguments: list[str] | None = None) -> int:
     """Command line."""
     default = TrainSettings(data=(), out=Path())
     parser = argparse.ArgumentParser(prog="python -m tests.bench.ablation", description=__doc__)
-    parser.add_argument("--data", type=Path, nargs="+", required=True, help="folders with training scenes")
-    parser.add_argument("--test", type=Path, nargs="+", required=True, help="folders with held-out scenes")
+    parser.add_argument(
+        "--data", action="extend", type=Path, nargs="+", required=True, help="folders with training scenes"
+    )
+    parser.add_argument(
+        "--test", action="extend", type=Path, nargs="+", required=True, help="folders with held-out scenes"
+    )
     parser.add_argument("--plot", type=Path, help="a rendered plot (--kind plot) for density and diameters")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--variants", nargs="+", choices=sorted(CONFIGS), default=list(PAPER_TABLE))

@@ -224,7 +224,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--width", type=int, default=1280, help="what is told in pixels is not made smaller with it")
     parser.add_argument("--height", type=int, default=720)
     parser.add_argument("--step", type=int, default=1, help="of the rendered photographs every so many-th is used")
-    parser.add_argument("--only", nargs="*", default=[], choices=[*cases([])], metavar="CASE")
+    parser.add_argument("--only", action="extend", nargs="*", default=[], choices=[*cases([])], metavar="CASE")
     parser.add_argument("--colmap", action="store_true", help="COLMAP's default settings beside; minutes a case")
     add_result_options(parser)
     args = parser.parse_args(argv)

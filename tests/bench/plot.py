@@ -255,6 +255,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--slow", action="store_true", help="spare no time: what the fast settings are held against")
     parser.add_argument(
         "--stretches",
+        action="extend",
         nargs="*",
         metavar="FIRST:LAST",
         help="only these photographs, by number: a walk torn on purpose; they are copied to OUT-photos",

@@ -93,6 +93,7 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--step", type=int, default=1, help="of those every so many-th: a walk with longer steps")
     parser.add_argument(
         "--set",
+        action="extend",
         nargs="*",
         default=[],
         metavar="NAME=VALUE",

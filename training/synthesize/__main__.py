@@ -60,6 +60,7 @@ def parse(argv: list[str] | None = None) -> argparse.Namespace:
     preset.add_argument("--phone-video", action="store_true", help="the same of frames of a video, walked at 1 m/s")
     phone.add_argument(
         "--effect",
+        action="extend",
         nargs="*",
         default=[],
         metavar="NAME=VALUE",

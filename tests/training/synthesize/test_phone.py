@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 pytest.importorskip("embreex")
 
 from fsinfer.scene import read_camera
-from training.synthesize.__main__ import main
+from training.synthesize.__main__ import main, parse
 from training.synthesize.cameras.camera_path import intrinsics, look_at, make_camera
 from training.synthesize.cameras.phone import PHONE, PHONE_VIDEO, PhoneEffects, Shot, shots_of, with_overrides
 from training.synthesize.cameras.photo import expose, random_sensor
@@ -25,6 +25,7 @@ from training.synthesize.forest.mesh import Mesh, quads
 from training.synthesize.forest.textures import bark, remix
 from training.synthesize.forest.wind import blown
 from training.synthesize.render import Caster, moving_rays, pixel_rays
+from training.train_settings import parse_arguments
 
 WIDTH, HEIGHT = 64, 48
 CENTER = np.array([0.3, 0.1, 1.2])
@@ -136,6 +137,17 @@ def test_effects_by_name_and_a_wrong_one_is_told() -> None:
     for wrong in ("storm=1", "wind_m=strong"):
         with pytest.raises(SystemExit, match="--effect"):
             with_overrides(PHONE, [wrong])
+
+
+def test_options_that_take_several_may_be_given_more_than_once(tmp_path: Path) -> None:
+    """The first of two was dropped without a word: a world was rendered without the effect that it was asked for."""
+    effects = ["--effect", "wind_m=0.03", "--effect", "principal_px=12", "own_bark=0"]
+    assert parse([str(tmp_path), *effects]).effect == ["wind_m=0.03", "principal_px=12", "own_bark=0"]
+    assert parse([str(tmp_path), "--effect", "wind_m=0.01"]).effect == ["wind_m=0.01"]
+    folders = ["--data", "a", "--data", "b", "c", "--validation", "d", "--validation", "e"]
+    settings = parse_arguments(["--out", "run", *folders])
+    assert [path.name for path in settings.data] == ["a", "b", "c"]
+    assert [path.name for path in settings.validation] == ["d", "e"]
 
 
 def test_a_plot_with_a_phone_records_what_it_did(tmp_path: Path) -> None:
