@@ -211,6 +211,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--unsure-below", type=float, default=unsure.below, help="0 leaves unsure pixels alone (ONNX)")
     parser.add_argument("--unsure-radius-px", type=int, default=unsure.radius_px)
     parser.add_argument("--unsure-power", type=float, default=unsure.power)
+    after = DepthSettings().unsure_after
+    parser.add_argument(
+        "--unsure-after-below", type=float, default=after.below, help="likewise after the sub-pixel step"
+    )
     subpixel = DepthSettings().subpixel
     parser.add_argument("--subpixel-rounds", type=int, default=subpixel.rounds, help="0 leaves the network's (ONNX)")
     parser.add_argument("--confidence", action="store_true", help="print how the error falls with the confidence")
@@ -221,6 +225,7 @@ def main(arguments: list[str] | None = None) -> int:
             min_far_over_near=args.min_far_over_near,
             max_far_over_near=args.max_far_over_near,
             unsure=replace(unsure, below=args.unsure_below, radius_px=args.unsure_radius_px, power=args.unsure_power),
+            unsure_after=replace(after, below=args.unsure_after_below),
             subpixel=replace(subpixel, rounds=args.subpixel_rounds),
         )
         predict = (

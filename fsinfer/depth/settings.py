@@ -29,14 +29,14 @@ class UnsureSettings:
 
     Notes
     -----
-    Source of the rest: saharov32 (84.5 to 85.5 % within 1 %) and test walks (flying pixels 2.7 to 2.4 %), compared in
-    models/README.md; neither is blind to it.
+    Source of the rest: saharov32 and four kinds of rendered scenes, compared in docs/trials-accuracy.md; none of them
+    is blind to it.
     """
 
     below: float = 0.35
     radius_px: int = 3
-    power: float = 4.0
-    least_weight: float = 1e-3
+    power: float = 2.0
+    least_weight: float = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +97,9 @@ class DepthSettings:
         bound must stay nearer than the trunks beside the path. Source: a rendered plot, on which 30 lost those within
         1.5 m of the camera and the RMSE of the DBH went from 0.45 to 1.71 cm; renders only.
     unsure: of the step in which unsure pixels follow their surroundings.
-    subpixel: of the last step.
+    unsure_after: of the same after the sub-pixel step, by what the photographs at full size say of each pixel. Source:
+        docs/trials-accuracy.md, "Unsure pixels, twice".
+    subpixel: of the step between them.
     threads: 0 uses every core. Source: option.
     memory_gb: limit of the resident memory, 1e9 bytes; fewer depth maps are computed at a time and fewer feature maps
         kept where it is tight, and depth is computed in tiles where a whole map does not fit. Source: option; leaves a
@@ -121,6 +123,7 @@ class DepthSettings:
     min_far_over_near: float = 7.0
     max_far_over_near: float = 100.0
     unsure: UnsureSettings = field(default_factory=UnsureSettings)
+    unsure_after: UnsureSettings = field(default_factory=lambda: UnsureSettings(below=0.2))
     subpixel: SubpixelSettings = field(default_factory=SubpixelSettings)
     threads: int = 0
     memory_gb: float = 3.0

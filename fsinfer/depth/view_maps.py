@@ -180,7 +180,7 @@ def finish_depth(
     settings: DepthSettings,
     threads: int = 1,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Depth (h, w) of the network with its unsure pixels settled, and that at a tenth of a pixel; and the confidence.
+    """Depth (h, w) of the network, unsure pixels settled, at a tenth of a pixel, and settled again; and the confidence.
 
     ``greys`` (N, H, W), ``intrinsics`` (N, 3, 3) and ``cam_from_world`` (N, 4, 4) of reference and sources. Without
     ``curves`` of the model, or a sub-pixel step, the confidence (h, w) begins with the network's; where the model tells
@@ -192,7 +192,9 @@ def finish_depth(
         confidence = probability(quantities(confidence, refined.last), curves, threads=threads)
     if estimate.surface is not None:
         confidence = doubted(confidence, estimate.surface)
-    return refined.depth, confidence
+    # The photographs at full size tell better than the network which pixels are wrong, and what is sure is sharper now.
+    depth = settle_unsure(refined.depth, confidence, settings=settings.unsure_after, threads=threads)
+    return depth, confidence
 
 
 def settled_and_refined(

@@ -66,7 +66,7 @@ class PlotCloud:
     warnings: tuple[Notice, ...] = ()
 
 
-DEPTH = Stage(name="depth", version=5, result=DepthResult, outputs=("depth", "confidence"), keeps_partial=True)
+DEPTH = Stage(name="depth", version=6, result=DepthResult, outputs=("depth", "confidence"), keeps_partial=True)
 CHECK = Stage(name="check", version=1, result=DepthCheck)
 FUSE = Stage(name="fuse", version=4, result=FusedCloud, outputs=("fused",))
 SCALE = Stage(name="scale", version=6, result=FoundScale, later={"others": as_json(UNKNOWN)})

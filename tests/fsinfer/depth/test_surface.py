@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from fsinfer.depth.manifest import read_manifest
 from fsinfer.depth.model import DepthEstimate, DepthModel
 from fsinfer.depth.session import Graph
-from fsinfer.depth.settings import DepthSettings
+from fsinfer.depth.settings import DepthSettings, SubpixelSettings
 from fsinfer.depth.surface import doubted, in_parts, of_parts, surface_inputs
 from fsinfer.depth.view_maps import finish_depth
 from fsinfer.errors import ModelError
@@ -108,6 +108,25 @@ def test_the_depth_stage_doubts_what_is_not_of_the_surface() -> None:
     assert sure(None) == pytest.approx(confidence)
     assert sure(surface)[:, :16] == pytest.approx(confidence[:, :16])
     assert sure(surface)[:, 16:] == pytest.approx(0.2 * confidence[:, 16:])
+
+
+def test_what_is_found_unsure_after_the_sub_pixel_step_follows_its_surroundings() -> None:
+    """The network is sure of all pixels; what it says of their surfaces comes after the first settling."""
+    depth, confidence = np.full((24, 32), 3.0, np.float32), np.full((24, 32), 0.9, np.float32)
+    depth[:, 14:17] = 5.0
+    surface = np.ones((24, 32), np.float32)
+    surface[:, 14:16] = 0.05
+    grey = [np.zeros((48, 64), np.float16)] * 2
+    poses = np.stack([np.eye(4)] * 2)
+    poses[1, 0, 3] = 0.3
+    intrinsics = np.stack([np.array([[50.0, 0, 32], [0, 50, 24], [0, 0, 1]])] * 2)
+    estimate = DepthEstimate(depth=depth, confidence=confidence, stride=2, surface=surface)
+    settings = DepthSettings(subpixel=SubpixelSettings(rounds=0))
+    found, sure = finish_depth(estimate, grey, intrinsics, poses, curves=None, settings=settings)
+    assert found[:, 14:16] == pytest.approx(3.0)
+    assert found[:, 16] == pytest.approx(5.0)
+    assert found[:, 17:] == pytest.approx(3.0)
+    assert sure[:, 14:16] == pytest.approx(0.09)
 
 
 def test_only_a_model_that_has_the_graph_tells() -> None:
