@@ -19,7 +19,7 @@ from fsinfer.io.exif import camera_exif, camera_key, named_camera_exif
 from fsinfer.io.files import copy_file, write_text
 from fsinfer.io.images import is_upright_jpeg_or_png, read_image, read_reduced, reduce_image, write_image
 from fsinfer.io.names import by_number, sortable
-from fsinfer.io.photo_folders import PHOTO_SUFFIXES, folders_of_photos, list_images, unread_photos
+from fsinfer.io.photo_folders import PHOTO_SUFFIXES, folders_of_photos, list_images, unread_photos, unread_videos
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.sentences import sentence, sentences
@@ -64,7 +64,7 @@ def list_captures(source: Path) -> list[Path]:
         for path in source.iterdir()
         if path.suffix.lower() in VIDEO_SUFFIXES and not path.name.startswith(".") and path.is_file()
     ]
-    photos = [] if videos and not _has_photos(source) else list_images(source)
+    photos = [] if videos and not _has_photos(source) else list_images(source, videos=VIDEO_SUFFIXES)
     return sorted([*photos, *_without_live_photos(videos, photos)], key=lambda path: by_number(path.name))
 
 
@@ -319,6 +319,8 @@ def _beside(source: Path, out: Path) -> tuple[Notice, ...]:
     told = []
     if unread := unread_photos(source):
         told.append(notice(CaptureCode.photos_not_read, kinds=tuple(unread), photos=sum(unread.values())))
+    if spheres := unread_videos(source):
+        told.append(notice(CaptureCode.videos_not_read, kinds=tuple(spheres), videos=sum(spheres.values())))
     if found:
         told.append(notice(CaptureCode.photos_in_folders, names=tuple(found), photos=sum(found.values())))
     return tuple(told)

@@ -133,6 +133,43 @@ def test_pictures_of_kinds_that_are_not_read_are_told_of(tmp_path: Path) -> None
     )
 
 
+def test_a_folder_of_plots_leads_to_the_batch_and_their_videos_are_named(tmp_path: Path) -> None:
+    folder = tmp_path / "Flächen"
+    for name in ("Plot 1", "Plot 2"):
+        (folder / name).mkdir(parents=True)
+        (folder / name / "GX010001.MP4").write_bytes(b"")
+    with pytest.raises(
+        ImageError, match=r"no photos or videos .*\.mp4.* do \(Plot 1, Plot 2\).* fsinfer batch measures"
+    ):
+        select_frames(folder, tmp_path / "out")
+    shutil.rmtree(folder / "Plot 2")
+    with pytest.raises(ImageError, match=r"\(Plot 1\), or put all photos of the plot into one$"):
+        select_frames(folder, tmp_path / "out")
+
+
+def test_videos_of_the_whole_sphere_are_told_of(tmp_path: Path) -> None:
+    for name in ("VID_1.insv", "GS01.360", ".GS02.360"):
+        (tmp_path / name).write_bytes(b"")
+    with pytest.raises(ImageError, match=r"its \.360, \.insv files are of a camera of the whole sphere"):
+        select_frames(tmp_path, tmp_path / "out")
+    for number in range(3):
+        write_image(tmp_path / f"a{number}.jpg", photo(number))
+    (told,) = select_frames(tmp_path, tmp_path / "out").warnings
+    assert told == notice(CaptureCode.videos_not_read, kinds=(".360", ".insv"), videos=2)
+    assert sentence(told).startswith("2 videos of a camera of the whole sphere (.360, .insv) were passed over")
+
+
+@pytest.mark.parametrize("name", ["00001.m2ts", "walk.wmv", "walk.3g2"])
+def test_videos_of_older_cameras_are_read(tmp_path: Path, name: str) -> None:
+    folder = tmp_path / "card"
+    folder.mkdir()
+    wide = texture(1, 400)
+    write_video(
+        folder / name, [wide[:150, 2 * i : 2 * i + 200] for i in range(25)], "WMV2" if "wmv" in name else "mp4v"
+    )
+    assert len(select_frames(folder, tmp_path / "out").images) >= 2
+
+
 def test_photos_in_folders_within_are_told_of(tmp_path: Path) -> None:
     folder = tmp_path / "DCIM"
     for name in ("100APPLE", "101APPLE", ".thumbnails", "results", "notes"):
@@ -144,7 +181,7 @@ def test_photos_in_folders_within_are_told_of(tmp_path: Path) -> None:
     (folder / ".thumbnails" / "a.jpg").write_bytes(b"")
     for name in ("plot.json", "evaluation.png"):
         (folder / "results" / name).write_bytes(b"")
-    with pytest.raises(ImageError, match=r"give one of those within it that do \(100APPLE\)"):
+    with pytest.raises(ImageError, match=r"give one of those within it that do \(100APPLE, 101APPLE\)"):
         select_frames(folder, tmp_path / "out")
     for number in range(3, 6):
         write_image(folder / f"b{number}.jpg", photo(number))
