@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,7 +11,15 @@ from pathlib import Path
 
 from fsinfer.errors import ImageError, OutputError
 from fsinfer.frames.contact_sheet import Tile, thumbnail, write_contact_sheet
-from fsinfer.frames.quality import EQUALIZERS, SCORE_SIZE_PX, FrameScore, equalize, reasons_to_drop, score_frame
+from fsinfer.frames.quality import (
+    EQUALIZERS,
+    SCORE_SIZE_PX,
+    FrameScore,
+    equalize,
+    is_edited_copy,
+    reasons_to_drop,
+    score_frame,
+)
 from fsinfer.frames.settings import FrameSettings, VideoSettings
 from fsinfer.frames.table import FrameRow, frames_csv
 from fsinfer.frames.times import names_against_times
@@ -217,7 +226,7 @@ def _copies(scores: Mapping[Path, FrameScore]) -> dict[Path, Path]:
     """Photos that are the same picture as another, with that one: of each picture the photo of the shortest name stays.
 
     ``Copy of IMG_1.jpg`` stands far from ``IMG_1.jpg``. Both would be source views of others, and one witness of their
-    depth would count as two.
+    depth would count as two. So would ``IMG_1-edited.jpg``, which is known by its name and what it shows.
     """
     same: dict[tuple[object, ...], list[Path]] = {}
     for path, score in scores.items():
@@ -226,7 +235,23 @@ def _copies(scores: Mapping[Path, FrameScore]) -> dict[Path, Path]:
     for paths in same.values():
         first = min(paths, key=lambda path: len(path.stem))
         found |= {path: first for path in paths if path != first}
+    by_stem = {path.stem.casefold(): path for path in scores if path not in found}
+    for path in [path for path in scores if path not in found]:
+        originals = [by_stem[stem] for stem in _stems_before_editing(path.stem.casefold()) if stem in by_stem]
+        alike = (one for one in originals if is_edited_copy(scores[one].thumbnail, scores[path].thumbnail))
+        if (original := next(alike, None)) is not None:
+            found[path] = original
     return found
+
+
+def _stems_before_editing(stem: str) -> list[str]:
+    """What the photo may be called that one of this name, in lower case, was made of; the shortest first.
+
+    Phones and their clouds add to its name (``-edited``, in the user's language; ``~2``), iPhones a letter before the
+    number: ``img_e1234``.
+    """
+    longer = [stem[: sign.start()] for sign in re.finditer(r"[^0-9a-z]", stem) if sign.start()]
+    return [*longer, *([stem.replace("_e", "_", 1)] if re.fullmatch(r"img_e\d+", stem) else [])]
 
 
 def _camera(path: Path) -> tuple[str, ...]:

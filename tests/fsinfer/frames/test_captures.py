@@ -360,6 +360,24 @@ def test_copies_of_photos_under_other_names_are_left_out(tmp_path: Path) -> None
     }
 
 
+def test_edited_copies_that_a_phone_keeps_beside_the_photos_are_left_out(tmp_path: Path) -> None:
+    """They were taken from the same place: to depth and fusion they are a second witness, of nothing new."""
+    folder = tmp_path / "photos"
+    edited = {1: "IMG_1001-bearbeitet", 2: "IMG_E1002", 3: "IMG_1003~2"}
+    for number in range(6):
+        image = photo(number)
+        write_image(folder / f"IMG_100{number}.jpg", image)
+        if number in edited:
+            stronger = np.clip(1.5 * (image.astype(float) - 128) + 140, 0, 255).astype(np.uint8)
+            write_image(folder / f"{edited[number]}.jpg", stronger)
+    # Another phone's photo of that name, and one whose number goes on, are photos of their own.
+    write_image(folder / "IMG_1004 (1).jpg", photo(8))
+    write_image(folder / "IMG_10040.jpg", photo(9))
+    result = select_frames(folder, tmp_path / "out")
+    dropped = {row.source: row.reason for row in result.rows if not row.kept}
+    assert dropped == {f"{name}.jpg": f"same picture as IMG_100{number}.jpg" for number, name in edited.items()}
+
+
 def test_the_clips_of_live_photos_are_no_videos(tmp_path: Path) -> None:
     folder = tmp_path / "day"
     wide = texture(1, 400)
