@@ -24,7 +24,7 @@ from fsinfer.frames.settings import FrameSettings, VideoSettings
 from fsinfer.frames.table import FrameRow, frames_csv
 from fsinfer.frames.times import names_against_times
 from fsinfer.frames.video import VIDEO_SUFFIXES, is_live_photo, sharpest_frames
-from fsinfer.io.exif import camera_exif, camera_key, named_camera_exif
+from fsinfer.io.exif import camera_exif, camera_key, named_camera_exif, shows_sphere
 from fsinfer.io.files import copy_file, write_text
 from fsinfer.io.images import is_upright_jpeg_or_png, read_image, read_reduced, reduce_image, write_image
 from fsinfer.io.names import by_number, sortable
@@ -201,7 +201,8 @@ def _from_photos(
     usable = list(scores)
     found = reasons_to_drop([scores[path] for path in usable], settings.limits, [_camera(path) for path in usable])
     for path, reason in zip(usable, found, strict=True):
-        reasons[path] = reason
+        # No lens makes such a picture, and what is worked out from it after many minutes is none of the plot.
+        reasons[path] = notice(CaptureCode.whole_sphere) if shows_sphere(path) else reason
     kept = {path: scores[path] for path in usable if reasons[path] is None}
     reasons |= {path: notice(CaptureCode.same_picture, other=one.name) for path, one in _copies(kept).items()}
 

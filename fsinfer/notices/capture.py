@@ -23,6 +23,7 @@ class CaptureCode(StrEnum):
     blurred = "blurred"
     repeated = "repeated"
     same_picture = "same_picture"
+    whole_sphere = "whole_sphere"
     unreadable = "unreadable"
     same_name = "same_name"
     frames_not_used = "frames_not_used"
@@ -209,6 +210,7 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
     CaptureCode.blurred: "blurred",
     CaptureCode.repeated: "same as the one before",
     CaptureCode.same_picture: "same picture as {other}",
+    CaptureCode.whole_sphere: "shows the whole sphere (360°), and no such lens is known here",
     CaptureCode.unreadable: "cannot be read: {error}",
     CaptureCode.same_name: "same name as {other}",
     CaptureCode.frames_not_used: _frames_not_used,

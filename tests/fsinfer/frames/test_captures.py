@@ -159,6 +159,21 @@ def test_videos_of_the_whole_sphere_are_told_of(tmp_path: Path) -> None:
     assert sentence(told).startswith("2 videos of a camera of the whole sphere (.360, .insv) were passed over")
 
 
+def test_photos_of_the_whole_sphere_are_left_out_before_minutes_are_spent_on_them(tmp_path: Path) -> None:
+    from PIL import Image
+
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    packet = b'<x:xmpmeta><rdf:Description GPano:ProjectionType="equirectangular"/></x:xmpmeta>'
+    for number in range(3):
+        Image.fromarray(photo(number)).save(folder / f"R{number}.jpg", xmp=packet)
+    with pytest.raises(ImageError, match=r"none of the 3 photos .* \(shows the whole sphere \(360°\)"):
+        select_frames(folder, tmp_path / "out")
+    for number in range(4, 7):
+        Image.fromarray(photo(number)).save(folder / f"R{number}.jpg", xmp=packet.replace(b"equirectangular", b"flat"))
+    assert [path.stem for path in select_frames(folder, tmp_path / "out").images] == ["R4", "R5", "R6"]
+
+
 @pytest.mark.parametrize("name", ["00001.m2ts", "walk.wmv", "walk.3g2"])
 def test_videos_of_older_cameras_are_read(tmp_path: Path, name: str) -> None:
     folder = tmp_path / "card"
