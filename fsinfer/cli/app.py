@@ -188,9 +188,11 @@ def run(
     from fsinfer.cli.remaining import RemainingTime
     from fsinfer.fusion.fuse import FusionSettings
     from fsinfer.silhouettes.walk import WalkSettings
+    from fsinfer.workflow.other_photos import refuse_other_photos
     from fsinfer.workflow.pipeline import run as run_pipeline
     from fsinfer.workflow.settings import RunSettings
 
+    refuse_other_photos(source, out)
     settings = RunSettings(
         frames=frame_settings(interval_s=interval_s, equalize=equalize, max_size=max_size),
         poses=pose_settings(request, threads=threads, max_size=max_size),

@@ -108,7 +108,9 @@ def check(
     """
     request = scale_request(None, aruco_length_m, aruco_dictionary, None, None)
     from fsinfer.check import CheckSettings, check_capture
+    from fsinfer.workflow.other_photos import refuse_other_photos
 
+    refuse_other_photos(source, out)
     settings = CheckSettings(
         scale=request,
         coverage=CoverageSettings(margin_m=margin_m),

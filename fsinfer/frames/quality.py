@@ -37,6 +37,9 @@ _LEAST_SHARPNESS = 1e-9
 #: Photographs of one camera that tell how sharp its others should be, at least. Source: judgement; the median of ten is
 #: known to four tenths of their spread.
 _FEWEST_OF_A_CAMERA = 10
+#: Thumbnails of one picture, of which one was edited, correlate by so much. Source: judgement; the least of 36
+#: photographs with more contrast and colour is 0.997, the most of neighbours of four walks, two of them real, 0.84.
+_EDITED_CORRELATION = 0.95
 #: Standard deviation over median absolute deviation of a normal distribution. Source: numerics.
 _STD_OVER_MAD = 1.4826
 EQUALIZERS = tuple(method.value for method in Equalize)
@@ -134,6 +137,13 @@ def difference(first: NDArray[np.float32], second: NDArray[np.float32]) -> float
     """Mean absolute difference of two luminance thumbnails after the exposure of the second is matched to the first."""
     gain = float(np.clip((first.mean() + 1) / (second.mean() + 1), 1 / _EXPOSURE_CHANGE, _EXPOSURE_CHANGE))
     return float(np.abs(first - gain * second).mean())
+
+
+def is_edited_copy(first: NDArray[np.float32], second: NDArray[np.float32]) -> bool:
+    """Whether two luminance thumbnails are of one picture, but for its brightness and contrast."""
+    one, other = (values - float(values.mean()) for values in (first, second))
+    size = float(np.linalg.norm(one) * np.linalg.norm(other))
+    return size > 0 and float((one * other).sum()) >= _EDITED_CORRELATION * size
 
 
 def _exposure_reason(score: FrameScore, limits: QualityLimits) -> Notice | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,16 +11,24 @@ from pathlib import Path
 
 from fsinfer.errors import ImageError, OutputError
 from fsinfer.frames.contact_sheet import Tile, thumbnail, write_contact_sheet
-from fsinfer.frames.quality import EQUALIZERS, SCORE_SIZE_PX, FrameScore, equalize, reasons_to_drop, score_frame
+from fsinfer.frames.quality import (
+    EQUALIZERS,
+    SCORE_SIZE_PX,
+    FrameScore,
+    equalize,
+    is_edited_copy,
+    reasons_to_drop,
+    score_frame,
+)
 from fsinfer.frames.settings import FrameSettings, VideoSettings
 from fsinfer.frames.table import FrameRow, frames_csv
 from fsinfer.frames.times import names_against_times
 from fsinfer.frames.video import VIDEO_SUFFIXES, is_live_photo, sharpest_frames
-from fsinfer.io.exif import camera_exif, camera_key, named_camera_exif
+from fsinfer.io.exif import camera_exif, camera_key, named_camera_exif, shows_sphere
 from fsinfer.io.files import copy_file, write_text
 from fsinfer.io.images import is_upright_jpeg_or_png, read_image, read_reduced, reduce_image, write_image
 from fsinfer.io.names import by_number, sortable
-from fsinfer.io.photo_folders import PHOTO_SUFFIXES, folders_of_photos, list_images, unread_photos
+from fsinfer.io.photo_folders import PHOTO_SUFFIXES, folders_of_photos, list_images, unread_photos, unread_videos
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.sentences import sentence, sentences
@@ -64,7 +73,7 @@ def list_captures(source: Path) -> list[Path]:
         for path in source.iterdir()
         if path.suffix.lower() in VIDEO_SUFFIXES and not path.name.startswith(".") and path.is_file()
     ]
-    photos = [] if videos and not _has_photos(source) else list_images(source)
+    photos = [] if videos and not _has_photos(source) else list_images(source, videos=VIDEO_SUFFIXES)
     return sorted([*photos, *_without_live_photos(videos, photos)], key=lambda path: by_number(path.name))
 
 
@@ -192,7 +201,8 @@ def _from_photos(
     usable = list(scores)
     found = reasons_to_drop([scores[path] for path in usable], settings.limits, [_camera(path) for path in usable])
     for path, reason in zip(usable, found, strict=True):
-        reasons[path] = reason
+        # No lens makes such a picture, and what is worked out from it after many minutes is none of the plot.
+        reasons[path] = notice(CaptureCode.whole_sphere) if shows_sphere(path) else reason
     kept = {path: scores[path] for path in usable if reasons[path] is None}
     reasons |= {path: notice(CaptureCode.same_picture, other=one.name) for path, one in _copies(kept).items()}
 
@@ -217,7 +227,7 @@ def _copies(scores: Mapping[Path, FrameScore]) -> dict[Path, Path]:
     """Photos that are the same picture as another, with that one: of each picture the photo of the shortest name stays.
 
     ``Copy of IMG_1.jpg`` stands far from ``IMG_1.jpg``. Both would be source views of others, and one witness of their
-    depth would count as two.
+    depth would count as two. So would ``IMG_1-edited.jpg``, which is known by its name and what it shows.
     """
     same: dict[tuple[object, ...], list[Path]] = {}
     for path, score in scores.items():
@@ -226,7 +236,23 @@ def _copies(scores: Mapping[Path, FrameScore]) -> dict[Path, Path]:
     for paths in same.values():
         first = min(paths, key=lambda path: len(path.stem))
         found |= {path: first for path in paths if path != first}
+    by_stem = {path.stem.casefold(): path for path in scores if path not in found}
+    for path in [path for path in scores if path not in found]:
+        originals = [by_stem[stem] for stem in _stems_before_editing(path.stem.casefold()) if stem in by_stem]
+        alike = (one for one in originals if is_edited_copy(scores[one].thumbnail, scores[path].thumbnail))
+        if (original := next(alike, None)) is not None:
+            found[path] = original
     return found
+
+
+def _stems_before_editing(stem: str) -> list[str]:
+    """What the photo may be called that one of this name, in lower case, was made of; the shortest first.
+
+    Phones and their clouds add to its name (``-edited``, in the user's language; ``~2``), iPhones a letter before the
+    number: ``img_e1234``.
+    """
+    longer = [stem[: sign.start()] for sign in re.finditer(r"[^0-9a-z]", stem) if sign.start()]
+    return [*longer, *([stem.replace("_e", "_", 1)] if re.fullmatch(r"img_e\d+", stem) else [])]
 
 
 def _camera(path: Path) -> tuple[str, ...]:
@@ -319,6 +345,8 @@ def _beside(source: Path, out: Path) -> tuple[Notice, ...]:
     told = []
     if unread := unread_photos(source):
         told.append(notice(CaptureCode.photos_not_read, kinds=tuple(unread), photos=sum(unread.values())))
+    if spheres := unread_videos(source):
+        told.append(notice(CaptureCode.videos_not_read, kinds=tuple(spheres), videos=sum(spheres.values())))
     if found:
         told.append(notice(CaptureCode.photos_in_folders, names=tuple(found), photos=sum(found.values())))
     return tuple(told)

@@ -22,6 +22,8 @@ _DIGITAL_ZOOM = 0xA404
 _TAKEN, _TAKEN_DECIMALS = 0x9003, 0x9291
 #: What of the part on the lens goes into copies: the moment tells the order where a counter began anew.
 _KEPT_OF_LENS = (_FOCAL_LENGTH, _FOCAL_LENGTH_35MM, _DIGITAL_ZOOM, _TAKEN, _TAKEN_DECIMALS)
+#: Projection of a picture of the sphere in its XMP. Source: format; GPano, Google's metadata of photo spheres.
+_SPHERE = b"equirectangular"
 #: Tags of the place, and the part of the file that they stand in. Source: format; Exif 2.32.
 _GNSS_IFD, _LATITUDE_REF, _LATITUDE, _LONGITUDE_REF, _LONGITUDE = 0x8825, 1, 2, 3, 4
 
@@ -124,6 +126,17 @@ def taken_at(path: Path | str) -> tuple[str, str] | None:
     decimals = str(lens.get(_TAKEN_DECIMALS, "")).strip("\x00 ")
     camera = " ".join(str(tags.get(tag, "")).strip("\x00 ") for tag in (_MAKE, _MODEL))
     return camera, f"{moment}.{decimals}"
+
+
+def shows_sphere(path: Path | str) -> bool:
+    """Whether a photo says that it shows the whole sphere, by longitude and latitude, as 360° cameras write it."""
+    try:
+        with open_header(Path(path)) as image, quiet():
+            packet = image.info.get("xmp", b"")
+    except ImageError:
+        return False
+    text = packet.encode() if isinstance(packet, str) else bytes(packet)
+    return _SPHERE in text
 
 
 def gnss_degrees(path: Path | str) -> tuple[float, float] | None:

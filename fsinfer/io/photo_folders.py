@@ -16,12 +16,18 @@ PHOTO_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".
 _UNREAD_SUFFIXES = frozenset(
     {".dng", ".arw", ".cr2", ".cr3", ".nef", ".orf", ".raf", ".rw2", ".avif", ".jxl", ".jp2", ".gif"}
 )
+#: Videos that nothing here reads: both eyes of a camera of the whole sphere. Source: format; Insta360, GoPro MAX.
+_UNREAD_VIDEO_SUFFIXES = frozenset({".insv", ".360"})
 #: Files by which a folder of results is known, whose pictures are no photographs. Source: format.
 _RESULTS = frozenset({"plot.json", "frames.csv", "report.html"})
 
 
-def list_images(folder: Path | str) -> list[Path]:
+def list_images(folder: Path | str, *, videos: Collection[str] = ()) -> list[Path]:
     """Return the photographs directly in ``folder``, sorted by name, 2 before 10; hidden files are not taken.
+
+    Parameters
+    ----------
+    videos: suffixes, lower case, of what the caller takes besides, and the message speaks of too.
 
     Raises
     ------
@@ -41,11 +47,18 @@ def list_images(folder: Path | str) -> list[Path]:
     paths = sorted(found, key=lambda path: by_number(path.name))
     if not paths:
         way_out = "give the folder that your photos lie in"
-        if within := folders_of_photos(folder):
-            way_out = f"give one of those within it that do ({', '.join(within)}), or put all photos into one"
+        if within := folders_of_photos(folder, PHOTO_SUFFIXES | set(videos)):
+            way_out = (
+                f"give one of those within it that do ({', '.join(within)}), or put all photos of the plot into one"
+            )
+            if len(within) > 1:
+                way_out += "; where each of them is a plot, fsinfer batch measures them all by a table"
         elif unread := unread_photos(folder):
             way_out = f"export its {', '.join(unread)} files as JPEG"
-        msg = f"{folder} holds no photos ({', '.join(sorted(PHOTO_SUFFIXES))}); {way_out}"
+        elif spheres := unread_videos(folder):
+            way_out = f"its {', '.join(spheres)} files are of a camera of the whole sphere: take flat photos or videos"
+        what = "photos or videos" if videos else "photos"
+        msg = f"{folder} holds no {what} ({', '.join(sorted(PHOTO_SUFFIXES | set(videos)))}); {way_out}"
         raise ImageError(msg)
     return paths
 
@@ -59,6 +72,12 @@ def unread_photos(folder: Path) -> dict[str, int]:
     read = {_shot(path) for path in paths if path.suffix.lower() in PHOTO_SUFFIXES}
     kinds = (path.suffix.lower() for path in paths if _shot(path) not in read)
     return dict(sorted(Counter(kind for kind in kinds if kind in _UNREAD_SUFFIXES).items()))
+
+
+def unread_videos(folder: Path) -> dict[str, int]:
+    """How many videos directly in ``folder`` are of which kind that is not read."""
+    kinds = (path.suffix.lower() for path in folder.iterdir() if not path.name.startswith(".") and path.is_file())
+    return dict(sorted(Counter(kind for kind in kinds if kind in _UNREAD_VIDEO_SUFFIXES).items()))
 
 
 def _shot(path: Path) -> str:

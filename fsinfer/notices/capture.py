@@ -23,6 +23,7 @@ class CaptureCode(StrEnum):
     blurred = "blurred"
     repeated = "repeated"
     same_picture = "same_picture"
+    whole_sphere = "whole_sphere"
     unreadable = "unreadable"
     same_name = "same_name"
     frames_not_used = "frames_not_used"
@@ -30,6 +31,7 @@ class CaptureCode(StrEnum):
     cameras_alternate = "cameras_alternate"
     photos_in_folders = "photos_in_folders"
     photos_not_read = "photos_not_read"
+    videos_not_read = "videos_not_read"
     video_cut_short = "video_cut_short"
     # Poses
     photo_of_same_name = "photo_of_same_name"
@@ -83,6 +85,14 @@ def _not_read(values: Mapping[str, Any]) -> str:
     return (
         f"pictures of kinds that are not read ({_shown(values['kinds'])}) were passed over, {values['photos']} in all: "
         "export them as JPEG"
+    )
+
+
+def _spheres(values: Mapping[str, Any]) -> str:
+    found = counted(values["videos"], "video", "videos")
+    return (
+        f"{found} of a camera of the whole sphere ({_shown(values['kinds'])}) {noun(values['videos'], 'was', 'were')} "
+        "passed over, since no such lens is known here: take flat photos or videos"
     )
 
 
@@ -200,6 +210,7 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
     CaptureCode.blurred: "blurred",
     CaptureCode.repeated: "same as the one before",
     CaptureCode.same_picture: "same picture as {other}",
+    CaptureCode.whole_sphere: "shows the whole sphere (360°), and no such lens is known here",
     CaptureCode.unreadable: "cannot be read: {error}",
     CaptureCode.same_name: "same name as {other}",
     CaptureCode.frames_not_used: _frames_not_used,
@@ -210,6 +221,7 @@ SENTENCES: dict[CaptureCode, str | Callable[[Mapping[str, Any]], str]] = {
     CaptureCode.cameras_alternate: _alternate,
     CaptureCode.photos_in_folders: _in_folders,
     CaptureCode.photos_not_read: _not_read,
+    CaptureCode.videos_not_read: _spheres,
     CaptureCode.video_cut_short: (
         "{name} can be read for {read_s:.0f} of the {length_s:.0f} s that it says it lasts, so that the rest of the "
         "walk is missing; copy it again from the camera"

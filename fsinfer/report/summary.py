@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from fsinfer.notices.numbers import noun
 from fsinfer.report.contents import Contents, measured_cm, number, tree_number
 from fsinfer.report.number_table import NumberTable
 from fsinfer.report.page import Part
@@ -49,7 +50,8 @@ def tiles_part(contents: Contents) -> Part:
     if contents.trees is not None:
         own = stand if border is None else border
         # Stems outside of the walk are found, too: those of them that stand in the plot count there.
-        where = "stems found" if border is None else f"stems in the plot, of {border.stems + border.outside} found"
+        where = noun(own.stems, "stem", "stems")
+        where += " found" if border is None else f" in the plot, of {border.stems + border.outside} found"
         shown += [(str(own.stems), where), (str(own.measured), "with a DBH")]
         if own.quadratic_mean_dbh_cm is not None:
             shown.append((f"{own.quadratic_mean_dbh_cm:.1f} cm", "quadratic mean DBH"))

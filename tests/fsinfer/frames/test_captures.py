@@ -133,6 +133,58 @@ def test_pictures_of_kinds_that_are_not_read_are_told_of(tmp_path: Path) -> None
     )
 
 
+def test_a_folder_of_plots_leads_to_the_batch_and_their_videos_are_named(tmp_path: Path) -> None:
+    folder = tmp_path / "Flächen"
+    for name in ("Plot 1", "Plot 2"):
+        (folder / name).mkdir(parents=True)
+        (folder / name / "GX010001.MP4").write_bytes(b"")
+    with pytest.raises(
+        ImageError, match=r"no photos or videos .*\.mp4.* do \(Plot 1, Plot 2\).* fsinfer batch measures"
+    ):
+        select_frames(folder, tmp_path / "out")
+    shutil.rmtree(folder / "Plot 2")
+    with pytest.raises(ImageError, match=r"\(Plot 1\), or put all photos of the plot into one$"):
+        select_frames(folder, tmp_path / "out")
+
+
+def test_videos_of_the_whole_sphere_are_told_of(tmp_path: Path) -> None:
+    for name in ("VID_1.insv", "GS01.360", ".GS02.360"):
+        (tmp_path / name).write_bytes(b"")
+    with pytest.raises(ImageError, match=r"its \.360, \.insv files are of a camera of the whole sphere"):
+        select_frames(tmp_path, tmp_path / "out")
+    for number in range(3):
+        write_image(tmp_path / f"a{number}.jpg", photo(number))
+    (told,) = select_frames(tmp_path, tmp_path / "out").warnings
+    assert told == notice(CaptureCode.videos_not_read, kinds=(".360", ".insv"), videos=2)
+    assert sentence(told).startswith("2 videos of a camera of the whole sphere (.360, .insv) were passed over")
+
+
+def test_photos_of_the_whole_sphere_are_left_out_before_minutes_are_spent_on_them(tmp_path: Path) -> None:
+    from PIL import Image
+
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    packet = b'<x:xmpmeta><rdf:Description GPano:ProjectionType="equirectangular"/></x:xmpmeta>'
+    for number in range(3):
+        Image.fromarray(photo(number)).save(folder / f"R{number}.jpg", xmp=packet)
+    with pytest.raises(ImageError, match=r"none of the 3 photos .* \(shows the whole sphere \(360°\)"):
+        select_frames(folder, tmp_path / "out")
+    for number in range(4, 7):
+        Image.fromarray(photo(number)).save(folder / f"R{number}.jpg", xmp=packet.replace(b"equirectangular", b"flat"))
+    assert [path.stem for path in select_frames(folder, tmp_path / "out").images] == ["R4", "R5", "R6"]
+
+
+@pytest.mark.parametrize("name", ["00001.m2ts", "walk.wmv", "walk.3g2"])
+def test_videos_of_older_cameras_are_read(tmp_path: Path, name: str) -> None:
+    folder = tmp_path / "card"
+    folder.mkdir()
+    wide = texture(1, 400)
+    write_video(
+        folder / name, [wide[:150, 2 * i : 2 * i + 200] for i in range(25)], "WMV2" if "wmv" in name else "mp4v"
+    )
+    assert len(select_frames(folder, tmp_path / "out").images) >= 2
+
+
 def test_photos_in_folders_within_are_told_of(tmp_path: Path) -> None:
     folder = tmp_path / "DCIM"
     for name in ("100APPLE", "101APPLE", ".thumbnails", "results", "notes"):
@@ -144,7 +196,7 @@ def test_photos_in_folders_within_are_told_of(tmp_path: Path) -> None:
     (folder / ".thumbnails" / "a.jpg").write_bytes(b"")
     for name in ("plot.json", "evaluation.png"):
         (folder / "results" / name).write_bytes(b"")
-    with pytest.raises(ImageError, match=r"give one of those within it that do \(100APPLE\)"):
+    with pytest.raises(ImageError, match=r"give one of those within it that do \(100APPLE, 101APPLE\)"):
         select_frames(folder, tmp_path / "out")
     for number in range(3, 6):
         write_image(folder / f"b{number}.jpg", photo(number))
@@ -321,6 +373,24 @@ def test_copies_of_photos_under_other_names_are_left_out(tmp_path: Path) -> None
         "Copy of IMG_3.jpg": "same picture as IMG_3.jpg",
         "Kopie von IMG_4.jpg": "same picture as IMG_4.jpg",
     }
+
+
+def test_edited_copies_that_a_phone_keeps_beside_the_photos_are_left_out(tmp_path: Path) -> None:
+    """They were taken from the same place: to depth and fusion they are a second witness, of nothing new."""
+    folder = tmp_path / "photos"
+    edited = {1: "IMG_1001-bearbeitet", 2: "IMG_E1002", 3: "IMG_1003~2"}
+    for number in range(6):
+        image = photo(number)
+        write_image(folder / f"IMG_100{number}.jpg", image)
+        if number in edited:
+            stronger = np.clip(1.5 * (image.astype(float) - 128) + 140, 0, 255).astype(np.uint8)
+            write_image(folder / f"{edited[number]}.jpg", stronger)
+    # Another phone's photo of that name, and one whose number goes on, are photos of their own.
+    write_image(folder / "IMG_1004 (1).jpg", photo(8))
+    write_image(folder / "IMG_10040.jpg", photo(9))
+    result = select_frames(folder, tmp_path / "out")
+    dropped = {row.source: row.reason for row in result.rows if not row.kept}
+    assert dropped == {f"{name}.jpg": f"same picture as IMG_100{number}.jpg" for number, name in edited.items()}
 
 
 def test_the_clips_of_live_photos_are_no_videos(tmp_path: Path) -> None:

@@ -427,6 +427,7 @@ def test_a_single_tree_without_a_scale_has_a_map_that_can_be_read(tmp_path: Path
     # Four metres, of which each is a fifth of a unit.
     assert max(ticks) - min(ticks) + 0.2 >= 0.8
     assert len(ticks) >= 4
+    assert "<b>1</b><span>stem found" in page
 
 
 def test_stems_far_outside_of_the_walk_do_not_shrink_the_map(tmp_path: Path) -> None:
