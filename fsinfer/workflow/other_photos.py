@@ -31,8 +31,8 @@ def refuse_other_photos(source: Path, out: Path) -> None:
     before, frames = ledger.inputs_of(FRAMES.name), ledger.recall(FRAMES)
     if before is None or frames is None:
         return
-    files = source_files(source, out)
-    if set(before.get("source", ())).intersection(map(file_digest, files)) or not _differ(files, frames.result, out):
+    files, known = source_files(source, out), set(before.get("source", ()))
+    if any(file_digest(path) in known for path in files) or not _differ(files, frames.result, out):
         return
     names = list(dict.fromkeys(row.source for row in frames.result.rows))
     those = names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}"
