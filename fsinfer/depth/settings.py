@@ -35,7 +35,7 @@ class UnsureSettings:
 
     below: float = 0.35
     radius_px: int = 3
-    power: float = 2.0
+    power: float = 3.0
     least_weight: float = 1e-6
 
 
