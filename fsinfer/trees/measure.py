@@ -46,6 +46,7 @@ from fsinfer.trees.settings import TreeSettings
 from fsinfer.trees.shape_doubts import allow_for_shape
 from fsinfer.trees.stand import SeenCells, StandTable, near_ground, seen_cells, stand_table
 from fsinfer.trees.stem_measurement import doubt_the_rough, measure_stems
+from fsinfer.trees.thickets import without_thickets
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
@@ -232,8 +233,9 @@ def _analysed(
     uncut = without_cut_tops(measured, local)
     warnings += uncut.told
     measured, stumps = without_stumps(uncut.pairs)
+    measured, thickets = without_thickets(measured)
     pairs, same = one_entry_a_stem(measured)
-    warnings += (*stumps, *same)
+    warnings += (*stumps, *thickets, *same)
     pairs = doubt_the_rough(allow_for_shape(pairs, settings=settings))
     warnings += common_lean([tree for tree, _ in pairs], [section for _, section in pairs], settings=settings.lean)
     # On the side of a cloud that lies, a surface may be followed and something on it be measured, but nothing soundly.
