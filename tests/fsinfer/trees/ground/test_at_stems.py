@@ -43,6 +43,22 @@ def test_ground_seen_in_less_than_a_third_of_the_plot_is_told_to_be_little(share
     assert (StemCode.little_ground in {warning.code for warning in result.warnings}) == told
 
 
+@pytest.mark.parametrize("cut", [True, False])
+def test_branches_of_a_cloud_that_was_cut_are_no_ground(cut: bool) -> None:
+    rng = np.random.default_rng(5)
+    feet = [(x, y) for x in (-4.0, 0.0, 4.0) for y in (-4.0, 0.0, 4.0)]
+    stems = [wall(rng, radius=0.12, spacing_m=0.015, taper=-0.01, top_m=4.0) + np.array([*foot, 0.0]) for foot in feet]
+    branches = rng.uniform([-6.0, -6.0, 0.5], [6.0, 6.0, 4.0], (60_000, 3))
+    ground = np.column_stack([rng.uniform(-6.0, 6.0, (30_000, 2)), np.zeros(30_000)])
+    points = np.concatenate([ground, branches, *stems])
+    points = points[points[:, 2] > 0.5] if cut else points
+    result = analyse_plot(points + rng.normal(0.0, 0.003, points.shape))
+    assert (StemCode.little_ground in {warning.code for warning in result.warnings}) == cut
+    assert len(result.trees) == len(feet)
+    unsure = [StemCode.ground_unsure in {why.code for why in tree.reasons} for tree in result.trees]
+    assert unsure == [cut] * len(feet)
+
+
 def test_ground_that_is_seen_and_followed_is_sure() -> None:
     plot = relief_plot(gentle, patches=20)
     assert level_std(find_ground(plot.points), FEET, RADII).max() < 0.1
