@@ -60,6 +60,15 @@ def test_a_stem_behind_branches_stays_a_tree(radius: float) -> None:
     assert "thickets_left_out" not in {item.code for item in result.warnings}
 
 
+def test_a_thin_stem_of_a_rough_scan_stays_one_behind_narrow_stripes() -> None:
+    """Its pieces are hardly wider than they scatter, as those of saplings are."""
+    points = striped(np.random.default_rng(1), 0.1, 5)[:, :2]
+    pieces = pieces_of(points * (1.0 + np.random.default_rng(2).normal(0.0, 0.1, (len(points), 1))), 0.1)
+    assert pieces is not None
+    assert pieces.number == 5
+    assert not pieces.stand_apart(0.01)
+
+
 def test_pieces_are_counted_across_the_beginning_of_the_circle() -> None:
     angle = np.concatenate([np.linspace(np.pi - 0.4, np.pi + 0.4, 300), np.linspace(-0.2, 0.2, 300)])
     away = np.random.default_rng(4).normal(0.2, 0.008, len(angle))
