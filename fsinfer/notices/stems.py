@@ -17,6 +17,7 @@ class StemCode(StrEnum):
     too_rough = "too_rough"
     too_uncertain = "too_uncertain"
     not_round = "not_round"
+    in_pieces = "in_pieces"
     no_stem_here = "no_stem_here"
     ends_low = "ends_low"
     edges_unsupported = "edges_unsupported"
@@ -91,6 +92,7 @@ class StemCode(StrEnum):
     post_of_marker = "post_of_marker"
     shrubs_left_out = "shrubs_left_out"
     stumps_left_out = "stumps_left_out"
+    thickets_left_out = "thickets_left_out"
     same_stem = "same_stem"
     forked = "forked"
     stems_outside_walk = "stems_outside_walk"
@@ -117,6 +119,7 @@ SENTENCES: dict[StemCode, str] = {
     StemCode.not_round: (
         "no round surface at breast height: its curvature changes too much with the part that is looked at"
     ),
+    StemCode.in_pieces: "what stands in the circle is {pieces} thin things with gaps between them, no single surface",
     StemCode.no_stem_here: "no stem to be measured is seen here",
     StemCode.ends_low: "it ends {top_m:.1f} m above the ground, below breast height",
     StemCode.edges_unsupported: (
@@ -220,6 +223,10 @@ SENTENCES: dict[StemCode, str] = {
     ),
     StemCode.post_of_marker: ("an object at ({x_m:.1f}, {y_m:.1f}) was taken for the post of a marker, not for a tree"),
     StemCode.stumps_left_out: "left out as stumps or posts, which end below breast height: {places}",
+    StemCode.thickets_left_out: (
+        "left out as thickets: {count:circle|circles} of thin stems or shoots that stand apart, at {places}; "
+        "add in edits.csv what is a tree among them"
+    ),
     StemCode.shrubs_left_out: (
         "left out as shrubs, where the cloud has something like a stem and the photos show none: {places}"
     ),

@@ -18,7 +18,7 @@ from fsinfer.threads import one_blas_thread
 from fsinfer.trees.common_lean import common_lean
 from fsinfer.trees.diameter.section import Section
 from fsinfer.trees.ends import without_stumps
-from fsinfer.trees.ground.at_stems import shows_ground
+from fsinfer.trees.ground.at_stems import is_layer, shows_ground
 from fsinfer.trees.ground.ground import Ground, find_ground
 from fsinfer.trees.level_cut import without_cut_tops
 from fsinfer.trees.one_entry import one_entry_a_stem
@@ -46,6 +46,7 @@ from fsinfer.trees.settings import TreeSettings
 from fsinfer.trees.shape_doubts import allow_for_shape
 from fsinfer.trees.stand import SeenCells, StandTable, near_ground, seen_cells, stand_table
 from fsinfer.trees.stem_measurement import doubt_the_rough, measure_stems
+from fsinfer.trees.thickets import without_thickets
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
@@ -223,8 +224,13 @@ def _analysed(
     low = near_ground(stand, 0.0)
     # Stems that are seen from above their feet would be their own ground.
     feet = np.array([stem.axis.center_at(0.0) for stem in search.stems]).reshape(-1, 2)
-    low = rows(low, shows_ground(low, feet, np.array([stem.axis.radius_m for stem in search.stems])))
-    if seen_cells(low, close=False).area(np.zeros((0, 2))) < settings.sanity.little_ground * plan_m2:
+    radii = np.array([stem.axis.radius_m for stem in search.stems])
+    low = rows(low, shows_ground(low, feet, radii))
+    if not is_layer(stand, feet, radii):
+        # What was taken for ground are the lowest branches: nobody knows how far below them it is.
+        ground = replace(ground, cells=np.zeros((0, 3)))
+        warnings.append(notice(StemCode.little_ground))
+    elif seen_cells(low, close=False).area(np.zeros((0, 2))) < settings.sanity.little_ground * plan_m2:
         warnings.append(notice(StemCode.little_ground))
     if search.spacing_m > settings.sanity.far_apart_m:
         warnings.append(notice(StemCode.far_apart, spacing_cm=100.0 * search.spacing_m))
@@ -232,8 +238,9 @@ def _analysed(
     uncut = without_cut_tops(measured, local)
     warnings += uncut.told
     measured, stumps = without_stumps(uncut.pairs)
+    measured, thickets = without_thickets(measured)
     pairs, same = one_entry_a_stem(measured)
-    warnings += (*stumps, *same)
+    warnings += (*stumps, *thickets, *same)
     pairs = doubt_the_rough(allow_for_shape(pairs, settings=settings))
     warnings += common_lean([tree for tree, _ in pairs], [section for _, section in pairs], settings=settings.lean)
     # On the side of a cloud that lies, a surface may be followed and something on it be measured, but nothing soundly.

@@ -32,12 +32,15 @@ from fsinfer.trees.diameter.dbh_settings import DbhSettings
 from fsinfer.trees.diameter.double_wall import TwoWalls, blurred_gap, two_walls
 from fsinfer.trees.diameter.file_order import stations_apart_m
 from fsinfer.trees.diameter.outline import fit_outline
+from fsinfer.trees.diameter.pieces import pieces_of
 from fsinfer.trees.diameter.roundness import roundness
 from fsinfer.trees.diameter.section import Section, as_searched, unmeasured_section
 from fsinfer.trees.diameter.slice import fit_slice
 from fsinfer.trees.diameter.spread import Spread, fit_spread
 from fsinfer.trees.diameter.tapered_fit import joint_fits, wall_coverage
 from fsinfer.trees.diameter.verdict import doubts_about, ground_doubt, may_be_measured, refused, walls_std_m
+from fsinfer.trees.points.cells import rows
+from fsinfer.trees.points.errors import tells_errors
 from fsinfer.trees.points.smoothing import unsmoothed
 from fsinfer.trees.points.sums import lengths
 from fsinfer.trees.points.surface import LAYER_M, WALL_SIGMAS
@@ -174,6 +177,10 @@ def _section(
     aside = float(np.linalg.norm(fit.center_at(height) - stem.axis.center_at(height)))
     astray = max(abs(fit.radius_m - stem.axis.radius_m), aside) > most
     reasons = refused(fit, coverage, 2.0 * radius, half, walls, int(wall.sum()), s)
+    pieces = None if tells_errors(used) else pieces_of(rows(offset, wall), fit.radius_m)
+    if pieces is not None and pieces.stand_apart(fit.sigma_m):
+        # Of what is no surface nothing else is to be said.
+        reasons = (notice(StemCode.in_pieces, pieces=pieces.number),)
     if astray and not reasons:
         reasons = (notice(StemCode.not_round),)
     status = "unmeasured" if reasons else "ok"

@@ -9,7 +9,7 @@ import pytest
 
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees import analyse_plot, find_ground
-from fsinfer.trees.ground.at_stems import level_std, shows_ground
+from fsinfer.trees.ground.at_stems import is_layer, level_std, shows_ground
 from tests.support.relief import DBH_M, FEET, gentle, mound, relief_plot
 from tests.support.stem_clouds import wall
 
@@ -41,6 +41,31 @@ def test_ground_seen_in_less_than_a_third_of_the_plot_is_told_to_be_little(share
     points = np.concatenate([ground, *stems])
     result = analyse_plot(points + rng.normal(0.0, 0.003, points.shape))
     assert (StemCode.little_ground in {warning.code for warning in result.warnings}) == told
+
+
+@pytest.mark.parametrize("cut", [True, False])
+def test_branches_of_a_cloud_that_was_cut_are_no_ground(cut: bool) -> None:
+    rng = np.random.default_rng(5)
+    feet = [(x, y) for x in (-4.0, 0.0, 4.0) for y in (-4.0, 0.0, 4.0)]
+    stems = [wall(rng, radius=0.12, spacing_m=0.015, taper=-0.01, top_m=4.0) + np.array([*foot, 0.0]) for foot in feet]
+    branches = rng.uniform([-6.0, -6.0, 0.5], [6.0, 6.0, 4.0], (60_000, 3))
+    ground = np.column_stack([rng.uniform(-6.0, 6.0, (30_000, 2)), np.zeros(30_000)])
+    points = np.concatenate([ground, branches, *stems])
+    points = points[points[:, 2] > 0.5] if cut else points
+    result = analyse_plot(points + rng.normal(0.0, 0.003, points.shape))
+    assert (StemCode.little_ground in {warning.code for warning in result.warnings}) == cut
+    assert len(result.trees) == len(feet)
+    unsure = [StemCode.ground_unsure in {why.code for why in tree.reasons} for tree in result.trees]
+    assert unsure == [cut] * len(feet)
+
+
+@pytest.mark.parametrize(("low_m", "high_m"), [(0.0, 0.45), (0.3, 1.5)])
+def test_herbs_or_shrubs_that_hide_most_of_the_ground_leave_it_a_layer(low_m: float, high_m: float) -> None:
+    rng = np.random.default_rng(6)
+    ground = np.column_stack([rng.uniform(-6.0, 6.0, (9_000, 2)), rng.normal(0.0, 0.01, 9_000)])
+    plants = rng.uniform([-6.0, -6.0, low_m], [6.0, 6.0, high_m], (60_000, 3))
+    nobody = np.zeros((0, 2))
+    assert is_layer(np.concatenate([ground, plants]), nobody, np.zeros(0))
 
 
 def test_ground_that_is_seen_and_followed_is_sure() -> None:
