@@ -107,7 +107,7 @@ class _Opened:
     warnings: tuple[Notice, ...] = ()
 
 
-MEASURE = Stage(name="measure", version=40, result=MeasuredCloud, outputs=("trees.csv",), beside=BESIDE_TREES)
+MEASURE = Stage(name="measure", version=41, result=MeasuredCloud, outputs=("trees.csv",), beside=BESIDE_TREES)
 
 
 @one_blas_thread()

@@ -65,7 +65,7 @@ class ReportResult:
     path: Path
 
 
-TREES = Stage(name="trees", version=56, result=TreesResult, outputs=("trees.csv", "figures"), beside=BESIDE_TREES)
+TREES = Stage(name="trees", version=57, result=TreesResult, outputs=("trees.csv", "figures"), beside=BESIDE_TREES)
 REPORT = Stage(name="report", version=1, result=ReportResult, outputs=("report.html",))
 #: All that a run goes through, in its order.
 STAGES: tuple[Stage[Any], ...] = (FRAMES, POSES, DEPTH, CHECK, FUSE, SCALE, CLOUD, TREES, REPORT)
