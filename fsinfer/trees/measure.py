@@ -27,6 +27,7 @@ from fsinfer.trees.points.errors import PointErrors
 from fsinfer.trees.points.sums import median
 from fsinfer.trees.sanity import (
     BOX_POINTS,
+    MIDDLE_PERCENTILES,
     TURNED_POINTS,
     TURNS,
     TurnedCloudError,
@@ -44,7 +45,7 @@ from fsinfer.trees.search.find import LEAST_POINTS, StemSearch, find_stems
 from fsinfer.trees.search.stem import Stem
 from fsinfer.trees.settings import TreeSettings
 from fsinfer.trees.shape_doubts import allow_for_shape
-from fsinfer.trees.stand import SeenCells, StandTable, near_ground, seen_cells, stand_table
+from fsinfer.trees.stand import SeenCells, StandTable, near_ground, seen_cells, seen_share, stand_table
 from fsinfer.trees.stem_measurement import doubt_the_rough, measure_stems
 from fsinfer.trees.thickets import without_thickets
 from fsinfer.trees.tree import Tree
@@ -206,7 +207,7 @@ def _analysed(
         errors = None if errors is None else errors.select(near)
     local = columns.T
     extent = box + origin[:2]
-    plan_m2 = float(np.prod(box[1] - box[0]))
+    middle = np.percentile(few, MIDDLE_PERCENTILES, axis=1) - origin[:2]
     progress(0, 1, "finding the ground")
     ground = find_ground(local, settings=settings.ground, seed=settings.seed)
     on_head = not turned and may_be_upside_down(local, ground, settings.ground, settings.sanity, seed=settings.seed)
@@ -230,7 +231,7 @@ def _analysed(
         # What was taken for ground are the lowest branches: nobody knows how far below them it is.
         ground = replace(ground, cells=np.zeros((0, 3)))
         warnings.append(notice(StemCode.little_ground))
-    elif seen_cells(low, close=False).area(np.zeros((0, 2))) < settings.sanity.little_ground * plan_m2:
+    elif seen_share(low, middle) < settings.sanity.little_ground:
         warnings.append(notice(StemCode.little_ground))
     if search.spacing_m > settings.sanity.far_apart_m:
         warnings.append(notice(StemCode.far_apart, spacing_cm=100.0 * search.spacing_m))

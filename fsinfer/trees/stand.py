@@ -237,6 +237,13 @@ def seen_cells(low: Floats, *, close: bool = True) -> SeenCells:
     return SeenCells(seen=seen, corner=origin - (reach + 1) * cell_m, cell_m=cell_m)
 
 
+def seen_share(low: Floats, box: Floats) -> float:
+    """Share of a ``box`` (2, 2) in plan, lowest and highest x and y, that points ``low`` (N, 2) of the ground show."""
+    inside = low[((low >= box[0]) & (low <= box[1])).all(axis=1)]
+    plan_m2 = float(np.prod(box[1] - box[0]))
+    return seen_cells(inside, close=False).area(np.zeros((0, 2))) / plan_m2 if plan_m2 > 0 else 0.0
+
+
 def _cell_m(low: Floats, origin: Floats) -> float:
     """Side of the cells by which points (N, 2), which begin at ``origin`` (2,), measure an area, metres."""
     column, row = (((low[:, axis] - origin[axis]) / CELL_M).astype(np.int64) for axis in range(2))

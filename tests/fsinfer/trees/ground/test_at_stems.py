@@ -43,6 +43,19 @@ def test_ground_seen_in_less_than_a_third_of_the_plot_is_told_to_be_little(share
     assert (StemCode.little_ground in {warning.code for warning in result.warnings}) == told
 
 
+def test_trees_seen_from_afar_do_not_make_the_ground_little() -> None:
+    """An open wood: the walk's ground is seen, and beyond it stems alone."""
+    rng = np.random.default_rng(7)
+    places = [*product((-3.0, 0.0, 3.0), repeat=2), *product((-30.0, 30.0), repeat=2)]
+    stems = [wall(rng, radius=0.15, spacing_m=0.015, taper=-0.01, top_m=4.0) + np.array([*at, 0.0]) for at in places]
+    far = [stem[::4] for stem in stems[9:]]
+    ground = np.column_stack([rng.uniform(-5.0, 5.0, (30_000, 2)), np.zeros(30_000)])
+    points = np.concatenate([ground, *stems[:9], *far])
+    result = analyse_plot(points + rng.normal(0.0, 0.003, points.shape))
+    assert len(result.trees) >= 9
+    assert StemCode.little_ground not in {warning.code for warning in result.warnings}
+
+
 @pytest.mark.parametrize("cut", [True, False])
 def test_branches_of_a_cloud_that_was_cut_are_no_ground(cut: bool) -> None:
     rng = np.random.default_rng(5)
