@@ -24,8 +24,8 @@ _log = logging.getLogger(__name__)
 #: Every k-th point so that so many are left tells the percentiles of a plot's extent to a centimetre, and as many
 #: coordinates the step in which they come. Source: numerics.
 BOX_POINTS, STEP_POINTS = 200_000, 20_000
-#: Between them on each axis lies the middle of a plot: trees that are seen from afar, without their ground, widen its box
-#: severalfold. Source: an open wood, rendered, whose box was ten times the walk's.
+#: Between them on each axis lies the middle of a plot: trees that are seen from afar, without their ground, widen the
+#: whole severalfold. Source: an open wood, rendered, whose box was ten times the walk's.
 MIDDLE_PERCENTILES = (10.0, 90.0)
 #: Points that are enough to find stems, few enough for a second a side. Source: numerics.
 TURNED_POINTS = 300_000
