@@ -60,7 +60,7 @@ from fsinfer.cli.options import (
 from fsinfer.cli.scale_command import register_scale
 from fsinfer.cli.stage_commands import register_stages
 from fsinfer.cli.support_command import register_support
-from fsinfer.cli.tables import demo_rows, plot_rows, unmeasured_rows
+from fsinfer.cli.tables import demo_rows, plot_rows, scale_rows, unmeasured_rows
 from fsinfer.conventions.breast_height import BREAST_HEIGHT_M, BhRule
 from fsinfer.depth.settings import DepthSettings
 from fsinfer.frames.settings import FrameSettings
@@ -222,6 +222,8 @@ def run(
     if not any(record.ran for record in result.stages):
         typer.echo("Nothing to do: everything was finished before.")
     typer.echo(f"Photos: {poses.registered} of {poses.photos} placed")
+    for row in scale_rows(result.records.scale.result.scale):
+        typer.echo(row)
     typer.echo(f"Cloud: {cloud.points} points in {result.plot['units']}, {cloud.path}")
     typer.echo(f"Trees: {trees.trees}, with DBH {trees.trees_with_dbh}, {out / 'trees.csv'}")
     for row in unmeasured_rows(trees.unmeasured):

@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING
 from fsinfer.notices.numbers import counted
 from fsinfer.notices.sentences import joined
 from fsinfer.notices.stems import StemCode
+from fsinfer.scale.scale import BoardVerdict
+from fsinfer.trees.points.sums import Z95
 
 if TYPE_CHECKING:
     from fsinfer.evaluation.metrics import Evaluation
     from fsinfer.plot_border.hectare import HectareFigure
     from fsinfer.plot_border.plot import PlotFigures
+    from fsinfer.scale.scale import Scale
     from fsinfer.workflow.demo import DemoResult
     from fsinfer.workflow.trees_result import UnmeasuredTree
 
@@ -90,6 +93,20 @@ def unmeasured_rows(trees: Sequence[UnmeasuredTree]) -> list[str]:
     rows = [f"  tree {tree.tree_id} has no DBH: {joined(tree.reasons)}" for tree in missing[:_MOST_REASONS]]
     more = len(missing) - len(rows)
     return [*rows, f"  and {more} more: see the column reason of trees.csv"] if more else rows
+
+
+def scale_rows(scale: Scale) -> list[str]:
+    """The boards that gave the scale, and the numbers that were seen in vain; nothing where it is not by boards.
+
+    A board that a forester put up and that does not count is seen at once, while there is time to photograph it again.
+    """
+    used = sorted({marker.id for marker in scale.markers if marker.verdict != BoardVerdict.outvoted})
+    if not used or scale.rel_std is None:
+        return []
+    known = f"known to {100 * Z95 * scale.rel_std:.1f} %"
+    rows = [f"Scale: by {counted(len(used), 'board', 'boards')} ({', '.join(map(str, used))}), {known}"]
+    rows += [f"  number {other.id} does not count: {other.reason}" for other in scale.rejected[:_MOST_REASONS]]
+    return rows
 
 
 def plot_rows(plot: PlotFigures | None) -> list[str]:
