@@ -21,6 +21,7 @@ class StemCode(StrEnum):
     no_stem_here = "no_stem_here"
     ends_low = "ends_low"
     edges_unsupported = "edges_unsupported"
+    edges_ragged = "edges_ragged"
     outside_walk = "outside_walk"
     # Why a diameter is doubtful.
     above_breast_height = "above_breast_height"
@@ -125,6 +126,10 @@ SENTENCES: dict[StemCode, str] = {
     StemCode.edges_unsupported: (
         "edges alone are no measurement: {photos:photo has|photos have} some {edges_cm:.0f} cm apart, "
         "and no second pair of sides agrees on the size ({refused})"
+    ),
+    StemCode.edges_ragged: (
+        "edges as ragged as those of leaves are no measurement: {photos:photo has|photos have} some {edges_cm:.0f} cm "
+        "apart, and its points do not agree on the size ({refused})"
     ),
     StemCode.outside_walk: "outside of the walk: the nearest photo was taken {nearest_m:.0f} m away",
     StemCode.above_breast_height: "measured {off_cm:.0f} cm above breast height, corrected by its taper",
@@ -272,6 +277,7 @@ ADVICE: dict[StemCode, str] = {
     StemCode.too_rough: "undergrowth or bad depth at breast height",
     StemCode.too_uncertain: "walk round the stem",
     StemCode.edges_unsupported: "walk round it",
+    StemCode.edges_ragged: "look at its strips of photographs, or check with a tape",
     StemCode.faint_edges: "look at its strips of photographs, or check with a tape",
     StemCode.few_edges: "walk round it",
     StemCode.points_alone: "walk round it, nearer to it",

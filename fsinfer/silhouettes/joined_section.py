@@ -15,7 +15,7 @@ from fsinfer.notices.stems import StemCode
 from fsinfer.silhouettes.combine import Combined, combine
 from fsinfer.silhouettes.join_settings import SilhouetteJoinSettings
 from fsinfer.silhouettes.points_alone import NOT_OF_POINTS, OF_SHAPE
-from fsinfer.silhouettes.support import refusal, said_by_hand
+from fsinfer.silhouettes.support import is_ragged, refusal, said_by_hand
 from fsinfer.trees import DbhSettings, Section
 from fsinfer.trees.diameter.budget import effective_dof, factor95, shared_std, total_std
 from fsinfer.trees.diameter.outline import Outline
@@ -177,11 +177,23 @@ def _status(
     """
     refused = refusal(section)
     if refused is not None and not supported:
-        why = notice(StemCode.edges_unsupported, photos=fit.photos, edges_cm=100.0 * dbh_m, refused=refused)
+        edges_cm = 100.0 * dbh_m
+        why = notice(StemCode.edges_unsupported, photos=fit.photos, edges_cm=edges_cm, refused=refused)
+        if is_ragged(fit, s.support):
+            why = notice(StemCode.edges_ragged, photos=fit.photos, edges_cm=edges_cm, refused=refused)
         return "unmeasured", (why,)
     uncertain = too_uncertain(dbh_m, half_m, dbh)
     if uncertain:
         return "unmeasured", uncertain
+    disagree: tuple[Notice, ...] = ()
+    if found.contradict and section.dbh_m is not None:
+        points_cm, edges_cm = 100.0 * section.dbh_m, 200.0 * fit.radius_m
+        disagree = (notice(StemCode.sources_disagree, points_cm=points_cm, edges_cm=edges_cm),)
+        # That the edges are the surer of the two holds for a stem's: of leaves, either may be wrong by all of it.
+        apart_m = abs(points_cm - edges_cm) / 100.0
+        uncertain = too_uncertain(dbh_m, apart_m, dbh) if is_ragged(fit, s.support) else ()
+        if uncertain:
+            return "unmeasured", (*uncertain, *disagree)
     stays = NEVER_LIFTED if section.dbh_m is None else NEVER_LIFTED | NOT_LIFTED
     doubts = [why for why in section.reasons if why.code in stays]
     faint = fit.contrast < s.wider.sure_contrast
@@ -191,9 +203,7 @@ def _status(
         doubts.append(notice(StemCode.edges_alone, photos=fit.photos, refused=refused))
     elif few and found.weight < MOST_BY_EDGES and section.residual_m > HAZE_NOISE_M:
         doubts.append(notice(StemCode.faint_edges if faint else StemCode.few_edges, photos=fit.photos))
-    if found.contradict and section.dbh_m is not None:
-        points_cm, edges_cm = 100.0 * section.dbh_m, 200.0 * fit.radius_m
-        doubts.append(notice(StemCode.sources_disagree, points_cm=points_cm, edges_cm=edges_cm))
+    doubts += disagree
     doubts += wide_interval(dbh_m, half_m, dbh)
     if oval and section.dbh_m is not None:
         doubts.append(notice(StemCode.far_from_round))

@@ -15,6 +15,8 @@ from fsinfer.trees.tree import Tree
 #: Half of an interval, as a share of its diameter or in cm, above which it says nothing of the size. Source: judgement;
 #: 7 +- 4 cm is thin for sure, corners of a car are "47 cm +- 47 cm".
 _MOST_REL_HALF, _MOST_HALF_CM = 0.5, 8.0
+#: Edges that are no measurement: they name why the points are none.
+_BY_EDGES = frozenset({StemCode.edges_unsupported, StemCode.edges_ragged})
 #: As the reason is written in a ``trees.csv``, by itself or in the brackets of another one. Source: format; the
 #: sentence of ``too_uncertain``.
 _WRITTEN = re.compile(r"too uncertain: (\d+) cm \+- (\d+) cm")
@@ -26,7 +28,7 @@ def rough_dbh_cm(tree: Tree) -> tuple[float, float] | None:
         return None
     for given in tree.reasons:
         # Where edges alone are no measurement, what the points say is in their notice.
-        reason = given.values.get("refused") if given.code == StemCode.edges_unsupported else given
+        reason = given.values.get("refused") if given.code in _BY_EDGES else given
         if isinstance(reason, Notice) and reason.code == StemCode.too_uncertain:
             # Whole centimetres, as a table has them.
             return _known(*(round(float(str(reason.values[name]))) for name in ("dbh_cm", "half_width_cm")))

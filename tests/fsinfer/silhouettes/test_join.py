@@ -499,6 +499,32 @@ def test_sources_that_contradict_each_other_widen_the_interval_and_say_so() -> N
     assert (vague.status, vague.parts_m["disagreement"]) == ("ok", 0.0)
 
 
+def test_ragged_edges_are_no_surer_than_the_points_that_they_contradict() -> None:
+    """Two saplings of 2.3 cm: 13 and 15 cm by their points, 8 by the leaves beside them, 8 cm +- 1.5 cm in all."""
+    points = replace(section_of(0.145, 0.009), residual_m=0.006)
+    leaves = replace(fit_of(0.040, 0.0027), noise_m=0.014)
+    found = joined(points, leaves)
+    assert (found.dbh_m, found.status) == (None, "unmeasured")
+    uncertain, apart = found.reasons
+    assert (uncertain.code, apart.code) == (StemCode.too_uncertain, StemCode.sources_disagree)
+    assert uncertain.values == pytest.approx({"dbh_cm": 8.0, "half_width_cm": 6.5})
+    # Straight edges are a stem's, whatever a haze says.
+    straight = joined(points, replace(leaves, noise_m=0.001))
+    assert straight.status == "doubtful"
+    assert straight.dbh_m == pytest.approx(0.08)
+    # Those of a crooked one are not, and its points say the same.
+    crooked = joined(replace(points, dbh_m=0.085), leaves)
+    assert crooked.dbh_m == pytest.approx(0.08, abs=0.003)
+
+
+def test_edges_as_ragged_as_leaves_are_told_where_the_points_do_not_agree() -> None:
+    refused = section_of(None, 0.01, notice(StemCode.too_uncertain, dbh_cm=18.0, half_width_cm=6.0))
+    leaves = joined(refused, replace(fit_of(0.052, 0.005), noise_m=0.008), supported=False)
+    assert (leaves.dbh_m, leaves.status) == (None, "unmeasured")
+    (why,) = leaves.reasons
+    assert (why.code, why.values["refused"]) == (StemCode.edges_ragged, refused.reasons[0])
+
+
 def test_edges_alone_are_no_measurement() -> None:
     """A stem of 17 cm was given as 2.8 cm by its edges alone."""
     refused = section_of(None, 0.01, notice(StemCode.too_few_at_breast_height, least=12))

@@ -13,6 +13,7 @@ from fsinfer.silhouettes.one_look import Looked
 from fsinfer.silhouettes.support import SupportSettings, is_supported, points_support
 from fsinfer.trees import Section
 from fsinfer.trees.diameter.edge_set import Edges
+from fsinfer.trees.diameter.second_pair import second_pair
 from fsinfer.trees.diameter.section import unmeasured_section
 from fsinfer.trees.diameter.silhouette import fit_silhouette
 from fsinfer.trees.diameter.silhouette_settings import SilhouetteSettings
@@ -121,3 +122,30 @@ def test_edges_that_a_fifth_of_the_rays_contradicts_are_supported_by_nothing(sha
     fit = replace(looked.fit, share=share)
     section = refused(0.06, SEEN_LITTLE)
     assert is_supported(section, 0.002, looked, fit, silhouette=SilhouetteSettings()) is supported
+
+
+def ragged(seed: int, scatter_m: float = 0.01) -> Looked:
+    """Photographs of leaves, whose edges lie about those of a stem of 11 cm by ``scatter_m``."""
+    whole = seen_from(WIDE, 0.055, seed=seed)
+    beside = np.random.default_rng(100 + seed).normal(0.0, scatter_m, len(whole.edges.ray))
+    edges = replace(whole.edges, support_m=whole.edges.support_m + beside)
+    fit = fit_silhouette(edges, 0.055, taper=whole.stem.taper)
+    return replace(whole, edges=edges, fitted=edges, of_fit=edges, fit=fit)
+
+
+@pytest.mark.parametrize("seed", [1, 7])
+def test_a_second_pair_of_ragged_edges_supports_nothing(seed: int) -> None:
+    """Leaves beside a sapling of 2.6 cm made 10.5 cm +- 2.2 cm of it, their edges agreed from two sides."""
+    leaves = ragged(seed)
+    bark = ragged(seed, 0.001)
+    assert leaves.fit is not None
+    assert bark.fit is not None
+    assert second_pair(leaves.edges, 0.055, taper=leaves.stem.taper).agree
+    points_of_another_size = refused(0.12, SEEN_LITTLE)
+    for looked, supported in ((leaves, False), (bark, True)):
+        assert looked.fit is not None
+        found = is_supported(points_of_another_size, 0.008, looked, looked.fit, silhouette=SilhouetteSettings())
+        assert found is supported
+    # A crooked stem has ragged edges, too; its points know.
+    points_of_that_size = refused(leaves.fit.radius_m, SEEN_LITTLE)
+    assert is_supported(points_of_that_size, 0.008, leaves, leaves.fit, silhouette=SilhouetteSettings())

@@ -55,16 +55,17 @@ def test_a_table_tells_the_same_as_the_measurement() -> None:
     assert rough_dbh_cm(tree(1, None, notice(StemCode.as_written, text="double wall"))) is None
 
 
-def test_edges_that_are_no_measurement_leave_what_the_points_say() -> None:
+@pytest.mark.parametrize("code", [StemCode.edges_unsupported, StemCode.edges_ragged])
+def test_edges_that_are_no_measurement_leave_what_the_points_say(code: StemCode) -> None:
     """The run counted such a sapling as a mean tree, and the report, by the same sentence, as a sapling."""
-    edges = notice(StemCode.edges_unsupported, photos=9, edges_cm=7.0, refused=uncertain(7.0, 3.0))
+    edges = notice(code, photos=9, edges_cm=7.0, refused=uncertain(7.0, 3.0))
     known = rough_dbh_cm(tree(1, None, uncertain(7.0, 3.0)))
     assert known is not None
     assert rough_dbh_cm(tree(1, None, edges)) == known
     assert rough_dbh_cm(tree(1, None, notice_of_json(notice_json(edges)))) == known
     assert rough_dbh_cm(tree(1, None, notice(StemCode.as_written, text=sentence(edges)))) == known
     other = notice(StemCode.too_few_on_bark, points=9)
-    refused = notice(StemCode.edges_unsupported, photos=9, edges_cm=7.0, refused=other)
+    refused = notice(code, photos=9, edges_cm=7.0, refused=other)
     assert rough_dbh_cm(tree(1, None, refused)) is None
     assert sizes_unknown([tree(1, 20.0), tree(2, 20.0), tree(3, None, edges)]) == ()
 
