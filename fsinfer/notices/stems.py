@@ -21,6 +21,8 @@ class StemCode(StrEnum):
     no_stem_here = "no_stem_here"
     ends_low = "ends_low"
     edges_unsupported = "edges_unsupported"
+    edges_unsure = "edges_unsure"
+    stands_across = "stands_across"
     outside_walk = "outside_walk"
     # Why a diameter is doubtful.
     above_breast_height = "above_breast_height"
@@ -125,6 +127,13 @@ SENTENCES: dict[StemCode, str] = {
     StemCode.edges_unsupported: (
         "edges alone are no measurement: {photos:photo has|photos have} some {edges_cm:.0f} cm apart, "
         "and no second pair of sides agrees on the size ({refused})"
+    ),
+    StemCode.edges_unsure: (
+        "the edges that {photos:photo has|photos have} some {edges_cm:.0f} cm apart hardly stand out or do not agree, "
+        "and may be twigs ({refused})"
+    ),
+    StemCode.stands_across: (
+        "what stands there below breast height is some {across_cm:.0f} cm across, and counts as so thick"
     ),
     StemCode.outside_walk: "outside of the walk: the nearest photo was taken {nearest_m:.0f} m away",
     StemCode.above_breast_height: "measured {off_cm:.0f} cm above breast height, corrected by its taper",
@@ -272,6 +281,7 @@ ADVICE: dict[StemCode, str] = {
     StemCode.too_rough: "undergrowth or bad depth at breast height",
     StemCode.too_uncertain: "walk round the stem",
     StemCode.edges_unsupported: "walk round it",
+    StemCode.edges_unsure: "look at it, and walk round it if it is a tree",
     StemCode.faint_edges: "look at its strips of photographs, or check with a tape",
     StemCode.few_edges: "walk round it",
     StemCode.points_alone: "walk round it, nearer to it",
@@ -307,6 +317,7 @@ ADVISES_REVISIT: frozenset[StemCode] = frozenset(
         StemCode.too_little_seen,
         StemCode.too_uncertain,
         StemCode.edges_unsupported,
+        StemCode.edges_unsure,
         StemCode.few_edges,
         StemCode.points_alone,
     }

@@ -176,15 +176,19 @@ def _status(
     ``oval`` says that what a section far from round hides is most of what is not known.
     """
     refused = refusal(section)
+    faint = fit.contrast < s.wider.sure_contrast
     if refused is not None and not supported:
-        why = notice(StemCode.edges_unsupported, photos=fit.photos, edges_cm=100.0 * dbh_m, refused=refused)
+        # Twigs have edges, too, but few rays agree on them, or they stand out as little as chance's.
+        if faint or fit.share < s.support.least_rays:
+            why = notice(StemCode.edges_unsure, photos=fit.photos, edges_cm=100.0 * dbh_m, refused=refused)
+        else:
+            why = notice(StemCode.edges_unsupported, photos=fit.photos, edges_cm=100.0 * dbh_m, refused=refused)
         return "unmeasured", (why,)
     uncertain = too_uncertain(dbh_m, half_m, dbh)
     if uncertain:
         return "unmeasured", uncertain
     stays = NEVER_LIFTED if section.dbh_m is None else NEVER_LIFTED | NOT_LIFTED
     doubts = [why for why in section.reasons if why.code in stays]
-    faint = fit.contrast < s.wider.sure_contrast
     few = fit.photos < s.sure_photos or fit.sectors < s.sure_sectors or faint
     # Two walls are poses that do not agree: the distance of two edges stands it, but somebody should look.
     if refused is not None and (few or refused.code == StemCode.double_wall):
