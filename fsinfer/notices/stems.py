@@ -255,8 +255,8 @@ SENTENCES: dict[StemCode, str] = {
         "{apart_cm:.0f} cm apart, and {new} new ones"
     ),
     StemCode.sizes_unknown: (
-        "of the basal area {percent:.0f} % are taken to be that of stems without a diameter ({trees}), by the mean "
-        "section of the others; what is no tree among them makes the figures a hectare too large"
+        "of the basal area {percent:.0f} % are taken to be that of stems without a diameter ({trees}), by a width or "
+        "the mean section of the others; what is no tree among them makes the figures a hectare too large"
     ),
     StemCode.edits_followed: (
         "the trees of corrections by hand have other numbers on this map: {trees}; the corrections follow the trees"

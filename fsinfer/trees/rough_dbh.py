@@ -55,6 +55,12 @@ def rough_dbh_cm(tree: Tree) -> tuple[float, float] | None:
     return next((known for known in written if known is not None), None)
 
 
+def is_hardly_known(tree: Tree) -> bool:
+    """Whether a tree without a DBH tells no size, or one whose standard deviation is half of it and more."""
+    known = rough_dbh_cm(tree)
+    return tree.dbh_cm is None and (known is None or known[1] >= min(_REL_STD.values()) * known[0])
+
+
 def rough_of_text(reason: str) -> tuple[float, float] | None:
     """The same by the reason as it is written in a ``trees.csv``."""
     for written in _WRITTEN.finditer(reason):

@@ -61,7 +61,10 @@ def test_scraps_and_nothing_have_no_width() -> None:
     assert across_m(np.zeros((0, 3))) is None
     assert across_m(bark(0.3)[::400]) is None  # too few
     scraps = np.column_stack([rng.uniform(-0.3, 0.3, (300, 2)), rng.uniform(0.4, 1.3, 300)])
-    assert across_m(scraps) is None  # none of them is most of what is there
+    assert across_m(scraps) is None
+    twig = np.column_stack([rng.normal(0.0, 0.002, (75, 2)), rng.uniform(0.4, 1.3, 75)])
+    assert across_m(twig) is not None
+    assert across_m(np.concatenate([scraps, twig])) is None  # hardly any of what is there
     assert across_m(bark(0.3, top_m=0.4)) is None  # a stump or herbs
 
 

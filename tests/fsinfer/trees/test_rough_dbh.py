@@ -92,7 +92,10 @@ def test_where_the_points_say_nothing_a_width_does(refused: Notice) -> None:
     basal = stand_table([*thick, tree(3, None, unsure, below)], 1e4).basal_area_m2_per_ha
     assert basal == pytest.approx((2.0 + (8 / 40) ** 2) * np.pi / 4 * 0.16)
     assert sizes_unknown([*thick, tree(3, None, unsure, below)]) == ()
-    assert sizes_unknown([*thick, tree(3, None, unsure)])
+    # What a figure rests on without a measurement is told where it is much.
+    for reasons in ((unsure,), (sure,)):
+        (told,) = sizes_unknown([*thick, tree(3, None, *reasons)])
+        assert told.values["trees"] == ("3",)
 
 
 def test_a_sapling_is_no_mean_tree_in_the_stand() -> None:
@@ -108,7 +111,7 @@ def test_a_tenth_of_the_basal_area_by_nothing_known_is_told() -> None:
     (told,) = sizes_unknown([*measured, tree(20, None, uncertain(50.0, 60.0))])
     assert told.values["percent"] == pytest.approx(10.0)
     assert "of the basal area 10 % are taken to be that of stems without a diameter" in sentence(told)
-    assert "without a diameter (20), by the mean section" in sentence(told)
+    assert "without a diameter (20), by a width or the mean section" in sentence(told)
     # Of those that are roughly known nothing is unsaid, and one is no mean.
     assert sizes_unknown([*measured, tree(20, None, uncertain(8.0, 2.0))]) == ()
     assert sizes_unknown([*measured, tree(21, 30.0), tree(22, None)]) == ()
