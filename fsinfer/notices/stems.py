@@ -22,6 +22,8 @@ class StemCode(StrEnum):
     ends_low = "ends_low"
     edges_unsupported = "edges_unsupported"
     edges_ragged = "edges_ragged"
+    edges_unsure = "edges_unsure"
+    stands_across = "stands_across"
     outside_walk = "outside_walk"
     # Why a diameter is doubtful.
     above_breast_height = "above_breast_height"
@@ -130,6 +132,13 @@ SENTENCES: dict[StemCode, str] = {
     StemCode.edges_ragged: (
         "edges as ragged as those of leaves are no measurement: {photos:photo has|photos have} some {edges_cm:.0f} cm "
         "apart, and its points do not agree on the size ({refused})"
+    ),
+    StemCode.edges_unsure: (
+        "the edges that {photos:photo has|photos have} some {edges_cm:.0f} cm apart hardly stand out or do not agree, "
+        "and may be twigs ({refused})"
+    ),
+    StemCode.stands_across: (
+        "what stands there below breast height is some {across_cm:.0f} cm across, and counts as so thick"
     ),
     StemCode.outside_walk: "outside of the walk: the nearest photo was taken {nearest_m:.0f} m away",
     StemCode.above_breast_height: "measured {off_cm:.0f} cm above breast height, corrected by its taper",
@@ -251,8 +260,8 @@ SENTENCES: dict[StemCode, str] = {
         "{apart_cm:.0f} cm apart, and {new} new ones"
     ),
     StemCode.sizes_unknown: (
-        "of the basal area {percent:.0f} % are taken to be that of stems without a diameter ({trees}), by the mean "
-        "section of the others; what is no tree among them makes the figures a hectare too large"
+        "of the basal area {percent:.0f} % are taken to be that of stems without a diameter ({trees}), by a width or "
+        "the mean section of the others; what is no tree among them makes the figures a hectare too large"
     ),
     StemCode.edits_followed: (
         "the trees of corrections by hand have other numbers on this map: {trees}; the corrections follow the trees"
@@ -278,6 +287,7 @@ ADVICE: dict[StemCode, str] = {
     StemCode.too_uncertain: "walk round the stem",
     StemCode.edges_unsupported: "walk round it",
     StemCode.edges_ragged: "look at its strips of photographs, or check with a tape",
+    StemCode.edges_unsure: "look at it, and walk round it if it is a tree",
     StemCode.faint_edges: "look at its strips of photographs, or check with a tape",
     StemCode.few_edges: "walk round it",
     StemCode.points_alone: "walk round it, nearer to it",
@@ -313,6 +323,7 @@ ADVISES_REVISIT: frozenset[StemCode] = frozenset(
         StemCode.too_little_seen,
         StemCode.too_uncertain,
         StemCode.edges_unsupported,
+        StemCode.edges_unsure,
         StemCode.few_edges,
         StemCode.points_alone,
     }

@@ -27,6 +27,7 @@ from fsinfer.notices.stems import StemCode
 from fsinfer.processes import shared_out
 from fsinfer.progress import Progress, silent
 from fsinfer.scene import Scene
+from fsinfer.silhouettes.across import with_sizes_below
 from fsinfer.silhouettes.edges import Strip
 from fsinfer.silhouettes.join_settings import SilhouetteJoinSettings
 from fsinfer.silhouettes.joined_section import join, points_std
@@ -89,7 +90,8 @@ def measure_silhouettes(
     Stems that no photograph shows clearly keep what their points say, less surely
     (:mod:`fsinfer.silhouettes.points_alone`). Sections get ``silhouette`` and ``cloud_dbh_m``.
     What is doubtful in the cloud and no stem in many photographs is left out with a warning, unless ``kept`` has its
-    number; so are entries that turn out to stand in another stem. ``figures`` is a folder for ``tree_ID_edges.png``:
+    number; so are entries that turn out to stand in another stem. Of those of whose size nothing is known the cloud
+    tells what stands below them (:mod:`fsinfer.silhouettes.across`). ``figures`` is a folder for ``tree_ID_edges.png``:
     strips of the photographs with the edges that were found. ``cloud_xyz`` (N, 3) is the cloud, metres, whose sharp
     faces tell of sides that no photograph shows the edges of.
     Raises :class:`~fsinfer.errors.FsinferError` where a photograph or a depth map cannot be read.
@@ -159,6 +161,8 @@ def measure_silhouettes(
     for _ in shared_out(_draw, sheets):
         pass
     pairs, same = one_entry_a_stem(pairs, kept)
+    if cloud_xyz is not None:
+        pairs = with_sizes_below(pairs, cloud_xyz)
     return replace(
         result,
         trees=tuple(tree for tree, _ in pairs),

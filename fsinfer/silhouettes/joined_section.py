@@ -176,11 +176,16 @@ def _status(
     ``oval`` says that what a section far from round hides is most of what is not known.
     """
     refused = refusal(section)
+    faint = fit.contrast < s.wider.sure_contrast
     if refused is not None and not supported:
-        edges_cm = 100.0 * dbh_m
-        why = notice(StemCode.edges_unsupported, photos=fit.photos, edges_cm=edges_cm, refused=refused)
+        photos, edges_cm = fit.photos, 100.0 * dbh_m
         if is_ragged(fit, s.support):
-            why = notice(StemCode.edges_ragged, photos=fit.photos, edges_cm=edges_cm, refused=refused)
+            why = notice(StemCode.edges_ragged, photos=photos, edges_cm=edges_cm, refused=refused)
+        elif faint or fit.share < s.support.least_rays:
+            # Twigs have edges, too, but few rays agree on them, or they stand out as little as chance's.
+            why = notice(StemCode.edges_unsure, photos=photos, edges_cm=edges_cm, refused=refused)
+        else:
+            why = notice(StemCode.edges_unsupported, photos=photos, edges_cm=edges_cm, refused=refused)
         return "unmeasured", (why,)
     uncertain = too_uncertain(dbh_m, half_m, dbh)
     if uncertain:
@@ -196,7 +201,6 @@ def _status(
             return "unmeasured", (*uncertain, *disagree)
     stays = NEVER_LIFTED if section.dbh_m is None else NEVER_LIFTED | NOT_LIFTED
     doubts = [why for why in section.reasons if why.code in stays]
-    faint = fit.contrast < s.wider.sure_contrast
     few = fit.photos < s.sure_photos or fit.sectors < s.sure_sectors or faint
     # Two walls are poses that do not agree: the distance of two edges stands it, but somebody should look.
     if refused is not None and (few or refused.code == StemCode.double_wall):

@@ -12,7 +12,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees.points.cells import column_min, rows
-from fsinfer.trees.rough_dbh import rough_dbh_cm
+from fsinfer.trees.rough_dbh import is_hardly_known, rough_dbh_cm
 from fsinfer.trees.tree import Tree
 
 Floats = NDArray[np.float64]
@@ -122,14 +122,14 @@ def _rough_cm(trees: Sequence[Tree]) -> list[float | None]:
 
 
 def sizes_unknown(trees: Sequence[Tree], off_area: Collection[int] = ()) -> tuple[Notice, ...]:
-    """A warning where much of a basal area a hectare is that of stems of whose size nothing is known.
+    """A warning where much of a basal area a hectare is that of stems of whose size hardly anything is known.
 
     ``off_area`` are the numbers of those of the ``trees`` that it does not count. Measured ones among them have a say
     in what those of unknown size are taken for all the same, as in the figure (:func:`counted_basal_area_m2`).
     """
     dbh_cm, rough_cm = or_nan([tree.dbh_cm for tree in trees]), or_nan(_rough_cm(trees))
     on = np.array([tree.tree_id not in off_area for tree in trees], dtype=bool)
-    unknown = on & np.isnan(dbh_cm) & np.isnan(rough_cm)
+    unknown = on & np.array([is_hardly_known(tree) for tree in trees], dtype=bool)
     whole, rest = (counted_basal_area_m2(dbh_cm, rough_cm, some) for some in (on, on & ~unknown))
     if not unknown.any() or whole is None or rest is None:
         return ()

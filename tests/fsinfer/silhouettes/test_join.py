@@ -535,6 +535,11 @@ def test_edges_alone_are_no_measurement() -> None:
     assert (why.values["photos"], why.values["refused"]) == (20, refused.reasons[0])
     assert why.values["edges_cm"] == pytest.approx(2.8)
     assert alone.silhouette is not None  # for dbh_sources.csv
+    # Twigs have edges on which few rays agree, or that stand out as little as chance's.
+    for twigs in (replace(fit_of(0.2, 0.01), contrast=1.3), replace(fit_of(0.2, 0.01), share=0.7)):
+        (why,) = joined(refused, twigs, supported=False).reasons
+        assert why.code == StemCode.edges_unsure
+        assert (why.values["photos"], why.values["refused"]) == (20, refused.reasons[0])
     assert joined(refused, fit_of(0.14, 0.001), supported=True).dbh_m == pytest.approx(0.28)
 
 
@@ -749,6 +754,19 @@ def test_a_tree_by_hand_is_told_to_be_one_whatever_the_photographs_show(photos: 
     nothing = without_stem(photos, tmp_path)
     far = measure_silhouettes(plot_of(section_of(0.28, 0.011, by_hand)), nothing, kept=(1,))
     assert [why.code for why in far.trees[0].reasons] == [StemCode.added_by_hand, StemCode.too_uncertain]
+
+
+def test_of_a_stem_without_a_size_the_cloud_tells_what_stands_below_it(photos: StemPhotos, tmp_path: Path) -> None:
+    few = notice(StemCode.too_few_at_breast_height, least=12)
+    plot = plot_of(section_of(None, 0.01, few))
+    rng = np.random.default_rng(4)
+    foot = np.array([plot.trees[0].x_m, plot.trees[0].y_m, plot.trees[0].z_ground_m])
+    sapling = foot + np.column_stack([rng.normal(0.0, 0.01, (900, 2)), rng.uniform(0.0, 1.3, 900)])
+    nothing = without_stem(photos, tmp_path)
+    (tree,) = measure_silhouettes(plot, nothing, kept=(1,), cloud_xyz=sapling).trees
+    assert [why.code for why in tree.reasons] == [few.code, StemCode.stands_across]
+    assert tree.reasons[1].values["across_cm"] == pytest.approx(4.0, abs=1.0)
+    assert measure_silhouettes(plot, nothing, kept=(1,)).trees[0].reasons == (few,)
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from fsinfer.notices.notice import Notice, notice, notice_json, notice_of_json
-from fsinfer.notices.sentences import sentence
+from fsinfer.notices.sentences import joined, sentence
 from fsinfer.notices.stems import StemCode
 from fsinfer.trees.measure import analyse_plot
-from fsinfer.trees.rough_dbh import rough_dbh_cm
+from fsinfer.trees.rough_dbh import rough_dbh_cm, rough_of_text
 from fsinfer.trees.stand import SeenCells, sizes_unknown, stand_table
 from fsinfer.trees.tree import Tree
 from fsinfer.workflow.tree_stage import _sizes_unknown
@@ -55,7 +55,7 @@ def test_a_table_tells_the_same_as_the_measurement() -> None:
     assert rough_dbh_cm(tree(1, None, notice(StemCode.as_written, text="double wall"))) is None
 
 
-@pytest.mark.parametrize("code", [StemCode.edges_unsupported, StemCode.edges_ragged])
+@pytest.mark.parametrize("code", [StemCode.edges_unsupported, StemCode.edges_unsure, StemCode.edges_ragged])
 def test_edges_that_are_no_measurement_leave_what_the_points_say(code: StemCode) -> None:
     """The run counted such a sapling as a mean tree, and the report, by the same sentence, as a sapling."""
     edges = notice(code, photos=9, edges_cm=7.0, refused=uncertain(7.0, 3.0))
@@ -64,10 +64,45 @@ def test_edges_that_are_no_measurement_leave_what_the_points_say(code: StemCode)
     assert rough_dbh_cm(tree(1, None, edges)) == known
     assert rough_dbh_cm(tree(1, None, notice_of_json(notice_json(edges)))) == known
     assert rough_dbh_cm(tree(1, None, notice(StemCode.as_written, text=sentence(edges)))) == known
-    other = notice(StemCode.too_few_on_bark, points=9)
-    refused = notice(code, photos=9, edges_cm=7.0, refused=other)
-    assert rough_dbh_cm(tree(1, None, refused)) is None
     assert sizes_unknown([tree(1, 20.0), tree(2, 20.0), tree(3, None, edges)]) == ()
+
+
+@pytest.mark.parametrize("code", [StemCode.edges_unsure, StemCode.edges_ragged])
+def test_edges_that_may_be_of_twigs_tell_no_size(code: StemCode) -> None:
+    refused = notice(StemCode.too_few_on_bark, points=9)
+    assert rough_dbh_cm(tree(1, None, notice(code, photos=9, edges_cm=7.0, refused=refused))) is None
+
+
+@pytest.mark.parametrize("refused", [notice(StemCode.too_few_on_bark, points=9), uncertain(52.0, 60.0)])
+def test_where_the_points_say_nothing_a_width_does(refused: Notice) -> None:
+    """A sapling of 2 cm whose twigs have edges 43 cm apart counted as a mean tree; a tree 15 m away has edges."""
+    sure, unsure = (
+        notice(code, photos=photos, edges_cm=42.8, refused=refused)
+        for code, photos in ((StemCode.edges_unsupported, 1), (StemCode.edges_unsure, 13))
+    )
+    below = notice(StemCode.stands_across, across_cm=8.2)
+    for reasons, expected in (
+        ((sure,), (43.0, 21.5)),
+        ((unsure,), None),
+        ((unsure, below), (8.0, 8.0)),
+        ((refused, below), (8.0, 8.0)),
+        ((uncertain(6.0, 2.0), below), (6.0, 2.0 / 1.96)),
+    ):
+        known = None if expected is None else pytest.approx(expected, rel=1e-3)
+        assert rough_dbh_cm(tree(1, None, *reasons)) == known
+        assert rough_dbh_cm(tree(1, None, *(notice_of_json(notice_json(reason)) for reason in reasons))) == known
+        assert rough_of_text(joined(reasons)) == known
+        written = notice(StemCode.as_written, text=joined(reasons))
+        assert rough_dbh_cm(tree(1, None, written)) == known
+    assert rough_dbh_cm(tree(1, None, notice(StemCode.stands_across, across_cm=0.4))) is None
+    thick = [tree(1, 40.0), tree(2, 40.0)]
+    basal = stand_table([*thick, tree(3, None, unsure, below)], 1e4).basal_area_m2_per_ha
+    assert basal == pytest.approx((2.0 + (8 / 40) ** 2) * np.pi / 4 * 0.16)
+    assert sizes_unknown([*thick, tree(3, None, unsure, below)]) == ()
+    # What a figure rests on without a measurement is told where it is much.
+    for reasons in ((unsure,), (sure,)):
+        (told,) = sizes_unknown([*thick, tree(3, None, *reasons)])
+        assert told.values["trees"] == ("3",)
 
 
 def test_a_sapling_is_no_mean_tree_in_the_stand() -> None:
@@ -83,7 +118,7 @@ def test_a_tenth_of_the_basal_area_by_nothing_known_is_told() -> None:
     (told,) = sizes_unknown([*measured, tree(20, None, uncertain(50.0, 60.0))])
     assert told.values["percent"] == pytest.approx(10.0)
     assert "of the basal area 10 % are taken to be that of stems without a diameter" in sentence(told)
-    assert "without a diameter (20), by the mean section" in sentence(told)
+    assert "without a diameter (20), by a width or the mean section" in sentence(told)
     # Of those that are roughly known nothing is unsaid, and one is no mean.
     assert sizes_unknown([*measured, tree(20, None, uncertain(8.0, 2.0))]) == ()
     assert sizes_unknown([*measured, tree(21, 30.0), tree(22, None)]) == ()
