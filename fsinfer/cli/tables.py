@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 from fsinfer.notices.numbers import counted
 from fsinfer.notices.sentences import joined
 from fsinfer.notices.stems import StemCode
-from fsinfer.scale.scale import BoardVerdict
-from fsinfer.trees.points.sums import Z95
 
 if TYPE_CHECKING:
     from fsinfer.evaluation.metrics import Evaluation
@@ -100,6 +98,10 @@ def scale_rows(scale: Scale) -> list[str]:
 
     A board that a forester put up and that does not count is seen at once, while there is time to photograph it again.
     """
+    # Only after a run, which needed them; --help shall load nothing heavy.
+    from fsinfer.scale.scale import BoardVerdict
+    from fsinfer.trees.points.sums import Z95
+
     used = sorted({marker.id for marker in scale.markers if marker.verdict != BoardVerdict.outvoted})
     if not used or scale.rel_std is None:
         return []
