@@ -23,12 +23,19 @@ from fsinfer.frames.quality import (
 from fsinfer.frames.settings import FrameSettings, VideoSettings
 from fsinfer.frames.table import FrameRow, frames_csv
 from fsinfer.frames.times import names_against_times
-from fsinfer.frames.video import VIDEO_SUFFIXES, is_live_photo, sharpest_frames
+from fsinfer.frames.video import is_live_photo, sharpest_frames
 from fsinfer.io.exif import camera_exif, camera_key, named_camera_exif, shows_sphere
 from fsinfer.io.files import copy_file, write_text
 from fsinfer.io.images import is_upright_jpeg_or_png, read_image, read_reduced, reduce_image, write_image
 from fsinfer.io.names import by_number, sortable
-from fsinfer.io.photo_folders import PHOTO_SUFFIXES, folders_of_photos, list_images, unread_photos, unread_videos
+from fsinfer.io.photo_folders import (
+    PHOTO_SUFFIXES,
+    VIDEO_SUFFIXES,
+    folders_of_photos,
+    list_images,
+    unread_photos,
+    unread_videos,
+)
 from fsinfer.notices.capture import CaptureCode
 from fsinfer.notices.notice import Notice, notice
 from fsinfer.notices.sentences import sentence, sentences

@@ -16,9 +16,6 @@ from fsinfer.frames.settings import VideoSettings
 from fsinfer.frames.view_shift import ViewChange
 from fsinfer.progress import Progress
 
-VIDEO_SUFFIXES = frozenset(
-    {".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".3gp", ".3g2", ".mts", ".m2ts", ".mpg", ".mpeg", ".wmv"}
-)
 #: The way of the picture is looked up so often. Source: numerics; every third frame of 30 a second.
 _LOOK_S = 0.095
 #: A frame may be taken once the picture has moved by this share of what it may move. Source: judgement.

@@ -6,6 +6,7 @@ import hashlib
 from pathlib import Path
 
 from fsinfer.errors import InputError
+from fsinfer.io.photo_folders import VIDEO_SUFFIXES
 
 #: Bytes read at either end of a compressed file for its digest: photographs and videos that differ do so in their
 #: length, their headers or their last blocks. Source: numerics; a plot of 500 photographs is still checked in a second.
@@ -14,10 +15,7 @@ DIGEST_BYTES = 65536
 # clouds and tables keep their length when values in the middle are edited, so all others are read whole: 0.4 s for 300
 # maps of 1 MB. Each look at 300 photographs of 5 MB would take 2.3 s whole; by their ends it takes 0.1 s.
 _PHOTOS = (".jpg", ".jpeg", ".png", ".webp", ".heic", ".heif")
-_VIDEOS = (
-    ".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".3gp", ".3g2", ".mts", ".m2ts", ".mpg", ".mpeg", ".wmv",
-)  # fmt: skip
-COMPRESSED_SUFFIXES = frozenset((*_PHOTOS, *_VIDEOS, ".laz"))
+COMPRESSED_SUFFIXES = frozenset((*_PHOTOS, *VIDEO_SUFFIXES, ".laz"))
 #: Bytes read at a time. Source: numerics.
 _PIECE_BYTES = 1_048_576
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from contextlib import suppress
 from pathlib import Path
 
@@ -15,6 +15,10 @@ PHOTO_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".
 #: Pictures that nothing here reads: raw ones of cameras and phones, and rare kinds.
 _UNREAD_SUFFIXES = frozenset(
     {".dng", ".arw", ".cr2", ".cr3", ".nef", ".orf", ".raf", ".rw2", ".avif", ".jxl", ".jp2", ".gif"}
+)
+#: What is taken for a video, lower case. Source: format.
+VIDEO_SUFFIXES = frozenset(
+    {".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".3gp", ".3g2", ".mts", ".m2ts", ".mpg", ".mpeg", ".wmv"}
 )
 #: Videos that nothing here reads: both eyes of a camera of the whole sphere. Source: format; Insta360, GoPro MAX.
 _UNREAD_VIDEO_SUFFIXES = frozenset({".insv", ".360"})
@@ -68,16 +72,23 @@ def unread_photos(folder: Path) -> dict[str, int]:
 
     Those that lie there as another kind, too, do not count: phones write a raw file beside the JPEG.
     """
-    paths = [path for path in folder.iterdir() if not path.name.startswith(".") and path.is_file()]
+    paths = _shown_files(folder)
     read = {_shot(path) for path in paths if path.suffix.lower() in PHOTO_SUFFIXES}
-    kinds = (path.suffix.lower() for path in paths if _shot(path) not in read)
-    return dict(sorted(Counter(kind for kind in kinds if kind in _UNREAD_SUFFIXES).items()))
+    return _count_kinds((path for path in paths if _shot(path) not in read), _UNREAD_SUFFIXES)
 
 
 def unread_videos(folder: Path) -> dict[str, int]:
     """How many videos directly in ``folder`` are of which kind that is not read."""
-    kinds = (path.suffix.lower() for path in folder.iterdir() if not path.name.startswith(".") and path.is_file())
-    return dict(sorted(Counter(kind for kind in kinds if kind in _UNREAD_VIDEO_SUFFIXES).items()))
+    return _count_kinds(_shown_files(folder), _UNREAD_VIDEO_SUFFIXES)
+
+
+def _shown_files(folder: Path) -> list[Path]:
+    return [path for path in folder.iterdir() if not path.name.startswith(".") and path.is_file()]
+
+
+def _count_kinds(paths: Iterable[Path], kinds: Collection[str]) -> dict[str, int]:
+    """How many of the files are of which of the kinds, suffixes in lower case."""
+    return dict(sorted(Counter(kind for path in paths if (kind := path.suffix.lower()) in kinds).items()))
 
 
 def _shot(path: Path) -> str:

@@ -11,11 +11,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fsinfer.errors import InputError
-from fsinfer.frames.video import VIDEO_SUFFIXES
 from fsinfer.io.digest import file_digest
 from fsinfer.io.files import copy_file, make_folder, remove_old, write_text
 from fsinfer.io.json_text import read_json
-from fsinfer.io.photo_folders import PHOTO_SUFFIXES
+from fsinfer.io.photo_folders import PHOTO_SUFFIXES, VIDEO_SUFFIXES
 from fsinfer.output.layout import RECORDS_FOLDER
 
 #: Digests of all files that were ever put into the folder, below the part's records.

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsinfer.trees.diameter.circle import POINTS_A_SECTOR
-from fsinfer.trees.points.surface import STRAY_SHARE, WELL_SEEN_PERCENTILE, sector_of
+from fsinfer.trees.points.surface import sector_of, well_seen
 
 Floats = NDArray[np.float64]
 #: Width of a sector, metres, and the greatest number of them. Source: judgement; thin shoots, which gaps of their own
@@ -57,8 +57,7 @@ def pieces_of(offsets: Floats, radius_m: float) -> Pieces | None:
     sectors = int(min(girth / SECTOR_M, SECTORS, places / POINTS_A_SECTOR))
     if sectors < LEAST_SECTORS:
         return None
-    count = np.bincount(sector_of(offsets, sectors), minlength=sectors)
-    seen = count >= max(STRAY_SHARE * float(np.percentile(count, WELL_SEEN_PERCENTILE)), 1.0)
+    seen = well_seen(np.bincount(sector_of(offsets, sectors), minlength=sectors))
     if seen.all():
         return Pieces(number=1, width_m=girth, share=1.0)
     # From a gap on, so that no piece goes over the end.

@@ -13,7 +13,15 @@ from numpy.typing import NDArray
 
 from fsinfer.trees.cylinder.axis import AxisSettings
 from fsinfer.trees.points.sums import MAD_TO_SIGMA, median
-from fsinfer.trees.points.surface import LAYER_M, SECTORS, SEEN_LAYERS, STRAY_SHARE, WELL_SEEN_PERCENTILE, sector_of
+from fsinfer.trees.points.surface import (
+    LAYER_M,
+    SECTORS,
+    SEEN_LAYERS,
+    STRAY_SHARE,
+    WELL_SEEN_PERCENTILE,
+    sector_of,
+    well_seen,
+)
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -67,7 +75,7 @@ def seen_side(offsets: Floats, foot: Floats, core: Floats, *, settings: SideSett
     sectors = int(np.clip(total / (2.0 * s.points_a_cell), *SECTORS))
     sector = sector_of(offsets, sectors)
     count = np.bincount(sector, weights=core, minlength=sectors)
-    seen = count >= max(STRAY_SHARE * float(np.percentile(count, WELL_SEEN_PERCENTILE)), 0.5)
+    seen = well_seen(count)
     layer = np.floor((foot - foot.min()) / LAYER_M).astype(np.int64)
     layers = int(layer.max()) + 1
     if total >= s.points_a_cell * sectors * layers:

@@ -40,6 +40,11 @@ def sector_of(offsets: Floats, sectors: int) -> Ints:
     return np.minimum((turn * sectors).astype(np.int64), sectors - 1)
 
 
+def well_seen(count: NDArray[np.number]) -> NDArray[np.bool_]:
+    """Which sectors (S,) are seen, by the points, or their weights, that each of them holds."""
+    return np.asarray(count >= max(STRAY_SHARE * float(np.percentile(count, WELL_SEEN_PERCENTILE)), 0.5))
+
+
 def reach_about_wall(radius_m: float, most_m: float) -> float:
     """How far from a wall of roughly ``radius_m`` points are looked at, at most ``most_m``."""
     return float(np.clip(REACH_OF_RADIUS * radius_m, LEAST_REACH_M, most_m))

@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsinfer.frames.video import VIDEO_SUFFIXES
 from fsinfer.io.cloud import PointCloud, write_cloud
 from fsinfer.io.digest import COMPRESSED_SUFFIXES, DIGEST_BYTES, file_digest
 from fsinfer.io.pfm import read_pfm, write_pfm
-from fsinfer.io.photo_folders import PHOTO_SUFFIXES
+from fsinfer.io.photo_folders import PHOTO_SUFFIXES, VIDEO_SUFFIXES
 
 
 def test_a_map_masked_in_its_middle_is_another_and_a_copy_is_not(tmp_path: Path) -> None:
